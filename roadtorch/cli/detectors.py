@@ -1,0 +1,68 @@
+"""roadtorch detectors: what there is, and what can be set."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import click
+
+
+@click.command()
+@click.argument("name", required=False)
+def detectors(name: str | None) -> None:
+    """List the detectors; with a NAME, its settings and their meaning."""
+    from roadtorch.detectors import detector_entry, list_detectors
+
+    if name is None:
+        rows = [(known, detector_entry(known).summary) for known in list_detectors()]
+    else:
+        entry = detector_entry(name)
+        click.echo(f"{name}: {entry.summary}\n")
+        header = ("setting", "type", "default", "allowed", "meaning")
+        rows = [header, *describe(entry.settings.model_json_schema())]
+    click.echo("\n".join(columns(rows)))
+
+
+def describe(schema: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str, str]]:
+    """Key, type, default, allowed and meaning of each setting in a JSON schema, depth first."""
+    yield from _describe(schema, schema.get("$defs", {}), "")
+
+
+def _describe(
+    schema: Mapping[str, Any], shared: Mapping[str, Any], path: str
+) -> Iterator[tuple[str, str, str, str, str]]:
+    for key, field in schema.get("properties", {}).items():
+        meaning = field.get("description", "")
+        target = shared.get(str(field.get("$ref", "")).rpartition("/")[2], field)
+        if "properties" in target:
+            yield from _describe(target, shared, f"{path}{key}.")
+        else:
+            default = "" if "default" not in field else _text(field["default"])
+            yield f"{path}{key}", _kind(target), default, _allowed(target), meaning
+
+
+def _kind(field: Mapping[str, Any]) -> str:
+    if "anyOf" in field:
+        return " or ".join(_kind(option) for option in field["anyOf"])
+    values = field.get("enum", [field["const"]] if "const" in field else None)
+    return "choice" if values else str(field.get("type", "any"))
+
+
+def _allowed(field: Mapping[str, Any]) -> str:
+    if "anyOf" in field:
+        return ", ".join(filter(None, (_allowed(option) for option in field["anyOf"])))
+    if "enum" in field or "const" in field:
+        return " | ".join(map(_text, field.get("enum", [field.get("const")])))
+    signs = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
+    return ", ".join(f"{sign} {field[key]:g}" for key, sign in signs.items() if key in field)
+
+
+def _text(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) or value is None else str(value)
+
+
+def columns(rows: list[tuple[str, ...]]) -> Iterator[str]:
+    """Rows as lines with aligned columns; the last one is as long as it likes."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        cells = [cell.ljust(width) for cell, width in zip(row[:-1], widths[:-1], strict=True)]
+        yield "  ".join([*cells, row[-1]]).rstrip()

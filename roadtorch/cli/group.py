@@ -1,0 +1,152 @@
+"""The ``roadtorch`` command: sub-commands loaded on use, mistakes told in one line."""
+
+import importlib
+import sys
+import traceback
+import warnings
+from collections.abc import Sequence
+from difflib import get_close_matches
+from typing import Any, NoReturn
+
+import click
+
+from roadtorch import __version__
+from roadtorch.errors import RoadtorchError
+
+# name: (module:attribute, summary). The summary is here so that help imports no command.
+COMMANDS = {
+    "detectors": ("roadtorch.cli.detectors:detectors", "List the detectors, or explain one."),
+    "evaluate": ("roadtorch.cli.evaluate:evaluate", "Score detectors on labelled pictures."),
+    "infer": ("roadtorch.cli.infer:infer", "Find the road in pictures."),
+    "label": ("roadtorch.cli.label:label", "Label pictures as sky, vertical and horizontal."),
+    "planes": ("roadtorch.cli.planes:planes", "List the colour planes and representations."),
+}
+
+FAILED, WRONG_USAGE, INTERRUPTED = 1, 2, 130  # exit codes; 130 is what shells use for Ctrl-C
+
+
+class CommandGroup(click.Group):
+    """A click group that imports a command when it is used and reports our errors."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """The names of all commands."""
+        return sorted(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import one command; None when there is none of that name."""
+        if cmd_name not in COMMANDS:
+            return None
+        module, attribute = COMMANDS[cmd_name][0].split(":")
+        command: click.Command = getattr(importlib.import_module(module), attribute)
+        if not any(parameter.name == "debug" for parameter in command.params):
+            command.params.append(_debug_option())
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The command that the first argument names; misspelt, the nearest ones are told."""
+        if args[0] not in COMMANDS and not args[0].startswith("-"):
+            near = get_close_matches(args[0], COMMANDS, n=3, cutoff=0.5)
+            remedy = f"did you mean {', '.join(near)}?" if near else "see roadtorch --help"
+            raise click.UsageError(f"{args[0]}: no such command ({remedy})", ctx)
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The list of commands in ``--help``, from the table alone."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, COMMANDS[name][1]) for name in sorted(COMMANDS)])
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; mistakes and crashes become one line, unless ``--debug`` asks."""
+        try:
+            return super().invoke(ctx)
+        except RoadtorchError as problem:
+            _trace(ctx)
+            raise _Mistake(str(problem)) from None
+        except (click.ClickException, click.exceptions.Exit, click.Abort, OSError):
+            raise  # OSError: a closed pipe, which click ends quietly
+        except Exception as problem:
+            _trace(ctx)
+            what = f"a fault of roadtorch: {type(problem).__name__}: {problem}"
+            raise click.ClickException(
+                f"{ctx.invoked_subcommand}: {what} (report it with --debug)"
+            ) from None
+
+    def main(self, args: Sequence[str] | None = None, *_: Any, **extra: Any) -> NoReturn:
+        """Run with the given arguments or those of the process, and exit with its code."""
+        warnings.showwarning = _show_warning
+        extra |= {"prog_name": "roadtorch", "standalone_mode": False}
+        try:
+            code = super().main(args, **extra)
+        except (click.Abort, KeyboardInterrupt):
+            click.echo("roadtorch: interrupted; what was finished is kept", err=True)
+            code = INTERRUPTED
+        except click.exceptions.NoArgsIsHelpError as problem:
+            problem.show()
+            code = WRONG_USAGE
+        except click.ClickException as problem:
+            click.echo(f"roadtorch: error: {_one_line(problem)}", err=True)
+            code = problem.exit_code
+        except OSError as problem:
+            click.echo(f"roadtorch: error: {problem}", err=True)
+            code = FAILED
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+class _Mistake(click.ClickException):
+    """A RoadtorchError on its way out, in its own words."""
+
+    exit_code = WRONG_USAGE
+
+
+def _one_line(problem: click.ClickException) -> str:
+    """``where: what (remedy)`` for click's own mistakes."""
+    if isinstance(problem, click.NoSuchOption):
+        near = problem.possibilities or []
+        remedy = f"did you mean {', '.join(near)}?" if near else _see_help(problem)
+        return f"{problem.option_name}: no such option ({remedy})"
+    message = " ".join(problem.format_message().split())
+    if isinstance(problem, click.UsageError) and not message.endswith(")"):
+        return f"{message.rstrip('.')} ({_see_help(problem)})"
+    return message
+
+
+def _see_help(problem: click.UsageError) -> str:
+    return f"see {problem.ctx.command_path if problem.ctx else 'roadtorch'} --help"
+
+
+def _trace(ctx: click.Context) -> None:
+    if ctx.meta.get("roadtorch.debug"):
+        traceback.print_exc()
+
+
+def _debug_option() -> click.Option:
+    def remember(ctx: click.Context, _: click.Parameter, value: bool) -> None:
+        if value:
+            ctx.meta["roadtorch.debug"] = True  # meta is shared by a command and its group
+
+    return click.Option(
+        ["--debug"],
+        is_flag=True,
+        expose_value=False,
+        callback=remember,
+        help="Show the traceback of an error.",
+    )
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *_: Any) -> None:
+    click.echo(f"roadtorch: warning: {message}", err=True)
+
+
+@click.group(
+    cls=CommandGroup,
+    params=[_debug_option()],
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+@click.version_option(__version__, message="roadtorch %(version)s")
+def main() -> None:
+    """Find the road in pictures, without labels, on a CPU.
+
+    roadtorch infer PICTURES makes maps of how road-like each pixel is.
+    """

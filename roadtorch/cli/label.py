@@ -1,0 +1,49 @@
+"""roadtorch label: machine labels of the scene layout, to look at or to train on."""
+
+from pathlib import Path
+
+import click
+
+PATH = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("inputs", metavar="INPUT...", nargs=-1, required=True)
+@click.option("--out", type=PATH, required=True, help="Folder for the labels.")
+@click.option(
+    "--support",
+    type=click.Choice(["margin", "maximum"]),
+    default="margin",
+    show_default=True,
+    help="Leave doubtful segments unlabelled, or give each its likeliest class.",
+)
+@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="One setting.")
+@click.option("--overlay", is_flag=True, help="Also write NAME.overlay.jpg.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--overwrite", is_flag=True, help="Redo pictures that are done.")
+@click.option("--quiet", is_flag=True, help="No progress, only failures.")
+@click.pass_context
+def label(
+    context: click.Context,
+    inputs: tuple[str, ...],
+    out: Path,
+    support: str,
+    assignments: tuple[str, ...],
+    overlay: bool,
+    jobs: int,
+    overwrite: bool,
+    quiet: bool,
+) -> None:
+    """Label every pixel as sky (0), vertical (1), horizontal (2) or unlabelled (255).
+
+    Each picture gives NAME.png in the folder --out. No weights and no labels are needed.
+    """
+    from roadtorch.cli import batch, config, layouts, results
+
+    settings = layouts.labeller_settings(support, assignments)
+    suffixes = layouts.SUFFIXES if overlay else {"labels": layouts.SUFFIXES["labels"]}
+    planned = batch.plan(inputs, out, suffixes)
+    batch.make_folder(out)
+    results.keep_config(out, config.as_toml("labeller", settings), overwrite)
+    options = batch.Options(jobs, overwrite, quiet)
+    context.exit(batch.run(planned, out, layouts.Labelling(settings, overlay), options))

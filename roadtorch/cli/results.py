@@ -1,0 +1,121 @@
+"""What ``infer`` writes for one picture, and for a folder of them."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from roadtorch.cli.batch import INDEX, Job, Row, make_folder
+from roadtorch.detectors import Detection, Detector
+from roadtorch.errors import ConfigError
+from roadtorch.image import (
+    read_image,
+    write_colours,
+    write_map,
+    write_mask,
+    write_npy,
+    write_overlay,
+    write_text,
+)
+
+CONFIG = "config.toml"
+SUFFIXES = {
+    "likelihood": ".likelihood.png",
+    "mask": ".mask.png",
+    "overlay": ".overlay.jpg",
+    "npy": ".likelihood.npy",
+}
+
+# Okabe and Ito's colours: sky blue, vermilion, bluish green; black is unlabelled.
+LAYOUT_COLOURS = torch.tensor([[86, 180, 233], [213, 94, 0], [0, 158, 115]]) / 255
+GOLDEN = 0.6180339887  # the fractional step that spreads neighbouring labels over the colours
+
+
+def suffixes(kinds: Iterable[str]) -> dict[str, str]:
+    """How the files of each kind end; the cues' names are known only after detection."""
+    return {kind: SUFFIXES[kind] for kind in kinds if kind in SUFFIXES}
+
+
+def keep_config(out: Path, effective: str, overwrite: bool) -> None:
+    """Write the settings beside the results; ConfigError if earlier ones were different.
+
+    Otherwise a second run with another detector would skip what the first one did, and
+    the folder would mix the results of both.
+    """
+    path = out / CONFIG
+    effective += "\n"
+    is_other = path.exists() and path.read_text(encoding="utf-8") != effective
+    if is_other and (out / INDEX).exists() and not overwrite:
+        raise ConfigError(
+            out,
+            f"holds results of other settings ({CONFIG})",
+            "give another --out, or --overwrite",
+        )
+    write_text(path, effective)
+
+
+@dataclass(frozen=True)
+class Inference:
+    """The work on one picture: read, detect, write."""
+
+    detector: Detector
+    kinds: frozenset[str]
+    depth: Literal[8, 16]
+
+    def __call__(self, job: Job) -> Row:
+        """Write the results of one picture; the row for index.csv."""
+        start = perf_counter()
+        image = read_image(job.picture.path)
+        detection = self.detector.detect(image)
+        self._write(job, image, detection)
+        height, width = detection.mask.shape
+        share = float(detection.mask.to(torch.float64).mean())
+        ms = 1000 * (perf_counter() - start)
+        return Row(job.file, str(width), str(height), f"{ms:.0f}", f"{share:.4f}")
+
+    def _write(self, job: Job, image: Tensor, detection: Detection) -> None:
+        make_folder(job.output("").parent)
+        if "likelihood" in self.kinds:
+            write_map(job.output(SUFFIXES["likelihood"]), detection.likelihood, self.depth)
+        if "mask" in self.kinds:
+            write_mask(job.output(SUFFIXES["mask"]), detection.mask)
+        if "overlay" in self.kinds:
+            write_overlay(job.output(SUFFIXES["overlay"]), image, detection.mask)
+        if "npy" in self.kinds:
+            write_npy(job.output(SUFFIXES["npy"]), detection.likelihood)
+        for name, cue in detection.cues.items():
+            if "cues" in self.kinds:
+                write_colours(job.output(f".cue.{name}.png"), cue_picture(cue))
+            if "npy" in self.kinds:
+                write_npy(job.output(f".{name}.npy"), cue)
+
+
+def cue_picture(cue: Tensor) -> Tensor:
+    """A cue (H,W), (3,H,W) or labels int (H,W) as an image (3,H,W) to look at.
+
+    Scalar maps are stretched from their least value (black) to their greatest (white),
+    values that are not finite are black; three potentials become the colours of sky,
+    vertical and horizontal; neighbouring labels get unlike colours. Of any other number
+    of channels the mean is shown.
+    """
+    if cue.ndim == 3 and len(cue) == 3:
+        return torch.einsum("chw,cd->dhw", cue.clamp(0, 1).float(), LAYOUT_COLOURS).clamp(0, 1)
+    if cue.ndim == 3:
+        cue = cue.float().mean(0)
+    if not cue.is_floating_point() and cue.dtype != torch.bool:
+        return _label_colours(cue)
+    values = cue.float()
+    is_finite = values.isfinite()
+    low, high = values[is_finite].aminmax() if is_finite.any() else values.new_zeros(2)
+    grey = ((values - low) / (high - low).clamp_min(1e-12)).where(is_finite, 0)
+    return grey.expand(3, -1, -1)
+
+
+def _label_colours(labels: Tensor) -> Tensor:
+    """Labels int (H,W) as colours (3,H,W): each channel a different irrational stride."""
+    strides = torch.tensor([GOLDEN, GOLDEN**2, GOLDEN**3]).view(3, 1, 1)
+    return ((labels.float() + 1) * strides).frac()

@@ -1,0 +1,167 @@
+"""The colour planes of P2 and P3, and the representations that P3 makes of them.
+
+All planes come from the gamma-encoded sRGB values as they are; only Lab linearises them.
+Every plane is of order 1, so that distances and kernel widths mean the same in each.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from roadtorch.errors import unknown_name
+
+LUMA = (0.299, 0.587, 0.114)
+"""Rec. 601: what OpenCV, Pillow and MATLAB call grey."""
+
+_XYZ = (
+    (0.412453, 0.357580, 0.180423),
+    (0.212671, 0.715160, 0.072169),
+    (0.019334, 0.119193, 0.950227),
+)
+XYZ_OF_RGB = tuple(tuple(value / sum(row) for value in row) for row in _XYZ)
+"""Linear sRGB to CIE XYZ for D65, over the white point. Rows sum to 1, so grey has a = b = 0;
+with the tabulated white (0.95047, 1, 1.08883) a and b would be off by up to 5e-5."""
+
+
+class Channels:
+    """What several planes of one image (…,3,H,W) share, each computed when first asked for."""
+
+    def __init__(self, image: Tensor) -> None:
+        self.image = image
+        self.red, self.green, self.blue = image.unbind(-3)
+
+    @cached_property
+    def total(self) -> Tensor:
+        """R+G+B, 0…3."""
+        return self.red + self.green + self.blue
+
+    @cached_property
+    def highest(self) -> Tensor:
+        """max(R, G, B)."""
+        return torch.maximum(torch.maximum(self.red, self.green), self.blue)
+
+    @cached_property
+    def chroma(self) -> Tensor:
+        """max(R, G, B) - min(R, G, B)."""
+        return self.highest - torch.minimum(torch.minimum(self.red, self.green), self.blue)
+
+    @cached_property
+    def red_green(self) -> Tensor:
+        """R+G-2B, for O2."""
+        return self.red + self.green - 2 * self.blue
+
+    @cached_property
+    def lab_roots(self) -> tuple[Tensor, Tensor, Tensor]:
+        """CIE f(X/Xn), f(Y/Yn), f(Z/Zn): cube roots with a straight piece near black."""
+        linear = _linear(self.image)
+        matrix = torch.tensor(XYZ_OF_RGB, dtype=linear.dtype, device=linear.device)
+        xyz = (matrix @ linear.flatten(-2)).reshape(linear.shape)
+        roots = torch.where(xyz > 216 / 24389, _power(xyz, 1 / 3), xyz * (841 / 108) + 4 / 29)
+        x, y, z = roots.unbind(-3)
+        return x, y, z
+
+
+def _linear(image: Tensor) -> Tensor:
+    """Light of gamma-encoded values (sRGB, IEC 61966-2-1)."""
+    return torch.where(image > 0.04045, _power((image + 0.055) / 1.055, 2.4), image / 12.92)
+
+
+def _power(base: Tensor, exponent: float) -> Tensor:
+    """base ** exponent for base > 0; for 0 the result is finite and replaced by the caller."""
+    return base.clamp_min(1e-6).log2_().mul_(exponent).exp2_()
+
+
+def _over_total(channels: Channels, values: Tensor) -> Tensor:
+    return torch.where(channels.total > 0, values / channels.total, 1 / 3)
+
+
+def _hue(channels: Channels) -> Tensor:
+    red, green, blue = channels.red, channels.green, channels.blue
+    over = torch.where(channels.chroma > 0, channels.chroma, 1)
+    of_red = torch.remainder((green - blue) / over, 6)
+    of_green = (blue - red) / over + 2
+    of_blue = (red - green) / over + 4
+    hue = torch.where(green == channels.highest, of_green, of_blue)
+    hue = torch.where(red == channels.highest, of_red, hue) / 6
+    return torch.where(hue < 1, hue, 0)  # a tiny negative one is rounded to a whole turn
+
+
+def _saturation(channels: Channels) -> Tensor:
+    return torch.where(channels.highest > 0, channels.chroma / channels.highest, 0)
+
+
+def _grey(channels: Channels) -> Tensor:
+    red, green, blue = LUMA
+    return (channels.red * red).add_(channels.green, alpha=green).add_(channels.blue, alpha=blue)
+
+
+@dataclass(frozen=True)
+class Plane:
+    """One colour plane.
+
+    low, high: the bounds of its values. circular: whether high is the same as low (hue).
+    summary: one line for lists. formula: makes it from the channels of an image.
+    """
+
+    low: float
+    high: float
+    circular: bool
+    summary: str
+    formula: Callable[[Channels], Tensor] = field(repr=False)
+
+
+_ROOT_2, _ROOT_3, _ROOT_6 = math.sqrt(2), math.sqrt(3), math.sqrt(6)
+
+PLANES: dict[str, Plane] = {
+    "R": Plane(0, 1, False, "red", lambda c: c.red),
+    "G": Plane(0, 1, False, "green", lambda c: c.green),
+    "B": Plane(0, 1, False, "blue", lambda c: c.blue),
+    "nr": Plane(0, 1, False, "R/(R+G+B), 1/3 at black", lambda c: _over_total(c, c.red)),
+    "ng": Plane(0, 1, False, "G/(R+G+B), 1/3 at black", lambda c: _over_total(c, c.green)),
+    "O1": Plane(
+        -1 / _ROOT_2, 1 / _ROOT_2, False, "(R-G)/√2", lambda c: (c.red - c.green) / _ROOT_2
+    ),
+    "O2": Plane(-2 / _ROOT_6, 2 / _ROOT_6, False, "(R+G-2B)/√6", lambda c: c.red_green / _ROOT_6),
+    "O3": Plane(0, _ROOT_3, False, "(R+G+B)/√3", lambda c: c.total / _ROOT_3),
+    "L": Plane(0, 1, False, "CIE L*/100, sRGB, D65", lambda c: 1.16 * c.lab_roots[1] - 0.16),
+    "a": Plane(-0.862, 0.983, False, "CIE a*/100", lambda c: 5 * (c.lab_roots[0] - c.lab_roots[1])),
+    "b": Plane(-1.079, 0.945, False, "CIE b*/100", lambda c: 2 * (c.lab_roots[1] - c.lab_roots[2])),
+    "H": Plane(0, 1, True, "hue of the HSV hexcone in turns, 0 for grey", _hue),
+    "S": Plane(0, 1, False, "(max-min)/max of R, G, B; 0 at black", _saturation),
+    "V": Plane(0, 1, False, "max(R, G, B)", lambda c: c.highest),
+    "grey": Plane(0, 1, False, "luma of Rec. 601", _grey),
+}
+"""All planes by name. O3 and grey are no representations of P3."""
+
+REPRESENTATIONS: dict[str, tuple[str, ...]] = {
+    **{name: (name,) for name in PLANES if name not in ("O3", "grey")},
+    "RGB": ("R", "G", "B"),
+    "nrng": ("nr", "ng"),
+    "O1O2": ("O1", "O2"),
+    "Lab": ("L", "a", "b"),
+    "HSV": ("H", "S", "V"),
+    "HS": ("H", "S"),
+}
+"""The 19 colour representations of P3 by name: 13 single planes and 6 combinations."""
+
+
+def planes(image: Tensor, names: Sequence[str]) -> Tensor:
+    """The named planes of an image (…,3,H,W) in [0,1]: (…,N,H,W), dtype and device kept.
+
+    Ranges and formulas are those of ``PLANES``. P2 section 6.2, P3 section III. Raises
+    ConfigError for an unknown name.
+    """
+    for name in names:
+        if name not in PLANES:
+            raise unknown_name("plane", name, PLANES)
+    channels = Channels(image)
+    return torch.stack([PLANES[name].formula(channels) for name in names], -3)
+
+
+def plane(image: Tensor, name: str) -> Tensor:
+    """One plane of an image (…,3,H,W) in [0,1]: (…,H,W). See ``planes``."""
+    return planes(image, (name,)).squeeze(-3)

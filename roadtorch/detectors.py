@@ -1,0 +1,196 @@
+"""Detectors by name: the one door for commands, evaluation and tests.
+
+A family describes each of its detectors by an ``Entry``: a name, a model of settings
+and a function that builds the analysis. Everything that all detectors share (checking
+the picture, deciding on the mask, batching) is here, once.
+
+Other packages add detectors through the entry-point group ``roadtorch.detectors``;
+each entry point names an ``Entry`` or a sequence of them.
+"""
+
+import warnings
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from roadtorch.errors import ConfigError, InputError, unknown_name
+from roadtorch.geometry import SeedArea, remove_isolated, seed_area
+from roadtorch.settings import Settings, build_settings
+
+ENTRY_POINT_GROUP = "roadtorch.detectors"
+SMALLEST_SIDE = 16  # pixels; below it, superpixels and the seed area have no meaning
+
+Analysis = Callable[[Tensor], dict[str, Tensor]]
+"""An image (3,H,W) in, named cues out; ``likelihood`` (H,W) in [0,1] is one of them."""
+
+
+@dataclass(frozen=True)
+class Detection:
+    """What a detector says about one image.
+
+    likelihood: float32 (H,W) in [0,1], higher is more road-like.
+    mask: bool (H,W), the decision.
+    cues: the maps the decision rests on, by name; (H,W) or (C,H,W).
+    """
+
+    likelihood: Tensor
+    mask: Tensor
+    cues: dict[str, Tensor]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One detector on offer.
+
+    name: ``family[:option[:option]]``.
+    summary: one line for lists.
+    settings: the model of its settings; it has ``threshold``, a float in [0,1]. A field
+        ``isolated`` equal to ``"drop"`` asks for the removal of road regions that do
+        not touch the seed area, whose size a field ``seed`` may set.
+    build: makes the analysis from the settings. An analysis that is an ``nn.Module``
+        becomes part of the detector, so that its weights are saved with it.
+    """
+
+    name: str
+    summary: str
+    settings: type[Settings]
+    build: Callable[[Any], Analysis]
+
+
+class Detector(nn.Module):
+    """A detector that is ready to look at images; made by ``load_detector``."""
+
+    def __init__(self, entry: Entry, settings: Settings) -> None:
+        super().__init__()
+        self.name = entry.name
+        self.settings = settings
+        self.analysis = entry.build(settings)
+
+    @torch.no_grad()
+    def detect(self, image: Tensor) -> Detection:
+        """Find the road in one image (3,H,W), floating point in [0,1], from 16×16 up.
+
+        Raises InputError when the image is anything else.
+        """
+        image = checked_image(image)
+        cues = dict(self.analysis(image))
+        likelihood = cues.pop("likelihood")
+        return Detection(likelihood, decide(likelihood, self.settings), cues)
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Likelihoods (B,H,W) of a batch (B,3,H,W); each equals that of ``detect``."""
+        if images.ndim != 4:
+            raise InputError(
+                "images",
+                f"have the shape {tuple(images.shape)}",
+                "give a batch (B, 3, height, width)",
+            )
+        if not len(images):
+            return images.new_empty((0, *images.shape[-2:]), dtype=torch.float32)
+        return torch.stack([self.analysis(checked_image(image))["likelihood"] for image in images])
+
+    def extra_repr(self) -> str:
+        """The name and settings, for ``print(detector)``."""
+        return f"{self.name!r}, {self.settings!r}"
+
+
+def checked_image(image: Tensor) -> Tensor:
+    """The image as float32 (3,H,W), if it is one: floating point, ≥ 16×16, in [0,1].
+
+    Raises InputError naming ``image``, what came and what to do.
+    """
+    if not isinstance(image, Tensor) or not image.is_floating_point():
+        given = image.dtype if isinstance(image, Tensor) else type(image).__name__
+        raise InputError("image", f"is {given}", "give float32 RGB in [0, 1], as read_image does")
+    if image.ndim != 3 or image.shape[0] != 3:
+        raise InputError(
+            "image", f"has the shape {tuple(image.shape)}", "give RGB as (3, height, width)"
+        )
+    height, width = image.shape[1:]
+    if min(height, width) < SMALLEST_SIDE:
+        raise InputError(
+            "image",
+            f"is {width}×{height} pixels",
+            f"give at least {SMALLEST_SIDE}×{SMALLEST_SIDE}",
+        )
+    low, high = (float(bound) for bound in torch.aminmax(image))
+    if not (low >= 0 and high <= 1):  # also true of NaN, which passes through aminmax
+        raise InputError("image", f"has values from {low:g} to {high:g}", "scale it to [0, 1]")
+    return image.to(torch.float32)
+
+
+def decide(likelihood: Tensor, settings: Settings) -> Tensor:
+    """The mask bool (H,W): likelihood ≥ threshold, isolated regions dropped if asked for."""
+    mask = likelihood >= getattr(settings, "threshold")  # noqa: B009  (see Entry.settings)
+    if getattr(settings, "isolated", "keep") != "drop":
+        return mask
+    height, width = mask.shape
+    rows, columns = seed_area(height, width, getattr(settings, "seed", SeedArea()))
+    return remove_isolated(mask, rows, columns)
+
+
+def load_detector(name: str, **settings: Any) -> Detector:
+    """Make a detector; settings that are not given keep their defaults.
+
+    Nested settings are dictionaries: ``load_detector("cpf", texture={"bins": 64})``.
+    Raises ConfigError for an unknown name or key and for values that are not allowed.
+    """
+    entry = detector_entry(name)
+    return Detector(entry, build_settings(entry.settings, settings)).eval()
+
+
+def list_detectors() -> list[str]:
+    """The names of all detectors, sorted; those of other packages among them."""
+    return sorted(_catalogue())
+
+
+def detector_entry(name: str) -> Entry:
+    """The entry of one detector; ConfigError with the nearest names if there is none."""
+    entries = _catalogue()
+    if name not in entries:
+        raise unknown_name("detector", name, entries)
+    return entries[name]
+
+
+def register(entry: Entry) -> None:
+    """Add a detector for this process; ConfigError when its name is taken."""
+    _add(_catalogue(), entry)
+
+
+def _add(entries: dict[str, Entry], entry: Entry) -> None:
+    if entry.name in entries:
+        raise ConfigError(entry.name, "is the name of another detector", "choose a new name")
+    if "threshold" not in entry.settings.model_fields:
+        raise ConfigError(entry.name, "has settings without a threshold", "add that field")
+    entries[entry.name] = entry
+
+
+@cache
+def _catalogue() -> dict[str, Entry]:
+    # families.py needs Entry from this module, hence the late import.
+    from roadtorch.families import ENTRIES
+
+    entries: dict[str, Entry] = {}
+    for entry in ENTRIES:
+        _add(entries, entry)
+    for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name):
+        _add_foreign(entries, point)
+    return entries
+
+
+def _add_foreign(entries: dict[str, Entry], point: EntryPoint) -> None:
+    """Add another package's detectors; a broken package costs only its own."""
+    try:
+        loaded = point.load()
+        offered: Iterable[Entry] = (loaded,) if isinstance(loaded, Entry) else tuple(loaded)
+        for entry in offered:
+            _add(entries, entry)
+    except Exception as problem:
+        package = point.dist.name if point.dist else point.value
+        message = f"detectors {point.name!r} of {package} cannot be used: {problem}"
+        warnings.warn(message, RuntimeWarning, stacklevel=2)

@@ -1,0 +1,53 @@
+"""The errors that users see.
+
+RoadtorchError
+├── InputError      a picture, map or folder that cannot be used
+├── ConfigError     a setting, a name or an option that is wrong
+├── DatasetError    a data set that is incomplete or not what it says
+└── WeightsError    a weight file that is damaged or foreign
+"""
+
+import difflib
+from collections.abc import Iterable
+
+
+class RoadtorchError(Exception):
+    """A mistake that the user can mend: where it is, what is wrong, what to do.
+
+    The text reads ``where: what (remedy)``; the command line prints it behind
+    ``roadtorch: error:`` and nothing else.
+    """
+
+    def __init__(self, where: object, what: str, remedy: str) -> None:
+        super().__init__(f"{where}: {what} ({remedy})")
+        self.where = str(where)
+        self.what = what
+        self.remedy = remedy
+
+    def __reduce__(self) -> tuple[type["RoadtorchError"], tuple[str, str, str]]:
+        """Three arguments again, so that the error survives a process boundary."""
+        return type(self), (self.where, self.what, self.remedy)
+
+
+class InputError(RoadtorchError):
+    """A picture, map or folder that cannot be used."""
+
+
+class ConfigError(RoadtorchError):
+    """A setting, a name or an option that is wrong."""
+
+
+class DatasetError(RoadtorchError):
+    """A data set that is incomplete or not what it says."""
+
+
+class WeightsError(RoadtorchError):
+    """A weight file that is damaged or foreign."""
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> ConfigError:
+    """The error for a misspelt name, with the nearest known ones in its remedy."""
+    known = sorted(known)
+    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    remedy = f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(known)}"
+    return ConfigError(name, f"unknown {kind}", remedy)

@@ -1,0 +1,298 @@
+"""Measures of road maps and layout labels: counting first, formulas afterwards.
+
+Maps are counted into histograms of likelihood levels, one for road and one for the rest.
+Counts are integers that add up, so memory is flat over any number of images and pooling
+is a sum. Every formula takes counts alone, with any number of leading dimensions.
+
+The default 65,536 levels are those of a 16-bit map: the 256 levels of an 8-bit map are
+among them (level 257·q), so 8- and 16-bit maps are measured exactly, and other values
+tie only where they round to the same level. "≥ threshold" means road (KITTI's reading).
+
+Sources: "KITTI" is the road benchmark's development kit (Fritsch, Kühnl, Geiger, ITSC
+2013); P2 is Álvarez et al., ECCV 2012.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from roadtorch.errors import InputError
+
+LEVELS = 65_536
+TINY = 1e-10  # KITTI adds it to its denominators
+RECALL_STEPS = 11  # KITTI's average precision looks at recalls 0, 0.1, …, 1
+LAYOUT_CLASSES = ("sky", "vertical", "horizontal")
+UNLABELLED = 255  # in layout labels: no decision; in layout truth: void
+
+
+# --- counts -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RoadCounts:
+    """Pixels by likelihood level: int64 (...,levels) of true road and of true background."""
+
+    road: Tensor
+    other: Tensor
+
+    def __add__(self, more: "RoadCounts") -> "RoadCounts":
+        """The counts of both sets of maps together."""
+        return RoadCounts(self.road + more.road, self.other + more.other)
+
+    @property
+    def levels(self) -> int:
+        """How many levels the likelihood was rounded to."""
+        return self.road.shape[-1]
+
+
+@dataclass(frozen=True)
+class Decisions:
+    """Pixels by decision and truth: int64 tensors of one shape, often no dimension at all."""
+
+    true_positive: Tensor
+    false_positive: Tensor
+    false_negative: Tensor
+    true_negative: Tensor
+
+    def __add__(self, more: "Decisions") -> "Decisions":
+        """The counts of both sets of masks together."""
+        return Decisions(
+            self.true_positive + more.true_positive,
+            self.false_positive + more.false_positive,
+            self.false_negative + more.false_negative,
+            self.true_negative + more.true_negative,
+        )
+
+
+def level_of(likelihood: Tensor, levels: int = LEVELS) -> Tensor:
+    """The nearest of ``levels`` equally spaced levels of [0,1]; int64, same shape."""
+    return (likelihood * (levels - 1) + 0.5).floor().to(torch.int64)
+
+
+def threshold_level(threshold: float, levels: int = LEVELS) -> int:
+    """The lowest level that reaches a threshold in [0,1]."""
+    # The small allowance lets k / (levels - 1), rounded, still mean level k.
+    return math.ceil(threshold * (levels - 1) - 1e-6)
+
+
+def count_levels(
+    likelihood: Tensor, road: Tensor, valid: Tensor, levels: int = LEVELS
+) -> RoadCounts:
+    """Count the valid pixels of one map: likelihood (H,W) in [0,1], road and valid bool (H,W).
+
+    Raises InputError when the sizes differ or a likelihood is not in [0,1].
+    """
+    if likelihood.shape != road.shape:
+        raise InputError(
+            "likelihood",
+            f"has the shape {tuple(likelihood.shape)}, the truth {tuple(road.shape)}",
+            "return a map of the image's size",
+        )
+    low, high = (float(bound) for bound in torch.aminmax(likelihood))
+    if not (low >= 0 and high <= 1):  # also true of NaN, which passes through aminmax
+        raise InputError("likelihood", f"has values from {low:g} to {high:g}", "keep to [0, 1]")
+    kind = torch.where(valid, road.to(torch.int64), 2)
+    counts = torch.bincount(
+        (level_of(likelihood, levels) + levels * kind).flatten(), minlength=3 * levels
+    )
+    other, on_road, _ = counts.split(levels)
+    return RoadCounts(on_road.clone(), other.clone())
+
+
+def count_mask(mask: Tensor, road: Tensor, valid: Tensor) -> Decisions:
+    """Count the valid pixels of one mask; all bool (H,W)."""
+    kind = (mask.to(torch.int64) + 2 * road.to(torch.int64))[valid]
+    true_negative, false_positive, false_negative, true_positive = torch.bincount(kind, minlength=4)
+    return Decisions(true_positive, false_positive, false_negative, true_negative)
+
+
+def coarsen(counts: RoadCounts, levels: int = 256) -> RoadCounts:
+    """The counts of the same maps rounded to fewer levels, as for instance in an 8-bit PNG."""
+    fine = torch.arange(counts.levels, dtype=torch.float64) / (counts.levels - 1)
+    index = level_of(fine, levels)
+    shape = (*counts.road.shape[:-1], levels)
+    road, other = (
+        torch.zeros(shape, dtype=part.dtype).index_add_(-1, index, part)
+        for part in (counts.road, counts.other)
+    )
+    return RoadCounts(road, other)
+
+
+def pool(counts: RoadCounts, weights: Tensor) -> RoadCounts:
+    """Weighted sums of images' counts (n,levels): weights (B,n) of whole numbers → (B,levels)."""
+    road, other = (
+        (weights.to(torch.float64) @ part.to(torch.float64)).round().to(torch.int64)
+        for part in (counts.road, counts.other)
+    )
+    return RoadCounts(road, other)
+
+
+def decisions(counts: RoadCounts) -> Decisions:
+    """The outcome of "level ≥ k is road" for every k: tensors (...,levels)."""
+    true_positive, false_positive = (
+        part.flip(-1).cumsum(-1).flip(-1) for part in (counts.road, counts.other)
+    )
+    return Decisions(
+        true_positive,
+        false_positive,
+        true_positive[..., :1] - true_positive,
+        false_positive[..., :1] - false_positive,
+    )
+
+
+def decisions_at(counts: RoadCounts, threshold: float) -> Decisions:
+    """The outcome of "likelihood ≥ threshold is road", at the resolution of the levels."""
+    level = threshold_level(threshold, counts.levels)
+    road, other = counts.road.sum(-1), counts.other.sum(-1)
+    true_positive, false_positive = (
+        part[..., level:].sum(-1) for part in (counts.road, counts.other)
+    )
+    return Decisions(true_positive, false_positive, road - true_positive, other - false_positive)
+
+
+# --- formulas; 0/0 is NaN, never 0 or 1 ---------------------------------------------------
+
+
+def precision(outcome: Decisions) -> Tensor:
+    """TP / (TP + FP), float64; NaN where nothing is called road."""
+    return _ratio(outcome.true_positive, outcome.true_positive + outcome.false_positive)
+
+
+def recall(outcome: Decisions) -> Tensor:
+    """TP / (TP + FN), float64; NaN where there is no road."""
+    return _ratio(outcome.true_positive, outcome.true_positive + outcome.false_negative)
+
+
+def iou(outcome: Decisions) -> Tensor:
+    """TP / (TP + FP + FN), float64; NaN where there is neither road nor a call of road."""
+    wrong = outcome.false_positive + outcome.false_negative
+    return _ratio(outcome.true_positive, outcome.true_positive + wrong)
+
+
+def f_measure(outcome: Decisions) -> Tensor:
+    """2 TP / (2 TP + FP + FN), the harmonic mean of precision and recall, float64."""
+    wrong = outcome.false_positive + outcome.false_negative
+    return _ratio(2 * outcome.true_positive, 2 * outcome.true_positive + wrong)
+
+
+def _ratio(part: Tensor, whole: Tensor) -> Tensor:
+    return part.to(torch.float64) / whole.to(torch.float64)
+
+
+def auc(counts: RoadCounts) -> Tensor:
+    """Area under the ROC curve: P(road above background), ties one half; float64 (...).
+
+    NaN where road or background is missing. Equals the trapezoid area (Fawcett 2006).
+    """
+    road, other = counts.road.to(torch.float64), counts.other.to(torch.float64)
+    below = other.cumsum(-1) - other / 2
+    return (road * below).sum(-1) / (road.sum(-1) * other.sum(-1))
+
+
+def kitti_precision_recall(counts: RoadCounts) -> tuple[Tensor, Tensor]:
+    """KITTI's precision and recall for every level, float64 (...,levels) each."""
+    outcome = decisions(counts)
+    hit, false = outcome.true_positive.to(torch.float64), outcome.false_positive.to(torch.float64)
+    return hit / (hit + false + TINY), hit / hit[..., :1]
+
+
+def f_curve(counts: RoadCounts) -> Tensor:
+    """KITTI's F for every level, float64 (...,levels); NaN where there is no road."""
+    precisions, recalls = kitti_precision_recall(counts)
+    return 2 * precisions * recalls / (precisions + recalls + TINY)
+
+
+def max_f(counts: RoadCounts) -> tuple[Tensor, Tensor]:
+    """KITTI's MaxF and its threshold in [0,1], the lowest one that reaches it; float64 (...)."""
+    return best_threshold(f_curve(counts))
+
+
+def best_threshold(curve: Tensor) -> tuple[Tensor, Tensor]:
+    """The maximum of curves (...,levels) and the first threshold that reaches it."""
+    best = curve.argmax(-1)  # the first one of several
+    value = curve.gather(-1, best[..., None])[..., 0]
+    threshold = best.to(torch.float64) / (curve.shape[-1] - 1)
+    return value, threshold.where(~value.isnan(), torch.nan)
+
+
+def average_precision(counts: RoadCounts) -> Tensor:
+    """KITTI's AP: mean over the recalls 0, 0.1, …, 1 of the best precision at or above it.
+
+    The recalls are accumulated in floating point as in the kit (0.30000000000000004), so
+    that a recall of exactly 0.3, 0.6 or 0.7 falls short of its step there and here.
+    """
+    precisions, recalls = kitti_precision_recall(counts)
+    steps = torch.arange(RECALL_STEPS, dtype=torch.float64) * 0.1
+    best = [(precisions * (recalls >= step)).amax(-1) for step in steps]
+    return torch.stack(best).mean(0).where(~recalls[..., 0].isnan(), torch.nan)
+
+
+# --- layout -----------------------------------------------------------------------------
+
+
+def count_layout(labels: Tensor, truth: Tensor) -> Tensor:
+    """Confusion of layout labels, int64 (4,4): rows truth, columns decision.
+
+    Rows and columns are sky, vertical, horizontal and "none": void in the truth,
+    unlabelled in the decision. ``labels`` and ``truth`` are integer (H,W) with values
+    0, 1, 2 and 255.
+    """
+    three = len(LAYOUT_CLASSES)
+    rows, columns = (part.to(torch.int64).clamp(max=three) for part in (truth, labels))
+    pairs = (rows * (three + 1) + columns).flatten()
+    return torch.bincount(pairs, minlength=(three + 1) ** 2).reshape(three + 1, three + 1)
+
+
+def void_as_vertical(confusion: Tensor) -> Tensor:
+    """The confusion (4,4) under P2's literal reading: void counts as vertical."""
+    moved = confusion.clone()
+    moved[1] += moved[3]
+    moved[3] = 0
+    return moved
+
+
+def class_recalls(confusion: Tensor) -> Tensor:
+    """Recall of sky, vertical, horizontal over labelled pixels, float64 (3,) (P2, Table 1).
+
+    The diagonal of the row-normalised confusion; void and unlabelled pixels are left out.
+    NaN for a class without pixels.
+    """
+    labelled = confusion[:3, :3]
+    return _ratio(labelled.diagonal(), labelled.sum(1))
+
+
+def labelled_share(confusion: Tensor) -> Tensor:
+    """Share of the pixels with truth that have a label, float64 ()."""
+    return _ratio(confusion[:3, :3].sum(), confusion[:3].sum())
+
+
+# --- uncertainty ------------------------------------------------------------------------
+
+
+def bootstrap_weights(images: int, replicates: int, generator: torch.Generator) -> Tensor:
+    """How often each image is drawn, int64 (replicates,images): each row sums to ``images``."""
+    drawn = torch.randint(images, (replicates, images), generator=generator)
+    ones = torch.ones_like(drawn)
+    return torch.zeros_like(drawn).scatter_add_(1, drawn, ones)
+
+
+def bootstrap_interval(
+    group_sizes: Sequence[int],
+    figure: Callable[[list[Tensor]], Tensor],
+    generator: torch.Generator,
+    replicates: int = 1000,
+) -> tuple[float, float]:
+    """The 95 % percentile interval of a figure over images drawn anew inside each group.
+
+    ``figure`` takes one weight tensor (replicates,images) per group and returns its
+    values (replicates,). Efron and Tibshirani, An Introduction to the Bootstrap, ch. 13.
+    """
+    values = figure([bootstrap_weights(size, replicates, generator) for size in group_sizes])
+    values = values[~values.isnan()]
+    if not len(values):
+        return float("nan"), float("nan")
+    low, high = torch.quantile(values, torch.tensor([0.025, 0.975], dtype=values.dtype))
+    return float(low), float(high)

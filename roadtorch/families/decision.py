@@ -1,0 +1,20 @@
+"""The settings that every detector with a seed area has."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from roadtorch.geometry import SeedArea
+from roadtorch.settings import Settings
+from roadtorch.working import WorkingSize
+
+
+class Decision(Settings):
+    """Working size, seed area, and how the likelihood becomes a mask."""
+
+    threshold: float = Field(default=0.5, ge=0, le=1, description="road from this likelihood on")
+    isolated: Literal["drop", "keep"] = Field(
+        default="drop", description="what becomes of road regions that do not touch the seed area"
+    )
+    seed: SeedArea = Field(default=SeedArea(), description="the area taken to be road")
+    working: WorkingSize = WorkingSize()

@@ -1,0 +1,146 @@
+"""Naive Bayes: what was learned off line and what this picture shows, in one probability.
+
+P2, section 5. Every cue is a likelihood in [0,1], read as p(road | cue) under even odds, so
+that cues multiply as odds. Over segments one more cue is learned from the others: what the
+road of this very picture looks like (ours).
+"""
+
+from collections.abc import Sequence
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from roadtorch.geometry import SeedArea, distances, seed_segments
+from roadtorch.segments import Bandwidths, Segments, class_log_density, likeness
+from roadtorch.settings import Settings
+
+SUREST = 1e-4
+"""Likelihoods count as at least this far from 0 and 1: no cue alone can veto the others."""
+
+
+class RoadPlace(Settings):
+    """Where the road tends to be: a soft triangle. Shares of the picture's height and width."""
+
+    weight: float = Field(default=0.4, ge=0, le=10, description="weight of the prior; 0 is uniform")
+    apex: float = Field(
+        default=0.6, ge=-1, le=1, description="row at which the half width is `narrow`"
+    )
+    narrow: float = Field(
+        default=0.13, ge=-1, le=1, description="half width of the road at the apex"
+    )
+    spread: float = Field(
+        default=1.5, ge=0, le=10, description="half width gained per height below it"
+    )
+    softness: float = Field(
+        default=0.07, gt=0, le=10, description="widths over which the road fades"
+    )
+
+
+class Weights(Settings):
+    """How much each cue is trusted: exponents of the likelihoods; 1 each is eq. 4 of P2."""
+
+    layout: float = Field(default=0.4, ge=0, le=10, description="the ground of the scene layout")
+    distance: float = Field(default=1.1, ge=0, le=10, description="the distance from the seed area")
+    texture: float = Field(
+        default=2.0, ge=0, le=10, description="the uniformity of the fused plane"
+    )
+    look: float = Field(default=2.0, ge=0, le=10, description="the look learned in this picture")
+    neighbours: float = Field(
+        default=4.8, ge=0, le=10, description="what the neighbouring segments are"
+    )
+
+
+class RoadSettings(Settings):
+    """How the cues of a picture's segments become p(road)."""
+
+    place: RoadPlace = RoadPlace()
+    weights: Weights = Weights()
+    reach: float = Field(
+        default=0.05,
+        gt=0,
+        le=100,
+        description="sum of contrasts on the way (Lab/100) that leaves it open",
+    )
+    bandwidths: Bandwidths = Bandwidths(
+        lightness=0.05, chroma=0.01, gradient=0.028, contrast=0.9, row=0.1, column=2.8
+    )
+    bias: float = Field(default=-2.8, ge=-20, le=20, description="log odds of road before any cue")
+    temperature: float = Field(default=3.0, gt=0, le=100, description="divides the final log odds")
+    rounds: int = Field(
+        default=4, ge=0, le=100, description="rounds of learning the look of the road"
+    )
+
+
+def log_odds(likelihood: Tensor) -> Tensor:
+    """log(L / (1-L)) of likelihoods in [0,1], kept finite (see ``SUREST``)."""
+    return torch.logit(likelihood, eps=SUREST)
+
+
+def naive_bayes(prior: Tensor, likelihoods: Sequence[Tensor], weights: Sequence[float]) -> Tensor:
+    """p(road | cues) ∝ prior · Π Lᵂ, normalised against p(background), in [0,1].
+
+    P2 eq. 4 with all weights 1. Summed as log odds: no product of small numbers underflows,
+    and 0.5 in a cue says nothing. All maps of one shape, in [0,1].
+    """
+    total = log_odds(prior)
+    for likelihood, weight in zip(likelihoods, weights, strict=True):
+        total = total + weight * log_odds(likelihood)
+    return total.sigmoid()
+
+
+def road_place(row: Tensor, column: Tensor, place: RoadPlace) -> Tensor:
+    """Prior p(road) at rows and columns from 0 to 1: a triangle with soft sides, ahead (ours)."""
+    half = place.narrow + place.spread * (row - place.apex).clamp_min(0)
+    return ((half - (column - 0.5).abs()) / place.softness).sigmoid()
+
+
+def seed_distance(segments: Segments, seed: SeedArea) -> Tensor:
+    """Distance (n,) of each segment from those of the seed area, along the picture.
+
+    The least sum of the contrasts of the borders crossed on the way: a kerb or a painted line
+    must be crossed somewhere even where both sides have the same colour. Ours, after the
+    geodesic distances of interactive segmentation.
+    """
+    sources = seed_segments(segments.labels, seed)
+    return distances(segments.pairs, segments.contrast_between, sources, len(segments.size))
+
+
+def distance_likelihood(distance: Tensor, reach: float) -> Tensor:
+    """Likelihood of road at a distance ≥ 0 from the seed area: 0.73 there, 0.5 at ``reach``."""
+    return (1 - distance / reach).sigmoid()
+
+
+def segment_road(
+    segments: Segments, layout: Tensor, distance: Tensor, texture: Tensor, settings: RoadSettings
+) -> Tensor:
+    """p(road) of each segment (n,) from its likelihoods (n,) by layout, distance and texture.
+
+    Naive Bayes over the cues gives a first belief; then, in rounds, kernel densities of road
+    and background are learned from the belief and join as one more cue, as do the neighbours.
+    """
+    weights = settings.weights
+    known = settings.bias + settings.place.weight * log_odds(
+        road_place(segments.row, segments.column, settings.place)
+    )
+    known = known + weights.layout * log_odds(layout)
+    known = known + weights.distance * log_odds(distance) + weights.texture * log_odds(texture)
+    alike = likeness(segments, settings.bandwidths)
+    around = neighbour_mean(segments)
+    score = known
+    for _ in range(settings.rounds):
+        belief = score.sigmoid()
+        density = class_log_density(alike, torch.stack([belief, 1 - belief], 1), segments.size)
+        look = density[:, 0] - density[:, 1]
+        score = known + weights.look * look + weights.neighbours * (around @ (2 * belief - 1))
+    return (score / settings.temperature).sigmoid()
+
+
+def neighbour_mean(segments: Segments) -> Tensor:
+    """(n,n) matrix that averages a value over the segments that share a border with each."""
+    count = len(segments.size)
+    one, two = segments.pairs
+    touching = segments.size.new_zeros(count, count)
+    touching[one, two] = 1
+    touching[two, one] = 1
+    return touching / touching.sum(1, keepdim=True).clamp_min(1)

@@ -1,0 +1,359 @@
+"""Pictures in and out: decoding to RGB tensors, and results that are never half-written."""
+
+import glob
+import io
+import os
+import secrets
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+import torch
+from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL.ExifTags import Base as ExifTag
+from torch import Tensor
+
+from roadtorch.errors import InputError
+
+FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "BMP")
+READABLE = "JPEG, PNG, TIFF, WebP or BMP"
+BITS_PER_SAMPLE, SAMPLE_FORMAT, FLOATING_POINT = 258, 339, 3  # TIFF 6.0 tags, and a value
+
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")  # looked for in folders
+RESULTS = (".likelihood.png", ".mask.png", ".overlay.jpg")  # ours; never pictures to look at
+
+# Okabe and Ito, "Color Universal Design" (2008): told apart with every kind of colour vision.
+SKY_BLUE = (86, 180, 233)
+ORANGE = (230, 159, 0)
+TINT = 0.5  # share of the tint's colour inside the mask; ours: the road's texture stays visible
+OUTLINE = 1 / 240  # the outline's width as a share of the shorter side; ours
+JPEG_OPTIONS = (cv2.IMWRITE_JPEG_QUALITY, 92)
+
+
+# --- in ---------------------------------------------------------------------------------
+
+
+def read_image(path: str | os.PathLike[str]) -> Tensor:
+    """Read a picture as float32 RGB (3,H,W) in [0,1], sRGB, upright.
+
+    JPEG, PNG, TIFF, WebP and BMP; 8 or 16 bits (65535 becomes 1), grey, palette. EXIF
+    orientation is applied. Alpha is composited over black: see-through pixels of
+    footage are the rims of rectified frames, where no light was measured. Of several
+    frames or pages the first is read. Embedded colour profiles are ignored, as the
+    papers' sets have none.
+
+    Raises InputError when the file is missing, a folder, empty, truncated, no picture,
+    or above Pillow's limit against decompression bombs (about 179 megapixels).
+    """
+    path = Path(path)
+    data = _read_bytes(path)
+    try:
+        return _decode(data)
+    except UnidentifiedImageError:
+        raise InputError(path, "is not a picture", f"give {READABLE}") from None
+    except Image.DecompressionBombError:
+        raise InputError(path, "has more than 178 megapixels", "make it smaller") from None
+    except (OSError, SyntaxError, ValueError, EOFError, cv2.error) as problem:
+        what = str(problem).strip().splitlines()[0] if str(problem).strip() else "damaged"
+        raise InputError(path, f"cannot be decoded: {what}", "replace the file") from None
+
+
+def _read_bytes(path: Path) -> bytes:
+    if path.is_dir():
+        raise InputError(path, "is a folder", "give a picture file")
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(path, "does not exist", "check the name") from None
+    except OSError as problem:
+        raise InputError(path, f"cannot be read: {problem.strerror}", "check the file") from None
+    if not data:
+        raise InputError(path, "is empty", "replace the file")
+    return data
+
+
+def _decode(data: bytes) -> Tensor:
+    """Decode by format: OpenCV where it is fast or keeps 16 bits, Pillow for the rest."""
+    with Image.open(io.BytesIO(data), formats=FORMATS) as header:
+        if header.format in ("JPEG", "MPO"):
+            _check_jpeg_ends(data)
+            pixels = _oriented(_opencv(data, cv2.IMREAD_COLOR), _orientation(header))
+        elif header.format == "PNG":
+            orientation = _orientation(header)
+            header.verify()  # checks every chunk; OpenCV fills what is missing with black
+            pixels = _oriented(_opencv(data, cv2.IMREAD_UNCHANGED), orientation)
+        elif header.format == "TIFF" and max(_tiff_tag(header, BITS_PER_SAMPLE)) > 8:
+            if FLOATING_POINT in _tiff_tag(header, SAMPLE_FORMAT):
+                raise ValueError("floating-point TIFF has no agreed white")
+            pixels = _opencv(data, cv2.IMREAD_UNCHANGED)  # turns TIFFs upright itself
+        else:
+            pixels = _pillow(header)
+    return _to_tensor(pixels)
+
+
+def _to_tensor(pixels: np.ndarray) -> Tensor:
+    """uint8 or uint16 pixels (H,W), (H,W,3) RGB or (H,W,4) RGBA to float32 (3,H,W)."""
+    levels = np.iinfo(pixels.dtype).max
+    if pixels.ndim == 2:
+        pixels = np.broadcast_to(pixels[..., None], (*pixels.shape, 3))
+    planes = torch.from_numpy(np.ascontiguousarray(pixels.transpose(2, 0, 1)))
+    image = planes[:3].to(torch.float32).div_(levels)
+    return image if len(planes) == 3 else image.mul_(planes[3].to(torch.float32).div_(levels))
+
+
+def _opencv(data: bytes, mode: int) -> np.ndarray:
+    """Decode with OpenCV, as RGB or RGBA, not rotated; grey stays (H,W)."""
+    if mode != cv2.IMREAD_UNCHANGED:
+        mode |= cv2.IMREAD_IGNORE_ORIENTATION
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), mode)
+    if pixels is None:
+        raise ValueError("the pixels are damaged")
+    if pixels.ndim == 3 and pixels.shape[2] >= 3:
+        pixels[..., :3] = pixels[..., 2::-1].copy()
+    return pixels
+
+
+def _pillow(picture: Image.Image) -> np.ndarray:
+    """Decode 8-bit pictures of every kind with Pillow, upright, as RGB or RGBA."""
+    picture.load()
+    upright = ImageOps.exif_transpose(picture)
+    return np.asarray(upright.convert("RGBA" if upright.has_transparency_data else "RGB"))
+
+
+def _tiff_tag(header: Image.Image, tag: int) -> tuple[int, ...]:
+    """The values of a TIFF tag, one a sample; (1,) when it is absent, as TIFF 6.0 has it."""
+    tags: dict[int, tuple[int, ...]] = getattr(header, "tag_v2", {})
+    return tuple(tags.get(tag, (1,)))
+
+
+def _orientation(header: Image.Image) -> int:
+    """The EXIF orientation 1…8; 1 when there is none or it makes no sense."""
+    exif = Image.Exif()
+    exif.load(header.info.get("exif", b""))
+    value = exif.get(ExifTag.Orientation, 1)
+    return value if value in range(1, 9) else 1
+
+
+def _oriented(pixels: np.ndarray, orientation: int) -> np.ndarray:
+    """Turn pixels (H,W[,C]) upright; EXIF 2.3, tag 274: where row 0 and column 0 are."""
+    if orientation >= 5:
+        pixels = pixels.swapaxes(0, 1)
+    if orientation in (3, 4, 7, 8):
+        pixels = pixels[::-1]
+    if orientation in (2, 3, 6, 7):
+        pixels = pixels[:, ::-1]
+    return pixels
+
+
+def _check_jpeg_ends(data: bytes) -> None:
+    """Raise OSError for a truncated JPEG; libjpeg fills the rest with grey and says nothing.
+
+    Inside compressed data the bytes FF D9 are always the end marker (ITU T.81, B.1.1.2).
+    Files of some cameras lack it though all pixels are there: Pillow decides on those.
+    """
+    if data.find(b"\xff\xd9", _first_scan(data)) < 0:
+        with Image.open(io.BytesIO(data), formats=FORMATS) as picture:
+            picture.load()
+
+
+def _first_scan(data: bytes) -> int:
+    """Where the compressed pixels begin: behind the headers, which may hold a thumbnail."""
+    at = 2
+    while at + 4 <= len(data) and data[at] == 0xFF and data[at + 1] != 0xDA:
+        is_fill = data[at + 1] == 0xFF
+        at += 1 if is_fill else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+    return at
+
+
+# --- finding ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture file and the name of its results: relative, sub-folders kept, no suffix."""
+
+    path: Path
+    name: str
+
+
+def find_images(
+    inputs: Iterable[str | os.PathLike[str]], apart: Path | None = None
+) -> list[Picture]:
+    """The pictures that files, folders and quoted globs stand for, in a settled order.
+
+    Folders are searched with all that is below them, hidden names and earlier results
+    left out, and so is the folder ``apart``, where new results go. A single missing
+    file stays in the list, so that the others are not held up by it; reading it fails.
+
+    Raises InputError, naming the input, for a folder or glob without pictures, and when
+    nothing that was named exists.
+    """
+    given = [Path(item) for item in inputs]
+    found = [picture for item in given for picture in _expand(item, apart)]
+    if given and not any(picture.path.exists() for picture in found):
+        raise InputError(given[0], "does not exist", "check the name")
+    return list(dict.fromkeys(found))
+
+
+def _expand(item: Path, apart: Path | None) -> list[Picture]:
+    if item.is_dir():
+        found = [Picture(path, _relative(path, item)) for path in _walk(item, apart)]
+    elif not item.exists() and glob.has_magic(str(item)):
+        found = _expand_glob(item, apart)
+    else:
+        return [Picture(item, item.stem)]
+    if not found:
+        raise InputError(item, "holds no pictures", f"give {READABLE} files")
+    return found
+
+
+def _expand_glob(pattern: Path, apart: Path | None) -> list[Picture]:
+    """The glob's files, and its folders as if each had been given."""
+    root = Path(*_before_magic(pattern))
+    found: list[Picture] = []
+    for path in map(Path, sorted(glob.glob(str(pattern), recursive=True))):
+        if path.is_file() and _is_picture(path):
+            found.append(Picture(path, _relative(path, root)))
+    if not found:
+        folders = [path for path in map(Path, sorted(glob.glob(str(pattern)))) if path.is_dir()]
+        walked = [path for folder in folders for path in _walk(folder, apart)]
+        found = [Picture(path, _relative(path, root)) for path in walked]
+    return found
+
+
+def _before_magic(pattern: Path) -> Iterator[str]:
+    for part in pattern.parts:
+        if glob.has_magic(part):
+            return
+        yield part
+
+
+def _walk(folder: Path, apart: Path | None) -> Iterator[Path]:
+    """Every picture below a folder, sorted by name, folder by folder."""
+    apart = apart.resolve() if apart and apart.resolve() != folder.resolve() else None
+    for top, folders, files in os.walk(folder):
+        here = Path(top)
+        folders[:] = sorted(
+            name for name in folders if name[0] != "." and (here / name).resolve() != apart
+        )
+        yield from (here / name for name in sorted(files) if _is_picture(here / name))
+
+
+def _is_picture(path: Path) -> bool:
+    name = path.name.lower()
+    is_ours = name.endswith(RESULTS) or ".cue." in name
+    return name.endswith(SUFFIXES) and not name.startswith(".") and not is_ours
+
+
+def _relative(path: Path, root: Path) -> str:
+    return path.relative_to(root).with_suffix("").as_posix()
+
+
+# --- out --------------------------------------------------------------------------------
+
+
+@contextmanager
+def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary path in the folder of ``path``; rename it at the end, if all went well.
+
+    Whatever happens, ``path`` holds its old content or all of the new one, and no
+    temporary file stays. Raises InputError when the folder cannot be written.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as problem:
+        what = f"cannot be written: {problem.strerror or problem}"
+        raise InputError(path, what, "choose a folder with room that you may write to") from None
+    finally:
+        # Where even looking for the file fails there is none to remove.
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def write_map(path: str | os.PathLike[str], likelihood: Tensor, depth: Literal[8, 16] = 8) -> None:
+    """Write a map (H,W) in [0,1] as grey PNG of 8 or 16 bits: round(x · 255 or 65535)."""
+    levels, kind = {8: (255, np.uint8), 16: (65535, np.uint16)}[depth]
+    grey = likelihood.detach().cpu().to(torch.float64).mul(levels).round()
+    _write_encoded(path, ".png", grey.numpy().astype(kind))
+
+
+def write_mask(path: str | os.PathLike[str], mask: Tensor) -> None:
+    """Write a mask bool (H,W) as grey PNG: road 255, the rest 0."""
+    _write_encoded(path, ".png", mask.cpu().numpy().astype(np.uint8) * 255)
+
+
+def write_labels(path: str | os.PathLike[str], labels: Tensor) -> None:
+    """Write labels 0…255 of any integer type (H,W) as grey PNG, values unchanged.
+
+    Raises InputError for labels that do not fit one byte.
+    """
+    if labels.numel() and not (int(labels.min()) >= 0 and int(labels.max()) <= 255):
+        raise InputError(path, "labels do not fit one byte", "use labels from 0 to 255")
+    _write_encoded(path, ".png", labels.cpu().numpy().astype(np.uint8))
+
+
+def write_colours(path: str | os.PathLike[str], image: Tensor) -> None:
+    """Write an image (3,H,W) in [0,1] as 8-bit RGB PNG."""
+    _write_encoded(path, ".png", _to_bytes(image)[..., ::-1])
+
+
+def write_overlay(path: str | os.PathLike[str], image: Tensor, mask: Tensor) -> None:
+    """Write the image (3,H,W) with its mask bool (H,W) as JPEG: a tint and an outline.
+
+    Inside is tinted sky blue, the border is drawn orange on a dark rim, so that it
+    shows on pale and on dark road, in colour and in grey print.
+    """
+    pixels = tint_mask(_to_bytes(image), mask.cpu().numpy())
+    _write_encoded(path, ".jpg", pixels[..., ::-1], *JPEG_OPTIONS)
+
+
+def write_jpeg(path: str | os.PathLike[str], image: Tensor) -> None:
+    """Write an image (3,H,W) in [0,1] as JPEG, for looking at."""
+    _write_encoded(path, ".jpg", _to_bytes(image)[..., ::-1], *JPEG_OPTIONS)
+
+
+def write_npy(path: str | os.PathLike[str], values: Tensor) -> None:
+    """Write a tensor as NumPy file, type and shape unchanged."""
+    with atomic(path) as temporary, temporary.open("wb") as file:
+        np.save(file, values.detach().cpu().numpy())
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write UTF-8 text with the line ends as they are."""
+    with atomic(path) as temporary:
+        temporary.write_bytes(text.encode())
+
+
+def tint_mask(pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Pixels uint8 (H,W,3) RGB with a mask bool (H,W) tinted and outlined; a new array."""
+    width = max(1, round(min(mask.shape) * OUTLINE))
+    inside = mask.astype(np.uint8)
+    brush = np.ones((3, 3), np.uint8)
+    # A replicated border keeps the outline off the picture's own edge.
+    wide = cv2.erode(inside, brush, iterations=2 * width, borderType=cv2.BORDER_REPLICATE)
+    thin = cv2.erode(inside, brush, iterations=width, borderType=cv2.BORDER_REPLICATE)
+    tinted = cv2.addWeighted(pixels, 1 - TINT, np.full_like(pixels, SKY_BLUE), TINT, 0)
+    result = cv2.copyTo(tinted, inside, pixels.copy())
+    result[mask & (wide == 0)] = 0
+    result[mask & (thin == 0)] = ORANGE
+    return result
+
+
+def _to_bytes(image: Tensor) -> np.ndarray:
+    """An image (3,H,W) in [0,1] as uint8 (H,W,3)."""
+    return image.detach().mul(255).round().to(torch.uint8).permute(1, 2, 0).cpu().numpy()
+
+
+def _write_encoded(
+    path: str | os.PathLike[str], kind: str, pixels: np.ndarray, *options: int
+) -> None:
+    encoded = cv2.imencode(kind, np.ascontiguousarray(pixels), list(options))[1]
+    with atomic(path) as temporary:
+        temporary.write_bytes(encoded.data)

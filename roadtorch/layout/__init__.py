@@ -1,0 +1,1 @@
+"""Scene layout: sky, vertical, horizontal (P2, section 3)."""

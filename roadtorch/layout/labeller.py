@@ -1,0 +1,196 @@
+"""Machine labels of the scene layout, from the picture alone (stands in for P2's teacher).
+
+P2 takes its noisy labels from Hoiem et al., a classifier trained on another data set. This
+labeller needs no training. It starts from where sky, vertical things and ground tend to be
+in a street picture, learns from the picture itself what each of them looks like, and lets
+each column of the picture read sky, vertical, horizontal from top to bottom.
+"""
+
+from typing import Literal, NamedTuple
+
+import torch
+from pydantic import Field
+from torch import Tensor
+from torch.nn import functional as F
+
+from roadtorch.segments import (
+    Bandwidths,
+    Exposure,
+    Segments,
+    brightened,
+    class_log_density,
+    likeness,
+    measure_segments,
+)
+from roadtorch.settings import Settings
+from roadtorch.superpixels import paint, segment_mean
+from roadtorch.working import Superpixels, WorkingSize, at_working_size
+
+SKY, VERTICAL, HORIZONTAL = range(3)
+UNLABELLED = 255
+
+
+class PlacePrior(Settings):
+    """Where the classes tend to be: a logistic model of row and column (see ``place_prior``).
+
+    Rows are shares of the height from the top; sides are shares of the width from the middle.
+    """
+
+    horizon: float = Field(default=0.5, ge=0, le=1, description="row of the horizon")
+    sky_rise: float = Field(default=0.15, ge=-1, le=1, description="sky is even this far above it")
+    sky_slope: float = Field(
+        default=0.74, ge=0, le=5, description="and rises by this towards the sides"
+    )
+    sky_softness: float = Field(default=0.3, gt=0, le=5, description="rows over which sky fades")
+    ground_drop: float = Field(
+        default=0.03, ge=-1, le=1, description="ground is even this far below it"
+    )
+    ground_slope: float = Field(
+        default=0.28, ge=0, le=5, description="and falls by this towards the sides"
+    )
+    ground_softness: float = Field(
+        default=0.18, gt=0, le=5, description="rows over which ground fades"
+    )
+    vertical: float = Field(
+        default=1.37, ge=-10, le=10, description="log weight of vertical everywhere"
+    )
+
+
+class ColumnOrder(Settings):
+    """How strictly a column reads sky, vertical, horizontal from top to bottom."""
+
+    weight: float = Field(
+        default=2.0, ge=0, le=10, description="weight of a segment's own evidence"
+    )
+    change: float = Field(
+        default=0.03, gt=0, lt=0.5, description="chance of the next class, a step down"
+    )
+    breach: float = Field(
+        default=1e-3, ge=0, lt=0.5, description="chance of any other change, a step"
+    )
+    step: int = Field(default=8, ge=1, le=256, description="pixels of one step, at working size")
+
+
+class LabellerSettings(Settings):
+    """Settings of the layout labeller."""
+
+    exposure: Exposure = Exposure()
+    place: PlacePrior = PlacePrior()
+    bandwidths: Bandwidths = Bandwidths()
+    order: ColumnOrder = ColumnOrder()
+    sharpness: float = Field(
+        default=1.4, gt=0, le=10, description="weight of appearance against place"
+    )
+    rounds: int = Field(default=5, ge=1, le=100, description="rounds of learning and labelling")
+    margin: float = Field(
+        default=0.5,
+        ge=0,
+        le=1,
+        description="by how much the best potential must lead to give a label",
+    )
+    support: Literal["margin", "maximum"] = Field(
+        default="margin", description="leave doubtful segments unlabelled, or label all as P2 does"
+    )
+
+
+class LayoutLabels(NamedTuple):
+    """potentials (3,H,W) in [0,1], summing to 1; labels int64 (H,W): 0, 1, 2, or 255."""
+
+    potentials: Tensor
+    labels: Tensor
+
+
+def label_layout(
+    image: Tensor,
+    settings: LabellerSettings | None = None,
+    working: WorkingSize | None = None,
+    superpixels: Superpixels | None = None,
+) -> LayoutLabels:
+    """Label an image (3,H,W) in [0,1] as sky, vertical, horizontal (0, 1, 2; 255 in doubt).
+
+    Where settings are left out, their defaults hold. The maps have the image's size.
+    """
+    settings = settings or LabellerSettings()
+    superpixels = superpixels or Superpixels()
+
+    def analyse(small: Tensor) -> dict[str, Tensor]:
+        bright = brightened(small, settings.exposure)
+        segments = measure_segments(bright, superpixels.cut(bright))
+        potentials = segment_layout(segments, settings)
+        labels = decide_layout(potentials, settings)
+        return {
+            "layout": paint(potentials.T, segments.labels),
+            "layout_labels": paint(labels, segments.labels),
+        }
+
+    cues = at_working_size(analyse, working or WorkingSize())(image)
+    return LayoutLabels(cues["layout"], cues["layout_labels"])
+
+
+def segment_layout(segments: Segments, settings: LabellerSettings) -> Tensor:
+    """Potentials (n,3) of n segments: sky, vertical, horizontal; each row sums to 1.
+
+    Rounds of: learn each class's look from the current beliefs (kernel density), judge every
+    segment by place and look, put the columns in order. Ours; the rounds are those of
+    expectation maximisation with a prior that does not move.
+    """
+    prior = place_prior(segments.row, segments.column, settings.place).log()
+    alike = likeness(segments, settings.bandwidths)
+    belief = prior.exp()
+    for _ in range(settings.rounds):
+        evidence = class_log_density(alike, belief, segments.size)
+        belief = in_order((prior + settings.sharpness * evidence), segments.labels, settings.order)
+    return belief
+
+
+def place_prior(row: Tensor, column: Tensor, place: PlacePrior) -> Tensor:
+    """p(class) at rows and columns (n,) from 0 to 1: (n,3), softmax of three linear scores.
+
+    A street seen from a car: sky above the horizon and higher at the sides, where the
+    buildings are; ground below it and lower at the sides. Ours.
+    """
+    side = (column - 0.5).abs() - 0.25
+    sky = (place.horizon - place.sky_rise - place.sky_slope * side - row) / place.sky_softness
+    ground = row - place.horizon - place.ground_drop - place.ground_slope * side
+    vertical = torch.full_like(row, place.vertical)
+    return torch.stack([sky, vertical, ground / place.ground_softness], 1).softmax(1)
+
+
+def in_order(scores: Tensor, labels: Tensor, order: ColumnOrder) -> Tensor:
+    """Beliefs (n,3) from log scores (n,3) when every column should read sky, vertical, ground.
+
+    The picture is sampled every ``order.step`` pixels; each column of samples is a hidden
+    Markov chain that moves from sky to vertical to horizontal. The exact posteriors
+    (forwards and backwards) are averaged over each segment. Ours.
+    """
+    middle = order.step // 2
+    grid = labels[middle :: order.step, middle :: order.step]
+    local = (order.weight * scores).softmax(1).clamp_min(1e-4)
+    posterior = _chain_posterior(local[grid], order)
+    count = len(scores)
+    total = segment_mean(posterior.permute(2, 0, 1), grid, count).T
+    seen = torch.bincount(grid.reshape(-1), minlength=count)[:, None] > 0
+    return torch.where(seen, total, local / local.sum(1, keepdim=True))
+
+
+def _chain_posterior(evidence: Tensor, order: ColumnOrder) -> Tensor:
+    """Posterior (R,C,3) of the chains that run down the columns of evidence (R,C,3)."""
+    move = torch.full((3, 3), order.breach).to(evidence)
+    move[SKY, VERTICAL] = move[VERTICAL, HORIZONTAL] = order.change
+    move.fill_diagonal_(0).diagonal().copy_(1 - move.sum(1))
+    down = [F.normalize(evidence[0], 1, dim=1)]
+    for row in evidence[1:]:
+        down.append(F.normalize(down[-1] @ move * row, 1, dim=1))
+    up = [torch.ones_like(evidence[0])]
+    for row in evidence[1:].flip(0):
+        up.append(F.normalize((up[-1] * row) @ move.T, 1, dim=1))
+    return F.normalize(torch.stack(down) * torch.stack(up[::-1]), 1, dim=2)
+
+
+def decide_layout(potentials: Tensor, settings: LabellerSettings) -> Tensor:
+    """Labels (n,) of the largest potentials (n,3); 255 where the margin to the second is small."""
+    best, second = potentials.topk(2, dim=1).values.unbind(1)
+    labels = potentials.argmax(1)
+    if settings.support == "maximum":
+        return labels
+    return torch.where(best - second >= settings.margin, labels, UNLABELLED)

@@ -1,0 +1,98 @@
+"""Settings: frozen pydantic models whose mistakes read like sentences."""
+
+import math
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pydantic
+
+from roadtorch.errors import ConfigError, InputError, unknown_name
+
+
+class Settings(pydantic.BaseModel):
+    """The base of every group of settings: frozen, and unknown keys are refused."""
+
+    model_config = pydantic.ConfigDict(
+        frozen=True, extra="forbid", strict=True, validate_default=True, allow_inf_nan=False
+    )
+
+
+AnySettings = TypeVar("AnySettings", bound=Settings)
+
+
+def build_settings(kind: type[AnySettings], values: Mapping[str, Any]) -> AnySettings:
+    """Make settings of one kind from nested values.
+
+    Raises ConfigError naming the full key (``texture.bins``), what was given and
+    what is allowed.
+    """
+    try:
+        return kind.model_validate(dict(values))
+    except pydantic.ValidationError as problem:
+        raise _first_mistake(kind, problem) from None
+
+
+def _first_mistake(kind: type[Settings], problem: pydantic.ValidationError) -> ConfigError:
+    error = problem.errors()[0]
+    path = [str(part) for part in error["loc"]]
+    key = ".".join(path)
+    if error["type"] == "extra_forbidden":
+        known = [".".join([*path[:-1], name]) for name in _fields_at(kind, path[:-1])]
+        return unknown_name("setting", key, known)
+    given = f"{error['input']!r} was given"
+    return ConfigError(key, given, error["msg"][0].lower() + error["msg"][1:])
+
+
+def _fields_at(kind: type[pydantic.BaseModel], path: list[str]) -> list[str]:
+    """The field names of the model found by following ``path`` from ``kind``."""
+    for name in path:
+        annotation = kind.model_fields[name].annotation
+        if not (isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel)):
+            return []
+        kind = annotation
+    return list(kind.model_fields)
+
+
+def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
+    """Turn ``["texture.bins=64"]`` into ``{"texture": {"bins": 64}}``.
+
+    A value is read as TOML (numbers, true/false, quoted strings, lists); what is
+    not TOML is a plain string. Raises ConfigError for an item without ``=``.
+    """
+    tree: dict[str, Any] = {}
+    for item in assignments:
+        key, equals, text = item.partition("=")
+        names = key.strip().split(".")
+        if not equals or not all(names):
+            raise ConfigError(
+                item, "is not a setting", "write key=value, for example texture.bins=64"
+            )
+        branch = tree
+        for name in names[:-1]:
+            branch = branch.setdefault(name, {})
+            if not isinstance(branch, dict):
+                raise ConfigError(key, f"{name} is already set to a value", "give each key once")
+        if isinstance(branch.get(names[-1]), dict):
+            raise ConfigError(key, "is a group of settings", "set one key inside it")
+        branch[names[-1]] = _toml_value(text.strip())
+    return tree
+
+
+def _toml_value(text: str) -> Any:
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+    return text if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def read_settings_file(path: Path) -> dict[str, Any]:
+    """The nested values of a TOML file; InputError when it cannot be read or parsed."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as problem:
+        raise InputError(path, f"cannot be read: {problem}", "give a TOML file") from None
+    except tomllib.TOMLDecodeError as problem:
+        raise ConfigError(path, f"is not TOML: {problem}", "mend that line") from None

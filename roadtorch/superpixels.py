@@ -1,0 +1,321 @@
+"""SLIC superpixels in tensors, and statistics of the pixels of each segment.
+
+Every pixel is compared with the nine segment centres around its grid cell. Ordered
+cell by cell, that is one small matrix product a cell; the centres are updated by a
+second one. Achanta et al., "SLIC Superpixels Compared to State-of-the-art Superpixel
+Methods", PAMI 2012, stands in for the TurboPixels of P2 and P3: both give compact
+segments of about equal size that follow edges.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from roadtorch.errors import ConfigError
+
+NEIGHBOURS = 9
+"""A pixel can belong to the segment of its own grid cell or of the eight around it."""
+
+LAB_TANGENT = (
+    (0.2127, 0.7153, 0.0722),
+    (0.9540, -1.4613, 0.5072),
+    (0.3361, 1.0445, -1.3806),
+)
+"""Derivative of (L,a,b)/100 by gamma-encoded (R,G,B) at mid grey: Lab without its roots.
+Street pictures are nearly grey, boundary recall stays within 0.01, and it is 6 times faster."""
+
+COARSE = 2
+"""Centres move on a picture of half the size: a quarter of the work, the same segments."""
+
+CHUNK = 1 << 18
+"""Distances held at a time: one megabyte."""
+
+SMALLEST = 0.0625
+"""Regions below this share of the mean segment size are merged into a neighbour."""
+
+OUTSIDE = 1e6
+"""The squared distance to a centre beyond the grid: never the smallest."""
+
+
+class Grid(NamedTuple):
+    """The initial grid: rows and columns of cells, and a cell's height and width in pixels."""
+
+    rows: int
+    columns: int
+    height: int
+    width: int
+
+
+def slic(
+    image: Tensor, segments: int = 300, compactness: float = 0.1, iterations: int = 4
+) -> Tensor:
+    """Cut an image, or each image of a batch, into connected segments of similar colour.
+
+    image: (3,H,W) or (B,3,H,W) in [0,1]. segments: how many to aim at (a few more or
+    fewer come out). compactness: weight of the distance in the picture, in units of
+    Lab/100 for one grid step; higher is more square. Returns int64 labels (H,W) or
+    (B,H,W), 0…n-1 in each image, every segment 4-connected; the same input gives the
+    same labels. Raises ConfigError when a setting is out of range.
+    """
+    if segments < 1 or compactness <= 0 or iterations < 1:
+        given = f"segments={segments}, compactness={compactness}, iterations={iterations}"
+        raise ConfigError("superpixels", given, "segments and iterations ≥ 1, compactness > 0")
+    batch = image if image.ndim == 4 else image[None]
+    height, width = batch.shape[-2:]
+    grid = _grid(height, width, segments)
+    features = _features(batch, grid, compactness * (segments / (height * width)) ** 0.5)
+    centres = _move_centres(features, grid, iterations)
+    labels = _assign(features, centres, grid)[:, :height, :width]
+    labels = connect(labels, SMALLEST * height * width / segments)
+    return labels if image.ndim == 4 else labels[0]
+
+
+def _grid(height: int, width: int, segments: int) -> Grid:
+    """About ``segments`` nearly square cells of even size that cover the picture."""
+    side = (height * width / segments) ** 0.5
+
+    def cell(length: int) -> int:
+        return COARSE * max(1, round(length / max(1, round(length / side)) / COARSE))
+
+    tall, wide = cell(height), cell(width)
+    return Grid(-(-height // tall), -(-width // wide), tall, wide)
+
+
+def _features(images: Tensor, grid: Grid, step: float) -> Tensor:
+    """(B,7,H',W'), padded with 0: nearly L, a, b, then row·step, column·step, |·|² of the five, 1.
+
+    The last two make a squared distance one matrix product (see ``_tables``).
+    """
+    batch, _, height, width = images.shape
+    rows = torch.linspace(-0.5, 0.5, height).to(images)[:, None] * (height - 1) * step
+    columns = torch.linspace(-0.5, 0.5, width).to(images) * (width - 1) * step
+    color = torch.tensor(LAB_TANGENT).to(images) @ images.reshape(batch, 3, -1)
+    size = (batch, 7, grid.rows * grid.height, grid.columns * grid.width)
+    padded = images.new_zeros(size)
+    features = padded[:, :, :height, :width]
+    features[:, :3] = color.reshape(images.shape)
+    features[:, 3] = rows
+    features[:, 4] = columns
+    torch.sum(features[:, :5].square(), 1, out=features[:, 5])
+    features[:, 6] = 1
+    return padded
+
+
+def _cells(maps: Tensor, grid: Grid) -> Tensor:
+    """(B,C,H',W') → (B·rows·columns, C, pixels of a cell)."""
+    batch, channels = maps.shape[:2]
+    blocks = maps.reshape(
+        batch, channels, grid.rows, -1, grid.columns, maps.shape[3] // grid.columns
+    )
+    return blocks.permute(0, 2, 4, 1, 3, 5).reshape(batch * grid.rows * grid.columns, channels, -1)
+
+
+def _tables(sums: Tensor, grid: Grid) -> Tensor:
+    """(B,7,rows,columns) sums over segments → (cells, 9, 7) factors of the squared distances.
+
+    |f-c|² + 1 = -2 f·c + 1·|f|² + (|c|²+1)·1; the 1 keeps rounding from making it negative.
+    """
+    centre = sums[:, :5] / sums[:, 6:].clamp_min(torch.finfo(sums.dtype).tiny)
+    offset = centre.square().sum(1, keepdim=True) + 1
+    offset = torch.where(sums[:, 6:] > 0, offset, OUTSIDE)
+    factors = F.pad(torch.cat([-2 * centre, torch.ones_like(offset)], 1), (1, 1, 1, 1))
+    factors = torch.cat([factors, F.pad(offset, (1, 1, 1, 1), value=OUTSIDE)], 1)
+    around = F.unfold(factors, 3).reshape(len(sums), 7, NEIGHBOURS, -1)
+    return around.permute(0, 3, 2, 1).reshape(-1, NEIGHBOURS, 7).contiguous()
+
+
+def _keys(tables: Tensor, pixels: Tensor) -> Tensor:
+    """(cells, 9, pixels) int32 whose order is that of the distances, ties to the first centre.
+
+    Positive floats sort like their bits; the lowest four give way to the centre's number,
+    which costs 2⁻¹⁹ of the distance and makes argmin a plain minimum (30 times faster).
+    """
+    distances = torch.bmm(tables, pixels).to(torch.float32)
+    number = torch.arange(NEIGHBOURS, dtype=torch.int32, device=distances.device)
+    return distances.view(torch.int32).bitwise_and_(~15).bitwise_or_(number[:, None])
+
+
+def _in_chunks(tables: Tensor, pixels: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
+    """Pieces of a few cells whose distances stay in the cache and whose memory is reused."""
+    cells = max(1, CHUNK // (NEIGHBOURS * pixels.shape[2]))
+    return zip(tables.split(cells), pixels.split(cells), strict=True)
+
+
+def _member_sums(tables: Tensor, pixels: Tensor) -> Tensor:
+    """(cells, 9, 7): the features of a cell's pixels summed by the centre nearest to them."""
+    keys = _keys(tables, pixels)
+    member = (keys == keys.amin(1, keepdim=True)).to(pixels.dtype)
+    return torch.bmm(member, pixels.transpose(1, 2))
+
+
+def _move_centres(features: Tensor, grid: Grid, iterations: int) -> Tensor:
+    """(B,7,rows,columns): sums of the features over each segment after k-means on the grid."""
+    pixels = _cells(F.avg_pool2d(features, COARSE), grid)
+    batch, cells = len(features), grid.rows * grid.columns
+    sums = pixels.sum(2).reshape(batch, grid.rows, grid.columns, 7).permute(0, 3, 1, 2)
+    for _ in range(iterations):
+        chunks = _in_chunks(_tables(sums, grid), pixels)
+        parts = torch.cat([_member_sums(*chunk) for chunk in chunks])
+        parts = parts.reshape(batch, cells, NEIGHBOURS, 7).permute(0, 3, 2, 1)
+        parts = parts.reshape(batch, 7 * NEIGHBOURS, cells)
+        sums = F.fold(parts, (grid.rows, grid.columns), 3, padding=1)
+    return sums
+
+
+def _assign(features: Tensor, centres: Tensor, grid: Grid) -> Tensor:
+    """(B,H',W') int32: for each pixel the grid cell whose centre is nearest."""
+    chunks = _in_chunks(_tables(centres, grid), _cells(features, grid))
+    nearest = torch.cat([_keys(*chunk).amin(1) & 15 for chunk in chunks])
+    cells = torch.arange(grid.rows * grid.columns, dtype=torch.int32, device=features.device)
+    move = (nearest // 3 - 1) * grid.columns + nearest % 3 - 1
+    owner = move.reshape(len(features), len(cells), -1) + cells[:, None]
+    blocks = owner.reshape(-1, grid.rows, grid.columns, grid.height, grid.width)
+    size = (grid.rows * grid.height, grid.columns * grid.width)
+    return blocks.permute(0, 1, 3, 2, 4).reshape(-1, *size)
+
+
+def connect(labels: Tensor, smallest: float = 1.0) -> Tensor:
+    """Make every segment 4-connected and number the segments 0…n-1 in each picture.
+
+    labels: integers (B,H,W). Of each label the largest region stays, unless it has fewer
+    than ``smallest`` pixels; every other region joins a settled neighbour (the last one
+    met in reading order), round by round until none is left. Returns int64 (B,H,W).
+    """
+    pictures = labels.cpu().numpy().astype(np.int64)
+    stride = int(pictures.max()) + 1
+    pictures += np.arange(len(pictures))[:, None, None] * stride
+    region, count = _regions(pictures)
+    size = np.bincount(region.ravel(), minlength=count)
+    label = np.empty(count, dtype=np.int64)
+    label[region.ravel()] = pictures.ravel()
+    picture = label // stride
+    settled = _largest_of(label, size) & (size >= smallest) | _largest_of(picture, size)
+    number = _numbers_within(picture, settled)[_adopt(region, settled)]
+    return torch.from_numpy(number[region]).to(labels.device)
+
+
+def _regions(labels: np.ndarray) -> tuple[np.ndarray, int]:
+    """4-connected regions of equal label, (B,H,W) numbered from 0, and how many there are.
+
+    OpenCV labels binary pictures only: so one is drawn with a point between each two
+    neighbours, set where their labels agree, and an empty row under each picture.
+    """
+    batch, height, width = labels.shape
+    joined = np.zeros((batch, 2 * height, 2 * width - 1), dtype=np.uint8)
+    joined[:, ::2, ::2] = 1
+    joined[:, ::2, 1::2] = labels[:, :, 1:] == labels[:, :, :-1]
+    joined[:, 1:-1:2, ::2] = labels[:, 1:] == labels[:, :-1]
+    count, found = cv2.connectedComponents(joined.reshape(-1, 2 * width - 1), connectivity=4)
+    return found.reshape(joined.shape)[:, ::2, ::2] - 1, count - 1
+
+
+def _largest_of(group: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Whether a region is the largest of its group; the first one where sizes are equal."""
+    order = np.lexsort((-size, group))
+    largest = np.zeros(len(group), dtype=bool)
+    largest[order[np.unique(group[order], return_index=True)[1]]] = True
+    return largest
+
+
+def _adopt(region: np.ndarray, settled: np.ndarray) -> np.ndarray:
+    """For each region the settled region that it becomes part of (itself when settled)."""
+    pairs = [_borders(region[:, :, 1:], region[:, :, :-1]), _borders(region[:, 1:], region[:, :-1])]
+    one, two = np.concatenate(pairs, axis=1)
+    target = np.where(settled, np.arange(len(settled), dtype=np.int32), np.int32(-1))
+    first, second = ~settled[one], ~settled[two]
+    orphan = np.concatenate([one[first], two[second]])
+    adopter = np.concatenate([two[first], one[second]])
+    while (waiting := target[orphan] < 0).any():
+        orphan, adopter = orphan[waiting], adopter[waiting]
+        ready = target[adopter] >= 0
+        target[orphan[ready]] = target[adopter[ready]]
+    return target
+
+
+def _borders(one: np.ndarray, two: np.ndarray) -> np.ndarray:
+    """(2,n): the region numbers on both sides wherever two shifted maps differ."""
+    differ = one != two
+    return np.stack([one[differ], two[differ]])
+
+
+def _numbers_within(picture: np.ndarray, settled: np.ndarray) -> np.ndarray:
+    """Settled regions numbered 0…n-1 in each picture, in the order in which they are met."""
+    kept = np.nonzero(settled)[0]
+    kept = kept[np.argsort(picture[kept], kind="stable")]
+    starts = np.searchsorted(picture[kept], picture[kept])
+    number = np.zeros(len(picture), dtype=np.int64)
+    number[kept] = np.arange(len(kept)) - starts
+    return number
+
+
+def segment_sum(values: Tensor, labels: Tensor, count: int) -> Tensor:
+    """Sum of values (C,H,W) over each of ``count`` segments of labels (H,W): (C,count)."""
+    index = labels.reshape(-1)
+    flat = values.reshape(values.shape[0], -1)
+    sums = [torch.bincount(index, weights=channel, minlength=count) for channel in flat]
+    return torch.stack(sums).to(values.dtype)
+
+
+def segment_mean(values: Tensor, labels: Tensor, count: int) -> Tensor:
+    """Mean of values (C,H,W) over each of ``count`` segments of labels (H,W): (C,count)."""
+    size = torch.bincount(labels.reshape(-1), minlength=count).to(values.dtype)
+    return segment_sum(values, labels, count) / size.clamp_min(1)
+
+
+def segment_median(values: Tensor, labels: Tensor, count: int) -> Tensor:
+    """Lower median of values (C,H,W) over each of ``count`` segments: (C,count); 0 if empty."""
+    index = labels.reshape(-1)
+    size = torch.bincount(index, minlength=count)
+    middle = (size.cumsum(0) - size + (size - 1).clamp_min(0) // 2).clamp_max(index.numel() - 1)
+    medians = []
+    for channel in values.reshape(values.shape[0], -1):
+        order = channel.argsort(stable=True)
+        by_segment = order[index[order].argsort(stable=True)]
+        medians.append(channel[by_segment[middle]])
+    return torch.stack(medians) * (size > 0)
+
+
+def segment_histogram(
+    levels: Tensor, labels: Tensor, count: int, bins: int, weight: Tensor | None = None
+) -> Tensor:
+    """How often each level occurs in each segment: float32 (count, bins).
+
+    levels: int64 (H,W) in 0…bins-1. weight: (H,W) or None; pixels with weight 0 do not count.
+    """
+    index = labels.reshape(-1) * bins + levels.reshape(-1)
+    weights = None if weight is None else weight.reshape(-1).to(torch.float32)
+    counts = torch.bincount(index, weights=weights, minlength=count * bins)
+    return counts.reshape(count, bins).to(torch.float32)
+
+
+def paint(values: Tensor, labels: Tensor) -> Tensor:
+    """Give each pixel the value of its segment: (…,n) and labels (H,W) → (…,H,W)."""
+    return values.index_select(-1, labels.reshape(-1)).reshape(*values.shape[:-1], *labels.shape)
+
+
+def borders(labels: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
+    """Pairs of segments that share a border, and the mean of a plane along it.
+
+    labels: int64 (H,W), n segments; plane: (H,W). Returns int64 (2,E), each pair once and the
+    smaller number first, and (E,): the mean over neighbouring pixels on both sides of the
+    border of the larger of their two values.
+    """
+    count = int(labels.max()) + 1
+    keys, values = [], []
+    for axis in (0, 1):
+        length = labels.shape[axis] - 1
+        one, two = labels.narrow(axis, 0, length), labels.narrow(axis, 1, length)
+        value = torch.maximum(plane.narrow(axis, 0, length), plane.narrow(axis, 1, length))
+        differ = one != two
+        one, two = one[differ], two[differ]
+        keys.append(torch.minimum(one, two) * count + torch.maximum(one, two))
+        values.append(value[differ])
+    key, place = torch.cat(keys).unique(return_inverse=True)
+    size = torch.bincount(place, minlength=len(key)).to(plane)
+    total = torch.bincount(place, torch.cat(values), len(key)).to(plane)
+    return torch.stack([key // count, key % count]), total / size

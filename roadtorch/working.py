@@ -1,0 +1,76 @@
+"""The size at which detectors think, and the way back to the size of the picture."""
+
+from collections.abc import Callable
+
+import torch
+from pydantic import Field
+from torch import Tensor
+from torch.nn import functional as F
+
+from roadtorch.settings import Settings
+from roadtorch.superpixels import slic
+
+SHORTEST = 16
+"""Pixels that a long, thin picture keeps on its short side."""
+
+
+class WorkingSize(Settings):
+    """How large a picture is when it is analysed; smaller ones stay as they are."""
+
+    pixels: int = Field(
+        default=320 * 240,
+        ge=SHORTEST**2,
+        le=10**9,
+        description="pixels at most; P2 works at 320x240",
+    )
+
+
+class Superpixels(Settings):
+    """Regions that follow the edges in the picture."""
+
+    pixels: int = Field(default=256, ge=4, le=10**6, description="pixels of one superpixel, about")
+    compactness: float = Field(
+        default=0.1, gt=0, le=100, description="weight of distance against colour; high is square"
+    )
+
+    def cut(self, image: Tensor) -> Tensor:
+        """Labels int64 (H,W) of an image (3,H,W); at least 16 segments where there is room."""
+        pixels = image.shape[-2] * image.shape[-1]
+        return slic(image, max(16, round(pixels / self.pixels)), self.compactness)
+
+
+def working_size(height: int, width: int, working: WorkingSize) -> tuple[int, int]:
+    """Height and width at which a picture is analysed: its shape, at most ``working.pixels``."""
+    scale = min(1.0, (working.pixels / (height * width)) ** 0.5)
+    return max(SHORTEST, round(height * scale)), max(SHORTEST, round(width * scale))
+
+
+def resized(maps: Tensor, size: tuple[int, int]) -> Tensor:
+    """Maps (…,H,W), floating point, at another size: averaged or bilinear."""
+    if tuple(maps.shape[-2:]) == tuple(size):
+        return maps
+    batch = maps.reshape(1, -1, *maps.shape[-2:])
+    batch = F.interpolate(batch, size=size, mode="bilinear", antialias=True)
+    return batch.reshape(*maps.shape[:-2], *size)
+
+
+def restored(cue: Tensor, size: tuple[int, int]) -> Tensor:
+    """A cue (…,H,W) at the picture's own size: values smoothly, labels and masks by pixels."""
+    if cue.is_floating_point():
+        return resized(cue, size)
+    rows = torch.arange(size[0], device=cue.device) * cue.shape[-2] // size[0]
+    columns = torch.arange(size[1], device=cue.device) * cue.shape[-1] // size[1]
+    return cue[..., rows[:, None], columns]
+
+
+def at_working_size(
+    analyse: Callable[[Tensor], dict[str, Tensor]], working: WorkingSize
+) -> Callable[[Tensor], dict[str, Tensor]]:
+    """The same analysis made at the working size, its cues brought back to full size."""
+
+    def wrapped(image: Tensor) -> dict[str, Tensor]:
+        size = (image.shape[-2], image.shape[-1])
+        cues = analyse(resized(image, working_size(*size, working)).clamp(0, 1))
+        return {name: restored(cue, size) for name, cue in cues.items()}
+
+    return wrapped

@@ -1,0 +1,23 @@
+#!/usr/bin/env bash
+# Finds the road in the given pictures, or in rendered scenes when none are given.
+set -euo pipefail
+start=$PWD
+source "$(dirname "${BASH_SOURCE[0]}")/venv.sh"
+prepare_venv
+
+out=$PWD/out/demo
+if [ $# -eq 0 ]; then
+  out=$PWD/out/demo-scenes
+  "$PYTHON" -m tests.scenes --out out/scenes --count 6
+  set -- "$PWD/out/scenes"
+fi
+
+python=$PWD/$PYTHON
+cd "$start" # the pictures' names are meant from where the user is
+status=0
+# Overwriting: a demonstration shows what this version does, not what an older one did.
+"$python" -m roadtorch infer "$@" --out "$out" --overwrite || status=$?
+if [ -f "$out/index.csv" ]; then
+  echo "results: $out (NAME.overlay.jpg to look at, NAME.likelihood.png, NAME.mask.png, index.csv)"
+fi
+exit "$status"

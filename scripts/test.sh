@@ -1,0 +1,10 @@
+#!/usr/bin/env bash
+# Checks everything: form, lint, types, tests. Arguments go to pytest.
+set -euo pipefail
+source "$(dirname "${BASH_SOURCE[0]}")/venv.sh"
+prepare_venv test
+
+"$PYTHON" -m ruff format --check .
+"$PYTHON" -m ruff check .
+"$PYTHON" -m basedpyright
+"$PYTHON" -m pytest -q "$@"

@@ -1,0 +1,281 @@
+"""roadtorch evaluate, from files on disk to the table, metrics.json, rows and sheets."""
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import pytest
+import torch
+from click.testing import CliRunner, Result
+from pydantic import Field
+
+from roadtorch.cli.evaluate import evaluate, expand_names
+from roadtorch.detectors import Entry, list_detectors, register
+from roadtorch.errors import ConfigError, DatasetError, InputError
+from roadtorch.image import read_image
+from roadtorch.settings import Settings
+from tests.scenes import render_scene, write_camvid, write_picture
+
+DRIVES = ("0001TP", "0006R0", "0016E5")
+SCENES = {f"{DRIVES[i % 3]}_{i}": render_scene(i, 48, 64) for i in range(6)}
+TRUTH = {float(scene.image.double().sum()): scene for scene in SCENES.values()}
+
+
+class OracleSettings(Settings):
+    """Settings of a detector that knows the answers."""
+
+    threshold: float = Field(default=0.5, ge=0, le=1)
+    doubt: float = Field(default=0.0, ge=0, le=1)
+
+
+def oracle(settings: OracleSettings):
+    """Look the truth up by the sum of the image's pixels."""
+
+    def analyse(image):
+        scene = TRUTH[float(image.double().sum())]
+        likelihood = scene.road.float() * (1 - settings.doubt) + settings.doubt / 2
+        layout = torch.stack([scene.layout == kind for kind in range(3)]).float()
+        return {"likelihood": likelihood, "layout": layout, "uniformity": likelihood}
+
+    return analyse
+
+
+@pytest.fixture(scope="module", autouse=True)
+def known_oracle() -> None:
+    if "test-oracle" not in list_detectors():
+        register(Entry("test-oracle", "knows the truth", OracleSettings, oracle))
+
+
+@pytest.fixture
+def camvid(tmp_path) -> Path:
+    root = tmp_path / "camvid"
+    write_camvid(root, "train", dict(list(SCENES.items())[:3]))
+    write_camvid(root, "val", dict(list(SCENES.items())[3:]))
+    return root
+
+
+def run(*arguments: object) -> Result:
+    result = CliRunner().invoke(evaluate, [str(a) for a in arguments])
+    if result.exception and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def metrics(out: Path) -> dict:
+    return json.loads((out / "metrics.json").read_text())
+
+
+def test_table_and_metrics_with_the_floors_beside(camvid, tmp_path):
+    out = tmp_path / "out"
+
+    result = run("camvid", camvid, "--detector", "test-oracle", "--out", out)
+
+    assert result.exit_code == 0
+    lines = result.stdout.splitlines()
+    assert lines[0].split()[:5] == ["detector", "MaxF", "0001TP", "MaxF", "0006R0"]
+    assert lines[1].split()[:5] == ["test-oracle", "1.000", "1.000", "1.000", "1.000"]
+    assert {line.split()[0] for line in lines[2:5]} == {
+        "prior:rows",
+        "prior:triangle",
+        "prior:mean",
+    }
+    found = metrics(out)
+    assert (found["dataset"], found["split"], found["images"]) == ("camvid", "dev", 6)
+    assert found["void"] == "ignored"
+    assert found["command"].startswith("roadtorch evaluate camvid ")
+    best = found["detectors"]["test-oracle"]
+    assert set(best["groups"]) == set(DRIVES)
+    for key in ("auc_pooled", "auc_mean", "maxf", "ap", "iou"):
+        assert best[key] == pytest.approx(1)
+        assert best["groups"]["0001TP"][key] == pytest.approx(1)
+    assert best["ms_per_image"] > 0
+    assert best["ci95"]["maxf"] == pytest.approx([1, 1])
+    assert best["layout"]["mean"] == 1
+    assert best["layout"]["void_as_vertical"]["vertical"] <= 1
+    assert best["settings"] == {"doubt": 0.0}
+
+
+def test_rows_for_every_image_and_detector(camvid, tmp_path):
+    out = tmp_path / "out"
+    run("camvid", camvid, "--detector", "test-oracle", "--out", out)
+
+    with (out / "images.csv").open() as file:
+        rows = list(csv.DictReader(file))
+
+    assert len(rows) == 6 * 4
+    own = [row for row in rows if row["detector"] == "test-oracle"]
+    assert {row["image"] for row in own} == set(SCENES)
+    assert all(float(row["f"]) == 1 and row["status"] == "ok" for row in own)
+
+
+def test_a_broken_picture_is_listed_and_the_rest_is_scored(camvid, tmp_path):
+    out = tmp_path / "out"
+    (camvid / "train" / "0001TP_0.png").write_bytes(b"")
+
+    result = run("camvid", camvid, "--detector", "test-oracle", "--out", out)
+
+    assert result.exit_code == 1
+    assert "failed: 0001TP_0:" in result.stderr
+    found = metrics(out)
+    assert found["images"] == 5
+    assert [failure["image"] for failure in found["failed"]] == ["0001TP_0"]
+    assert found["detectors"]["test-oracle"]["maxf"] == pytest.approx(1)
+
+
+def test_when_every_picture_is_broken_there_is_one_error(camvid):
+    for path in camvid.glob("*/*.png"):
+        if "annot" not in path.parent.name:
+            path.write_bytes(b"x")
+
+    with pytest.raises(DatasetError, match="none of its 6 pictures"):
+        run("camvid", camvid, "--detector", "prior:rows")
+
+
+def test_settings_reach_the_detector_and_not_the_floors(camvid, tmp_path):
+    out = tmp_path / "out"
+    arguments = ("camvid", camvid, "--detector", "test-oracle", "--set", "doubt=0.4", "--out", out)
+    run(*arguments)
+
+    found = metrics(out)["detectors"]["test-oracle"]
+
+    assert found["settings"] == {"doubt": 0.4}
+    assert found["maxf_threshold"] == pytest.approx(0.2, abs=1e-4)
+
+
+def test_a_setting_the_detector_lacks_is_refused_before_the_run(camvid):
+    with pytest.raises(ConfigError, match=r"duobt.*doubt"):
+        run("camvid", camvid, "--detector", "test-oracle", "--set", "duobt=1")
+
+
+def test_sets_without_drives_use_the_default_or_an_earlier_threshold(camvid, tmp_path):
+    plain = folder_copy(camvid, tmp_path / "folder")
+    first, own, given = (tmp_path / name for name in ("first", "own", "given"))
+    detector = ("--detector", "test-oracle", "--set", "doubt=0.2")
+    teach = ("--mean-from", f"camvid:{camvid}")
+
+    run("camvid", camvid, *detector, "--out", first)
+    run("folder", plain, *detector, "--out", own)
+    earlier = ("--threshold-from", first / "metrics.json")
+    run("folder", plain, *detector, *teach, *earlier, "--out", given)
+
+    default, chosen = (metrics(out)["detectors"] for out in (own, given))
+    assert "groups" not in default["test-oracle"]
+    assert default["test-oracle"]["threshold"] == 0.5
+    assert "prior:mean" not in default
+    assert chosen["test-oracle"]["threshold_from"] == "an earlier run"
+    before = metrics(first)["detectors"]
+    for name in ("test-oracle", "prior:mean", "prior:rows"):
+        assert chosen[name]["threshold"] == before[name]["maxf_threshold"]
+
+
+def folder_copy(camvid: Path, root: Path) -> Path:
+    """The same scenes as a folder of images and masks, without drives."""
+    (root / "masks").mkdir(parents=True)
+    for name, scene in SCENES.items():
+        write_picture(root / "images" / f"{name}.png", scene)
+        mask = torch.where(scene.void, 127, 255 * scene.road).to(torch.uint8)
+        cv2.imwrite(str(root / "masks" / f"{name}.png"), mask.numpy())
+    return root
+
+
+def test_a_threshold_of_other_settings_is_refused(camvid, tmp_path):
+    out = tmp_path / "out"
+    run("camvid", camvid, "--detector", "test-oracle", "--out", out)
+    again = ("camvid", camvid, "--detector", "test-oracle", "--set", "doubt=0.3")
+
+    with pytest.raises(ConfigError, match="other settings"):
+        run(*again, "--threshold-from", out / "metrics.json")
+    with pytest.raises(ConfigError, match="no threshold for prior:uniform"):
+        run(
+            "camvid",
+            camvid,
+            "--detector",
+            "prior:uniform",
+            "--threshold-from",
+            out / "metrics.json",
+        )
+
+
+def test_a_file_that_is_no_metrics_json(camvid, tmp_path):
+    (tmp_path / "other.json").write_text("[1]")
+
+    with pytest.raises(InputError, match=r"other\.json: is not a metrics\.json"):
+        run(
+            "camvid",
+            camvid,
+            "--detector",
+            "prior:rows",
+            "--threshold-from",
+            tmp_path / "other.json",
+        )
+
+
+def test_mean_from_is_for_sets_that_cannot_teach_themselves(camvid):
+    with pytest.raises(ConfigError, match="drives teach each other"):
+        run("camvid", camvid, "--detector", "prior:rows", "--mean-from", f"camvid:{camvid}")
+
+
+def test_limit_takes_pictures_evenly(camvid, tmp_path):
+    out = tmp_path / "out"
+
+    run("camvid", camvid, "--detector", "test-oracle", "--limit", 3, "--out", out)
+
+    assert metrics(out)["images"] == 3
+
+
+def test_sheets_of_best_median_and_worst(camvid, tmp_path):
+    out = tmp_path / "out"
+    run("camvid", camvid, "--detector", "test-oracle", "--montage", 2, "--out", out)
+
+    sheets = {path.name: read_image(path) for path in out.glob("montage.*")}
+    parts = ("best", "median", "worst")
+    assert set(sheets) == {f"montage.test-oracle.{part}.png" for part in parts}
+    # Five tiles of 320 pixels: image, layout, uniformity, likelihood, decision; two rows.
+    assert all(sheet.shape == (3, 2 * (240 + 18), 5 * 320) for sheet in sheets.values())
+
+
+def test_montage_needs_a_folder(camvid):
+    with pytest.raises(ConfigError, match="--out"):
+        run("camvid", camvid, "--detector", "prior:rows", "--montage", 1)
+
+
+def test_an_output_folder_that_cannot_be_made(camvid, tmp_path):
+    (tmp_path / "file").write_text("")
+
+    with pytest.raises(InputError, match="file/out: cannot be made"):
+        run("camvid", camvid, "--detector", "prior:rows", "--out", tmp_path / "file" / "out")
+
+
+def test_wildcards_and_misspelt_names():
+    assert expand_names(["prior:t*", "prior:rows", "prior:*"])[:2] == [
+        "prior:triangle",
+        "prior:rows",
+    ]
+    with pytest.raises(ConfigError, match="unknown detector"):
+        expand_names(["nothing*"])
+    with pytest.raises(ConfigError, match="test-oracle"):
+        expand_names(["test-oracel"])
+
+
+def test_a_mistake_is_one_line_and_exit_code_2(tmp_path):
+    command = [sys.executable, "-m", "roadtorch", "evaluate", "camvid", str(tmp_path)]
+    done = subprocess.run([*command, "--detector", "prior:rows"], capture_output=True, text=True)
+
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith(f"roadtorch: error: {tmp_path}/train: does not exist")
+    assert done.stderr.count("\n") == 1
+
+
+def test_help_does_not_import_torch():
+    code = (
+        "import sys; from roadtorch.cli.evaluate import evaluate; "
+        "evaluate(['--help'], standalone_mode=False); sys.exit('torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+
+    assert done.returncode == 0, done.stderr
+    assert "--threshold-from" in done.stdout

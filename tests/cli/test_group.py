@@ -1,0 +1,109 @@
+import sys
+from types import ModuleType
+
+import click
+import pytest
+
+import roadtorch
+from roadtorch.cli import group
+from tests.cli.conftest import Call
+
+
+def test_version_and_help_go_to_stdout(call: Call) -> None:
+    version, help_text = call("--version"), call("--help")
+
+    assert (version.exit_code, version.stdout) == (0, f"roadtorch {roadtorch.__version__}\n")
+    assert help_text.exit_code == 0
+    for name in ("detectors", "evaluate", "infer", "label", "planes"):
+        assert f"  {name} " in help_text.stdout
+
+
+@pytest.mark.parametrize("name", sorted(group.COMMANDS))
+def test_every_command_explains_itself(call: Call, name: str) -> None:
+    result = call(name, "--help")
+
+    assert result.exit_code == 0
+    assert result.stdout.startswith(f"Usage: roadtorch {name} ")
+    assert "--debug" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["infr"], "infr: no such command (did you mean infer?)"),
+        (["xyz"], "xyz: no such command (see roadtorch --help)"),
+        (
+            ["infer", "--detectr", "x"],
+            "--detectr: no such option (did you mean --detector, --depth?)",
+        ),
+        (["infer"], "Missing argument 'INPUT...' (see roadtorch infer --help)"),
+        (["label", "x"], "Missing option '--out' (see roadtorch label --help)"),
+        (
+            ["infer", "x", "--depth", "12"],
+            "Invalid value for '--depth': '12' is not one of '8', '16'. "
+            "(see roadtorch infer --help)",
+        ),
+    ],
+)
+def test_wrong_usage_is_one_line_and_exit_code_2(
+    call: Call, arguments: list[str], line: str
+) -> None:
+    result = call(*arguments)
+
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr.replace(". (", " (") == f"roadtorch: error: {line}\n".replace(". (", " (")
+
+
+def test_without_a_command_the_help_is_shown(call: Call) -> None:
+    result = call()
+
+    assert result.exit_code == 2
+    assert "Commands:" in result.stderr
+
+
+def install(monkeypatch: pytest.MonkeyPatch, problem: BaseException) -> None:
+    """A command ``fails`` that raises."""
+
+    @click.command()
+    def fails() -> None:
+        raise problem
+
+    module = ModuleType("failing_command")
+    module.fails = fails  # pyright: ignore[reportAttributeAccessIssue]
+    monkeypatch.setitem(sys.modules, "failing_command", module)
+    monkeypatch.setitem(group.COMMANDS, "fails", ("failing_command:fails", "Fail."))
+
+
+def test_a_fault_is_one_line_and_a_traceback_on_demand(
+    call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install(monkeypatch, ZeroDivisionError("oh"))
+
+    short, long, also_long = call("fails"), call("fails", "--debug"), call("--debug", "fails")
+
+    line = "roadtorch: error: fails: a fault of roadtorch: ZeroDivisionError: oh (report it with"
+    assert short.exit_code == long.exit_code == 1
+    assert short.stderr.startswith(line)
+    assert short.stderr.count("\n") == 1
+    for result in (long, also_long):
+        assert result.stderr.startswith("Traceback")
+        assert line in result.stderr
+
+
+def test_ctrl_c_exits_130(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    install(monkeypatch, KeyboardInterrupt())
+
+    result = call("fails")
+
+    assert result.exit_code == 130
+    assert result.stderr.strip() == "roadtorch: interrupted; what was finished is kept"
+
+
+def test_a_closed_pipe_is_no_crash(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    install(monkeypatch, BrokenPipeError(32, "Broken pipe"))
+
+    result = call("fails")
+
+    assert result.exit_code == 1
+    assert result.stderr == ""

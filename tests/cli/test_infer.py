@@ -1,0 +1,357 @@
+import csv
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from roadtorch.cli import batch, results
+from roadtorch.detectors import load_detector
+from roadtorch.image import read_image
+from tests.cli.conftest import Call, save_picture
+
+ROWS = ("--detector", "prior:rows")
+
+
+def rows_of(out: Path) -> dict[str, dict[str, str]]:
+    with (out / "index.csv").open(newline="") as file:
+        return {row["file"]: row for row in csv.DictReader(file)}
+
+
+def files_in(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+def bytes_in(folder: Path) -> dict[str, bytes]:
+    return {name: (folder / name).read_bytes() for name in files_in(folder) if name != "index.csv"}
+
+
+# --- what is written ------------------------------------------------------------------------
+
+
+def test_a_folder_gives_three_files_a_picture_and_an_index(
+    call: Call, footage: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+
+    result = call("infer", footage, *ROWS, "--out", out)
+
+    assert result.exit_code == 0
+    assert result.stdout == ""
+    assert result.stderr == f"roadtorch: 3 done; results in {out}\n"
+    expected = {
+        f"{name}.{kind}"
+        for name in ("a", "b", "sub/c")
+        for kind in ("likelihood.png", "mask.png", "overlay.jpg")
+    }
+    assert files_in(out) == expected | {"index.csv", "config.toml"}
+    rows = rows_of(out)
+    assert list(rows) == ["a.jpg", "b.png", "sub/c.png"]
+    assert list(rows["a.jpg"]) == ["file", "width", "height", "ms", "road_share", "status"]
+    assert {row["status"] for row in rows.values()} == {"done"}
+    assert (rows["a.jpg"]["width"], rows["a.jpg"]["height"]) == ("64", "48")
+    assert float(rows["a.jpg"]["road_share"]) == pytest.approx(0.5, abs=0.05)
+
+
+def test_files_hold_what_the_library_says(call: Call, tmp_path: Path) -> None:
+    picture = save_picture(tmp_path / "x.png")
+    out = tmp_path / "out"
+
+    call("infer", picture, "--detector", "grey-uniformity", "--out", out, "--depth", "16")
+
+    detection = load_detector("grey-uniformity").detect(read_image(picture))
+    stored = np.asarray(Image.open(out / "x.likelihood.png"))
+    assert stored.dtype == np.uint16
+    assert np.array_equal(stored, (detection.likelihood.double() * 65535).round().numpy())
+    mask = np.asarray(Image.open(out / "x.mask.png"))
+    assert np.array_equal(mask == 255, detection.mask.numpy())
+    with Image.open(out / "x.overlay.jpg") as overlay:
+        assert overlay.size == (64, 48)
+
+
+def test_cues_and_arrays_are_written_on_demand(call: Call, tmp_path: Path) -> None:
+    picture = save_picture(tmp_path / "x.png")
+    out = tmp_path / "out"
+
+    call("infer", picture, "--detector", "grey-uniformity", "--out", out, "--save", "cues, npy")
+
+    detection = load_detector("grey-uniformity").detect(read_image(picture))
+    names = files_in(out) - {"index.csv", "config.toml"}
+    cues = detection.cues
+    assert names == {"x.likelihood.npy"} | {f"x.cue.{cue}.png" for cue in cues} | {
+        f"x.{cue}.npy" for cue in cues
+    }
+    assert np.array_equal(np.load(out / "x.uniformity.npy"), cues["uniformity"].numpy())
+
+
+def test_cue_pictures() -> None:
+    ramp = torch.linspace(-3, 5, 12).view(3, 4)
+    layout = torch.zeros(3, 2, 2)
+    layout[0] = 1
+
+    shown = results.cue_picture(ramp)
+    assert (shown.min(), shown.max()) == (0, 1)
+    assert torch.equal(results.cue_picture(torch.full((2, 2), 7.0)), torch.zeros(3, 2, 2))
+    holes = results.cue_picture(torch.tensor([[float("nan"), 0, 2]]))
+    assert holes[0].tolist() == [[0, 0, 1]]
+    sky = results.cue_picture(layout)[:, 0, 0] * 255
+    assert sky.round().tolist() == [86, 180, 233]
+    labels = results.cue_picture(torch.arange(30).view(5, 6)).flatten(1)
+    assert len({tuple(colour) for colour in labels.T.tolist()}) == 30
+
+
+def test_several_jobs_give_the_same_bytes(call: Call, footage: Path, tmp_path: Path) -> None:
+    one, three = tmp_path / "one", tmp_path / "three"
+    options = ("--detector", "grey-uniformity", "--save", "likelihood,mask,overlay,npy")
+
+    call("infer", footage, *options, "--out", one)
+    call("infer", footage, *options, "--out", three, "--jobs", "3")
+
+    assert bytes_in(one) == bytes_in(three)
+    assert list(rows_of(one)) == list(rows_of(three))
+
+
+# --- settings -------------------------------------------------------------------------------
+
+
+def test_the_printed_configuration_gives_the_same_run(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "c.toml"
+    options = ("--detector", "cpf", "--set", "texture.bins=32", "--threshold", "0.25")
+
+    printed = call("infer", *options, "--print-config")
+    path.write_text(printed.stdout)
+    again = call("infer", "--config", path, "--print-config")
+
+    values = tomllib.loads(printed.stdout)
+    assert (values["detector"], values["texture"]["bins"], values["threshold"]) == ("cpf", 32, 0.25)
+    assert again.stdout == printed.stdout
+
+
+def test_set_goes_over_the_file_and_threshold_over_both(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "c.toml"
+    path.write_text('detector = "cpf"\nthreshold = 0.1\n[texture]\nbins = 8\n')
+    options = ("--config", path, "--set", "texture.ridge=0.5", "--set", "threshold=0.2")
+
+    values = tomllib.loads(call("infer", *options, "--threshold", "0.3", "--print-config").stdout)
+
+    assert values["texture"]["bins"] == 8
+    assert values["texture"]["ridge"] == 0.5
+    assert values["threshold"] == 0.3
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        (["--detector", "prior:row"], "prior:row: unknown detector (did you mean"),
+        (["--set", "treshold=0.1"], "treshold: unknown setting (did you mean threshold?)"),
+        (["--set", "threshold=high"], "threshold: 'high' was given ("),
+        (["--threshold", "1.5"], "threshold: 1.5 was given ("),
+        (["--set", "threshold"], "threshold: is not a setting ("),
+        (["--save", "masks"], "masks: unknown kind of result (did you mean mask?)"),
+        (["--save", ","], "--save: nothing to save ("),
+        (["--config", "none.toml"], "none.toml: cannot be read"),
+    ],
+)
+def test_wrong_settings_are_refused_before_work(
+    call: Call, footage: Path, tmp_path: Path, options: list[str], line: str
+) -> None:
+    out = tmp_path / "out"
+
+    result = call("infer", footage, *ROWS, "--out", out, *options)
+
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"roadtorch: error: {line}")
+    assert result.stderr.count("\n") == 1
+    assert not out.exists()
+
+
+# --- a second run ---------------------------------------------------------------------------
+
+
+def test_what_is_done_is_skipped_until_overwrite(call: Call, footage: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    call("infer", footage, *ROWS, "--out", out)
+    (out / "a.mask.png").unlink()
+    (out / "b.mask.png").write_bytes(b"marked")
+    save_picture(footage / "d.png")
+
+    again = call("infer", footage, *ROWS, "--out", out)
+    assert again.stderr == f"roadtorch: 2 done, 2 skipped (done before); results in {out}\n"
+    assert (out / "a.mask.png").exists()
+    assert (out / "b.mask.png").read_bytes() == b"marked"
+    assert list(rows_of(out)) == ["a.jpg", "b.png", "d.png", "sub/c.png"]
+
+    anew = call("infer", footage, *ROWS, "--out", out, "--overwrite")
+    assert anew.stderr.startswith("roadtorch: 4 done;")
+    assert (out / "b.mask.png").read_bytes() != b"marked"
+
+
+def test_results_of_other_settings_are_not_mixed_in(
+    call: Call, footage: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    call("infer", footage, *ROWS, "--out", out)
+    before = bytes_in(out)
+
+    other = call("infer", footage, *ROWS, "--threshold", "0.9", "--out", out)
+    assert other.exit_code == 2
+    assert "holds results of other settings" in other.stderr
+    assert bytes_in(out) == before
+
+    anew = call("infer", footage, *ROWS, "--threshold", "0.9", "--out", out, "--overwrite")
+    assert anew.exit_code == 0
+    assert bytes_in(out) != before
+
+
+def test_an_interrupted_run_keeps_its_rows_and_goes_on(
+    call: Call, footage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    real = results.Inference.__call__
+
+    def interrupted(self: results.Inference, job: batch.Job) -> batch.Row:
+        if job.picture.name == "b":
+            raise KeyboardInterrupt
+        return real(self, job)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(results.Inference, "__call__", interrupted)
+        stopped = call("infer", footage, *ROWS, "--out", out)
+    assert stopped.exit_code == 130
+    assert list(rows_of(out)) == ["a.jpg"]
+
+    resumed = call("infer", footage, *ROWS, "--out", out)
+    assert resumed.stderr.startswith("roadtorch: 2 done, 1 skipped")
+
+
+def test_results_beside_the_pictures_are_not_taken_for_pictures(call: Call, footage: Path) -> None:
+    for _ in range(2):
+        result = call("infer", footage, *ROWS, "--out", footage, "--save", "mask,cues")
+        assert result.exit_code == 0
+
+    assert list(rows_of(footage)) == ["a.jpg", "b.png", "sub/c.png"]
+
+
+# --- bad input ------------------------------------------------------------------------------
+
+
+def test_broken_pictures_become_failed_rows_beside_finished_ones(
+    call: Call, footage: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    whole = (footage / "a.jpg").read_bytes()
+    (footage / "cut.jpg").write_bytes(whole[: len(whole) // 2])
+    (footage / "empty.png").touch()
+    (footage / "text.png").write_text("not a picture")
+    save_picture(footage / "tiny.png", size=(1, 1))
+
+    result = call("infer", footage, footage / "none.jpg", *ROWS, "--out", out, "--jobs", "2")
+
+    assert result.exit_code == 1
+    assert result.stderr.splitlines()[-1] == f"roadtorch: 3 done, 5 failed; results in {out}"
+    rows = rows_of(out)
+    for file, what in [
+        ("cut.jpg", "cannot be decoded"),
+        ("empty.png", "is empty"),
+        ("text.png", "is not a picture"),
+        ("tiny.png", "is 1×1 pixels"),
+        ("none.jpg", "does not exist"),
+    ]:
+        assert rows[file]["status"].startswith("failed: ")
+        assert what in rows[file]["status"]
+        assert file in result.stderr
+    assert rows["a.jpg"]["status"] == "done"
+    assert not any(name.endswith(".part") for name in files_in(out))
+    assert "Traceback" not in result.stderr
+
+
+def test_failed_pictures_are_tried_again(call: Call, tmp_path: Path) -> None:
+    path, out = tmp_path / "in" / "x.png", tmp_path / "out"
+    save_picture(path, size=(1, 1))
+    assert call("infer", path, *ROWS, "--out", out).exit_code == 1
+
+    save_picture(path)
+    assert call("infer", path, *ROWS, "--out", out, "--quiet").stderr == ""
+    assert rows_of(out)["x.png"]["status"] == "done"
+
+
+def test_a_detector_that_trips_costs_one_row(
+    call: Call, footage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    real = results.Inference.__call__
+
+    def trips(self: results.Inference, job: batch.Job) -> batch.Row:
+        if job.picture.name == "b":
+            raise ZeroDivisionError("oh\nno")
+        return real(self, job)
+
+    monkeypatch.setattr(results.Inference, "__call__", trips)
+    result = call("infer", footage, *ROWS, "--out", out)
+
+    assert result.exit_code == 1
+    assert "ZeroDivisionError: oh no" in rows_of(out)["b.png"]["status"]
+    assert rows_of(out)["sub/c.png"]["status"] == "done"
+
+
+def test_two_pictures_for_one_result_are_refused_before_work(
+    call: Call, footage: Path, tmp_path: Path
+) -> None:
+    save_picture(footage / "a.png")
+
+    result = call("infer", footage, *ROWS, "--out", tmp_path / "out")
+
+    assert result.exit_code == 2
+    assert str(footage / "a.jpg") in result.stderr
+    assert str(footage / "a.png") in result.stderr
+    assert "both would write" in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_result_never_replaces_a_picture(call: Call, tmp_path: Path) -> None:
+    save_picture(tmp_path / "x.jpg")
+    other = save_picture(tmp_path / "x.mask.png")
+    before = other.read_bytes()
+
+    result = call("infer", tmp_path / "x.jpg", other, *ROWS, "--out", tmp_path)
+
+    assert result.exit_code == 2
+    assert "x.mask.png: is one of the pictures" in result.stderr
+    assert other.read_bytes() == before
+
+
+@pytest.mark.parametrize("below", ["", "below"])
+def test_an_output_folder_that_cannot_be_is_named(
+    call: Call, footage: Path, tmp_path: Path, below: str
+) -> None:
+    (tmp_path / "file").write_text("mine")
+    out = tmp_path / "file" / below if below else tmp_path / "file"
+
+    result = call("infer", footage, *ROWS, "--out", out)
+
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"roadtorch: error: {out}: cannot be made a folder")
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_nothing_to_look_at_is_wrong_usage(call: Call, tmp_path: Path) -> None:
+    (tmp_path / "bare").mkdir()
+
+    bare = call("infer", tmp_path / "bare", *ROWS)
+    missing = call("infer", tmp_path / "none", *ROWS)
+
+    assert bare.exit_code == missing.exit_code == 2
+    assert f"{tmp_path / 'bare'}: holds no pictures" in bare.stderr
+    assert f"{tmp_path / 'none'}: does not exist" in missing.stderr
+
+
+def test_a_foreign_index_is_not_overwritten(call: Call, footage: Path, tmp_path: Path) -> None:
+    (tmp_path / "index.csv").write_text("name,price\napple,3\n")
+
+    result = call("infer", footage, *ROWS, "--out", tmp_path)
+
+    assert result.exit_code == 2
+    assert "index.csv: is not an index of ours" in result.stderr
+    assert (tmp_path / "index.csv").read_text() == "name,price\napple,3\n"

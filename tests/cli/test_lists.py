@@ -1,0 +1,39 @@
+from roadtorch.color import PLANES, REPRESENTATIONS
+from roadtorch.detectors import list_detectors
+from tests.cli.conftest import Call
+
+
+def test_detectors_lists_every_one_with_its_summary(call: Call) -> None:
+    result = call("detectors")
+
+    lines = result.stdout.splitlines()
+    assert result.exit_code == 0
+    assert [line.split()[0] for line in lines] == list_detectors()
+    assert all(len(line.split()) > 1 for line in lines)
+
+
+def test_detectors_name_explains_its_settings(call: Call) -> None:
+    result = call("detectors", "cpf")
+
+    cells = {line.split()[0]: line for line in result.stdout.splitlines() if line}
+    assert "number" in cells["threshold"]
+    assert "≥ 0, ≤ 1" in cells["threshold"]
+    assert "drop | keep" in cells["isolated"]
+    assert "64" in cells["texture.bins"]
+    assert "columns" in cells["seed.width"]
+
+
+def test_an_unknown_detector_is_wrong_usage(call: Call) -> None:
+    result = call("detectors", "cfp")
+
+    assert result.exit_code == 2
+    assert result.stderr.startswith("roadtorch: error: cfp: unknown detector (did you mean cpf")
+
+
+def test_planes_lists_planes_and_representations(call: Call) -> None:
+    result = call("planes")
+
+    planes, representations = result.stdout.strip().split("\n\n")
+    assert [line.split()[0] for line in planes.splitlines()[1:]] == list(PLANES)
+    listed = [line.split() for line in representations.splitlines()[1:]]
+    assert {name: tuple(parts) for name, *parts in listed} == dict(REPRESENTATIONS)

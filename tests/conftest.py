@@ -1,0 +1,37 @@
+"""What holds for every test: no network, settled randomness, two threads."""
+
+import socket
+from pathlib import Path
+from typing import Any
+
+import hypothesis
+import pytest
+import torch
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+hypothesis.settings.register_profile("settled", derandomize=True, deadline=None, database=None)
+hypothesis.settings.load_profile("settled")
+torch.set_num_threads(2)
+
+
+@pytest.fixture(autouse=True)
+def _no_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fail a test that connects anywhere but to a socket file."""
+    connect = socket.socket.connect
+
+    def refuse(self: socket.socket, address: Any) -> None:
+        if self.family != getattr(socket, "AF_UNIX", None):
+            raise AssertionError(f"a test wanted to connect to {address}")
+        connect(self, address)
+
+    monkeypatch.setattr(socket.socket, "connect", refuse)
+    monkeypatch.setattr(socket.socket, "connect_ex", refuse)
+
+
+@pytest.fixture(scope="session")
+def data_root() -> Path:
+    """The development data; tests that use it carry the marker ``data``."""
+    if not DATA.is_dir():
+        pytest.skip("the development data is not beside the repository (../shared/data)")
+    return DATA

@@ -1,0 +1,326 @@
+"""Measures against brute force, hand-computed cases and KITTI's development kit."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sklearn.metrics import roc_auc_score
+
+from roadtorch.errors import InputError
+from roadtorch.evaluation import metrics
+from roadtorch.evaluation.metrics import RoadCounts
+from tests.reference import metrics as slow
+
+EVERYTHING = torch.ones(1, dtype=torch.bool)
+
+
+def count(scores, road, levels=metrics.LEVELS) -> RoadCounts:
+    scores, road = torch.as_tensor(scores), torch.as_tensor(road, dtype=torch.bool)
+    return metrics.count_levels(scores, road, EVERYTHING.expand(road.shape), levels)
+
+
+def random_map(seed: int, levels: int = 12) -> tuple[np.ndarray, np.ndarray]:
+    """Scores on a coarse grid, so that ties are frequent, and a road."""
+    generator = np.random.default_rng(seed)
+    road = generator.random((9, 11)) < 0.4
+    road[0, :2] = True, False
+    drawn = generator.integers(0, levels, road.shape) + 3 * road
+    return np.clip(drawn, 0, levels) / levels, road
+
+
+# --- the worked example of Fawcett's averaging: two small images ---------------------------
+
+FIRST = ([0.9, 0.8, 0.7, 0.6, 0.4, 0.3, 0.2, 0.1], [1, 1, 0, 1, 1, 0, 0, 0])
+SECOND = ([0.7, 0.6, 0.6, 0.5, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05], [1, 0, 1, 1, 0, 1, 0, 0, 0, 0])
+
+
+def test_auc_of_the_worked_example_single_and_pooled():
+    first, second = count(*FIRST), count(*SECOND)
+
+    assert float(metrics.auc(first)) == pytest.approx(0.875, abs=1e-12)
+    assert float(metrics.auc(second)) == pytest.approx(0.833333, abs=1e-6)
+    assert float(metrics.auc(first + second)) == pytest.approx(0.85, abs=1e-12)
+
+
+# --- brute force ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_auc_equals_counted_pairs_and_scikit_learn(seed):
+    scores, road = random_map(seed)
+
+    found = float(metrics.auc(count(scores, road)))
+
+    assert found == pytest.approx(slow.auc(scores, road), abs=1e-12)
+    assert found == pytest.approx(roc_auc_score(road.ravel(), scores.ravel()), abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_max_f_and_ap_equal_loops_over_thresholds(seed):
+    scores, road = random_map(seed)
+    thresholds = np.arange(13) / 12
+
+    counts = count(scores, road, levels=13)
+    best, threshold = metrics.max_f(counts)
+    expected, where = slow.max_f(scores, road, thresholds)
+
+    assert float(best) == pytest.approx(expected, abs=1e-12)
+    assert float(threshold) == pytest.approx(where, abs=1e-12)
+    assert float(metrics.average_precision(counts)) == pytest.approx(
+        slow.average_precision(scores, road, thresholds), abs=1e-12
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_iou_at_a_threshold_and_of_a_mask_leave_void_out(seed):
+    scores, road = random_map(seed)
+    valid = np.random.default_rng(seed).random(road.shape) < 0.7
+    maps = torch.from_numpy(scores), torch.from_numpy(road), torch.from_numpy(valid)
+
+    at_threshold = metrics.iou(metrics.decisions_at(metrics.count_levels(*maps), 0.5))
+    of_mask = metrics.iou(metrics.count_mask(maps[0] >= 0.5, *maps[1:]))
+
+    expected = slow.iou(scores >= 0.5, road, valid)
+    assert float(at_threshold) == pytest.approx(expected, abs=1e-12)
+    assert float(of_mask) == pytest.approx(expected, abs=1e-12)
+
+
+def test_precision_recall_and_f_by_hand():
+    # Road: 4 pixels, 3 of them found; background: 6 pixels, 1 taken for road.
+    mask = torch.tensor([1, 1, 1, 0, 1, 0, 0, 0, 0, 0], dtype=torch.bool)
+    road = torch.tensor([1, 1, 1, 1, 0, 0, 0, 0, 0, 0], dtype=torch.bool)
+
+    outcome = metrics.count_mask(mask, road, torch.ones_like(road))
+
+    assert float(metrics.precision(outcome)) == 3 / 4
+    assert float(metrics.recall(outcome)) == 3 / 4
+    assert float(metrics.f_measure(outcome)) == 3 / 4
+    assert float(metrics.iou(outcome)) == 3 / 5
+    assert int(outcome.true_negative) == 5
+
+
+# --- KITTI's synthetic case ------------------------------------------------------------------
+
+
+def kitti_frame(f: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """8-bit scores, road and valid of the benchmark's made-up frame (40,50)."""
+    r, c = np.mgrid[:40, :50]
+    road = (r >= 12) & (abs(2 * c - 49 - 6 * f) <= 4 + r)
+    noise = (37 * r + 101 * c + 13 * r * c + 59 * f) % 151
+    scores = np.clip(40 + 85 * road + noise - r // 4, 0, 255)
+    valid = ~((c < 6) & (r < 20)) & ~((r >= 36) & (c >= 46))
+    return scores, road, valid
+
+
+def kitti_counts(scores, road, valid, levels=256) -> RoadCounts:
+    likelihood = torch.from_numpy(scores.astype(np.float32)) / 255
+    return metrics.count_levels(likelihood, torch.from_numpy(road), torch.from_numpy(valid), levels)
+
+
+def kitti_cases() -> dict[str, RoadCounts]:
+    scores, road, valid = kitti_frame(0)
+    return {
+        "first": kitti_counts(*kitti_frame(0)),
+        "second": kitti_counts(*kitti_frame(1)),
+        "pooled": kitti_counts(*kitti_frame(0)) + kitti_counts(*kitti_frame(1)),
+        "all valid": kitti_counts(scores, road, np.ones_like(valid)),
+        "binary": kitti_counts(255 * (scores >= 128), road, valid),
+        "and a frame without road": kitti_counts(scores, road, valid)
+        + kitti_counts(scores, np.zeros_like(road), valid),
+        "perfect": kitti_counts(255 * road, road, valid),
+        "constant": kitti_counts(np.full_like(scores, 77), road, valid),
+    }
+
+
+# name, k*, MaxF, AP, precision and recall at k*: printed by the development kit.
+KITTI_PRINTED = [
+    ("first", 127, 0.792811, 0.895401, 0.682131, 0.946365),
+    ("second", 120, 0.771550, 0.875705, 0.632432, 0.989130),
+    ("pooled", 120, 0.780858, 0.885908, 0.645262, 0.988602),
+    ("all valid", 127, 0.773346, 0.884801, 0.653783, 0.946429),
+    ("binary", 1, 0.792377, 0.662721, 0.683983, 0.941597),
+    ("and a frame without road", 177, 0.528395, 0.447700, 0.451096, 0.637664),
+    ("perfect", 1, 1.0, 1.0, 1.0, 1.0),
+    ("constant", 0, 0.620792, 0.450107, 0.450107, 1.0),
+]
+
+
+@pytest.mark.parametrize(("name", "k", "max_f", "ap", "precision", "recall"), KITTI_PRINTED)
+def test_figures_of_the_development_kit(name, k, max_f, ap, precision, recall):
+    counts = kitti_cases()[name]
+
+    best, threshold = metrics.max_f(counts)
+    chosen = metrics.decisions_at(counts, float(threshold))
+
+    assert round(float(threshold) * 255) == k
+    assert float(best) == pytest.approx(max_f, abs=6e-7)
+    assert float(metrics.average_precision(counts)) == pytest.approx(ap, abs=6e-7)
+    assert float(metrics.precision(chosen)) == pytest.approx(precision, abs=6e-7)
+    assert float(metrics.recall(chosen)) == pytest.approx(recall, abs=6e-7)
+
+
+def test_counts_of_the_development_kit_at_single_thresholds():
+    counts = kitti_cases()["pooled"]
+
+    found = {}
+    for k in (0, 64, 128, 192, 255):
+        outcome = metrics.decisions_at(counts, k / 255)
+        found[k] = int(outcome.false_negative), int(outcome.false_positive)
+
+    assert found == {0: (0, 2061), 64: (0, 1678), 128: (103, 791), 192: (814, 0), 255: (1515, 0)}
+
+
+def test_8_bit_maps_score_the_same_at_16_bits():
+    scores, road, valid = kitti_frame(0)
+    fine, coarse = kitti_counts(scores, road, valid, metrics.LEVELS), kitti_cases()["first"]
+
+    assert torch.equal(metrics.max_f(fine)[0], metrics.max_f(coarse)[0])
+    assert torch.equal(metrics.auc(fine), metrics.auc(coarse))
+    assert torch.equal(metrics.coarsen(fine).road, coarse.road)
+    assert torch.equal(metrics.coarsen(fine).other, coarse.other)
+
+
+@pytest.mark.parametrize("levels", [256, metrics.LEVELS])
+def test_a_threshold_means_the_lowest_level_that_reaches_it(levels):
+    for k in range(0, levels, max(1, levels // 500)):
+        assert metrics.threshold_level(k / (levels - 1), levels) == k
+        assert metrics.threshold_level((k + 0.01) / (levels - 1), levels) == k + 1
+
+
+# --- properties ------------------------------------------------------------------------------
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000))
+def test_auc_turns_over_with_the_map_and_ignores_its_scale(seed):
+    scores, road = random_map(seed)
+
+    straight = float(metrics.auc(count(scores, road)))
+
+    assert float(metrics.auc(count(1 - scores, road))) == pytest.approx(1 - straight, abs=1e-12)
+    assert float(metrics.auc(count(scores**2, road))) == pytest.approx(straight, abs=1e-12)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.floats(0, 1))
+def test_no_threshold_beats_max_f(seed, threshold):
+    counts = count(*random_map(seed))
+
+    f = metrics.f_measure(metrics.decisions_at(counts, threshold))
+
+    assert float(f) <= float(metrics.max_f(counts)[0]) + 1e-9
+
+
+def test_the_lowest_of_equal_thresholds_is_taken():
+    counts = count([0.2, 0.8], [0, 1], levels=11)
+
+    best, threshold = metrics.max_f(counts)
+
+    assert float(best) == pytest.approx(1)
+    assert float(threshold) == pytest.approx(0.3)
+
+
+def test_pooling_is_adding():
+    (scores, road), (others, more) = random_map(1), random_map(2)
+
+    together = count(np.concatenate([scores, others]), np.concatenate([road, more]))
+    added = count(scores, road) + count(others, more)
+
+    assert torch.equal(together.road, added.road)
+    assert torch.equal(together.other, added.other)
+
+
+# --- awkward input ---------------------------------------------------------------------------
+
+
+def test_what_is_not_defined_is_nan():
+    no_road, no_background = count([0.1, 0.9], [0, 0]), count([0.1, 0.9], [1, 1])
+
+    assert math.isnan(metrics.auc(no_road))
+    assert math.isnan(metrics.auc(no_background))
+    assert all(math.isnan(part) for part in metrics.max_f(no_road))
+    assert math.isnan(metrics.average_precision(no_road))
+    assert math.isnan(metrics.precision(metrics.decisions_at(count([0.1], [1]), 0.5)))
+
+
+@pytest.mark.parametrize("wrong", [math.nan, 1.5, -0.1])
+def test_values_that_are_no_likelihood_are_refused(wrong):
+    with pytest.raises(InputError, match="likelihood"):
+        count([0.5, wrong], [0, 1])
+
+
+def test_a_map_of_another_size_is_refused():
+    road = torch.zeros(4, 5, dtype=torch.bool)
+
+    with pytest.raises(InputError, match=r"\(5, 4\).*\(4, 5\)"):
+        metrics.count_levels(torch.zeros(5, 4), road, ~road)
+
+
+# --- layout ------------------------------------------------------------------------------------
+
+
+def test_layout_confusion_equals_counting_pixels():
+    generator = np.random.default_rng(0)
+    labels, truth = (generator.choice([0, 1, 2, 255], (7, 8)).astype(np.uint8) for _ in range(2))
+
+    found = metrics.count_layout(torch.from_numpy(labels), torch.from_numpy(truth))
+
+    assert np.array_equal(found.numpy(), slow.confusion(labels, truth))
+
+
+#                         sky vert. horiz. unlabelled
+CONFUSION = torch.tensor([[8, 2, 0, 5], [1, 6, 3, 0], [0, 1, 9, 0], [0, 0, 4, 1]])
+
+
+def test_both_readings_of_void_and_labelled_pixels_by_hand():
+    ignored = metrics.class_recalls(CONFUSION)
+    literal = metrics.class_recalls(metrics.void_as_vertical(CONFUSION))
+
+    assert ignored.tolist() == pytest.approx([0.8, 0.6, 0.9])
+    assert literal.tolist() == pytest.approx([0.8, 6 / 14, 0.9])
+    assert float(metrics.labelled_share(CONFUSION)) == pytest.approx(30 / 35)
+
+
+def test_a_class_without_pixels_has_no_recall():
+    confusion = torch.zeros(4, 4, dtype=torch.int64)
+    confusion[1, 1] = 3
+
+    assert metrics.class_recalls(confusion).isnan().tolist() == [True, False, True]
+
+
+# --- intervals ---------------------------------------------------------------------------------
+
+
+def test_weights_draw_every_image_once_on_average():
+    weights = metrics.bootstrap_weights(7, 4000, torch.Generator().manual_seed(0))
+
+    assert (weights.sum(1) == 7).all()
+    assert weights.to(torch.float64).mean(0).tolist() == pytest.approx([1.0] * 7, abs=0.06)
+
+
+def test_interval_of_a_mean_is_the_textbook_one():
+    values = torch.randn(200, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+
+    low, high = metrics.bootstrap_interval(
+        [200],
+        lambda weights: weights[0].to(torch.float64) @ values / 200,
+        torch.Generator().manual_seed(2),
+        replicates=4000,
+    )
+
+    error = float(values.std()) / math.sqrt(200)
+    assert low == pytest.approx(float(values.mean()) - 1.96 * error, abs=0.1 * error)
+    assert high == pytest.approx(float(values.mean()) + 1.96 * error, abs=0.1 * error)
+
+
+def test_pooled_weights_repeat_images():
+    one, two = count([0.1, 0.9], [0, 1], 5), count([0.4, 0.9], [1, 0], 5)
+    stacked = RoadCounts(torch.stack([one.road, two.road]), torch.stack([one.other, two.other]))
+
+    pooled = metrics.pool(stacked, torch.tensor([[2, 0], [1, 1]]))
+
+    assert torch.equal(pooled.road[0], 2 * one.road)
+    assert torch.equal(pooled.other[1], one.other + two.other)

@@ -1,0 +1,97 @@
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import Field, ValidationError
+
+from roadtorch.errors import ConfigError, InputError
+from roadtorch.settings import Settings, build_settings, parse_assignments, read_settings_file
+
+
+class Texture(Settings):
+    bins: int = Field(default=64, ge=2)
+
+
+class Example(Settings):
+    threshold: float = Field(default=0.5, ge=0, le=1)
+    texture: Texture = Texture()
+
+
+def test_defaults_stay_where_nothing_is_given() -> None:
+    assert build_settings(Example, {"texture": {"bins": 8}}) == Example(texture=Texture(bins=8))
+
+
+def test_settings_are_frozen() -> None:
+    with pytest.raises(ValidationError, match="frozen"):
+        Example().threshold = 0.1  # pyright: ignore[reportAttributeAccessIssue]
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"texture": {"bin": 1}}, "texture.bin: unknown setting (did you mean texture.bins?)"),
+        ({"treshold": 0.1}, "treshold: unknown setting (did you mean threshold?)"),
+        ({"texture": {"bins": 1}}, "texture.bins: 1 was given (input should be greater than or"),
+        ({"texture": {"bins": "many"}}, "texture.bins: 'many' was given (input should be a valid"),
+        ({"texture": {"bins": 2.5}}, "texture.bins: 2.5 was given"),
+        ({"threshold": float("nan")}, "threshold: nan was given"),
+        ({"texture": 3}, "texture: 3 was given"),
+    ],
+)
+def test_a_mistake_names_the_full_key_and_what_was_given(
+    values: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ConfigError) as caught:
+        build_settings(Example, values)
+
+    assert str(caught.value).startswith(message)
+
+
+def test_assignments_become_nested_values_of_their_toml_type() -> None:
+    given = ["texture.bins=64", "a=0.5", "b=true", "c=drop", 'd="7"', "e=[1, 2]", "f=x=y"]
+
+    assert parse_assignments(given) == {
+        "texture": {"bins": 64},
+        "a": 0.5,
+        "b": True,
+        "c": "drop",
+        "d": "7",
+        "e": [1, 2],
+        "f": "x=y",
+    }
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_numbers_survive_the_way_through_text(value: float) -> None:
+    assert parse_assignments([f"x={value!r}"]) == {"x": value}
+
+
+@pytest.mark.parametrize("item", ["", "bins", "=3", "a..b=1", ".a=1"])
+def test_an_item_that_is_no_assignment_is_refused(item: str) -> None:
+    with pytest.raises(ConfigError, match="is not a setting"):
+        parse_assignments([item])
+
+
+@pytest.mark.parametrize("items", [["a=1", "a.b=2"], ["a.b=2", "a=1"]])
+def test_a_key_cannot_be_a_value_and_a_group(items: list[str]) -> None:
+    with pytest.raises(ConfigError, match=r"already set to a value|is a group"):
+        parse_assignments(items)
+
+
+def test_a_settings_file_is_toml(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text("threshold = 0.25\n[texture]\nbins = 8\n")
+
+    assert read_settings_file(path) == {"threshold": 0.25, "texture": {"bins": 8}}
+
+
+def test_a_missing_or_broken_settings_file_is_named(tmp_path: Path) -> None:
+    broken = tmp_path / "b.toml"
+    broken.write_text("threshold = = 1")
+
+    with pytest.raises(InputError, match=r"none\.toml: cannot be read"):
+        read_settings_file(tmp_path / "none.toml")
+    with pytest.raises(ConfigError, match=r"b\.toml: is not TOML"):
+        read_settings_file(broken)
