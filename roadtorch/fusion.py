@@ -24,30 +24,30 @@ class RoadPlace(Settings):
 
     weight: float = Field(default=0.4, ge=0, le=10, description="weight of the prior; 0 is uniform")
     apex: float = Field(
-        default=0.6, ge=-1, le=1, description="row at which the half width is `narrow`"
+        default=0.69, ge=-1, le=1, description="row at which the half width is `narrow`"
     )
     narrow: float = Field(
-        default=0.13, ge=-1, le=1, description="half width of the road at the apex"
+        default=0.07, ge=-1, le=1, description="half width of the road at the apex"
     )
     spread: float = Field(
-        default=1.5, ge=0, le=10, description="half width gained per height below it"
+        default=1.1, ge=0, le=10, description="half width gained per height below it"
     )
     softness: float = Field(
-        default=0.07, gt=0, le=10, description="widths over which the road fades"
+        default=0.11, gt=0, le=10, description="widths over which the road fades"
     )
 
 
 class Weights(Settings):
     """How much each cue is trusted: exponents of the likelihoods; 1 each is eq. 4 of P2."""
 
-    layout: float = Field(default=0.4, ge=0, le=10, description="the ground of the scene layout")
-    distance: float = Field(default=1.1, ge=0, le=10, description="the distance from the seed area")
+    layout: float = Field(default=0.44, ge=0, le=10, description="the ground of the scene layout")
+    distance: float = Field(default=1.0, ge=0, le=10, description="the distance from the seed area")
     texture: float = Field(
         default=2.0, ge=0, le=10, description="the uniformity of the fused plane"
     )
     look: float = Field(default=2.0, ge=0, le=10, description="the look learned in this picture")
     neighbours: float = Field(
-        default=4.8, ge=0, le=10, description="what the neighbouring segments are"
+        default=4.6, ge=0, le=10, description="what the neighbouring segments are"
     )
 
 
@@ -63,10 +63,10 @@ class RoadSettings(Settings):
         description="sum of contrasts on the way (Lab/100) that leaves it open",
     )
     bandwidths: Bandwidths = Bandwidths(
-        lightness=0.05, chroma=0.01, gradient=0.028, contrast=0.9, row=0.1, column=2.8
+        lightness=0.085, chroma=0.01, gradient=0.07, contrast=0.9, row=0.1, column=3.0
     )
-    bias: float = Field(default=-2.8, ge=-20, le=20, description="log odds of road before any cue")
-    temperature: float = Field(default=3.0, gt=0, le=100, description="divides the final log odds")
+    bias: float = Field(default=-2.2, ge=-20, le=20, description="log odds of road before any cue")
+    temperature: float = Field(default=6.0, gt=0, le=100, description="divides the final log odds")
     rounds: int = Field(
         default=4, ge=0, le=100, description="rounds of learning the look of the road"
     )

@@ -30,12 +30,12 @@ LAB_TANGENT = (
 Street pictures are nearly grey, boundary recall stays within 0.01, and it is 6 times faster."""
 
 COARSE = 2
-"""Centres move on a picture of half the size: a quarter of the work, the same segments."""
+"""Centres move by every second pixel of every second row: a quarter of the work."""
 
 CHUNK = 1 << 18
 """Distances held at a time: one megabyte."""
 
-SMALLEST = 0.0625
+SMALLEST = 0.02
 """Regions below this share of the mean segment size are merged into a neighbour."""
 
 OUTSIDE = 1e6
@@ -52,7 +52,7 @@ class Grid(NamedTuple):
 
 
 def slic(
-    image: Tensor, segments: int = 300, compactness: float = 0.1, iterations: int = 4
+    image: Tensor, segments: int = 300, compactness: float = 0.07, iterations: int = 5
 ) -> Tensor:
     """Cut an image, or each image of a batch, into connected segments of similar colour.
 
@@ -149,13 +149,13 @@ def _in_chunks(tables: Tensor, pixels: Tensor) -> Iterator[tuple[Tensor, Tensor]
 def _member_sums(tables: Tensor, pixels: Tensor) -> Tensor:
     """(cells, 9, 7): the features of a cell's pixels summed by the centre nearest to them."""
     keys = _keys(tables, pixels)
-    member = (keys == keys.amin(1, keepdim=True)).to(pixels.dtype)
+    member = keys.eq_(keys.amin(1, keepdim=True)).to(pixels.dtype)
     return torch.bmm(member, pixels.transpose(1, 2))
 
 
 def _move_centres(features: Tensor, grid: Grid, iterations: int) -> Tensor:
     """(B,7,rows,columns): sums of the features over each segment after k-means on the grid."""
-    pixels = _cells(F.avg_pool2d(features, COARSE), grid)
+    pixels = _cells(features[..., ::COARSE, ::COARSE], grid)
     batch, cells = len(features), grid.rows * grid.columns
     sums = pixels.sum(2).reshape(batch, grid.rows, grid.columns, 7).permute(0, 3, 1, 2)
     for _ in range(iterations):
@@ -172,7 +172,8 @@ def _assign(features: Tensor, centres: Tensor, grid: Grid) -> Tensor:
     chunks = _in_chunks(_tables(centres, grid), _cells(features, grid))
     nearest = torch.cat([_keys(*chunk).amin(1) & 15 for chunk in chunks])
     cells = torch.arange(grid.rows * grid.columns, dtype=torch.int32, device=features.device)
-    move = (nearest // 3 - 1) * grid.columns + nearest % 3 - 1
+    row, column = torch.meshgrid(torch.arange(-1, 2), torch.arange(-1, 2), indexing="ij")
+    move = (row * grid.columns + column).reshape(-1).to(cells)[nearest]
     owner = move.reshape(len(features), len(cells), -1) + cells[:, None]
     blocks = owner.reshape(-1, grid.rows, grid.columns, grid.height, grid.width)
     size = (grid.rows * grid.height, grid.columns * grid.width)
@@ -183,20 +184,20 @@ def connect(labels: Tensor, smallest: float = 1.0) -> Tensor:
     """Make every segment 4-connected and number the segments 0…n-1 in each picture.
 
     labels: integers (B,H,W). Of each label the largest region stays, unless it has fewer
-    than ``smallest`` pixels; every other region joins a settled neighbour (the last one
-    met in reading order), round by round until none is left. Returns int64 (B,H,W).
+    than ``smallest`` pixels; the pixels of every other region join a settled segment that
+    they touch, from its border inwards. Returns int64 (B,H,W).
     """
-    pictures = labels.cpu().numpy().astype(np.int64)
+    pictures = labels.cpu().numpy().astype(np.int32)
     stride = int(pictures.max()) + 1
-    pictures += np.arange(len(pictures))[:, None, None] * stride
+    pictures += np.arange(len(pictures), dtype=np.int32)[:, None, None] * stride
     region, count = _regions(pictures)
     size = np.bincount(region.ravel(), minlength=count)
-    label = np.empty(count, dtype=np.int64)
+    label = np.empty(count, dtype=np.int32)
     label[region.ravel()] = pictures.ravel()
     picture = label // stride
     settled = _largest_of(label, size) & (size >= smallest) | _largest_of(picture, size)
-    number = _numbers_within(picture, settled)[_adopt(region, settled)]
-    return torch.from_numpy(number[region]).to(labels.device)
+    grown = _grow(_numbers_within(picture, settled)[region])
+    return torch.from_numpy(grown).to(labels.device, torch.int64)
 
 
 def _regions(labels: np.ndarray) -> tuple[np.ndarray, int]:
@@ -216,41 +217,35 @@ def _regions(labels: np.ndarray) -> tuple[np.ndarray, int]:
 
 def _largest_of(group: np.ndarray, size: np.ndarray) -> np.ndarray:
     """Whether a region is the largest of its group; the first one where sizes are equal."""
-    order = np.lexsort((-size, group))
-    largest = np.zeros(len(group), dtype=bool)
-    largest[order[np.unique(group[order], return_index=True)[1]]] = True
-    return largest
-
-
-def _adopt(region: np.ndarray, settled: np.ndarray) -> np.ndarray:
-    """For each region the settled region that it becomes part of (itself when settled)."""
-    pairs = [_borders(region[:, :, 1:], region[:, :, :-1]), _borders(region[:, 1:], region[:, :-1])]
-    one, two = np.concatenate(pairs, axis=1)
-    target = np.where(settled, np.arange(len(settled), dtype=np.int32), np.int32(-1))
-    first, second = ~settled[one], ~settled[two]
-    orphan = np.concatenate([one[first], two[second]])
-    adopter = np.concatenate([two[first], one[second]])
-    while (waiting := target[orphan] < 0).any():
-        orphan, adopter = orphan[waiting], adopter[waiting]
-        ready = target[adopter] >= 0
-        target[orphan[ready]] = target[adopter[ready]]
-    return target
-
-
-def _borders(one: np.ndarray, two: np.ndarray) -> np.ndarray:
-    """(2,n): the region numbers on both sides wherever two shifted maps differ."""
-    differ = one != two
-    return np.stack([one[differ], two[differ]])
+    rank = (size + 1) * len(size) - np.arange(len(size))
+    best = np.zeros(group.max() + 1, dtype=rank.dtype)
+    np.maximum.at(best, group, rank)
+    return rank == best[group]
 
 
 def _numbers_within(picture: np.ndarray, settled: np.ndarray) -> np.ndarray:
-    """Settled regions numbered 0…n-1 in each picture, in the order in which they are met."""
+    """Settled regions numbered 0…n-1 in each picture, as they are met; -1 for the others."""
     kept = np.nonzero(settled)[0]
     kept = kept[np.argsort(picture[kept], kind="stable")]
     starts = np.searchsorted(picture[kept], picture[kept])
-    number = np.zeros(len(picture), dtype=np.int64)
+    number = np.full(len(picture), -1, dtype=np.int32)
     number[kept] = np.arange(len(kept)) - starts
     return number
+
+
+def _grow(numbers: np.ndarray) -> np.ndarray:
+    """Fill the pixels -1 of maps (B,H,W) from their 4 neighbours, round by round.
+
+    Each takes the highest number it touches, so that the result does not depend on an order.
+    """
+    framed = np.pad(numbers, ((0, 0), (1, 1), (1, 1)), constant_values=-2)
+    flat, width = framed.reshape(-1), framed.shape[2]
+    empty = np.flatnonzero(flat == -1)
+    while len(empty):
+        beside = [flat[empty + move] for move in (-width, -1, 1, width)]
+        flat[empty] = np.maximum.reduce(beside)
+        empty = empty[flat[empty] < 0]
+    return framed[:, 1:-1, 1:-1]
 
 
 def segment_sum(values: Tensor, labels: Tensor, count: int) -> Tensor:

@@ -30,7 +30,7 @@ class Superpixels(Settings):
 
     pixels: int = Field(default=256, ge=4, le=10**6, description="pixels of one superpixel, about")
     compactness: float = Field(
-        default=0.1, gt=0, le=100, description="weight of distance against colour; high is square"
+        default=0.07, gt=0, le=100, description="weight of distance against colour; high is square"
     )
 
     def cut(self, image: Tensor) -> Tensor:

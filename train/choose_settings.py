@@ -107,8 +107,8 @@ def layout_recalls(frames: list[Frame], settings: LabellerSettings) -> dict[str,
     return {drive: (right[drive] / total[drive]).tolist() for drive in right}
 
 
-def road_maxf(frames: list[Frame], settings: RoadSettings) -> dict[str, list[float]]:
-    """MaxF of road by drive, pixels pooled."""
+def road_f(frames: list[Frame], settings: RoadSettings) -> dict[str, list[float]]:
+    """MaxF of road by drive, pixels pooled, and F at the threshold 0.5 that all drives share."""
     counts: dict[str, Tensor] = {}
     for frame in frames:
         distance = distance_likelihood(frame.distance, settings.reach)
@@ -117,12 +117,13 @@ def road_maxf(frames: list[Frame], settings: RoadSettings) -> dict[str, list[flo
         parts = (frame.truth[:, 3], frame.truth[:, :11].sum(1) - frame.truth[:, 3])
         both = torch.stack([torch.bincount(level, part, minlength=LEVELS) for part in parts])
         counts[frame.drive] = counts.get(frame.drive, 0) + both
-    return {drive: [_maxf(both)] for drive, both in counts.items()}
+    return {drive: _maxf_and_f(both) for drive, both in counts.items()}
 
 
-def _maxf(counts: Tensor) -> float:
+def _maxf_and_f(counts: Tensor) -> list[float]:
     positive, false = counts.flip(1).cumsum(1)
-    return float((2 * positive / (positive + false + positive[-1])).max())
+    f = 2 * positive / (positive + false + positive[-1])
+    return [float(f.max()), float(f[LEVELS // 2 - 1])]
 
 
 Space = dict[str, tuple[float, float]]
@@ -216,7 +217,7 @@ def main() -> None:
         figures_of = layout_recalls
     else:
         start, space = RoadSettings(), ROAD
-        figures_of = road_maxf
+        figures_of = road_f
         for frame in frames:
             frame.layout = segment_layout(frame.segments, LabellerSettings())[:, 2]
     drives = [drive for drive in DRIVES if drive != arguments.held_out]

@@ -1,0 +1,275 @@
+"""Time every stage of the detector ``fusion`` beside its peers, interleaved in one process.
+
+    python scripts/bench.py
+    python scripts/bench.py --picture street.jpg --sizes 640x480,960x720 --rounds 40 --json t.json
+
+Each round runs every contestant once, in an order that moves on by one from round to round;
+figures are medians over the rounds with quartiles. A ratio is the median of the rounds'
+ratios: what slows the whole machine for a while slows both sides of it. The stages are timed
+inside ``detect`` itself, by a stopwatch around the functions that it calls.
+"""
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial, wraps
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+from unittest.mock import patch
+
+import cv2
+import numpy as np
+import skimage
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))  # for the rendered scenes
+
+from roadtorch import detectors, texture, working
+from roadtorch.detectors import load_detector
+from roadtorch.errors import RoadtorchError
+from roadtorch.families import fused
+from roadtorch.image import read_image
+from roadtorch.superpixels import slic
+from roadtorch.torchvision_shim import torchvision
+from tests.scenes import render_scene
+
+STAGES: dict[str, tuple[tuple[ModuleType, str], ...]] = {
+    "check the image": ((detectors, "checked_image"),),
+    "resize to the working size": ((working, "resized"),),
+    "brighten": ((fused, "brightened"),),
+    "superpixels": ((working, "slic"),),
+    "measure": ((fused, "measure_segments"),),
+    "layout": ((fused, "segment_layout"), (fused, "decide_layout")),
+    "texture": ((fused, "unsaturated_uniformity"), (texture, "uniformity_likelihood")),
+    "distance": ((fused, "seed_distance"), (fused, "distance_likelihood")),
+    "road": ((fused, "segment_road"),),
+    "paint": ((fused, "road_place"), (fused, "paint")),
+    "back to full size": ((working, "restored"),),
+    "decide": ((detectors, "decide"),),
+}
+"""The functions that make up each stage, by the module in which ``fusion`` looks them up."""
+
+SEGMENTS = 400
+WARM_UP = 2  # rounds that are not counted
+QUICK = 5  # rounds of --quick
+
+FUSION, LRASPP = "fusion, end to end", "lraspp_mobilenet_v3_large"
+OURS, THEIRS = f"roadtorch slic, {SEGMENTS} segments", f"skimage slic, {SEGMENTS} segments"
+SUM = "sum of the stages"
+RATIOS = {"fusion / lraspp": (FUSION, LRASPP), "skimage slic / our slic": (THEIRS, OURS)}
+
+Round = dict[str, float]
+"""Milliseconds by name: stages and contestants of one round."""
+
+
+class Stopwatch:
+    """Adds up the time of each stage; a call inside a stage belongs to that stage."""
+
+    def __init__(self) -> None:
+        self.times: Round = {}
+        self.inside = False
+
+    def around(self, stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(function)
+        def timed(*arguments: Any, **named: Any) -> Any:
+            if self.inside:
+                return function(*arguments, **named)
+            self.inside = True
+            start = time.perf_counter()
+            try:
+                return function(*arguments, **named)
+            finally:
+                spent = (time.perf_counter() - start) * 1000
+                self.times[stage] = self.times.get(stage, 0.0) + spent
+                self.inside = False
+
+        return timed
+
+
+@contextmanager
+def stopwatch() -> Iterator[Round]:
+    """Within the block, every stage of ``fusion`` adds its milliseconds to the result."""
+    watch = Stopwatch()
+    with ExitStack() as stack:
+        for stage, functions in STAGES.items():
+            for module, name in functions:
+                timed = watch.around(stage, getattr(module, name))
+                stack.enter_context(patch.object(module, name, timed))
+        yield watch.times
+
+
+def time_stages(detect: Callable[[Tensor], Any], image: Tensor) -> Round:
+    """Milliseconds of each stage in one ``detect``; RuntimeError if a stage did not run."""
+    with stopwatch() as times:
+        detect(image)
+    if missing := STAGES.keys() - times.keys():
+        raise RuntimeError(f"fusion no longer calls the functions of {', '.join(sorted(missing))}")
+    return {stage: times[stage] for stage in STAGES} | {SUM: sum(times.values())}
+
+
+def time_call(name: str, call: Callable[[], Any]) -> Round:
+    start = time.perf_counter()
+    call()
+    return {name: (time.perf_counter() - start) * 1000}
+
+
+def contestants(image: Tensor) -> list[Callable[[], Round]]:
+    """What is timed once a round: the stages, ``fusion`` as users call it, and the peers."""
+    torch.manual_seed(0)
+    network = torchvision.models.segmentation.lraspp_mobilenet_v3_large(
+        weights=None, weights_backbone=None
+    ).eval()
+    detect = load_detector("fusion").detect
+    rows = np.ascontiguousarray(image.permute(1, 2, 0).numpy())
+
+    @torch.inference_mode()
+    def lraspp() -> Any:
+        return network(image[None])
+
+    skimage_slic = partial(skimage.segmentation.slic, rows, SEGMENTS, compactness=10)
+    return [
+        partial(time_stages, detect, image),
+        partial(time_call, FUSION, partial(detect, image)),
+        partial(time_call, LRASPP, lraspp),
+        partial(time_call, OURS, partial(slic, image, SEGMENTS)),
+        partial(time_call, THEIRS, skimage_slic),
+    ]
+
+
+def run_rounds(image: Tensor, rounds: int, title: str) -> list[Round]:
+    """The counted rounds; each begins with the next contestant in turn."""
+    calls = contestants(image)
+    counted = []
+    for number in tqdm(range(WARM_UP + rounds), title, leave=False, file=sys.stderr):
+        turn = number % len(calls)
+        times: Round = {}
+        for call in calls[turn:] + calls[:turn]:
+            times |= call()
+        if number >= WARM_UP:
+            counted.append(times)
+    return counted
+
+
+def spread(values: list[float]) -> dict[str, float]:
+    """Median and quartiles."""
+    low, high = np.percentile(values, [25, 75])
+    return {"median": statistics.median(values), "low": float(low), "high": float(high)}
+
+
+def summary(rounds: list[Round]) -> dict[str, dict[str, dict[str, float]]]:
+    """Milliseconds of everything timed, and the ratios, over all rounds."""
+    names = [*STAGES, SUM, FUSION, LRASPP, OURS, THEIRS]
+    return {
+        "ms": {name: spread([times[name] for times in rounds]) for name in names},
+        "ratios": {
+            name: spread([times[over] / times[under] for times in rounds])
+            for name, (over, under) in RATIOS.items()
+        },
+    }
+
+
+def table(size: str, figures: dict[str, dict[str, dict[str, float]]]) -> str:
+    """The figures of one size as a Markdown table."""
+    lines = [f"| {size} | median | quartiles |", "|---|---:|---:|"]
+    for key, unit, digits in (("ms", " ms", 1), ("ratios", "", 2)):
+        for name, value in figures[key].items():
+            median, low, high = (f"{value[part]:.{digits}f}" for part in ("median", "low", "high"))
+            lines.append(f"| {name} | {median}{unit} | {low} – {high} |")
+    return "\n".join(lines)
+
+
+def machine() -> dict[str, Any]:
+    """What the figures depend on besides the code."""
+    return {
+        "cores": cores(),
+        "architecture": platform.machine(),
+        "python": platform.python_version(),
+        "torch": torch.__version__,
+        "torch threads": torch.get_num_threads(),
+        "opencv threads": cv2.getNumThreads(),
+        "torchvision": torchvision.__version__,
+        "scikit-image": skimage.__version__,
+        "commit": commit(),
+    }
+
+
+def cores() -> int | None:
+    """Cores this process may use; where the system does not tell, all there are."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+
+
+def commit() -> str | None:
+    """The commit of the code, ``+`` where files differ from it; None without git."""
+    command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty=+", "--exclude=*"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return done.stdout.strip()
+
+
+def sizes(text: str) -> list[tuple[int, int]]:
+    """``640x480,960x720`` → [(640, 480), (960, 720)]: width and height, each at least 16."""
+    try:
+        pairs = [tuple(map(int, part.split("x"))) for part in text.split(",")]
+    except ValueError:
+        pairs = []
+    if not pairs or any(len(pair) != 2 or min(pair) < 16 for pair in pairs):
+        raise argparse.ArgumentTypeError(f"{text}: give sizes from 16x16 up, such as 640x480")
+    return [(width, height) for width, height in pairs]
+
+
+def positive(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text}: give a whole number from 1 up")
+    return int(text)
+
+
+def picture_at(path: Path | None, width: int, height: int) -> Tensor:
+    """The given picture at this size, or a rendered street."""
+    if path is None:
+        return render_scene(0, height, width).image
+    return working.resized(read_image(path), (height, width)).clamp(0, 1)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--picture", type=Path, help="a street picture (default: a rendered one)")
+    parser.add_argument("--sizes", type=sizes, default="640x480,960x720", help="width x height, …")
+    parser.add_argument("--rounds", type=positive, default=20, help="counted rounds")
+    parser.add_argument("--threads", type=positive, default=2)
+    parser.add_argument("--json", type=Path, help="write all figures to this file")
+    parser.add_argument("--quick", action="store_true", help=f"{QUICK} rounds: under a minute")
+    given = parser.parse_args()
+    torch.set_num_threads(given.threads)
+    cv2.setNumThreads(given.threads)
+    results: dict[str, Any] = {"machine": machine(), "sizes": {}}
+    print(", ".join(f"{name}: {value}" for name, value in results["machine"].items()))
+    rounds = QUICK if given.quick else given.rounds
+    for width, height in given.sizes:
+        size = f"{width}x{height}"
+        try:
+            image = picture_at(given.picture, width, height)
+        except RoadtorchError as problem:
+            parser.error(str(problem))
+        counted = run_rounds(image, rounds, size)
+        figures = summary(counted)
+        results["sizes"][size] = figures | {"rounds": counted}
+        print(f"\n{table(size, figures)}", flush=True)
+    if given.json:
+        given.json.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
