@@ -12,7 +12,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from roadtorch.errors import unknown_name
+from roadtorch.errors import InputError, unknown_name
 
 LUMA = (0.299, 0.587, 0.114)
 """Rec. 601: what OpenCV, Pillow and MATLAB call grey."""
@@ -56,13 +56,21 @@ class Channels:
 
     @cached_property
     def lab_roots(self) -> tuple[Tensor, Tensor, Tensor]:
-        """CIE f(X/Xn), f(Y/Yn), f(Z/Zn): cube roots with a straight piece near black."""
-        linear = _linear(self.image)
-        matrix = torch.tensor(XYZ_OF_RGB, dtype=linear.dtype, device=linear.device)
-        xyz = (matrix @ linear.flatten(-2)).reshape(linear.shape)
-        roots = torch.where(xyz > 216 / 24389, _power(xyz, 1 / 3), xyz * (841 / 108) + 4 / 29)
-        x, y, z = roots.unbind(-3)
-        return x, y, z
+        """CIE f(X/Xn), f(Y/Yn), f(Z/Zn)."""
+        # One plane at a time, as the last pixels of a tensor may be rounded differently.
+        red, green, blue = (_linear(plane) for plane in (self.red, self.green, self.blue))
+        red, blue = red - green, blue - green
+        # Rows sum to 1, so this is M·RGB; written thus, grey has X = Y = Z to the bit.
+        x, y, z = (
+            green.add(red, alpha=of_red).add_(blue, alpha=of_blue)
+            for of_red, _, of_blue in XYZ_OF_RGB
+        )
+        return _root(x), _root(y), _root(z)
+
+
+def _root(light: Tensor) -> Tensor:
+    """CIE f: the cube root, with a straight piece near black."""
+    return torch.where(light > 216 / 24389, _power(light, 1 / 3), light * (841 / 108) + 4 / 29)
 
 
 def _linear(image: Tensor) -> Tensor:
@@ -76,7 +84,8 @@ def _power(base: Tensor, exponent: float) -> Tensor:
 
 
 def _over_total(channels: Channels, values: Tensor) -> Tensor:
-    return torch.where(channels.total > 0, values / channels.total, 1 / 3)
+    """values / (R+G+B); written so that 3 · grey / (grey + grey + grey) is 1 to the bit."""
+    return torch.where(channels.total > 0, 3 * values / channels.total, 1).div_(3).clamp_max_(1)
 
 
 def _hue(channels: Channels) -> Tensor:
@@ -153,8 +162,11 @@ def planes(image: Tensor, names: Sequence[str]) -> Tensor:
     """The named planes of an image (…,3,H,W) in [0,1]: (…,N,H,W), dtype and device kept.
 
     Ranges and formulas are those of ``PLANES``. P2 section 6.2, P3 section III. Raises
-    ConfigError for an unknown name.
+    ConfigError for an unknown name, InputError for an image of other than 3 channels.
     """
+    if image.ndim < 3 or image.shape[-3] != 3:
+        what = f"has the shape {tuple(image.shape)}"
+        raise InputError("image", what, "give RGB as (…, 3, height, width)")
     for name in names:
         if name not in PLANES:
             raise unknown_name("plane", name, PLANES)

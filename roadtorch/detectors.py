@@ -172,7 +172,7 @@ def _add(entries: dict[str, Entry], entry: Entry) -> None:
 
 @cache
 def _catalogue() -> dict[str, Entry]:
-    # families.py needs Entry from this module, hence the late import.
+    # The families need Entry from this module, hence the late import.
     from roadtorch.families import ENTRIES
 
     entries: dict[str, Entry] = {}

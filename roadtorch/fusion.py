@@ -18,6 +18,13 @@ from roadtorch.settings import Settings
 SUREST = 1e-4
 """Likelihoods count as at least this far from 0 and 1: no cue alone can veto the others."""
 
+FAINTEST = 0.0034
+"""Added to the contrast of a faint border (Lab/100): in a clean picture less is no edge either."""
+
+STRONGEST_LOOK = 3.0
+"""The look says at most this much (log odds): paint on the road looks like nothing else on it,
+and what surrounds it must be able to say so."""
+
 
 class RoadPlace(Settings):
     """Where the road tends to be: a soft triangle. Shares of the picture's height and width."""
@@ -47,7 +54,7 @@ class Weights(Settings):
     )
     look: float = Field(default=2.0, ge=0, le=10, description="the look learned in this picture")
     neighbours: float = Field(
-        default=4.6, ge=0, le=10, description="what the neighbouring segments are"
+        default=6.0, ge=0, le=10, description="what the neighbouring segments are"
     )
 
 
@@ -57,15 +64,15 @@ class RoadSettings(Settings):
     place: RoadPlace = RoadPlace()
     weights: Weights = Weights()
     reach: float = Field(
-        default=0.05,
+        default=1.7,
         gt=0,
-        le=100,
-        description="sum of contrasts on the way (Lab/100) that leaves it open",
+        le=1000,
+        description="faint borders on the way from the seed area that leave it open",
     )
     bandwidths: Bandwidths = Bandwidths(
         lightness=0.085, chroma=0.01, gradient=0.07, contrast=0.9, row=0.1, column=3.0
     )
-    bias: float = Field(default=-2.2, ge=-20, le=20, description="log odds of road before any cue")
+    bias: float = Field(default=-1.8, ge=-20, le=20, description="log odds of road before any cue")
     temperature: float = Field(default=6.0, gt=0, le=100, description="divides the final log odds")
     rounds: int = Field(
         default=4, ge=0, le=100, description="rounds of learning the look of the road"
@@ -99,11 +106,15 @@ def seed_distance(segments: Segments, seed: SeedArea) -> Tensor:
     """Distance (n,) of each segment from those of the seed area, along the picture.
 
     The least sum of the contrasts of the borders crossed on the way: a kerb or a painted line
-    must be crossed somewhere even where both sides have the same colour. Ours, after the
-    geodesic distances of interactive segmentation.
+    must be crossed somewhere even where both sides have the same colour. The unit is a faint
+    border of this picture (the lower quartile), so that grain does not count. Ours, after
+    the geodesic distances of interactive segmentation.
     """
+    steps = segments.contrast_between
+    if len(steps):
+        steps = steps / (steps.quantile(0.25) + FAINTEST)
     sources = seed_segments(segments.labels, seed)
-    return distances(segments.pairs, segments.contrast_between, sources, len(segments.size))
+    return distances(segments.pairs, steps, sources, len(segments.size))
 
 
 def distance_likelihood(distance: Tensor, reach: float) -> Tensor:
@@ -131,7 +142,7 @@ def segment_road(
     for _ in range(settings.rounds):
         belief = score.sigmoid()
         density = class_log_density(alike, torch.stack([belief, 1 - belief], 1), segments.size)
-        look = density[:, 0] - density[:, 1]
+        look = (density[:, 0] - density[:, 1]).clamp(-STRONGEST_LOOK, STRONGEST_LOOK)
         score = known + weights.look * look + weights.neighbours * (around @ (2 * belief - 1))
     return (score / settings.temperature).sigmoid()
 

@@ -8,6 +8,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
+from roadtorch.errors import ConfigError
 from roadtorch.settings import Settings
 
 FRAME = (240, 320)
@@ -71,8 +72,10 @@ def squares(height: int, width: int, size: int) -> Tensor:
     """Cut a picture into squares of ``size`` pixels: int64 labels (H,W), 0…n-1 by rows.
 
     The squares at the right and the bottom edge are cut off there. P2, section 4 ("fixed
-    square regions").
+    square regions"). Raises ConfigError for a size below 1.
     """
+    if size < 1:
+        raise ConfigError("size", f"{size} was given", "give squares of 1 pixel or more")
     across = -(-width // size)
     rows = torch.arange(height) // size
     return rows[:, None] * across + torch.arange(width) // size
@@ -86,13 +89,13 @@ def remove_isolated(mask: Tensor, rows: slice, columns: slice) -> Tensor:
     """
     pixels = np.ascontiguousarray(mask.cpu().numpy(), dtype=np.uint8)
     count, found = cv2.connectedComponents(pixels, connectivity=4)
-    regions = np.asarray(found, dtype=np.int64)
+    regions = np.asarray(found, dtype=np.int32)
     kept = np.zeros(count, dtype=bool)
     kept[regions[rows, columns]] = True
     kept[0] = False  # the background
     if not kept.any():
         return mask
-    return torch.from_numpy(kept[regions]).to(mask.device)
+    return torch.from_numpy(kept.take(regions)).to(mask.device)
 
 
 def seed_segments(labels: Tensor, seed: SeedArea | None = None) -> Tensor:

@@ -29,6 +29,7 @@ RESULTS = (".likelihood.png", ".mask.png", ".overlay.jpg")  # ours; never pictur
 # Okabe and Ito, "Color Universal Design" (2008): told apart with every kind of colour vision.
 SKY_BLUE = (86, 180, 233)
 ORANGE = (230, 159, 0)
+LAYOUT_COLOURS = (SKY_BLUE, (213, 94, 0), (0, 158, 115))  # sky, vertical, horizontal
 TINT = 0.5  # share of the tint's colour inside the mask; ours: the road's texture stays visible
 OUTLINE = 1 / 240  # the outline's width as a share of the shorter side; ours
 JPEG_OPTIONS = (cv2.IMWRITE_JPEG_QUALITY, 92)
@@ -301,7 +302,7 @@ def write_labels(path: str | os.PathLike[str], labels: Tensor) -> None:
 
 def write_colours(path: str | os.PathLike[str], image: Tensor) -> None:
     """Write an image (3,H,W) in [0,1] as 8-bit RGB PNG."""
-    _write_encoded(path, ".png", _to_bytes(image)[..., ::-1])
+    _write_encoded(path, ".png", to_pixels(image)[..., ::-1])
 
 
 def write_overlay(path: str | os.PathLike[str], image: Tensor, mask: Tensor) -> None:
@@ -310,13 +311,13 @@ def write_overlay(path: str | os.PathLike[str], image: Tensor, mask: Tensor) -> 
     Inside is tinted sky blue, the border is drawn orange on a dark rim, so that it
     shows on pale and on dark road, in colour and in grey print.
     """
-    pixels = tint_mask(_to_bytes(image), mask.cpu().numpy())
+    pixels = tint_mask(to_pixels(image), mask.cpu().numpy())
     _write_encoded(path, ".jpg", pixels[..., ::-1], *JPEG_OPTIONS)
 
 
 def write_jpeg(path: str | os.PathLike[str], image: Tensor) -> None:
     """Write an image (3,H,W) in [0,1] as JPEG, for looking at."""
-    _write_encoded(path, ".jpg", _to_bytes(image)[..., ::-1], *JPEG_OPTIONS)
+    _write_encoded(path, ".jpg", to_pixels(image)[..., ::-1], *JPEG_OPTIONS)
 
 
 def write_npy(path: str | os.PathLike[str], values: Tensor) -> None:
@@ -329,6 +330,12 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write UTF-8 text with the line ends as they are."""
     with atomic(path) as temporary:
         temporary.write_bytes(text.encode())
+
+
+def layout_colours(labels: Tensor) -> Tensor:
+    """Layout labels (H,W) as an image (3,H,W); what is not sky, vertical or horizontal is black."""
+    table = torch.tensor([*LAYOUT_COLOURS, (0, 0, 0)]) / 255
+    return table[labels.long().clamp(max=len(LAYOUT_COLOURS))].permute(2, 0, 1)
 
 
 def tint_mask(pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:
@@ -346,9 +353,10 @@ def tint_mask(pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return result
 
 
-def _to_bytes(image: Tensor) -> np.ndarray:
+def to_pixels(image: Tensor) -> np.ndarray:
     """An image (3,H,W) in [0,1] as uint8 (H,W,3)."""
-    return image.detach().mul(255).round().to(torch.uint8).permute(1, 2, 0).cpu().numpy()
+    pixels = image.detach().mul(255).round_().to(torch.uint8)
+    return pixels.permute(1, 2, 0).contiguous().cpu().numpy()
 
 
 def _write_encoded(

@@ -22,6 +22,10 @@ STRONGEST = 0.3
 DARKEST = 1e-4
 """Pixels count as at least this bright, so that black stays nearly black under any gamma."""
 
+LIGHTNESS_SHARE = 0.3
+"""Weight of lightness against a and b in the contrast of a border: the edge of a shadow changes
+mostly lightness, that of a verge colour too."""
+
 RAREST = 1e-8
 """The least density: a segment like no other keeps its prior."""
 
@@ -80,7 +84,7 @@ class Segments:
     pairs: Tensor
     """int64 (2,E): segments that share a border, each pair once."""
     contrast_between: Tensor
-    """(E,): mean length of the gradient of Lab/100 along the border of each pair."""
+    """(E,): mean of ``border_contrast`` along the border of each pair."""
 
 
 def measure_segments(image: Tensor, labels: Tensor) -> Segments:
@@ -93,10 +97,21 @@ def measure_segments(image: Tensor, labels: Tensor) -> Segments:
     gradient = gradient_length(lab)
     maps = [lab, lab[:1].square(), gradient[:1], rows[None], columns[None]]
     mean = segment_mean(torch.cat(maps), labels, count)
-    pairs, between = borders(labels, gradient.norm(dim=0))
+    pairs, between = borders(labels, border_contrast(lab))
     size = torch.bincount(labels.reshape(-1), minlength=count).to(image) / labels.numel()
-    contrast = (mean[3] - mean[0].square()).clamp_min(0).sqrt()
-    return Segments(labels, mean[:3], mean[4], contrast, mean[5], mean[6], size, pairs, between)
+    deviation = (mean[3] - mean[0].square()).clamp_min(0).sqrt()
+    return Segments(labels, mean[:3], mean[4], deviation, mean[5], mean[6], size, pairs, between)
+
+
+def border_contrast(lab: Tensor) -> Tensor:
+    """How much a pixel looks like a border, (H,W): gradient of Lab/100 (3,H,W), less noise.
+
+    The mean of 3×3 pixels goes first, against sensor noise; lightness counts by
+    ``LIGHTNESS_SHARE``.
+    """
+    smooth = F.avg_pool2d(F.pad(lab[None], (1, 1, 1, 1), mode="replicate"), 3, stride=1)[0]
+    gradient = gradient_length(smooth)
+    return torch.hypot(LIGHTNESS_SHARE * gradient[0], torch.hypot(gradient[1], gradient[2]))
 
 
 def gradient_length(planes: Tensor) -> Tensor:

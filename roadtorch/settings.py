@@ -42,7 +42,14 @@ def _first_mistake(kind: type[Settings], problem: pydantic.ValidationError) -> C
         known = [".".join([*path[:-1], name]) for name in _fields_at(kind, path[:-1])]
         return unknown_name("setting", key, known)
     given = f"{error['input']!r} was given"
-    return ConfigError(key, given, error["msg"][0].lower() + error["msg"][1:])
+    if error["type"] == "model_type":
+        known = ", ".join(_fields_at(kind, path))
+        return ConfigError(key, f"{given} for a group of settings", f"set one of its keys: {known}")
+    told = getattr(error.get("ctx", {}).get("error"), "args", ())
+    if told and isinstance(told[0], ConfigError):  # a validator's own words
+        return ConfigError(key, f"{told[0].what} {error['input']!r}", told[0].remedy)
+    message = error["msg"].removeprefix("Value error, ")
+    return ConfigError(key, given, message[0].lower() + message[1:])
 
 
 def _fields_at(kind: type[pydantic.BaseModel], path: list[str]) -> list[str]:
@@ -92,7 +99,10 @@ def read_settings_file(path: Path) -> dict[str, Any]:
     """The nested values of a TOML file; InputError when it cannot be read or parsed."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as problem:
-        raise InputError(path, f"cannot be read: {problem}", "give a TOML file") from None
+    except OSError as problem:
+        what = f"cannot be read: {problem.strerror}"
+        raise InputError(path, what, "give a TOML file") from None
+    except UnicodeDecodeError:
+        raise InputError(path, "is not UTF-8 text", "give a TOML file") from None
     except tomllib.TOMLDecodeError as problem:
         raise ConfigError(path, f"is not TOML: {problem}", "mend that line") from None

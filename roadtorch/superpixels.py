@@ -249,9 +249,12 @@ def _grow(numbers: np.ndarray) -> np.ndarray:
 
 
 def segment_sum(values: Tensor, labels: Tensor, count: int) -> Tensor:
-    """Sum of values (C,H,W) over each of ``count`` segments of labels (H,W): (C,count)."""
+    """Sum of values (C,H,W) over each of ``count`` segments of labels (H,W): (C,count).
+
+    Added up in float64: a large segment would lose what a pixel adds to it.
+    """
     index = labels.reshape(-1)
-    flat = values.reshape(values.shape[0], -1)
+    flat = values.reshape(values.shape[0], -1).to(torch.float64)
     sums = [torch.bincount(index, weights=channel, minlength=count) for channel in flat]
     return torch.stack(sums).to(values.dtype)
 
@@ -283,7 +286,7 @@ def segment_histogram(
     levels: int64 (H,W) in 0…bins-1. weight: (H,W) or None; pixels with weight 0 do not count.
     """
     index = labels.reshape(-1) * bins + levels.reshape(-1)
-    weights = None if weight is None else weight.reshape(-1).to(torch.float32)
+    weights = None if weight is None else weight.reshape(-1).to(torch.float64)
     counts = torch.bincount(index, weights=weights, minlength=count * bins)
     return counts.reshape(count, bins).to(torch.float32)
 

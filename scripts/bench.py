@@ -4,9 +4,12 @@
     python scripts/bench.py --picture street.jpg --sizes 640x480,960x720 --rounds 40 --json t.json
 
 Each round runs every contestant once, in an order that moves on by one from round to round;
-figures are medians over the rounds with quartiles. A ratio is the median of the rounds'
-ratios: what slows the whole machine for a while slows both sides of it. The stages are timed
-inside ``detect`` itself, by a stopwatch around the functions that it calls.
+figures are medians over the rounds with quartiles, and the fastest round. A ratio is the
+median of the rounds' ratios: what slows the whole machine for a while slows both sides of it.
+Other work on the same cores does not: threads that wait for one another suffer far more than
+code on one thread. On a busy machine only the fastest rounds say something.
+
+The stages are timed inside ``detect`` itself, by a stopwatch around the functions it calls.
 """
 
 import argparse
@@ -20,6 +23,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial, wraps
+from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -32,8 +36,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))  # for the rendered scenes
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the rendered scenes
 
 from roadtorch import detectors, texture, working
 from roadtorch.detectors import load_detector
@@ -168,24 +171,34 @@ def spread(values: list[float]) -> dict[str, float]:
 
 
 def summary(rounds: list[Round]) -> dict[str, dict[str, dict[str, float]]]:
-    """Milliseconds of everything timed, and the ratios, over all rounds."""
+    """Milliseconds of everything timed, and the ratios, over all rounds.
+
+    The fastest of a ratio is that of the two fastest times, not the smallest ratio.
+    """
+    columns = {name: [times[name] for times in rounds] for name in rounds[0]}
+    fastest = {name: min(values) for name, values in columns.items()}
     names = [*STAGES, SUM, FUSION, LRASPP, OURS, THEIRS]
+    ratios = {
+        name: spread([times[over] / times[under] for times in rounds])
+        | {"fastest": fastest[over] / fastest[under]}
+        for name, (over, under) in RATIOS.items()
+    }
     return {
-        "ms": {name: spread([times[name] for times in rounds]) for name in names},
-        "ratios": {
-            name: spread([times[over] / times[under] for times in rounds])
-            for name, (over, under) in RATIOS.items()
-        },
+        "ms": {name: spread(columns[name]) | {"fastest": fastest[name]} for name in names},
+        "ratios": ratios,
     }
 
 
 def table(size: str, figures: dict[str, dict[str, dict[str, float]]]) -> str:
     """The figures of one size as a Markdown table."""
-    lines = [f"| {size} | median | quartiles |", "|---|---:|---:|"]
+    lines = [f"| {size} | median | quartiles | fastest |", "|---|---:|---:|---:|"]
     for key, unit, digits in (("ms", " ms", 1), ("ratios", "", 2)):
         for name, value in figures[key].items():
-            median, low, high = (f"{value[part]:.{digits}f}" for part in ("median", "low", "high"))
-            lines.append(f"| {name} | {median}{unit} | {low} – {high} |")
+            shown = {part: f"{number:.{digits}f}" for part, number in value.items()}
+            lines.append(
+                f"| {name} | {shown['median']}{unit} | {shown['low']} – {shown['high']} "
+                f"| {shown['fastest']} |"
+            )
     return "\n".join(lines)
 
 
@@ -193,13 +206,14 @@ def machine() -> dict[str, Any]:
     """What the figures depend on besides the code."""
     return {
         "cores": cores(),
+        "load before": round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None,
         "architecture": platform.machine(),
         "python": platform.python_version(),
         "torch": torch.__version__,
         "torch threads": torch.get_num_threads(),
         "opencv threads": cv2.getNumThreads(),
         "torchvision": torchvision.__version__,
-        "scikit-image": skimage.__version__,
+        "scikit-image": version("scikit-image"),
         "commit": commit(),
     }
 
@@ -211,7 +225,8 @@ def cores() -> int | None:
 
 def commit() -> str | None:
     """The commit of the code, ``+`` where files differ from it; None without git."""
-    command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty=+", "--exclude=*"]
+    root = str(Path(__file__).resolve().parents[1])
+    command = ["git", "-C", root, "describe", "--always", "--dirty=+", "--exclude=*"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):

@@ -5,8 +5,8 @@
 What is measured, as means over the pictures:
 
 segments           how many come out; scikit-image returns fewer than asked for, so its rows
-                   stand at the asked number and, "matched", at the asked number that makes
-                   about as many as roadtorch returns
+                   stand at the asked number and, "matched", at the least asked number (nearly)
+                   that makes it return no fewer than roadtorch does
 boundary recall    share of the true boundary's pixels with a segment boundary at most two
                    rows and two columns away
 undersegmentation  Neubert and Protzel, "Superpixel Benchmark and Comparison", Forum
@@ -24,6 +24,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from inspect import signature
 from pathlib import Path
 from typing import NamedTuple
 
@@ -40,9 +41,9 @@ from roadtorch.superpixels import slic
 
 TOLERANCE = 2  # pixels
 VOID = 11
-OUR_COMPACTNESS = (0.05, 0.2, 0.4)  # beside the default
+OUR_COMPACTNESS = (0.05, 0.1, 0.2)  # beside the default
 THEIR_COMPACTNESS = (10.0, 20.0)
-TRIES = 5  # at the asked number that gives as many segments
+HALVINGS = 5  # of the interval in which the matching number is sought
 
 Cut = Callable[[Tensor], np.ndarray]
 """An image (3,H,W) → segment numbers (H,W)."""
@@ -123,8 +124,8 @@ def mean_quality(cut: Cut, pictures: Sequence[Picture]) -> Quality:
     )
 
 
-def our_cut(image: Tensor, segments: int, **options: float) -> np.ndarray:
-    return slic(image, segments, **options).numpy()
+def our_cut(image: Tensor, segments: int, compactness: float) -> np.ndarray:
+    return slic(image, segments, compactness).numpy()
 
 
 def their_cut(image: Tensor, segments: int, compactness: float) -> np.ndarray:
@@ -135,21 +136,26 @@ def their_cut(image: Tensor, segments: int, compactness: float) -> np.ndarray:
 def matching_number(
     compactness: float, segments: int, wanted: float, pictures: Sequence[Picture]
 ) -> int:
-    """The asked number, of a few tried, with which scikit-image returns about ``wanted``."""
-    asked, tried = segments, {}
-    for _ in range(TRIES):
-        counts = [len(np.unique(their_cut(one.image, asked, compactness))) for one in pictures]
-        tried[asked] = float(np.mean(counts))
-        asked = max(1, round(asked * wanted / tried[asked]))
-        if asked in tried:
-            break
-    return min(tried, key=lambda number: abs(tried[number] - wanted))
+    """The least asked number, nearly, with which scikit-image returns ``wanted`` or more."""
+
+    def too_few(asked: int) -> bool:
+        cuts = (their_cut(picture.image, asked, compactness) for picture in pictures)
+        return float(np.mean([len(np.unique(labels)) for labels in cuts])) < wanted
+
+    low, high = 0, segments
+    while too_few(high):
+        low, high = high, 2 * high
+    for _ in range(HALVINGS):
+        middle = (low + high + 1) // 2
+        low, high = (middle, high) if too_few(middle) else (low, middle)
+    return high
 
 
 def compare(pictures: Sequence[Picture], segments: int) -> list[Row]:
     """All rows: ours at the default and other settings, theirs as asked and matched."""
-    default = mean_quality(partial(our_cut, segments=segments), pictures)
-    rows = [Row("roadtorch", "default", segments, default)]
+    default = mean_quality(lambda image: slic(image, segments).numpy(), pictures)
+    own = signature(slic).parameters["compactness"].default
+    rows = [Row("roadtorch", f"{own:g} (default)", segments, default)]
     for value in OUR_COMPACTNESS:
         cut = partial(our_cut, segments=segments, compactness=value)
         rows.append(Row("roadtorch", f"{value:g}", segments, mean_quality(cut, pictures)))

@@ -1,11 +1,14 @@
 """What holds for every test: no network, settled randomness, two threads."""
 
+import os
 import socket
 from pathlib import Path
 from typing import Any
 
 import hypothesis
 import pytest
+
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does, before torch
 import torch
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"

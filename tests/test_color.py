@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from skimage.color import rgb2lab
 
 from roadtorch.color import PLANES, REPRESENTATIONS, plane, planes
-from roadtorch.errors import ConfigError
+from roadtorch.errors import ConfigError, InputError
 from tests.reference.color import planes_of_pixel
 
 CORNERS = list(itertools.product((0.0, 1.0), repeat=3))
@@ -193,3 +193,21 @@ def test_the_representations_are_thirteen_planes_and_six_combinations():
 def test_an_unknown_plane_names_the_nearest():
     with pytest.raises(ConfigError, match=r"nrr: unknown plane .*nr"):
         planes(random_image(), ("R", "nrr"))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("size", [(1, 1), (3, 5), (241, 323)])
+@pytest.mark.parametrize("name", ["nr", "ng", "O1", "O2", "a", "b", "H", "S"])
+def test_chromatic_planes_of_grey_pictures_are_constant_to_the_bit(name, size, dtype):
+    grey = torch.rand(1, *size, generator=torch.Generator().manual_seed(2), dtype=dtype)
+
+    values = plane(grey.expand(3, -1, -1).contiguous(), name)
+
+    expected = torch.tensor(1 / 3 if name in ("nr", "ng") else 0, dtype=dtype)
+    assert torch.equal(values, expected.expand(size))
+
+
+@pytest.mark.parametrize("shape", [(4, 20, 20), (20, 20, 3), (20, 20), (3,)])
+def test_only_images_of_three_channels_have_planes(shape):
+    with pytest.raises(InputError, match=r"image: has the shape .* \(give RGB as"):
+        planes(torch.zeros(shape), ["R", "S"])

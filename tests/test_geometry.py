@@ -1,17 +1,20 @@
-"""Seed area, priors, squares and isolated regions."""
+"""Seed area, priors, squares, isolated regions and distances over segments."""
 
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from roadtorch.errors import ConfigError
 from roadtorch.geometry import (
     SeedArea,
+    distances,
     prior_rows,
     prior_triangle,
     prior_uniform,
     remove_isolated,
     seed_area,
+    seed_segments,
     squares,
 )
 
@@ -127,3 +130,98 @@ def test_the_mask_handed_in_is_not_changed():
     remove_isolated(mask, *BOTTOM)
 
     assert torch.equal(mask, before)
+
+
+# --- segments of the seed area ------------------------------------------------------------
+
+
+def test_segments_with_half_of_their_pixels_in_the_seed_area_are_road():
+    labels = squares(240, 320, 30)  # the seed area is rows 210…239 and columns 120…199
+
+    found = seed_segments(labels)
+
+    # Columns 120, 150 lie inside; of column 180, 20 of 30 pixels do.
+    assert found.tolist() == [7 * 11 + 4, 7 * 11 + 5, 7 * 11 + 6]
+    assert found.dtype == torch.int64
+
+
+def test_a_segment_mostly_outside_does_not_belong_to_the_seed_area():
+    labels = torch.zeros(240, 320, dtype=torch.int64)
+    labels[210:, 120:190] = 1
+    labels[100:, 190:] = 2
+
+    assert seed_segments(labels).tolist() == [1]
+
+
+def test_without_a_segment_half_inside_the_one_that_fills_most_of_the_seed_area_is_taken():
+    labels = (torch.arange(320) >= 170).long().expand(240, 320)
+
+    assert seed_segments(labels).tolist() == [0]  # 50 columns of 80
+
+
+@given(
+    st.integers(16, 60),
+    st.integers(16, 60),
+    st.integers(1, 70),
+    st.integers(1, 240),
+    st.integers(1, 320),
+)
+def test_there_is_always_a_seed_segment_and_each_is_in_the_seed_area(
+    height, width, size, tall, wide
+):
+    labels, seed = squares(height, width, size), SeedArea(height=tall, width=wide)
+
+    found = seed_segments(labels, seed)
+
+    assert len(found) >= 1
+    assert set(found.tolist()) <= set(labels[seed_area(height, width, seed)].flatten().tolist())
+
+
+# --- distances ----------------------------------------------------------------------------
+
+
+@st.composite
+def graphs(draw):
+    """Pairs (2,E), each once, steps (E,), some of them 0, sources (k,), and how many nodes."""
+    count = draw(st.integers(1, 9))
+    every = [(one, two) for one in range(count) for two in range(one + 1, count)]
+    pairs = draw(st.lists(st.sampled_from(every), unique=True)) if every else []
+    step = st.sampled_from([0.0, 1e-6, 0.5, 1.0, 2.5, 40.0])
+    steps = draw(st.lists(step, min_size=len(pairs), max_size=len(pairs)))
+    nodes = st.integers(0, count - 1)
+    sources = draw(st.lists(nodes, min_size=1, max_size=3, unique=True))
+    edges = torch.tensor(pairs, dtype=torch.int64).reshape(-1, 2).T
+    return edges, torch.tensor(steps), torch.tensor(sources), count
+
+
+@given(graphs())
+def test_distances_are_those_of_bellman_and_ford(graph):
+    pairs, steps, sources, count = graph
+
+    found = distances(pairs, steps, sources, count)
+
+    wanted = [0.0 if node in sources.tolist() else float("inf") for node in range(count)]
+    for _ in range(count):
+        for (one, two), step in zip(pairs.T.tolist(), steps.tolist(), strict=True):
+            wanted[two] = min(wanted[two], wanted[one] + step)
+            wanted[one] = min(wanted[one], wanted[two] + step)
+    torch.testing.assert_close(found, torch.tensor(wanted), atol=1e-6, rtol=1e-6)
+
+
+def test_a_way_round_may_be_shorter():
+    pairs, steps = torch.tensor([[0, 1, 0], [1, 2, 2]]), torch.tensor([1.0, 1.0, 5.0])
+
+    found = distances(pairs, steps, torch.tensor([0]), 4)
+
+    assert found.tolist() == [0, 1, 2, float("inf")]
+
+
+def test_a_step_of_zero_is_a_way_not_a_gap():
+    found = distances(torch.tensor([[0], [1]]), torch.tensor([0.0]), torch.tensor([0]), 2)
+
+    assert found.tolist() == pytest.approx([0, 0], abs=1e-30)
+
+
+def test_squares_have_at_least_one_pixel():
+    with pytest.raises(ConfigError, match="size: 0 was given"):
+        squares(4, 4, 0)

@@ -1,12 +1,12 @@
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import Field, ValidationError
+from pydantic import AfterValidator, Field, ValidationError
 
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.errors import ConfigError, InputError, unknown_name
 from roadtorch.settings import Settings, build_settings, parse_assignments, read_settings_file
 
 
@@ -14,8 +14,15 @@ class Texture(Settings):
     bins: int = Field(default=64, ge=2)
 
 
+def _known_plane(name: str) -> str:
+    if name != "R":
+        raise ValueError(unknown_name("plane", name, ["R"]))
+    return name
+
+
 class Example(Settings):
     threshold: float = Field(default=0.5, ge=0, le=1)
+    plane: Annotated[str, AfterValidator(_known_plane)] = "R"
     texture: Texture = Texture()
 
 
@@ -37,7 +44,8 @@ def test_settings_are_frozen() -> None:
         ({"texture": {"bins": "many"}}, "texture.bins: 'many' was given (input should be a valid"),
         ({"texture": {"bins": 2.5}}, "texture.bins: 2.5 was given"),
         ({"threshold": float("nan")}, "threshold: nan was given"),
-        ({"texture": 3}, "texture: 3 was given"),
+        ({"texture": 3}, "texture: 3 was given for a group of settings (set one of its keys: bins"),
+        ({"plane": "X"}, "plane: unknown plane 'X' (known: R)"),
     ],
 )
 def test_a_mistake_names_the_full_key_and_what_was_given(

@@ -3,6 +3,7 @@
 import csv
 import io
 import sys
+import tempfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -77,6 +78,16 @@ def make_folder(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
         what = f"cannot be made a folder: {problem.strerror}"
+        raise InputError(path, what, "give another --out") from None
+
+
+def make_writable(path: Path) -> None:
+    """Make a folder and try to write in it: InputError before the work, not after it."""
+    make_folder(path)
+    try:
+        tempfile.TemporaryFile(dir=path).close()
+    except OSError as problem:
+        what = f"cannot be written: {problem.strerror}"
         raise InputError(path, what, "give another --out") from None
 
 

@@ -1,9 +1,16 @@
 """roadtorch detectors: what there is, and what can be set."""
 
-from collections.abc import Iterator, Mapping
+import json
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain, zip_longest
 from typing import Any
 
 import click
+
+WIDTH = 100  # letters in a line
+CELL = 14  # letters in a line of an inner column
+GAP = "  "
 
 
 @click.command()
@@ -57,12 +64,23 @@ def _allowed(field: Mapping[str, Any]) -> str:
 
 
 def _text(value: Any) -> str:
-    return str(value).lower() if isinstance(value, bool) or value is None else str(value)
+    """A value as ``--set`` takes it; strings without their quotes."""
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
 def columns(rows: list[tuple[str, ...]]) -> Iterator[str]:
-    """Rows as lines with aligned columns; the last one is as long as it likes."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        cells = [cell.ljust(width) for cell, width in zip(row[:-1], widths[:-1], strict=True)]
-        yield "  ".join([*cells, row[-1]]).rstrip()
+    """Rows as lines with aligned columns, long cells over several lines, to fit WIDTH.
+
+    The first column, which holds names, is as wide as it must be; the last gets the rest.
+    """
+    wrapped = [[row[0:1], *(_wrapped(cell, CELL) for cell in row[1:-1])] for row in rows]
+    widths = [max(map(len, chain(*column))) for column in zip(*wrapped, strict=True)]
+    rest = WIDTH - sum(widths) - len(GAP) * len(widths)
+    for cells, row in zip(wrapped, rows, strict=True):
+        for line in zip_longest(*cells, _wrapped(row[-1], rest), fillvalue=""):
+            padded = (text.ljust(width) for text, width in zip(line, [*widths, 0], strict=True))
+            yield GAP.join(padded).rstrip()
+
+
+def _wrapped(text: str, width: int) -> Sequence[str]:
+    return textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False) or [""]

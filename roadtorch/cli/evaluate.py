@@ -99,17 +99,13 @@ def command_line(context: click.Context) -> str:
 
 def _prepare_folder(out: Path | None, montage: int | None) -> None:
     """Make the folder before the long run rather than fail after it."""
-    from roadtorch.errors import ConfigError, InputError
+    from roadtorch.cli.batch import make_writable
+    from roadtorch.errors import ConfigError
 
-    if out is None:
-        if montage:
-            raise ConfigError("--montage", "needs a folder to write to", "add --out DIR")
-        return
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        what = f"cannot be made: {problem.strerror}"
-        raise InputError(out, what, "choose a folder that you may write to") from None
+    if out is not None:
+        make_writable(out)
+    elif montage:
+        raise ConfigError("--montage", "needs a folder to write to", "add --out DIR")
 
 
 def expand_names(names: Sequence[str]) -> list[str]:

@@ -1,6 +1,7 @@
 """The ``roadtorch`` command: sub-commands loaded on use, mistakes told in one line."""
 
 import importlib
+import os
 import sys
 import traceback
 import warnings
@@ -49,7 +50,7 @@ class CommandGroup(click.Group):
         if args[0] not in COMMANDS and not args[0].startswith("-"):
             near = get_close_matches(args[0], COMMANDS, n=3, cutoff=0.5)
             remedy = f"did you mean {', '.join(near)}?" if near else "see roadtorch --help"
-            raise click.UsageError(f"{args[0]}: no such command ({remedy})", ctx)
+            raise _Mistake(f"{args[0]}: no such command ({remedy})")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -76,6 +77,9 @@ class CommandGroup(click.Group):
     def main(self, args: Sequence[str] | None = None, *_: Any, **extra: Any) -> NoReturn:
         """Run with the given arguments or those of the process, and exit with its code."""
         warnings.showwarning = _show_warning
+        # Read by OpenMP when torch is loaded. Its threads would otherwise spin while they
+        # wait, which costs many times the work wherever the cores have other work too.
+        os.environ.setdefault("OMP_WAIT_POLICY", "passive")
         extra |= {"prog_name": "roadtorch", "standalone_mode": False}
         try:
             code = super().main(args, **extra)
@@ -95,7 +99,7 @@ class CommandGroup(click.Group):
 
 
 class _Mistake(click.ClickException):
-    """A RoadtorchError on its way out, in its own words."""
+    """A mistake that is already told as ``where: what (remedy)``."""
 
     exit_code = WRONG_USAGE
 
@@ -107,7 +111,7 @@ def _one_line(problem: click.ClickException) -> str:
         remedy = f"did you mean {', '.join(near)}?" if near else _see_help(problem)
         return f"{problem.option_name}: no such option ({remedy})"
     message = " ".join(problem.format_message().split())
-    if isinstance(problem, click.UsageError) and not message.endswith(")"):
+    if isinstance(problem, click.UsageError):
         return f"{message.rstrip('.')} ({_see_help(problem)})"
     return message
 

@@ -87,7 +87,7 @@ def infer(
         click.echo(effective)
         return
     planned = batch.plan(inputs, out, results.suffixes(save))
-    batch.make_folder(out)
+    batch.make_writable(out)
     results.keep_config(out, effective, overwrite)
     work = results.Inference(loaded, frozenset(save), 16 if depth == "16" else 8)
     context.exit(batch.run(planned, out, work, batch.Options(jobs, overwrite, quiet)))

@@ -43,7 +43,7 @@ def label(
     settings = layouts.labeller_settings(support, assignments)
     suffixes = layouts.SUFFIXES if overlay else {"labels": layouts.SUFFIXES["labels"]}
     planned = batch.plan(inputs, out, suffixes)
-    batch.make_folder(out)
+    batch.make_writable(out)
     results.keep_config(out, config.as_toml("labeller", settings), overwrite)
     options = batch.Options(jobs, overwrite, quiet)
     context.exit(batch.run(planned, out, layouts.Labelling(settings, overlay), options))

@@ -9,9 +9,8 @@ import torch
 from torch import Tensor
 
 from roadtorch.cli.batch import Job, Row, make_folder
-from roadtorch.cli.results import LAYOUT_COLOURS
 from roadtorch.detectors import checked_image
-from roadtorch.image import read_image, write_jpeg, write_labels
+from roadtorch.image import layout_colours, read_image, write_jpeg, write_labels
 from roadtorch.settings import build_settings, parse_assignments
 
 if TYPE_CHECKING:
@@ -56,6 +55,4 @@ class Labelling:
 
 def colour_layout(image: Tensor, labels: Tensor) -> Tensor:
     """The image (3,H,W) tinted by class; unlabelled pixels are darkened to half."""
-    colours = torch.cat([LAYOUT_COLOURS, torch.zeros(1, 3)])
-    classes = labels.long().clamp(0, len(LAYOUT_COLOURS))  # 255 becomes the last, black
-    return torch.lerp(image, colours[classes].permute(2, 0, 1), OVERLAY_SHARE)
+    return torch.lerp(image, layout_colours(labels), OVERLAY_SHARE)

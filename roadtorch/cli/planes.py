@@ -2,6 +2,8 @@
 
 import click
 
+CIRCULAR = "; circular"
+
 
 @click.command()
 def planes() -> None:
@@ -11,7 +13,8 @@ def planes() -> None:
 
     rows = [("plane", "low", "high", "meaning")]
     rows += [
-        (name, f"{plane.low:g}", f"{plane.high:g}", plane.summary) for name, plane in PLANES.items()
+        (name, f"{plane.low:g}", f"{plane.high:g}", plane.summary + CIRCULAR * plane.circular)
+        for name, plane in PLANES.items()
     ]
     click.echo("\n".join(columns(rows)))
     click.echo()

@@ -13,6 +13,8 @@ from roadtorch.cli.batch import INDEX, Job, Row, make_folder
 from roadtorch.detectors import Detection, Detector
 from roadtorch.errors import ConfigError
 from roadtorch.image import (
+    LAYOUT_COLOURS,
+    layout_colours,
     read_image,
     write_colours,
     write_map,
@@ -30,8 +32,6 @@ SUFFIXES = {
     "npy": ".likelihood.npy",
 }
 
-# Okabe and Ito's colours: sky blue, vermilion, bluish green; black is unlabelled.
-LAYOUT_COLOURS = torch.tensor([[86, 180, 233], [213, 94, 0], [0, 158, 115]]) / 255
 GOLDEN = 0.6180339887  # the fractional step that spreads neighbouring labels over the colours
 
 
@@ -89,21 +89,24 @@ class Inference:
             write_npy(job.output(SUFFIXES["npy"]), detection.likelihood)
         for name, cue in detection.cues.items():
             if "cues" in self.kinds:
-                write_colours(job.output(f".cue.{name}.png"), cue_picture(cue))
+                write_colours(job.output(f".cue.{name}.png"), cue_picture(name, cue))
             if "npy" in self.kinds:
                 write_npy(job.output(f".{name}.npy"), cue)
 
 
-def cue_picture(cue: Tensor) -> Tensor:
+def cue_picture(name: str, cue: Tensor) -> Tensor:
     """A cue (H,W), (3,H,W) or labels int (H,W) as an image (3,H,W) to look at.
 
     Scalar maps are stretched from their least value (black) to their greatest (white),
-    values that are not finite are black; three potentials become the colours of sky,
-    vertical and horizontal; neighbouring labels get unlike colours. Of any other number
-    of channels the mean is shown.
+    values that are not finite are black; ``layout_labels`` and three potentials get the
+    colours of sky, vertical and horizontal, other neighbouring labels unlike colours. Of
+    any other number of channels the mean is shown.
     """
+    if name == "layout_labels":
+        return layout_colours(cue)
     if cue.ndim == 3 and len(cue) == 3:
-        return torch.einsum("chw,cd->dhw", cue.clamp(0, 1).float(), LAYOUT_COLOURS).clamp(0, 1)
+        colours = torch.tensor(LAYOUT_COLOURS) / 255
+        return torch.einsum("chw,cd->dhw", cue.clamp(0, 1).float(), colours).clamp(0, 1)
     if cue.ndim == 3:
         cue = cue.float().mean(0)
     if not cue.is_floating_point() and cue.dtype != torch.bool:

@@ -15,9 +15,8 @@ from PIL import Image
 from torch import Tensor
 
 from roadtorch.errors import DatasetError, unknown_name
-from roadtorch.image import read_image
+from roadtorch.image import SUFFIXES, read_image
 
-PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")
 SKY, VERTICAL, HORIZONTAL, NONE = 0, 1, 2, 255
 
 
@@ -156,9 +155,9 @@ def pairs(images: Path, labels: Path) -> Iterator[tuple[Path, Path]]:
     for folder in (images, labels):
         if not folder.is_dir():
             raise DatasetError(folder, "does not exist", "check the folder's layout")
-    found = sorted(path for path in images.iterdir() if path.suffix.lower() in PICTURES)
+    found = sorted(path for path in images.iterdir() if path.suffix.lower() in SUFFIXES)
     if not found:
-        raise DatasetError(images, "holds no pictures", f"known endings: {' '.join(PICTURES)}")
+        raise DatasetError(images, "holds no pictures", f"known endings: {' '.join(SUFFIXES)}")
     missing = [path for path in found if not (labels / f"{path.stem}.png").is_file()]
     if missing:
         first = labels / f"{missing[0].stem}.png"

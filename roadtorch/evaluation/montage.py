@@ -9,14 +9,13 @@ import torch
 from torch import Tensor
 
 from roadtorch.detectors import Detection
-from roadtorch.evaluation.datasets import NONE, Dataset, Item, Truth
+from roadtorch.evaluation.datasets import Dataset, Item, Truth
 from roadtorch.evaluation.runner import WHOLE, Look
-from roadtorch.image import write_colours
+from roadtorch.image import layout_colours, to_pixels, write_colours
 
 TILE_WIDTH = 320  # pixels
 CAPTION = 18  # pixels of height
 BLUE, VERMILLION, WHITE = (0, 114, 178), (213, 94, 0), (255, 255, 255)  # Okabe and Ito
-LAYOUT_COLOURS = np.array([(86, 180, 233), (213, 94, 0), (0, 158, 115), (0, 0, 0)], np.uint8)
 
 
 def write_montage(
@@ -57,18 +56,12 @@ def cue_tiles(detection: Detection) -> dict[str, np.ndarray]:
     tiles, cues = {}, detection.cues
     if "layout_labels" in cues or "layout" in cues:
         labels = cues["layout_labels"] if "layout_labels" in cues else cues["layout"].argmax(0)
-        numbers = labels.numpy().astype(np.int64)
-        tiles["layout"] = LAYOUT_COLOURS[np.where(numbers == NONE, 3, numbers)]
+        tiles["layout"] = to_pixels(layout_colours(labels))
     if "uniformity" in cues:
         uniformity = cues["uniformity"].to(torch.float32)
         low, high = uniformity.min(), uniformity.max()
         tiles["uniformity"] = heat((uniformity - low) / (high - low).clamp(min=1e-9))
     return tiles
-
-
-def to_pixels(image: Tensor) -> np.ndarray:
-    """An image (3,H,W) in [0,1] as uint8 (H,W,3)."""
-    return (image * 255).round().to(torch.uint8).permute(1, 2, 0).contiguous().numpy()
 
 
 def heat(values: Tensor) -> np.ndarray:

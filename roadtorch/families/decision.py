@@ -8,11 +8,13 @@ from roadtorch.geometry import SeedArea
 from roadtorch.settings import Settings
 from roadtorch.working import WorkingSize
 
+THRESHOLD = "road from this likelihood on; the default has the best F on CamVid's three drives"
+
 
 class Decision(Settings):
     """Working size, seed area, and how the likelihood becomes a mask."""
 
-    threshold: float = Field(default=0.5, ge=0, le=1, description="road from this likelihood on")
+    threshold: float = Field(default=0.5, ge=0, le=1, description=THRESHOLD)
     isolated: Literal["drop", "keep"] = Field(
         default="drop", description="what becomes of road regions that do not touch the seed area"
     )

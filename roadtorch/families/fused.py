@@ -1,10 +1,11 @@
 """The fused detector: naive Bayes over layout, texture, distance, place and look."""
 
+from pydantic import Field
 from torch import Tensor
 
 from roadtorch import texture
 from roadtorch.detectors import Analysis, Entry
-from roadtorch.families.decision import Decision
+from roadtorch.families.decision import THRESHOLD, Decision
 from roadtorch.families.texture import Saturation, TextureSettings, unsaturated_uniformity
 from roadtorch.fusion import (
     RoadSettings,
@@ -22,6 +23,7 @@ from roadtorch.working import Superpixels, at_working_size
 class FusionSettings(Decision):
     """The fused detector: each part with its own group of settings."""
 
+    threshold: float = Field(default=0.39, ge=0, le=1, description=THRESHOLD)
     superpixels: Superpixels = Superpixels()
     labeller: LabellerSettings = LabellerSettings()
     texture: TextureSettings = TextureSettings()

@@ -1,9 +1,10 @@
 """Detectors that take the ground of the scene layout for road."""
 
+from pydantic import Field
 from torch import Tensor
 
 from roadtorch.detectors import Analysis, Entry
-from roadtorch.families.decision import Decision
+from roadtorch.families.decision import THRESHOLD, Decision
 from roadtorch.layout.labeller import HORIZONTAL, LabellerSettings, label_layout
 from roadtorch.working import Superpixels
 
@@ -11,6 +12,7 @@ from roadtorch.working import Superpixels
 class LabellerDetectorSettings(Decision):
     """The layout labeller as a road detector."""
 
+    threshold: float = Field(default=0.92, ge=0, le=1, description=THRESHOLD)
     superpixels: Superpixels = Superpixels()
     labeller: LabellerSettings = LabellerSettings()
 

@@ -10,7 +10,7 @@ from roadtorch import geometry, texture
 from roadtorch.color import PLANES, plane, planes
 from roadtorch.detectors import Analysis, Entry
 from roadtorch.errors import unknown_name
-from roadtorch.families.decision import Decision
+from roadtorch.families.decision import THRESHOLD, Decision
 from roadtorch.geometry import SeedArea, seed_area
 from roadtorch.settings import Settings
 from roadtorch.superpixels import paint, segment_histogram
@@ -61,6 +61,7 @@ class Saturation(Settings):
 class CpfSettings(Decision):
     """Colour plane fusion over superpixels."""
 
+    threshold: float = Field(default=0.54, ge=0, le=1, description=THRESHOLD)
     superpixels: Superpixels = Superpixels()
     texture: TextureSettings = TextureSettings()
 
@@ -68,6 +69,7 @@ class CpfSettings(Decision):
 class CpfV2Settings(Decision):
     """Colour plane fusion over superpixels, without saturated pixels."""
 
+    threshold: float = Field(default=0.52, ge=0, le=1, description=THRESHOLD)
     superpixels: Superpixels = Superpixels()
     texture: TextureSettings = TextureSettings()
     saturation: Saturation = Saturation()
@@ -76,6 +78,7 @@ class CpfV2Settings(Decision):
 class CpfSquaresSettings(Decision):
     """Colour plane fusion over squares."""
 
+    threshold: float = Field(default=0.52, ge=0, le=1, description=THRESHOLD)
     square: int = Field(
         default=16, ge=2, le=4096, description="side of the squares in pixels at working size"
     )
@@ -85,6 +88,7 @@ class CpfSquaresSettings(Decision):
 class GreySettings(Decision):
     """Uniformity of the grey image over superpixels."""
 
+    threshold: float = Field(default=0.58, ge=0, le=1, description=THRESHOLD)
     superpixels: Superpixels = Superpixels()
     bins: int = Field(default=64, ge=2, le=4096, description="levels of the histograms")
     even: float = Field(
@@ -95,6 +99,7 @@ class GreySettings(Decision):
 class LbpSettings(Decision):
     """Local binary patterns over superpixels."""
 
+    threshold: float = Field(default=0.97, ge=0, le=1, description=THRESHOLD)
     superpixels: Superpixels = Superpixels()
     patterns: Literal["uniform", "smallest"] = Field(
         default="uniform", description="runs of brighter neighbours, or smallest rotation"

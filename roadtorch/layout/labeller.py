@@ -163,7 +163,7 @@ def in_order(scores: Tensor, labels: Tensor, order: ColumnOrder) -> Tensor:
     Markov chain that moves from sky to vertical to horizontal. The exact posteriors
     (forwards and backwards) are averaged over each segment. Ours.
     """
-    middle = order.step // 2
+    middle = min(order.step, *labels.shape) // 2  # inside, whatever the step
     grid = labels[middle :: order.step, middle :: order.step]
     local = (order.weight * scores).softmax(1).clamp_min(1e-4)
     posterior = _chain_posterior(local[grid], order)

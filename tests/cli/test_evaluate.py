@@ -249,6 +249,17 @@ def test_an_output_folder_that_cannot_be_made(camvid, tmp_path):
         run("camvid", camvid, "--detector", "prior:rows", "--out", tmp_path / "file" / "out")
 
 
+def test_a_folder_that_cannot_be_written_is_refused_before_the_run(camvid, tmp_path, monkeypatch):
+    def refuse(**_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", refuse)
+    monkeypatch.setattr("roadtorch.evaluation.runner.run", None)  # must not be reached
+
+    with pytest.raises(InputError, match="out: cannot be written: Permission denied"):
+        run("camvid", camvid, "--detector", "prior:rows", "--out", tmp_path / "out")
+
+
 def test_wildcards_and_misspelt_names():
     assert expand_names(["prior:t*", "prior:rows", "prior:*"])[:2] == [
         "prior:triangle",

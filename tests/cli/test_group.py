@@ -37,6 +37,7 @@ def test_every_command_explains_itself(call: Call, name: str) -> None:
             "--detectr: no such option (did you mean --detector, --depth?)",
         ),
         (["infer"], "Missing argument 'INPUT...' (see roadtorch infer --help)"),
+        (["planes", "x"], "Got unexpected extra argument (x) (see roadtorch planes --help)"),
         (["label", "x"], "Missing option '--out' (see roadtorch label --help)"),
         (
             ["infer", "x", "--depth", "12"],

@@ -91,14 +91,19 @@ def test_cue_pictures() -> None:
     layout = torch.zeros(3, 2, 2)
     layout[0] = 1
 
-    shown = results.cue_picture(ramp)
+    shown = results.cue_picture("texture", ramp)
     assert (shown.min(), shown.max()) == (0, 1)
-    assert torch.equal(results.cue_picture(torch.full((2, 2), 7.0)), torch.zeros(3, 2, 2))
-    holes = results.cue_picture(torch.tensor([[float("nan"), 0, 2]]))
+    assert torch.equal(
+        results.cue_picture("texture", torch.full((2, 2), 7.0)), torch.zeros(3, 2, 2)
+    )
+    holes = results.cue_picture("texture", torch.tensor([[float("nan"), 0, 2]]))
     assert holes[0].tolist() == [[0, 0, 1]]
-    sky = results.cue_picture(layout)[:, 0, 0] * 255
+    sky = results.cue_picture("layout", layout)[:, 0, 0] * 255
     assert sky.round().tolist() == [86, 180, 233]
-    labels = results.cue_picture(torch.arange(30).view(5, 6)).flatten(1)
+    shown = results.cue_picture("layout_labels", torch.tensor([[0, 255]]))
+    assert torch.equal(shown[:, 0, 0] * 255, torch.tensor([86.0, 180, 233]))
+    assert not shown[:, 0, 1].any()
+    labels = results.cue_picture("segments", torch.arange(30).view(5, 6)).flatten(1)
     assert len({tuple(colour) for colour in labels.T.tolist()}) == 30
 
 

@@ -37,3 +37,17 @@ def test_planes_lists_planes_and_representations(call: Call) -> None:
     assert [line.split()[0] for line in planes.splitlines()[1:]] == list(PLANES)
     listed = [line.split() for line in representations.splitlines()[1:]]
     assert {name: tuple(parts) for name, *parts in listed} == dict(REPRESENTATIONS)
+
+
+def test_settings_fit_a_hundred_columns_and_none_is_lost(call: Call) -> None:
+    lines = call("detectors", "fusion").stdout.splitlines()
+
+    assert max(map(len, lines)) <= 100
+    listed = {line.split()[0] for line in lines if line[:1].strip()}
+    assert {"seed.height", "texture.planes", "working.pixels", "road.weights.layout"} <= listed
+
+
+def test_the_hue_is_said_to_be_circular(call: Call) -> None:
+    said = [line.split()[0] for line in call("planes").stdout.splitlines() if "circular" in line]
+
+    assert said == ["H"]

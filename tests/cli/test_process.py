@@ -1,5 +1,6 @@
 """The installed command as its users call it: real files in, real files out."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -58,3 +59,14 @@ def test_a_reader_that_leaves_early_is_no_crash(tmp_path: Path) -> None:
         process.wait(timeout=120)
 
     assert complaints == b""
+
+
+def test_waiting_threads_sleep_unless_the_user_says_otherwise() -> None:
+    code = "from roadtorch.cli import main; import os, atexit; atexit.register(lambda: print("
+    code += "os.environ['OMP_WAIT_POLICY'])); main(['planes'])"
+    words = [sys.executable, "-c", code]
+
+    for given, kept in ({}, "passive"), ({"OMP_WAIT_POLICY": "active"}, "active"):
+        rest = {k: v for k, v in os.environ.items() if k != "OMP_WAIT_POLICY"}
+        done = subprocess.run(words, capture_output=True, text=True, env=rest | given, timeout=60)
+        assert done.stdout.splitlines()[-1] == kept

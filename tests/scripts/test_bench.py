@@ -42,6 +42,8 @@ def test_every_stage_and_both_ratios_are_printed_and_written(tmp_path: Path) -> 
     for name, (over, under) in bench.RATIOS.items():
         each = [times[over] / times[under] for times in size["rounds"]]
         assert size["ratios"][name]["median"] == pytest.approx(statistics.median(each))
+        fastest = [min(times[one] for times in size["rounds"]) for one in (over, under)]
+        assert size["ratios"][name]["fastest"] == pytest.approx(fastest[0] / fastest[1])
     for name in (*size["ms"], *size["ratios"]):
         assert f"\n| {name} | " in done.stdout
 

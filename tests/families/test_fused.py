@@ -1,0 +1,248 @@
+"""The fused detector and the labeller as a detector: cues, awkward pictures, settings."""
+
+from functools import cache
+
+import pytest
+import torch
+from torch import Tensor
+
+from roadtorch.detectors import Detection, load_detector
+from roadtorch.fusion import log_odds
+from roadtorch.layout.labeller import HORIZONTAL, label_layout
+from tests.scenes import render_scene
+
+CUES = {
+    "layout",
+    "layout_labels",
+    "texture",
+    "uniformity",
+    "fused_plane",
+    "saturated",
+    "distance",
+    "place",
+    "segments",
+}
+
+
+@cache
+def street() -> Tensor:
+    """A small dark street with lost highlights on the road, a patch and single pixels."""
+    image = render_scene(3, 96, 128, dusk=0.6).image.clone()
+    image[:, 60:72, 20:44] = 1.0
+    image[:, 76:88, 70:100:3] = 1.0
+    return image
+
+
+@cache
+def detected() -> Detection:
+    return load_detector("fusion").detect(street())
+
+
+def test_all_cues_of_the_fused_detector_are_there() -> None:
+    assert set(detected().cues) == CUES
+
+
+@pytest.mark.parametrize("name", ["layout", "texture", "distance", "place", "uniformity"])
+def test_likelihoods_and_shares_are_between_zero_and_one(name: str) -> None:
+    cue = detected().cues[name]
+
+    assert 0 <= cue.min() < cue.max() <= 1
+
+
+def test_layout_potentials_sum_to_one() -> None:
+    total = detected().cues["layout"].sum(0)
+
+    torch.testing.assert_close(total, torch.ones_like(total))
+
+
+def test_the_texture_cue_leaves_out_saturated_segments() -> None:
+    cues = detected().cues
+
+    assert cues["saturated"][62:70, 22:42].all()
+    assert cues["texture"][66, 32] == 0
+
+
+def test_the_seed_area_is_nearest_and_the_sky_far() -> None:
+    distance = detected().cues["distance"]
+
+    assert distance[-6:, 52:76].mean() > 0.6
+    assert distance[:10].max() < distance[-6:, 52:76].min()
+
+
+@pytest.mark.parametrize("cue", ["fused_plane", "distance"])
+def test_the_seed_area_is_that_of_the_settings_for_texture_and_distance(cue: str) -> None:
+    wide = load_detector("fusion", seed={"width": 300, "height": 60}).detect(street())
+
+    assert not torch.equal(wide.cues[cue], detected().cues[cue])
+
+
+def test_without_learning_the_map_is_the_weighted_product_of_its_own_cues() -> None:
+    road = {
+        "rounds": 0,
+        "bias": 0.5,
+        "temperature": 2.0,
+        "place": {"weight": 0.3},
+        "weights": {"layout": 0.9, "distance": 1.3, "texture": 0.6},
+    }
+
+    found = load_detector("fusion", road=road).detect(street())
+
+    cues = found.cues
+    odds = 0.5 + 0.3 * log_odds(cues["place"]) + 0.9 * log_odds(cues["layout"][HORIZONTAL])
+    odds = odds + 1.3 * log_odds(cues["distance"]) + 0.6 * log_odds(cues["texture"])
+    torch.testing.assert_close(found.likelihood, (odds / 2).sigmoid(), atol=1e-4, rtol=0.0)
+
+
+def test_the_labeller_as_a_detector_answers_with_its_ground() -> None:
+    found = load_detector("labeller").detect(street())
+
+    layout = label_layout(street())
+    assert set(found.cues) == {"layout", "layout_labels"}
+    assert torch.equal(found.likelihood, layout.potentials[HORIZONTAL])
+    assert torch.equal(found.cues["layout_labels"], layout.labels)
+
+
+@pytest.mark.parametrize("name", ["fusion", "labeller"])
+@pytest.mark.parametrize("size", [(16, 16), (16, 250), (120, 17)])
+@pytest.mark.parametrize("kind", ["flat", "black", "white", "noise"])
+def test_awkward_pictures_give_finite_maps(name: str, size: tuple[int, int], kind: str) -> None:
+    image = {
+        "flat": torch.tensor([0.3, 0.5, 0.4]).view(3, 1, 1).expand(3, *size),
+        "black": torch.zeros(3, *size),
+        "white": torch.ones(3, *size),
+        "noise": torch.rand(3, *size, generator=torch.Generator().manual_seed(0)),
+    }[kind]
+
+    found = load_detector(name).detect(image)
+
+    for cue in (found.likelihood, *found.cues.values()):
+        assert cue.shape[-2:] == size
+        assert not cue.is_floating_point() or cue.isfinite().all()
+    assert 0 <= found.likelihood.min() <= found.likelihood.max() <= 1
+
+
+# --- settings -----------------------------------------------------------------------------
+
+DECISION = {
+    "threshold": 0.9,
+    "isolated": "keep",
+    "seed": {"height": 240, "width": 320},
+    "working": {"pixels": 2000},
+    "superpixels": {"pixels": 900, "compactness": 20.0},
+}
+WIDTHS = {
+    "lightness": 0.5,
+    "chroma": 0.3,
+    "gradient": 0.01,
+    "contrast": 0.02,
+    "row": 0.3,
+    "column": 0.2,
+}
+LABELLER = {
+    "exposure": {"ground": 0.8},
+    "place": {
+        "horizon": 0.3,
+        "sky_rise": 0.4,
+        "sky_slope": 0.1,
+        "sky_softness": 0.1,
+        "ground_drop": 0.3,
+        "ground_slope": 0.9,
+        "ground_softness": 0.05,
+        "vertical": 4.0,
+    },
+    "bandwidths": WIDTHS,
+    "order": {"weight": 0.5, "change": 0.4, "breach": 0.2, "step": 3},
+    "sharpness": 0.3,
+    "rounds": 1,
+    "margin": 0.95,
+    "support": "maximum",
+}
+TEXTURE = {"planes": ["R", "O1"], "ridge": 10.0, "bins": 8, "tail": 0.2, "even": 0.9}
+ROAD = {
+    "place": {"weight": 3.0, "apex": 0.3, "narrow": 0.3, "spread": 0.4, "softness": 0.5},
+    "weights": {"layout": 3.0, "distance": 3.0, "texture": 0.1, "look": 0.1, "neighbours": 0.1},
+    "reach": 1.0,
+    "bandwidths": WIDTHS,
+    "bias": 2.0,
+    "temperature": 1.0,
+    "rounds": 1,
+}
+CHANGES: dict[str, dict] = {
+    "labeller": {**DECISION, "labeller": LABELLER},
+    "fusion": {
+        **DECISION,
+        "labeller": LABELLER,
+        "texture": TEXTURE,
+        "saturation": {"dark": 0.5, "bright": 0.6, "least": 0.95},
+        "road": ROAD,
+    },
+}
+
+
+def leaves(tree: dict, path: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], object]]:
+    """The values of nested settings with their paths."""
+    found: list[tuple[tuple[str, ...], object]] = []
+    for key, value in tree.items():
+        inside = leaves(value, (*path, key)) if isinstance(value, dict) else [((*path, key), value)]
+        found += inside
+    return found
+
+
+def nested(path: tuple[str, ...], value: object) -> dict:
+    for key in reversed(path):
+        value = {key: value}
+    assert isinstance(value, dict)
+    return value
+
+
+EACH = [(name, path, value) for name, tree in CHANGES.items() for path, value in leaves(tree)]
+
+
+@cache
+def pictures() -> tuple[Tensor, ...]:
+    """The street, and coloured blocks, in which whatever is found lies scattered."""
+    blocks = (torch.rand(3, 8, 8, generator=torch.Generator().manual_seed(seed)) for seed in (1, 3))
+    return street(), *(block.repeat_interleave(8, 1).repeat_interleave(8, 2) for block in blocks)
+
+
+@cache
+def thresholds(name: str, number: int) -> tuple[float, ...]:
+    """Thresholds under which a detector finds little, some and much road."""
+    shares = torch.tensor([0.2, 0.5, 0.7, 0.85, 0.95])
+    return tuple(
+        load_detector(name).detect(pictures()[number]).likelihood.quantile(shares).tolist()
+    )
+
+
+def maps(name: str, number: int, values: dict) -> list[Tensor]:
+    found = load_detector(name, **values).detect(pictures()[number])
+    return [found.likelihood, found.mask, *found.cues.values()]
+
+
+@cache
+def usual(name: str, number: int, threshold: float) -> list[Tensor]:
+    return maps(name, number, {"threshold": threshold})
+
+
+@pytest.mark.parametrize(
+    ("name", "path", "value"), EACH, ids=[f"{name} {'.'.join(path)}" for name, path, _ in EACH]
+)
+def test_every_setting_reaches_the_result(name: str, path: tuple[str, ...], value: object) -> None:
+    def changes(number: int, threshold: float) -> bool:
+        before = usual(name, number, threshold)
+        after = maps(name, number, {"threshold": threshold, **nested(path, value)})
+        return not all(torch.equal(one, two) for one, two in zip(before, after, strict=True))
+
+    # What the mask alone depends on (isolated, seed) shows where there are several regions.
+    assert any(
+        changes(number, threshold)
+        for number in range(len(pictures()))
+        for threshold in thresholds(name, number)
+    )
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_no_setting_is_left_out_above(name: str) -> None:
+    every = {path for path, _ in leaves(load_detector(name).settings.model_dump())}
+
+    assert {path for path, _ in leaves(CHANGES[name])} == every
