@@ -84,16 +84,19 @@ def log_odds(likelihood: Tensor) -> Tensor:
     return torch.logit(likelihood, eps=SUREST)
 
 
+def fused_log_odds(likelihoods: Sequence[Tensor], weights: Sequence[float]) -> Tensor:
+    """Σ W · log(L / (1-L)) of likelihoods of one shape, in [0,1]; 0.5 says nothing."""
+    odds = [weight * log_odds(each) for each, weight in zip(likelihoods, weights, strict=True)]
+    return torch.stack(odds).sum(0)
+
+
 def naive_bayes(prior: Tensor, likelihoods: Sequence[Tensor], weights: Sequence[float]) -> Tensor:
     """p(road | cues) ∝ prior · Π Lᵂ, normalised against p(background), in [0,1].
 
-    P2 eq. 4 with all weights 1. Summed as log odds: no product of small numbers underflows,
-    and 0.5 in a cue says nothing. All maps of one shape, in [0,1].
+    P2 eq. 4 with all weights 1. Summed as log odds: no product of small numbers underflows.
+    All maps of one shape, in [0,1].
     """
-    total = log_odds(prior)
-    for likelihood, weight in zip(likelihoods, weights, strict=True):
-        total = total + weight * log_odds(likelihood)
-    return total.sigmoid()
+    return fused_log_odds([prior, *likelihoods], [1.0, *weights]).sigmoid()
 
 
 def road_place(row: Tensor, column: Tensor, place: RoadPlace) -> Tensor:
@@ -131,11 +134,11 @@ def segment_road(
     and background are learned from the belief and join as one more cue, as do the neighbours.
     """
     weights = settings.weights
-    known = settings.bias + settings.place.weight * log_odds(
-        road_place(segments.row, segments.column, settings.place)
+    place = road_place(segments.row, segments.column, settings.place)
+    known = settings.bias + fused_log_odds(
+        [place, layout, distance, texture],
+        [settings.place.weight, weights.layout, weights.distance, weights.texture],
     )
-    known = known + weights.layout * log_odds(layout)
-    known = known + weights.distance * log_odds(distance) + weights.texture * log_odds(texture)
     alike = likeness(segments, settings.bandwidths)
     around = neighbour_mean(segments)
     score = known

@@ -17,6 +17,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -35,7 +36,13 @@ from roadtorch.fusion import (
 )
 from roadtorch.geometry import SeedArea
 from roadtorch.image import read_image
-from roadtorch.layout.labeller import ColumnOrder, LabellerSettings, PlacePrior, segment_layout
+from roadtorch.layout.labeller import (
+    HORIZONTAL,
+    ColumnOrder,
+    LabellerSettings,
+    PlacePrior,
+    segment_layout,
+)
 from roadtorch.segments import Bandwidths, Exposure, Segments, brightened, measure_segments
 from roadtorch.settings import Settings, build_settings
 from roadtorch.superpixels import segment_histogram
@@ -60,7 +67,7 @@ class Frame:
     truth: Tensor
     texture: Tensor
     distance: Tensor
-    layout: Tensor | None = None
+    layout: Tensor
 
 
 def read_frames(root: Path) -> list[Frame]:
@@ -77,7 +84,7 @@ def read_frames(root: Path) -> list[Frame]:
             frames.append(read_frame(path, np.asarray(annotation), drive))
     for path in tqdm(_pictures(root / "idd_lite/images")[:: EVERY["idd"]], "idd", disable=None):
         annotation = cv2.imread(str(root / "idd_lite/labels" / f"{path.stem}.png"), 0)
-        frames.append(read_frame(path, IDD_TO_CAMVID[annotation], "idd"))
+        frames.append(read_frame(path, IDD_TO_CAMVID[np.asarray(annotation)], "idd"))
     return frames
 
 
@@ -97,7 +104,9 @@ def read_frame(path: Path, annotation: np.ndarray, drive: str) -> Frame:
     texture = TextureSettings()
     _, values, _ = unsaturated_uniformity(small, labels, SeedArea(), texture, Saturation())
     texture = uniformity_likelihood(values, texture.even)
-    return Frame(drive, segments, counts, texture, seed_distance(segments, SeedArea()))
+    distance = seed_distance(segments, SeedArea())
+    layout = segment_layout(segments, LabellerSettings())[:, HORIZONTAL]
+    return Frame(drive, segments, counts, texture, distance, layout)
 
 
 def layout_recalls(frames: list[Frame], settings: LabellerSettings) -> dict[str, list[float]]:
@@ -135,16 +144,9 @@ def _maxf_and_f(counts: Tensor) -> list[float]:
 
 
 Space = dict[str, tuple[float, float]]
-BANDWIDTHS: Space = {
-    "bandwidths.lightness": (0.03, 0.2),
-    "bandwidths.chroma": (0.01, 0.1),
-    "bandwidths.gradient": (0.01, 0.1),
-    "bandwidths.contrast": (0.03, 1.0),
-    "bandwidths.row": (0.1, 3.0),
-    "bandwidths.column": (0.1, 3.0),
-}
-# Few, because there are few scenes: with all 18 numbers free, the drive 0006R0, held out, fell
-# from .92 to .86 while the two choosing drives rose by .01. The rest was set by hand.
+# Few, because there are few scenes. With all 18 numbers of the labeller free, the drive 0006R0,
+# held out, fell from .92 to .86 while the two choosing drives rose by .01; with 18 of fusion free
+# the mean over the held-out drives was .894, with these it is .903. The rest was set by hand.
 LABELLER: Space = {
     "place.horizon": (0.4, 0.6),
     "place.sky_softness": (0.1, 0.5),
@@ -154,18 +156,17 @@ LABELLER: Space = {
     "order.weight": (0.3, 4.0),
     "order.change": (0.01, 0.1),
 }
-ROAD: Space = BANDWIDTHS | {
+ROAD: Space = {
     "place.weight": (0.0, 2.0),
     "place.apex": (0.3, 0.7),
-    "place.narrow": (0.0, 0.3),
-    "place.spread": (0.3, 2.5),
-    "place.softness": (0.02, 0.6),
     "weights.layout": (0.0, 2.0),
     "weights.distance": (0.0, 3.0),
     "weights.texture": (0.0, 2.0),
     "weights.look": (0.0, 2.0),
     "weights.neighbours": (0.0, 10.0),
     "reach": (0.5, 6.0),
+    "bandwidths.chroma": (0.01, 0.1),
+    "bandwidths.row": (0.1, 3.0),
     "bias": (-4.0, 4.0),
 }
 
@@ -230,29 +231,31 @@ def _mean(figures: dict[str, list[float]], drives: list[str]) -> float:
     return float(np.mean([np.mean(figures[drive]) for drive in drives]))
 
 
+RECIPES: dict[str, tuple[Settings, Space, Callable[[list[Frame], Any], dict[str, list[float]]]]] = {
+    "labeller": (LabellerSettings(), LABELLER, layout_recalls),
+    "fusion": (RoadSettings(), ROAD, road_f),
+}
+"""What there is to choose: where it starts, what may move, and the score."""
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description="Choose settings on CamVid's development drives.")
     parser.add_argument("what", choices=("labeller", "fusion"))
     parser.add_argument("data", type=Path, help="the folder that holds camvid/ and idd_lite/")
     parser.add_argument("--held-out", choices=DRIVES)
-    parser.add_argument("--steps", type=int, default=150)
+    parser.add_argument("--steps", type=int, default=140)
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     frames = read_frames(arguments.data)
-    if arguments.what == "labeller":
-        default, space, figures_of = LabellerSettings(), LABELLER, layout_recalls
-    else:
-        default, space, figures_of = RoadSettings(), ROAD, road_f
-        for frame in frames:
-            frame.layout = segment_layout(frame.segments, LabellerSettings())[:, 2]
+    default, space, score = RECIPES[arguments.what]
     drives = [drive for drive in DRIVES if drive != arguments.held_out]
     start = NEUTRAL[arguments.what] if arguments.held_out else default
-    before = figures_of(frames, start)
+    before = score(frames, start)
     best, after = walk(
         start,
         space,
-        lambda tried: figures_of(frames, tried),
+        lambda tried: score(frames, tried),
         drives,
         arguments.steps,
         arguments.seed,
