@@ -9,7 +9,7 @@ each entry point names an ``Entry`` or a sequence of them.
 """
 
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -25,8 +25,29 @@ from roadtorch.settings import Settings, build_settings
 ENTRY_POINT_GROUP = "roadtorch.detectors"
 SMALLEST_SIDE = 16  # pixels; below it, superpixels and the seed area have no meaning
 
-Analysis = Callable[[Tensor], dict[str, Tensor]]
+Analysis = Callable[[Tensor], Mapping[str, Tensor]]
 """An image (3,H,W) in, named cues out; ``likelihood`` (H,W) in [0,1] is one of them."""
+
+
+class Cues(Mapping[str, Tensor]):
+    """What an analysis found beside the likelihood, by name; maps are made when asked for."""
+
+    def __init__(self, found: Mapping[str, Tensor]) -> None:
+        self._found = found
+
+    def __getitem__(self, name: str) -> Tensor:
+        """The map of that name, (H,W) or (C,H,W); KeyError where there is none."""
+        if name == "likelihood":
+            raise KeyError(name)
+        return self._found[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """The names of the cues."""
+        return (name for name in self._found if name != "likelihood")
+
+    def __len__(self) -> int:
+        """How many cues there are."""
+        return len(self._found) - 1
 
 
 @dataclass(frozen=True)
@@ -40,7 +61,7 @@ class Detection:
 
     likelihood: Tensor
     mask: Tensor
-    cues: dict[str, Tensor]
+    cues: Mapping[str, Tensor]
 
 
 @dataclass(frozen=True)
@@ -78,9 +99,9 @@ class Detector(nn.Module):
         Raises InputError when the image is anything else.
         """
         image = checked_image(image)
-        cues = dict(self.analysis(image))
-        likelihood = cues.pop("likelihood")
-        return Detection(likelihood, decide(likelihood, self.settings), cues)
+        found = self.analysis(image)
+        likelihood = found["likelihood"]
+        return Detection(likelihood, decide(likelihood, self.settings), Cues(found))
 
     def forward(self, images: Tensor) -> Tensor:
         """Likelihoods (B,H,W) of a batch (B,3,H,W); each equals that of ``detect``."""

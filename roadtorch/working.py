@@ -1,6 +1,6 @@
 """The size at which detectors think, and the way back to the size of the picture."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 
 import torch
 from pydantic import Field
@@ -63,14 +63,36 @@ def restored(cue: Tensor, size: tuple[int, int]) -> Tensor:
     return cue[..., rows[:, None], columns]
 
 
+class FullSize(Mapping[str, Tensor]):
+    """Cues by name, each brought to the picture's own size when it is asked for.
+
+    A large picture has room for the maps that are wanted, not for all that were made.
+    """
+
+    def __init__(self, cues: Mapping[str, Tensor], size: tuple[int, int]) -> None:
+        self._cues = cues
+        self._size = size
+
+    def __getitem__(self, name: str) -> Tensor:
+        """The cue (…,H,W) at full size; KeyError where there is none of that name."""
+        return restored(self._cues[name], self._size)
+
+    def __iter__(self) -> Iterator[str]:
+        """The names of the cues."""
+        return iter(self._cues)
+
+    def __len__(self) -> int:
+        """How many cues there are."""
+        return len(self._cues)
+
+
 def at_working_size(
-    analyse: Callable[[Tensor], dict[str, Tensor]], working: WorkingSize
-) -> Callable[[Tensor], dict[str, Tensor]]:
+    analyse: Callable[[Tensor], Mapping[str, Tensor]], working: WorkingSize
+) -> Callable[[Tensor], Mapping[str, Tensor]]:
     """The same analysis made at the working size, its cues brought back to full size."""
 
-    def wrapped(image: Tensor) -> dict[str, Tensor]:
+    def wrapped(image: Tensor) -> Mapping[str, Tensor]:
         size = (image.shape[-2], image.shape[-1])
-        cues = analyse(resized(image, working_size(*size, working)).clamp(0, 1))
-        return {name: restored(cue, size) for name, cue in cues.items()}
+        return FullSize(analyse(resized(image, working_size(*size, working)).clamp(0, 1)), size)
 
     return wrapped

@@ -300,3 +300,12 @@ def test_every_entry_has_a_summary_and_a_threshold() -> None:
         entry = detector_entry(name)
         assert entry.summary, name
         assert 0 <= getattr(entry.settings(), "threshold") <= 1, name  # noqa: B009
+
+
+def test_the_likelihood_is_no_cue() -> None:
+    detection = load_detector("cpf").detect(torch.linspace(0, 1, 3 * 32 * 48).reshape(3, 32, 48))
+
+    assert "likelihood" not in detection.cues
+    assert len(detection.cues) == len(list(detection.cues)) > 0
+    with pytest.raises(KeyError, match="likelihood"):
+        detection.cues["likelihood"]

@@ -10,6 +10,7 @@ from roadtorch.errors import ConfigError
 from roadtorch.settings import build_settings
 from roadtorch.working import (
     SHORTEST,
+    FullSize,
     Superpixels,
     WorkingSize,
     at_working_size,
@@ -144,3 +145,15 @@ def test_a_small_picture_is_analysed_as_it_is() -> None:
     cues = at_working_size(lambda given: {"given": given}, WorkingSize())(image)
 
     assert torch.equal(cues["given"], image)
+
+
+def test_only_the_cue_that_is_asked_for_is_brought_to_full_size() -> None:
+    small = {"likelihood": torch.rand(24, 32), "labels": torch.arange(24 * 32).reshape(24, 32)}
+    cues = FullSize(small, (48, 64))
+
+    assert list(cues) == ["likelihood", "labels"]
+    assert len(cues) == 2
+    assert torch.equal(cues["likelihood"], restored(small["likelihood"], (48, 64)))
+    assert torch.equal(cues["labels"][::2, ::2], small["labels"])
+    with pytest.raises(KeyError, match="mask"):
+        cues["mask"]
