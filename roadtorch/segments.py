@@ -94,8 +94,7 @@ def measure_segments(image: Tensor, labels: Tensor) -> Segments:
     lab = planes(image, ("L", "a", "b"))
     rows = ((torch.arange(height).to(image) + 0.5) / height)[:, None].expand(height, width)
     columns = ((torch.arange(width).to(image) + 0.5) / width).expand(height, width)
-    gradient = gradient_length(lab)
-    maps = [lab, lab[:1].square(), gradient[:1], rows[None], columns[None]]
+    maps = [lab, lab[:1].square(), gradient_length(lab[:1]), rows[None], columns[None]]
     mean = segment_mean(torch.cat(maps), labels, count)
     pairs, between = borders(labels, border_contrast(lab))
     size = torch.bincount(labels.reshape(-1), minlength=count).to(image) / labels.numel()

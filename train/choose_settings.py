@@ -6,7 +6,7 @@ drives choose. With it, it starts from ``NEUTRAL`` settings (round numbers, all 
 alike), the other two drives choose, and the figure of the third is printed: that is what the
 choice is worth (leave one drive out). IDD is printed and never chooses.
 
-    python train/choose_settings.py labeller ../shared/data --steps 150 --held-out 0001TP
+    python train/choose_settings.py labeller ../shared/data --steps 80 --held-out 0001TP
 
 Superpixels are cut once and scored by the truth inside them, so a step takes seconds and the
 figures differ a little from those of ``roadtorch evaluate``.
@@ -19,12 +19,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import one_hot
 from tqdm import tqdm
 
+from roadtorch.evaluation.datasets import Truth, open_dataset
+from roadtorch.evaluation.metrics import (
+    RoadCounts,
+    class_recalls,
+    decisions_at,
+    f_measure,
+    level_of,
+    max_f,
+)
 from roadtorch.families.texture import Saturation, TextureSettings, unsaturated_uniformity
 from roadtorch.fusion import (
     RoadPlace,
@@ -35,7 +44,6 @@ from roadtorch.fusion import (
     segment_road,
 )
 from roadtorch.geometry import SeedArea
-from roadtorch.image import read_image
 from roadtorch.layout.labeller import (
     HORIZONTAL,
     ColumnOrder,
@@ -47,100 +55,90 @@ from roadtorch.segments import Bandwidths, Exposure, Segments, brightened, measu
 from roadtorch.settings import Settings, build_settings
 from roadtorch.superpixels import segment_histogram
 from roadtorch.texture import uniformity_likelihood
-from roadtorch.working import Superpixels, WorkingSize, resized, working_size
+from roadtorch.working import Superpixels, WorkingSize, resized, restored, working_size
 
 DRIVES = ("0001TP", "0006R0", "0016E5")
 EVERY = {"0001TP": 2, "0006R0": 3, "0016E5": 8, "idd": 6}
 """Every how many-th frame of a drive is used."""
-CAMVID_LAYOUT = torch.tensor([0, 1, 1, 2, 2, 1, 1, 1, 1, 1, 1])
-IDD_TO_CAMVID = np.full(256, 11, np.uint8)
-IDD_TO_CAMVID[:7] = [3, 4, 9, 8, 7, 1, 0]
 LEVELS = 1024
 
 
-@dataclass
+@dataclass(frozen=True)
 class Frame:
-    """One labelled frame, cut into segments; truth: (n,12) pixels of each class."""
+    """One labelled frame, cut into n segments, with what the settings do not touch."""
 
     drive: str
     segments: Segments
-    truth: Tensor
+    road: Tensor
+    """(n,2): pixels of background and of road."""
+    kinds: Tensor
+    """(n,3): pixels of sky, vertical and horizontal."""
     texture: Tensor
     distance: Tensor
     layout: Tensor
 
 
 def read_frames(root: Path) -> list[Frame]:
-    camvid = [
-        (path, path.parent.name)
-        for s in ("train", "val")
-        for path in _pictures(root / "camvid" / s)
-    ]
+    """Every so many-th frame of each CamVid drive and of IDD Lite."""
+    camvid = open_dataset("camvid", root / "camvid")
+    idd = open_dataset("idd-lite", root / "idd_lite")
     frames = []
-    for drive in DRIVES:
-        mine = [item for item in camvid if item[0].stem.startswith(drive)][:: EVERY[drive]]
-        for path, split in tqdm(mine, drive, disable=None):
-            annotation = cv2.imread(str(root / "camvid" / f"{split}annot" / f"{path.stem}.png"), 0)
-            frames.append(read_frame(path, np.asarray(annotation), drive))
-    for path in tqdm(_pictures(root / "idd_lite/images")[:: EVERY["idd"]], "idd", disable=None):
-        annotation = cv2.imread(str(root / "idd_lite/labels" / f"{path.stem}.png"), 0)
-        frames.append(read_frame(path, IDD_TO_CAMVID[np.asarray(annotation)], "idd"))
+    for drive, every in EVERY.items():
+        dataset = idd if drive == "idd" else camvid
+        mine = [item for item in dataset.items if item.group in (drive, None)][::every]
+        frames += [
+            measure_frame(*dataset.read(item), drive) for item in tqdm(mine, drive, disable=None)
+        ]
     return frames
 
 
-def _pictures(folder: Path) -> list[Path]:
-    return sorted(folder.glob("*.jpg"))
-
-
-def read_frame(path: Path, annotation: np.ndarray, drive: str) -> Frame:
-    image = read_image(path)
+def measure_frame(image: Tensor, truth: Truth, drive: str) -> Frame:
+    """Cut a frame at the working size and count the truth inside its segments."""
+    assert truth.layout is not None
     size = working_size(image.shape[1], image.shape[2], WorkingSize())
     small = brightened(resized(image, size).clamp(0, 1), Exposure())
-    truth = cv2.resize(annotation, size[::-1], interpolation=cv2.INTER_NEAREST)
     labels = Superpixels().cut(small)
     segments = measure_segments(small, labels)
-    classes = torch.from_numpy(truth).long()
-    counts = segment_histogram(classes, labels, len(segments.size), 12)
+    count = len(segments.size)
+    valid, road, kinds = (
+        restored(part, size).long() for part in (truth.valid, truth.road, truth.layout)
+    )
     texture = TextureSettings()
     _, values, _ = unsaturated_uniformity(small, labels, SeedArea(), texture, Saturation())
-    texture = uniformity_likelihood(values, texture.even)
-    distance = seed_distance(segments, SeedArea())
-    layout = segment_layout(segments, LabellerSettings())[:, HORIZONTAL]
-    return Frame(drive, segments, counts, texture, distance, layout)
+    return Frame(
+        drive,
+        segments,
+        segment_histogram(road, labels, count, 2, valid),
+        segment_histogram(kinds.clamp(max=3), labels, count, 4)[:, :3],
+        uniformity_likelihood(values, texture.even),
+        seed_distance(segments, SeedArea()),
+        segment_layout(segments, LabellerSettings())[:, HORIZONTAL],
+    )
 
 
 def layout_recalls(frames: list[Frame], settings: LabellerSettings) -> dict[str, list[float]]:
     """Recall of sky, vertical and horizontal by drive."""
-    right: dict[str, Tensor] = {}
-    total: dict[str, Tensor] = {}
+    confusions = {frame.drive: torch.zeros(3, 3) for frame in frames}
     for frame in frames:
-        decision = segment_layout(frame.segments, settings).argmax(1)
-        truth = torch.stack(
-            [frame.truth[:, :11][:, c == CAMVID_LAYOUT].sum(1) for c in range(3)], 1
-        )
-        hit = truth.gather(1, decision[:, None])[:, 0]
-        right[frame.drive] = right.get(frame.drive, 0) + torch.bincount(decision, hit, minlength=3)
-        total[frame.drive] = total.get(frame.drive, 0) + truth.sum(0)
-    return {drive: (right[drive] / total[drive]).tolist() for drive in right}
+        decision = one_hot(segment_layout(frame.segments, settings).argmax(1), 3)
+        confusions[frame.drive] += frame.kinds.T @ decision.to(frame.kinds)
+    return {drive: class_recalls(confusion).tolist() for drive, confusion in confusions.items()}
 
 
 def road_f(frames: list[Frame], settings: RoadSettings) -> dict[str, list[float]]:
     """MaxF of road by drive, pixels pooled, and F at the threshold 0.5 that all drives share."""
-    counts: dict[str, Tensor] = {}
+    counts = {frame.drive: RoadCounts(torch.zeros(LEVELS), torch.zeros(LEVELS)) for frame in frames}
     for frame in frames:
         distance = distance_likelihood(frame.distance, settings.reach)
         road = segment_road(frame.segments, frame.layout, distance, frame.texture, settings)
-        level = (road * (LEVELS - 1)).round().long()
-        parts = (frame.truth[:, 3], frame.truth[:, :11].sum(1) - frame.truth[:, 3])
-        both = torch.stack([torch.bincount(level, part, minlength=LEVELS) for part in parts])
-        counts[frame.drive] = counts.get(frame.drive, 0) + both
-    return {drive: _maxf_and_f(both) for drive, both in counts.items()}
-
-
-def _maxf_and_f(counts: Tensor) -> list[float]:
-    positive, false = counts.flip(1).cumsum(1)
-    f = 2 * positive / (positive + false + positive[-1])
-    return [float(f.max()), float(f[LEVELS // 2 - 1])]
+        other, true = (
+            torch.bincount(level_of(road, LEVELS), part, LEVELS) for part in frame.road.T
+        )
+        counts[frame.drive] += RoadCounts(true, other)
+    return {
+        drive: [float(max_f(each)[0]), float(f_measure(decisions_at(each, 0.5)))]
+        for drive, each in counts.items()
+    }
 
 
 Space = dict[str, tuple[float, float]]
@@ -171,14 +169,15 @@ ROAD: Space = {
 }
 
 
+NEUTRAL_WIDTHS = Bandwidths(
+    lightness=0.1, chroma=0.05, gradient=0.05, contrast=0.1, row=1.0, column=1.0
+)
 NEUTRAL = {
     "labeller": LabellerSettings(
         place=PlacePrior(
             sky_rise=0.1, sky_slope=0.5, sky_softness=0.2, ground_slope=0.5, vertical=1.0
         ),
-        bandwidths=Bandwidths(
-            lightness=0.1, chroma=0.05, gradient=0.05, contrast=0.1, row=1.0, column=1.0
-        ),
+        bandwidths=NEUTRAL_WIDTHS,
         order=ColumnOrder(weight=1.0),
         sharpness=1.0,
     ),
@@ -186,9 +185,7 @@ NEUTRAL = {
         place=RoadPlace(weight=1.0, apex=0.5, narrow=0.1, spread=1.0, softness=0.1),
         weights=Weights(layout=1.0, distance=1.0, texture=1.0, look=1.0, neighbours=1.0),
         reach=2.0,
-        bandwidths=Bandwidths(
-            lightness=0.1, chroma=0.05, gradient=0.05, contrast=0.1, row=1.0, column=1.0
-        ),
+        bandwidths=NEUTRAL_WIDTHS,
         bias=0.0,
     ),
 }

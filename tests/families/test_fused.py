@@ -9,7 +9,7 @@ from torch import Tensor
 from roadtorch.detectors import Detection, load_detector
 from roadtorch.fusion import log_odds
 from roadtorch.layout.labeller import HORIZONTAL, label_layout
-from tests.scenes import render_scene
+from tests.families.streets import lost_highlights
 
 CUES = {
     "layout",
@@ -26,11 +26,7 @@ CUES = {
 
 @cache
 def street() -> Tensor:
-    """A small dark street with lost highlights on the road, a patch and single pixels."""
-    image = render_scene(3, 96, 128, dusk=0.6).image.clone()
-    image[:, 60:72, 20:44] = 1.0
-    image[:, 76:88, 70:100:3] = 1.0
-    return image
+    return lost_highlights(dusk=0.6)
 
 
 @cache

@@ -16,16 +16,12 @@ from roadtorch.families.texture import (
     unsaturated_uniformity,
 )
 from roadtorch.geometry import SeedArea, squares
-from tests.scenes import render_scene
+from tests.families.streets import lost_highlights
 
 
 @cache
 def street() -> Tensor:
-    """A small street with lost highlights on the road: a patch, and a third of another."""
-    image = render_scene(3, 96, 128).image.clone()
-    image[:, 60:72, 20:44] = 1.0
-    image[:, 76:88, 70:100:3] = 1.0
-    return image
+    return lost_highlights()
 
 
 def per_segment(cue: Tensor, segments: Tensor) -> Tensor:
