@@ -14,6 +14,7 @@ from torch.nn import functional as F
 
 from roadtorch.color import planes
 from roadtorch.settings import Settings
+from roadtorch.sharing import shareable
 from roadtorch.superpixels import borders, segment_mean
 
 STRONGEST = 0.3
@@ -51,6 +52,7 @@ class Exposure(Settings):
     )
 
 
+@shareable
 def brightened(image: Tensor, exposure: Exposure) -> Tensor:
     """An image (3,H,W) in [0,1] under the gamma that lifts its lower part to ``ground``.
 
@@ -87,6 +89,7 @@ class Segments:
     """(E,): mean of ``border_contrast`` along the border of each pair."""
 
 
+@shareable
 def measure_segments(image: Tensor, labels: Tensor) -> Segments:
     """Measure the segments ``labels`` (H,W) of an image (3,H,W) in [0,1]."""
     height, width = labels.shape

@@ -8,6 +8,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from roadtorch.settings import Settings
+from roadtorch.sharing import shareable
 from roadtorch.superpixels import slic
 
 SHORTEST = 16
@@ -35,14 +36,25 @@ class Superpixels(Settings):
 
     def cut(self, image: Tensor) -> Tensor:
         """Labels int64 (H,W) of an image (3,H,W); at least 16 segments where there is room."""
-        pixels = image.shape[-2] * image.shape[-1]
-        return slic(image, max(16, round(pixels / self.pixels)), self.compactness)
+        return _cut(image, self)
+
+
+@shareable
+def _cut(image: Tensor, superpixels: Superpixels) -> Tensor:
+    pixels = image.shape[-2] * image.shape[-1]
+    return slic(image, max(16, round(pixels / superpixels.pixels)), superpixels.compactness)
 
 
 def working_size(height: int, width: int, working: WorkingSize) -> tuple[int, int]:
     """Height and width at which a picture is analysed: its shape, at most ``working.pixels``."""
     scale = min(1.0, (working.pixels / (height * width)) ** 0.5)
     return max(SHORTEST, round(height * scale)), max(SHORTEST, round(width * scale))
+
+
+@shareable
+def at_work(image: Tensor, working: WorkingSize) -> Tensor:
+    """The image (3,H,W) as it is analysed: at its working size, in [0,1]."""
+    return resized(image, working_size(image.shape[-2], image.shape[-1], working)).clamp(0, 1)
 
 
 def resized(maps: Tensor, size: tuple[int, int]) -> Tensor:
@@ -93,6 +105,6 @@ def at_working_size(
 
     def wrapped(image: Tensor) -> Mapping[str, Tensor]:
         size = (image.shape[-2], image.shape[-1])
-        return FullSize(analyse(resized(image, working_size(*size, working)).clamp(0, 1)), size)
+        return FullSize(analyse(at_work(image, working)), size)
 
     return wrapped

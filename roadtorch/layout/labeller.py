@@ -23,6 +23,7 @@ from roadtorch.segments import (
     measure_segments,
 )
 from roadtorch.settings import Settings
+from roadtorch.sharing import shareable
 from roadtorch.superpixels import paint, segment_mean
 from roadtorch.working import Superpixels, WorkingSize, at_working_size
 
@@ -127,6 +128,7 @@ def label_layout(
     return LayoutLabels(cues["layout"], cues["layout_labels"])
 
 
+@shareable
 def segment_layout(segments: Segments, settings: LabellerSettings) -> Tensor:
     """Potentials (n,3) of n segments: sky, vertical, horizontal; each row sums to 1.
 
