@@ -36,7 +36,8 @@ from torch import Tensor
 from tqdm import tqdm
 
 from roadtorch.errors import RoadtorchError
-from roadtorch.evaluation.datasets import open_dataset, read_labels
+from roadtorch.evaluation.datasets import open_dataset
+from roadtorch.evaluation.labels import read_labels
 from roadtorch.superpixels import slic
 
 TOLERANCE = 2  # pixels

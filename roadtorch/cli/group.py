@@ -21,6 +21,8 @@ COMMANDS = {
     "infer": ("roadtorch.cli.infer:infer", "Find the road in pictures."),
     "label": ("roadtorch.cli.label:label", "Label pictures as sky, vertical and horizontal."),
     "planes": ("roadtorch.cli.planes:planes", "List the colour planes and representations."),
+    "submit": ("roadtorch.cli.submit:submit", "Write a submission to the KITTI road benchmark."),
+    "tune": ("roadtorch.cli.tune:tune", "Choose a detector's threshold on labelled pictures."),
 }
 
 FAILED, WRONG_USAGE, INTERRUPTED = 1, 2, 130  # exit codes; 130 is what shells use for Ctrl-C

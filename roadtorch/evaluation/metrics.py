@@ -9,11 +9,10 @@ among them (level 257·q), so 8- and 16-bit maps are measured exactly, and other
 tie only where they round to the same level. "≥ threshold" means road (KITTI's reading).
 
 Sources: "KITTI" is the road benchmark's development kit (Fritsch, Kühnl, Geiger, ITSC
-2013); P2 is Álvarez et al., ECCV 2012.
+2013); P1 is Zhang et al., ICPR 2016; P2 is Álvarez et al., ECCV 2012.
 """
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -68,8 +67,9 @@ class Decisions:
 
 
 def level_of(likelihood: Tensor, levels: int = LEVELS) -> Tensor:
-    """The nearest of ``levels`` equally spaced levels of [0,1]; int64, same shape."""
-    return (likelihood * (levels - 1) + 0.5).floor().to(torch.int64)
+    """The nearest of ``levels`` equally spaced levels of [0,1]; int32, same shape."""
+    # Of what is not negative, taking the whole part is rounding down.
+    return (likelihood * (levels - 1) + 0.5).to(torch.int32)
 
 
 def threshold_level(threshold: float, levels: int = LEVELS) -> int:
@@ -94,19 +94,20 @@ def count_levels(
     low, high = (float(bound) for bound in torch.aminmax(likelihood))
     if not (low >= 0 and high <= 1):  # also true of NaN, which passes through aminmax
         raise InputError("likelihood", f"has values from {low:g} to {high:g}", "keep to [0, 1]")
-    kind = torch.where(valid, road.to(torch.int64), 2)
-    counts = torch.bincount(
-        (level_of(likelihood, levels) + levels * kind).flatten(), minlength=3 * levels
-    )
-    other, on_road, _ = counts.split(levels)
-    return RoadCounts(on_road.clone(), other.clone())
+    # One histogram: background, then road, then a last place for void.
+    place = level_of(likelihood, levels).add_(road, alpha=levels).masked_fill_(~valid, 2 * levels)
+    counts = torch.bincount(place.flatten(), minlength=2 * levels + 1)
+    return RoadCounts(counts[levels : 2 * levels].clone(), counts[:levels].clone())
 
 
 def count_mask(mask: Tensor, road: Tensor, valid: Tensor) -> Decisions:
     """Count the valid pixels of one mask; all bool (H,W)."""
-    kind = (mask.to(torch.int64) + 2 * road.to(torch.int64))[valid]
-    true_negative, false_positive, false_negative, true_positive = torch.bincount(kind, minlength=4)
-    return Decisions(true_positive, false_positive, false_negative, true_negative)
+    called, true = mask & valid, road & valid
+    both = (called & true).sum()
+    false_positive, false_negative = called.sum() - both, true.sum() - both
+    return Decisions(
+        both, false_positive, false_negative, valid.sum() - both - false_positive - false_negative
+    )
 
 
 def coarsen(counts: RoadCounts, levels: int = 256) -> RoadCounts:
@@ -132,15 +133,18 @@ def pool(counts: RoadCounts, weights: Tensor) -> RoadCounts:
 
 def decisions(counts: RoadCounts) -> Decisions:
     """The outcome of "level ≥ k is road" for every k: tensors (...,levels)."""
-    true_positive, false_positive = (
-        part.flip(-1).cumsum(-1).flip(-1) for part in (counts.road, counts.other)
-    )
+    true_positive, false_positive = _reaching(counts.road), _reaching(counts.other)
     return Decisions(
         true_positive,
         false_positive,
         true_positive[..., :1] - true_positive,
         false_positive[..., :1] - false_positive,
     )
+
+
+def _reaching(part: Tensor) -> Tensor:
+    """How many pixels have each level or a higher one."""
+    return part.flip(-1).cumsum(-1).flip(-1)
 
 
 def decisions_at(counts: RoadCounts, threshold: float) -> Decisions:
@@ -154,6 +158,10 @@ def decisions_at(counts: RoadCounts, threshold: float) -> Decisions:
 
 
 # --- formulas; 0/0 is NaN, never 0 or 1 ---------------------------------------------------
+
+
+# Given the summed counts of a data set, precision, recall and f_measure are P, R and F of
+# P1, eq. 11 (Table I). They are not the means of the images' figures.
 
 
 def precision(outcome: Decisions) -> Tensor:
@@ -178,6 +186,22 @@ def f_measure(outcome: Decisions) -> Tensor:
     return _ratio(2 * outcome.true_positive, 2 * outcome.true_positive + wrong)
 
 
+def false_positive_rate(outcome: Decisions) -> Tensor:
+    """FP / (FP + TN), float64; NaN where there is no background."""
+    return _ratio(outcome.false_positive, outcome.false_positive + outcome.true_negative)
+
+
+def false_negative_rate(outcome: Decisions) -> Tensor:
+    """FN / (TP + FN), float64; NaN where there is no road."""
+    return _ratio(outcome.false_negative, outcome.true_positive + outcome.false_negative)
+
+
+def accuracy(outcome: Decisions) -> Tensor:
+    """(TP + TN) / all, float64; NaN where nothing is counted."""
+    right = outcome.true_positive + outcome.true_negative
+    return _ratio(right, right + outcome.false_positive + outcome.false_negative)
+
+
 def _ratio(part: Tensor, whole: Tensor) -> Tensor:
     return part.to(torch.float64) / whole.to(torch.float64)
 
@@ -194,8 +218,7 @@ def auc(counts: RoadCounts) -> Tensor:
 
 def kitti_precision_recall(counts: RoadCounts) -> tuple[Tensor, Tensor]:
     """KITTI's precision and recall for every level, float64 (...,levels) each."""
-    outcome = decisions(counts)
-    hit, false = outcome.true_positive.to(torch.float64), outcome.false_positive.to(torch.float64)
+    hit, false = (_reaching(part).to(torch.float64) for part in (counts.road, counts.other))
     return hit / (hit + false + TINY), hit / hit[..., :1]
 
 
@@ -216,6 +239,32 @@ def best_threshold(curve: Tensor) -> tuple[Tensor, Tensor]:
     value = curve.gather(-1, best[..., None])[..., 0]
     threshold = best.to(torch.float64) / (curve.shape[-1] - 1)
     return value, threshold.where(~value.isnan(), torch.nan)
+
+
+def working_point(counts: RoadCounts) -> dict[str, Tensor]:
+    """KITTI's figures at the lowest threshold that reaches MaxF, float64 (...) by name.
+
+    level, precision, recall, fpr, fnr, accuracy, quality (the kit's word for IoU); NaN where
+    there is no road. The kit has 256 levels: `coarsen` finer counts to compare with it.
+    """
+    curve = f_curve(counts)
+    level = curve.argmax(-1)  # the first one of several
+    outcomes = decisions(counts)
+    parts = ("true_positive", "false_positive", "false_negative", "true_negative")
+    chosen = Decisions(
+        *(getattr(outcomes, part).gather(-1, level[..., None])[..., 0] for part in parts)
+    )
+    figures = {
+        "level": level.to(torch.float64),
+        "precision": precision(chosen),
+        "recall": recall(chosen),
+        "fpr": false_positive_rate(chosen),
+        "fnr": false_negative_rate(chosen),
+        "accuracy": accuracy(chosen),
+        "quality": iou(chosen),
+    }
+    has_road = counts.road.sum(-1) > 0
+    return {name: value.where(has_road, torch.nan) for name, value in figures.items()}
 
 
 def average_precision(counts: RoadCounts) -> Tensor:
@@ -246,53 +295,48 @@ def count_layout(labels: Tensor, truth: Tensor) -> Tensor:
     return torch.bincount(pairs, minlength=(three + 1) ** 2).reshape(three + 1, three + 1)
 
 
+# The figures leave out void and unlabelled pixels and take any leading dimensions.
+
+
 def void_as_vertical(confusion: Tensor) -> Tensor:
-    """The confusion (4,4) under P2's literal reading: void counts as vertical."""
+    """The confusion (...,4,4) under P2's literal reading: void counts as vertical."""
     moved = confusion.clone()
-    moved[1] += moved[3]
-    moved[3] = 0
+    moved[..., 1, :] += moved[..., 3, :]
+    moved[..., 3, :] = 0
     return moved
 
 
-def class_recalls(confusion: Tensor) -> Tensor:
-    """Recall of sky, vertical, horizontal over labelled pixels, float64 (3,) (P2, Table 1).
+def normalised_confusion(confusion: Tensor) -> Tensor:
+    """Shares of each true class by decision, (...,4,4) → float64 (...,3,3) (P2, Table 1).
 
-    The diagonal of the row-normalised confusion; void and unlabelled pixels are left out.
-    NaN for a class without pixels.
+    Rows sum to 1, or are NaN for a class without pixels. P2 prints vertical, horizontal,
+    sky; here the order is sky, vertical, horizontal.
     """
-    labelled = confusion[:3, :3]
-    return _ratio(labelled.diagonal(), labelled.sum(1))
+    labelled = confusion[..., :3, :3]
+    return _ratio(labelled, labelled.sum(-1, keepdim=True))
+
+
+def class_recalls(confusion: Tensor) -> Tensor:
+    """Recall of sky, vertical, horizontal, float64 (...,3); NaN for a class without pixels."""
+    return normalised_confusion(confusion).diagonal(dim1=-2, dim2=-1)
+
+
+def mean_class_recall(confusion: Tensor) -> Tensor:
+    """The mean diagonal of the row-normalised confusion over present classes, float64 (...).
+
+    What P2 calls "global average accuracy (normalized diagonal)".
+    """
+    return class_recalls(confusion).nanmean(-1)
+
+
+def layout_accuracy(confusion: Tensor) -> Tensor:
+    """Share of the labelled pixels with the right label, float64 (...)."""
+    labelled = confusion[..., :3, :3]
+    right = labelled.diagonal(dim1=-2, dim2=-1)
+    return _ratio(right.sum(-1), labelled.sum((-2, -1)))
 
 
 def labelled_share(confusion: Tensor) -> Tensor:
-    """Share of the pixels with truth that have a label, float64 ()."""
-    return _ratio(confusion[:3, :3].sum(), confusion[:3].sum())
-
-
-# --- uncertainty ------------------------------------------------------------------------
-
-
-def bootstrap_weights(images: int, replicates: int, generator: torch.Generator) -> Tensor:
-    """How often each image is drawn, int64 (replicates,images): each row sums to ``images``."""
-    drawn = torch.randint(images, (replicates, images), generator=generator)
-    ones = torch.ones_like(drawn)
-    return torch.zeros_like(drawn).scatter_add_(1, drawn, ones)
-
-
-def bootstrap_interval(
-    group_sizes: Sequence[int],
-    figure: Callable[[list[Tensor]], Tensor],
-    generator: torch.Generator,
-    replicates: int = 1000,
-) -> tuple[float, float]:
-    """The 95 % percentile interval of a figure over images drawn anew inside each group.
-
-    ``figure`` takes one weight tensor (replicates,images) per group and returns its
-    values (replicates,). Efron and Tibshirani, An Introduction to the Bootstrap, ch. 13.
-    """
-    values = figure([bootstrap_weights(size, replicates, generator) for size in group_sizes])
-    values = values[~values.isnan()]
-    if not len(values):
-        return float("nan"), float("nan")
-    low, high = torch.quantile(values, torch.tensor([0.025, 0.975], dtype=values.dtype))
-    return float(low), float(high)
+    """Share of the pixels with truth that have a label, float64 (...)."""
+    with_truth = confusion[..., :3, :]
+    return _ratio(with_truth[..., :3].sum((-2, -1)), with_truth.sum((-2, -1)))

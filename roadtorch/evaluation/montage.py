@@ -1,7 +1,10 @@
 """Sheets of pictures to look at: what a detector saw, and what it made of it."""
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,45 +13,86 @@ from torch import Tensor
 
 from roadtorch.detectors import Detection
 from roadtorch.evaluation.datasets import Dataset, Item, Truth
-from roadtorch.evaluation.runner import WHOLE, Look
-from roadtorch.image import layout_colours, to_pixels, write_colours
+from roadtorch.evaluation.runner import Look, Plan, Scene, looks, seen_truth
+from roadtorch.evaluation.summary import chosen_pictures, thresholds_of
+from roadtorch.evaluation.tally import WHOLE, Tally
+from roadtorch.image import layout_colours, to_pixels, write_jpeg
 
+MOST = 8  # detectors with sheets
 TILE_WIDTH = 320  # pixels
 CAPTION = 18  # pixels of height
 BLUE, VERMILLION, WHITE = (0, 114, 178), (213, 94, 0), (255, 255, 255)  # Okabe and Ito
 
 
-def write_montage(
-    path: Path,
+def write_montages(
+    out: Path,
+    plan: Plan,
+    tallies: Mapping[str, Tally],
+    figures: Mapping[str, Mapping[str, Any]],
+    count: int,
+) -> dict[str, dict[str, bytes]]:
+    """Write ``montage.NAME.best.jpg``, ``.median`` and ``.worst`` for the best detectors.
+
+    Floors get none, and of many detectors only the ``MOST`` with the highest MaxF do.
+    Returns the files' content by detector and part.
+    """
+    found = looks(plan)
+    shown = [name for name in found if not name.startswith("prior:")]
+    shown.sort(key=lambda name: -_known(figures[name]["maxf"]))
+    sheets: dict[str, dict[str, bytes]] = {}
+    for name in shown[:MOST]:
+        thresholds = thresholds_of(figures[name])
+        chosen = chosen_pictures(tallies[name].rows, thresholds, count)
+        for part, pictures in chosen.items():
+            if pictures:
+                path = out / f"montage.{name.replace(':', '-')}.{part}.jpg"
+                write_jpeg(path, sheet(plan.dataset, found[name], pictures, thresholds))
+                sheets.setdefault(name, {})[part] = path.read_bytes()
+    return sheets
+
+
+def _known(value: float) -> float:
+    return -1.0 if math.isnan(value) else value
+
+
+def sheet(
     dataset: Dataset,
     look: Look,
     chosen: Sequence[tuple[float, str]],
     thresholds: Mapping[str, float],
-) -> None:
-    """Write one sheet: a row of tiles for each chosen (F, picture name)."""
+) -> Tensor:
+    """One sheet (3,H,W): a row of tiles for each chosen (F, picture name)."""
     by_name = {item.name: item for item in dataset.items}
-    strips = [
-        montage_row(dataset, look, by_name[name], thresholds[by_name[name].group or WHOLE], value)
-        for value, name in chosen
-    ]
-    sheet = np.concatenate(strips)
-    write_colours(path, torch.from_numpy(sheet.transpose(2, 0, 1).astype(np.float32) / 255))
+    rows = []
+    for value, name in chosen:
+        item = by_name[name]
+        rows.append(sheet_row(dataset, look, item, thresholds[item.group or WHOLE], value))
+    width = max(row.shape[1] for row in rows)
+    rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows]
+    return torch.from_numpy(np.concatenate(rows).transpose(2, 0, 1).astype(np.float32) / 255)
 
 
-def montage_row(
+def sheet_row(
     dataset: Dataset, look: Look, item: Item, threshold: float, value: float
 ) -> np.ndarray:
-    """Image, layout, uniformity, likelihood and decision of one item, side by side."""
+    """Image, layout, uniformity, likelihood and decision of one item, side by side.
+
+    A map that was made for another view, as KITTI's are, is shown in that view.
+    """
     image, truth = dataset.read(item)
     detection = look(image, item)
+    scene = Scene(dataset, item, image, truth)
+    if detection.likelihood.shape != truth.road.shape:
+        scene = replace(scene, image=scene.seen(image), truth=seen_truth(scene))
     decided = detection.likelihood >= threshold
     tiles = {
         f"{item.name}  F {value:.3f}": to_pixels(image),
         **cue_tiles(detection),
         "likelihood": heat(detection.likelihood),
-        "decision (blue), truth (line)": decision_tile(image, decided, truth),
+        "decision (blue), truth (line)": decision_tile(scene.image, decided, scene.truth),
     }
-    return np.concatenate([captioned(tile, text) for text, tile in tiles.items()], axis=1)
+    height = round(image.shape[1] * TILE_WIDTH / image.shape[2])
+    return np.concatenate([captioned(tile, text, height) for text, tile in tiles.items()], axis=1)
 
 
 def cue_tiles(detection: Detection) -> dict[str, np.ndarray]:
@@ -82,10 +126,13 @@ def decision_tile(image: Tensor, decided: Tensor, truth: Truth) -> np.ndarray:
     return cv2.drawContours(pixels, outlines, -1, VERMILLION, 2 * width)
 
 
-def captioned(tile: np.ndarray, text: str) -> np.ndarray:
-    """A tile of the sheet's width with a line of text above."""
-    height = round(tile.shape[0] * TILE_WIDTH / tile.shape[1])
-    small = cv2.resize(tile, (TILE_WIDTH, height), interpolation=cv2.INTER_AREA)
-    bar = np.zeros((CAPTION, TILE_WIDTH, 3), np.uint8)
-    cv2.putText(bar, text, (4, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.4, WHITE, 1, cv2.LINE_AA)
-    return np.concatenate([bar, small])
+def captioned(tile: np.ndarray, text: str, height: int) -> np.ndarray:
+    """A tile of the sheet's width and that height, black where it is of another shape."""
+    scale = min(TILE_WIDTH / tile.shape[1], height / tile.shape[0])
+    size = (max(1, round(tile.shape[1] * scale)), max(1, round(tile.shape[0] * scale)))
+    small = cv2.resize(tile, size, interpolation=cv2.INTER_AREA)
+    canvas = np.zeros((CAPTION + height, TILE_WIDTH, 3), np.uint8)
+    cv2.putText(canvas, text, (4, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.4, WHITE, 1, cv2.LINE_AA)
+    left = (TILE_WIDTH - size[0]) // 2
+    canvas[CAPTION : CAPTION + size[1], left : left + size[0]] = small
+    return canvas

@@ -11,8 +11,9 @@ from typing import Any
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.datasets import Dataset
-from roadtorch.evaluation.runner import Result, Tally
-from roadtorch.evaluation.summary import image_f
+from roadtorch.evaluation.runner import Result
+from roadtorch.evaluation.summary import image_f, thresholds_of
+from roadtorch.evaluation.tally import Tally
 from roadtorch.image import write_text
 
 IMAGE_COLUMNS = (
@@ -24,24 +25,68 @@ IMAGE_COLUMNS = (
 # --- table ------------------------------------------------------------------------------
 
 
+def screen(document: Mapping[str, Any]) -> str:
+    """The tables of a run: road, layout if somebody labels it, and detectors in pairs."""
+    detectors = document["detectors"]
+    tables = (score_table(detectors), layout_table(detectors), paired_table(document["paired"]))
+    return "\n\n".join(filter(None, tables))
+
+
+SCORES = {
+    "AUC": "auc_pooled",
+    "AUC/image": "auc_mean",
+    "AP": "ap",
+    "IoU": "iou",
+    "EER": "eer",
+    "Brier": "brier",
+}
+"""Columns of the table and their figures."""
+
+
 def score_table(detectors: Mapping[str, Mapping[str, Any]]) -> str:
-    """Detector by (MaxF by drive and mean, AUC pooled and per image, IoU, ms), best MaxF first."""
+    """Detector by MaxF (by drive and mean) and the other headline figures, best MaxF first."""
     groups = _group_names(detectors)
     by_drive = [f"MaxF {group}" for group in groups]
-    header = ["detector", *by_drive, "MaxF", "95 %", "AUC pooled", "AUC mean", "IoU", "ms/image"]
+    pooled = ["pooled"] if groups else []
+    header = ["detector", *by_drive, "MaxF", "95 %", *pooled, *SCORES, "ms/image"]
     order = sorted(detectors.items(), key=lambda pair: -_number(pair[1]["maxf"]))
     rows = [
         [
             name,
             *(_share(figures["groups"][group]["maxf"]) for group in groups),
             _share(figures["maxf"]),
-            "–".join(_share(bound) for bound in figures["ci95"]["maxf"]),
-            *(_share(figures[key]) for key in ("auc_pooled", "auc_mean", "iou")),
+            _range(figures["ci95"]["maxf"]),
+            *(_share(figures[part]["maxf"]) for part in pooled),
+            *(_share(figures[key]) for key in SCORES.values()),
             f"{figures['ms_per_image']:.1f}",
         ]
         for name, figures in order
     ]
     return align([header, *rows])
+
+
+COMPARED = {"MaxF": "maxf", "AUC": "auc_pooled", "IoU": "iou"}
+
+
+def paired_table(paired: Mapping[str, Any]) -> str:
+    """Each detector less the one it is compared with, with 95 % intervals; empty for one."""
+    header = [f"less {paired['against']}"]
+    header += [text for name in COMPARED for text in (name, "95 %")]
+    rows = [
+        [name, *(text for key in COMPARED.values() for text in _change(changes[key]))]
+        for name, changes in paired["detectors"].items()
+    ]
+    return align([header, *rows]) if rows else ""
+
+
+def _change(change: Mapping[str, Any]) -> tuple[str, str]:
+    value, (low, high) = change["difference"], change["ci95"]
+    signed = ["-" if math.isnan(part) else f"{part:+.3f}" for part in (value, low, high)]
+    return signed[0], f"{signed[1]} to {signed[2]}"
+
+
+def _range(bounds: Sequence[float]) -> str:
+    return "–".join(_share(bound) for bound in bounds)
 
 
 def layout_table(detectors: Mapping[str, Mapping[str, Any]]) -> str:
@@ -112,7 +157,8 @@ def metrics_document(
         "images": len(dataset.items) - len(failures),
         "void": "ignored",
         "command": command,
-        "levels": metrics.LEVELS,
+        "levels": dataset.levels,
+        "view": "the picture" if dataset.view is None else type(dataset.view).__name__,
         "failed": [{"image": r.item.name, "reason": r.failure} for r in failures],
         "detectors": detectors,
     }
@@ -172,17 +218,14 @@ def earlier_threshold(
 
 
 def image_rows(
-    tallies: Mapping[str, Tally],
-    thresholds: Mapping[str, Mapping[str, float]],
-    failures: Sequence[Result],
-) -> str:
-    """CSV text: a row for each picture and detector, then one for each picture that failed."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, IMAGE_COLUMNS, lineterminator="\n")
-    writer.writeheader()
+    tallies: Mapping[str, Tally], figures: Mapping[str, Mapping[str, Any]]
+) -> list[dict[str, Any]]:
+    """The figures of each picture and detector, under ``IMAGE_COLUMNS``; None for undefined."""
+    rows = []
     for name, tally in tallies.items():
+        thresholds = thresholds_of(figures[name])
         for row in tally.rows:
-            threshold = thresholds[name][row.group]
+            threshold = thresholds[row.group]
             values = {
                 "auc": row.auc,
                 "maxf": row.max_f,
@@ -191,17 +234,21 @@ def image_rows(
                 "f_mask": float(metrics.f_measure(row.mask)),
                 "iou_mask": float(metrics.iou(row.mask)),
             }
-            cells = {key: "" if math.isnan(v) else f"{v:.6f}" for key, v in values.items()}
-            cells |= {"image": row.name, "group": row.group, "detector": name}
-            writer.writerow({**cells, "ms": f"{1000 * row.seconds:.2f}", "status": "ok"})
+            known = {key: None if math.isnan(value) else value for key, value in values.items()}
+            about = {"image": row.name, "group": row.group, "detector": name}
+            rows.append({**about, **known, "ms": 1000 * row.seconds, "status": "ok"})
+    return rows
+
+
+def rows_csv(rows: Sequence[Mapping[str, Any]], failures: Sequence[Result]) -> str:
+    """CSV text: a line for each picture and detector, then one for each picture that failed."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, IMAGE_COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    for row in rows:
+        cells = {k: f"{v:.6f}" if isinstance(v, float) else v for k, v in row.items()}
+        writer.writerow({**cells, "ms": f"{row['ms']:.2f}"})
     for result in failures:
         cells = {"image": result.item.name, "group": result.item.group or ""}
         writer.writerow({**cells, "status": result.failure})
     return text.getvalue()
-
-
-def thresholds_of(figures: Mapping[str, Any], whole: str) -> dict[str, float]:
-    """The threshold of every drive; of ``whole`` for a set without drives."""
-    if "groups" not in figures:
-        return {whole: figures["threshold"]}
-    return {group: part["threshold"] for group, part in figures["groups"].items()}

@@ -2,48 +2,40 @@
 
 import multiprocessing
 import pickle
-import statistics
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePath
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from roadtorch.detectors import Detection, load_detector
 from roadtorch.errors import RoadtorchError
-from roadtorch.evaluation import metrics
+from roadtorch.evaluation import boundary, maps, metrics
 from roadtorch.evaluation.datasets import Dataset, Item, Truth
 from roadtorch.evaluation.floors import MEAN, resize
-from roadtorch.evaluation.metrics import Decisions, RoadCounts
+from roadtorch.evaluation.tally import Score
+from roadtorch.sharing import Shared, sharing
 
-WHOLE = "all"  # the one group of a set that knows no drives
 MEAN_THRESHOLD = 0.5  # road at this place in at least half of the pictures
 
-Counts = TypeVar("Counts", RoadCounts, Decisions, Tensor)
 Look = Callable[[Tensor, Item], Detection]
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What to run: a set, detectors by name with their settings, the mean masks by drive."""
+    """What to run: a set and, by name, detectors with their settings and folders of maps.
+
+    mean_masks: by drive, the masks of the floor ``prior:mean``; without any it stays out.
+    """
 
     dataset: Dataset
     detectors: Mapping[str, Mapping[str, Any]]
     mean_masks: Mapping[str, Tensor] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Score:
-    """One detector's counts on one picture."""
-
-    road: RoadCounts
-    mask: Decisions
-    layout: Tensor | None  # confusion (4,4) of the strongest potentials
-    labels: Tensor | None  # confusion (4,4) of labels that may abstain
-    seconds: float  # for detect alone
+    maps: Mapping[str, Path] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -55,70 +47,12 @@ class Result:
     failure: str = ""
 
 
-@dataclass(frozen=True)
-class ImageRow:
-    """What is kept of each picture for distributions and intervals."""
-
-    name: str
-    group: str
-    road: RoadCounts  # 256 levels, as the 8-bit map has
-    auc: float
-    max_f: float
-    mask: Decisions
-    seconds: float
-
-
-@dataclass
-class Tally:
-    """One detector's counts so far, by drive, and a row for each picture."""
-
-    road: dict[str, RoadCounts] = field(default_factory=dict)
-    mask: dict[str, Decisions] = field(default_factory=dict)
-    layout: dict[str, Tensor] = field(default_factory=dict)
-    labels: dict[str, Tensor] = field(default_factory=dict)
-    rows: list[ImageRow] = field(default_factory=list)
-
-    def add(self, item: Item, score: Score) -> None:
-        """Count one more picture."""
-        group = item.group or WHOLE
-        _add(self.road, group, score.road)
-        _add(self.mask, group, score.mask)
-        if score.layout is not None:
-            _add(self.layout, group, score.layout)
-        if score.labels is not None:
-            _add(self.labels, group, score.labels)
-        self.rows.append(_row(item, group, score))
-
-    def milliseconds(self, group: str | None = None) -> float:
-        """The median time of detect, over one drive or all pictures."""
-        kept = [row.seconds for row in self.rows if group in (None, row.group)]
-        return 1000 * statistics.median(kept)
-
-
-def _add(sums: dict[str, Counts], group: str, part: Counts) -> None:
-    sums[group] = sums[group] + part if group in sums else part
-
-
-def _row(item: Item, group: str, score: Score) -> ImageRow:
-    coarse = metrics.coarsen(score.road)
-    return ImageRow(
-        item.name,
-        group,
-        RoadCounts(coarse.road.to(torch.int32), coarse.other.to(torch.int32)),
-        float(metrics.auc(score.road)),
-        float(metrics.max_f(score.road)[0]),
-        score.mask,
-        score.seconds,
-    )
-
-
 def every_kth(dataset: Dataset, limit: int | None) -> Dataset:
     """At most ``limit`` items of a set, spread evenly over it."""
     if limit is None or limit >= len(dataset.items):
         return dataset
     step = len(dataset.items) / limit
-    chosen = tuple(dataset.items[int(index * step)] for index in range(limit))
-    return Dataset(dataset.name, dataset.root, dataset.split, chosen, dataset.coding)
+    return replace(dataset, items=tuple(dataset.items[int(index * step)] for index in range(limit)))
 
 
 # --- looking ----------------------------------------------------------------------------
@@ -127,6 +61,7 @@ def every_kth(dataset: Dataset, limit: int | None) -> Dataset:
 def looks(plan: Plan) -> dict[str, Look]:
     """The detectors of a plan, ready to look; ``prior:mean`` among them if it has masks."""
     found = {name: _look(name, settings) for name, settings in plan.detectors.items()}
+    found |= {name: _map_look(folder, plan.dataset) for name, folder in plan.maps.items()}
     if plan.mean_masks:
         found[MEAN] = lambda image, item: mean_detection(image, item, plan.mean_masks)
     return found
@@ -137,6 +72,25 @@ def _look(name: str, settings: Mapping[str, Any]) -> Look:
     return lambda image, item: detector.detect(image)
 
 
+def _map_look(folder: Path, dataset: Dataset) -> Look:
+    def look(image: Tensor, item: Item) -> Detection:
+        own = (image.shape[-2], image.shape[-1])
+        # What infer makes is named like the picture, what KITTI's server takes like the label.
+        like_picture = str(PurePath(item.name).with_name(item.image.stem))
+        names = list(dict.fromkeys([item.name, like_picture, item.label.stem]))
+        likelihood = maps.map_likelihood(folder, names, [own, *_view_size(dataset, item, own)])
+        return Detection(likelihood, likelihood >= maps.THRESHOLD, {})
+
+    return look
+
+
+def _view_size(dataset: Dataset, item: Item, size: tuple[int, int]) -> list[tuple[int, int]]:
+    if dataset.view is None:
+        return []
+    height, width = dataset.view(item, torch.zeros(size)).shape
+    return [(height, width)]
+
+
 def mean_detection(image: Tensor, item: Item, masks: Mapping[str, Tensor]) -> Detection:
     """The floor ``prior:mean``: what the mask of the item's drive says, at the image's size."""
     mask = masks[item.group or ""]
@@ -144,23 +98,61 @@ def mean_detection(image: Tensor, item: Item, masks: Mapping[str, Tensor]) -> De
     return Detection(likelihood, likelihood >= MEAN_THRESHOLD, {})
 
 
-def score_image(look: Look, image: Tensor, item: Item, truth: Truth) -> Score:
-    """Run one detector on one image and count."""
+# --- scoring ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One item as it is scored: its picture, and the truth where it is scored."""
+
+    dataset: Dataset
+    item: Item
+    image: Tensor
+    truth: Truth
+
+    def seen(self, values: Tensor) -> Tensor:
+        """A map (…,H,W) of the picture's size in the space of the truth."""
+        view = self.dataset.view
+        in_picture = values.shape[-2:] == self.image.shape[-2:]
+        return view(self.item, values) if view is not None and in_picture else values
+
+
+def read_scene(dataset: Dataset, item: Item) -> Scene:
+    """Read one item; RoadtorchError when its files are missing, damaged or do not fit."""
+    image, truth = dataset.read(item)
+    scene = Scene(dataset, item, image, truth)
+    return replace(scene, truth=seen_truth(scene))
+
+
+def seen_truth(scene: Scene) -> Truth:
+    """The truth of a scene in the space in which it is scored."""
+    truth = scene.truth
+    layout = None if truth.layout is None else scene.seen(truth.layout)
+    return Truth(scene.seen(truth.road), scene.seen(truth.valid), layout)
+
+
+def score_scene(look: Look, scene: Scene, shared: Shared) -> Score:
+    """Run one detector on one picture and count."""
+    truth, saved = scene.truth, shared.saved
     start = time.perf_counter()
-    detection = look(image, item)
-    seconds = time.perf_counter() - start
+    detection = look(scene.image, scene.item)
+    # What others had made before it counts as this one's work, too.
+    seconds = time.perf_counter() - start + shared.saved - saved
+    likelihood, mask = scene.seen(detection.likelihood), scene.seen(detection.mask)
     layout, labels = detection.cues.get("layout"), detection.cues.get("layout_labels")
     return Score(
-        metrics.count_levels(detection.likelihood, truth.road, truth.valid),
-        metrics.count_mask(detection.mask, truth.road, truth.valid),
-        None if layout is None else _count_layout(layout.argmax(0), truth),
-        None if labels is None else _count_layout(labels, truth),
+        metrics.count_levels(likelihood, truth.road, truth.valid, scene.dataset.levels),
+        metrics.count_mask(mask, truth.road, truth.valid),
+        boundary.count_boundary(mask, truth.road, truth.valid),
+        None if layout is None else _count_layout(layout.argmax(0), scene),
+        None if labels is None else _count_layout(labels, scene),
         seconds,
     )
 
 
-def _count_layout(labels: Tensor, truth: Truth) -> Tensor | None:
-    return None if truth.layout is None else metrics.count_layout(labels, truth.layout)
+def _count_layout(labels: Tensor, scene: Scene) -> Tensor | None:
+    truth = scene.truth.layout
+    return None if truth is None else metrics.count_layout(scene.seen(labels), truth)
 
 
 def score_item(plan: Plan, found: Mapping[str, Look], item: Item) -> Result:
@@ -171,10 +163,11 @@ def score_item(plan: Plan, found: Mapping[str, Look], item: Item) -> Result:
     """
     who = ""
     try:
-        image, truth = plan.dataset.read(item)
+        scene = read_scene(plan.dataset, item)
         scores = {}
-        for who, look in found.items():
-            scores[who] = score_image(look, image, item, truth)
+        with sharing() as shared:
+            for who, look in found.items():
+                scores[who] = score_scene(look, scene, shared)
         return Result(item, scores)
     except RoadtorchError as problem:
         return Result(item, {}, f"{who}: {problem}" if who else str(problem))
@@ -185,34 +178,33 @@ def score_item(plan: Plan, found: Mapping[str, Look], item: Item) -> Result:
 # --- one process or several -------------------------------------------------------------
 
 
-def run(plan: Plan, jobs: int = 1) -> Iterator[Result]:
-    """Yield a result for every item, in the set's order, whatever ``jobs`` is.
+def run(plan: Plan, jobs: int = 1, done: Collection[str] = ()) -> Iterator[Result]:
+    """Yield a result for every item that is not done, in the set's order, whatever ``jobs`` is.
 
-    With several processes each runs with this process's number of threads, so that the
-    results are the same to the bit.
+    done: names of items. With several processes each runs with this process's number of
+    threads, so that the results are the same to the bit.
     """
-    items = plan.dataset.items
+    items = [item for item in plan.dataset.items if item.name not in done]
+    found = looks(plan)  # mistakes in names and settings show here, before processes start
     if jobs == 1:
-        found = looks(plan)
         yield from (score_item(plan, found, item) for item in items)
         return
-    looks(plan)  # mistakes in names and settings show here, before processes start
     context = multiprocessing.get_context("spawn")
     # Bytes, because torch would share tensors between processes through sockets.
     message = pickle.dumps((plan, torch.get_num_threads()))
     with ProcessPoolExecutor(jobs, context, _prepare, (message,)) as pool:
-        yield from map(pickle.loads, pool.map(_score_one, range(len(items))))
+        yield from map(pickle.loads, pool.map(_score_one, items))
 
 
-_prepared: list[Callable[[int], Result]] = []  # a worker process's own plan, set once
+_prepared: list[Callable[[Item], Result]] = []  # a worker process's own plan, set once
 
 
 def _prepare(message: bytes) -> None:
     plan, threads = pickle.loads(message)
     torch.set_num_threads(threads)
     found = looks(plan)
-    _prepared.append(lambda index: score_item(plan, found, plan.dataset.items[index]))
+    _prepared.append(lambda item: score_item(plan, found, item))
 
 
-def _score_one(index: int) -> bytes:
-    return pickle.dumps(_prepared[0](index))
+def _score_one(item: Item) -> bytes:
+    return pickle.dumps(_prepared[0](item))

@@ -1,19 +1,32 @@
-"""From counts to figures: by drive, their means, thresholds chosen on other drives, intervals."""
+"""From counts to figures: by drive, their means, and thresholds chosen on other drives."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from roadtorch.evaluation import metrics
+from roadtorch.evaluation import boundary, calibration, curves, metrics
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
-from roadtorch.evaluation.runner import WHOLE, ImageRow, Tally
+from roadtorch.evaluation.tally import WHOLE, ImageRow, Tally
 
-SEED = 11  # of the bootstrap's draws
-REPLICATES = 1000
-AVERAGED = ("auc_pooled", "auc_mean", "maxf", "ap", "iou", "f", "precision", "recall", "iou_mask")
+AVERAGED = (
+    *("auc_pooled", "auc_mean", "eer", "auc_vertical", "eer_vertical"),
+    *("maxf", "ap", "iou", "f", "precision", "recall"),
+    *("iou_mask", "f_mask", "precision_mask", "recall_mask", "brier", "ece"),
+)
+"""The figures whose headline is the mean over the drives."""
+
+DECIDED: Mapping[str, Callable[[Decisions], Tensor]] = {
+    "iou": metrics.iou,
+    "f": metrics.f_measure,
+    "precision": metrics.precision,
+    "recall": metrics.recall,
+}
 
 
 # --- thresholds -------------------------------------------------------------------------
@@ -24,8 +37,8 @@ def shared_threshold(groups: Mapping[str, RoadCounts]) -> float:
 
     NaN when no drive has road.
     """
-    curves = [metrics.f_curve(counts) for counts in groups.values() if counts.road.sum() > 0]
-    return float(metrics.best_threshold(torch.stack(curves).mean(0))[1]) if curves else math.nan
+    found = [metrics.f_curve(counts) for counts in groups.values() if counts.road.sum() > 0]
+    return float(metrics.best_threshold(torch.stack(found).mean(0))[1]) if found else math.nan
 
 
 def held_out_thresholds(groups: Mapping[str, RoadCounts]) -> dict[str, float]:
@@ -47,6 +60,56 @@ def choose_thresholds(
     return "the detector's default", dict.fromkeys(groups, default)
 
 
+# --- parts of a set ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Part:
+    """The counts of one drive, or of the whole set at once.
+
+    chosen: the outcome at the threshold of each drive; None where there is none.
+    """
+
+    road: RoadCounts
+    mask: Decisions
+    boundary: Tensor
+    curve: Tensor | None  # sum of the single pictures' ROC curves
+    layout: Tensor | None
+    labels: Tensor | None
+    chosen: Decisions | None
+    rows: Sequence[ImageRow]
+    milliseconds: float
+
+
+def drive(tally: Tally, group: str, threshold: float) -> Part:
+    """One drive."""
+    return Part(
+        tally.road[group],
+        tally.mask[group],
+        tally.boundary[group],
+        tally.curve.get(group),
+        tally.layout.get(group),
+        tally.labels.get(group),
+        None if math.isnan(threshold) else metrics.decisions_at(tally.road[group], threshold),
+        [row for row in tally.rows if row.group == group],
+        tally.milliseconds(group),
+    )
+
+
+def together(parts: Sequence[Part], milliseconds: float) -> Part:
+    """Several drives as one: their counts added up."""
+
+    def total(values: Sequence[Any]) -> Any:
+        known = [value for value in values if value is not None]
+        return reduce(add, known) if known else None
+
+    sums = [total([getattr(part, name) for part in parts]) for name in _SUMMED]
+    return Part(*sums, rows=[row for part in parts for row in part.rows], milliseconds=milliseconds)
+
+
+_SUMMED = ("road", "mask", "boundary", "curve", "layout", "labels", "chosen")
+
+
 # --- figures ----------------------------------------------------------------------------
 
 
@@ -56,58 +119,77 @@ def summarise(tally: Tally, default: float, given: float | None = None) -> dict[
     default: the detector's own threshold. given: a threshold chosen elsewhere.
     """
     source, thresholds = choose_thresholds(tally.road, default, given)
-    groups = {group: _group_figures(tally, group, thresholds[group]) for group in tally.road}
+    parts = {group: drive(tally, group, thresholds[group]) for group in tally.road}
+    groups = {
+        group: {**part_figures(part), "threshold": thresholds[group]}
+        for group, part in parts.items()
+    }
+    whole = part_figures(together(list(parts.values()), tally.milliseconds()))
     figures: dict[str, Any] = {
         key: _mean([group[key] for group in groups.values()]) for key in AVERAGED
     }
+    figures["boundary_f"] = _mean_tree([group["boundary_f"] for group in groups.values()])
     figures["maxf_threshold"] = shared_threshold(tally.road)
     figures["threshold_from"] = source
-    figures["images"] = len(tally.rows)
-    figures["auc_images_skipped"] = sum(math.isnan(row.auc) for row in tally.rows)
+    figures["images"] = whole["images"]
+    figures["auc_images_skipped"] = whole["auc_images_skipped"]
     figures["ms_per_image"] = tally.milliseconds()
-    figures["ci95"] = intervals(tally.rows, thresholds, figures)
     figures["images_by_f"] = _extremes(tally.rows, thresholds)
     if tally.layout:
-        figures["layout"] = _layout_means(tally.layout, tally.labels)
+        figures["layout"] = _mean_tree([group["layout"] for group in groups.values()])
     if list(groups) == [WHOLE]:
-        return {**figures, "threshold": groups[WHOLE]["threshold"]}
-    return {**figures, "groups": groups}
+        return {**groups[WHOLE], **figures}
+    return {**figures, "groups": groups, "pooled": whole}
 
 
-def _group_figures(tally: Tally, group: str, threshold: float) -> dict[str, Any]:
-    counts = tally.road[group]
-    rows = [row for row in tally.rows if row.group == group]
-    best, where = metrics.max_f(counts)
-    chosen = metrics.decisions_at(counts, threshold) if not math.isnan(threshold) else None
+def part_figures(part: Part) -> dict[str, Any]:
+    """The figures of a drive, or of a whole set whose counts are pooled."""
+    best, where = metrics.max_f(part.road)
     figures: dict[str, Any] = {
-        "images": len(rows),
-        "auc_pooled": float(metrics.auc(counts)),
-        "auc_mean": _mean([row.auc for row in rows]),
-        "auc_images_skipped": sum(math.isnan(row.auc) for row in rows),
+        "images": len(part.rows),
+        "auc_pooled": float(metrics.auc(part.road)),
+        "eer": float(curves.equal_error_rate(curves.operating_points(part.road))),
+        **_image_figures(part),
         "maxf": float(best),
         "maxf_threshold": float(where),
-        "ap": float(metrics.average_precision(counts)),
-        "threshold": threshold,
-        **_decision_figures(chosen),
-        "iou_mask": float(metrics.iou(tally.mask[group])),
-        "ms_per_image": tally.milliseconds(group),
+        "working_point": _numbers(metrics.working_point(part.road)),
+        "ap": float(metrics.average_precision(part.road)),
+        **{key: _decided(formula, part.chosen) for key, formula in DECIDED.items()},
+        **{f"{key}_mask": _decided(formula, part.mask) for key, formula in DECIDED.items()},
+        "boundary_f": boundary.boundary_figures(part.boundary),
+        "brier": float(calibration.brier(part.road)),
+        "ece": float(calibration.expected_error(part.road)),
+        "ms_per_image": part.milliseconds,
     }
-    if group in tally.layout:
-        figures["layout"] = _layout_figures(tally.layout[group], tally.labels.get(group))
+    if part.layout is not None:
+        figures["layout"] = _layout_figures(part.layout, part.labels)
     return figures
 
 
-def _decision_figures(chosen: Decisions | None) -> dict[str, float]:
-    formulas: dict[str, Callable[[Decisions], Tensor]] = {
-        "iou": metrics.iou,
-        "f": metrics.f_measure,
-        "precision": metrics.precision,
-        "recall": metrics.recall,
-    }
+def _image_figures(part: Part) -> dict[str, float]:
+    """What is averaged over single pictures: their areas, and their curves (P3)."""
+    skipped = sum(math.isnan(row.auc) for row in part.rows)
+    average = vertical_curve(part)
     return {
-        key: math.nan if chosen is None else float(formula(chosen))
-        for key, formula in formulas.items()
+        "auc_mean": _mean([row.auc for row in part.rows]),
+        "auc_images_skipped": skipped,
+        "auc_vertical": math.nan if average is None else float(curves.area(average)),
+        "eer_vertical": math.nan if average is None else float(curves.equal_error_rate(average)),
     }
+
+
+def vertical_curve(part: Part) -> curves.Curve | None:
+    """The vertical average of the pictures' ROC curves; None without a picture that has one."""
+    count = sum(not math.isnan(row.auc) for row in part.rows)
+    return None if part.curve is None else curves.vertical_average(part.curve / count)
+
+
+def _decided(formula: Callable[[Decisions], Tensor], outcome: Decisions | None) -> float:
+    return math.nan if outcome is None else float(formula(outcome))
+
+
+def _numbers(figures: Mapping[str, Tensor]) -> dict[str, float]:
+    return {key: float(value) for key, value in figures.items()}
 
 
 def _mean(values: Sequence[float]) -> float:
@@ -122,6 +204,13 @@ def _mean(values: Sequence[float]) -> float:
 def _layout_figures(confusion: Tensor, labels: Tensor | None) -> dict[str, Any]:
     """Recalls under both readings of void; over labelled pixels too where labels abstain."""
     figures: dict[str, Any] = _recalls(confusion)
+    figures["accuracy"] = float(metrics.layout_accuracy(confusion))
+    figures["confusion"] = {
+        truth: dict(zip(metrics.LAYOUT_CLASSES, row, strict=True))
+        for truth, row in zip(
+            metrics.LAYOUT_CLASSES, metrics.normalised_confusion(confusion).tolist(), strict=True
+        )
+    }
     figures["void_as_vertical"] = _recalls(metrics.void_as_vertical(confusion))
     if labels is not None:
         figures["labelled_share"] = float(metrics.labelled_share(labels))
@@ -134,10 +223,6 @@ def _recalls(confusion: Tensor) -> dict[str, Any]:
     values = metrics.class_recalls(confusion).tolist()
     named: dict[str, Any] = dict(zip(metrics.LAYOUT_CLASSES, values, strict=True))
     return {**named, "mean": _mean(values)}
-
-
-def _layout_means(layout: Mapping[str, Tensor], labels: Mapping[str, Tensor]) -> dict[str, Any]:
-    return _mean_tree([_layout_figures(layout[group], labels.get(group)) for group in layout])
 
 
 def _mean_tree(trees: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -172,17 +257,27 @@ def middle(length: int, count: int) -> slice:
     return slice(begin, begin + count)
 
 
+def chosen_pictures(
+    rows: Sequence[ImageRow], thresholds: Mapping[str, float], count: int
+) -> dict[str, list[tuple[float, str]]]:
+    """(F, name) of the best, the median and the worst ``count`` pictures."""
+    order = ranked(rows, thresholds)
+    return {
+        "best": order[:count],
+        "median": order[middle(len(order), count)],
+        "worst": order[::-1][:count],
+    }
+
+
 def _extremes(
     rows: Sequence[ImageRow], thresholds: Mapping[str, float], count: int = 10
 ) -> dict[str, Any]:
-    order = ranked(rows, thresholds)
-    chosen = {"best": order[:count], "median": order[middle(len(order), count)]}
-    chosen["worst"] = order[::-1][:count]
+    values = [value for value, _ in ranked(rows, thresholds)]
     return {
-        "quantiles": _quantiles([value for value, _ in order]),
+        "quantiles": _quantiles(values),
         **{
-            key: [{"image": name, "f": value} for value, name in part]
-            for key, part in chosen.items()
+            part: [{"image": name, "f": value} for value, name in pictures]
+            for part, pictures in chosen_pictures(rows, thresholds, count).items()
         },
     }
 
@@ -197,64 +292,8 @@ def _quantiles(values: Sequence[float]) -> dict[str, float]:
     return {f"{share:g}": float(value) for share, value in zip(shares, found, strict=True)}
 
 
-# --- intervals --------------------------------------------------------------------------
-
-
-def intervals(
-    rows: Sequence[ImageRow], thresholds: Mapping[str, float], figures: Mapping[str, Any]
-) -> dict[str, list[float]]:
-    """95 % bootstrap intervals of the headline figures over pictures inside their drives.
-
-    Counted on 8-bit maps, then moved by what rounding to 8 bits does to the figure itself.
-    Thresholds stay as they were chosen.
-    """
-    groups = [[row for row in rows if row.group == group] for group in thresholds]
-    counts = [_stack([row.road for row in group]) for group in groups]
-    formulas = _figure_formulas(groups, counts, list(thresholds.values()))
-    found = {}
-    for key, formula in formulas.items():
-        generator = torch.Generator().manual_seed(SEED)
-        sizes = [len(group) for group in groups]
-        low, high = metrics.bootstrap_interval(sizes, formula, generator, REPLICATES)
-        once = [torch.ones((1, size), dtype=torch.int64) for size in sizes]
-        shift = figures[key] - float(formula(once))
-        found[key] = [max(low + shift, 0.0), min(high + shift, 1.0)]
-    return found
-
-
-def _stack(counts: Sequence[RoadCounts]) -> RoadCounts:
-    return RoadCounts(
-        torch.stack([one.road for one in counts]), torch.stack([one.other for one in counts])
-    )
-
-
-def _figure_formulas(
-    groups: Sequence[Sequence[ImageRow]], counts: Sequence[RoadCounts], thresholds: Sequence[float]
-) -> dict[str, Callable[[list[Tensor]], Tensor]]:
-    """Each headline figure as a function of weights (replicates,images), one tensor a drive."""
-    areas = [torch.tensor([row.auc for row in group], dtype=torch.float64) for group in groups]
-
-    def over_drives(formula: Callable[[int, Tensor], Tensor]) -> Callable[[list[Tensor]], Tensor]:
-        def figure(weights: list[Tensor]) -> Tensor:
-            return torch.stack([formula(i, w) for i, w in enumerate(weights)]).nanmean(0)
-
-        return figure
-
-    def overlap(index: int, weights: Tensor) -> Tensor:
-        if math.isnan(thresholds[index]):
-            return torch.full((len(weights),), math.nan, dtype=torch.float64)
-        return metrics.iou(
-            metrics.decisions_at(metrics.pool(counts[index], weights), thresholds[index])
-        )
-
-    def mean_area(index: int, weights: Tensor) -> Tensor:
-        known = ~areas[index].isnan()
-        weights = weights[:, known].to(torch.float64)
-        return (weights @ areas[index][known]) / weights.sum(1)
-
-    return {
-        "maxf": over_drives(lambda i, w: metrics.max_f(metrics.pool(counts[i], w))[0]),
-        "auc_pooled": over_drives(lambda i, w: metrics.auc(metrics.pool(counts[i], w))),
-        "auc_mean": over_drives(mean_area),
-        "iou": over_drives(overlap),
-    }
+def thresholds_of(figures: Mapping[str, Any]) -> dict[str, float]:
+    """The threshold of every drive in figures; of ``WHOLE`` for a set without drives."""
+    if "groups" not in figures:
+        return {WHOLE: figures["threshold"]}
+    return {group: part["threshold"] for group, part in figures["groups"].items()}

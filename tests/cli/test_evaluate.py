@@ -12,9 +12,12 @@ import torch
 from click.testing import CliRunner, Result
 from pydantic import Field
 
-from roadtorch.cli.evaluate import evaluate, expand_names
+from roadtorch.cli.evaluate import evaluate
 from roadtorch.detectors import Entry, list_detectors, register
 from roadtorch.errors import ConfigError, DatasetError, InputError
+from roadtorch.evaluation import runner
+from roadtorch.evaluation.plan import expand_names, open_named
+from roadtorch.evaluation.progress import FILE
 from roadtorch.image import read_image
 from roadtorch.settings import Settings
 from tests.scenes import render_scene, write_camvid, write_picture
@@ -226,20 +229,143 @@ def test_limit_takes_pictures_evenly(camvid, tmp_path):
     assert metrics(out)["images"] == 3
 
 
+def test_an_interrupted_run_goes_on_and_ends_like_a_whole_one(camvid, tmp_path, monkeypatch):
+    whole, out = tmp_path / "whole", tmp_path / "out"
+    arguments = ("camvid", camvid, "--detector", "test-oracle", "--detector", "prior:uniform")
+    run(*arguments, "--out", whole)
+    looked: list[str] = []
+    score_item = runner.score_item
+
+    def interrupted(plan, found, item):
+        if len(looked) == 4:
+            raise KeyboardInterrupt
+        looked.append(item.name)
+        return score_item(plan, found, item)
+
+    monkeypatch.setattr(runner, "score_item", interrupted)
+    assert run(*arguments, "--out", out).exit_code != 0
+    assert (out / FILE).is_file()
+    assert not (out / "metrics.json").exists()
+    looked.clear()
+    result = run(*arguments, "--out", out)
+
+    assert "going on after 4 of 6 pictures" in result.stderr
+    assert len(looked) == 2
+    assert not (out / FILE).exists()
+    one, other = (without_times(metrics(folder)["detectors"]) for folder in (whole, out))
+    assert one == other
+    assert rows_without_times(whole) == rows_without_times(out)
+
+
+def without_times(figures):
+    if isinstance(figures, dict):
+        return {key: without_times(part) for key, part in figures.items() if key != "ms_per_image"}
+    return figures
+
+
+def rows_without_times(out: Path) -> list[dict]:
+    with (out / "images.csv").open() as file:
+        return [{**row, "ms": ""} for row in csv.DictReader(file)]
+
+
+def test_the_beginning_of_another_run_is_refused(camvid, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / FILE).write_bytes(b"something else")
+
+    with pytest.raises(ConfigError, match="is not the progress of a run"):
+        run("camvid", camvid, "--detector", "prior:rows", "--out", out)
+    assert (out / FILE).read_bytes() == b"something else"
+
+
+def test_anybodys_maps_are_scored_like_a_detector(camvid, tmp_path):
+    theirs, out = tmp_path / "theirs", tmp_path / "out"
+    theirs.mkdir()
+    for name, scene in SCENES.items():
+        cv2.imwrite(str(theirs / f"{name}.png"), (scene.road * 255).to(torch.uint8).numpy())
+
+    result = run("camvid", camvid, "--maps", f"net={theirs}", "--out", out)
+
+    assert result.exit_code == 0
+    found = metrics(out)
+    assert set(found["detectors"]) == {"maps:net", "prior:rows", "prior:triangle", "prior:mean"}
+    assert found["detectors"]["maps:net"]["maxf"] == pytest.approx(1)
+    assert found["detectors"]["maps:net"]["iou_mask"] == 1
+
+
+def test_a_map_that_is_missing_fails_its_picture_alone(camvid, tmp_path):
+    theirs, out = tmp_path / "theirs", tmp_path / "out"
+    theirs.mkdir()
+    for name in list(SCENES)[1:]:
+        cv2.imwrite(str(theirs / f"{name}.png"), SCENES[name].road.to(torch.uint8).numpy())
+
+    result = run("camvid", camvid, "--maps", theirs, "--out", out)
+
+    assert result.exit_code == 1
+    missing = next(iter(SCENES))
+    assert f"failed: {missing}: maps:theirs: {theirs / missing}.png: is missing" in result.stderr
+    assert metrics(out)["images"] == 5
+
+
+def test_two_folders_of_maps_need_two_names(camvid, tmp_path):
+    (tmp_path / "a" / "maps").mkdir(parents=True)
+    (tmp_path / "b" / "maps").mkdir(parents=True)
+
+    with pytest.raises(ConfigError, match="two folders one name"):
+        run("camvid", camvid, "--maps", tmp_path / "a/maps", "--maps", tmp_path / "b/maps")
+
+
+def test_detectors_are_compared_on_the_same_pictures(camvid, tmp_path):
+    out = tmp_path / "out"
+
+    result = run("camvid", camvid, "--detector", "test-oracle", "--out", out)
+    run("camvid", camvid, "--detector", "test-oracle", "--against", "prior:rows", "--out", out)
+
+    assert "less test-oracle" in result.stdout
+    found = metrics(out)["paired"]
+    assert found["against"] == "prior:rows"
+    gain = found["detectors"]["test-oracle"]["maxf"]
+    assert 0 < gain["ci95"][0] <= gain["difference"] <= gain["ci95"][1]
+    with pytest.raises(ConfigError, match="detector of this run"):
+        run("camvid", camvid, "--detector", "prior:rows", "--against", "test-oracle")
+
+
+def test_curves_and_a_report_are_left_behind(camvid, tmp_path):
+    out = tmp_path / "out"
+    run("camvid", camvid, "--detector", "test-oracle", "--out", out)
+
+    curves = json.loads((out / "curves.json").read_text())
+    report = (out / "report.html").read_text()
+
+    assert curves["test-oracle"]["mean"]["roc"][1][1] == 1  # straight up
+    assert set(curves["test-oracle"]["groups"]) == set(DRIVES)
+    assert "test-oracle" in report
+    assert report.count("<svg") >= 2
+    assert "data:image/jpeg;base64," in report
+
+
+def test_birds_eye_view_is_for_sets_with_calibrations(camvid):
+    with pytest.raises(ConfigError, match="bird"):
+        run("camvid", camvid, "--bev")
+
+
 def test_sheets_of_best_median_and_worst(camvid, tmp_path):
     out = tmp_path / "out"
     run("camvid", camvid, "--detector", "test-oracle", "--montage", 2, "--out", out)
 
     sheets = {path.name: read_image(path) for path in out.glob("montage.*")}
     parts = ("best", "median", "worst")
-    assert set(sheets) == {f"montage.test-oracle.{part}.png" for part in parts}
+    assert set(sheets) == {f"montage.test-oracle.{part}.jpg" for part in parts}
     # Five tiles of 320 pixels: image, layout, uniformity, likelihood, decision; two rows.
     assert all(sheet.shape == (3, 2 * (240 + 18), 5 * 320) for sheet in sheets.values())
 
 
-def test_montage_needs_a_folder(camvid):
-    with pytest.raises(ConfigError, match="--out"):
-        run("camvid", camvid, "--detector", "prior:rows", "--montage", 1)
+def test_no_sheets_where_none_are_wanted(camvid, tmp_path):
+    out = tmp_path / "out"
+
+    run("camvid", camvid, "--detector", "test-oracle", "--montage", 0, "--out", out)
+
+    assert not list(out.glob("montage.*"))
 
 
 def test_an_output_folder_that_cannot_be_made(camvid, tmp_path):
@@ -258,6 +384,12 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_run(camvid, tmp_p
 
     with pytest.raises(InputError, match="out: cannot be written: Permission denied"):
         run("camvid", camvid, "--detector", "prior:rows", "--out", tmp_path / "out")
+
+
+def test_a_set_and_its_folder_in_one_word(camvid):
+    assert open_named(f"camvid:{camvid}").root == camvid
+    with pytest.raises(ConfigError, match="write NAME:ROOT"):
+        open_named(str(camvid))
 
 
 def test_wildcards_and_misspelt_names():

@@ -1,5 +1,6 @@
-"""Finding and reading labelled sets, and what is said about broken ones."""
+"""The door to labelled sets: names, splits, other packages' sets, reading items."""
 
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
@@ -7,14 +8,18 @@ import pytest
 import torch
 from PIL import Image
 
+import roadtorch.evaluation.datasets
 from roadtorch.errors import ConfigError, DatasetError
-from roadtorch.evaluation.datasets import open_dataset
+from roadtorch.evaluation.datasets import (
+    Dataset,
+    Item,
+    Kind,
+    Truth,
+    dataset_kind,
+    list_datasets,
+    open_dataset,
+)
 from tests.scenes import render_scene, write_camvid
-
-
-def write_png(path: Path, pixels: np.ndarray) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(pixels).save(path)
 
 
 @pytest.fixture
@@ -27,156 +32,16 @@ def camvid(tmp_path) -> Path:
     return tmp_path
 
 
-def folder_set(root: Path, mask: np.ndarray) -> Path:
-    write_png(root / "images/a.png", np.zeros((*mask.shape[:2], 3), np.uint8))
-    write_png(root / "masks/a.png", mask)
-    return root
+# --- names ---------------------------------------------------------------------------------------
 
 
-# --- camvid ----------------------------------------------------------------------------------
-
-
-def test_camvid_dev_is_train_and_val_by_drive(camvid):
-    found = open_dataset("camvid", camvid)
-
-    assert found.split == "dev"
-    assert [item.name for item in found.items] == ["0001TP_0", "0006R0_1", "0016E5_7"]
-    assert found.groups() == ["0001TP", "0006R0", "0016E5"]
-    assert len(open_dataset("camvid", camvid, "val").items) == 1
-
-
-def test_camvid_truth_is_the_scenes_truth(camvid):
-    found, scene = open_dataset("camvid", camvid), render_scene(0, 24, 32)
-
-    image, truth = found.read(found.items[0])
-
-    assert torch.allclose(image, scene.image, atol=1e-6)
-    assert torch.equal(truth.road, scene.road)
-    assert torch.equal(truth.valid, ~scene.void)
-    assert truth.layout is not None
-    assert torch.equal(truth.layout, torch.where(scene.void, 255, scene.layout))
-
-
-def test_all_twelve_camvid_classes(tmp_path):
-    write_png(tmp_path / "train/0001TP_1.png", np.zeros((1, 12, 3), np.uint8))
-    write_png(tmp_path / "trainannot/0001TP_1.png", np.arange(12, dtype=np.uint8)[None])
-
-    found = open_dataset("camvid", tmp_path, "train")
-    truth = found.truth(found.items[0])
-
-    assert truth.road[0].nonzero().flatten().tolist() == [3]
-    assert (~truth.valid[0]).nonzero().flatten().tolist() == [11]
-    assert truth.layout is not None
-    assert truth.layout[0].tolist() == [0, 1, 1, 2, 2, 1, 1, 1, 1, 1, 1, 255]
-
-
-# --- idd-lite and folder -----------------------------------------------------------------------
-
-
-def test_idd_lite_classes(tmp_path):
-    labels = np.array([[0, 1, 2, 3, 4, 5, 6, 255]], np.uint8)
-    write_png(tmp_path / "images/a.png", np.zeros((1, 8, 3), np.uint8))
-    write_png(tmp_path / "labels/a.png", labels)
-
-    found = open_dataset("idd-lite", tmp_path)
-    truth = found.truth(found.items[0])
-
-    assert found.groups() == []
-    assert truth.road[0].tolist() == [True] + [False] * 7
-    assert truth.valid[0].tolist() == [True] * 7 + [False]
-    assert truth.layout is not None
-    assert truth.layout[0].tolist() == [2, 2, 1, 1, 1, 1, 0, 255]
-
-
-@pytest.mark.parametrize(("road", "void"), [(255, 127), (255, 128), (1, 128)])
-def test_folder_masks_in_either_coding(tmp_path, road, void):
-    root = folder_set(tmp_path, np.array([[0, road, void]], np.uint8))
-
-    found = open_dataset("folder", root)
-    truth = found.truth(found.items[0])
-
-    assert truth.road[0].tolist() == [False, True, False]
-    assert truth.valid[0].tolist() == [True, True, False]
-    assert truth.layout is None
-
-
-def test_folder_masks_saved_as_grey_rgb_or_one_bit(tmp_path):
-    grey = np.array([[0, 255], [255, 0]], np.uint8)
-    root = folder_set(tmp_path, np.repeat(grey[..., None], 3, 2))
-    found = open_dataset("folder", root)
-
-    from_rgb = found.truth(found.items[0]).road
-    Image.fromarray(grey).convert("1").save(root / "masks/a.png")
-    from_bits = found.truth(found.items[0]).road
-
-    assert from_rgb.tolist() == from_bits.tolist() == [[False, True], [True, False]]
-
-
-# --- mistakes ------------------------------------------------------------------------------------
-
-
-def test_unknown_values_are_named_and_counted(tmp_path):
-    root = folder_set(tmp_path, np.array([[0, 3, 3, 77, 255]], np.uint8))
-    found = open_dataset("folder", root)
-
-    with pytest.raises(DatasetError, match=r"a\.png: .*3 \(2 pixels\), 77 \(1 pixels\)"):
-        found.truth(found.items[0])
-
-
-def test_one_and_255_in_one_mask_are_ambiguous(tmp_path):
-    root = folder_set(tmp_path, np.array([[0, 1, 255]], np.uint8))
-    found = open_dataset("folder", root)
-
-    with pytest.raises(DatasetError, match="both 1 and 255"):
-        found.truth(found.items[0])
-
-
-def test_colour_labels_are_refused(tmp_path):
-    root = folder_set(tmp_path, np.array([[[255, 0, 255]]], np.uint8))
-    found = open_dataset("folder", root)
-
-    with pytest.raises(DatasetError, match="colour"):
-        found.truth(found.items[0])
-
-
-def test_a_label_of_another_size(camvid):
-    label = camvid / "trainannot/0001TP_0.png"
-    write_png(label, np.zeros((12, 16), np.uint8))
-    found = open_dataset("camvid", camvid)
-
-    with pytest.raises(DatasetError, match=r"0001TP_0\.png: is 16 by 12 .* 32 by 24"):
-        found.read(found.items[0])
-
-
-def test_a_damaged_label(camvid):
-    label = camvid / "trainannot/0001TP_0.png"
-    label.write_bytes(label.read_bytes()[:60])
-    found = open_dataset("camvid", camvid)
-
-    with pytest.raises(DatasetError, match=r"0001TP_0\.png: cannot be decoded"):
-        found.truth(found.items[0])
-
-
-def test_the_first_missing_label_is_named(camvid):
-    (camvid / "trainannot/0006R0_1.png").unlink()
-
-    with pytest.raises(DatasetError, match=r"trainannot/0006R0_1\.png: is missing, 1 of 2"):
-        open_dataset("camvid", camvid)
-
-
-def test_the_first_missing_folder_is_named(camvid):
-    (camvid / "valannot").rename(camvid / "elsewhere")
-
-    with pytest.raises(DatasetError, match="valannot: does not exist"):
-        open_dataset("camvid", camvid)
-
-
-def test_an_empty_split(tmp_path):
-    for part in ("images", "masks"):
-        (tmp_path / part).mkdir()
-
-    with pytest.raises(DatasetError, match="images: holds no pictures"):
-        open_dataset("folder", tmp_path)
+def test_the_sets_that_come_along():
+    assert list_datasets() == [
+        *("camvid", "camvid32", "camvid32:literal", "camvid32:literal-ignore"),
+        *("cityscapes", "folder", "idd-lite", "kitti-road"),
+        *("labelme", "labelme:intersection", "labelme:union"),
+    ]
+    assert all(dataset_kind(name).splits for name in list_datasets())
 
 
 def test_misspelt_set_and_split_get_the_nearest_names(camvid):
@@ -186,3 +51,95 @@ def test_misspelt_set_and_split_get_the_nearest_names(camvid):
         open_dataset("camvid", camvid, "trian")
     with pytest.raises(DatasetError, match="nowhere: is not a folder"):
         open_dataset("camvid", camvid / "nowhere")
+
+
+@pytest.mark.parametrize("name", list_datasets())
+def test_every_set_says_what_is_missing_in_an_empty_folder(tmp_path, name):
+    for split in dataset_kind(name).splits:
+        with pytest.raises(DatasetError, match=str(tmp_path)):
+            open_dataset(name, tmp_path, split)
+
+
+# --- other packages ------------------------------------------------------------------------------
+
+
+class BottomHalf:
+    """A reader that opens no file: the lower half is road."""
+
+    def truth(self, item: Item) -> Truth:
+        road = torch.zeros(4, 6, dtype=torch.bool)
+        road[2:] = True
+        return Truth(road, torch.ones_like(road))
+
+
+def open_foreign(root: Path, split: str) -> Dataset:
+    items = tuple(
+        Item(path.stem, path, path) for path in sorted(root.glob("*.png")) if split in path.stem
+    )
+    return Dataset("theirs", root, split, items, BottomHalf())
+
+
+FOREIGN = Kind(("day", "night"), open_foreign)
+NO_KIND = open_foreign
+
+
+def offer(monkeypatch: pytest.MonkeyPatch, **points: str) -> dict[str, Kind]:
+    """The sets on offer when another package has these entry points."""
+    found = [
+        EntryPoint(name, f"tests.evaluation.test_datasets:{value}", "roadtorch.datasets")
+        for name, value in points.items()
+    ]
+    monkeypatch.setattr(roadtorch.evaluation.datasets, "entry_points", lambda group: found)
+    kinds = roadtorch.evaluation.datasets._catalogue.__wrapped__()
+    monkeypatch.setattr(roadtorch.evaluation.datasets, "_catalogue", lambda: kinds)
+    return kinds
+
+
+def test_other_packages_add_sets(monkeypatch, tmp_path):
+    offer(monkeypatch, theirs="FOREIGN")
+    Image.fromarray(np.zeros((4, 6, 3), np.uint8)).save(tmp_path / "day_1.png")
+
+    found = open_dataset("theirs", tmp_path)
+    image, truth = found.read(found.items[0])
+
+    assert (found.split, found.levels, found.view) == ("day", 65_536, None)
+    assert image.shape == (3, 4, 6)
+    assert truth.road.sum() == 12
+    with pytest.raises(DatasetError, match="holds no pictures of the split night"):
+        open_dataset("theirs", tmp_path, "night")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("theirs", "MISSING", "'theirs' of .* cannot be used"),
+        ("theirs", "NO_KIND", "is function .name a Kind"),
+        ("camvid", "FOREIGN", "camvid: is the name of another set"),
+    ],
+)
+def test_a_broken_package_costs_only_its_own(monkeypatch, name, value, message):
+    with pytest.warns(RuntimeWarning, match=message):
+        kinds = offer(monkeypatch, **{name: value, "good": "FOREIGN"})
+
+    assert kinds["good"] is FOREIGN
+    assert kinds["camvid"] is not FOREIGN
+
+
+# --- reading -------------------------------------------------------------------------------------
+
+
+def test_a_label_of_another_size(camvid):
+    label = camvid / "trainannot/0001TP_0.png"
+    Image.fromarray(np.zeros((12, 16), np.uint8)).save(label)
+    found = open_dataset("camvid", camvid)
+
+    with pytest.raises(DatasetError, match=r"0001TP_0\.png: is 16 by 12 .* 32 by 24"):
+        found.read(found.items[0])
+
+
+def test_groups_are_sorted_and_none_is_no_group(tmp_path):
+    items = tuple(Item(name, tmp_path, tmp_path, name) for name in ("b", "a", "b"))
+
+    assert Dataset("x", tmp_path, "all", items, BottomHalf()).groups() == ["a", "b"]
+    alone = (Item("a", tmp_path, tmp_path),)
+    assert Dataset("x", tmp_path, "all", alone, BottomHalf()).groups() == []

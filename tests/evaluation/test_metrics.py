@@ -11,7 +11,7 @@ from sklearn.metrics import roc_auc_score
 
 from roadtorch.errors import InputError
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.metrics import RoadCounts
+from roadtorch.evaluation.metrics import Decisions, RoadCounts
 from tests.reference import metrics as slow
 
 EVERYTHING = torch.ones(1, dtype=torch.bool)
@@ -31,7 +31,7 @@ def random_map(seed: int, levels: int = 12) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(drawn, 0, levels) / levels, road
 
 
-# --- the worked example of Fawcett's averaging: two small images ---------------------------
+# --- the worked example of Fawcett's averaging: two small images ----------------------------------
 
 FIRST = ([0.9, 0.8, 0.7, 0.6, 0.4, 0.3, 0.2, 0.1], [1, 1, 0, 1, 1, 0, 0, 0])
 SECOND = ([0.7, 0.6, 0.6, 0.5, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05], [1, 0, 1, 1, 0, 1, 0, 0, 0, 0])
@@ -45,7 +45,7 @@ def test_auc_of_the_worked_example_single_and_pooled():
     assert float(metrics.auc(first + second)) == pytest.approx(0.85, abs=1e-12)
 
 
-# --- brute force ---------------------------------------------------------------------------
+# --- brute force ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -77,15 +77,16 @@ def test_max_f_and_ap_equal_loops_over_thresholds(seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_iou_at_a_threshold_and_of_a_mask_leave_void_out(seed):
     scores, road = random_map(seed)
-    valid = np.random.default_rng(seed).random(road.shape) < 0.7
+    valid = np.random.default_rng(1000 + seed).random(road.shape) < 0.7
     maps = torch.from_numpy(scores), torch.from_numpy(road), torch.from_numpy(valid)
 
     at_threshold = metrics.iou(metrics.decisions_at(metrics.count_levels(*maps), 0.5))
-    of_mask = metrics.iou(metrics.count_mask(maps[0] >= 0.5, *maps[1:]))
+    outcome = metrics.count_mask(maps[0] >= 0.5, *maps[1:])
 
     expected = slow.iou(scores >= 0.5, road, valid)
     assert float(at_threshold) == pytest.approx(expected, abs=1e-12)
-    assert float(of_mask) == pytest.approx(expected, abs=1e-12)
+    assert float(metrics.iou(outcome)) == pytest.approx(expected, abs=1e-12)
+    assert int(outcome.true_negative) == (valid & ~road & (scores < 0.5)).sum()
 
 
 def test_precision_recall_and_f_by_hand():
@@ -100,9 +101,76 @@ def test_precision_recall_and_f_by_hand():
     assert float(metrics.f_measure(outcome)) == 3 / 4
     assert float(metrics.iou(outcome)) == 3 / 5
     assert int(outcome.true_negative) == 5
+    assert float(metrics.false_positive_rate(outcome)) == 1 / 6
+    assert float(metrics.false_negative_rate(outcome)) == 1 / 4
+    assert float(metrics.accuracy(outcome)) == 8 / 10
 
 
-# --- KITTI's synthetic case ------------------------------------------------------------------
+@pytest.mark.parametrize("levels", [2, 13, 256, metrics.LEVELS])
+def test_level_counts_equal_counting_pixel_by_pixel(levels):
+    generator = np.random.default_rng(levels)
+    scores = generator.random((7, 9)).astype(np.float32)
+    scores[0, :3] = 0, 1, 0.5
+    road, valid = generator.random((2, 7, 9)) < [[[0.4]], [[0.8]]]
+
+    maps = (torch.from_numpy(scores), torch.from_numpy(road), torch.from_numpy(valid))
+    found = metrics.count_levels(*maps, levels)
+
+    on_road, other = slow.count_levels(scores, road, valid, levels)
+    assert np.array_equal(found.road.numpy(), on_road)
+    assert np.array_equal(found.other.numpy(), other)
+
+
+def test_maps_in_double_precision_and_cut_out_of_larger_ones_are_counted_alike():
+    scores, road = random_map(3)
+    wide = torch.from_numpy(np.repeat(scores, 2, axis=1))[:, ::2]
+
+    counted, again = count(scores, road), count(wide, road)
+
+    assert torch.equal(counted.road, again.road)
+    assert int(counted.road.sum()) == road.sum()
+
+
+# --- P1: precision, recall and F of a whole data set (eq. 11) -------------------------------------
+
+# Table I: the method's own rows, as printed, in per cent.
+TABLE_1 = [
+    ("After-Rain", 93.56, 96.95, 95.22),
+    ("Sunny-Shadows", 90.49, 94.23, 92.32),
+    ("Nanjing", 92.32, 91.86, 92.09),
+    ("Kitti-Layout", 76.65, 72.33, 74.43),
+]
+
+
+@pytest.mark.parametrize(("name", "precision", "recall", "f"), TABLE_1)
+def test_f_of_table_1_follows_from_its_precision_and_recall(name, precision, recall, f):
+    # Whole numbers of pixels with exactly this precision and recall, over two images.
+    p, r = round(100 * precision), round(100 * recall)
+    sums = torch.tensor([p * r, r * (10_000 - p), p * (10_000 - r), 0])
+    first = sums // 3
+
+    pooled = Decisions(*first) + Decisions(*(sums - first))
+
+    assert float(metrics.precision(pooled)) == pytest.approx(precision / 100, abs=1e-12)
+    assert float(metrics.recall(pooled)) == pytest.approx(recall / 100, abs=1e-12)
+    assert round(100 * float(metrics.f_measure(pooled)), 2) == f
+
+
+def test_counts_are_pooled_before_dividing():
+    # One image with much road, all found; one with little, none of it called.
+    much, little = (
+        Decisions(*torch.tensor([90, 10, 0, 0])),
+        Decisions(*torch.tensor([0, 0, 10, 90])),
+    )
+
+    pooled = much + little
+
+    assert float(metrics.precision(pooled)) == 0.9
+    assert float(metrics.recall(pooled)) == 0.9  # the image without a call still counts its road
+    assert float(metrics.f_measure(pooled)) == pytest.approx(0.9)
+
+
+# --- KITTI's synthetic case -----------------------------------------------------------------------
 
 
 def kitti_frame(f: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -135,42 +203,89 @@ def kitti_cases() -> dict[str, RoadCounts]:
     }
 
 
-# name, k*, MaxF, AP, precision and recall at k*: printed by the development kit.
+# What the development kit itself gives for these frames, to six decimals. name, k*, MaxF, AP,
+# then at k*: precision, recall, false positive rate, false negative rate, accuracy.
 KITTI_PRINTED = [
-    ("first", 127, 0.792811, 0.895401, 0.682131, 0.946365),
-    ("second", 120, 0.771550, 0.875705, 0.632432, 0.989130),
-    ("pooled", 120, 0.780858, 0.885908, 0.645262, 0.988602),
-    ("all valid", 127, 0.773346, 0.884801, 0.653783, 0.946429),
-    ("binary", 1, 0.792377, 0.662721, 0.683983, 0.941597),
-    ("and a frame without road", 177, 0.528395, 0.447700, 0.451096, 0.637664),
-    ("perfect", 1, 1.0, 1.0, 1.0, 1.0),
-    ("constant", 0, 0.620792, 0.450107, 0.450107, 1.0),
+    ("first", 127, 0.792811, 0.895401, 0.682131, 0.946365, 0.360976, 0.053635, 0.777361),
+    ("second", 120, 0.771550, 0.875705, 0.632432, 0.989130, 0.459459, 0.010870, 0.739807),
+    ("pooled", 120, 0.780858, 0.885908, 0.645262, 0.988602, 0.439592, 0.011398, 0.751878),
+    ("all valid", 127, 0.773346, 0.884801, 0.653783, 0.946429, 0.362931, 0.053571, 0.767000),
+    ("binary", 1, 0.792377, 0.662721, 0.683983, 0.941597, 0.356098, 0.058403, 0.777897),
+    (
+        *("and a frame without road", 177, 0.528395, 0.447700),
+        *(0.451096, 0.637664, 0.225337, 0.362336, 0.743830),
+    ),
+    ("perfect", 1, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 1.0),
+    ("constant", 0, 0.620792, 0.450107, 0.450107, 1.0, 1.0, 0.0, 0.450107),
 ]
 
 
-@pytest.mark.parametrize(("name", "k", "max_f", "ap", "precision", "recall"), KITTI_PRINTED)
-def test_figures_of_the_development_kit(name, k, max_f, ap, precision, recall):
+@pytest.mark.parametrize(
+    ("name", "k", "max_f", "ap", "pre", "rec", "fpr", "fnr", "acc"), KITTI_PRINTED
+)
+def test_figures_of_the_development_kit(name, k, max_f, ap, pre, rec, fpr, fnr, acc):
     counts = kitti_cases()[name]
 
     best, threshold = metrics.max_f(counts)
-    chosen = metrics.decisions_at(counts, float(threshold))
+    point = {key: float(value) for key, value in metrics.working_point(counts).items()}
 
-    assert round(float(threshold) * 255) == k
+    assert round(float(threshold) * 255) == point.pop("level") == k
     assert float(best) == pytest.approx(max_f, abs=6e-7)
     assert float(metrics.average_precision(counts)) == pytest.approx(ap, abs=6e-7)
-    assert float(metrics.precision(chosen)) == pytest.approx(precision, abs=6e-7)
-    assert float(metrics.recall(chosen)) == pytest.approx(recall, abs=6e-7)
+    # F = 2Q / (1 + Q) ties the quality to what the kit prints.
+    assert point.pop("quality") == pytest.approx(max_f / (2 - max_f), abs=1e-6)
+    assert point == pytest.approx(
+        {"precision": pre, "recall": rec, "fpr": fpr, "fnr": fnr, "accuracy": acc}, abs=6e-7
+    )
 
 
-def test_counts_of_the_development_kit_at_single_thresholds():
-    counts = kitti_cases()["pooled"]
+# Every case and threshold for which the kit's counts are known: k → (FN, FP).
+KITTI_COUNTED = {
+    "first": {0: (0, 1025), 64: (0, 828), 96: (0, 605), 128: (49, 365), 192: (411, 0)},
+    "second": {0: (0, 1036), 64: (0, 850), 96: (0, 655), 128: (54, 426), 160: (228, 191)},
+    "pooled": {0: (0, 2061), 64: (0, 1678), 128: (103, 791), 192: (814, 0), 255: (1515, 0)},
+    "all valid": {1: (0, 1160), 128: (49, 415), 160: (211, 188), 255: (765, 0)},
+    "binary": {0: (0, 1025), 1: (49, 365), 128: (49, 365), 255: (49, 365)},
+    "and a frame without road": {0: (0, 2889), 160: (211, 960), 224: (587, 252), 255: (764, 75)},
+    "perfect": {0: (0, 1025), 1: (0, 0), 255: (0, 0)},
+    "constant": {64: (0, 1025), 96: (839, 0), 255: (839, 0)},
+}
 
-    found = {}
-    for k in (0, 64, 128, 192, 255):
-        outcome = metrics.decisions_at(counts, k / 255)
-        found[k] = int(outcome.false_negative), int(outcome.false_positive)
 
-    assert found == {0: (0, 2061), 64: (0, 1678), 128: (103, 791), 192: (814, 0), 255: (1515, 0)}
+@pytest.mark.parametrize("name", KITTI_COUNTED)
+def test_counts_of_the_development_kit_at_single_thresholds(name):
+    outcomes = metrics.decisions(kitti_cases()[name])
+
+    found = {
+        k: (int(outcomes.false_negative[k]), int(outcomes.false_positive[k]))
+        for k in KITTI_COUNTED[name]
+    }
+
+    assert found == KITTI_COUNTED[name]
+
+
+def test_pooled_max_f_is_not_the_mean_of_the_frames():
+    cases = kitti_cases()
+
+    single = [float(metrics.max_f(cases[name])[0]) for name in ("first", "second")]
+
+    assert sum(single) / 2 == pytest.approx(0.782181, abs=1e-6)
+    assert float(metrics.max_f(cases["pooled"])[0]) == pytest.approx(0.780858, abs=6e-7)
+
+
+def test_figures_of_many_counts_at_once_are_those_of_each():
+    cases = [kitti_cases()[name] for name in ("first", "binary", "constant")]
+    together = RoadCounts(
+        torch.stack([case.road for case in cases]), torch.stack([case.other for case in cases])
+    )
+
+    found = metrics.working_point(together)
+
+    for index, case in enumerate(cases):
+        alone = metrics.working_point(case)
+        assert {key: float(value[index]) for key, value in found.items()} == {
+            key: float(value) for key, value in alone.items()
+        }
 
 
 def test_8_bit_maps_score_the_same_at_16_bits():
@@ -190,7 +305,7 @@ def test_a_threshold_means_the_lowest_level_that_reaches_it(levels):
         assert metrics.threshold_level((k + 0.01) / (levels - 1), levels) == k + 1
 
 
-# --- properties ------------------------------------------------------------------------------
+# --- properties -----------------------------------------------------------------------------------
 
 
 @settings(max_examples=40, deadline=None)
@@ -233,7 +348,17 @@ def test_pooling_is_adding():
     assert torch.equal(together.other, added.other)
 
 
-# --- awkward input ---------------------------------------------------------------------------
+def test_pooled_weights_repeat_images():
+    one, two = count([0.1, 0.9], [0, 1], 5), count([0.4, 0.9], [1, 0], 5)
+    stacked = RoadCounts(torch.stack([one.road, two.road]), torch.stack([one.other, two.other]))
+
+    pooled = metrics.pool(stacked, torch.tensor([[2, 0], [1, 1]]))
+
+    assert torch.equal(pooled.road[0], 2 * one.road)
+    assert torch.equal(pooled.other[1], one.other + two.other)
+
+
+# --- awkward input --------------------------------------------------------------------------------
 
 
 def test_what_is_not_defined_is_nan():
@@ -244,6 +369,9 @@ def test_what_is_not_defined_is_nan():
     assert all(math.isnan(part) for part in metrics.max_f(no_road))
     assert math.isnan(metrics.average_precision(no_road))
     assert math.isnan(metrics.precision(metrics.decisions_at(count([0.1], [1]), 0.5)))
+    assert all(math.isnan(part) for part in metrics.working_point(no_road).values())
+    assert math.isnan(metrics.working_point(no_background)["fpr"])
+    assert float(metrics.working_point(no_background)["recall"]) == 1
 
 
 @pytest.mark.parametrize("wrong", [math.nan, 1.5, -0.1])
@@ -259,7 +387,7 @@ def test_a_map_of_another_size_is_refused():
         metrics.count_levels(torch.zeros(5, 4), road, ~road)
 
 
-# --- layout ------------------------------------------------------------------------------------
+# --- layout ---------------------------------------------------------------------------------------
 
 
 def test_layout_confusion_equals_counting_pixels():
@@ -284,43 +412,48 @@ def test_both_readings_of_void_and_labelled_pixels_by_hand():
     assert float(metrics.labelled_share(CONFUSION)) == pytest.approx(30 / 35)
 
 
-def test_a_class_without_pixels_has_no_recall():
+def test_a_class_without_pixels_has_no_recall_and_is_left_out_of_the_mean():
     confusion = torch.zeros(4, 4, dtype=torch.int64)
-    confusion[1, 1] = 3
+    confusion[1, :3] = torch.tensor([1, 3, 0])
 
     assert metrics.class_recalls(confusion).isnan().tolist() == [True, False, True]
+    assert float(metrics.mean_class_recall(confusion)) == 0.75
+    assert math.isnan(metrics.mean_class_recall(torch.zeros(4, 4, dtype=torch.int64)))
+    assert math.isnan(metrics.layout_accuracy(torch.zeros(4, 4, dtype=torch.int64)))
 
 
-# --- intervals ---------------------------------------------------------------------------------
+def test_normalised_confusion_its_mean_diagonal_and_accuracy_by_hand():
+    shares = metrics.normalised_confusion(CONFUSION)
+
+    rows = [[0.8, 0.2, 0.0], [0.1, 0.6, 0.3], [0.0, 0.1, 0.9]]
+    assert shares.tolist() == [pytest.approx(row) for row in rows]
+    assert float(metrics.mean_class_recall(CONFUSION)) == pytest.approx((0.8 + 0.6 + 0.9) / 3)
+    assert float(metrics.layout_accuracy(CONFUSION)) == pytest.approx(23 / 30)
 
 
-def test_weights_draw_every_image_once_on_average():
-    weights = metrics.bootstrap_weights(7, 4000, torch.Generator().manual_seed(0))
+# P2, Table 1: the diagonals of its two methods (vertical, horizontal, sky) and the printed mean.
+@pytest.mark.parametrize(
+    ("diagonal", "printed"), [((0.870, 0.958, 0.915), 0.915), ((0.983, 0.902, 0.655), 0.847)]
+)
+def test_the_printed_average_of_p2_is_the_mean_diagonal(diagonal, printed):
+    confusion = torch.zeros(4, 4, dtype=torch.int64)
+    for label, share, size in zip((1, 2, 0), diagonal, (3000, 5000, 1000), strict=True):
+        confusion[label, label] = right = round(size * share)
+        confusion[label, (label + 1) % 3] = size - right
 
-    assert (weights.sum(1) == 7).all()
-    assert weights.to(torch.float64).mean(0).tolist() == pytest.approx([1.0] * 7, abs=0.06)
+    average = float(metrics.mean_class_recall(confusion))
 
-
-def test_interval_of_a_mean_is_the_textbook_one():
-    values = torch.randn(200, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-
-    low, high = metrics.bootstrap_interval(
-        [200],
-        lambda weights: weights[0].to(torch.float64) @ values / 200,
-        torch.Generator().manual_seed(2),
-        replicates=4000,
-    )
-
-    error = float(values.std()) / math.sqrt(200)
-    assert low == pytest.approx(float(values.mean()) - 1.96 * error, abs=0.1 * error)
-    assert high == pytest.approx(float(values.mean()) + 1.96 * error, abs=0.1 * error)
+    assert average == pytest.approx(sum(diagonal) / 3, abs=1e-12)
+    assert average == pytest.approx(printed, abs=1e-3)  # the paper cuts its entries off
+    assert float(metrics.layout_accuracy(confusion)) != pytest.approx(printed, abs=1e-3)
 
 
-def test_pooled_weights_repeat_images():
-    one, two = count([0.1, 0.9], [0, 1], 5), count([0.4, 0.9], [1, 0], 5)
-    stacked = RoadCounts(torch.stack([one.road, two.road]), torch.stack([one.other, two.other]))
+def test_figures_of_several_confusions_are_those_of_each():
+    both = torch.stack([CONFUSION, 2 * CONFUSION.T])
 
-    pooled = metrics.pool(stacked, torch.tensor([[2, 0], [1, 1]]))
-
-    assert torch.equal(pooled.road[0], 2 * one.road)
-    assert torch.equal(pooled.other[1], one.other + two.other)
+    for formula in (
+        *(metrics.class_recalls, metrics.normalised_confusion, metrics.void_as_vertical),
+        *(metrics.mean_class_recall, metrics.layout_accuracy, metrics.labelled_share),
+    ):
+        alone = torch.stack([formula(CONFUSION), formula(2 * CONFUSION.T)])
+        assert torch.equal(formula(both), alone)

@@ -1,16 +1,18 @@
 """The pass over the pictures, thresholds chosen on other drives, and the figures."""
 
 import math
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
 import torch
 
 from roadtorch.detectors import Detection
-from roadtorch.evaluation import floors, metrics, report, runner, summary
-from roadtorch.evaluation.datasets import Dataset, open_dataset
+from roadtorch.evaluation import boundary, floors, metrics, report, runner, summary
+from roadtorch.evaluation.datasets import Dataset, Item, open_dataset
 from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.runner import Plan, Tally
+from roadtorch.evaluation.runner import Plan
+from roadtorch.evaluation.tally import Score, Tally
 from tests.scenes import render_scene, write_camvid
 
 DRIVES = ("0001TP", "0006R0", "0016E5")
@@ -62,9 +64,24 @@ def test_a_perfect_map_scores_one_and_an_inverted_one_does_not(dataset, scenes):
     perfect = summary.summarise(tally(dataset, looking(lambda n: scenes[n].road)), 0.5)
     inverted = summary.summarise(tally(dataset, looking(lambda n: ~scenes[n].road)), 0.5)
 
-    for key in ("maxf", "iou", "iou_mask", "auc_pooled", "auc_mean", "ap"):
+    for key in (
+        "maxf",
+        "iou",
+        "iou_mask",
+        "f_mask",
+        "auc_pooled",
+        "auc_mean",
+        "auc_vertical",
+        "ap",
+    ):
         assert perfect[key] == pytest.approx(1, abs=1e-9)
-    assert perfect["ci95"]["maxf"] == pytest.approx([1, 1], abs=1e-9)
+    assert perfect["boundary_f"] == pytest.approx({"0.0025": 1, "0.005": 1, "0.0075": 1})
+    for key in ("brier", "ece", "eer", "eer_vertical"):
+        assert perfect[key] == pytest.approx(0, abs=1e-9)
+    assert perfect["pooled"]["maxf"] == pytest.approx(1, abs=1e-9)
+    assert perfect["groups"]["0001TP"]["working_point"]["fpr"] == 0
+    assert inverted["brier"] == 1
+    assert inverted["eer"] == 1
     assert inverted["auc_pooled"] == 0
     assert inverted["iou_mask"] == 0
     assert inverted["maxf"] < 0.75
@@ -89,9 +106,9 @@ def test_headline_is_the_mean_over_drives_of_pooled_counts(dataset, scenes):
         by_hand.append(float(metrics.max_f(counts[0] + counts[1])[0]))
         assert figures["groups"][drive]["maxf"] == pytest.approx(by_hand[-1])
     assert figures["maxf"] == pytest.approx(sum(by_hand) / 3)
-    low, high = figures["ci95"]["maxf"]
-    assert low <= figures["maxf"] <= high
-    assert 0 < high - low < 0.3
+    everything = found.road["0001TP"] + found.road["0006R0"] + found.road["0016E5"]
+    assert figures["pooled"]["maxf"] == pytest.approx(float(metrics.max_f(everything)[0]))
+    assert figures["pooled"]["images"] == 6
 
 
 def test_void_is_never_counted(dataset, scenes):
@@ -101,22 +118,28 @@ def test_void_is_never_counted(dataset, scenes):
 
 
 def test_an_image_without_road_is_skipped_and_counted_in_the_mean_auc():
-    rows = [
-        runner.ImageRow("a", "x", counts_of({5: 3}, {2: 3}), 1.0, 1.0, mask_of(3, 3), 0.1),
-        runner.ImageRow("b", "x", counts_of({}, {2: 3}), math.nan, math.nan, mask_of(0, 3), 0.3),
-    ]
-    total = Tally({"x": counts_of({5: 3}, {2: 6})}, {"x": mask_of(3, 6)}, rows=rows)
+    total = Tally()
+    total.add(item("a"), score({5: 3}, {2: 3}, seconds=0.1))
+    total.add(item("b"), score({}, {2: 3}, seconds=0.3))
 
     figures = summary.summarise(total, 0.5)
 
     assert figures["auc_mean"] == 1
+    assert figures["auc_vertical"] == 1
     assert figures["auc_images_skipped"] == 1
     assert figures["ms_per_image"] == pytest.approx(200)
 
 
-def mask_of(hits: int, background: int) -> metrics.Decisions:
-    hit, none, rest = (torch.tensor(n) for n in (hits, 0, background))
-    return metrics.Decisions(hit, none, none, rest)
+def item(name: str) -> Item:
+    return Item(name, Path(name), Path(name), "x")
+
+
+def score(road: dict[int, int], other: dict[int, int], seconds: float) -> Score:
+    hits, rest = (torch.tensor(sum(part.values())) for part in (road, other))
+    none = torch.tensor(0)
+    mask = metrics.Decisions(hits, none, none, rest)
+    border = torch.zeros((len(boundary.TOLERANCES), 4), dtype=torch.int64)
+    return Score(counts_of(road, other), mask, border, None, None, seconds)
 
 
 # --- thresholds ----------------------------------------------------------------------------------
@@ -184,6 +207,7 @@ def test_layout_recalls_by_drive_over_all_and_labelled_pixels(dataset, scenes):
     assert math.isnan(layout["labelled"]["horizontal"])
     assert layout["labelled"]["mean"] == 1
     assert 0.2 < layout["labelled_share"] < 0.8
+    assert figures["layout"]["confusion"]["horizontal"]["vertical"] == 1
     assert "drive" in report.layout_table({"it": figures})
 
 
@@ -231,6 +255,14 @@ def test_results_keep_the_order_of_the_set_and_every_kth_spreads(dataset):
     assert names == [dataset.items[i].name for i in (0, 2, 4)]
 
 
+def test_items_that_are_done_are_not_done_again(dataset):
+    done = {item.name for item in dataset.items[1:]}
+
+    results = list(runner.run(Plan(dataset, {"prior:rows": {}}), done=done))
+
+    assert [result.item for result in results] == [dataset.items[0]]
+
+
 def test_a_broken_image_counts_for_no_detector(dataset, tmp_path: Path, scenes):
     write_camvid(tmp_path, "train", scenes)
     (tmp_path / "train" / "0006R0_1.png").write_bytes(b"not a picture")
@@ -265,6 +297,44 @@ def test_two_processes_give_the_results_of_one(dataset):
         for name, score in first.scores.items():
             assert torch.equal(score.road.road, second.scores[name].road.road)
             assert torch.equal(score.road.other, second.scores[name].road.other)
+
+
+# --- views ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class LowerHalf:
+    """A view that sees the lower half of a picture, twice as large."""
+
+    def __call__(self, item: Item, values: torch.Tensor) -> torch.Tensor:
+        lower = values[..., values.shape[-2] // 2 :, :]
+        return lower.repeat_interleave(2, -1).repeat_interleave(2, -2)
+
+
+def test_maps_and_truth_are_scored_in_the_view_of_the_set(dataset, scenes):
+    viewed = replace(dataset, view=LowerHalf())
+
+    def above(name):  # wrong in the upper half alone
+        likelihood = scenes[name].road.clone()
+        likelihood[:24] = ~likelihood[:24]
+        return likelihood
+
+    plain, seen = (summary.summarise(tally(one, looking(above)), 0.5) for one in (dataset, viewed))
+
+    assert plain["maxf"] < 0.9
+    assert seen["maxf"] == pytest.approx(1)
+    first = dataset.items[0].name
+    whole = scenes[first]
+    counted = tally(replace(viewed, items=dataset.items[:1]), looking(above)).rows[0].road
+    assert int(counted.road.sum()) == 4 * int((whole.road & ~whole.void)[24:].sum())
+
+
+def test_the_levels_of_the_set_are_those_that_are_told_apart(dataset):
+    pale = looking(lambda name: torch.full((48, 64), 0.4))
+    two = replace(dataset, levels=2)
+
+    assert tally(two, pale).road["0001TP"].levels == 2
+    assert summary.summarise(tally(two, pale), 0.5)["maxf_threshold"] == 0
 
 
 # --- rendered report -----------------------------------------------------------------------------

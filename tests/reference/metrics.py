@@ -3,6 +3,17 @@
 import numpy as np
 
 
+def count_levels(
+    scores: np.ndarray, road: np.ndarray, valid: np.ndarray, levels: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixel by pixel: each goes to the level it lies nearest to, the upper one of two."""
+    counts = np.zeros((2, levels), np.int64)
+    for score, true, counted in zip(scores.flat, road.flat, valid.flat, strict=True):
+        if counted:
+            counts[int(true), int(np.floor(float(score) * (levels - 1) + 0.5))] += 1
+    return counts[1], counts[0]
+
+
 def auc(scores: np.ndarray, road: np.ndarray) -> float:
     """Count the pairs (road, background) in the right order, ties one half."""
     above = ties = 0

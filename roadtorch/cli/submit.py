@@ -1,0 +1,65 @@
+"""roadtorch submit: the files that the KITTI road benchmark's server wants."""
+
+from pathlib import Path
+
+import click
+
+PATH = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("root", metavar="ROOT", type=PATH)
+@click.option("--detector", help="Name of the detector; see roadtorch detectors. [fusion]")
+@click.option("--out", type=PATH, required=True, help="Folder for the maps and the archive.")
+@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="One setting.")
+@click.option("--config", type=PATH, help="TOML file with the detector and its settings.")
+@click.option(
+    "--jobs",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Pictures at a time; the results do not depend on it.",
+)
+@click.option("--overwrite", is_flag=True, help="Redo pictures that are done.")
+@click.option("--quiet", is_flag=True, help="No progress, only failures.")
+@click.pass_context
+def submit(
+    context: click.Context,
+    root: Path,
+    detector: str | None,
+    out: Path,
+    assignments: tuple[str, ...],
+    config: Path | None,
+    jobs: int,
+    overwrite: bool,
+    quiet: bool,
+) -> None:
+    """Write a submission to the KITTI road benchmark.
+
+    ROOT holds image_2 and calib, or testing/image_2 and testing/calib. The picture
+    um_000012 gives um_road_000012.png, its likelihood in bird's-eye view (800 by 400, 8
+    bits), and all of them submission.zip once every picture is done. index.csv lists the
+    pictures. A second run goes on where the first one stopped.
+    """
+    from roadtorch.cli import config as configuration
+
+    name, values = configuration.choose(detector, config, assignments, None)
+
+    from roadtorch.cli import batch, results, submission
+    from roadtorch.detectors import load_detector
+    from roadtorch.evaluation.kitti import base_folder, calib_folder
+
+    loaded = load_detector(name, **values)
+    folder = base_folder(root, "testing")
+    work = submission.Submission(loaded, calib_folder(folder))
+    planned = submission.plan(folder / "image_2", out)
+    batch.make_writable(out)
+    results.keep_config(out, configuration.as_toml(loaded.name, loaded.settings), overwrite)
+    failed = batch.run(planned, out, work, batch.Options(jobs, overwrite, quiet))
+    archive = out / submission.ARCHIVE
+    if failed:
+        click.echo(f"roadtorch: {archive} not written, as maps are missing", err=True)
+        context.exit(failed)
+    submission.pack(planned, archive)
+    if not quiet:
+        click.echo(f"roadtorch: {len(planned)} maps in {archive}", err=True)

@@ -1,0 +1,166 @@
+"""Curves over thresholds: ROC, its three averages over images, precision and recall.
+
+A curve is made from counts (`roadtorch.evaluation.metrics.RoadCounts`), never from sorted
+scores, so the order of equal scores cannot matter: every level is one point, and several
+road and background pixels on one level make one slanted piece.
+
+P3 speaks of "average ROC curves" without saying which (Fawcett, An introduction to ROC
+analysis, 2006, knows two), and they differ:
+
+- vertical: the mean TPR of the images at a given FPR (`vertical_sample` of each image,
+  summed by the caller, then `vertical_average`). The default; every image weighs the same.
+- threshold: the mean FPR and TPR of the images at a given threshold (`threshold_average`).
+- pooled: `roc` of the summed counts; images with more road weigh more.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from roadtorch.evaluation.metrics import RoadCounts
+
+STEPS = 100  # of the false positive rate, in vertical averaging
+MOST = 1000  # points of a curve in a file
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Points along curves, float64 (...,points): FPR and TPR, or recall and precision."""
+
+    x: Tensor
+    y: Tensor
+
+
+# --- ROC --------------------------------------------------------------------------------
+
+
+def operating_points(counts: RoadCounts) -> Curve:
+    """FPR and TPR at every level: (...,levels) → (...,levels+1), from (0,0) to (1,1).
+
+    The first point calls nothing road; point i calls "level ≥ levels - i" road. NaN where
+    road (y) or background (x) is missing. Levels without pixels repeat a point.
+    """
+    false, true = _counted_from_the_top(counts)
+    return Curve(_share_of_last(false), _share_of_last(true))
+
+
+def roc(counts: RoadCounts) -> Curve:
+    """The ROC curve of one map or of pooled maps, counts (levels,): each point once.
+
+    From (0,0) to (1,1); pixels that share a level make one point (protocols of P2 and P3).
+    """
+    every = operating_points(counts)
+    kept = torch.cat([torch.ones(1, dtype=torch.bool), _occupied(counts)])
+    return Curve(every.x[kept], every.y[kept])
+
+
+def _counted_from_the_top(counts: RoadCounts) -> tuple[Tensor, Tensor]:
+    """False and true positives, int64 (...,levels+1), of nothing, the top level, the top two…"""
+    false, true = (
+        torch.nn.functional.pad(part.flip(-1).cumsum(-1), (1, 0))
+        for part in (counts.other, counts.road)
+    )
+    return false, true
+
+
+def _share_of_last(sums: Tensor) -> Tensor:
+    return sums.to(torch.float64) / sums[..., -1:]
+
+
+def _occupied(counts: RoadCounts) -> Tensor:
+    """Levels that have pixels, highest first; bool (levels,)."""
+    return (counts.road + counts.other).flip(-1) > 0
+
+
+# --- averages ---------------------------------------------------------------------------
+
+
+def vertical_sample(counts: RoadCounts, steps: int = STEPS) -> Tensor:
+    """TPR of each map at the FPRs 0, 1/steps, …, 1: (...,levels) → float64 (...,steps+1).
+
+    Where the curve rises vertically, its upper end; elsewhere linear between its points.
+    NaN where road or background is missing: skip such images and count them. The FPRs are
+    compared in whole pixels, so that no rounding decides which side of a step is meant.
+    """
+    false, true = _counted_from_the_top(counts)
+    background, road = false[..., -1:], true[..., -1:]
+    scaled = torch.arange(steps + 1) * background  # steps × the false positives wanted
+    at = torch.searchsorted(false, scaled.div(steps, rounding_mode="floor"), right=True) - 1
+    after = (at + 1).clamp(max=counts.levels)
+    low, high = false.gather(-1, at), false.gather(-1, after)
+    width = (steps * (high - low)).clamp(min=1)  # 0 only at the end, where nothing is added
+    share = (scaled - steps * low).to(torch.float64) / width
+    start = true.gather(-1, at)
+    hits = start + share * (true.gather(-1, after) - start)
+    return (hits / road).where(background > 0, torch.nan)
+
+
+def vertical_average(true_rates: Tensor) -> Curve:
+    """The curve of mean TPRs (...,steps+1) at equally spaced FPRs, with (0,0) put before."""
+    false_rates = torch.linspace(0, 1, true_rates.shape[-1], dtype=torch.float64)
+    return Curve(
+        torch.nn.functional.pad(false_rates, (1, 0)).expand(*true_rates.shape[:-1], -1),
+        torch.nn.functional.pad(true_rates, (1, 0)),
+    )
+
+
+def threshold_average(counts: RoadCounts) -> Curve:
+    """Means of the images' operating points, threshold by threshold: (n,levels) → (levels+1,).
+
+    Images without road or without background are skipped; NaN when none is left. Likelihoods
+    must be comparable between images. The area is not the mean of the images' areas.
+    """
+    kept = (counts.road.sum(-1) > 0) & (counts.other.sum(-1) > 0)
+    points = operating_points(RoadCounts(counts.road[kept], counts.other[kept]))
+    return Curve(points.x.mean(0), points.y.mean(0))
+
+
+# --- precision and recall ---------------------------------------------------------------
+
+
+def precision_recall(counts: RoadCounts) -> Curve:
+    """Recall (x) and precision (y) at every level with pixels, strictest first: (levels,).
+
+    No point is made up for recall 0, where precision is 0/0. NaN recall without road.
+    """
+    false, true = (part[1:][_occupied(counts)] for part in _counted_from_the_top(counts))
+    return Curve(_share_of_last(true), true.to(torch.float64) / (true + false))
+
+
+# --- figures and files ------------------------------------------------------------------
+
+
+def area(curve: Curve) -> Tensor:
+    """Area under curves by the trapezoid rule, float64 (...)."""
+    return torch.trapezoid(curve.y, curve.x)
+
+
+def equal_error_rate(curve: Curve) -> Tensor:
+    """Where a ROC curve has FPR = 1 - TPR, linear between its points; float64 (...).
+
+    Needs curves that begin at (0,0). NaN where the curve is not defined.
+    """
+    excess = 1 - curve.y - curve.x  # from 1 down to -1
+    after = (excess <= 0).to(torch.uint8).argmax(-1, keepdim=True).clamp(min=1)
+    above, below = excess.gather(-1, after - 1), excess.gather(-1, after)
+    before, x = curve.x.gather(-1, after - 1), curve.x.gather(-1, after)
+    return (before + above / (above - below) * (x - before))[..., 0]
+
+
+def thin(curve: Curve, most: int = MOST) -> Curve:
+    """At most ``most`` of the points of one curve (points,), close to even steps along it.
+
+    A ROC curve's area moves by less than 1 / (most - 4), whatever its shape, and by some
+    millionths where it is smooth. Of each step the points on both sides are kept, so a long
+    straight piece keeps both its ends. ``most`` is 6 or more. A curve that is short enough,
+    or has NaN, comes back unchanged.
+    """
+    if len(curve.x) <= most or bool((curve.x.isnan() | curve.y.isnan()).any()):
+        return curve
+    lengths = curve.x.diff().abs() + curve.y.diff().abs()
+    travelled = torch.nn.functional.pad(lengths.cumsum(0), (1, 0))
+    marks = torch.linspace(0, float(travelled[-1]), most // 2, dtype=torch.float64)
+    after = torch.searchsorted(travelled, marks).clamp(1, len(travelled) - 1)
+    kept = torch.cat([after - 1, after]).unique()
+    return Curve(curve.x[kept], curve.y[kept])

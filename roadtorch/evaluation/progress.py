@@ -1,0 +1,115 @@
+"""A run that is interrupted goes on where it was: its counts so far, in one file."""
+
+import hashlib
+import json
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+import roadtorch
+from roadtorch.errors import ConfigError
+from roadtorch.evaluation.datasets import Dataset
+from roadtorch.evaluation.runner import Result
+from roadtorch.evaluation.tally import Tally, tally_from, tally_tensors
+from roadtorch.image import atomic
+
+FILE = "progress.safetensors"
+SAVE_EVERY = 20.0  # seconds of work that a power cut may cost
+REMEDY = "run it as before, or give another --out, or remove that file"
+
+
+def fingerprint(dataset: Dataset, detectors: Mapping[str, Any]) -> str:
+    """What makes two runs the same: pictures, labels, detectors with settings, and our code.
+
+    detectors: by name, whatever describes them, as JSON can hold it.
+    """
+    files = [
+        (item.name, item.group, *(_stamp(path) for path in (item.image, item.label)))
+        for item in dataset.items
+    ]
+    code = sorted(Path(roadtorch.__file__).parent.rglob("*.py"))
+    parts = [dataset.name, dataset.split, files, detectors, [_stamp(path) for path in code]]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def _stamp(path: Path) -> tuple[str, int, int]:
+    found = path.stat() if path.exists() else None
+    return str(path), found.st_size if found else -1, found.st_mtime_ns if found else -1
+
+
+class Progress:
+    """The tallies of a run, saved now and then if there is a folder to save in."""
+
+    def __init__(self, folder: Path | None, run: str) -> None:
+        self.path = folder / FILE if folder else None
+        self.run = run
+        self.tallies: dict[str, Tally] = {}
+        self._saved = time.monotonic()
+        if self.path and self.path.is_file():
+            self.tallies = _load(self.path, run)
+
+    def add(self, result: Result) -> None:
+        """Count one more picture, if it could be scored; save if the last time is a while ago."""
+        for name, score in result.scores.items():
+            self.tallies.setdefault(name, Tally()).add(result.item, score)
+        if time.monotonic() - self._saved > SAVE_EVERY:
+            self.save()
+
+    def sort(self, names: Sequence[str]) -> None:
+        """Bring the pictures' rows into the order of the set, however the run came about."""
+        for tally in self.tallies.values():
+            tally.sort(names)
+
+    @property
+    def done(self) -> set[str]:
+        """The names of the pictures that are counted."""
+        first = next(iter(self.tallies.values()), Tally())
+        return {name for name, _ in first.pictures}
+
+    def save(self) -> None:
+        """Write everything counted so far, whole or not at all."""
+        if self.path is None or not self.tallies:
+            return
+        tensors = {
+            f"{index}/{key}": tensor.contiguous()
+            for index, tally in enumerate(self.tallies.values())
+            for key, tensor in tally_tensors(tally).items()
+        }
+        pictures = next(iter(self.tallies.values())).pictures
+        about = {"run": self.run, "detectors": list(self.tallies), "pictures": pictures}
+        with atomic(self.path) as temporary:
+            save_file(tensors, temporary, {"roadtorch": json.dumps(about)})
+        self._saved = time.monotonic()
+
+    def finish(self) -> None:
+        """Remove the file: the results are written, and a new run starts anew."""
+        if self.path:
+            self.path.unlink(missing_ok=True)
+
+
+def _load(path: Path, run: str) -> dict[str, Tally]:
+    """The tallies in a file of the same run; ConfigError when it is of another one."""
+    tensors: dict[str, torch.Tensor] = {}
+    try:
+        with safe_open(path, "pt") as file:
+            about = json.loads(file.metadata()["roadtorch"])
+            if about["run"] != run:
+                what = "holds the beginning of another run (other pictures, settings or code)"
+                raise ConfigError(path, what, REMEDY)
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError):
+        raise ConfigError(path, "is not the progress of a run", REMEDY) from None
+    return {
+        name: tally_from(_of(tensors, index), about["pictures"])
+        for index, name in enumerate(about["detectors"])
+    }
+
+
+def _of(tensors: Mapping[str, torch.Tensor], index: int) -> dict[str, torch.Tensor]:
+    start = f"{index}/"
+    return {key[len(start) :]: value for key, value in tensors.items() if key.startswith(start)}

@@ -1,0 +1,218 @@
+"""Submissions to the KITTI road benchmark, from real files to the archive."""
+
+import csv
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from roadtorch.cli import batch, submission
+from roadtorch.detectors import load_detector
+from roadtorch.image import read_image
+from tests.cli.conftest import Call
+from tests.reference import bev as reference
+from tests.scenes import render_scene, write_picture
+
+HEIGHT, WIDTH = 120, 160
+GREY = ("--detector", "grey-uniformity")
+MAPS = ["um_road_000000.png", "umm_road_000003.png", "uu_road_000012.png"]
+
+
+@pytest.fixture
+def kitti(tmp_path: Path) -> Path:
+    """ROOT/image_2 and ROOT/calib with a picture of each category."""
+    root = tmp_path / "kitti"
+    (root / "calib").mkdir(parents=True)
+    for seed, name in enumerate(("um_000000", "umm_000003", "uu_000012")):
+        write_picture(root / "image_2" / f"{name}.png", render_scene(seed, HEIGHT, WIDTH))
+        rows = reference.made_up_rows(pitch=0.02 + 0.01 * seed)
+        (root / "calib" / f"{name}.txt").write_text(reference.calibration_text(rows))
+    return root
+
+
+def statuses(out: Path) -> dict[str, str]:
+    with (out / "index.csv").open(newline="") as file:
+        return {row["file"]: row["status"] for row in csv.DictReader(file)}
+
+
+def test_each_picture_gives_its_map_and_all_of_them_the_archive(
+    call: Call, kitti: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+
+    result = call("submit", kitti, *GREY, "--out", out)
+
+    assert result.exit_code == 0
+    assert result.stdout == ""
+    assert result.stderr.splitlines() == [
+        f"roadtorch: 3 done; results in {out}",
+        f"roadtorch: 3 maps in {out}/submission.zip",
+    ]
+    assert sorted(path.name for path in out.glob("*.png")) == MAPS
+    assert statuses(out) == dict.fromkeys(MAPS, "done")
+    with zipfile.ZipFile(out / "submission.zip") as archive:
+        assert archive.namelist() == MAPS
+        assert archive.testzip() is None
+        for name in MAPS:
+            assert archive.read(name) == (out / name).read_bytes()
+
+
+def test_maps_are_the_detectors_from_above(call: Call, kitti: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+
+    call("submit", kitti, *GREY, "--set", "threshold=0.9", "--out", out)
+
+    image = read_image(kitti / "image_2/umm_000003.png")
+    likelihood = load_detector("grey-uniformity").detect(image).likelihood.double().numpy()
+    picture = np.round(255 * likelihood).astype(np.uint8)
+    with Image.open(out / "umm_road_000003.png") as written:
+        assert (written.mode, written.size) == ("L", (400, 800))
+        cells = np.asarray(written)
+    rows = reference.made_up_rows(pitch=0.03)
+    places = [(r, c) for r in range(0, 800, 19) for c in range(0, 400, 17)]
+    expected = [int(reference.cell_value(picture, rows, r, c)) for r, c in places]
+    assert [int(cells[place]) for place in places] == expected
+    assert len(set(expected)) > 10
+
+
+def test_the_archives_own_folder_is_found_and_jobs_do_not_matter(
+    call: Call, kitti: Path, tmp_path: Path
+) -> None:
+    one, two = tmp_path / "one", tmp_path / "two"
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data/testing").symlink_to(kitti)
+
+    call("submit", kitti, *GREY, "--out", one)
+    result = call("submit", tmp_path / "data", *GREY, "--out", two, "--jobs", "2", "--quiet")
+
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert (one / "submission.zip").read_bytes() == (two / "submission.zip").read_bytes()
+
+
+def test_broken_pictures_are_listed_and_mended_by_a_second_run(
+    call: Call, kitti: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    picture, calibration = kitti / "image_2/um_000000.png", kitti / "calib/uu_000012.txt"
+    whole, text = picture.read_bytes(), calibration.read_text()
+    picture.write_bytes(whole[:1000])
+    calibration.unlink()
+
+    result = call("submit", kitti, *GREY, "--out", out)
+
+    assert result.exit_code == 1
+    assert "um_000000.png: cannot be decoded" in result.stderr
+    assert "calib/uu_000012.txt: is missing" in result.stderr
+    assert result.stderr.splitlines()[-1].endswith(
+        "submission.zip not written, as maps are missing"
+    )
+    assert [path.name for path in out.glob("*.png")] == ["umm_road_000003.png"]
+    assert not (out / "submission.zip").exists()
+    states = statuses(out)
+    assert states["umm_road_000003.png"] == "done"
+    assert states["uu_road_000012.png"].startswith("failed: ")
+
+    picture.write_bytes(whole)
+    calibration.write_text(text)
+    again = call("submit", kitti, *GREY, "--out", out)
+
+    assert again.exit_code == 0
+    assert again.stderr.startswith("roadtorch: 2 done, 1 skipped (done before)")
+    with zipfile.ZipFile(out / "submission.zip") as archive:
+        assert archive.namelist() == MAPS
+
+
+def test_an_interrupted_run_goes_on(
+    call: Call, kitti: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    real = submission.Submission.__call__
+
+    def interrupted(self: submission.Submission, job: batch.Job) -> batch.Row:
+        if job.picture.name == "umm_road_000003":
+            raise KeyboardInterrupt
+        return real(self, job)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(submission.Submission, "__call__", interrupted)
+        assert call("submit", kitti, *GREY, "--out", out).exit_code == 130
+    assert list(statuses(out)) == MAPS[:1]
+    assert not (out / "submission.zip").exists()
+
+    resumed = call("submit", kitti, *GREY, "--out", out)
+    assert resumed.stderr.startswith("roadtorch: 2 done, 1 skipped")
+
+
+def test_maps_of_other_settings_are_not_mixed_in(call: Call, kitti: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    call("submit", kitti, *GREY, "--out", out)
+    before = (out / "submission.zip").read_bytes()
+
+    other = call("submit", kitti, "--detector", "prior:rows", "--out", out)
+    assert other.exit_code == 2
+    assert "holds results of other settings" in other.stderr
+    assert (out / "submission.zip").read_bytes() == before
+
+    anew = call("submit", kitti, "--detector", "prior:rows", "--out", out, "--overwrite")
+    assert anew.exit_code == 0
+    assert (out / "submission.zip").read_bytes() != before
+
+
+@pytest.mark.parametrize(
+    ("spoil", "line"),
+    [
+        ("calib", "{root}/calib: does not exist (bird's-eye view needs calibration files)"),
+        ("image_2", "{root}/image_2: does not exist (give the folder that holds image_2 or "),
+        ("name", "thumb: is not the name of a KITTI road picture (name pictures CATEGORY_NUMBER"),
+        ("detector", "fusoin: unknown detector (did you mean fusion?)"),
+        ("twice", "{root}/image_2/um_000000.jpg and {root}/image_2/um_000000.png: both would "),
+    ],
+)
+def test_mistakes_are_one_line_before_any_work(
+    call: Call, kitti: Path, tmp_path: Path, spoil: str, line: str
+) -> None:
+    out = tmp_path / "out"
+    picture = kitti / "image_2/um_000000.png"
+    if spoil in ("calib", "image_2"):
+        (kitti / spoil).rename(kitti / "elsewhere")
+    elif spoil in ("name", "twice"):
+        name = "thumb.png" if spoil == "name" else "um_000000.jpg"
+        (kitti / "image_2" / name).write_bytes(picture.read_bytes())
+    detector = "fusoin" if spoil == "detector" else "prior:rows"
+
+    result = call("submit", kitti, "--detector", detector, "--out", out)
+
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"roadtorch: error: {line.format(root=kitti)}")
+    assert result.stderr.count("\n") == 1
+    assert not out.exists()
+
+
+def test_the_installed_command(kitti: Path, tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "roadtorch", "submit", "kitti", "--detector", "prior:rows"]
+
+    done = subprocess.run(
+        [*words, "--out", "out"], capture_output=True, text=True, cwd=tmp_path, timeout=120
+    )
+
+    assert (done.returncode, done.stdout) == (0, "")
+    assert done.stderr.endswith("roadtorch: 3 maps in out/submission.zip\n")
+
+
+def test_help_needs_no_torch() -> None:
+    code = (
+        "import sys\nfrom roadtorch.cli import main\n"
+        "try: main(['submit', '--help'])\nexcept SystemExit: pass\n"
+        "print(sorted({'torch', 'cv2', 'PIL', 'numpy'} & set(sys.modules)))"
+    )
+
+    shown = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+
+    assert "Write a submission to the KITTI road benchmark." in shown.stdout
+    assert shown.stdout.splitlines()[-1] == "[]"

@@ -1,0 +1,106 @@
+"""roadtorch tune: thresholds chosen on labelled pictures, into configs that infer reads."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+import torch
+from pydantic import Field
+
+from roadtorch.cli.config import choose
+from roadtorch.detectors import Entry, list_detectors, load_detector, register
+from roadtorch.evaluation import tuning
+from roadtorch.evaluation.datasets import open_dataset
+from roadtorch.evaluation.metrics import RoadCounts
+from roadtorch.evaluation.runner import Plan
+from roadtorch.evaluation.tally import Tally
+from roadtorch.settings import Settings
+from tests.scenes import render_scene, write_camvid
+
+DRIVES = ("0001TP", "0006R0", "0016E5")
+
+
+class BrightnessSettings(Settings):
+    """Settings of a detector that takes the mean of the channels for road."""
+
+    threshold: float = Field(default=0.5, ge=0, le=1)
+    gain: float = Field(default=1.0, ge=0, le=1)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def known_detector() -> None:
+    def build(settings):
+        return lambda image: {"likelihood": image.mean(0) * settings.gain}
+
+    if "test-brightness" not in list_detectors():
+        register(Entry("test-brightness", "bright is road", BrightnessSettings, build))
+
+
+@pytest.fixture
+def camvid(tmp_path) -> Path:
+    root = tmp_path / "camvid"
+    scenes = {f"{DRIVES[i % 3]}_{i}": render_scene(i, 48, 64) for i in range(6)}
+    write_camvid(root, "train", dict(list(scenes.items())[:3]))
+    write_camvid(root, "val", dict(list(scenes.items())[3:]))
+    return root
+
+
+def test_the_config_holds_the_choice_its_command_and_its_worth(call, camvid, tmp_path):
+    out = tmp_path / "configs"
+    options = ("--detector", "test-brightness", "--set", "gain=0.5")
+
+    done = call("tune", "camvid", camvid, *options, "--out", out)
+
+    assert done.exit_code == 0, done.stderr
+    text = (out / "test-brightness.toml").read_text()
+    assert f"#   roadtorch tune camvid {camvid}" in text
+    assert "camvid dev, 6 pictures" in text
+    assert "Each drive at the threshold of the others: F 0." in text
+    detector, values = choose(None, out / "test-brightness.toml", (), None)
+    assert (detector, values["gain"]) == ("test-brightness", 0.5)
+    assert load_detector(detector, **values).settings.model_dump() == values
+    assert done.stdout.splitlines()[1].split()[:3] == [
+        "test-brightness",
+        f"{values['threshold']:.3f}",
+        "0.500",
+    ]
+    assert not (out / "progress.safetensors").exists()
+
+
+def test_every_detector_gets_its_own_file_and_floors_none(call, camvid, tmp_path):
+    out = tmp_path / "configs"
+
+    call("tune", "camvid", camvid, "--detector", "cpf", "--detector", "cpf:squares", "--out", out)
+
+    assert {path.name for path in out.iterdir()} == {"cpf.toml", "cpf-squares.toml"}
+    assert tomllib.loads((out / "cpf-squares.toml").read_text())["detector"] == "cpf:squares"
+
+
+def test_the_choice_is_the_best_threshold_averaged_over_drives(camvid):
+    plan = Plan(open_dataset("camvid", camvid), {"test-brightness": {}})
+
+    def at(road: int, other: int) -> RoadCounts:
+        levels = torch.zeros(2, 11, dtype=torch.int64)
+        levels[0, road] = levels[1, other] = 10
+        return RoadCounts(levels[0], levels[1])
+
+    found = tuning.choose("test-brightness", plan, Tally({"a": at(5, 4), "b": at(8, 4)}))
+
+    assert found.settings.model_dump()["threshold"] == 0.5
+    assert (found.f, found.iou) == (1, 1)
+    # Drive a at the threshold of b (0.5 or more up to 0.8, the lowest: 0.5), b at that of a.
+    assert found.f_held_out == 1
+
+
+def test_pictures_without_road_choose_nothing(call, tmp_path):
+    scene = render_scene(0, 48, 64)
+    scene.classes[scene.classes == 3] = 4  # pavement everywhere
+    write_camvid(tmp_path / "set", "train", {"0001TP_0": scene})
+
+    done = call(
+        *("tune", "camvid", tmp_path / "set", "--split", "train"),
+        *("--detector", "test-brightness", "--out", tmp_path / "out"),
+    )
+
+    assert done.exit_code == 2
+    assert "shows no road (give pictures with road)" in done.stderr

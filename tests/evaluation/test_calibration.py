@@ -1,0 +1,141 @@
+"""Calibration against brute force on pixels and scikit-learn."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sklearn.calibration import calibration_curve
+from sklearn.metrics import brier_score_loss
+
+from roadtorch.evaluation import calibration, metrics
+from roadtorch.evaluation.metrics import RoadCounts
+from tests.reference import calibration as slow
+
+
+def count(scores, road, levels=metrics.LEVELS) -> RoadCounts:
+    scores, road = torch.as_tensor(scores), torch.as_tensor(road, dtype=torch.bool)
+    return metrics.count_levels(scores, road, torch.ones_like(road), levels)
+
+
+def drawn(seed: int, levels: int = 256) -> tuple[np.ndarray, np.ndarray]:
+    """Scores that lie exactly on levels, road more likely where they are high."""
+    generator = np.random.default_rng(seed)
+    scores = generator.integers(0, levels, 500) / (levels - 1)
+    return scores, generator.random(500) < scores**2
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000))
+def test_brier_score_equals_pixels_and_scikit_learn(seed):
+    scores, road = drawn(seed)
+
+    found = float(calibration.brier(count(scores, road, 256)))
+
+    assert found == pytest.approx(slow.brier(scores, road), abs=1e-12)
+    assert found == pytest.approx(brier_score_loss(road, scores), abs=1e-12)
+
+
+def test_default_levels_are_fine_enough_for_any_likelihood():
+    generator = np.random.default_rng(0)
+    scores, road = generator.random(4000), generator.random(4000) < 0.4
+
+    found = float(calibration.brier(count(scores, road)))
+
+    assert found == pytest.approx(brier_score_loss(road, scores), abs=1e-6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000))
+def test_the_parts_of_the_brier_score_add_up(seed):
+    counts = count(*drawn(seed, levels=21), levels=21)
+
+    parts = calibration.brier_parts(counts)
+
+    total = parts.reliability - parts.resolution + parts.uncertainty
+    assert float(total) == pytest.approx(float(calibration.brier(counts)), abs=1e-12)
+
+
+def test_the_parts_of_the_brier_score_by_hand():
+    # Ten pixels at 0.2 of which 1 is road; ten at 0.8 of which 8 are.
+    counts = count([0.2] * 10 + [0.8] * 10, [1] + [0] * 9 + [1] * 8 + [0] * 2, levels=11)
+
+    parts = calibration.brier_parts(counts)
+
+    assert float(parts.reliability) == pytest.approx((0.1**2 + 0) / 2)
+    assert float(parts.resolution) == pytest.approx(0.35**2)
+    assert float(parts.uncertainty) == pytest.approx(0.45 * 0.55)
+
+
+@pytest.mark.parametrize("bins", [1, 7, 20])
+@pytest.mark.parametrize("seed", range(3))
+def test_reliability_equals_pixels_and_scikit_learn(seed, bins):
+    scores, road = drawn(seed)
+
+    curve = calibration.reliability(count(scores, road, 256), bins)
+
+    expected = np.array(slow.reliability(scores, road, bins))
+    observed, predicted = calibration_curve(road, scores, n_bins=bins)
+    filled = curve.share > 0
+    for found, column in zip(
+        (curve.predicted, curve.observed, curve.share), expected.T, strict=True
+    ):
+        assert found.tolist() == pytest.approx(column.tolist(), abs=1e-12, nan_ok=True)
+    assert curve.predicted[filled].tolist() == pytest.approx(predicted.tolist(), abs=1e-12)
+    assert curve.observed[filled].tolist() == pytest.approx(observed.tolist(), abs=1e-12)
+
+
+def test_a_likelihood_on_an_edge_belongs_to_the_lower_bin():
+    curve = calibration.reliability(count([0.0, 0.5, 0.5, 1.0], [0, 1, 0, 1], levels=3), bins=2)
+
+    assert curve.share.tolist() == [0.75, 0.25]
+    assert curve.predicted.tolist() == pytest.approx([1 / 3, 1])
+    assert curve.observed.tolist() == pytest.approx([1 / 3, 1])
+
+
+def test_expected_error_is_the_mean_gap_over_pixels():
+    scores, road = drawn(4)
+
+    found = float(calibration.expected_error(count(scores, road, 256), bins=10))
+
+    rows = slow.reliability(scores, road, 10)
+    assert found == pytest.approx(sum(s * abs(o - p) for p, o, s in rows if s), abs=1e-12)
+
+
+def test_a_calibrated_map_has_little_error_and_a_bold_one_much():
+    generator = np.random.default_rng(0)
+    chance = generator.random(50_000)
+    road = generator.random(50_000) < chance
+
+    honest, bold = count(chance, road), count((chance > 0.5) * 1.0, road)
+
+    assert float(calibration.expected_error(honest)) < 0.02
+    assert float(calibration.expected_error(bold)) == pytest.approx(0.25, abs=0.01)
+    assert float(calibration.brier(honest)) < float(calibration.brier(bold))
+
+
+def test_leading_dimensions_and_sums():
+    one, two = count(*drawn(1), 256), count(*drawn(2), 256)
+    both = RoadCounts(torch.stack([one.road, two.road]), torch.stack([one.other, two.other]))
+
+    assert calibration.brier(both).tolist() == [
+        float(calibration.brier(one)),
+        float(calibration.brier(two)),
+    ]
+    assert torch.equal(
+        calibration.reliability(both).observed[1], calibration.reliability(two).observed
+    )
+    together = np.concatenate([drawn(1), drawn(2)], axis=1)
+    assert float(calibration.brier(one + two)) == pytest.approx(
+        slow.brier(together[0], together[1]), abs=1e-12
+    )
+
+
+def test_nothing_counted_is_nan():
+    nothing = RoadCounts(torch.zeros(256, dtype=torch.int64), torch.zeros(256, dtype=torch.int64))
+
+    assert math.isnan(calibration.brier(nothing))
+    assert math.isnan(calibration.expected_error(nothing))
+    assert math.isnan(calibration.brier_parts(nothing).uncertainty)

@@ -1,0 +1,87 @@
+"""Intervals hold the figure; pairs are compared on the same draws."""
+
+import pytest
+import torch
+
+from roadtorch.detectors import Detection
+from roadtorch.errors import ConfigError
+from roadtorch.evaluation import comparison, summary
+from roadtorch.evaluation.datasets import open_dataset
+from roadtorch.evaluation.runner import Plan, score_item
+from roadtorch.evaluation.tally import Tally
+from roadtorch.evaluation.uncertainty import Replicated
+from tests.scenes import render_scene, write_camvid
+
+DRIVES = ("0001TP", "0006R0")
+SCENES = {f"{DRIVES[i % 2]}_{i}": render_scene(i, 48, 64) for i in range(12)}
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    root = tmp_path_factory.mktemp("camvid")
+    write_camvid(root, "train", SCENES)
+    return open_dataset("camvid", root, "train")
+
+
+def measured(dataset, noise: float) -> tuple[dict, dict[str, Replicated]]:
+    """Figures and draws of a detector whose road is that much blurred by noise."""
+
+    def look(image, item):
+        generator = torch.Generator().manual_seed(int(item.name[7:]))
+        blur = torch.rand(48, 64, generator=generator)
+        likelihood = (1 - noise) * SCENES[item.name].road + noise * blur
+        scores = SCENES[item.name].layout
+        layout = torch.stack([(scores == kind).float() for kind in range(3)]) + blur * noise * 3
+        return Detection(likelihood, likelihood > 0.5, {"layout": layout})
+
+    tally = Tally()
+    for item in dataset.items:
+        tally.add(item, score_item(Plan(dataset, {}), {"it": look}, item).scores["it"])
+    figures = summary.summarise(tally, 0.5)
+    return figures, comparison.resample(tally.rows, summary.thresholds_of(figures), figures)
+
+
+def test_every_headline_figure_has_an_interval_around_it(dataset):
+    figures, draws = measured(dataset, 0.7)
+
+    found = comparison.intervals(draws)
+
+    names = ("maxf", "auc_pooled", "auc_mean", "ap", "eer", "brier", "iou", "f", "layout_mean")
+    assert set(found) == set(names)
+    for name, (low, high) in found.items():
+        assert low <= comparison.headline(figures, name) <= high
+        assert 0 <= high - low < 0.2
+    assert found["maxf"][1] > found["maxf"][0]
+
+
+def test_a_detector_is_no_better_than_itself_and_pairs_are_signed(dataset):
+    good, poor = (measured(dataset, noise)[1] for noise in (0.72, 0.75))
+
+    found = comparison.paired({"good": good, "poor": poor, "again": good}, "good")["detectors"]
+    other = comparison.paired({"poor": poor, "good": good}, "poor")["detectors"]
+
+    assert found["again"]["maxf"] == {"difference": 0, "ci95": [0, 0]}
+    assert found["poor"]["maxf"]["ci95"][1] < 0  # worse on every picture
+    assert found["poor"]["brier"]["ci95"][0] > 0
+    low, high = found["poor"]["maxf"]["ci95"]
+    assert other["good"]["maxf"]["ci95"] == pytest.approx([-high, -low])
+    # Paired, the interval is far narrower than those of the two figures.
+    alone = comparison.intervals(poor)["maxf"]
+    assert high - low < 0.7 * (alone[1] - alone[0])
+
+
+def test_pairs_share_the_figures_that_both_have(dataset):
+    full, roadless = measured(dataset, 0.6)[1], measured(dataset, 0.7)[1]
+    del roadless["layout_mean"]
+
+    found = comparison.paired({"a": full, "b": roadless}, "a")["detectors"]["b"]
+
+    assert "layout_mean" not in found
+    assert "maxf" in found
+
+
+def test_the_reference_is_the_first_unless_named():
+    assert comparison.reference(["a", "b"], None) == "a"
+    assert comparison.reference(["a", "b"], "b") == "b"
+    with pytest.raises(ConfigError, match=r"fusoin.*fusion"):
+        comparison.reference(["fusion", "b"], "fusoin")

@@ -1,0 +1,306 @@
+"""Curves against the worked example of the protocols, brute force and scikit-learn."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sklearn.metrics import average_precision_score, precision_recall_curve, roc_auc_score
+from sklearn.metrics import roc_curve as sklearn_roc
+
+from roadtorch.evaluation import curves, metrics
+from roadtorch.evaluation.curves import Curve
+from roadtorch.evaluation.metrics import RoadCounts
+from tests.reference import curves as slow
+
+Map = tuple[np.ndarray, np.ndarray]
+
+
+def count(scores, road, levels=metrics.LEVELS) -> RoadCounts:
+    scores, road = torch.as_tensor(scores), torch.as_tensor(road, dtype=torch.bool)
+    return metrics.count_levels(scores, road, torch.ones_like(road), levels)
+
+
+def stack(*parts: RoadCounts) -> RoadCounts:
+    return RoadCounts(
+        torch.stack([part.road for part in parts]), torch.stack([part.other for part in parts])
+    )
+
+
+def random_map(seed: int, levels: int = 12) -> Map:
+    """Scores on a coarse grid, so that ties are frequent, and a road."""
+    generator = np.random.default_rng(seed)
+    road = generator.random((9, 11)) < 0.4
+    road[0, :2] = True, False
+    drawn = generator.integers(0, levels, road.shape) + 3 * road
+    return np.clip(drawn, 0, levels) / levels, road
+
+
+def points(curve: Curve) -> list[tuple[float, float]]:
+    return list(zip(curve.x.tolist(), curve.y.tolist(), strict=True))
+
+
+def mean_sample(maps: list[RoadCounts], steps: int) -> torch.Tensor:
+    """Summed map by map, as a pass over a data set does it."""
+    total = torch.zeros(steps + 1, dtype=torch.float64)
+    for one in maps:
+        total += curves.vertical_sample(one, steps)
+    return total / len(maps)
+
+
+# --- the worked example: two small images, numbers from reference/protocols.md 1.4 ----------------
+
+FIRST = ([0.9, 0.8, 0.7, 0.6, 0.4, 0.3, 0.2, 0.1], [1, 1, 0, 1, 1, 0, 0, 0])
+SECOND = ([0.7, 0.6, 0.6, 0.5, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05], [1, 0, 1, 1, 0, 1, 0, 0, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("image", "area", "equal_error"), [(FIRST, 0.875, 0.25), (SECOND, 0.833333, 0.30)]
+)
+def test_single_curves_of_the_worked_example(image, area, equal_error):
+    curve = curves.roc(count(*image))
+
+    assert float(curves.area(curve)) == pytest.approx(area, abs=6e-7)
+    assert float(curves.equal_error_rate(curve)) == pytest.approx(equal_error, abs=1e-12)
+
+
+def test_equal_scores_make_one_slanted_piece():
+    curve = curves.roc(count(*SECOND))
+
+    third = pytest.approx(1 / 6)
+    assert points(curve)[:3] == [(0, 0), (0, 0.25), (third, 0.5)]
+    assert len(curve.x) == 9  # eight different scores and the beginning
+
+
+def test_vertical_average_of_the_worked_example():
+    images = [count(*FIRST), count(*SECOND)]
+
+    at_twentieths = mean_sample(images, 20)
+    curve = curves.vertical_average(mean_sample(images, 100))
+
+    found = [float(at_twentieths[round(20 * x)]) for x in (0, 0.1, 0.25, 0.5)]
+    assert found == pytest.approx([0.375, 0.45, 0.8125, 1.0], abs=1e-12)
+    assert points(curve)[:2] == [(0, 0), (0, 0.375)]
+    assert float(curves.area(curve)) == pytest.approx(0.8552, abs=6e-5)
+    assert float(curves.equal_error_rate(curve)) == pytest.approx(0.247664, abs=6e-7)
+
+
+def test_area_of_the_vertical_average_comes_to_the_mean_area():
+    images = [count(*FIRST), count(*SECOND)]
+
+    curve = curves.vertical_average(mean_sample(images, 20_000))
+
+    assert float(curves.area(curve)) == pytest.approx(0.854167, abs=1e-4)
+
+
+def test_threshold_average_of_the_worked_example():
+    curve = curves.threshold_average(stack(count(*FIRST, levels=21), count(*SECOND, levels=21)))
+
+    at = {threshold: 21 - round(20 * threshold) for threshold in (0.9, 0.8, 0.7, 0.6, 0.5, 0.4)}
+    found = [points(curve)[index] for index in [*at.values(), 21 - 6]]
+    assert found == [
+        pytest.approx(pair, abs=6e-7)
+        for pair in [
+            (0, 0.125),
+            (0, 0.25),
+            (0.125, 0.375),
+            (0.208333, 0.625),
+            (0.291667, 0.75),
+            (0.291667, 1),
+            (0.5, 1),
+        ]
+    ]
+    assert float(curves.area(curve)) == pytest.approx(0.846354, abs=6e-7)
+    assert float(curves.equal_error_rate(curve)) == pytest.approx(0.275, abs=1e-12)
+
+
+def test_pooled_curve_of_the_worked_example():
+    curve = curves.roc(count(*FIRST) + count(*SECOND))
+
+    assert float(curves.area(curve)) == pytest.approx(0.85, abs=1e-12)
+    assert float(curves.equal_error_rate(curve)) == pytest.approx(0.277778, abs=6e-7)
+
+
+# --- brute force and scikit-learn -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_roc_equals_counting_at_every_score_and_scikit_learn(seed):
+    scores, road = random_map(seed)
+
+    curve = curves.roc(count(scores, road))
+
+    false_rates, true_rates, _ = sklearn_roc(road.ravel(), scores.ravel(), drop_intermediate=False)
+    assert points(curve) == [pytest.approx(p, abs=1e-12) for p in slow.roc(scores, road)]
+    assert curve.x.tolist() == pytest.approx(false_rates.tolist(), abs=1e-12)
+    assert curve.y.tolist() == pytest.approx(true_rates.tolist(), abs=1e-12)
+    assert float(curves.area(curve)) == pytest.approx(
+        roc_auc_score(road.ravel(), scores.ravel()), abs=1e-12
+    )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_precision_and_recall_equal_scikit_learn(seed):
+    scores, road = random_map(seed)
+
+    curve = curves.precision_recall(count(scores, road))
+
+    precisions, recalls, _ = precision_recall_curve(road.ravel(), scores.ravel())
+    assert curve.y.tolist() == pytest.approx(precisions[:-1][::-1].tolist(), abs=1e-12)
+    assert curve.x.tolist() == pytest.approx(recalls[:-1][::-1].tolist(), abs=1e-12)
+    steps = torch.diff(curve.x, prepend=torch.zeros(1, dtype=torch.float64))
+    assert float((steps * curve.y).sum()) == pytest.approx(
+        average_precision_score(road.ravel(), scores.ravel()), abs=1e-12
+    )
+
+
+@pytest.mark.parametrize("steps", [7, 10, 100])
+@pytest.mark.parametrize("seed", range(3))
+def test_vertical_sample_equals_reading_the_curve_at_each_rate(seed, steps):
+    scores, road = random_map(seed)
+    curve = slow.roc(scores, road)
+    background = int((~road).sum())
+
+    found = curves.vertical_sample(count(scores, road), steps)
+
+    # Whole pixels where i/steps is a point of the curve, so that the twin's "=" can be met.
+    wanted = [
+        i * background // steps / background if i * background % steps == 0 else i / steps
+        for i in range(steps + 1)
+    ]
+    assert found.tolist() == pytest.approx([slow.height(curve, x) for x in wanted], abs=1e-12)
+
+
+def test_threshold_average_equals_averaging_at_every_score():
+    maps = [random_map(seed) for seed in range(4)]
+
+    curve = curves.threshold_average(stack(*[count(*one, levels=13) for one in maps]))
+
+    expected = slow.threshold_average(maps)
+    assert points(curve) == [pytest.approx(p, abs=1e-12) for p in expected]
+    assert float(curves.area(curve)) == pytest.approx(slow.area(expected), abs=1e-12)
+    assert float(curves.equal_error_rate(curve)) == pytest.approx(
+        slow.equal_error_rate(expected), abs=1e-12
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000))
+def test_equal_error_rate_equals_walking_along_the_curve(seed):
+    scores, road = random_map(seed)
+
+    found = float(curves.equal_error_rate(curves.roc(count(scores, road))))
+
+    assert found == pytest.approx(slow.equal_error_rate(slow.roc(scores, road)), abs=1e-12)
+
+
+# --- properties -----------------------------------------------------------------------------------
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([5, 64, 256]))
+def test_curves_rise_from_corner_to_corner_and_have_the_area_of_the_pairs(seed, levels):
+    counts = count(*random_map(seed), levels)
+
+    curve = curves.roc(counts)
+
+    assert points(curve)[0] == (0, 0)
+    assert points(curve)[-1] == (1, 1)
+    assert bool((curve.x.diff() >= 0).all() and (curve.y.diff() >= 0).all())
+    assert float(curves.area(curve)) == pytest.approx(float(metrics.auc(counts)), abs=1e-12)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000))
+def test_equal_error_rate_turns_over_with_the_map(seed):
+    scores, road = random_map(seed)
+
+    straight, turned = (
+        float(curves.equal_error_rate(curves.roc(count(s, road)))) for s in (scores, 1 - scores)
+    )
+
+    assert turned == pytest.approx(1 - straight, abs=1e-12)
+
+
+def test_leading_dimensions_are_images():
+    one, two = (count(*random_map(seed), 16) for seed in (1, 2))
+    both = stack(one, two)
+
+    sampled, every = curves.vertical_sample(both, 10), curves.operating_points(both)
+
+    for index, single in enumerate((one, two)):
+        alone = curves.operating_points(single)
+        assert torch.equal(sampled[index], curves.vertical_sample(single, 10))
+        assert torch.equal(every.x[index], alone.x)
+        assert torch.equal(curves.area(every)[index], curves.area(alone))
+        assert torch.equal(curves.equal_error_rate(every)[index], curves.equal_error_rate(alone))
+
+
+def test_a_perfect_map_and_a_constant_map():
+    road = np.arange(12) < 5
+
+    perfect, constant = (curves.roc(count(s, road)) for s in (road * 1.0, np.full(12, 0.3)))
+
+    assert points(perfect) == [(0, 0), (0, 1), (1, 1)]
+    assert float(curves.equal_error_rate(perfect)) == 0
+    assert points(constant) == [(0, 0), (1, 1)]
+    assert float(curves.equal_error_rate(constant)) == 0.5
+
+
+# --- images without road or without background ----------------------------------------------------
+
+
+@pytest.mark.parametrize("road", [[0, 0], [1, 1]])
+def test_curves_of_one_class_are_nan_and_are_skipped_in_the_average(road):
+    lacking, whole = count([0.2, 0.6], road, 11), count([0.2, 0.6], [0, 1], 11)
+
+    average = curves.threshold_average(stack(lacking, whole))
+
+    assert bool(curves.vertical_sample(lacking, 5).isnan().all())
+    assert bool(curves.equal_error_rate(curves.operating_points(lacking)).isnan())
+    assert bool(curves.area(curves.roc(lacking)).isnan())
+    assert points(average) == points(curves.operating_points(whole))
+    assert bool(curves.area(curves.threshold_average(stack(lacking))).isnan())
+
+
+# --- files ----------------------------------------------------------------------------------------
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000), st.integers(6, 60), st.sampled_from([0.0, 0.5, 3.0]))
+def test_a_thinned_curve_keeps_its_ends_and_nearly_its_area(seed, most, skew):
+    generator = torch.Generator().manual_seed(seed)
+    counts = RoadCounts(
+        torch.randint(0, 4, (300,), generator=generator),
+        torch.randint(0, 4, (300,), generator=generator),
+    )
+    counts.other[7] += int(200 * skew)  # one long straight piece
+    curve = curves.roc(counts)
+
+    thinned = curves.thin(curve, most)
+
+    assert len(thinned.x) <= most
+    assert set(points(thinned)) <= set(points(curve))
+    assert [points(thinned)[0], points(thinned)[-1]] == [(0, 0), (1, 1)]
+    assert abs(float(curves.area(thinned) - curves.area(curve))) < 1 / (most - 4 + 1e-9)
+
+
+def test_a_thousand_points_are_enough_for_a_real_curve():
+    generator = torch.Generator().manual_seed(0)
+    road = torch.rand(100_000, generator=generator) < 0.3
+    scores = (torch.randn(100_000, generator=generator) + 2 * road).sigmoid()
+    counts = count(scores, road)
+
+    for curve in (curves.roc(counts), curves.precision_recall(counts)):
+        thinned = curves.thin(curve, 1000)
+        assert len(curve.x) > 30_000
+        assert len(thinned.x) <= 1000
+        assert float(curves.area(thinned)) == pytest.approx(float(curves.area(curve)), abs=1e-5)
+
+
+def test_short_and_undefined_curves_stay_as_they_are():
+    short = curves.roc(count(*FIRST))
+    undefined = curves.operating_points(count([0.2, 0.6], [1, 1], 99))
+
+    assert curves.thin(short, 100) is short
+    assert curves.thin(undefined, 10) is undefined

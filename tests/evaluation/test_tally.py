@@ -1,0 +1,74 @@
+"""What is kept of a pass comes back from tensors, and stays small."""
+
+from dataclasses import replace
+
+import torch
+
+from roadtorch.detectors import Detection
+from roadtorch.evaluation import summary
+from roadtorch.evaluation.datasets import Dataset, open_dataset
+from roadtorch.evaluation.runner import Plan, looks, score_item
+from roadtorch.evaluation.tally import Tally, tally_from, tally_tensors
+from tests.scenes import render_scene, write_camvid
+
+
+def scenes_dataset(root) -> tuple[Dataset, dict]:
+    scenes = {f"{drive}_{i}": render_scene(i, 48, 64) for i, drive in enumerate(("a" * 6, "b" * 6))}
+    write_camvid(root, "train", scenes)
+    return open_dataset("camvid", root, "train"), scenes
+
+
+def counted(dataset: Dataset, layout: bool) -> Tally:
+    def look(image, item):
+        likelihood = image.mean(0)
+        potentials = {"layout": image} if layout else {}
+        return Detection(likelihood, likelihood > 0.5, potentials)
+
+    tally = Tally()
+    for item in dataset.items:
+        tally.add(item, score_item(Plan(dataset, {}), {"it": look}, item).scores["it"])
+    return tally
+
+
+def test_a_tally_survives_being_taken_apart(tmp_path):
+    dataset, _ = scenes_dataset(tmp_path)
+    for layout in (True, False):
+        tally = counted(dataset, layout)
+
+        again = tally_from(tally_tensors(tally), tally.pictures)
+
+        before, after = (summary.summarise(one, 0.5) for one in (tally, again))
+        assert before == after
+        assert ("layout" in before) == layout
+        for one, other in zip(tally.rows, again.rows, strict=True):
+            assert torch.equal(one.road.road, other.road.road)
+            assert torch.equal(one.boundary, other.boundary)
+            assert one.seconds == other.seconds
+
+
+def test_one_picture_more_costs_little_memory(tmp_path):
+    dataset, _ = scenes_dataset(tmp_path)
+    tally = counted(dataset, True)
+    size = sum(tensor.nbytes for key, tensor in tally_tensors(tally).items() if "rows/" in key)
+
+    assert size / len(tally.rows) < 2500  # bytes: 256 levels of road and of background, 4 each
+
+
+def test_rows_outlive_the_room_there_was_for_them_and_can_be_sorted(tmp_path):
+    dataset, _ = scenes_dataset(tmp_path)
+    few, many = counted(dataset, True), Tally()
+    look_at = score_item(Plan(dataset, {"prior:rows": {}}), looks_of(dataset), dataset.items[0])
+    names = [f"picture {index}" for index in range(150)]
+    for name in reversed(names):
+        many.add(replace(dataset.items[0], name=name), look_at.scores["prior:rows"])
+
+    many.sort(names)
+
+    assert [row.name for row in many.rows] == names
+    first = many.rows[0].road.road
+    assert all(torch.equal(row.road.road, first) for row in many.rows)
+    assert int(first.sum()) == int(few.rows[0].road.road.sum())
+
+
+def looks_of(dataset: Dataset):
+    return looks(Plan(dataset, {"prior:rows": {}}))

@@ -1,0 +1,90 @@
+"""The bird's-eye view one point at a time, through every coordinate frame on the way."""
+
+import math
+
+import numpy as np
+
+FOCAL = 130.0
+CAMERA_HEIGHT = 1.6  # metres
+
+
+def turn(pitch: float, yaw: float, roll: float) -> np.ndarray:
+    """The rotation (3,3) about x by pitch, y by yaw and z by roll, in radians."""
+    (sx, cx), (sy, cy), (sz, cz) = ((math.sin(a), math.cos(a)) for a in (pitch, yaw, roll))
+    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    return about_z @ about_y @ about_x
+
+
+def made_up_rows(
+    pitch: float = 0.02, yaw: float = -0.01, roll: float = 0.005, shift: float = 0.06
+) -> dict[str, np.ndarray]:
+    """The matrices of a camera of our own, for pictures of 160 by 120 pixels.
+
+    It stands 1.6 m above the road; with no angles and no shift it is a plain pinhole.
+    """
+    projection = np.array(
+        [[FOCAL, 0, 80.5, FOCAL * shift], [0, FOCAL, 50.5, shift], [0, 0, 1, shift / 20]]
+    )
+    below = np.array([shift / 5, -CAMERA_HEIGHT, shift])
+    camera_to_road = np.column_stack([turn(pitch, yaw, roll), below])
+    rectification = turn(pitch / 3, -yaw / 2, roll)
+    return {"P2": projection, "R0_rect": rectification, "Tr_cam_to_road": camera_to_road}
+
+
+def calibration_text(rows: dict[str, np.ndarray]) -> str:
+    """A calibration file with the given rows, between others that nobody reads."""
+    lines = [f"{name}: {' '.join(f'{x:.12e}' for x in row.ravel())}" for name, row in rows.items()]
+    return "\n".join(["P0: 1 2 3", *lines, "Tr_imu_to_velo: none", ""])
+
+
+def see(rows: dict[str, np.ndarray], x: float, z: float) -> tuple[float, float]:
+    """Where the camera sees the road's point (x, 0, z): road, camera, rectified, image."""
+    rotation, offset = rows["Tr_cam_to_road"][:, :3], rows["Tr_cam_to_road"][:, 3]
+    camera = np.linalg.solve(rotation, np.array([x, 0.0, z]) - offset)
+    rectified = rows["R0_rect"] @ camera
+    across, down, depth = rows["P2"] @ np.append(rectified, 1.0)
+    return across / depth, down / depth
+
+
+def meet_road(rows: dict[str, np.ndarray], u: float, v: float) -> tuple[float, float]:
+    """The road's point (x, z) that the camera sees at (u, v): where the ray meets y = 0."""
+    projection = rows["P2"]
+    # Two points of the ray, at depths 1 and 2 of the rectified camera.
+    ray = []
+    for depth in (1.0, 2.0):
+        # u · (depth + P2[2,3]) = P2[0] · (X, Y, depth, 1), and v likewise.
+        scale = depth + projection[2, 3]
+        wanted = [
+            u * scale - projection[0, 2] * depth - projection[0, 3],
+            v * scale - projection[1, 2] * depth - projection[1, 3],
+        ]
+        x, y = np.linalg.solve(projection[:2, :2], wanted)
+        camera = np.linalg.solve(rows["R0_rect"], np.array([x, y, depth]))
+        pose = rows["Tr_cam_to_road"]
+        ray.append(pose[:, :3] @ camera + pose[:, 3])
+    first, second = ray
+    step = first[1] / (first[1] - second[1])
+    meeting = first + step * (second - first)
+    return meeting[0], meeting[2]
+
+
+def cell_value(image: np.ndarray, rows: dict[str, np.ndarray], row: int, column: int):
+    """What the bird's-eye map of an image (H,W) holds in one cell."""
+    x = float(np.float32(-10 + (column + 0.5) * 0.05))
+    z = float(np.float32(46 - (row + 0.5) * 0.05))
+    u, v = see(rows, x, z)
+    height, width = image.shape
+    if 1 <= u <= width and 1 <= v <= height:
+        return image[math.floor(v) - 1, math.floor(u) - 1]
+    return image.dtype.type(0)
+
+
+def pixel_value(cells: np.ndarray, rows: dict[str, np.ndarray], row: int, column: int):
+    """What the image of a bird's-eye map (800,400) holds in one pixel."""
+    x, z = meet_road(rows, column + 1, row + 1)
+    at = round(800 - (z - 6) / 0.05) - 1, round((x + 10) / 0.05) - 1
+    if 0 <= at[0] < 800 and 0 <= at[1] < 400:
+        return cells[at]
+    return cells.dtype.type(0)

@@ -1,0 +1,57 @@
+"""ROC curves and their averages the slow, obvious way, from pixels, in NumPy."""
+
+from itertools import pairwise
+
+import numpy as np
+
+Points = list[tuple[float, float]]
+
+
+def roc(scores: np.ndarray, road: np.ndarray) -> Points:
+    """Lower the threshold through the distinct scores; count anew each time."""
+    points = [(0.0, 0.0)]
+    for threshold in sorted(set(scores.ravel().tolist()), reverse=True):
+        points.append(rates(scores, road, threshold))
+    return points
+
+
+def rates(scores: np.ndarray, road: np.ndarray, threshold: float) -> tuple[float, float]:
+    """False and true positive rate of "score ≥ threshold"."""
+    mask = scores >= threshold
+    return float((mask & ~road).sum() / (~road).sum()), float((mask & road).sum() / road.sum())
+
+
+def height(points: Points, x: float) -> float:
+    """The curve above x: the last point not right of x, then along the next piece."""
+    k = max(index for index, point in enumerate(points) if point[0] <= x)
+    if points[k][0] == x:
+        return points[k][1]
+    (left, low), (right, high) = points[k], points[k + 1]
+    return low + (high - low) * (x - left) / (right - left)
+
+
+def threshold_average(maps: list[tuple[np.ndarray, np.ndarray]]) -> Points:
+    """Mean operating point at every score that any map has."""
+    found = sorted({value for scores, _ in maps for value in scores.ravel().tolist()})
+    points = [(0.0, 0.0)]
+    for threshold in reversed(found):
+        pairs = [rates(scores, road, threshold) for scores, road in maps]
+        points.append((sum(p[0] for p in pairs) / len(maps), sum(p[1] for p in pairs) / len(maps)))
+    return points
+
+
+def area(points: Points) -> float:
+    """Trapezoid by trapezoid."""
+    total = 0.0
+    for (left, low), (right, high) in pairwise(points):
+        total += (right - left) * (low + high) / 2
+    return total
+
+
+def equal_error_rate(points: Points) -> float:
+    """Walk along the curve until FPR is no longer below 1 - TPR; step back to the crossing."""
+    for (f, t), (g, u) in pairwise(points):
+        before, after = 1 - t - f, 1 - u - g
+        if after <= 0:
+            return f + before / (before - after) * (g - f)
+    raise AssertionError("a ROC curve ends at (1,1)")
