@@ -36,7 +36,7 @@ PATH = click.Path(path_type=Path)
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--mean-from", help="Learn prior:mean on another set: NAME:ROOT.")
 @click.option("--threshold-from", type=PATH, help="Thresholds that an earlier metrics.json chose.")
-@click.option("--against", help="Compare all with this detector; the first one if not given.")
+@click.option("--against", help="Compare all with this detector; the best one if not given.")
 @click.option(
     "--montage",
     type=click.IntRange(min=0),
@@ -84,10 +84,10 @@ def evaluate(
                      folders, limit)  # fmt: skip
     about = described(plan)
     given = _given_thresholds(about, threshold_from)
-    compared = comparison.reference(list(about), against)
+    comparison.check_against(list(about), against)
     progress = Progress(out, fingerprint(plan.dataset, about))
     failures = run_pass(plan, jobs, progress)
-    figures, pairs = figures_of(about, progress.tallies, given, compared)
+    figures, pairs = figures_of(about, progress.tallies, given, against)
     document = report.metrics_document(
         plan.dataset, figures, failures, __version__, command_line(context)
     )
@@ -175,7 +175,7 @@ def figures_of(
     about: Mapping[str, "Described"],
     tallies: Mapping[str, "Tally"],
     given: Mapping[str, float],
-    compared: str,
+    against: str | None,
 ) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
     """Every detector's figures, and all compared with one, as metrics.json has them."""
     from roadtorch.evaluation import comparison
@@ -191,7 +191,7 @@ def figures_of(
             "threshold_default": one.threshold,
             "settings": one.settings,
         }
-    return figures, comparison.paired(resampled, compared)
+    return figures, comparison.paired(resampled, against or comparison.best_of(figures))
 
 
 def _write(

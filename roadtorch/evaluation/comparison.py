@@ -116,14 +116,16 @@ def intervals(resampled: Mapping[str, Replicated]) -> dict[str, list[float]]:
     return {key: [max(low, 0.0), min(high, 1.0)] for key, (low, high) in found.items()}
 
 
-def reference(names: Sequence[str], against: str | None) -> str:
-    """The detector that the others are compared with: the one asked for, or the first.
-
-    Raises ConfigError for a name that is not in the run.
-    """
+def check_against(names: Sequence[str], against: str | None) -> None:
+    """ConfigError when the detector that the others are to be compared with is not in the run."""
     if against is not None and against not in names:
         raise unknown_name("detector of this run", against, names)
-    return against or names[0]
+
+
+def best_of(figures: Mapping[str, Mapping[str, Any]]) -> str:
+    """The detector with the highest MaxF, the first of equals."""
+    known = {name: one["maxf"] for name, one in figures.items() if not math.isnan(one["maxf"])}
+    return max(known, key=lambda name: known[name], default=next(iter(figures)))
 
 
 def paired(resampled: Mapping[str, Mapping[str, Replicated]], against: str) -> dict[str, Any]:

@@ -2,6 +2,8 @@
 
 import csv
 import json
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -229,7 +231,10 @@ def test_limit_takes_pictures_evenly(camvid, tmp_path):
     assert metrics(out)["images"] == 3
 
 
-def test_an_interrupted_run_goes_on_and_ends_like_a_whole_one(camvid, tmp_path, monkeypatch):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_goes_on_and_ends_like_a_whole_one(
+    camvid, tmp_path, monkeypatch, number
+):
     whole, out = tmp_path / "whole", tmp_path / "out"
     arguments = ("camvid", camvid, "--detector", "test-oracle", "--detector", "prior:uniform")
     run(*arguments, "--out", whole)
@@ -237,20 +242,20 @@ def test_an_interrupted_run_goes_on_and_ends_like_a_whole_one(camvid, tmp_path, 
     score_item = runner.score_item
 
     def interrupted(plan, found, item):
-        if len(looked) == 4:
-            raise KeyboardInterrupt
         looked.append(item.name)
+        if len(looked) == 4:
+            os.kill(os.getpid(), number)
         return score_item(plan, found, item)
 
     monkeypatch.setattr(runner, "score_item", interrupted)
     assert run(*arguments, "--out", out).exit_code != 0
     assert (out / FILE).is_file()
     assert not (out / "metrics.json").exists()
-    looked.clear()
+    looked[:] = ["none"] * 4
     result = run(*arguments, "--out", out)
 
     assert "going on after 4 of 6 pictures" in result.stderr
-    assert len(looked) == 2
+    assert len(looked) == 4 + 2
     assert not (out / FILE).exists()
     one, other = (without_times(metrics(folder)["detectors"]) for folder in (whole, out))
     assert one == other

@@ -154,7 +154,7 @@ def test_every_picture_is_a_tick_and_thousands_are_thinned():
 
     assert len(few) == 2 * 11
     assert_proportional(few[::2, 0], np.arange(11) / 10)
-    assert len(lines(many, svg.COLOURS[0], 0.6)[0]) == 2 * charts.MOST_TICKS
+    assert len(np.unique(lines(many, svg.COLOURS[0], 0.6)[0][:, 0])) == charts.MOST_TICKS
 
 
 def test_many_drives_are_not_told_apart():

@@ -1,5 +1,7 @@
 """Intervals hold the figure; pairs are compared on the same draws."""
 
+import math
+
 import pytest
 import torch
 
@@ -80,8 +82,11 @@ def test_pairs_share_the_figures_that_both_have(dataset):
     assert "maxf" in found
 
 
-def test_the_reference_is_the_first_unless_named():
-    assert comparison.reference(["a", "b"], None) == "a"
-    assert comparison.reference(["a", "b"], "b") == "b"
+def test_the_others_are_compared_with_the_best_unless_somebody_is_named():
+    figures = {"a": {"maxf": 0.5}, "b": {"maxf": 0.9}, "c": {"maxf": math.nan}}
+
+    assert comparison.best_of(figures) == "b"
+    assert comparison.best_of({"c": figures["c"]}) == "c"
+    comparison.check_against(["a", "b"], "b")
     with pytest.raises(ConfigError, match=r"fusoin.*fusion"):
-        comparison.reference(["fusion", "b"], "fusoin")
+        comparison.check_against(["fusion", "b"], "fusoin")
