@@ -63,6 +63,11 @@ class TruthReader(Protocol):
 class View(Protocol):
     """Brings maps of an item's picture into the space in which they are scored."""
 
+    @property
+    def name(self) -> str:
+        """What the space is called in results."""
+        ...
+
     def __call__(self, item: Item, values: Tensor) -> Tensor:
         """Turn maps (...,H,W) of any type into (...,h,w); what is unseen becomes 0 (False)."""
         ...

@@ -20,8 +20,8 @@ from roadtorch.evaluation.outcome import outcome
 from roadtorch.evaluation.svg import MOST, Series, choose_series, is_floor, ranked_names
 from roadtorch.image import write_text
 
-JPEG_QUALITY = 85  # of sheets; ours: no artefact is seen at the size they are shown
-JPEG = b"\xff\xd8"  # how it begins
+WIDEST = 1200  # pixels of a sheet; ours: as wide as the page shows it
+JPEG_QUALITY = 80  # of sheets; ours: no artefact is seen at the size they are shown
 MOST_FAILURES = 200  # listed; metrics.json has them all
 PARTS = {"best": "Best", "median": "Median", "worst": "Worst"}  # sheets, in this order
 
@@ -62,6 +62,7 @@ def render_report(
     text = page.render(
         document=document,
         series=series,
+        drives=_drives(detectors),
         left_out=len(detectors) - len(series),
         outcome=outcome(document),
         tables=tables.all_tables(document, series),
@@ -108,6 +109,15 @@ def _charts(
     }
 
 
+def _drives(detectors: Mapping[str, Mapping[str, Any]]) -> dict[str, int | None]:
+    """How many pictures each drive has, where that is known."""
+    return {
+        drive: next((part["images"] for part in parts if "images" in part), None)
+        for drive in tables.drive_names(detectors)
+        for parts in [[one.get("groups", {}).get(drive, {}) for one in detectors.values()]]
+    }
+
+
 def _settings(
     detectors: Mapping[str, Mapping[str, Any]], series: Sequence[Series]
 ) -> dict[str, str]:
@@ -138,9 +148,9 @@ def _sheet(name: str, part: str, data: bytes) -> dict[str, str]:
     picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
     if picture is None:
         raise InputError(f"{name}, {part} pictures", "is not a picture", "give JPEG or PNG")
+    scale = min(1.0, WIDEST / picture.shape[1])
+    picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     small = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
-    if data.startswith(JPEG) and len(data) <= len(small):
-        small = data
     height, width = picture.shape[:2]
     uri = f"data:image/jpeg;base64,{base64.b64encode(small).decode()}"
     return {"title": PARTS[part], "uri": uri, "width": str(width), "height": str(height)}

@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 from torch import Tensor
 
@@ -99,6 +100,7 @@ class BirdsEye:
     """The view from above, by the pictures' calibration files; calib: their folder."""
 
     calib: Path
+    name: ClassVar[str] = "bird's-eye view"
 
     def __call__(self, item: Item, values: Tensor) -> Tensor:
         """Maps (…,H,W) of the item's picture as (…,800,400), type kept; 0 where unseen.

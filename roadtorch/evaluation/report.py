@@ -158,7 +158,7 @@ def metrics_document(
         "void": "ignored",
         "command": command,
         "levels": dataset.levels,
-        "view": "the picture" if dataset.view is None else type(dataset.view).__name__,
+        "view": "the picture" if dataset.view is None else dataset.view.name,
         "failed": [{"image": r.item.name, "reason": r.failure} for r in failures],
         "detectors": detectors,
     }

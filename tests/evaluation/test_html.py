@@ -224,12 +224,15 @@ def test_sheets_are_jpeg_inside_the_page_best_first(page):
         assert decoded.shape == (24, 64, 3)
 
 
-def test_a_small_jpeg_is_taken_as_it_is():
-    data = cv2.imencode(".jpg", np.zeros((64, 64, 3), np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 20])[1]
+def test_a_wide_sheet_is_made_as_wide_as_the_page_shows_it():
+    sheet = made_sheet(width=2400, height=300)
 
-    page = render(made_run(["it"])[0], sheets={"it": {"best": data.tobytes()}})
+    page = render(made_run(["it"])[0], sheets={"it": {"best": sheet}})
 
-    assert base64.b64decode(page.named("img")[0]["src"].split(",")[1]) == data.tobytes()
+    shown = page.named("img")[0]
+    encoded = np.frombuffer(base64.b64decode(shown["src"].split(",")[1]), np.uint8)
+    assert cv2.imdecode(encoded, cv2.IMREAD_COLOR).shape == (150, 1200, 3)
+    assert (shown["width"], shown["height"]) == ("1200", "150")
 
 
 def test_sheets_of_the_eight_best_are_shown_and_the_others_counted():

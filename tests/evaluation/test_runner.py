@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 import torch
@@ -305,6 +306,8 @@ def test_two_processes_give_the_results_of_one(dataset):
 @dataclass(frozen=True)
 class LowerHalf:
     """A view that sees the lower half of a picture, twice as large."""
+
+    name: ClassVar[str] = "the lower half"
 
     def __call__(self, item: Item, values: torch.Tensor) -> torch.Tensor:
         lower = values[..., values.shape[-2] // 2 :, :]
