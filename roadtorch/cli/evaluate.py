@@ -72,9 +72,9 @@ def evaluate(
     from roadtorch.cli.batch import make_writable
     from roadtorch.evaluation import comparison, report
     from roadtorch.evaluation.datasets import open_dataset
-    from roadtorch.evaluation.kitti import birds_eye
     from roadtorch.evaluation.plan import described, make_plan
     from roadtorch.evaluation.progress import Progress, fingerprint
+    from roadtorch.evaluation.sets.kitti import birds_eye
 
     if out is not None:
         make_writable(out)  # now rather than after the long run
@@ -203,9 +203,10 @@ def _write(
     montage: int,
 ) -> None:
     """Everything that stays: figures, curves, rows, sheets of pictures, and the report."""
-    from roadtorch.evaluation import html, report
+    from roadtorch.evaluation import report
     from roadtorch.evaluation.montage import write_montages
     from roadtorch.evaluation.outlines import outlines
+    from roadtorch.evaluation.page import html
     from roadtorch.image import write_text
 
     figures = document["detectors"]

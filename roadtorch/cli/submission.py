@@ -10,7 +10,7 @@ from roadtorch.cli import batch
 from roadtorch.cli.batch import Job, Row
 from roadtorch.detectors import Detector
 from roadtorch.evaluation.bev import read_calibration, to_birds_eye
-from roadtorch.evaluation.kitti import result_name
+from roadtorch.evaluation.sets.kitti import result_name
 from roadtorch.image import Picture, atomic, read_image, write_map
 
 ARCHIVE = "submission.zip"

@@ -47,7 +47,7 @@ def submit(
 
     from roadtorch.cli import batch, results, submission
     from roadtorch.detectors import load_detector
-    from roadtorch.evaluation.kitti import base_folder, calib_folder
+    from roadtorch.evaluation.sets.kitti import base_folder, calib_folder
 
     loaded = load_detector(name, **values)
     folder = base_folder(root, "testing")

@@ -6,7 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roadtorch.evaluation.polygons import (
+from roadtorch.evaluation.sets.polygons import (
     OTHER,
     ROAD,
     VOID,

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from roadtorch.errors import InputError
-from roadtorch.evaluation import html
+from roadtorch.evaluation.page import html
 from tests.reports import DRIVES, NAMES, made_run, made_sheet
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
@@ -231,7 +231,9 @@ def test_a_wide_sheet_is_made_as_wide_as_the_page_shows_it():
 
     shown = page.named("img")[0]
     encoded = np.frombuffer(base64.b64decode(shown["src"].split(",")[1]), np.uint8)
-    assert cv2.imdecode(encoded, cv2.IMREAD_COLOR).shape == (150, 1200, 3)
+    decoded = cv2.imdecode(encoded, cv2.IMREAD_COLOR)
+    assert decoded is not None
+    assert decoded.shape == (150, 1200, 3)
     assert (shown["width"], shown["height"]) == ("1200", "150")
 
 

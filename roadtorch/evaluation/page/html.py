@@ -14,10 +14,10 @@ import numpy as np
 from markupsafe import Markup
 
 from roadtorch.errors import InputError
-from roadtorch.evaluation import charts, tables
-from roadtorch.evaluation.charts import Curves
-from roadtorch.evaluation.outcome import outcome
-from roadtorch.evaluation.svg import MOST, Series, choose_series, is_floor, ranked_names
+from roadtorch.evaluation.page import charts, tables
+from roadtorch.evaluation.page.charts import Curves
+from roadtorch.evaluation.page.outcome import outcome
+from roadtorch.evaluation.page.svg import MOST, Series, choose_series, is_floor, ranked_names
 from roadtorch.image import write_text
 
 WIDEST = 1200  # pixels of a sheet; ours: as wide as the page shows it
@@ -57,7 +57,7 @@ def render_report(
     detectors = document["detectors"]
     series = choose_series(detectors)
     page = _environment().from_string(
-        files("roadtorch.evaluation").joinpath("report.html").read_text(encoding="utf-8")
+        files("roadtorch.evaluation.page").joinpath("report.html").read_text(encoding="utf-8")
     )
     text = page.render(
         document=document,

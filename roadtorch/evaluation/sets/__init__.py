@@ -8,10 +8,10 @@ from functools import partial
 from pathlib import Path
 
 from roadtorch.errors import DatasetError
-from roadtorch.evaluation import camvid, kitti
 from roadtorch.evaluation.datasets import HORIZONTAL, NONE, SKY, VERTICAL, Dataset, Item, Kind
-from roadtorch.evaluation.labelme import open_labelme
 from roadtorch.evaluation.labels import NumberLabels, is_picture, pairs
+from roadtorch.evaluation.sets import camvid, kitti
+from roadtorch.evaluation.sets.labelme import open_labelme
 
 # --- folder -----------------------------------------------------------------------------
 

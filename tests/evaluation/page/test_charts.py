@@ -10,7 +10,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-from roadtorch.evaluation import charts, svg
+from roadtorch.evaluation.page import charts, svg
 from tests.reports import DRIVES, made_run
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -231,7 +231,7 @@ def test_the_same_numbers_give_the_same_text_whatever_the_user_prefers(run, draw
 
 
 def test_pyplot_and_its_windows_stay_out():
-    code = "import sys, roadtorch.evaluation.charts; print('matplotlib.pyplot' in sys.modules)"
+    code = "import sys, roadtorch.evaluation.page.charts; print('matplotlib.pyplot' in sys.modules)"
 
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
 

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter
 
-from roadtorch.evaluation.svg import (
+from roadtorch.evaluation.page.svg import (
     BAND,
     FLOOR,
     GRID,

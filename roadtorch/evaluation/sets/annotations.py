@@ -15,7 +15,7 @@ from defusedxml import DefusedXmlException, ElementTree
 from PIL import Image
 
 from roadtorch.errors import DatasetError
-from roadtorch.evaluation.polygons import Disc, Polygon, Shape, Stamp
+from roadtorch.evaluation.sets.polygons import Disc, Polygon, Shape, Stamp
 
 CORNERS = 3  # a polygon needs as many to have an area
 _UNDECODABLE = (OSError, SyntaxError, ValueError, TypeError, Image.DecompressionBombError)

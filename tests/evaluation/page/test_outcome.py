@@ -2,7 +2,7 @@
 
 import pytest
 
-from roadtorch.evaluation.outcome import outcome
+from roadtorch.evaluation.page.outcome import outcome
 
 
 def scored(**scores: float | None) -> dict:

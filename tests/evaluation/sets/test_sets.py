@@ -12,7 +12,7 @@ from roadtorch.errors import DatasetError
 from roadtorch.evaluation.datasets import Dataset, Item, Kind, open_dataset
 from roadtorch.evaluation.labels import read_labels
 
-DOCUMENT = Path(__file__).resolve().parents[2] / "docs/evaluation.md"
+DOCUMENT = Path(__file__).resolve().parents[3] / "docs/evaluation.md"
 
 
 def write_png(path: Path, pixels: np.ndarray) -> None:

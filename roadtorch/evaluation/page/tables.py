@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from roadtorch.evaluation.metrics import LAYOUT_CLASSES
-from roadtorch.evaluation.svg import Series, bounds, is_floor, number, ranked_names
+from roadtorch.evaluation.page.svg import Series, bounds, is_floor, number, ranked_names
 
 NONE = "–"
 MOST_COLUMNS = 8  # drives with a column of their own

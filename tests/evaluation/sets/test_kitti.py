@@ -11,8 +11,8 @@ from PIL import Image
 
 from roadtorch.errors import ConfigError, DatasetError
 from roadtorch.evaluation.datasets import Dataset, Item, open_dataset
-from roadtorch.evaluation.kitti import BirdsEye, birds_eye, open_kitti_road, result_name
 from roadtorch.evaluation.metrics import average_precision, count_levels, max_f
+from roadtorch.evaluation.sets.kitti import BirdsEye, birds_eye, open_kitti_road, result_name
 from tests.reference import bev as reference
 
 MAGENTA, RED, BLACK, BLUE = (255, 0, 255), (255, 0, 0), (0, 0, 0), (0, 0, 255)

@@ -9,9 +9,9 @@ import torch
 from PIL import Image
 
 from roadtorch.errors import DatasetError
-from roadtorch.evaluation.camvid import CLASSES, COLOURS32, split_of
 from roadtorch.evaluation.datasets import open_dataset
 from roadtorch.evaluation.labels import colour_indices, read_colours, read_labels
+from roadtorch.evaluation.sets.camvid import CLASSES, COLOURS32, split_of
 from tests.scenes import render_scene, write_camvid
 
 NAMES = [name for _, name, _ in COLOURS32]

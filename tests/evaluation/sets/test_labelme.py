@@ -14,7 +14,7 @@ from PIL import Image
 
 from roadtorch.errors import ConfigError, DatasetError
 from roadtorch.evaluation.datasets import Item, open_dataset
-from roadtorch.evaluation.labelme import PolygonLabels
+from roadtorch.evaluation.sets.labelme import PolygonLabels
 
 SIZE = (12, 16)
 BLOB, SECOND_BLOB = [(2, 3), (9, 3), (9, 8), (2, 8)], [(11, 6), (14, 6), (14, 10), (11, 10)]

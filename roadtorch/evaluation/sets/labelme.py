@@ -18,10 +18,10 @@ from PIL import Image
 from PIL.ExifTags import Base as ExifTag
 
 from roadtorch.errors import ConfigError, DatasetError
-from roadtorch.evaluation.annotations import Annotation, Drawing, read_annotation
 from roadtorch.evaluation.datasets import Dataset, Item, Truth
 from roadtorch.evaluation.labels import is_picture
-from roadtorch.evaluation.polygons import OTHER, ROAD, VOID, Agreement, agree, paint
+from roadtorch.evaluation.sets.annotations import Annotation, Drawing, read_annotation
+from roadtorch.evaluation.sets.polygons import OTHER, ROAD, VOID, Agreement, agree, paint
 from roadtorch.image import SUFFIXES
 
 ENDINGS = (".xml", ".json")

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from roadtorch.evaluation.svg import bounds, is_floor, number, ranked_names
-from roadtorch.evaluation.tables import best_floor, share, signed
+from roadtorch.evaluation.page.svg import bounds, is_floor, number, ranked_names
+from roadtorch.evaluation.page.tables import best_floor, share, signed
 
 Figures = Mapping[str, Any]
 
