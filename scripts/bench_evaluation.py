@@ -10,6 +10,7 @@ of its own, because a process never gives back the most memory it had.
 
 import argparse
 import json
+import os
 import resource
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import cv2

@@ -19,7 +19,8 @@ from roadtorch.evaluation.tally import Tally, tally_from, tally_tensors
 from roadtorch.image import atomic
 
 FILE = "progress.safetensors"
-SAVE_EVERY = 20.0  # seconds of work that a power cut may cost
+SAVE_EVERY = 20.0  # seconds of work that a power cut may cost, at least
+SAVING = 0.05  # the share of the time that saving may take: hundreds of detectors are a gigabyte
 REMEDY = "run it as before, or give another --out, or remove that file"
 
 
@@ -49,7 +50,7 @@ class Progress:
         self.path = folder / FILE if folder else None
         self.run = run
         self.tallies: dict[str, Tally] = {}
-        self._saved = time.monotonic()
+        self._saved, self._pause = time.monotonic(), SAVE_EVERY
         if self.path and self.path.is_file():
             self.tallies = _load(self.path, run)
 
@@ -57,7 +58,7 @@ class Progress:
         """Count one more picture, if it could be scored; save if the last time is a while ago."""
         for name, score in result.scores.items():
             self.tallies.setdefault(name, Tally()).add(result.item, score)
-        if time.monotonic() - self._saved > SAVE_EVERY:
+        if time.monotonic() - self._saved > self._pause:
             self.save()
 
     def sort(self, names: Sequence[str]) -> None:
@@ -75,6 +76,7 @@ class Progress:
         """Write everything counted so far, whole or not at all."""
         if self.path is None or not self.tallies:
             return
+        start = time.monotonic()
         tensors = {
             f"{index}/{key}": tensor.contiguous()
             for index, tally in enumerate(self.tallies.values())
@@ -85,6 +87,7 @@ class Progress:
         with atomic(self.path) as temporary:
             save_file(tensors, temporary, {"roadtorch": json.dumps(about)})
         self._saved = time.monotonic()
+        self._pause = max(SAVE_EVERY, (self._saved - start) / SAVING)
 
     def finish(self) -> None:
         """Remove the file: the results are written, and a new run starts anew."""

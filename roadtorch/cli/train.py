@@ -1,0 +1,68 @@
+"""roadtorch train: a layout network from unlabelled footage."""
+
+import os
+from pathlib import Path
+
+import click
+
+PATH = click.Path(path_type=Path)
+
+
+@click.command()
+@click.option("--config", type=PATH, required=True, help="TOML file: what is trained, and how.")
+@click.option("--images", required=True, help="Folder, file or quoted glob of pictures.")
+@click.option("--out", type=PATH, required=True, help="Folder of this run.")
+@click.option("--resume", is_flag=True, help="Go on with the run in --out.")
+@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="One setting.")
+@click.option(
+    "--prepared",
+    type=PATH,
+    help="Where labelled pictures are kept, for several runs. [OUT/prepared]",
+)
+@click.option("--threads", type=click.IntRange(min=1), help="Threads; the result depends on it.")
+@click.option("--quiet", is_flag=True, help="No progress, only what goes wrong.")
+@click.pass_context
+def train(
+    context: click.Context,
+    config: Path,
+    images: str,
+    out: Path,
+    resume: bool,
+    assignments: tuple[str, ...],
+    prepared: Path | None,
+    threads: int | None,
+    quiet: bool,
+) -> None:
+    """Train a layout network on machine labels of pictures that nobody labelled.
+
+    \b
+    The folder --out gets
+      weights.safetensors  the network; also after an interruption, as far as it is
+      log.csv, curve.png   the error of each epoch
+      pictures.csv         which pictures were used, and why others were not
+      checkpoint.pt        where --resume goes on; Ctrl-C and SIGTERM leave one
+      prepared/            small copies of the pictures with their labels, made once
+    """
+    import torch
+
+    from roadtorch.cli.config import merge
+    from roadtorch.settings import parse_assignments, read_settings_file
+    from roadtorch.train.config import build_training
+    from roadtorch.train.run import Order
+    from roadtorch.train.run import train as run
+
+    if threads:
+        torch.set_num_threads(threads)
+    leads = os.environ.get("RANK", "0") == "0"  # torchrun numbers its processes
+    values = merge(read_settings_file(config), parse_assignments(assignments))
+    training = build_training(values)
+    outcome = run(training, Order(images, out, resume, prepared, quiet))
+    if outcome.interrupted:
+        if leads:
+            text = f"roadtorch: stopped by {outcome.interrupted.name}; go on with --resume"
+            click.echo(text, err=True)
+        context.exit(128 + outcome.interrupted)
+    if leads and not quiet:
+        skipped = f"; {outcome.skipped} skipped, see pictures.csv" if outcome.skipped else ""
+        click.echo(f"roadtorch: weights in {outcome.weights}{skipped}", err=True)
+    context.exit(1 if outcome.skipped else 0)

@@ -1,0 +1,123 @@
+"""A small network that sees the whole picture: layout and road at once. Ours.
+
+A patch network sees 32 pixels and does not know where they are. This one works on a small
+copy of the whole picture with two more planes, the place: three stages that halve the
+picture, a middle of dilated convolutions that see all of it, and back to an eighth … a half
+of the size with what the early stages kept. One head says sky, vertical, horizontal, the
+other says road.
+"""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import torch
+from pydantic import Field
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from roadtorch.layout.network import CLASSES, Normalisation, normalise
+from roadtorch.settings import Settings
+from roadtorch.working import resized
+
+DILATIONS = (1, 2, 4, 8, 1)
+"""Of the middle's convolutions, in eighths of the picture: 15×20 cells are seen whole."""
+
+GROUP = 8
+"""Channels that are normalised together; widths are multiples of it."""
+
+OUTPUTS = CLASSES + 1
+
+
+class PictureNetworkSettings(Settings):
+    """The network for whole pictures: the size it works at, and its width."""
+
+    height: int = Field(default=120, ge=32, le=1024, multiple_of=8, description="rows it works at")
+    width: int = Field(
+        default=160, ge=32, le=1024, multiple_of=8, description="columns; pictures are stretched"
+    )
+    narrow: int = Field(
+        default=16, ge=8, le=256, multiple_of=GROUP, description="channels of the first stage"
+    )
+    wide: int = Field(
+        default=48, ge=8, le=512, multiple_of=GROUP, description="channels of the middle"
+    )
+    normalisation: Normalisation = Normalisation()
+
+
+class PictureNetwork(nn.Module):
+    """Layout and road of whole pictures. Groups of channels are normalised within one picture,
+    so that a batch of any size, cut in any way, gives the same gradients.
+    """
+
+    kind: ClassVar[str] = "pictures"
+
+    def __init__(self, settings: PictureNetworkSettings | None = None) -> None:
+        super().__init__()
+        self.settings = settings or PictureNetworkSettings()
+        narrow, wide = self.settings.narrow, self.settings.wide
+        self.first = _stage(3 + 2, narrow, stride=2)
+        self.second = nn.Sequential(_stage(narrow, 2 * narrow, stride=2), Residual(2 * narrow))
+        self.third = _stage(2 * narrow, wide, stride=2)
+        self.middle = nn.Sequential(*(Residual(wide, dilation) for dilation in DILATIONS))
+        self.to_quarter = _stage(wide + 2 * narrow, 2 * narrow)
+        self.to_half = _stage(2 * narrow + narrow, narrow)
+        self.heads = nn.Conv2d(narrow, OUTPUTS, 1)
+
+    def forward(self, pixels: Tensor) -> Tensor:
+        """Scores (B,4,H,W) of normalised pictures (B,3,H,W): three classes, then road.
+
+        H and W are multiples of 8. ``potentials_of`` turns scores into potentials.
+        """
+        half = self.first(torch.cat([pixels, place_planes(pixels)], 1))
+        quarter = self.second(half)
+        deep = self.middle(self.third(quarter))
+        quarter = self.to_quarter(torch.cat([_doubled(deep), quarter], 1))
+        half = self.to_half(torch.cat([_doubled(quarter), half], 1))
+        return _doubled(self.heads(half))
+
+    @torch.no_grad()
+    def cues(self, image: Tensor) -> Mapping[str, Tensor]:
+        """``layout`` (3,H,W) and ``road`` (H,W), in [0,1], of an image (3,H,W) in [0,1]."""
+        size = (image.shape[-2], image.shape[-1])
+        small = resized(image, (self.settings.height, self.settings.width)).clamp(0, 1)
+        scores = self(normalise(small, self.settings.normalisation).pixels[None])
+        potentials = resized(potentials_of(scores)[0], size).clamp(0, 1)
+        return {"layout": potentials[:CLASSES], "road": potentials[CLASSES]}
+
+
+class Residual(nn.Module):
+    """x + a convolution of x, both of the same width."""
+
+    def __init__(self, channels: int, dilation: int = 1) -> None:
+        super().__init__()
+        self.change = _stage(channels, channels, dilation=dilation)
+
+    def forward(self, maps: Tensor) -> Tensor:
+        """Maps (B,C,H,W), changed a little."""
+        return maps + self.change(maps)
+
+
+def _stage(inputs: int, outputs: int, stride: int = 1, dilation: int = 1) -> nn.Sequential:
+    convolution = nn.Conv2d(
+        inputs, outputs, 3, stride, padding=dilation, dilation=dilation, bias=False
+    )
+    return nn.Sequential(convolution, nn.GroupNorm(outputs // GROUP, outputs), nn.ReLU())
+
+
+def _doubled(maps: Tensor) -> Tensor:
+    return F.interpolate(maps, scale_factor=2, mode="bilinear", align_corners=False)
+
+
+def place_planes(pixels: Tensor) -> Tensor:
+    """|x| and y (B,2,H,W) of pictures (B,3,H,W), from -1 to 1: a mirrored street is a street."""
+    batch, _, height, width = pixels.shape
+    rows = (torch.arange(height).to(pixels) + 0.5) / height * 2 - 1
+    columns = (torch.arange(width).to(pixels) + 0.5) / width * 2 - 1
+    away = (2 * columns.abs() - 1).expand(height, width)
+    down = rows[:, None].expand(height, width)
+    return torch.stack([away, down]).expand(batch, 2, height, width)
+
+
+def potentials_of(scores: Tensor) -> Tensor:
+    """Scores (B,4,H,W) as potentials in [0,1]: three shares that sum to 1, and road."""
+    return torch.cat([scores[:, :CLASSES].softmax(1), scores[:, CLASSES:].sigmoid()], 1)

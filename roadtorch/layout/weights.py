@@ -1,0 +1,121 @@
+"""Weight files: a network with everything needed to run it, in one safetensors file."""
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor, nn
+
+from roadtorch.errors import ConfigError, WeightsError
+from roadtorch.image import atomic
+from roadtorch.layout.network import PatchNetwork, PatchNetworkSettings
+from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
+from roadtorch.settings import build_settings
+
+FORMAT = 1
+"""Of the metadata; raised when older code could not read it."""
+
+HEADER = "roadtorch"
+"""The one key of the metadata: safetensors writes several keys in no settled order."""
+
+NETWORKS = {
+    PatchNetwork.kind: (PatchNetwork, PatchNetworkSettings),
+    PictureNetwork.kind: (PictureNetwork, PictureNetworkSettings),
+}
+
+LayoutNetwork = PatchNetwork | PictureNetwork
+
+
+def save_network(
+    path: str | os.PathLike[str], network: LayoutNetwork, origin: Mapping[str, Any]
+) -> None:
+    """Write a network with its settings and where it comes from (anything JSON can hold).
+
+    The same network and origin give the same bytes. Raises InputError when the folder
+    cannot be written.
+    """
+    header = {
+        "format": FORMAT,
+        "kind": network.kind,
+        "settings": network.settings.model_dump(),
+        "origin": dict(origin),
+    }
+    tensors = {name: value.contiguous() for name, value in network.state_dict().items()}
+    data = save(tensors, {HEADER: json.dumps(header, sort_keys=True)})
+    with atomic(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def load_network(path: str | os.PathLike[str]) -> LayoutNetwork:
+    """The network of a weight file, ready for use.
+
+    Raises WeightsError for a file that is missing, damaged, foreign, of a newer format, or
+    whose tensors do not fit its settings.
+    """
+    header, tensors = _read(Path(path))
+    network_class, settings_class = NETWORKS[header["kind"]]
+    try:
+        network = network_class(build_settings(settings_class, header["settings"]))
+    except ConfigError as problem:
+        what = f"was made for other settings: {problem.where} {problem.what}"
+        raise WeightsError(path, what, "use the roadtorch that made it") from None
+    fill(network, tensors, path)
+    return network.eval()
+
+
+def read_origin(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Where the weights of a file come from; WeightsError as for ``load_network``."""
+    return _read(Path(path))[0]["origin"]
+
+
+def fill(network: nn.Module, tensors: Mapping[str, Tensor], path: str | os.PathLike[str]) -> None:
+    """Give a network its weights; WeightsError when a name or a shape differs."""
+    wanted = {name: tuple(value.shape) for name, value in network.state_dict().items()}
+    found = {name: tuple(value.shape) for name, value in tensors.items()}
+    if wanted != found:
+        name = min(key for key in wanted | found if wanted.get(key) != found.get(key))
+        what = f"holds another network: {name} is {_shape(found, name)}, not {_shape(wanted, name)}"
+        raise WeightsError(path, what, "use weights of this network")
+    network.load_state_dict(dict(tensors))
+
+
+def _shape(shapes: Mapping[str, tuple[int, ...]], name: str) -> str:
+    return "×".join(map(str, shapes[name])) or "a number" if name in shapes else "missing"
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    """The header and the tensors of a weight file of ours."""
+    if not path.is_file():
+        raise WeightsError(path, "is not a file", "give a .safetensors file")
+    try:
+        with safe_open(path, "pt") as file:
+            header = _checked(path, (file.metadata() or {}).get(HEADER))
+            return header, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except SafetensorError as problem:
+        what = f"is damaged or no weight file: {problem}"
+        raise WeightsError(path, what, "fetch or train it again") from None
+    except OSError as problem:
+        what = f"cannot be read: {problem.strerror}"
+        raise WeightsError(path, what, "check the file") from None
+
+
+def _checked(path: Path, text: str | None) -> dict[str, Any]:
+    """The header of a weight file, if this code can use it."""
+    if text is None:
+        raise WeightsError(path, "holds weights that are not roadtorch's", "give weights of ours")
+    try:
+        header = json.loads(text)
+        number, kind = int(header["format"]), str(header["kind"])
+        complete = isinstance(header["settings"], dict) and isinstance(header["origin"], dict)
+    except (ValueError, TypeError, KeyError):
+        complete, number, kind = False, 0, ""
+    if number > FORMAT:
+        what = f"has the format {number}; this roadtorch reads up to {FORMAT}"
+        raise WeightsError(path, what, "install a newer roadtorch")
+    if not complete or kind not in NETWORKS:
+        raise WeightsError(path, "has a header that makes no sense", "fetch or train it again")
+    return header

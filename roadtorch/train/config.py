@@ -1,0 +1,232 @@
+"""What a training run is told: one TOML file, one kind of network."""
+
+import math
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from pydantic import Field
+
+from roadtorch.errors import ConfigError, unknown_name
+from roadtorch.layout.labeller import LabellerSettings
+from roadtorch.layout.network import PatchNetworkSettings
+from roadtorch.layout.picture_network import PictureNetworkSettings
+from roadtorch.settings import Settings, build_settings, read_settings_file
+from roadtorch.working import Superpixels, WorkingSize
+
+
+class Descent(Settings):
+    """How the weights move."""
+
+    method: Literal["sgd", "adam"] = Field(
+        default="sgd", description="plain gradient descent as in P2, or Adam"
+    )
+    rate: float = Field(default=0.1, gt=0, le=100, description="step length at the start")
+    momentum: float = Field(default=0.0, ge=0, lt=1, description="of plain gradient descent")
+    decay: float = Field(default=0.0, ge=0, le=1, description="weight decay")
+    schedule: Literal["constant", "cosine"] = Field(
+        default="constant", description="same step length throughout, or down to 0 by a cosine"
+    )
+    batch: int = Field(default=128, ge=1, le=10**6, description="samples of one step, about")
+
+    def rate_at(self, progress: float) -> float:
+        """The step length when a share ``progress`` (0 to 1) of the epochs is done."""
+        if self.schedule == "constant":
+            return self.rate
+        return self.rate * (1 + math.cos(math.pi * progress)) / 2
+
+
+class Stopping(Settings):
+    """When training ends."""
+
+    epochs: int = Field(default=60, ge=1, le=10**5, description="epochs at most, in each round")
+    rule: Literal["fall", "epochs"] = Field(
+        default="fall",
+        description="when an epoch's error falls by no more than ``fall`` (P2), or at the end",
+    )
+    fall: float = Field(default=0.001, ge=0, le=10, description="of the mean squared error")
+
+
+class Jitter(Settings):
+    """How patches are varied. P2, section 6.1.
+
+    P2 gives no unit for its noise. Here it is grey levels of 0…255: "noisy acquisition" is
+    what a sensor does, and that is about one level; 0.3 to 1.2 in units of the picture's own
+    deviation would drown the picture.
+    """
+
+    smallest: float = Field(default=0.6, gt=0, le=10, description="magnification at least")
+    largest: float = Field(default=1.4, gt=0, le=10, description="magnification at most")
+    rotation: float = Field(default=17.0, ge=0, le=180, description="degrees to either side")
+    faintest: float = Field(
+        default=0.3, ge=0, le=255, description="deviation of the noise at least, grey levels of 255"
+    )
+    noisiest: float = Field(
+        default=1.2, ge=0, le=255, description="deviation of the noise at most, grey levels of 255"
+    )
+
+
+class Sites(Settings):
+    """Where patches are taken: at the centroids of superpixels and around. P2, section 3.1."""
+
+    around: int = Field(default=4, ge=0, le=64, description="further patches around each centroid")
+    distance: float = Field(
+        default=4.0, ge=0, le=100, description="pixels from the centroid, at working size"
+    )
+
+
+class PatchTraining(Settings):
+    """A patch network, trained as P2 trains CNN-7."""
+
+    name: ClassVar[str] = "patches"
+
+    seed: int = Field(default=0, ge=0, le=2**31, description="of everything that is drawn")
+    start: str = Field(
+        default="", description="weight file of the same network to start from; none: new weights"
+    )
+    network: PatchNetworkSettings = PatchNetworkSettings()
+    superpixels: Superpixels = Superpixels()
+    labeller: LabellerSettings = LabellerSettings()
+    sites: Sites = Sites()
+    jitter: Jitter = Jitter()
+    balance: Literal["none", "classes"] = Field(
+        default="none", description="every patch counts the same (P2), or every class"
+    )
+    mix: int = Field(
+        default=16, ge=1, le=10**4, description="pictures whose patches are shuffled together"
+    )
+    passes: int = Field(
+        default=4,
+        ge=1,
+        le=100,
+        description="visits to each picture in an epoch, each with other patches of it",
+    )
+    descent: Descent = Descent()
+    stopping: Stopping = Stopping()
+
+
+class Light(Settings):
+    """How the light of whole pictures is varied."""
+
+    gamma: float = Field(default=0.7, ge=0, le=3, description="exponents from 1/e^gamma to e^gamma")
+    gain: float = Field(default=0.4, ge=0, le=3, description="brightness by e^-gain to e^gain")
+    tint: float = Field(default=0.15, ge=0, le=3, description="the same for each colour alone")
+    saturation: float = Field(
+        default=0.6, ge=0, le=1, description="by which colour may fade or grow"
+    )
+    noise: float = Field(
+        default=6.0, ge=0, le=255, description="deviation of the noise at most, grey levels of 255"
+    )
+
+
+class Shift(Settings):
+    """How the frame of whole pictures is varied; every second picture is mirrored."""
+
+    scale: float = Field(
+        default=0.25, ge=0, le=2, description="magnification by e^-scale to e^scale"
+    )
+    stretch: float = Field(default=0.1, ge=0, le=2, description="the same for the width alone")
+    rotation: float = Field(default=4.0, ge=0, le=90, description="degrees to either side")
+    move: float = Field(
+        default=0.1, ge=0, le=1, description="by this share of the size to either side"
+    )
+
+
+class Teacher(Settings):
+    """Where the targets of whole pictures come from."""
+
+    detector: str = Field(default="fusion", description="gives the road, and the layout as its cue")
+    views: Literal["one", "mirrored", "scaled"] = Field(
+        default="one",
+        description="the picture alone, the mean with its mirror image, or of both at two sizes",
+    )
+    working: WorkingSize = WorkingSize()
+    margin: float = Field(
+        default=0.5, ge=0, lt=1, description="lead of the best class from which a pixel counts"
+    )
+    road_threshold: float = Field(
+        default=0.39, gt=0, lt=1, description="likelihood that means as likely road as not"
+    )
+    road_margin: float = Field(
+        default=0.0, ge=0, lt=1, description="|2p - 1| from which a pixel counts for the road"
+    )
+    targets: Literal["hard", "soft"] = Field(
+        default="hard", description="the best class alone, or the potentials as they are"
+    )
+
+
+class Rounds(Settings):
+    """Training again on labels that the last network and the teacher agree on.
+
+    The first round has no last network, unless the run starts from a weight file.
+    """
+
+    count: int = Field(default=1, ge=1, le=20, description="rounds; 1 is the teacher alone")
+    combine: Literal["agreement", "mean", "network", "teacher"] = Field(
+        default="agreement",
+        description="pixels on which the last network and the teacher agree, the mean of both, "
+        "or one of them alone",
+    )
+    start: Literal["fresh", "continued"] = Field(
+        default="fresh", description="new weights in each round, or those of the last"
+    )
+
+
+class PictureTraining(Settings):
+    """A network for whole pictures with two heads, layout and road. Ours."""
+
+    name: ClassVar[str] = "pictures"
+
+    seed: int = Field(default=0, ge=0, le=2**31, description="of everything that is drawn")
+    start: str = Field(
+        default="", description="weight file of the same network to start from; none: new weights"
+    )
+    network: PictureNetworkSettings = PictureNetworkSettings()
+    teacher: Teacher = Teacher()
+    rounds: Rounds = Rounds()
+    light: Light = Light()
+    shift: Shift = Shift()
+    road_weight: float = Field(
+        default=1.0, ge=0, le=100, description="of the road's error against the layout's"
+    )
+    descent: Descent = Descent(method="adam", rate=0.003, schedule="cosine", batch=16)
+    stopping: Stopping = Stopping(epochs=15, rule="epochs")
+
+
+Training = PatchTraining | PictureTraining
+
+KINDS: dict[str, type[PatchTraining] | type[PictureTraining]] = {
+    kind.name: kind for kind in (PatchTraining, PictureTraining)
+}
+
+
+def build_training(values: dict[str, Any]) -> Training:
+    """The settings of a run from nested values; ``kind`` says which network is trained.
+
+    Raises ConfigError for an unknown kind, and for keys and values as every setting does.
+    """
+    rest = dict(values)
+    kind = rest.pop("kind", PatchTraining.name)
+    if kind not in KINDS:
+        raise unknown_name("kind of training", str(kind), KINDS)
+    settings = build_settings(KINDS[kind], rest)
+    if isinstance(settings, PatchTraining):
+        _check_jitter(settings.jitter)
+    return settings
+
+
+def _check_jitter(jitter: Jitter) -> None:
+    for low, high in (("smallest", "largest"), ("faintest", "noisiest")):
+        least, most = getattr(jitter, low), getattr(jitter, high)
+        if least > most:
+            what = f"{least:g} was given, and jitter.{high} is {most:g}"
+            raise ConfigError(f"jitter.{low}", what, "give the lower bound first")
+
+
+def read_training(path: Path) -> Training:
+    """The settings of a TOML file; InputError or ConfigError when it cannot be used."""
+    return build_training(read_settings_file(path))
+
+
+def as_values(settings: Training) -> dict[str, Any]:
+    """Nested values from which ``build_training`` makes the same settings."""
+    return {"kind": settings.name, **settings.model_dump()}

@@ -1,0 +1,195 @@
+"""The folder of a run: what it was told, how far it is, what came out."""
+
+import csv
+import io
+import json
+import pickle
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from roadtorch.errors import ConfigError, InputError, WeightsError
+from roadtorch.image import Picture, atomic, write_text
+from roadtorch.train.config import as_values, build_training
+from roadtorch.train.prepared import Prepared, make_folder, name_of
+
+FORMAT = 1
+"""Of checkpoints; raised when older code could not go on with them."""
+
+RUN, CHECKPOINT, LOG, CURVE, PICTURES = (
+    "run.json",
+    "checkpoint.pt",
+    "log.csv",
+    "curve.png",
+    "pictures.csv",
+)
+WEIGHTS = "weights.safetensors"
+OURS = (RUN, CHECKPOINT, LOG, CURVE, PICTURES, WEIGHTS)
+
+
+def config_hash(values: Mapping[str, Any]) -> str:
+    """SHA-256 of nested settings, independent of their order."""
+    return sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+
+def pictures_hash(pictures: Iterable[Picture]) -> str:
+    """SHA-256 of the names and sizes of pictures: whether they are still the same."""
+    lines = (f"{name_of(picture)} {_size(picture.path)}\n" for picture in pictures)
+    return sha256("".join(lines).encode()).hexdigest()
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.exists() else -1
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """The files of one run."""
+
+    path: Path
+
+    def begin(self, config: Mapping[str, Any], pictures: Sequence[Picture], resume: bool) -> None:
+        """Check that this run may write here; nothing is written yet.
+
+        A fresh run wants a folder without files of ours; ``resume`` wants the same settings
+        and pictures as before, or an empty folder. Raises ConfigError, InputError.
+        """
+        record = self._record()
+        if record is None:
+            taken = [name for name in OURS if (self.path / name).exists()]
+            if taken:
+                what = f"holds {taken[0]}, which is not of a run"
+                raise ConfigError(self.path, what, "give another --out")
+            return
+        if not resume:
+            what = "holds a run already"
+            raise ConfigError(self.path, what, "go on with --resume, or give another --out")
+        _refuse_other(self.path, record["config"], config)
+        if record["pictures"] != pictures_hash(pictures):
+            what = "holds a run on other pictures"
+            raise ConfigError(self.path, what, "give the same --images, or another --out")
+
+    def claim(self, config: Mapping[str, Any], pictures: Sequence[Picture], version: str) -> None:
+        """Make the folder and write what the run was told."""
+        make_folder(self.path)
+        record = {
+            "roadtorch": version,
+            "config": config,
+            "config_sha256": config_hash(config),
+            "count": len(pictures),
+            "pictures": pictures_hash(pictures),
+        }
+        write_text(self.path / RUN, json.dumps(record, indent=1) + "\n")
+
+    def _record(self) -> dict[str, Any] | None:
+        """What the run in the folder was told; None where there is no run."""
+        path = self.path / RUN
+        if self.path.exists() and not self.path.is_dir():
+            raise InputError(self.path, "is not a folder", "give another --out")
+        if not path.exists():
+            return None
+        try:
+            record = json.loads(path.read_text(encoding="utf-8"))
+            if isinstance(record["config"], dict) and isinstance(record["pictures"], str):
+                return record
+        except (ValueError, KeyError, TypeError, OSError):
+            pass
+        raise InputError(path, "is not the record of a run", "give another --out")
+
+    # --- how far it is ----------------------------------------------------------------------
+
+    def write_checkpoint(self, state: Mapping[str, Any]) -> None:
+        """Write the state of a run: the old one or the new one is there, never half."""
+        with atomic(self.path / CHECKPOINT) as temporary:
+            torch.save({"format": FORMAT, **state}, temporary)
+
+    def read_checkpoint(self) -> dict[str, Any] | None:
+        """The state of the run; None before the first checkpoint.
+
+        Raises WeightsError for a file that is damaged or of a newer format.
+        """
+        path = self.path / CHECKPOINT
+        if not path.exists():
+            return None
+        try:
+            state = torch.load(path, weights_only=True)
+            number = int(state["format"])
+        except (RuntimeError, ValueError, KeyError, TypeError, EOFError, pickle.UnpicklingError):
+            what, remedy = "is damaged or no checkpoint", "start again in another --out"
+            raise WeightsError(path, what, remedy) from None
+        if number > FORMAT:
+            what = f"has the format {number}; this roadtorch reads up to {FORMAT}"
+            raise WeightsError(path, what, "install a newer roadtorch")
+        return state
+
+    # --- what came out ----------------------------------------------------------------------
+
+    def write_pictures(self, prepared: Iterable[Prepared]) -> None:
+        """List every picture and, where it was skipped, why."""
+        rows = ({"file": item.name, "status": item.problem or "used"} for item in prepared)
+        write_table(self.path / PICTURES, ["file", "status"], rows)
+
+    def write_log(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Write the epochs as CSV."""
+        write_table(self.path / LOG, list(rows[0]), rows)
+
+    def write_curve(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Draw the error of the epochs, one line a round."""
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(6, 4), layout="constrained")
+        axes = figure.add_subplot()
+        for number in sorted({row["round"] for row in rows}):
+            own = [row for row in rows if row["round"] == number]
+            places = [row["epoch"] for row in own]
+            axes.plot(places, [row["error"] for row in own], marker=".", label=f"round {number}")
+        axes.set(xlabel="epoch", ylabel="mean error of the epoch")
+        axes.grid(alpha=0.3)
+        axes.legend()
+        with atomic(self.path / CURVE) as temporary:
+            figure.savefig(temporary, format="png", dpi=120)
+
+
+def write_table(path: Path, names: list[str], rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write rows as CSV, whole or not at all."""
+    text = io.StringIO(newline="")
+    table = csv.DictWriter(text, names, lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
+    write_text(path, text.getvalue())
+
+
+def _refuse_other(path: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """ConfigError naming the first setting that differs from those of the run."""
+    one, two = flat(_completed(before)), flat(now)
+    for key in [*two, *(key for key in one if key not in two)]:
+        if one.get(key) != two.get(key):
+            what = f"is {_told(two, key)}, and {_told(one, key)} in the run in {path}"
+            raise ConfigError(key, what, "use the run's own config, or give another --out")
+
+
+def _completed(values: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Settings of a run that older code began, with those that are new at their defaults."""
+    try:
+        return as_values(build_training(dict(values)))
+    except ConfigError:  # it had some that are gone
+        return values
+
+
+def _told(values: Mapping[str, Any], key: str) -> str:
+    return repr(values[key]) if key in values else "not there"
+
+
+def flat(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """Nested values as one level: ``{"a": {"b": 1}}`` → ``{"a.b": 1}``."""
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            found |= flat(value, f"{path}{key}.")
+        else:
+            found[path + key] = value
+    return found

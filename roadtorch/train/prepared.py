@@ -1,0 +1,165 @@
+"""Pictures made ready for training, once, on disk: small, with their machine labels."""
+
+import json
+import sys
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from roadtorch.detectors import checked_image
+from roadtorch.errors import ConfigError, InputError, RoadtorchError
+from roadtorch.image import Picture, atomic, read_image, write_text
+from roadtorch.signals import Stop
+from roadtorch.train.team import Team
+
+SETTINGS = "settings.json"
+SOURCE = "source"  # the array that holds the picture's size in bytes
+
+Arrays = dict[str, Tensor]
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A picture and the file with what training needs of it; no file where it failed."""
+
+    name: str
+    file: Path | None
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class Workshop:
+    """How pictures are made ready: where, in which run, by whom, watched by whom."""
+
+    folder: Path
+    run: Path
+    team: Team
+    stop: Stop
+    quiet: bool = False
+
+    def claim(self, settings: Mapping[str, Any]) -> None:
+        """Take the folder for these settings; ConfigError when it was used with others."""
+        path = self.folder / SETTINGS
+        text = json.dumps(settings, indent=1, sort_keys=True) + "\n"
+        if path.exists():
+            if path.read_text(encoding="utf-8") != text:
+                what = "holds pictures prepared with other settings"
+                raise ConfigError(self.folder, what, "give another folder")
+            return
+        if self.team.leads:
+            make_folder(self.folder)
+            write_text(path, text)
+
+    def prepare(
+        self, pictures: Sequence[Picture], make: Callable[[Tensor], Arrays], title: str
+    ) -> list[Prepared]:
+        """Make every picture ready that is not yet; what fails is told and skipped.
+
+        ``make`` turns an image (3,H,W) in [0,1] into named arrays. Returns one item a
+        picture, in their order, in every process of the team. Stops early when asked to:
+        then only what is ready comes back.
+        """
+        mine = self.team.share(pictures)
+        shown = tqdm(mine, title, unit="image", disable=self._hidden(), file=sys.stderr)
+        made = [self._one(picture, make) for picture in self._until_stopped(shown)]
+        everyone = self.team.gather(made)
+        found = {item.name: item for items in everyone for item in items}
+        return [found[name] for name in map(name_of, pictures) if name in found]
+
+    def _until_stopped(self, pictures: Iterable[Picture]) -> Iterator[Picture]:
+        for picture in pictures:
+            if self.stop.asked:
+                return
+            yield picture
+
+    def _one(self, picture: Picture, make: Callable[[Tensor], Arrays]) -> Prepared:
+        name = name_of(picture)
+        file = self.folder / f"{name}.npz"
+        if _is_of(file, picture):
+            return Prepared(name, file)
+        try:
+            arrays = make(checked_image(read_image(picture.path)))
+        except InputError as problem:
+            return _skipped(name, str(_about(picture, problem)))
+        except RoadtorchError:
+            raise  # a setting is wrong, not this picture
+        except Exception as problem:
+            # One picture that trips a detector must not cost the night's run.
+            text = f"{picture.path}: {type(problem).__name__}: {problem} (report it)"
+            return _skipped(name, " ".join(text.split()))
+        make_folder(file.parent)
+        write_arrays(file, arrays | {SOURCE: _size(picture)})
+        return Prepared(name, file)
+
+    def _hidden(self) -> bool | None:
+        return True if self.quiet or not self.team.leads else None
+
+
+def _skipped(name: str, why: str) -> Prepared:
+    tqdm.write(f"roadtorch: skipped: {why}", file=sys.stderr)
+    return Prepared(name, None, why)
+
+
+def _is_of(file: Path, picture: Picture) -> bool:
+    """Whether a file is whole and was made of this picture, by its size in bytes."""
+    try:
+        return file.exists() and bool(read_arrays(file, SOURCE)[SOURCE] == _size(picture))
+    except InputError:
+        return False
+
+
+def _size(picture: Picture) -> Tensor:
+    return torch.tensor(picture.path.stat().st_size if picture.path.exists() else -1)
+
+
+def name_of(picture: Picture) -> str:
+    """The picture's relative name with its suffix: two of one stem stay two."""
+    return picture.name + picture.path.suffix
+
+
+def _about(picture: Picture, problem: RoadtorchError) -> RoadtorchError:
+    """The same problem, told of the file."""
+    where = picture.path if problem.where == "image" else problem.where
+    return InputError(where, problem.what, problem.remedy)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder and those above it; InputError when that is not possible."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        what = f"cannot be made a folder: {problem.strerror}"
+        raise InputError(path, what, "give another folder") from None
+
+
+def write_arrays(path: Path, arrays: Arrays) -> None:
+    """Write named tensors as compressed NumPy archive, whole or not at all."""
+    with atomic(path) as temporary, temporary.open("wb") as file:
+        named = {name: value.numpy() for name, value in arrays.items()}
+        np.savez_compressed(file, allow_pickle=False, **named)
+
+
+def read_arrays(path: Path, *names: str) -> Arrays:
+    """The named tensors of an archive, all where none is named; InputError for a damaged one."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            return {name: torch.from_numpy(archive[name]) for name in names or archive.files}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        raise InputError(path, "is damaged", "remove it; it will be made again") from None
+
+
+def to_bytes(values: Tensor) -> Tensor:
+    """Values in [0,1] as bytes: round(255 x)."""
+    return values.mul(255).round_().to(torch.uint8)
+
+
+def from_bytes(values: Tensor) -> Tensor:
+    """Bytes as float32 in [0,1]."""
+    return values.to(torch.float32).div_(255)

@@ -1,0 +1,169 @@
+"""What a kind of network brings to its training; the run itself is the same for all."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from roadtorch.errors import WeightsError
+from roadtorch.layout.network import PatchNetwork
+from roadtorch.layout.picture_network import PictureNetwork
+from roadtorch.layout.weights import LayoutNetwork, load_network
+from roadtorch.train.config import Descent, PatchTraining, PictureTraining, Stopping, Training
+from roadtorch.train.draws import generator_at
+from roadtorch.train.patches import PatchSamples, prepare_patches, squared_error
+from roadtorch.train.pictures import (
+    PictureError,
+    PictureSamples,
+    label_again,
+    load_teachers,
+    prepare_picture,
+)
+from roadtorch.train.prepared import Arrays, Workshop
+from roadtorch.train.samples import ErrorOf, Samples
+
+
+class Recipe(Protocol):
+    """A kind of training: its network, what it makes of a picture, its samples, its error."""
+
+    rounds: int
+    start: LayoutNetwork | None
+    descent: Descent
+    stopping: Stopping
+
+    @property
+    def error_of(self) -> ErrorOf:
+        """The summed error of a network over a batch."""
+        ...
+
+    def preparation(self) -> dict[str, Any]:
+        """The settings on which ``make`` depends."""
+        ...
+
+    def make(self, image: Tensor) -> Arrays:
+        """What is kept of an image (3,H,W)."""
+        ...
+
+    def network(self, number: int, last: LayoutNetwork | None) -> LayoutNetwork:
+        """The network with which round ``number`` starts.
+
+        last: that of the round before; in the first round ``start``.
+        """
+        ...
+
+    def samples(
+        self, files: Sequence[Path], number: int, last: LayoutNetwork | None, workshop: Workshop
+    ) -> Samples:
+        """The samples of round ``number``."""
+        ...
+
+
+class PatchRecipe:
+    """CNN-7 and its family on patches; one round."""
+
+    rounds = 1
+    error_of = staticmethod(squared_error)
+
+    def __init__(self, training: PatchTraining) -> None:
+        self._training = training
+        self.start = load_start(training.start, PatchNetwork(training.network))
+        self.descent, self.stopping = training.descent, training.stopping
+
+    def preparation(self) -> dict[str, Any]:
+        """Working size, superpixels, labeller and sites."""
+        training = self._training
+        return {
+            "working": training.network.working.model_dump(),
+            "superpixels": training.superpixels.model_dump(),
+            "labeller": training.labeller.model_dump(),
+            "sites": training.sites.model_dump(),
+        }
+
+    def make(self, image: Tensor) -> Arrays:
+        """The picture at working size, its sites and their classes."""
+        return prepare_patches(image, self._training)
+
+    def network(self, number: int, last: LayoutNetwork | None) -> LayoutNetwork:
+        """A new patch network, or the one to start from."""
+        if last is not None:
+            return last
+        with seeded(self._training.seed, number):
+            return PatchNetwork(self._training.network)
+
+    def samples(
+        self, files: Sequence[Path], number: int, last: LayoutNetwork | None, workshop: Workshop
+    ) -> PatchSamples:
+        """The varied patches of the pictures."""
+        return PatchSamples(files, self._training, workshop.team)
+
+
+class PictureRecipe:
+    """A network for whole pictures, in rounds."""
+
+    def __init__(self, training: PictureTraining) -> None:
+        self._training = training
+        self.rounds = training.rounds.count
+        self.start = load_start(training.start, PictureNetwork(training.network))
+        self.descent, self.stopping = training.descent, training.stopping
+        self.error_of = PictureError(training)
+        self._teachers = load_teachers(training.teacher)
+
+    def preparation(self) -> dict[str, Any]:
+        """Size, and what the teacher's maps depend on."""
+        network, teacher = self._training.network, self._training.teacher
+        return {
+            "size": [network.height, network.width],
+            "detector": teacher.detector,
+            "views": teacher.views,
+            "working": teacher.working.model_dump(),
+        }
+
+    def make(self, image: Tensor) -> Arrays:
+        """The picture at the network's size, with the teacher's maps."""
+        return prepare_picture(image, self._teachers, self._training)
+
+    def network(self, number: int, last: LayoutNetwork | None) -> PictureNetwork:
+        """A new network, or the last one where rounds continue."""
+        if isinstance(last, PictureNetwork) and self._training.rounds.start == "continued":
+            return last
+        with seeded(self._training.seed, number):
+            return PictureNetwork(self._training.network)
+
+    def samples(
+        self, files: Sequence[Path], number: int, last: LayoutNetwork | None, workshop: Workshop
+    ) -> PictureSamples:
+        """Varied pictures; from round 2 on with what the last network says of them."""
+        again: list[Path] = []
+        if isinstance(last, PictureNetwork):
+            folder = workshop.run / f"labels-{number + 1}"
+            again = label_again(files, folder, last.eval(), workshop)
+        return PictureSamples(files, again, number, self._training, workshop.team)
+
+
+def load_start(path: str, like: LayoutNetwork) -> LayoutNetwork | None:
+    """The network of a weight file; None for no file. WeightsError when it is not one ``like``."""
+    if not path:
+        return None
+    network = load_network(path)
+    if network.settings != like.settings:
+        what = "holds a network with other settings than this training"
+        raise WeightsError(path, what, "give the same [network] settings, or leave start out")
+    return network
+
+
+@contextmanager
+def seeded(seed: int, *place: int) -> Iterator[None]:
+    """Within the block, torch's own randomness is that of this seed and place."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(generator_at(seed, *place).initial_seed())
+        yield
+
+
+def recipe_of(training: Training) -> Recipe:
+    """The recipe of the kind of network that the settings describe."""
+    if isinstance(training, PictureTraining):
+        return PictureRecipe(training)
+    return PatchRecipe(training)

@@ -1,0 +1,171 @@
+"""A whole run: pictures made ready, rounds trained, weights written; cut short, gone on with."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from signal import SIGTERM, Signals
+from typing import Any
+
+from tqdm import tqdm
+
+from roadtorch import __version__
+from roadtorch.errors import InputError
+from roadtorch.image import Picture, find_images
+from roadtorch.layout.weights import LayoutNetwork, fill, load_network, save_network
+from roadtorch.signals import stop_on_signals
+from roadtorch.train.config import Training, as_values
+from roadtorch.train.folder import (
+    CHECKPOINT,
+    WEIGHTS,
+    RunFolder,
+    config_hash,
+)
+from roadtorch.train.loop import Progress, Surroundings, Task, make_optimiser, save, train_round
+from roadtorch.train.prepared import Prepared, Workshop
+from roadtorch.train.recipe import Recipe, recipe_of
+from roadtorch.train.team import join_team
+
+PREPARED = "prepared"
+
+
+@dataclass(frozen=True)
+class Order:
+    """What was asked for on the command line.
+
+    images: a folder, a file or a quoted glob. prepared: where pictures made ready are kept;
+    None for a folder inside ``out``.
+    """
+
+    images: str
+    out: Path
+    resume: bool = False
+    prepared: Path | None = None
+    quiet: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a run: the weights, or the signal that cut it short."""
+
+    weights: Path | None
+    interrupted: Signals | None
+    skipped: int
+
+
+def train(training: Training, order: Order) -> Outcome:
+    """Train a network on machine labels of pictures, or go on with it.
+
+    Raises InputError when there is no picture to learn from, ConfigError and WeightsError
+    when the folder holds something else than this run.
+    """
+    pictures = find_images([order.images], apart=order.out)
+    with stop_on_signals() as stop, join_team() as team:
+        folder = RunFolder(order.out)
+        around = Surroundings(team, folder, stop, order.quiet)
+        config = as_values(training)
+        recipe = recipe_of(training)
+        folder.begin(config, pictures, order.resume)
+        state = folder.read_checkpoint()
+        team.gather(None)  # all have looked before the first one writes
+        if team.leads:
+            folder.claim(config, pictures, __version__)
+        return _Run(recipe, order, around, config).go(pictures, state)
+
+
+@dataclass(frozen=True)
+class _Run:
+    recipe: Recipe
+    order: Order
+    around: Surroundings
+    config: dict[str, Any]
+
+    def go(self, pictures: Sequence[Picture], state: dict[str, Any] | None) -> Outcome:
+        team, folder, stop, quiet = self.around
+        kept = self.order.prepared or folder.path / PREPARED
+        workshop = Workshop(kept, folder.path, team, stop, quiet)
+        workshop.claim(self.recipe.preparation())
+        prepared = workshop.prepare(pictures, self.recipe.make, "labels")
+        skipped = sum(item.file is None for item in prepared)
+        if team.any(stop.asked):
+            return Outcome(None, stop.signal or SIGTERM, skipped)
+        files = self._usable(prepared)
+        progress = Progress(**state["progress"]) if state else Progress()
+        while True:
+            self._round(files, progress, state, workshop)
+            state = None
+            if not progress.finished:
+                return Outcome(None, stop.signal or SIGTERM, skipped)
+            if progress.round + 1 == self.recipe.rounds:
+                return Outcome(folder.path / WEIGHTS, None, skipped)
+            progress.begin_round(progress.round + 1)
+
+    def _usable(self, prepared: Sequence[Prepared]) -> list[Path]:
+        if self.around.team.leads:
+            self.around.folder.write_pictures(prepared)
+        files = [item.file for item in prepared if item.file is not None]
+        if not files:
+            raise InputError(self.order.images, "holds no picture that can be used", "see above")
+        if len(files) == 1 and self.around.team.leads and not self.order.quiet:
+            text = "roadtorch: one picture only: the network will know that one and no other"
+            tqdm.write(text, file=sys.stderr)
+        return files
+
+    def _round(
+        self,
+        files: Sequence[Path],
+        progress: Progress,
+        state: dict[str, Any] | None,
+        workshop: Workshop,
+    ) -> None:
+        """Train one round, or what is left of it, and write its weights."""
+        number, folder = progress.round, self.around.folder
+        last = self.recipe.start
+        if number:
+            last = load_network(folder.path / _weights_of(number - 1))
+        samples = self.recipe.samples(files, number, last, workshop)
+        network = self.recipe.network(number, last)
+        optimiser = make_optimiser(network, self.recipe.descent)
+        if state:
+            fill(network, state["network"], folder.path / CHECKPOINT)
+            optimiser.load_state_dict(state["optimiser"])
+        task = Task(
+            network,
+            optimiser,
+            samples,
+            self.recipe.error_of,
+            self.recipe.descent,
+            self.recipe.stopping,
+        )
+        if not state:
+            save(task, progress, self.around)
+        train_round(task, progress, self.around)
+        self._write(network.eval(), progress, len(files))
+        self.around.team.gather(None)  # the next round reads what the first one writes
+
+    def _write(self, network: LayoutNetwork, progress: Progress, used: int) -> None:
+        """The weights as they are, finished or not, and the curve so far."""
+        if not self.around.team.leads:
+            return
+        if progress.round and not progress.finished:
+            return  # the weights of the last round are better than half of this one
+        folder = self.around.folder
+        origin = {
+            "roadtorch": __version__,
+            "config": self.config,
+            "config_sha256": config_hash(self.config),
+            "pictures": used,
+            "round": progress.round + 1,
+            "epochs": progress.epoch,
+            "finished": progress.finished,
+        }
+        save_network(folder.path / WEIGHTS, network, origin)
+        if progress.finished:
+            save_network(folder.path / _weights_of(progress.round), network, origin)
+        if progress.rows:
+            folder.write_curve(progress.rows)
+
+
+def _weights_of(number: int) -> str:
+    """The file of the weights at the end of round ``number`` (from 0)."""
+    return f"round-{number + 1}.safetensors"

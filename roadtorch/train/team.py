@@ -1,0 +1,60 @@
+"""The processes that train together: one, or those that torchrun started on this machine."""
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TypeVar
+
+import torch
+from torch import Tensor, distributed
+
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True)
+class Team:
+    """Which of how many processes this one is. The first (rank 0) writes the files."""
+
+    rank: int = 0
+    size: int = 1
+
+    @property
+    def leads(self) -> bool:
+        """Whether this process writes and speaks for all."""
+        return self.rank == 0
+
+    def share(self, items: Sequence[Item]) -> Sequence[Item]:
+        """This process's part of a list that all have: every ``size``-th item."""
+        return items[self.rank :: self.size]
+
+    def add(self, values: Tensor) -> Tensor:
+        """The sum of the processes' values, the same in all of them."""
+        if self.size > 1:
+            distributed.all_reduce(values)
+        return values
+
+    def any(self, flag: bool) -> bool:
+        """Whether the flag is up in one of the processes."""
+        return bool(self.add(torch.tensor(float(flag))) > 0)
+
+    def gather(self, item: Item) -> list[Item]:
+        """The items of all processes, in order of rank; waits for the slowest."""
+        if self.size == 1:
+            return [item]
+        items: list[Item] = [item] * self.size
+        distributed.all_gather_object(items, item)
+        return items
+
+
+@contextmanager
+def join_team() -> Iterator[Team]:
+    """The team that the environment describes as torchrun does; alone where it does not."""
+    if int(os.environ.get("WORLD_SIZE", "1")) == 1:
+        yield Team()
+        return
+    distributed.init_process_group("gloo")
+    try:
+        yield Team(distributed.get_rank(), distributed.get_world_size())
+    finally:
+        distributed.destroy_process_group()

@@ -1,0 +1,122 @@
+"""Weight files: there and back, and everything that is not one."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import save_file
+
+from roadtorch.errors import WeightsError
+from roadtorch.layout.network import PatchNetwork, PatchNetworkSettings, Topology
+from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
+from roadtorch.layout.weights import LayoutNetwork, load_network, read_origin, save_network
+
+NETWORKS = [
+    PatchNetwork(PatchNetworkSettings(topology=Topology(k1=6, potentials="softmax"))),
+    PictureNetwork(PictureNetworkSettings(height=40, width=48, narrow=8, wide=8)),
+]
+IMAGE = torch.rand(3, 50, 60, generator=torch.Generator().manual_seed(3))
+
+
+@pytest.fixture
+def weights(tmp_path: Path) -> Path:
+    path = tmp_path / "weights.safetensors"
+    save_network(path, NETWORKS[0], {"config_sha256": "abc"})
+    return path
+
+
+def header(path: Path) -> dict[str, object]:
+    data = path.read_bytes()
+    size = int.from_bytes(data[:8], "little")
+    return json.loads(data[8 : 8 + size])["__metadata__"]
+
+
+@pytest.mark.parametrize("network", NETWORKS, ids=lambda network: network.kind)
+def test_a_network_comes_back_with_its_settings_and_origin(
+    network: LayoutNetwork, tmp_path: Path
+) -> None:
+    path = tmp_path / "weights.safetensors"
+
+    save_network(path, network, {"config": {"seed": 3}})
+    loaded = load_network(path)
+
+    assert loaded.settings == network.settings
+    assert not loaded.training
+    assert read_origin(path) == {"config": {"seed": 3}}
+    torch.testing.assert_close(
+        loaded.cues(IMAGE)["layout"], network.eval().cues(IMAGE)["layout"], rtol=0, atol=0
+    )
+
+
+def test_the_same_network_gives_the_same_bytes(weights: Path, tmp_path: Path) -> None:
+    save_network(tmp_path / "again", NETWORKS[0], {"config_sha256": "abc"})
+
+    assert (tmp_path / "again").read_bytes() == weights.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("data", "what"),
+    [
+        (b"<!DOCTYPE html><html><body>Not found</body></html>", "damaged or no weight file"),
+        (b"", "damaged or no weight file"),
+        (b"\x08\x00\x00\x00\x00\x00\x00\x00{}      ", "not roadtorch's"),
+    ],
+)
+def test_a_page_or_nothing_at_all_is_no_weight_file(data: bytes, what: str, tmp_path: Path) -> None:
+    path = tmp_path / "page.safetensors"
+    path.write_bytes(data)
+
+    with pytest.raises(WeightsError, match=what) as caught:
+        load_network(path)
+
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("share", [0.001, 0.3, 0.99])
+def test_a_truncated_file_is_told(weights: Path, share: float) -> None:
+    data = weights.read_bytes()
+    weights.write_bytes(data[: int(len(data) * share)])
+
+    with pytest.raises(WeightsError, match="damaged"):
+        load_network(weights)
+
+
+@pytest.mark.parametrize("name", ["nothing.safetensors", "."])
+def test_a_missing_file_is_told(name: str, tmp_path: Path) -> None:
+    with pytest.raises(WeightsError, match="is not a file"):
+        load_network(tmp_path / name)
+
+
+def test_weights_of_others_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "other.safetensors"
+    save_file({"layer": torch.zeros(3)}, path, {"format": "pt"})
+
+    with pytest.raises(WeightsError, match="not roadtorch's"):
+        load_network(path)
+
+
+def change_header(path: Path, tensors: dict[str, torch.Tensor], **changes: object) -> None:
+    values = {**json.loads(str(header(path)["roadtorch"])), **changes}
+    save_file(tensors, path, {"roadtorch": json.dumps(values)})
+
+
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [
+        ({"format": 2}, "has the format 2; this roadtorch reads up to 1"),
+        ({"format": "x"}, "a header that makes no sense"),
+        ({"kind": "transformer"}, "a header that makes no sense"),
+        ({"settings": {"topology": {"k9": 1}}}, "made for other settings"),
+        ({"settings": {"topology": {"k1": 4}}}, "holds another network: first.bias is 6, not 4"),
+        ({"kind": "pictures", "settings": {}}, "holds another network"),
+    ],
+)
+def test_headers_that_do_not_fit_are_told(
+    changes: dict[str, object], what: str, weights: Path
+) -> None:
+    change_header(weights, NETWORKS[0].state_dict(), **changes)
+
+    with pytest.raises(WeightsError, match=what):
+        load_network(weights)

@@ -1,0 +1,37 @@
+"""The benchmark of patches: both sides make the same number, and it prints a ratio."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import torch
+
+from roadtorch.train.patches import PatchSamples
+from roadtorch.train.team import Team
+from scripts import bench_patches
+
+
+def test_both_sides_make_patches_of_the_same_sites(tmp_path: Path) -> None:
+    files = bench_patches.prepare(None, 1, tmp_path)
+
+    plain = bench_patches.PatchByPatch(files)
+    samples = PatchSamples(files, bench_patches.TRAINING, Team())
+
+    batches = list(samples.batches(0, 0))
+    assert sum(len(batch.inputs) for batch in batches) == len(plain)
+    ours = torch.cat([batch.targets for batch in batches]).bincount(minlength=3)
+    theirs = torch.tensor([label for _, _, label in plain.items]).bincount(minlength=3)
+    assert torch.equal(ours, theirs)
+    assert plain[0][0].shape == batches[0].inputs.shape[1:]
+
+
+def test_it_prints_both_speeds_and_their_ratio() -> None:
+    words = [sys.executable, bench_patches.__file__, "--pictures", "1", "--rounds", "1"]
+
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=True)
+
+    assert [line.split("|")[1].strip() for line in done.stdout.splitlines()[2:]] == [
+        "plain DataLoader",
+        "in one pass",
+        "ratio",
+    ]

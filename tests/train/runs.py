@@ -1,0 +1,107 @@
+"""Small runs that the tests of training share: rendered streets, tiny networks."""
+
+import csv
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from roadtorch.cli.config import merge
+from roadtorch.settings import parse_assignments, read_settings_file
+from roadtorch.train.config import Training, build_training
+from roadtorch.train.run import Order
+from tests.scenes import render_scene, write_picture
+
+PATCHES = """
+kind = "patches"
+mix = 2
+passes = 2
+
+[network.topology]
+k2 = 4
+
+[network.working]
+pixels = 4800
+
+[superpixels]
+pixels = 100
+
+[descent]
+batch = 64
+
+[stopping]
+rule = "epochs"
+epochs = 2
+"""
+
+PICTURES = """
+kind = "pictures"
+
+[network]
+height = 32
+width = 40
+narrow = 8
+wide = 8
+
+[teacher]
+detector = "labeller"
+working = { pixels = 4800 }
+
+[rounds]
+count = 2
+
+[descent]
+batch = 2
+method = "adam"
+rate = 0.01
+
+[stopping]
+rule = "epochs"
+epochs = 2
+"""
+
+
+CONFIGS = {"patches": PATCHES, "pictures": PICTURES}
+
+
+def write_streets(folder: Path, count: int) -> Path:
+    """A folder with pictures of rendered streets."""
+    for seed in range(count):
+        write_picture(folder / f"street_{seed}.png", render_scene(seed, 60, 80))
+    return folder
+
+
+def write_config(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def command(*arguments: object) -> list[str]:
+    return [sys.executable, "-m", "roadtorch.train", *map(str, arguments)]
+
+
+def run(words: Sequence[object], folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a command with one thread and no network but this machine."""
+    return subprocess.run(
+        list(map(str, words)),
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        timeout=120,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+    )
+
+
+def training_of(kind: str, folder: Path, *changes: str) -> Training:
+    values = read_settings_file(write_config(folder / f"{kind}.toml", CONFIGS[kind]))
+    return build_training(merge(values, parse_assignments(changes)))
+
+
+def order_of(streets: Path, kept: Path, out: Path, kind: str, resume: bool = False) -> Order:
+    return Order(str(streets), out, resume, kept / kind, quiet=True)
+
+
+def rows_of(out: Path) -> list[dict[str, str]]:
+    with (out / "log.csv").open(newline="") as file:
+        return [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(file)]

@@ -1,0 +1,124 @@
+"""Pictures made ready: once, in shares, remade when they changed."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from roadtorch.errors import ConfigError, InputError
+from roadtorch.image import find_images
+from roadtorch.signals import Stop
+from roadtorch.train.prepared import Arrays, Workshop, read_arrays, write_arrays
+from roadtorch.train.team import Team
+from tests.train.runs import write_streets
+
+
+class Maker:
+    """Counts how often it is asked."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def __call__(self, image: torch.Tensor) -> Arrays:
+        self.calls += 1
+        return {"mean": image.mean((1, 2))}
+
+
+def workshop_in(folder: Path, team: Team | None = None, stop: Stop | None = None) -> Workshop:
+    return Workshop(folder / "kept", folder / "run", team or Team(), stop or Stop(), quiet=True)
+
+
+def test_pictures_are_made_ready_once(tmp_path: Path) -> None:
+    pictures = find_images([str(write_streets(tmp_path / "footage", 3))])
+    make = Maker()
+
+    first = workshop_in(tmp_path).prepare(pictures, make, "labels")
+    second = workshop_in(tmp_path).prepare(pictures, make, "labels")
+
+    assert make.calls == 3
+    assert first == second
+    assert [item.name for item in first] == ["street_0.png", "street_1.png", "street_2.png"]
+    assert all(item.file and read_arrays(item.file, "mean")["mean"].shape == (3,) for item in first)
+
+
+def test_a_changed_picture_and_a_damaged_file_are_made_again(tmp_path: Path) -> None:
+    footage = write_streets(tmp_path / "footage", 2)
+    pictures = find_images([str(footage)])
+    make = Maker()
+    workshop_in(tmp_path).prepare(pictures, make, "labels")
+    (footage / "street_0.png").write_bytes((footage / "street_1.png").read_bytes())
+    (tmp_path / "kept" / "street_1.png.npz").write_bytes(b"PK")
+
+    workshop_in(tmp_path).prepare(pictures, make, "labels")
+
+    assert make.calls == 4
+
+
+def test_each_process_makes_its_share(tmp_path: Path) -> None:
+    pictures = find_images([str(write_streets(tmp_path / "footage", 3))])
+
+    class Second(Team):
+        def gather(self, item: object) -> list[object]:  # type: ignore[override]
+            return [item]
+
+    made = workshop_in(tmp_path, Second(1, 2)).prepare(pictures, Maker(), "labels")
+
+    assert [item.name for item in made] == ["street_1.png"]
+
+
+def test_a_detector_that_trips_costs_one_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pictures = find_images([str(write_streets(tmp_path / "footage", 2))])
+    calls: list[int] = []
+
+    def make(image: torch.Tensor) -> Arrays:
+        calls.append(1)
+        if len(calls) == 1:
+            raise ZeroDivisionError("in a\nhurry")
+        return {"mean": image.mean()}
+
+    made = workshop_in(tmp_path).prepare(pictures, make, "labels")
+
+    assert [item.file is None for item in made] == [True, False]
+    assert "street_0.png: ZeroDivisionError: in a hurry (report it)" in capsys.readouterr().err
+
+
+def test_a_wrong_setting_stops_everything(tmp_path: Path) -> None:
+    pictures = find_images([str(write_streets(tmp_path / "footage", 1))])
+
+    def make(_: torch.Tensor) -> Arrays:
+        raise ConfigError("teacher.detector", "has no layout", "use another")
+
+    with pytest.raises(ConfigError):
+        workshop_in(tmp_path).prepare(pictures, make, "labels")
+
+
+def test_a_request_to_stop_is_heard_between_pictures(tmp_path: Path) -> None:
+    pictures = find_images([str(write_streets(tmp_path / "footage", 3))])
+    stop = Stop()
+
+    def make(image: torch.Tensor) -> Arrays:
+        stop.ask(15)
+        return {"mean": image.mean()}
+
+    made = workshop_in(tmp_path, stop=stop).prepare(pictures, make, "labels")
+
+    assert len(made) == 1
+
+
+def test_a_folder_belongs_to_its_settings(tmp_path: Path) -> None:
+    workshop_in(tmp_path).claim({"working": {"pixels": 100}})
+    workshop_in(tmp_path).claim({"working": {"pixels": 100}})
+
+    with pytest.raises(ConfigError, match="holds pictures prepared with other settings"):
+        workshop_in(tmp_path).claim({"working": {"pixels": 200}})
+
+
+def test_a_damaged_archive_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    write_arrays(path, {"a": torch.arange(100)})
+    path.write_bytes(path.read_bytes()[:60])
+
+    with pytest.raises(InputError, match="is damaged"):
+        read_arrays(path)

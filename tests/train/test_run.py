@@ -1,0 +1,233 @@
+"""Whole runs: made, cut short, gone on with; by one process and by two."""
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+
+from roadtorch.errors import ConfigError, WeightsError
+from roadtorch.layout.network import PatchNetwork
+from roadtorch.layout.weights import load_network, read_origin, save_network
+from roadtorch.train import loop
+from roadtorch.train.run import Outcome, train
+from tests.train.runs import PATCHES, command, order_of, rows_of, run, training_of, write_config
+
+# --- whole runs ------------------------------------------------------------------------------
+
+
+def test_a_run_leaves_weights_a_log_a_curve_and_a_list(
+    streets: Path, kept: Path, tmp_path: Path
+) -> None:
+    training = training_of("patches", tmp_path)
+
+    outcome = train(training, order_of(streets, kept, tmp_path / "run", "patches"))
+
+    out = tmp_path / "run"
+    assert outcome == Outcome(out / "weights.safetensors", None, 0)
+    network = load_network(out / "weights.safetensors")
+    assert network.settings == training.network
+    origin = read_origin(out / "weights.safetensors")
+    assert origin["config"]["network"]["topology"]["k2"] == 4
+    assert (origin["pictures"], origin["epochs"], origin["finished"]) == (5, 2, True)
+    rows = rows_of(out)
+    assert [(row["round"], row["epoch"]) for row in rows] == [("1", "1"), ("1", "2")]
+    assert float(rows[1]["error"]) < float(rows[0]["error"])
+    assert (out / "curve.png").read_bytes().startswith(b"\x89PNG")
+    assert (out / "pictures.csv").read_text().count("used") == 5
+    assert not list(out.rglob("*.part"))
+
+
+def test_rounds_begin_with_the_labels_of_the_last_network(
+    streets: Path, kept: Path, tmp_path: Path
+) -> None:
+    outcome = train(
+        training_of("pictures", tmp_path), order_of(streets, kept, tmp_path / "run", "pictures")
+    )
+
+    out = tmp_path / "run"
+    assert outcome.weights == out / "weights.safetensors"
+    assert len(list((out / "labels-2").glob("*.npz"))) == 5
+    assert [row["round"] for row in rows_of(out)] == ["1", "1", "2", "2"]
+    second, last = (out / name for name in ("round-2.safetensors", "weights.safetensors"))
+    assert second.read_bytes() == last.read_bytes()
+    assert (out / "round-1.safetensors").read_bytes() != second.read_bytes()
+
+
+@pytest.mark.parametrize(("fall", "epochs"), [("10.0", 2), ("0.0", 4)])
+def test_training_stops_when_the_error_falls_by_no_more(
+    fall: str, epochs: int, streets: Path, kept: Path, tmp_path: Path
+) -> None:
+    rules = ("stopping.rule=fall", "stopping.epochs=4", f"stopping.fall={fall}")
+    training = training_of("patches", tmp_path, *rules)
+
+    train(training, order_of(streets, kept, tmp_path / "run", "patches"))
+
+    assert len(rows_of(tmp_path / "run")) == epochs
+
+
+def test_an_error_that_is_no_number_is_told(
+    streets: Path, kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(loop, "step", lambda *_: math.nan)
+
+    with pytest.raises(ConfigError, match=r"descent.rate: the error is no longer a number"):
+        train(
+            training_of("patches", tmp_path), order_of(streets, kept, tmp_path / "run", "patches")
+        )
+
+
+# --- from weights ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["patches", "pictures"])
+def test_a_run_can_start_from_the_weights_of_another(
+    kind: str, streets: Path, kept: Path, tmp_path: Path
+) -> None:
+    first = tmp_path / "first" / "weights.safetensors"
+    train(training_of(kind, tmp_path), order_of(streets, kept, first.parent, kind))
+    changes = [f"start={json.dumps(str(first))}", "descent.rate=1e-9"]
+    changes += ["rounds.count=1", "rounds.start=continued"] if kind == "pictures" else []
+
+    train(training_of(kind, tmp_path, *changes), order_of(streets, kept, tmp_path / "run", kind))
+
+    # With next to no rate the weights stay where they started.
+    one, two = (load_network(path) for path in (first, tmp_path / "run" / "weights.safetensors"))
+    for name, weight in one.state_dict().items():
+        torch.testing.assert_close(two.state_dict()[name], weight, atol=1e-6, rtol=0)
+    assert (tmp_path / "run" / "labels-1").exists() == (kind == "pictures")
+
+
+def test_weights_of_another_network_are_no_start(streets: Path, kept: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.safetensors"
+    save_network(other, PatchNetwork(), {})
+    training = training_of("patches", tmp_path, f"start={json.dumps(str(other))}")
+
+    with pytest.raises(WeightsError, match="holds a network with other settings"):
+        train(training, order_of(streets, kept, tmp_path / "run", "patches"))
+
+    assert not (tmp_path / "run").exists()
+
+
+# --- cut short -------------------------------------------------------------------------------
+
+
+def interrupt_after(steps: int, number: signal.Signals, patch: pytest.MonkeyPatch) -> None:
+    """Send this process a signal in the middle of its n-th step from now."""
+    original, left = loop.step, [steps]
+
+    def step(*arguments: object) -> float:
+        left[0] -= 1
+        if left[0] == 0:
+            os.kill(os.getpid(), number)
+        return original(*arguments)  # type: ignore[arg-type]
+
+    patch.setattr(loop, "step", step)
+
+
+@pytest.mark.parametrize("kind", ["patches", "pictures"])
+def test_a_run_in_pieces_ends_with_the_bits_of_a_whole_one(
+    kind: str, streets: Path, kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    momentum = ["descent.momentum=0.9"] if kind == "patches" else []
+    training = training_of(kind, tmp_path, *momentum)
+    whole, pieces = tmp_path / "whole", tmp_path / "pieces"
+    train(training, order_of(streets, kept, whole, kind))
+
+    cuts = 0
+    for cut in (1, 2, 3, 4):
+        with monkeypatch.context() as patch:
+            interrupt_after(cut, signal.SIGTERM, patch)
+            outcome = train(training, order_of(streets, kept, pieces, kind, resume=True))
+        cuts += outcome.interrupted == signal.SIGTERM
+    train(training, order_of(streets, kept, pieces, kind, resume=True))
+
+    assert cuts >= 3
+    names = [path.name for path in whole.glob("*.safetensors")]
+    assert names
+    for name in names:
+        assert (pieces / name).read_bytes() == (whole / name).read_bytes()
+    assert rows_of(pieces) == rows_of(whole)
+
+
+def test_an_interrupted_run_leaves_weights_that_work(
+    streets: Path, kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    interrupt_after(1, signal.SIGINT, monkeypatch)
+
+    outcome = train(
+        training_of("patches", tmp_path), order_of(streets, kept, tmp_path / "run", "patches")
+    )
+
+    assert outcome.weights is None
+    assert outcome.interrupted == signal.SIGINT
+    assert load_network(tmp_path / "run" / "weights.safetensors")
+    assert read_origin(tmp_path / "run" / "weights.safetensors")["finished"] is False
+
+
+def test_the_last_rounds_weights_outlive_an_interruption_of_the_next(
+    streets: Path, kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    interrupt_after(5, signal.SIGTERM, monkeypatch)  # a round has 2 epochs of 2 batches
+
+    train(training_of("pictures", tmp_path), order_of(streets, kept, tmp_path / "run", "pictures"))
+
+    assert read_origin(tmp_path / "run" / "weights.safetensors")["round"] == 1
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_signals_end_the_command_with_a_checkpoint(
+    number: signal.Signals, code: int, streets: Path, kept: Path, tmp_path: Path
+) -> None:
+    config = write_config(tmp_path / "c.toml", PATCHES.replace("epochs = 2", "epochs = 100000"))
+    words = command(
+        "--config", config, "--images", streets, "--out", "run", "--prepared", kept / "patches"
+    )
+    with subprocess.Popen(
+        [*words, "--threads", "1"], stderr=subprocess.PIPE, cwd=tmp_path, text=True
+    ) as process:
+        deadline = time.monotonic() + 60
+        while not (tmp_path / "run" / "log.csv").exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        process.send_signal(number)
+        told = process.communicate(timeout=60)[1]
+
+    assert process.returncode == code
+    assert told.endswith(f"roadtorch: stopped by {number.name}; go on with --resume\n")
+    assert load_network(tmp_path / "run" / "weights.safetensors")
+    assert (tmp_path / "run" / "checkpoint.pt").exists()
+
+
+# --- two processes ---------------------------------------------------------------------------
+
+TOLERANCE = 1e-4  # of the weights after a few dozen steps: sums in another order
+
+
+@pytest.mark.parametrize("kind", ["patches", "pictures"])
+def test_two_processes_give_the_weights_of_one(
+    kind: str, streets: Path, kept: Path, tmp_path: Path
+) -> None:
+    training = training_of(kind, tmp_path, "descent.method=sgd", "descent.rate=0.05")
+    train(training, order_of(streets, kept, tmp_path / "one", kind))
+    arguments = ["--config", tmp_path / f"{kind}.toml", "--images", streets, "--out", "two"]
+    arguments += ["--set", "descent.method=sgd", "--set", "descent.rate=0.05"]
+    torchrun = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2"]
+    torchrun += ["--master-addr", "127.0.0.1", "--master-port", str(29600 + os.getpid() % 300)]
+
+    done = run([*torchrun, "-m", "roadtorch.train", *arguments], tmp_path)
+
+    assert done.returncode == 0, done.stderr
+    one, two = (load_network(tmp_path / n / "weights.safetensors") for n in ("one", "two"))
+    for name, weight in one.state_dict().items():
+        torch.testing.assert_close(two.state_dict()[name], weight, atol=TOLERANCE, rtol=0)
+    assert len(list((tmp_path / "two" / "prepared").glob("*.npz"))) == 5
+    assert (tmp_path / "two" / "pictures.csv").read_text().count("used") == 5
+    assert [row["epoch"] for row in rows_of(tmp_path / "two")] == [
+        row["epoch"] for row in rows_of(tmp_path / "one")
+    ]
