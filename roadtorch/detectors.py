@@ -8,6 +8,7 @@ Other packages add detectors through the entry-point group ``roadtorch.detectors
 each entry point names an ``Entry`` or a sequence of them.
 """
 
+import fnmatch
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -65,6 +66,23 @@ class Detection:
 
 
 @dataclass(frozen=True)
+class Grid:
+    """Many detectors of one family, one for each combination of options.
+
+    Lists show them once, and a wildcard matches them only where it names the family.
+    name: ``family:<option>:<option>``, the options by what they are. summary: one line.
+    """
+
+    name: str
+    summary: str
+
+    @property
+    def family(self) -> str:
+        """What all their names begin with, the colon included."""
+        return self.name.partition(":")[0] + ":"
+
+
+@dataclass(frozen=True)
 class Entry:
     """One detector on offer.
 
@@ -75,12 +93,14 @@ class Entry:
         not touch the seed area, whose size a field ``seed`` may set.
     build: makes the analysis from the settings. An analysis that is an ``nn.Module``
         becomes part of the detector, so that its weights are saved with it.
+    grid: where it is one of many.
     """
 
     name: str
     summary: str
     settings: type[Settings]
     build: Callable[[Any], Analysis]
+    grid: Grid | None = None
 
 
 class Detector(nn.Module):
@@ -174,8 +194,39 @@ def detector_entry(name: str) -> Entry:
     """The entry of one detector; ConfigError with the nearest names if there is none."""
     entries = _catalogue()
     if name not in entries:
-        raise unknown_name("detector", name, entries)
+        raise unknown_detector(name)
     return entries[name]
+
+
+def detector_groups() -> dict[str, list[Entry]]:
+    """Every detector under its own name, those of a grid together under the grid's; sorted."""
+    groups: dict[str, list[Entry]] = {}
+    for entry in _catalogue().values():
+        groups.setdefault(entry.grid.name if entry.grid else entry.name, []).append(entry)
+    return dict(sorted(groups.items()))
+
+
+def matching_detectors(pattern: str) -> list[str]:
+    """The names of the detectors that a pattern with wildcards (``cpf*``) fits, sorted.
+
+    Those of a grid only where the pattern begins with its family (``oneclass:*:HS``), so
+    that ``*`` means what there is to compare, and not hundreds of combinations. Raises
+    ConfigError when it fits none.
+    """
+    fitting = [detector_entry(name) for name in fnmatch.filter(list_detectors(), pattern)]
+    found = [one for one in fitting if not one.grid or pattern.startswith(one.grid.family)]
+    if not fitting:
+        raise unknown_detector(pattern)
+    if not found:
+        grids = sorted({one.grid.name for one in fitting if one.grid})
+        what = f"fits only detectors of {', '.join(grids)}"
+        raise ConfigError(pattern, what, "begin it with the name of the family")
+    return [one.name for one in found]
+
+
+def unknown_detector(name: str) -> ConfigError:
+    """The error for a name or a pattern that fits no detector."""
+    return unknown_name("detector", name, list_detectors(), detector_groups())
 
 
 def register(entry: Entry) -> None:

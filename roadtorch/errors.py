@@ -45,9 +45,15 @@ class WeightsError(RoadtorchError):
     """A weight file that is damaged or foreign."""
 
 
-def unknown_name(kind: str, name: str, known: Iterable[str]) -> ConfigError:
-    """The error for a misspelt name, with the nearest known ones in its remedy."""
+def unknown_name(
+    kind: str, name: str, known: Iterable[str], groups: Iterable[str] | None = None
+) -> ConfigError:
+    """The error for a misspelt name, with the nearest known ones in its remedy.
+
+    Where none is near, all are told; or ``groups``, where they are too many.
+    """
     known = sorted(known)
     near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
-    remedy = f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(known)}"
+    told = known if groups is None else sorted(groups)
+    remedy = f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(told)}"
     return ConfigError(name, f"unknown {kind}", remedy)

@@ -126,18 +126,29 @@ def distance_likelihood(distance: Tensor, reach: float) -> Tensor:
 
 
 def segment_road(
-    segments: Segments, layout: Tensor, distance: Tensor, texture: Tensor, settings: RoadSettings
+    segments: Segments,
+    layout: Tensor,
+    distance: Tensor,
+    texture: Tensor,
+    settings: RoadSettings,
+    further: Tensor | float = 0.0,
 ) -> Tensor:
     """p(road) of each segment (n,) from its likelihoods (n,) by layout, distance and texture.
+
+    further: log odds (n,) of whatever else is known, added as they are.
 
     Naive Bayes over the cues gives a first belief; then, in rounds, kernel densities of road
     and background are learned from the belief and join as one more cue, as do the neighbours.
     """
     weights = settings.weights
     place = road_place(segments.row, segments.column, settings.place)
-    known = settings.bias + fused_log_odds(
-        [place, layout, distance, texture],
-        [settings.place.weight, weights.layout, weights.distance, weights.texture],
+    known = (
+        settings.bias
+        + further
+        + fused_log_odds(
+            [place, layout, distance, texture],
+            [settings.place.weight, weights.layout, weights.distance, weights.texture],
+        )
     )
     alike = likeness(segments, settings.bandwidths)
     around = neighbour_mean(segments)

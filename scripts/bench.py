@@ -20,7 +20,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial, wraps
 from importlib.metadata import version
@@ -72,6 +72,9 @@ OURS, THEIRS = f"roadtorch slic, {SEGMENTS} segments", f"skimage slic, {SEGMENTS
 SUM = "sum of the stages"
 RATIOS = {"fusion / lraspp": (FUSION, LRASPP), "skimage slic / our slic": (THEIRS, OURS)}
 
+Stages = Mapping[str, tuple[tuple[ModuleType, str], ...]]
+Clock = Callable[[], float]
+"""Seconds, from any start."""
 Round = dict[str, float]
 """Milliseconds by name: stages and contestants of one round."""
 
@@ -79,7 +82,8 @@ Round = dict[str, float]
 class Stopwatch:
     """Adds up the time of each stage; a call inside a stage belongs to that stage."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
         self.times: Round = {}
         self.inside = False
 
@@ -89,11 +93,11 @@ class Stopwatch:
             if self.inside:
                 return function(*arguments, **named)
             self.inside = True
-            start = time.perf_counter()
+            start = self.clock()
             try:
                 return function(*arguments, **named)
             finally:
-                spent = (time.perf_counter() - start) * 1000
+                spent = (self.clock() - start) * 1000
                 self.times[stage] = self.times.get(stage, 0.0) + spent
                 self.inside = False
 
@@ -101,30 +105,35 @@ class Stopwatch:
 
 
 @contextmanager
-def stopwatch() -> Iterator[Round]:
-    """Within the block, every stage of ``fusion`` adds its milliseconds to the result."""
-    watch = Stopwatch()
+def stopwatch(stages: Stages, clock: Clock) -> Iterator[Round]:
+    """Within the block, every stage adds its milliseconds to the result."""
+    watch = Stopwatch(clock)
     with ExitStack() as stack:
-        for stage, functions in STAGES.items():
+        for stage, functions in stages.items():
             for module, name in functions:
                 timed = watch.around(stage, getattr(module, name))
                 stack.enter_context(patch.object(module, name, timed))
         yield watch.times
 
 
-def time_stages(detect: Callable[[Tensor], Any], image: Tensor) -> Round:
+def time_stages(
+    detect: Callable[[Tensor], Any],
+    image: Tensor,
+    stages: Stages = STAGES,
+    clock: Clock = time.perf_counter,
+) -> Round:
     """Milliseconds of each stage in one ``detect``; RuntimeError if a stage did not run."""
-    with stopwatch() as times:
+    with stopwatch(stages, clock) as times:
         detect(image)
-    if missing := STAGES.keys() - times.keys():
-        raise RuntimeError(f"fusion no longer calls the functions of {', '.join(sorted(missing))}")
-    return {stage: times[stage] for stage in STAGES} | {SUM: sum(times.values())}
+    if missing := stages.keys() - times.keys():
+        raise RuntimeError(f"detect no longer calls the functions of {', '.join(sorted(missing))}")
+    return {stage: times[stage] for stage in stages} | {SUM: sum(times.values())}
 
 
-def time_call(name: str, call: Callable[[], Any]) -> Round:
-    start = time.perf_counter()
+def time_call(name: str, call: Callable[[], Any], clock: Clock = time.perf_counter) -> Round:
+    start = clock()
     call()
-    return {name: (time.perf_counter() - start) * 1000}
+    return {name: (clock() - start) * 1000}
 
 
 def contestants(image: Tensor) -> list[Callable[[], Round]]:
@@ -150,14 +159,13 @@ def contestants(image: Tensor) -> list[Callable[[], Round]]:
     ]
 
 
-def run_rounds(image: Tensor, rounds: int, title: str) -> list[Round]:
-    """The counted rounds; each begins with the next contestant in turn."""
-    calls = contestants(image)
+def run_rounds(calls: Sequence[Callable[[], Round]], rounds: int, title: str) -> list[Round]:
+    """The counted rounds of the contestants; each begins with the next one in turn."""
     counted = []
     for number in tqdm(range(WARM_UP + rounds), title, leave=False, file=sys.stderr):
         turn = number % len(calls)
         times: Round = {}
-        for call in calls[turn:] + calls[:turn]:
+        for call in [*calls[turn:], *calls[:turn]]:
             times |= call()
         if number >= WARM_UP:
             counted.append(times)
@@ -170,22 +178,23 @@ def spread(values: list[float]) -> dict[str, float]:
     return {"median": statistics.median(values), "low": float(low), "high": float(high)}
 
 
-def summary(rounds: list[Round]) -> dict[str, dict[str, dict[str, float]]]:
-    """Milliseconds of everything timed, and the ratios, over all rounds.
+def summary(
+    rounds: list[Round], names: Sequence[str], ratios: Mapping[str, tuple[str, str]]
+) -> dict[str, dict[str, dict[str, float]]]:
+    """Milliseconds by name, and ratios of two of them, over all rounds.
 
     The fastest of a ratio is that of the two fastest times, not the smallest ratio.
     """
     columns = {name: [times[name] for times in rounds] for name in rounds[0]}
     fastest = {name: min(values) for name, values in columns.items()}
-    names = [*STAGES, SUM, FUSION, LRASPP, OURS, THEIRS]
-    ratios = {
+    shares = {
         name: spread([times[over] / times[under] for times in rounds])
         | {"fastest": fastest[over] / fastest[under]}
-        for name, (over, under) in RATIOS.items()
+        for name, (over, under) in ratios.items()
     }
     return {
         "ms": {name: spread(columns[name]) | {"fastest": fastest[name]} for name in names},
-        "ratios": ratios,
+        "ratios": shares,
     }
 
 
@@ -278,8 +287,8 @@ def main() -> None:
             image = picture_at(given.picture, width, height)
         except RoadtorchError as problem:
             parser.error(str(problem))
-        counted = run_rounds(image, rounds, size)
-        figures = summary(counted)
+        counted = run_rounds(contestants(image), rounds, size)
+        figures = summary(counted, [*STAGES, SUM, FUSION, LRASPP, OURS, THEIRS], RATIOS)
         results["sizes"][size] = figures | {"rounds": counted}
         print(f"\n{table(size, figures)}", flush=True)
     if given.json:

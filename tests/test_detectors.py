@@ -14,17 +14,21 @@ from roadtorch.detectors import (
     Detection,
     Detector,
     Entry,
+    Grid,
     checked_image,
     decide,
     detector_entry,
+    detector_groups,
     list_detectors,
     load_detector,
+    matching_detectors,
     register,
 )
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.settings import Settings
+from tests.representatives import representatives
 
-every_detector = pytest.mark.parametrize("name", list_detectors())
+every_detector = pytest.mark.parametrize("name", representatives(list_detectors()))
 
 
 @cache
@@ -267,6 +271,54 @@ def test_misspelt_names_and_wrong_settings_are_told(
 ) -> None:
     with pytest.raises(ConfigError, match=message):
         load_detector(name, **settings)
+
+
+MANY = Grid("many:<gain>:<kind>", "many of them")
+
+
+@pytest.fixture
+def with_grid(catalogue: dict[str, Entry]) -> None:
+    """A detector, a grid of four in two families of names, and one that follows in order."""
+    for name in ("bright", "many:2:b", "many:2:a", "many:1:b", "many:1:a", "zebra"):
+        register(Entry(name, "", Simple, brightness, MANY if ":" in name else None))
+
+
+@pytest.mark.usefixtures("with_grid")
+def test_a_grid_is_one_group_of_detectors_in_their_own_order() -> None:
+    groups = {name: [entry.name for entry in of] for name, of in detector_groups().items()}
+
+    assert list(groups) == ["bright", "many:<gain>:<kind>", "zebra"]
+    assert groups["many:<gain>:<kind>"] == ["many:2:b", "many:2:a", "many:1:b", "many:1:a"]
+    assert groups["zebra"] == ["zebra"]
+
+
+@pytest.mark.usefixtures("with_grid")
+@pytest.mark.parametrize(
+    ("pattern", "names"),
+    [
+        ("*", ["bright", "zebra"]),
+        ("*a*", ["zebra"]),
+        ("many:*", ["many:1:a", "many:1:b", "many:2:a", "many:2:b"]),
+        ("many:*:a", ["many:1:a", "many:2:a"]),
+        ("many:2:[ab]", ["many:2:a", "many:2:b"]),
+    ],
+)
+def test_wildcards_meet_a_grid_where_they_name_its_family(pattern: str, names: list[str]) -> None:
+    assert matching_detectors(pattern) == names
+
+
+@pytest.mark.usefixtures("with_grid")
+def test_a_pattern_that_fits_a_grid_alone_says_how_to_ask_for_it() -> None:
+    with pytest.raises(ConfigError, match=r"\*:1:\*: fits only .* many:<gain>:<kind> \(begin it"):
+        matching_detectors("*:1:*")
+    with pytest.raises(ConfigError, match=r"many:3:\*: unknown detector"):
+        matching_detectors("many:3:*")
+
+
+@pytest.mark.usefixtures("with_grid")
+def test_a_name_that_is_near_none_gets_a_short_list() -> None:
+    with pytest.raises(ConfigError, match=r"known: bright, many:<gain>:<kind>, zebra"):
+        load_detector("0")
 
 
 FOREIGN = (Entry("theirs", "", Simple, brightness), Entry("theirs:2", "", Simple, brightness))

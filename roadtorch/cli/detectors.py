@@ -4,9 +4,12 @@ import json
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain, zip_longest
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from roadtorch.detectors import Entry
 
 WIDTH = 100  # letters in a line
 CELL = 14  # letters in a line of an inner column
@@ -16,11 +19,16 @@ GAP = "  "
 @click.command()
 @click.argument("name", required=False)
 def detectors(name: str | None) -> None:
-    """List the detectors; with a NAME, its settings and their meaning."""
-    from roadtorch.detectors import detector_entry, list_detectors
+    """List the detectors; with a NAME, its settings and their meaning.
+
+    A NAME with wildcards lists those that it fits: 'oneclass:*:HS'.
+    """
+    from roadtorch.detectors import detector_entry, detector_groups, matching_detectors
 
     if name is None:
-        rows = [(known, detector_entry(known).summary) for known in list_detectors()]
+        rows = [row for group in detector_groups().items() for row in listed(*group)]
+    elif any(letter in name for letter in "*?["):
+        rows = [(known, detector_entry(known).summary) for known in matching_detectors(name)]
     else:
         entry = detector_entry(name)
         click.echo(f"{name}: {entry.summary}\n")
@@ -29,21 +37,35 @@ def detectors(name: str | None) -> None:
     click.echo("\n".join(columns(rows)))
 
 
+def listed(name: str, entries: Sequence["Entry"]) -> Iterator[tuple[str, str]]:
+    """The lines for a detector, or for a grid of them: name and summary, then its options."""
+    grid = entries[0].grid
+    if grid is None:
+        yield name, entries[0].summary
+        return
+    yield name, f"{grid.summary}: {len(entries)} detectors, '{grid.family}*' lists them"
+    options = zip(*(entry.name.split(":")[1:] for entry in entries), strict=True)
+    for option, values in zip(name.split(":")[1:], options, strict=True):
+        yield f"  {option}", " ".join(dict.fromkeys(values))
+
+
 def describe(schema: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str, str]]:
     """Key, type, default, allowed and meaning of each setting in a JSON schema, depth first."""
-    yield from _describe(schema, schema.get("$defs", {}), "")
+    yield from _describe(schema, schema.get("$defs", {}), {}, "")
 
 
 def _describe(
-    schema: Mapping[str, Any], shared: Mapping[str, Any], path: str
+    schema: Mapping[str, Any], shared: Mapping[str, Any], defaults: Mapping[str, Any], path: str
 ) -> Iterator[tuple[str, str, str, str, str]]:
+    """defaults: those that the owner of this group gives it, which go before the group's own."""
     for key, field in schema.get("properties", {}).items():
         meaning = field.get("description", "")
         target = shared.get(str(field.get("$ref", "")).rpartition("/")[2], field)
+        given = defaults.get(key, field.get("default"))
         if "properties" in target:
-            yield from _describe(target, shared, f"{path}{key}.")
+            yield from _describe(target, shared, given or {}, f"{path}{key}.")
         else:
-            default = "" if "default" not in field else _text(field["default"])
+            default = _text(given) if "default" in field or key in defaults else ""
             yield f"{path}{key}", _kind(target), default, _allowed(target), meaning
 
 

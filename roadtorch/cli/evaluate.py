@@ -70,7 +70,7 @@ def evaluate(
     """
     from roadtorch import __version__
     from roadtorch.cli.batch import make_writable
-    from roadtorch.evaluation import comparison, report
+    from roadtorch.evaluation import comparison, report, table3
     from roadtorch.evaluation.datasets import open_dataset
     from roadtorch.evaluation.plan import described, make_plan
     from roadtorch.evaluation.progress import Progress, fingerprint
@@ -93,6 +93,8 @@ def evaluate(
     )
     document["paired"] = pairs
     click.echo(report.screen(document))
+    if grid := table3.table_text(document):
+        click.echo(f"\n{grid}")
     for failure in failures:
         click.echo(f"failed: {failure.item.name}: {failure.failure}", err=True)
     if out is not None:
@@ -203,7 +205,7 @@ def _write(
     montage: int,
 ) -> None:
     """Everything that stays: figures, curves, rows, sheets of pictures, and the report."""
-    from roadtorch.evaluation import report
+    from roadtorch.evaluation import report, table3
     from roadtorch.evaluation.montage import write_montages
     from roadtorch.evaluation.outlines import outlines
     from roadtorch.evaluation.page import html
@@ -215,5 +217,6 @@ def _write(
     report.write_metrics(out / "metrics.json", document)
     report.write_metrics(out / "curves.json", curves)
     write_text(out / "images.csv", report.rows_csv(rows, failures))
+    table3.write_table3(out, document, curves)
     sheets = write_montages(out, plan, progress.tallies, figures, montage) if montage else {}
     html.write_report(out / "report.html", document, curves, rows, sheets)

@@ -95,27 +95,35 @@ class Inference:
 
 
 def cue_picture(name: str, cue: Tensor) -> Tensor:
-    """A cue (H,W), (3,H,W) or labels int (H,W) as an image (3,H,W) to look at.
+    """A cue (H,W), (C,H,W) or labels int (H,W) as an image (3,H,W) to look at.
 
-    Scalar maps are stretched from their least value (black) to their greatest (white),
-    values that are not finite are black; ``layout_labels`` and three potentials get the
-    colours of sky, vertical and horizontal, other neighbouring labels unlike colours. Of
-    any other number of channels the mean is shown.
+    ``layout_labels`` and three potentials named ``layout…`` get the colours of sky, vertical
+    and horizontal, other labels unlike colours where they are neighbours. Of the rest, three
+    channels are red, green and blue, and of any other number the mean is shown; values are
+    stretched from the least (black) to the greatest (white), those that are not finite black.
     """
     if name == "layout_labels":
         return layout_colours(cue)
-    if cue.ndim == 3 and len(cue) == 3:
-        colours = torch.tensor(LAYOUT_COLOURS) / 255
-        return torch.einsum("chw,cd->dhw", cue.clamp(0, 1).float(), colours).clamp(0, 1)
-    if cue.ndim == 3:
-        cue = cue.float().mean(0)
-    if not cue.is_floating_point() and cue.dtype != torch.bool:
-        return _label_colours(cue)
-    values = cue.float()
+    is_label = not cue.is_floating_point() and cue.dtype != torch.bool
+    if cue.ndim == 2:
+        return _label_colours(cue) if is_label else _stretched(cue).expand(3, -1, -1)
+    if len(cue) != 3:
+        return _stretched(cue.float().mean(0)).expand(3, -1, -1)
+    return _potential_colours(cue) if name.startswith("layout") else _stretched(cue)
+
+
+def _stretched(values: Tensor) -> Tensor:
+    """Values of any shape over [0,1], black where they are not finite."""
+    values = values.float()
     is_finite = values.isfinite()
     low, high = values[is_finite].aminmax() if is_finite.any() else values.new_zeros(2)
-    grey = ((values - low) / (high - low).clamp_min(1e-12)).where(is_finite, 0)
-    return grey.expand(3, -1, -1)
+    return ((values - low) / (high - low).clamp_min(1e-12)).where(is_finite, 0)
+
+
+def _potential_colours(potentials: Tensor) -> Tensor:
+    """Potentials (3,H,W) of sky, vertical and horizontal as a mixture of their colours."""
+    colours = torch.tensor(LAYOUT_COLOURS) / 255
+    return torch.einsum("chw,cd->dhw", potentials.clamp(0, 1).float(), colours).clamp(0, 1)
 
 
 def _label_colours(labels: Tensor) -> Tensor:

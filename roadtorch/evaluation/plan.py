@@ -1,14 +1,13 @@
 """What a run compares: detectors by name or wildcard, maps made elsewhere, and the floors."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from fnmatch import filter as matching
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from torch import Tensor
 
-from roadtorch.detectors import detector_entry, list_detectors
-from roadtorch.errors import ConfigError, unknown_name
+from roadtorch.detectors import detector_entry, matching_detectors
+from roadtorch.errors import ConfigError
 from roadtorch.evaluation import floors, maps
 from roadtorch.evaluation.datasets import Dataset, list_datasets, open_dataset
 from roadtorch.evaluation.runner import MEAN_THRESHOLD, Plan, every_kth
@@ -49,6 +48,7 @@ def make_plan(
 def expand_names(names: Sequence[str]) -> list[str]:
     """Detector names with wildcards expanded, each once, in the order given.
 
+    The hundreds of a grid need its family: ``oneclass:*:HS``, see ``matching_detectors``.
     Raises ConfigError for a name or a pattern that fits nothing.
     """
     found: dict[str, None] = {}
@@ -56,9 +56,7 @@ def expand_names(names: Sequence[str]) -> list[str]:
         if name == floors.MEAN:  # the evaluator's own
             continue
         is_pattern = any(letter in name for letter in "*?[")
-        matches = matching(list_detectors(), name) if is_pattern else [detector_entry(name).name]
-        if not matches:
-            raise unknown_name("detector", name, list_detectors())
+        matches = matching_detectors(name) if is_pattern else [detector_entry(name).name]
         found.update(dict.fromkeys(matches))
     return list(found)
 

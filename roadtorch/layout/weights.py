@@ -10,6 +10,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
+import roadtorch
 from roadtorch.errors import ConfigError, WeightsError
 from roadtorch.image import atomic
 from roadtorch.layout.network import PatchNetwork, PatchNetworkSettings
@@ -65,6 +66,11 @@ def load_network(path: str | os.PathLike[str]) -> LayoutNetwork:
         raise WeightsError(path, what, "use the roadtorch that made it") from None
     fill(network, tensors, path)
     return network.eval()
+
+
+def shipped_weights(name: str) -> Path:
+    """The weight file that comes with roadtorch under that name, such as ``cnn-7``."""
+    return Path(roadtorch.__file__).parent / "weights" / f"{name}.safetensors"
 
 
 def read_origin(path: str | os.PathLike[str]) -> dict[str, Any]:

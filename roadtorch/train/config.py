@@ -134,7 +134,12 @@ class Shift(Settings):
 class Teacher(Settings):
     """Where the targets of whole pictures come from."""
 
-    detector: str = Field(default="fusion", description="gives the road, and the layout as its cue")
+    detector: str = Field(
+        default="fusion:untrained", description="gives the road, and the layout as its cue"
+    )
+    weights: str = Field(
+        default="", description="of the teacher's own network; empty: those shipped, if it has one"
+    )
     views: Literal["one", "mirrored", "scaled"] = Field(
         default="one",
         description="the picture alone, the mean with its mirror image, or of both at two sizes",

@@ -4,7 +4,7 @@ import math
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -64,7 +64,8 @@ def load_teachers(teacher: Teacher) -> list[Detector]:
     sizes = [teacher.working.pixels]
     if teacher.views == "scaled":
         sizes.append(teacher.working.pixels // 2)
-    return [load_detector(teacher.detector, working={"pixels": size}) for size in sizes]
+    own: dict[str, Any] = {"weights": {"file": teacher.weights}} if teacher.weights else {}
+    return [load_detector(teacher.detector, working={"pixels": size}, **own) for size in sizes]
 
 
 def teacher_maps(image: Tensor, teachers: Sequence[Detector], views: str = "one") -> Tensor:

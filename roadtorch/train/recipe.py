@@ -117,6 +117,7 @@ class PictureRecipe:
         return {
             "size": [network.height, network.width],
             "detector": teacher.detector,
+            "weights": teacher.weights,
             "views": teacher.views,
             "working": teacher.working.model_dump(),
         }

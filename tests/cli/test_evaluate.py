@@ -408,6 +408,14 @@ def test_wildcards_and_misspelt_names():
         expand_names(["test-oracel"])
 
 
+def test_a_star_leaves_the_one_class_grid_out_and_its_family_brings_it_in():
+    everything, grid, row = map(expand_names, (["*"], ["oneclass:*:*"], ["oneclass:nn:*", "cpf"]))
+
+    assert {"cpf", "fusion", "prior:rows"} <= set(everything)
+    assert not any(name.startswith("oneclass:") for name in everything)
+    assert (len(grid), len(row)) == (310, 20)
+
+
 def test_a_mistake_is_one_line_and_exit_code_2(tmp_path):
     command = [sys.executable, "-m", "roadtorch", "evaluate", "camvid", str(tmp_path)]
     done = subprocess.run([*command, "--detector", "prior:rows"], capture_output=True, text=True)

@@ -103,6 +103,12 @@ def test_cue_pictures() -> None:
     shown = results.cue_picture("layout_labels", torch.tensor([[0, 255]]))
     assert torch.equal(shown[:, 0, 0] * 255, torch.tensor([86.0, 180, 233]))
     assert not shown[:, 0, 1].any()
+    picture = torch.rand(3, 4, 5, generator=torch.Generator().manual_seed(0))
+    low, high = picture.aminmax()
+    shown = results.cue_picture("dictionary", picture * 2 - 1)  # one range for all channels
+    torch.testing.assert_close(shown, (picture - low) / (high - low))
+    shown = results.cue_picture("maps", torch.stack([ramp, -ramp]))
+    assert torch.equal(shown, torch.zeros(3, 3, 4))
     labels = results.cue_picture("segments", torch.arange(30).view(5, 6)).flatten(1)
     assert len({tuple(colour) for colour in labels.T.tolist()}) == 30
 

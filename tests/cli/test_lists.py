@@ -1,5 +1,6 @@
 from roadtorch.color import PLANES, REPRESENTATIONS
-from roadtorch.detectors import list_detectors
+from roadtorch.detectors import detector_groups, list_detectors
+from roadtorch.oneclass import CLASSIFIERS
 from tests.cli.conftest import Call
 
 
@@ -8,8 +9,39 @@ def test_detectors_lists_every_one_with_its_summary(call: Call) -> None:
 
     lines = result.stdout.splitlines()
     assert result.exit_code == 0
-    assert [line.split()[0] for line in lines] == list_detectors()
+    assert [line.split()[0] for line in lines if line[0] != " "] == list(detector_groups())
     assert all(len(line.split()) > 1 for line in lines)
+    assert max(map(len, lines)) <= 100
+
+
+def test_the_one_class_grid_is_listed_by_its_options(call: Call) -> None:
+    text = call("detectors").stdout
+
+    _, *options = text[text.index("oneclass:<classifier>") : text.index("prior:rows")].split(
+        "\n  <"
+    )
+    listed = {first: words for first, *words in map(str.split, options)}
+    assert listed == {"classifier>": [*CLASSIFIERS], "planes>": [*REPRESENTATIONS]}
+    assert "310 detectors, 'oneclass:*' lists them" in " ".join(text.split())
+
+
+def test_wildcards_list_the_detectors_they_fit(call: Call) -> None:
+    every, some = (call("detectors", name).stdout.splitlines() for name in ("oneclass:*", "cpf*"))
+
+    names = [line.split()[0] for line in every if line[0] != " "]
+    assert names == [name for name in list_detectors() if name.startswith("oneclass:")]
+    assert len(names) == 310
+    assert [line.split()[0] for line in some] == ["cpf", "cpf:squares", "cpf:v2"]
+
+
+def test_a_detectors_own_defaults_of_shared_settings_are_told(call: Call) -> None:
+    """Both have the working size as a group, of which one has another default."""
+    found = {}
+    for name in ("cpf", "oneclass:gaussian:HS"):
+        lines = call("detectors", name).stdout.splitlines()
+        found[name] = next(line.split()[2] for line in lines if line.startswith("working.pixels"))
+
+    assert found == {"cpf": "76800", "oneclass:gaussian:HS": "307200"}
 
 
 def test_detectors_name_explains_its_settings(call: Call) -> None:

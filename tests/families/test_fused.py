@@ -1,19 +1,23 @@
 """The fused detector and the labeller as a detector: cues, awkward pictures, settings."""
 
 from functools import cache
+from pathlib import Path
 
 import pytest
 import torch
 from torch import Tensor
 
 from roadtorch.detectors import Detection, load_detector
+from roadtorch.errors import WeightsError
 from roadtorch.fusion import log_odds
 from roadtorch.layout.labeller import HORIZONTAL, label_layout
+from roadtorch.layout.weights import load_network, shipped_weights
 from tests.families.streets import lost_highlights
 
 CUES = {
     "layout",
     "layout_labels",
+    "learned_road",
     "texture",
     "uniformity",
     "fused_plane",
@@ -81,12 +85,76 @@ def test_without_learning_the_map_is_the_weighted_product_of_its_own_cues() -> N
         "weights": {"layout": 0.9, "distance": 1.3, "texture": 0.6},
     }
 
-    found = load_detector("fusion", road=road).detect(street())
+    found = load_detector("fusion:untrained", road=road).detect(street())
 
     cues = found.cues
     odds = 0.5 + 0.3 * log_odds(cues["place"]) + 0.9 * log_odds(cues["layout"][HORIZONTAL])
     odds = odds + 1.3 * log_odds(cues["distance"]) + 0.6 * log_odds(cues["texture"])
     torch.testing.assert_close(found.likelihood, (odds / 2).sigmoid(), atol=1e-4, rtol=0.0)
+
+
+def test_a_network_that_is_not_trusted_changes_nothing() -> None:
+    silent = {"share": 0.0, "learned": {"weight": 0.0, "detail": 0.0}}
+
+    found = load_detector("fusion", **silent).detect(street())
+
+    alone = load_detector("fusion:untrained").detect(street())
+    # Pooling lifts potentials of 0 to one in ten thousand, which log odds notice a little.
+    torch.testing.assert_close(found.likelihood, alone.likelihood, atol=0.02, rtol=0.0)
+    torch.testing.assert_close(found.cues["layout"], alone.cues["layout"], atol=2e-3, rtol=0.0)
+    assert set(found.cues) == {*alone.cues, "learned_road"}
+
+
+def test_what_the_network_has_learned_about_the_road_counts_pixel_by_pixel() -> None:
+    settings = {"learned": {"detail": 0.0}}
+    coarse = load_detector("fusion", **settings).detect(street())
+
+    odds = log_odds(coarse.likelihood) + 0.8 * log_odds(coarse.cues["learned_road"])
+    fine = load_detector("fusion", learned={"detail": 0.8}).detect(street())
+
+    torch.testing.assert_close(fine.likelihood, odds.sigmoid(), atol=2e-4, rtol=0.0)
+
+
+def test_the_paper_multiplies_layout_and_uniformity() -> None:
+    found = load_detector("fusion:paper").detect(street())
+
+    cues = found.cues
+    assert torch.equal(found.likelihood, cues["layout"][HORIZONTAL] * cues["uniformity"])
+    assert torch.equal(
+        cues["layout"], load_detector("layout:cnn-7").detect(street()).cues["layout"]
+    )
+    assert torch.equal(cues["uniformity"], load_detector("cpf").detect(street()).cues["uniformity"])
+
+
+def test_the_layout_is_a_pool_of_two_opinions() -> None:
+    own = load_detector("labeller").detect(street()).cues["layout"]
+    network = load_network(shipped_weights("layout"))
+    learned = network.cues(street())["layout"]
+
+    ends = [load_detector("layout", share=share).detect(street()) for share in (0.0, 1.0)]
+
+    torch.testing.assert_close(ends[0].cues["layout"], own, atol=1e-3, rtol=0.0)
+    torch.testing.assert_close(ends[1].cues["layout"], learned, atol=1e-3, rtol=0.0)
+    middle = load_detector("layout", share=0.7).detect(street()).cues["layout"]
+    logs = 0.3 * own.clamp_min(1e-4).log() + 0.7 * learned.clamp_min(1e-4).log()
+    torch.testing.assert_close(middle, logs.softmax(0), atol=2e-3, rtol=0.0)
+
+
+@pytest.mark.parametrize("name", ["fusion", "fusion:paper", "layout", "layout:cnn-7"])
+def test_the_weights_of_its_network_are_part_of_a_detector(name: str) -> None:
+    assert sum(value.numel() for value in load_detector(name).state_dict().values()) > 1000
+
+
+def test_weights_that_cannot_be_used_are_named(tmp_path: Path) -> None:
+    page = tmp_path / "page.safetensors"
+    page.write_text("<html>404</html>")
+
+    with pytest.raises(WeightsError, match=r"page\.safetensors: is damaged"):
+        load_detector("fusion", weights={"file": str(page)})
+    with pytest.raises(WeightsError, match="holds a network for patches, not for pictures"):
+        load_detector("layout", weights={"file": str(shipped_weights("cnn-7"))})
+    with pytest.raises(WeightsError, match="is not a file"):
+        load_detector("layout:cnn-7", weights={"file": "nowhere.safetensors"})
 
 
 def test_the_labeller_as_a_detector_answers_with_its_ground() -> None:

@@ -1,6 +1,8 @@
 """Every setting of the built-in detectors changes what they find, and wrong ones are refused."""
 
 from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 import torch
@@ -8,6 +10,10 @@ from torch import Tensor
 
 from roadtorch.detectors import load_detector
 from roadtorch.errors import ConfigError
+from roadtorch.layout.network import PatchNetwork
+from roadtorch.layout.picture_network import PictureNetwork
+from roadtorch.layout.weights import save_network
+from roadtorch.oneclass import CLASSIFIERS
 from tests.families.streets import lost_highlights
 
 
@@ -61,6 +67,93 @@ ROAD = {
     "rounds": 1,
 }
 SATURATION = {"dark": 0.5, "bright": 0.6, "least": 0.95}
+UFL: dict[str, dict] = {
+    "seed": DECISION["seed"],
+    "working": {"rows": 40, "widest": 1.0},
+    "smoothing": {"sigma": 2.5, "reach": 1, "light_sigma": 2.0, "light_reach": 1, "target": 1.0},
+    "dictionary": {
+        "side": 5,
+        "contrast": 0.1,
+        "whitening": 1.0,
+        "bases": 15,
+        "rounds": 1,
+        "start": "patches",
+        "random_seed": 1,
+    },
+    "maps": {"encoder": "patch", "row_weights": "from_one", "share": 0.4, "scale": "none"},
+    "tree": {"levels": 5, "top": "left_out", "least": 100},
+    "road": {
+        "weight": 0.5,
+        "rounds": 1,
+        "place": "from_one",
+        "apex": 0.2,
+        "base": 1.0,
+        "centring": "none",
+        "kept": 0.3,
+        "error_range": "everywhere",
+        "model": "best",
+        "whole": "never",
+        "dilation": 5,
+    },
+}
+ONE_CLASS = {  # what all have, shown with one of them
+    "threshold": 0.9,
+    "isolated": "drop",
+    "working": {"pixels": 2000},
+    "samples": {
+        "area": {"height": 240, "width": 40},
+        "reduction": "grid",
+        "segments": 10,
+        "central": "medoid",
+    },
+    "random": 7,
+}
+BOUNDS = {"rejected": 0.5, "hue": "linear"}
+BINS = {**BOUNDS, "bins": 8, "planes": "product"}
+NOISE = {**BINS, "noise": 0.3, "edge": "clip"}
+GAUSSIAN = {**BOUNDS, "ridge": 0.5, "boundary": "chi2"}
+MIXTURE = {**BOUNDS, "components": 3, "restarts": 1, "formula": "paper"}
+CENTRES = {**BOUNDS, "centres": 2, "restarts": 1}
+CLASSIFIER = {
+    "nn:HS": {**BOUNDS, "reading": "ratio"},
+    "hist64_s:HS": BINS,
+    "hist64_sn:HS": NOISE,
+    "hist100_s:HS": BINS,
+    "hist100_sn:HS": NOISE,
+    "gaussian:HS": GAUSSIAN,
+    "robust_gaussian:HS": {**GAUSSIAN, "method": "trim"},
+    "mog2:HS": MIXTURE,
+    "mog4:HS": MIXTURE,
+    "mog_opt:HS": {**MIXTURE, "select": "cv"},
+    "svdd:HS": {**BOUNDS, "sigma": 0.1, "threshold": "quantile"},
+    "pca:HSV": {**BOUNDS, "variance": 0.1, "full": "mean"},
+    "mpm:HS": {**BOUNDS, "kernel": "linear", "sigma": 0.1, "ridge": 1.0},
+    "mst:HS": BOUNDS,
+    "dlp:HS": {**BOUNDS, "dissimilarity": "euclid", "threshold": "quantile"},
+    "kmeans:HS": CENTRES,
+    "kcentres:HS": CENTRES,
+}
+FUSION = {
+    **DECISION,
+    "superpixels": CUT,
+    "labeller": LABELLER,
+    "texture": TEXTURE,
+    "saturation": SATURATION,
+    "road": ROAD,
+}
+WEIGHTS = TemporaryDirectory()
+
+
+def other_weights(kind: type[PatchNetwork] | type[PictureNetwork]) -> str:
+    """A file with weights that nobody trained."""
+    path = Path(WEIGHTS.name) / f"{kind.kind}.safetensors"
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        save_network(path, kind(), {})
+    return str(path)
+
+
+SHOWS_ALL = "oneclass:mog2:HS"
 CHANGES: dict[str, dict] = {
     "cpf": {**DECISION, "superpixels": CUT, "texture": TEXTURE},
     "cpf:v2": {**DECISION, "superpixels": CUT, "texture": TEXTURE, "saturation": SATURATION},
@@ -68,15 +161,50 @@ CHANGES: dict[str, dict] = {
     "grey-uniformity": {**DECISION, "superpixels": CUT, "bins": 8, "even": 0.9},
     "lbp": {**DECISION, "superpixels": CUT, "patterns": "smallest"},
     "labeller": {**DECISION, "superpixels": CUT, "labeller": LABELLER},
-    "fusion": {
+    "layout": {
         **DECISION,
         "superpixels": CUT,
         "labeller": LABELLER,
-        "texture": TEXTURE,
-        "saturation": SATURATION,
-        "road": ROAD,
+        "weights": {"file": other_weights(PictureNetwork)},
+        "share": 0.1,
     },
+    "layout:cnn-7": {**DECISION, "weights": {"file": other_weights(PatchNetwork)}},
+    "fusion:untrained": FUSION,
+    "fusion": {
+        **FUSION,
+        "weights": {"file": other_weights(PictureNetwork)},
+        "share": 0.1,
+        "learned": {"weight": 4.0, "detail": 4.0},
+    },
+    "fusion:paper": {
+        **DECISION,
+        "superpixels": CUT,
+        "weights": {"file": other_weights(PatchNetwork)},
+        "texture": TEXTURE,
+    },
+    "ufl": {**UFL, "threshold": 0.9, "isolated": "keep", "tree": UFL["tree"] | {"nodes": "runs"}},
+    "ufl:original": {
+        **UFL,
+        "threshold": 0.9,
+        "isolated": "drop",
+        "tree": UFL["tree"] | {"nodes": "regions"},
+    },
+    **{f"oneclass:{name}": {"classifier": own} for name, own in CLASSIFIER.items()},
 }
+CHANGES[SHOWS_ALL] |= ONE_CLASS
+QUICK: dict[str, dict] = {"working": {"rows": 48}, "dictionary": {"bases": 20, "rounds": 3}}
+USUAL = {"ufl": QUICK, "ufl:original": QUICK, "oneclass:mog_opt:HS": {}, "oneclass:dlp:HS": {}}
+"""What is set throughout, to be quick."""
+NEEDS: dict[str, dict] = {
+    "seed": {"isolated": "drop"},
+    "tree.top": {"tree": {"least": 1}},
+    "road.apex": {"road": {"place": "ahead"}},
+    "road.base": {"road": {"place": "ahead"}},
+    "road.whole": {"tree": {"nodes": "runs", "least": 1000}},
+    "classifier.restarts": {"classifier": {"select": "aic"}},
+    "classifier.threshold": {"classifier": {"rejected": 0.3}},
+}
+"""What else has to be set for a setting to matter, in the detectors of ``USUAL``."""
 
 
 def leaves(tree: dict, path: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], object]]:
@@ -95,6 +223,16 @@ def nested(path: tuple[str, ...], value: object) -> dict:
     return value
 
 
+def merged(*trees: dict) -> dict:
+    """Nested settings, later ones over earlier ones."""
+    found: dict = {}
+    for tree in trees:
+        for key, value in tree.items():
+            is_group = isinstance(value, dict)
+            found[key] = merged(found.get(key, {}), value) if is_group else value
+    return found
+
+
 EACH = [(name, path, value) for name, tree in CHANGES.items() for path, value in leaves(tree)]
 
 
@@ -105,39 +243,50 @@ def pictures() -> tuple[Tensor, ...]:
     return street(), *(block.repeat_interleave(8, 1).repeat_interleave(8, 2) for block in blocks)
 
 
-@cache
-def thresholds(name: str, number: int) -> tuple[float, ...]:
-    """Thresholds under which a detector finds little, some and much road."""
-    shares = torch.tensor([0.2, 0.5, 0.7, 0.85, 0.95])
-    return tuple(
-        load_detector(name).detect(pictures()[number]).likelihood.quantile(shares).tolist()
-    )
-
-
 def maps(name: str, number: int, values: dict) -> list[Tensor]:
     found = load_detector(name, **values).detect(pictures()[number])
     return [found.likelihood, found.mask, *found.cues.values()]
 
 
+def need_of(name: str, path: tuple[str, ...]) -> str:
+    """The key of ``NEEDS`` that a setting falls under; "" where it needs nothing."""
+    keys = (key for key in NEEDS if ".".join(path).startswith(key))
+    return next(keys, "") if name in USUAL else ""
+
+
+def usual_settings(name: str, need: str) -> dict:
+    return merged(USUAL.get(name, {}), NEEDS.get(need, {}))
+
+
 @cache
-def usual(name: str, number: int, threshold: float) -> list[Tensor]:
-    return maps(name, number, {"threshold": threshold})
+def thresholds(name: str, number: int, need: str) -> tuple[float, ...]:
+    """Thresholds under which a detector finds little, some and much road."""
+    likelihood = maps(name, number, usual_settings(name, need))[0]
+    return tuple(likelihood.quantile(torch.tensor([0.2, 0.5, 0.7, 0.85, 0.95])).tolist())
+
+
+@cache
+def usual(name: str, number: int, need: str, threshold: float) -> list[Tensor]:
+    return maps(name, number, usual_settings(name, need) | {"threshold": threshold})
 
 
 @pytest.mark.parametrize(
     ("name", "path", "value"), EACH, ids=[f"{name} {'.'.join(path)}" for name, path, _ in EACH]
 )
 def test_every_setting_reaches_the_result(name: str, path: tuple[str, ...], value: object) -> None:
+    need = need_of(name, path)
+
     def changes(number: int, threshold: float) -> bool:
-        before = usual(name, number, threshold)
-        after = maps(name, number, {"threshold": threshold, **nested(path, value)})
+        before = usual(name, number, need, threshold)
+        settings = usual_settings(name, need) | {"threshold": threshold}
+        after = maps(name, number, merged(settings, nested(path, value)))
         return not all(torch.equal(one, two) for one, two in zip(before, after, strict=True))
 
     # What the mask alone depends on (isolated, seed) shows where there are several regions.
     assert any(
         changes(number, threshold)
         for number in range(len(pictures()))
-        for threshold in thresholds(name, number)
+        for threshold in thresholds(name, number, need)
     )
 
 
@@ -145,7 +294,12 @@ def test_every_setting_reaches_the_result(name: str, path: tuple[str, ...], valu
 def test_no_setting_is_left_out_above(name: str) -> None:
     every = {path for path, _ in leaves(load_detector(name).settings.model_dump())}
 
-    assert {path for path, _ in leaves(CHANGES[name])} == every
+    shared = ONE_CLASS if name.startswith("oneclass:") else {}
+    assert {path for path, _ in leaves(CHANGES[name] | shared)} == every
+
+
+def test_every_kind_of_one_class_classifier_is_above() -> None:
+    assert [name.split(":")[0] for name in CLASSIFIER] == list(CLASSIFIERS)
 
 
 @pytest.mark.parametrize(
@@ -159,6 +313,11 @@ def test_no_setting_is_left_out_above(name: str) -> None:
         ("cpf:squares", ("square",), 1),
         ("lbp", ("patterns",), "round"),
         ("grey-uniformity", ("even",), 0.0),
+        ("oneclass:nn:HS", ("classifier", "reading"), "near"),
+        ("oneclass:mog2:HS", ("classifier", "components"), 0),
+        ("oneclass:svdd:HS", ("classifier", "sigma"), 0.0),
+        ("oneclass:svdd:HS", ("samples", "area", "width"), 641),
+        ("oneclass:gaussian:HS", ("random",), -1),
     ],
 )
 def test_settings_out_of_range_are_refused_by_their_full_name(

@@ -1,0 +1,49 @@
+"""One-class colour classification (P3): what road looks like, learned from one picture.
+
+from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
+
+fitted = fit(CLASSIFIERS["robust_gaussian"], samples, axes_of(("H", "S")))
+fitted.likelihood(pixels)
+"""
+
+from roadtorch.oneclass import boundary, density, histogram, mixture, neighbours, reconstruction
+from roadtorch.oneclass.axes import Axes, axes_of
+from roadtorch.oneclass.base import (
+    Classifier,
+    ClassifierSettings,
+    Fitted,
+    fit,
+    load,
+    restored,
+    save,
+)
+
+CLASSIFIERS: dict[str, Classifier] = {
+    classifier.name: classifier
+    for classifier in (
+        neighbours.NN,
+        *histogram.CLASSIFIERS,
+        *density.CLASSIFIERS,
+        *mixture.CLASSIFIERS,
+        boundary.SVDD,
+        *reconstruction.CLASSIFIERS[:1],
+        boundary.MPM,
+        neighbours.MST,
+        boundary.DLP,
+        *reconstruction.CLASSIFIERS[1:],
+    )
+}
+"""The 17 classifiers of P3 by name, in the order of its Table III."""
+
+__all__ = [
+    "CLASSIFIERS",
+    "Axes",
+    "Classifier",
+    "ClassifierSettings",
+    "Fitted",
+    "axes_of",
+    "fit",
+    "load",
+    "restored",
+    "save",
+]

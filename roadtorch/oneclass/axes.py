@@ -1,0 +1,134 @@
+"""What the columns of samples and pixels are, and hue as a circle.
+
+P3 mentions circular distances as a possibility and does not say what it did. Here hue
+becomes an ordinary number (or two) before any classifier sees it, so that all of them can
+have it as a circle.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from roadtorch.color import PLANES
+from roadtorch.errors import unknown_name
+
+Hue = Literal["unrolled", "linear", "chord"]
+"""``unrolled``: distance along the circle from the mean hue of the samples, exact for
+everything within half a turn of it. ``linear``: the number as it is, cut at red, which is
+what P3's column H suggests. ``chord``: a point on a circle of circumference 1, two axes."""
+
+FAINT = 1e-6
+"""Below this length of their mean vector hues have no mean, and 0 is taken."""
+
+
+@dataclass(frozen=True)
+class Axes:
+    """What the columns of samples and pixels are.
+
+    names: one for each. low, high: their bounds. circular: whether high is the same as low.
+    """
+
+    names: tuple[str, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    circular: tuple[bool, ...]
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return len(self.names)
+
+    @property
+    def span(self) -> Tensor:
+        """high - low, float64 (d,)."""
+        high, low = (torch.tensor(bound, dtype=torch.float64) for bound in (self.high, self.low))
+        return high - low
+
+    @property
+    def quantum(self) -> Tensor:
+        """The smallest step that means something, a 255th of the span: float64 (d,)."""
+        return self.span / 255
+
+
+def axes_of(planes: Sequence[str]) -> Axes:
+    """The axes of colour planes by name; ConfigError for a name that is none."""
+    for name in planes:
+        if name not in PLANES:
+            raise unknown_name("plane", name, PLANES)
+    chosen = [PLANES[name] for name in planes]
+    return Axes(
+        tuple(planes),
+        tuple(float(plane.low) for plane in chosen),
+        tuple(float(plane.high) for plane in chosen),
+        tuple(plane.circular for plane in chosen),
+    )
+
+
+def circular_mean(hues: Tensor, weights: Tensor | None = None) -> Tensor:
+    """The mean direction of hues (m,) in turns, in [0,1), by weights (m,) ≥ 0 if given.
+
+    0 where the directions cancel. Where all weights are 0 they do not count.
+    """
+    if weights is None or not float(weights.sum()) > 0:
+        weights = torch.ones_like(hues)
+    angle = 2 * math.pi * hues.double()
+    share = weights.double() / weights.double().sum()
+    sine, cosine = (share * angle.sin()).sum(), (share * angle.cos()).sum()
+    mean = torch.atan2(sine, cosine) / (2 * math.pi)
+    mean = torch.where(torch.hypot(sine, cosine) < FAINT, 0, mean)
+    mean = mean.remainder(1).to(hues.dtype)
+    return torch.where(mean < 1, mean, 0)  # a tiny negative one is rounded to a whole turn
+
+
+def mean_hues(planes: Tensor, axes: Axes) -> Tensor:
+    """For each plane of (d,m) its circular mean, weighted by saturation; 0 if not circular."""
+    weights = planes[axes.names.index("S")].clamp_min(0) if "S" in axes.names else None
+    pairs = zip(planes, axes.circular, strict=True)
+    means = [circular_mean(row, weights) if round_ else row.new_zeros(()) for row, round_ in pairs]
+    return torch.stack(means)
+
+
+def unrolled(hues: Tensor, mean: Tensor | float) -> Tensor:
+    """Hues in turns as their distance along the circle from a mean: -0.5 to 0.5."""
+    away = hues - mean
+    return away.sub_((away + 0.5).floor_())  # several times faster than a remainder
+
+
+def arranged(planes: Tensor, axes: Axes, hue: Hue, means: Tensor) -> Tensor:
+    """Planes (d,n) as the classifiers see them: (d',n), hue by one of three readings.
+
+    means: (d,), those of ``mean_hues``. d' = d + 1 for the chord of one hue, else d.
+    """
+    if hue == "linear" or not any(axes.circular):
+        return planes
+    rows: list[Tensor] = []
+    for row, mean, circular in zip(planes, means, axes.circular, strict=True):
+        if not circular:
+            rows.append(row)
+        elif hue == "unrolled":
+            rows.append(unrolled(row, mean))
+        else:
+            angle = 2 * math.pi * row
+            rows += [angle.cos() / (2 * math.pi), angle.sin() / (2 * math.pi)]
+    return torch.stack(rows)
+
+
+def arranged_axes(axes: Axes, hue: Hue) -> Axes:
+    """The axes of arranged planes."""
+    radius = 1 / (2 * math.pi)
+    columns: list[tuple[str, float, float, bool]] = []
+    for name, low, high, circular in zip(
+        axes.names, axes.low, axes.high, axes.circular, strict=True
+    ):
+        if not circular or hue == "linear":
+            columns.append((name, low, high, circular))
+        elif hue == "unrolled":
+            columns.append((name, -0.5, 0.5, True))
+        else:
+            columns += [(f"cos {name}", -radius, radius, False)]
+            columns += [(f"sin {name}", -radius, radius, False)]
+    names, low, high, circular = zip(*columns, strict=True)
+    return Axes(names, low, high, circular)

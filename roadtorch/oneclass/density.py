@@ -1,0 +1,270 @@
+"""One-class classifiers by density: the Gaussian and the robust Gaussian (P3).
+
+Fits are in float64, whatever the samples; pixels are scored in float32.
+"""
+
+import math
+from typing import Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from roadtorch.oneclass.axes import Axes
+from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, State
+
+STEPS = 50
+"""Rounds of reweighting at most."""
+
+STARTS = 30
+"""Random starts of the least determinant."""
+
+SETTLED = 1e-7
+"""Reweighting ends when the mean moves by less than this share of a plane's span."""
+
+
+# --- one Gaussian -----------------------------------------------------------------------
+
+
+class GaussianSettings(ClassifierSettings):
+    """A single Gaussian."""
+
+    ridge: float = Field(
+        default=1e-3, ge=0, le=1, description="share of the mean variance mixed into the covariance"
+    )
+    boundary: Literal["quantile", "chi2"] = Field(
+        default="quantile",
+        description="threshold from the samples' distances, or from what a Gaussian would reject",
+    )
+
+
+def floor_of(axes: Axes) -> Tensor:
+    """The variance that rounding to 256 levels alone causes, quantum²/12: float64 (d,).
+
+    Added to covariances, so that constant planes give a finite, ordered distance.
+    """
+    return axes.quantum.square() / 12
+
+
+def moments(samples: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Mean (d,) and covariance (d,d) of samples (m,d), divisor m-1 (0 for one sample).
+
+    With weights w (m,): Σwx/Σw, and the covariance Σw²(x-mean)(x-mean)ᵀ/Σw² about it.
+    """
+    if weights is None:
+        mean = samples.mean(0)
+        centred = samples - mean
+        return mean, centred.T @ centred / max(1, len(samples) - 1)
+    mean = weights @ samples / weights.sum()
+    centred = weights[:, None] * (samples - mean)
+    return mean, centred.T @ centred / weights.square().sum()
+
+
+def regularised(covariance: Tensor, ridge: float, floor: Tensor) -> Tensor:
+    """(1-r)Σ + r·(tr Σ/d)·I + diag(floor): what dd_tools does, and a floor of variance."""
+    dimensions = len(covariance)
+    mean_variance = covariance.diagonal().sum() / dimensions
+    ridged = (1 - ridge) * covariance + ridge * mean_variance * torch.eye(dimensions).to(covariance)
+    return ridged + torch.diag(floor)
+
+
+def whitening(covariance: Tensor) -> Tensor:
+    """W (…,d,d) with Wᵀ W = Σ⁻¹, so that |W(x-mean)| is the Mahalanobis distance."""
+    root = torch.linalg.cholesky(covariance)
+    identity = torch.eye(root.shape[-1]).to(root).expand_as(root)
+    return torch.linalg.solve_triangular(root, identity, upper=False)
+
+
+def chi_quantile(share: float, dimensions: int) -> float:
+    """The Mahalanobis distance within which a Gaussian has that share of its samples."""
+    from scipy.special import gammaincinv  # scipy.stats has chi2, and is slow to import
+
+    # Half of the squared distance has a gamma distribution.
+    return float(2 * gammaincinv(dimensions / 2, share)) ** 0.5
+
+
+def mahalanobis(samples: Tensor, mean: Tensor, covariance: Tensor) -> Tensor:
+    """√((x-mean)ᵀ Σ⁻¹ (x-mean)) of samples (m,d): (m,)."""
+    return ((samples - mean) @ whitening(covariance).T).norm(dim=1)
+
+
+def _gaussian(mean: Tensor, inverse_root: Tensor, settings: GaussianSettings) -> Learned:
+    offset = -inverse_root @ mean
+    state = {"mean": mean, "whitening": inverse_root, "offset": offset[:, None]}
+    threshold = None
+    if settings.boundary == "chi2" and settings.rejected > 0:
+        threshold = chi_quantile(1 - settings.rejected, len(mean))
+    state = {name: value.float() for name, value in state.items()}
+    return Learned(state, 4 * len(mean), threshold=threshold)
+
+
+def _fit_gaussian(
+    samples: Tensor, axes: Axes, settings: GaussianSettings, generator: torch.Generator
+) -> Learned:
+    mean, covariance = moments(samples)
+    covariance = regularised(covariance, settings.ridge, floor_of(axes))
+    return _gaussian(mean, whitening(covariance), settings)
+
+
+def length_of(planes: Tensor) -> Tensor:
+    """The Euclidean length of each column of planes (d,n): (n,). Overwrites the planes.
+
+    Plane by plane, which is ten times as fast as a norm along the first axis.
+    """
+    total = planes[0].square_()
+    for plane in planes[1:]:
+        total.addcmul_(plane, plane)
+    return total.sqrt_()
+
+
+def gaussian_distance(state: State, pixels: Tensor) -> Tensor:
+    """The Mahalanobis distance of pixels (d,n): (n,), float32.
+
+    P3 announces the density G(x, μ, σ) and writes down (x-μ)ᵀΣ⁻¹(x-μ); both rank alike.
+    """
+    if len(pixels) == 1:
+        return (pixels[0] - state["mean"]).mul_(state["whitening"][0]).abs_()
+    return length_of(torch.addmm(state["offset"], state["whitening"], pixels))
+
+
+# --- robust Gaussian --------------------------------------------------------------------
+
+
+class RobustSettings(GaussianSettings):
+    """A Gaussian that outliers among the samples move little."""
+
+    method: Literal["reweighted", "huber", "trim", "mcd", "tyler", "tyler-vtv"] = Field(
+        default="reweighted",
+        description="how far samples lose weight: by their distance to the power of 1.5, or of 1 "
+        "(huber); trim and mcd leave the farthest out; tyler is what the toolbox "
+        "dd_tools has, tyler-vtv with its mistake in more than one plane",
+    )
+
+
+def reweighted(
+    samples: Tensor, axes: Axes, settings: GaussianSettings, power: float
+) -> tuple[Tensor, Tensor]:
+    """Mean and covariance with weights w = min(1, (c/D)^power), c² = χ²_d(1-rejected).
+
+    P3: samples "weighted according to their proximity to the mean", "rejecting 2.5 %"; so
+    c is where a Gaussian has 2.5 % outside. D is the Mahalanobis distance, the covariance has
+    weights w². Power 1 is Huber's: far samples never lose all of their pull on the covariance,
+    and 10 % of them are too many in three planes. Power 1.5 (ours) lets go of them, and of
+    clean samples it says what the plain Gaussian says within 0.3 points of AUC. Starts at the
+    median with the median absolute deviations, which few outliers change.
+    """
+    reach = chi_quantile(1 - max(settings.rejected, 1e-6), len(axes))
+    floor, limit = floor_of(axes), SETTLED * axes.span
+    mean = samples.median(0).values
+    spread = 1.4826 * (samples - mean).abs().median(0).values
+    covariance = torch.diag(spread.square() + floor)
+    for _ in range(STEPS):
+        distances = mahalanobis(samples, mean, covariance)
+        weights = (reach / distances.clamp_min(reach)) ** power
+        before = mean
+        mean, covariance = moments(samples, weights)
+        covariance = regularised(covariance, settings.ridge, floor)
+        if bool(((mean - before).abs() <= limit).all()):
+            break
+    return mean, covariance
+
+
+def concentrated(
+    samples: Tensor, axes: Axes, settings: GaussianSettings, start: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Mean and covariance of the nearest (1-rejected) of the samples, until they stay the same.
+
+    start: int64 (k,), the samples of the first estimate. The C-steps of Rousseeuw and Van
+    Driessen 1999: each lowers the determinant.
+    """
+    count = max(1, len(samples) - math.floor(settings.rejected * len(samples) + 0.5))
+    kept, floor = start, floor_of(axes)
+    for _ in range(STEPS):
+        mean, covariance = moments(samples[kept])
+        covariance = regularised(covariance, settings.ridge, floor)
+        nearest = mahalanobis(samples, mean, covariance).argsort(stable=True)[:count].sort().values
+        if torch.equal(nearest, kept):
+            break
+        kept = nearest
+    mean, covariance = moments(samples[kept])
+    return mean, regularised(covariance, settings.ridge, floor)
+
+
+def least_determinant(
+    samples: Tensor, axes: Axes, settings: GaussianSettings, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """FAST-MCD: the best of ``STARTS`` concentrations from d+1 samples each, and the plain one."""
+    count = min(len(samples), len(axes) + 1)
+    everything = torch.arange(len(samples))
+    draws = [torch.randperm(len(samples), generator=generator)[:count] for _ in range(STARTS)]
+    found = [concentrated(samples, axes, settings, start) for start in (everything, *draws)]
+    return min(found, key=lambda pair: float(torch.logdet(pair[1])))
+
+
+def tyler(samples: Tensor, axes: Axes, settings: GaussianSettings) -> tuple[Tensor, Tensor]:
+    """The mean t and a matrix V of the toolbox dd_tools, after Huber 1981, p. 238.
+
+    z = (y-t)V has Σ zzᵀ/|z|² = I·Σ 1/|z|², and Σ (y-t)/√|z| = 0; so V Vᵀ is the inverse
+    covariance. Samples at t would weigh infinitely; here |z|² ≥ 10⁻⁹.
+    """
+    mean, covariance = moments(samples)
+    factor = whitening(regularised(covariance, settings.ridge, floor_of(axes))).T
+    for _ in range(10 * STEPS):
+        seen = (samples - mean) @ factor
+        weights = 1 / seen.square().sum(1).clamp_min(1e-9)
+        scatter = seen.T @ (weights[:, None] * seen) / weights.sum()
+        tiny = 1e-9 * scatter.diagonal().mean().clamp_min(1e-9)
+        root = whitening(scatter + tiny * torch.eye(len(mean)).to(scatter)).T
+        nearness = weights.sqrt().sqrt()
+        shift = nearness @ (samples - mean) / nearness.sum()
+        change = (root - torch.eye(len(mean)).to(root)).abs().max()
+        moved = (shift @ factor).abs().max()
+        mean, factor = mean + shift, factor @ root
+        if float(change) < 1e-3 and float(moved) < 1e-3:
+            break
+    return mean, factor
+
+
+def _tyler_covariance(
+    samples: Tensor, axes: Axes, settings: RobustSettings
+) -> tuple[Tensor, Tensor]:
+    """Tyler's mean and covariance; tyler-vtv takes VᵀV for its inverse, as dd_tools does.
+
+    In more than one plane that is a mistake; it costs 7 points in RGB and may be why P3's
+    robust Gaussian has 79.1 in HSV where the plain one has 91.6.
+    """
+    mean, factor = tyler(samples, axes, settings)
+    inverse = factor.T @ factor if settings.method == "tyler-vtv" else factor @ factor.T
+    return mean, torch.linalg.inv(inverse) + torch.diag(floor_of(axes))
+
+
+def _fit_robust(
+    samples: Tensor, axes: Axes, settings: RobustSettings, generator: torch.Generator
+) -> Learned:
+    match settings.method:
+        case "reweighted":
+            mean, covariance = reweighted(samples, axes, settings, power=1.5)
+        case "huber":
+            mean, covariance = reweighted(samples, axes, settings, power=1)
+        case "trim":
+            everything = torch.arange(len(samples))
+            mean, covariance = concentrated(samples, axes, settings, everything)
+        case "mcd":
+            mean, covariance = least_determinant(samples, axes, settings, generator)
+        case "tyler" | "tyler-vtv":
+            mean, covariance = _tyler_covariance(samples, axes, settings)
+    return _gaussian(mean, whitening(covariance), settings)
+
+
+GAUSSIAN = Classifier(
+    "gaussian", "Mahalanobis distance", GaussianSettings, _fit_gaussian, gaussian_distance
+)
+ROBUST_GAUSSIAN = Classifier(
+    "robust_gaussian",
+    "Mahalanobis distance with outliers weighed down",
+    RobustSettings,
+    _fit_robust,
+    gaussian_distance,
+)
+CLASSIFIERS: tuple[Classifier, ...] = (GAUSSIAN, ROBUST_GAUSSIAN)
+"""The single Gaussians of P3."""

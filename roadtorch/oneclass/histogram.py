@@ -1,0 +1,153 @@
+"""The model-based classifiers: normalised histograms of the samples (P3, section III-B).
+
+With 64 or 100 bins per plane, from the samples (S) or from samples and a noisy copy (S&N).
+"""
+
+import math
+from typing import Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from roadtorch.errors import ConfigError
+from roadtorch.oneclass.axes import Axes
+from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, State
+
+MOST_BINS = 1 << 25
+"""Of a joint histogram: 134 MB."""
+
+NOISE = 30 / 256
+"""P3, section V: standard deviation of the noise, in spans of the plane."""
+
+
+class HistogramSettings(ClassifierSettings):
+    """Model-based classifier: the normalised histogram of the samples."""
+
+    bins: int = Field(default=64, ge=2, le=4096, description="bins per plane over its whole range")
+    planes: Literal["joint", "product"] = Field(
+        default="joint",
+        description="one histogram over all planes, or the product of one for each (which P3 "
+        "suggests but did not do)",
+    )
+
+
+class NoisyHistogramSettings(HistogramSettings):
+    """The same from the samples and a noisy copy (S&N)."""
+
+    noise: float = Field(
+        default=NOISE,
+        ge=0,
+        le=1,
+        description="standard deviation of the noise on a second copy of the samples, in ranges "
+        "of the plane; 0: no second copy",
+    )
+    edge: Literal["drop", "clip"] = Field(
+        default="drop", description="what becomes of noisy samples beyond the plane's range"
+    )
+
+
+class FineHistogramSettings(HistogramSettings):
+    """The same with 100 bins."""
+
+    bins: int = Field(default=100, ge=2, le=4096, description="bins per plane over its range")
+
+
+class FineNoisyHistogramSettings(NoisyHistogramSettings):
+    """The same with 100 bins from the samples and a noisy copy (S&N)."""
+
+    bins: int = Field(default=100, ge=2, le=4096, description="bins per plane over its range")
+
+
+def with_noisy_copy(
+    samples: Tensor,
+    axes: Axes,
+    deviation: float,
+    edge: Literal["drop", "clip"],
+    generator: torch.Generator,
+) -> Tensor:
+    """Samples (m,d) and a copy with Gaussian noise (P3, "S&N"): (m',d), m ≤ m' ≤ 2m.
+
+    deviation: in spans of each axis. Circular axes wrap; elsewhere noisy samples that leave
+    the range are dropped or clipped.
+    """
+    low = torch.tensor(axes.low, dtype=samples.dtype)
+    span = axes.span.to(samples.dtype)
+    noise = torch.randn(samples.shape, generator=generator, dtype=samples.dtype)
+    noisy = samples + noise * (deviation * span)
+    wraps = torch.tensor(axes.circular)
+    noisy = torch.where(wraps, (noisy - low).remainder(span) + low, noisy)
+    if edge == "drop":
+        noisy = noisy[((noisy >= low) & (noisy <= low + span)).all(1)]
+    return torch.cat([samples, noisy])
+
+
+def bin_of(planes: Tensor, low: Tensor, scale: Tensor, bins: int) -> Tensor:
+    """The bin of each value of planes (d,n): int32 (d,n) in 0…bins-1, outside clamped.
+
+    scale: bins per unit, (d,).
+    """
+    places = (planes - low[:, None]).mul_(scale[:, None])
+    return places.clamp_(0, bins - 1).to(torch.int32)
+
+
+def _flat(bin_numbers: Tensor, bins: int) -> Tensor:
+    """One number for bins (d,n) of a joint histogram: int64 (n,), the first plane slowest."""
+    index = bin_numbers[0].long()
+    for row in bin_numbers[1:]:
+        index = index.mul_(bins).add_(row)
+    return index
+
+
+def _fit_histogram(
+    samples: Tensor, axes: Axes, settings: HistogramSettings, generator: torch.Generator
+) -> Learned:
+    bins, dimensions = settings.bins, len(axes)
+    if isinstance(settings, NoisyHistogramSettings) and settings.noise > 0:
+        samples = with_noisy_copy(samples, axes, settings.noise, settings.edge, generator)
+    low, scale = torch.tensor(axes.low), (bins / axes.span).float()
+    numbers = bin_of(samples.T.float(), low, scale, bins)
+    if settings.planes == "joint" and bins**dimensions > MOST_BINS:
+        what = f"{bins} bins in {dimensions} dimensions are too many"
+        raise ConfigError("bins", what, 'use fewer, or planes="product"')
+    if settings.planes == "joint":
+        numbers = _flat(numbers, bins)[None]
+    size = bins**dimensions if settings.planes == "joint" else bins
+    tables = torch.stack([_surprise(row, size) for row in numbers])
+    state = {"low": low, "scale": scale, "tables": tables, "bins": torch.tensor(bins)}
+    return Learned(state, 4 * dimensions + 4)
+
+
+def _surprise(numbers: Tensor, size: int) -> Tensor:
+    """2 ln(peak / p) of each of ``size`` bins, float32; infinite for empty ones."""
+    table = torch.full((size,), math.inf)
+    places, counts = numbers.long().unique(return_counts=True)
+    table[places] = (2 * (counts.max() / counts).double().log()).float()
+    return table
+
+
+def histogram_distance(state: State, pixels: Tensor) -> Tensor:
+    """√(2 ln(peak/p)) with p the histogram's share of the pixel's bin: L = p(x) in P3.
+
+    Infinite in empty bins. state: tables float32 (1, bins^d) of the joint histogram, or
+    (d, bins) of one for each plane, with low and scale (d,). Pixels (d,n) to (n,).
+    """
+    tables, bins = state["tables"], int(state["bins"])
+    numbers = bin_of(pixels, state["low"], state["scale"], bins)
+    if len(tables) == 1:
+        return tables[0][_flat(numbers, bins)].sqrt_()
+    pairs = zip(tables, numbers, strict=True)
+    return torch.stack([table[row.long()] for table, row in pairs]).sum(0).sqrt_()
+
+
+def _histogram(name: str, summary: str, settings: type[HistogramSettings]) -> Classifier:
+    return Classifier(name, summary, settings, _fit_histogram, histogram_distance)
+
+
+CLASSIFIERS: tuple[Classifier, ...] = (
+    _histogram("hist64_s", "histogram of 64 bins", HistogramSettings),
+    _histogram("hist64_sn", "histogram of 64 bins, with noise", NoisyHistogramSettings),
+    _histogram("hist100_s", "histogram of 100 bins", FineHistogramSettings),
+    _histogram("hist100_sn", "histogram of 100 bins, with noise", FineNoisyHistogramSettings),
+)
+"""The four model-based classifiers of P3."""

@@ -1,0 +1,193 @@
+"""One-class classifiers of the samples as they lie: nearest neighbour, spanning tree (P3).
+
+Distances are taken from differences, coordinate by coordinate: a pixel that equals a sample
+has distance 0, and near pixels keep all their digits, both of which |x|² - 2xy + |y|² loses
+in single precision. With two or three coordinates it is the faster way as well.
+"""
+
+from typing import Literal
+
+import numpy as np
+import torch
+from pydantic import Field
+from scipy.sparse.csgraph import minimum_spanning_tree
+from torch import Tensor
+
+from roadtorch.errors import InputError
+from roadtorch.oneclass.axes import Axes
+from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, State
+
+MOST = 4096
+"""Distinct samples of which a square matrix is made: 134 MB in double precision."""
+
+
+def squared_distances(planes: Tensor, points: Tensor) -> Tensor:
+    """|x - y|² between pixels x, planes (d,n), and points y (m,d): (m,n), in the points' type."""
+    planes = planes.to(points.dtype)
+    total = (planes[0] - points[:, :1]).square_()
+    for axis in range(1, len(planes)):
+        difference = planes[axis] - points[:, axis : axis + 1]
+        total.addcmul_(difference, difference)
+    return total
+
+
+def nearest_squared_distance(planes: Tensor, points: Tensor) -> Tensor:
+    """min_j |x - y_j|² from pixels x, planes (d,n), to points y (m,d): (n,)."""
+    return squared_distances(planes, points).amin(0)
+
+
+def distinct(samples: Tensor) -> tuple[Tensor, Tensor]:
+    """The different rows of samples (m,d), sorted, and how often each occurs (k,)."""
+    points, counts = samples.unique(dim=0, return_counts=True)
+    return points, counts
+
+
+def few_distinct(name: str, samples: Tensor, most: int = MOST) -> tuple[Tensor, Tensor]:
+    """As ``distinct``; InputError where a square matrix of them would be too large."""
+    points, counts = distinct(samples)
+    if len(points) > most:
+        what = f"has {len(points)} different samples, more than {most}"
+        remedy = "take one sample per superpixel, or planes of fewer levels"
+        raise InputError(name, what, remedy)
+    return points, counts
+
+
+# --- nearest neighbour ------------------------------------------------------------------
+
+
+class NearestSettings(ClassifierSettings):
+    """Nearest neighbour."""
+
+    reading: Literal["distance", "ratio"] = Field(
+        default="distance",
+        description="distance to the nearest sample (P3), or that over the distance from there "
+        "to the next sample (the toolbox dd_tools)",
+    )
+
+
+def nearest_on_line(points: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
+    """|x - y| to the nearest of points y (m,), sorted, and which it is; values x (n,)."""
+    above = torch.searchsorted(points, values).clamp_(max=len(points) - 1)
+    below = (above - 1).clamp_(min=0)
+    up, down = (points[above] - values).abs_(), (values - points[below]).abs_()
+    return torch.minimum(up, down), torch.where(up < down, above, below)
+
+
+def _fit_nearest(
+    samples: Tensor, axes: Axes, settings: NearestSettings, generator: torch.Generator
+) -> Learned:
+    from scipy.spatial import KDTree  # slow to import, and most others do without
+
+    points, counts = distinct(samples)
+    floats = 8 if len(axes) == 1 else len(points)
+    state = {"points": points.float()}
+    if len(points) == 1:
+        return Learned(state, floats)
+    found, places = KDTree(points).query(points, k=2)
+    own = torch.from_numpy(np.asarray(found)[:, 1])
+    nearest = torch.from_numpy(np.asarray(places)[:, 1])
+    if settings.reading == "ratio":
+        state["own"] = own.float()
+        return Learned(state, floats, training=(own / own[nearest]).repeat_interleave(counts))
+    # Leave one out: a sample that occurs twice has its twin as neighbour.
+    training = torch.where(counts > 1, 0, own)
+    return Learned(state, floats, training=training.repeat_interleave(counts))
+
+
+def nearest_distance(state: State, planes: Tensor) -> Tensor:
+    """P3: L = min_j |x - y_j|², here without the square, which changes no rank.
+
+    state: points (m,d), sorted where d = 1; with ``own`` (m,), the distance of each point to
+    its next one, the toolbox's reading |x - y*| / own(y*) with y* the nearest point. P3's
+    formula is the distance, and its results stay within 3 of the spanning tree's in every
+    combination, which the ratio's do not; so the distance is the default. Planes (d,n) to (n,).
+    """
+    points, own = state["points"], state.get("own")
+    if len(planes) == 1:
+        distances, nearest = nearest_on_line(points[:, 0].contiguous(), planes[0].contiguous())
+        return distances if own is None else distances / own[nearest]
+    if own is None:
+        return nearest_squared_distance(planes, points).sqrt_()
+    # Along the last axis the least value with its place is found three times faster.
+    least, nearest = squared_distances(planes, points).T.contiguous().min(1)
+    return least.sqrt_() / own[nearest]
+
+
+# --- minimum spanning tree --------------------------------------------------------------
+
+
+class TreeSettings(ClassifierSettings):
+    """Minimum spanning tree."""
+
+
+def spanning_tree(points: Tensor) -> Tensor:
+    """The edges of the minimum spanning tree of different points (m,d): int64 (m-1,2).
+
+    Where several trees are minimal, the order of the points decides.
+    """
+    from scipy.spatial.distance import cdist  # slow to import, and most others do without
+
+    if len(points) == 1:
+        return torch.zeros((0, 2), dtype=torch.int64)
+    if points.shape[1] == 1:
+        order = points[:, 0].argsort()
+        return torch.stack((order[:-1], order[1:]), dim=1)
+    tree = minimum_spanning_tree(cdist(points, points)).tocoo()
+    return torch.from_numpy(np.stack((tree.row, tree.col), axis=1)).long()
+
+
+def edge_quantile(lengths: Tensor, fraction: float) -> float:
+    """The toolbox's threshold: the edge length that ``fraction`` of the m-1 lengths reach.
+
+    The r-th of the sorted lengths with r = ⌊(m-1)·fraction + 1/2⌋; 0 where r = 0.
+    """
+    rank = int(len(lengths) * fraction + 0.5)
+    return float(lengths.sort().values[rank - 1]) if rank else 0.0
+
+
+def _fit_tree(
+    samples: Tensor, axes: Axes, settings: TreeSettings, generator: torch.Generator
+) -> Learned:
+    points, _ = few_distinct("mst", samples)
+    edges = spanning_tree(points)
+    lengths = (points[edges[:, 1]] - points[edges[:, 0]]).norm(dim=1)
+    # The samples lie on the tree: their own distances are 0 and set no threshold.
+    threshold = edge_quantile(lengths, 1 - settings.rejected)
+    starts, ends = points[edges[:, 0]], points[edges[:, 1]]
+    if len(points) == 1 or len(axes) == 1:  # a point, or all of the line between the ends
+        starts, ends = points[:1], points[-1:]
+    return Learned(segments(starts, ends), max(len(starts), 4), threshold=threshold)
+
+
+def segments(starts: Tensor, ends: Tensor) -> dict[str, Tensor]:
+    """What ``tree_distance`` needs of segments (m,d) to (m,d), which may be points."""
+    steps = ends - starts
+    lengths = steps.norm(dim=1, keepdim=True)
+    directions = steps / torch.where(lengths > 0, lengths, 1)
+    offsets = -(starts * directions).sum(1, keepdim=True)
+    state = {"starts": starts, "directions": directions, "lengths": lengths, "offsets": offsets}
+    return {name: tensor.float() for name, tensor in state.items()}
+
+
+def tree_distance(state: State, planes: Tensor) -> Tensor:
+    """P3: L = |x - p(x)| with p the projection onto the nearest edge, cut off at its ends.
+
+    state: of ``segments``. Planes (d,n) to (n,).
+    """
+    directions, starts = state["directions"], state["starts"]
+    along = torch.addmm(state["offsets"], directions, planes)
+    along = torch.minimum(along.clamp_(min=0), state["lengths"], out=along)
+    total = torch.zeros_like(along)
+    for axis, values in enumerate(planes):
+        column = slice(axis, axis + 1)
+        rest = (values - starts[:, column]).addcmul_(along, directions[:, column], value=-1)
+        total.addcmul_(rest, rest)
+    return total.amin(0).sqrt_()
+
+
+NN = Classifier(
+    "nn", "distance to the nearest sample", NearestSettings, _fit_nearest, nearest_distance
+)
+MST = Classifier(
+    "mst", "distance to the samples' minimum spanning tree", TreeSettings, _fit_tree, tree_distance
+)

@@ -1,0 +1,1 @@
+"""Features learned from the one picture, and hierarchical threshold segmentation (P1)."""

@@ -1,0 +1,142 @@
+"""Feature maps: patches encoded by a dictionary, scored and selected (P1, eqs. 3 to 5)."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from roadtorch.settings import Settings
+
+BLOCK = 16
+"""Bases whose maps are held at a time; maps that are not selected are never kept."""
+
+FAINTEST = 0.01
+"""The least maximum of a map, in distances between white patches; real ones have 1 and more.
+Below it there is only rounding, as in a picture of one colour."""
+
+RowWeights = Literal["centred", "from_one"]
+
+
+class MapSettings(Settings):
+    """Encoding, scoring and selection of the feature maps."""
+
+    encoder: Literal["base", "patch"] = Field(
+        default="base",
+        description="a distance is compared with the mean of its base (eq. 4) or patch (eq. 3)",
+    )
+    row_weights: RowWeights = Field(
+        default="centred",
+        description="eq. 5: row - H/2 counted from the middle row (program), or from 1 (text)",
+    )
+    share: float = Field(
+        default=0.2, gt=0, le=1, description="share of the maps that is selected, the best ones"
+    )
+    scale: Literal["maximum", "none"] = Field(
+        default="maximum",
+        description="what the mean map is divided by: its maximum (program), or nothing (text)",
+    )
+
+
+@dataclass(frozen=True)
+class FeatureMaps:
+    """The selected maps (m,H,W) in [0,1], best first, and where they come from.
+
+    order: int64 (K,), all bases by falling score; scores: (K,), by base.
+    """
+
+    maps: Tensor
+    order: Tensor
+    scores: Tensor
+
+
+@dataclass(frozen=True)
+class Encoder:
+    """Eq. 3 or 4 over the patches of one picture.
+
+    points: (n,d+2), the patches, their squared lengths and 1, so that one matrix product
+        gives the squared distances.
+    reference: (n,), each patch's mean distance to all bases (eq. 3); None for eq. 4.
+    """
+
+    points: Tensor
+    reference: Tensor | None
+
+    def distances(self, bases: Tensor) -> Tensor:
+        """Distances (k,n) to bases (k,d): |x-c|² = x·x + c·c - 2 x·c, at least 0."""
+        sizes = bases.square().sum(1, keepdim=True)
+        planes = torch.cat([-2 * bases, torch.ones_like(sizes), sizes], 1)
+        return (planes @ self.points.T).clamp_min_(0).sqrt_()
+
+    def __call__(self, bases: Tensor) -> Tensor:
+        """Responses (k,n) ≥ 0: how much nearer than usual each patch is to each base."""
+        far = self.distances(bases)
+        usual = far.mean(1, keepdim=True) if self.reference is None else self.reference
+        return torch.sub(usual, far, out=far).clamp_min_(0)
+
+
+def make_encoder(
+    patches: Tensor, dictionary: Tensor, kind: Literal["base", "patch"] = "base"
+) -> Encoder:
+    """The encoder for patches (n,d): by ``base`` eq. 4, by ``patch`` eq. 3 (see MapSettings)."""
+    sizes = patches.square().sum(1, keepdim=True)
+    encoder = Encoder(torch.cat([patches, sizes, torch.ones_like(sizes)], 1), None)
+    if kind == "base":
+        return encoder
+    total = torch.zeros_like(sizes[:, 0])
+    for bases in dictionary.split(BLOCK):
+        total += encoder.distances(bases).sum(0)
+    return Encoder(encoder.points, total / len(dictionary))
+
+
+def to_unit(responses: Tensor) -> Tensor:
+    """Responses (k,n) ≥ 0, each map over its maximum: in [0,1]. Faint maps become 0."""
+    return responses / _divisor(responses)[:, None]
+
+
+def _divisor(responses: Tensor) -> Tensor:
+    top = responses.amax(1)
+    return torch.where(top > FAINTEST, top, torch.inf)
+
+
+def row_weights(rows: int, kind: RowWeights) -> Tensor:
+    """The weights of eq. 5, (rows,) float64; ``centred`` in rows, ``from_one`` in (-1,1]."""
+    row = torch.arange(rows, dtype=torch.float64)
+    if kind == "centred":
+        return row - rows // 2
+    return (row + 1 - rows / 2) / (rows / 2)
+
+
+def score_maps(responses: Tensor, weights: Tensor) -> Tensor:
+    """Eq. 5: scores (k,) of responses (k,n), scaled to [0,1], with a weight for each pixel (n,)."""
+    return (responses @ weights.to(responses)) / _divisor(responses)
+
+
+def select_maps(
+    patches: Tensor, dictionary: Tensor, size: tuple[int, int], settings: MapSettings
+) -> FeatureMaps:
+    """Encode, score and keep the best maps; size: rows and columns of the maps.
+
+    The selected maps are encoded twice, so that the others need no room.
+    """
+    encode = make_encoder(patches, dictionary, settings.encoder)
+    weights = row_weights(size[0], settings.row_weights).repeat_interleave(size[1])
+    scores = torch.cat([score_maps(encode(bases), weights) for bases in dictionary.split(BLOCK)])
+    order = scores.argsort(descending=True, stable=True)
+    kept = order[: selected_count(len(dictionary), settings.share)]
+    return FeatureMaps(to_unit(encode(dictionary[kept])).view(-1, *size), order, scores)
+
+
+def selected_count(bases: int, share: float) -> int:
+    """How many maps are selected: the share, rounded half up, and at least one."""
+    return min(bases, max(1, int(bases * share + 0.5)))
+
+
+def mean_map(maps: Tensor, scale: Literal["maximum", "none"]) -> Tensor:
+    """The mean (H,W) in [0,1] of maps (m,H,W), with ``maximum`` over its own maximum."""
+    mean = maps.mean(0)
+    if scale == "none":
+        return mean
+    top = mean.max()
+    return mean / top if top > 0 else mean

@@ -1,0 +1,262 @@
+"""What all one-class classifiers share: axes, hue, thresholds, likelihoods, chunks, saving."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import Field
+from safetensors.torch import save_file
+from torch import Tensor
+
+from roadtorch.errors import ConfigError, InputError, WeightsError
+from roadtorch.oneclass import base
+from roadtorch.oneclass.axes import (
+    Axes,
+    arranged,
+    arranged_axes,
+    axes_of,
+    circular_mean,
+    mean_hues,
+    unrolled,
+)
+from roadtorch.oneclass.base import (
+    Classifier,
+    ClassifierSettings,
+    Fitted,
+    Learned,
+    State,
+    boundary,
+    fit,
+    load,
+    restored,
+    save,
+)
+from tests.reference import oneclass_density as reference
+
+PLANE = axes_of(("S",))
+
+
+class ScaledSettings(ClassifierSettings):
+    """Settings of the classifier below."""
+
+    scale: float = Field(default=1.0, gt=0)
+
+
+def _fit_middle(
+    samples: Tensor, axes: Axes, settings: ScaledSettings, generator: torch.Generator
+) -> Learned:
+    return Learned({"middle": samples.mean(0).float() / settings.scale}, floats=2)
+
+
+def _from_middle(state: State, pixels: Tensor) -> Tensor:
+    return (pixels - state["middle"][:, None]).abs().amax(0)
+
+
+MIDDLE = Classifier("middle", "distance to the middle", ScaledSettings, _fit_middle, _from_middle)
+
+
+def line(*values: float) -> Tensor:
+    return torch.tensor(values)[:, None]
+
+
+# --- axes and hue ---------------------------------------------------------------------------
+
+
+def test_axes_have_the_ranges_of_their_planes() -> None:
+    axes = axes_of(("H", "O1"))
+
+    assert (axes.names, axes.circular) == (("H", "O1"), (True, False))
+    np.testing.assert_allclose(axes.span, [1, math.sqrt(2)])
+    np.testing.assert_allclose(axes.quantum, [1 / 255, math.sqrt(2) / 255])
+    with pytest.raises(ConfigError, match="Hue: unknown plane"):
+        axes_of(("Hue",))
+
+
+def test_the_mean_hue_follows_the_circle() -> None:
+    assert float(circular_mean(torch.tensor([0.9, 0.1]))) == pytest.approx(0, abs=1e-7)
+    assert float(circular_mean(torch.tensor([0.6, 0.7]))) == pytest.approx(0.65)
+    assert float(circular_mean(torch.tensor([0.0, 0.5]))) == 0  # they cancel
+
+
+def test_saturated_colours_decide_on_the_mean_hue() -> None:
+    samples = torch.tensor([[0.3, 0.7, 0.7], [0.8, 0.0, 0.0]])
+
+    assert mean_hues(samples, axes_of(("H", "S"))).tolist() == pytest.approx([0.3, 0])
+    grey = torch.tensor([[0.2, 0.4], [0.0, 0.0]])
+    assert mean_hues(grey, axes_of(("H", "S"))).tolist() == pytest.approx([0.3, 0])
+
+
+@given(st.floats(0, 1, width=32), st.floats(0, 1, width=32))
+def test_unrolled_hue_differs_from_the_mean_by_the_way_along_the_circle(
+    hue: float, mean: float
+) -> None:
+    away = float(unrolled(torch.tensor([hue]), mean))
+
+    assert -0.5 - 1e-7 <= away <= 0.5
+    along = abs(hue - mean)
+    assert abs(away) == pytest.approx(min(along, abs(1 - along)), abs=1e-6)
+
+
+def test_the_chord_puts_hue_on_a_circle_of_circumference_one() -> None:
+    axes, planes = axes_of(("H", "S")), torch.tensor([[0.0, 0.25, 0.01], [0.1, 0.2, 0.3]])
+
+    points = arranged(planes, axes, "chord", torch.zeros(2))
+
+    assert arranged_axes(axes, "chord").names == ("cos H", "sin H", "S")
+    np.testing.assert_allclose(points[:2].norm(dim=0), [1 / (2 * math.pi)] * 3, rtol=1e-6)
+    assert float((points[:2, 2] - points[:2, 0]).norm()) == pytest.approx(0.01, rel=1e-3)
+    assert torch.equal(points[2], planes[1])
+
+
+def test_hue_as_a_plain_number_is_left_as_it_is() -> None:
+    axes, planes = axes_of(("H",)), torch.rand(1, 5)
+
+    assert arranged(planes, axes, "linear", torch.zeros(1)) is planes
+    assert arranged_axes(axes, "linear") == axes
+    assert arranged_axes(axes, "unrolled") == Axes(("H",), (-0.5,), (0.5,), (True,))
+
+
+# --- thresholds and likelihoods ----------------------------------------------------------------
+
+
+@given(
+    st.lists(st.floats(0, 100), min_size=1, max_size=50),
+    st.sampled_from([0.0, 0.025, 0.1, 0.5, 1.0]),
+)
+def test_the_boundary_lies_between_kept_and_rejected_samples(
+    distances: list[float], rejected: float
+) -> None:
+    found = boundary(torch.tensor(distances, dtype=torch.float64), rejected)
+
+    assert found == pytest.approx(reference.boundary(np.array(distances), rejected))
+
+
+@pytest.mark.parametrize(("count", "outside"), [(90, 2), (13266, 332)])
+def test_p3s_fraction_rejects_as_many_samples_as_the_toolbox(count: int, outside: int) -> None:
+    distances = torch.rand(count, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+
+    assert int((distances > boundary(distances, 0.025)).sum()) == outside
+
+
+def test_the_likelihood_is_a_half_at_the_threshold_and_falls_with_the_root_of_the_distance() -> (
+    None
+):
+    fitted = fit(MIDDLE, line(0.3, 0.4, 0.5, 0.6, 0.7), PLANE, ScaledSettings(rejected=0.4))
+
+    assert float(fitted.threshold) == pytest.approx(0.15)
+    found = fitted.likelihood(line(0.5, 0.65, 1.1)).tolist()
+    assert found == pytest.approx([1, 1 / 2, 1 / 3], rel=1e-3)
+
+
+def test_a_classifier_may_bring_its_threshold_or_the_distances_for_it() -> None:
+    def with_own(samples: Tensor, *rest: object) -> Learned:
+        return Learned({"middle": samples.mean(0).float()}, 2, threshold=7.0)
+
+    def left_out(samples: Tensor, *rest: object) -> Learned:
+        return Learned({"middle": samples.mean(0).float()}, 2, training=torch.tensor([1.0, 3.0]))
+
+    def threshold(how: object, rejected: float) -> float:
+        kind = Classifier("own", "", ScaledSettings, how, _from_middle)  # type: ignore[arg-type]
+        settings = ScaledSettings(rejected=rejected)
+        return float(fit(kind, line(0.1, 0.2), PLANE, settings).threshold)
+
+    assert threshold(with_own, 0.5) == 7
+    assert threshold(left_out, 0.5) == 2
+
+
+def test_one_quantum_is_the_threshold_where_samples_say_nothing() -> None:
+    fitted = fit(MIDDLE, line(0.4, 0.4, 0.4), PLANE)
+
+    assert float(fitted.threshold) == pytest.approx(1 / 255, rel=1e-4)
+
+
+def test_settings_reach_the_fit_and_a_refusal_is_an_error() -> None:
+    wide = fit(MIDDLE, line(0.2, 0.4), PLANE, ScaledSettings(scale=2.0))
+    refusing = Classifier(
+        "picky", "", ScaledSettings, _fit_middle, _from_middle, lambda dimensions: "not today"
+    )
+
+    assert float(wide.state["middle"]) == pytest.approx(0.15)
+    with pytest.raises(ConfigError, match=r"^picky: not today .choose other planes"):
+        fit(refusing, line(0.2), PLANE)
+
+
+def test_a_fit_sees_hue_as_distance_from_the_mean() -> None:
+    fitted = fit(MIDDLE, line(0.9, 0.1), axes_of(("H",)), ScaledSettings(rejected=0.0))
+
+    assert float(fitted.state["middle"]) == pytest.approx(0, abs=1e-6)
+    found = fitted.distance(line(0.95, 0.05, 0.5, 1.0)).tolist()
+    assert found == pytest.approx([0.05, 0.05, 0.5, 0], abs=1e-6)
+
+
+def test_memory_is_bounded_by_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes = []
+
+    def watched(state: State, pixels: Tensor) -> Tensor:
+        sizes.append(pixels.shape[1])
+        return _from_middle(state, pixels)
+
+    fitted = fit(
+        Classifier("middle", "", ScaledSettings, _fit_middle, watched), line(0.4, 0.5), PLANE
+    )
+    sizes.clear()
+    monkeypatch.setattr(base, "CHUNK", 200)
+
+    fitted.distance(torch.rand(1001, 1))
+
+    assert max(sizes) <= 100
+    assert sum(sizes) == 1001
+
+
+# --- saving -------------------------------------------------------------------------------------
+
+
+def fitted_middle() -> Fitted:
+    return fit(MIDDLE, line(0.3, 0.4, 0.6), PLANE)
+
+
+def test_a_state_is_all_tensors_and_says_what_it_is() -> None:
+    state = fitted_middle().state_dict()
+
+    assert all(isinstance(value, Tensor) for value in state.values())
+    assert b'"classifier": "middle"' in bytes(state["about"].tolist())
+    assert "'middle', S" in repr(fitted_middle())
+
+
+@pytest.mark.parametrize("about", [b"", b"{", b"[]", b'{"classifier": "middle"}', b"\xff"])
+def test_a_state_that_does_not_say_what_it_is_is_refused(about: bytes) -> None:
+    state = fitted_middle().state_dict()
+    state["about"] = torch.tensor(list(about), dtype=torch.uint8)
+
+    with pytest.raises(WeightsError, match="state: does not say what it is the state of"):
+        restored(MIDDLE, state)
+    with pytest.raises(WeightsError, match="state: does not say what it is the state of"):
+        restored(MIDDLE, {})
+
+
+def test_files_that_hold_no_state_are_refused_in_one_line(tmp_path: Path) -> None:
+    damaged, foreign = tmp_path / "damaged.safetensors", tmp_path / "foreign.safetensors"
+    save(fitted_middle(), damaged)
+    damaged.write_bytes(damaged.read_bytes()[:-3])
+    save_file({"weight": torch.zeros(3)}, foreign)
+
+    with pytest.raises(WeightsError, match="damaged"):
+        load(MIDDLE, damaged)
+    with pytest.raises(WeightsError, match="does not say what it is"):
+        load(MIDDLE, foreign)
+    with pytest.raises(WeightsError, match="cannot be read"):
+        load(MIDDLE, tmp_path / "none.safetensors")
+    with pytest.raises(InputError, match="cannot be written"):
+        save(fitted_middle(), tmp_path / "no" / "folder.safetensors")
+
+
+def test_a_state_with_missing_parts_is_refused() -> None:
+    state = fitted_middle().state_dict()
+    del state["threshold"]
+
+    with pytest.raises(WeightsError, match="incomplete"):
+        restored(MIDDLE, state)

@@ -1,0 +1,360 @@
+"""What every one-class classifier keeps to, whatever it has learned."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from roadtorch.errors import ConfigError, InputError, WeightsError
+from roadtorch.oneclass import CLASSIFIERS, Fitted, axes_of, base, fit, load, restored, save
+from roadtorch.oneclass.axes import Hue
+from roadtorch.oneclass.base import Classifier
+
+RGB = axes_of(("R", "G", "B"))
+HS = axes_of(("H", "S"))
+HISTOGRAMS = {"hist64_s", "hist64_sn", "hist100_s", "hist100_sn"}
+SPREAD = 0.02
+
+every_classifier = pytest.mark.parametrize(
+    "classifier", CLASSIFIERS.values(), ids=CLASSIFIERS.keys()
+)
+every_distance = pytest.mark.parametrize(
+    "classifier",
+    [classifier for name, classifier in CLASSIFIERS.items() if name not in HISTOGRAMS],
+    ids=[name for name in CLASSIFIERS if name not in HISTOGRAMS],
+)
+
+
+def asphalt(count: int = 90, seed: int = 0) -> Tensor:
+    """Samples (count,3) of a grey with some noise."""
+    generator = torch.Generator().manual_seed(seed)
+    return 0.45 + SPREAD * torch.randn(count, 3, generator=generator)
+
+
+def colours(count: int = 500, seed: int = 1, planes: int = 3) -> Tensor:
+    return torch.rand(count, planes, generator=torch.Generator().manual_seed(seed))
+
+
+def check_answers(fitted: Fitted, pixels: Tensor) -> None:
+    distance, likelihood = fitted.distance(pixels), fitted.likelihood(pixels)
+    assert distance.dtype == likelihood.dtype == torch.float32
+    assert distance.shape == likelihood.shape == (len(pixels),)
+    assert not distance.isnan().any()
+    assert distance.min() >= 0
+    assert likelihood.isfinite().all()
+    assert 0 <= likelihood.min() <= likelihood.max() <= 1
+    assert 0 < fitted.threshold < torch.inf
+
+
+def test_there_are_seventeen_in_the_order_of_table_3() -> None:
+    assert list(CLASSIFIERS) == [
+        "nn",
+        "hist64_s",
+        "hist64_sn",
+        "hist100_s",
+        "hist100_sn",
+        "gaussian",
+        "robust_gaussian",
+        "mog2",
+        "mog4",
+        "mog_opt",
+        "svdd",
+        "pca",
+        "mpm",
+        "mst",
+        "dlp",
+        "kmeans",
+        "kcentres",
+    ]
+
+
+# --- what they find ---------------------------------------------------------------------
+
+
+@every_classifier
+def test_road_ranks_above_other_colours(classifier: Classifier) -> None:
+    fitted = fit(classifier, asphalt(), RGB)
+
+    road, other = fitted.score(asphalt(seed=5)), fitted.score(colours())
+
+    above = (road[:, None] > other).double() + (road[:, None] == other).double() / 2
+    # A histogram of 90 samples has holes; PCA says little of colours along its components.
+    assert above.mean() > (0.55 if classifier.name in HISTOGRAMS else 0.85)
+
+
+@every_distance
+def test_the_farther_the_less_likely_even_on_16_bit_levels(classifier: Classifier) -> None:
+    samples = asphalt()
+    # PCA is blind along the component that it keeps: go across all of them.
+    directions = torch.linalg.eigh((samples - samples.mean(0)).T.cov()).eigenvectors
+    steps = torch.linspace(0.1, 1.5, 60)[:, None]
+    ray = samples.mean(0) + steps * directions[:, 0]
+
+    levels = (fit(classifier, samples, RGB).likelihood(ray).double() * 65535).round()
+
+    assert (levels.diff() < 0).all()
+
+
+@every_classifier
+def test_the_likelihood_is_decreasing_in_the_distance_and_half_at_the_threshold(
+    classifier: Classifier,
+) -> None:
+    fitted = fit(classifier, asphalt(), RGB)
+    pixels = torch.cat([asphalt(seed=2), colours()])
+
+    order = fitted.distance(pixels).argsort()
+
+    assert (fitted.likelihood(pixels)[order].diff() <= 0).all()
+    assert fitted.squashed(fitted.threshold).item() == 0.5
+    assert torch.equal(fitted.accepts(pixels), fitted.distance(pixels) <= fitted.threshold)
+    assert torch.equal(fitted.score(pixels), -fitted.distance(pixels))
+    assert torch.equal(fitted(pixels), fitted.likelihood(pixels))
+
+
+@every_classifier
+@pytest.mark.parametrize("rejected", [0.0, 0.1, 0.5])
+def test_the_threshold_rejects_about_the_fraction(classifier: Classifier, rejected: float) -> None:
+    settings = classifier.settings(rejected=rejected)
+
+    fitted = fit(classifier, asphalt(), RGB, settings)
+
+    outside = int((~fitted.accepts(asphalt())).sum())
+    if classifier.name in {"nn", "mst"}:  # samples are at distance 0 of themselves
+        assert outside == 0
+    elif classifier.name in HISTOGRAMS:  # ties
+        assert outside <= 90 * rejected
+    else:
+        assert outside == pytest.approx(90 * rejected, abs=4)
+
+
+# --- awkward samples ----------------------------------------------------------------------
+
+
+@every_classifier
+@pytest.mark.parametrize(
+    "samples",
+    [
+        torch.full((1, 3), 0.4),
+        torch.full((90, 3), 0.4),
+        torch.zeros(90, 3),
+        torch.ones(5, 3),
+        torch.tensor([[0.1, 0.5, 0.2], [0.2, 0.5, 0.3]]),
+        torch.cat([asphalt()[:, :2], torch.full((90, 1), 0.3)], 1),
+        asphalt()[:, :1].expand(-1, 3),
+        torch.cat([torch.full((80, 3), 0.4), torch.full((10, 3), 0.6)]),
+    ],
+    ids=["one", "identical", "black", "white", "m<d", "constant plane", "grey", "two colours"],
+)
+def test_awkward_samples_give_a_proper_answer(classifier: Classifier, samples: Tensor) -> None:
+    fitted = fit(classifier, samples, RGB)
+
+    check_answers(fitted, torch.cat([samples, colours()]))
+    assert fitted.likelihood(samples).max() > 0.4999  # rounding may leave none within
+
+
+@every_distance
+@pytest.mark.parametrize("count", [1, 90])
+def test_samples_of_one_colour_rank_by_the_distance_to_it(
+    classifier: Classifier, count: int
+) -> None:
+    colour = torch.tensor([0.3, 0.5, 0.4])
+    fitted = fit(classifier, colour.expand(count, 3), RGB)
+    pixels = colours()
+
+    ranks = fitted.distance(pixels).argsort().argsort().double()
+
+    expected = (pixels - colour).norm(dim=1).argsort().argsort().double()
+    assert torch.corrcoef(torch.stack([ranks, expected]))[0, 1] > 0.9999
+    assert fitted.accepts(colour[None]).all()
+    assert not fitted.accepts(pixels).any()
+
+
+@every_classifier
+def test_samples_without_finite_values_are_left_out(classifier: Classifier) -> None:
+    broken = torch.tensor([[float("nan"), 0.4, 0.4], [0.4, float("inf"), 0.4]])
+    mixed = torch.cat([broken[:1], asphalt(), broken[1:]])
+
+    with_broken, without = fit(classifier, mixed, RGB), fit(classifier, asphalt(), RGB)
+
+    assert torch.equal(with_broken.distance(colours()), without.distance(colours()))
+    with pytest.raises(InputError, match="samples: none has finite values"):
+        fit(classifier, broken, RGB)
+    with pytest.raises(InputError, match="samples: none has finite values"):
+        fit(classifier, asphalt(0), RGB)
+
+
+@every_classifier
+def test_pixels_without_finite_values_are_no_road(classifier: Classifier) -> None:
+    fitted = fit(classifier, asphalt(), RGB)
+    pixels = asphalt()
+    pixels[3, 1], pixels[7, 0], pixels[8, 2] = float("nan"), float("inf"), -float("inf")
+
+    distance, likelihood = fitted.distance(pixels), fitted.likelihood(pixels)
+
+    broken = [3, 7, 8]
+    assert torch.equal(distance.isinf().nonzero()[:, 0], torch.tensor(broken))
+    assert likelihood[broken].tolist() == [0, 0, 0]
+    assert torch.equal(distance[:3], fitted.distance(asphalt())[:3])
+
+
+@every_classifier
+@pytest.mark.parametrize("values", [torch.rand(9, 2), torch.rand(9), torch.rand(2, 9, 3)])
+def test_a_wrong_shape_is_refused_in_one_line(classifier: Classifier, values: Tensor) -> None:
+    fitted = fit(classifier, asphalt(), RGB)
+
+    with pytest.raises(InputError, match=r"^samples: have the shape .* \(give \(number, 3\)"):
+        fit(classifier, values, RGB)
+    with pytest.raises(InputError, match=r"^pixels: have the shape .* \(give \(number, 3\)"):
+        fitted.distance(values)
+
+
+@every_classifier
+def test_whole_numbers_are_refused(classifier: Classifier) -> None:
+    levels = torch.randint(256, (90, 3))
+
+    with pytest.raises(InputError, match=r"samples: are torch\.int64"):
+        fit(classifier, levels, RGB)
+    with pytest.raises(InputError, match=r"pixels: are torch\.int64"):
+        fit(classifier, asphalt(), RGB).score(levels)
+
+
+@every_classifier
+def test_no_pixels_give_no_answers(classifier: Classifier) -> None:
+    assert fit(classifier, asphalt(), RGB).likelihood(torch.empty(0, 3)).shape == (0,)
+
+
+@every_classifier
+@pytest.mark.parametrize("planes", ["R", "H", "nr"])
+def test_one_plane_is_enough_but_for_pca(classifier: Classifier, planes: str) -> None:
+    if classifier.name == "pca":
+        with pytest.raises(ConfigError, match="pca: one plane has a single principal component"):
+            fit(classifier, asphalt()[:, :1], axes_of((planes,)))
+        return
+    fitted = fit(classifier, asphalt()[:, :1], axes_of((planes,)))
+
+    check_answers(fitted, colours(planes=1))
+
+
+# --- hue ------------------------------------------------------------------------------------
+
+
+def around_red(count: int = 90, seed: int = 0) -> Tensor:
+    """Hue on both sides of red, where it begins and ends, and some saturation."""
+    generator = torch.Generator().manual_seed(seed)
+    hue = (0.02 * torch.randn(count, generator=generator)).remainder(1)
+    saturation = 0.4 + 0.02 * torch.randn(count, generator=generator)
+    return torch.stack([hue, saturation], 1)
+
+
+@every_distance
+@pytest.mark.parametrize("hue", ["unrolled", "chord"])
+def test_hue_is_a_circle(classifier: Classifier, hue: Hue) -> None:
+    # PCA keeps the hue, of which the samples differ most, or loses what stays constant.
+    settings = classifier.settings(hue=hue)
+    fitted = fit(classifier, around_red(), HS, settings)
+
+    red, cyan = fitted.score(torch.tensor([[0.01, 0.4], [0.99, 0.4]])), torch.tensor([[0.5, 0.4]])
+
+    if classifier.name == "pca" and hue == "unrolled":
+        return
+    assert red.min() > fitted.score(cyan)
+    same = torch.tensor([[0.0, 0.3], [1.0, 0.3]])
+    torch.testing.assert_close(*fitted.distance(same), rtol=1e-4, atol=1e-4)
+
+
+@every_classifier
+@pytest.mark.parametrize("hue", ["unrolled", "linear", "chord"])
+def test_every_reading_of_hue_gives_a_proper_answer(classifier: Classifier, hue: Hue) -> None:
+    fitted = fit(classifier, around_red(), HS, classifier.settings(hue=hue))
+
+    check_answers(fitted, colours(planes=2))
+
+
+# --- the same again -------------------------------------------------------------------------
+
+
+@every_classifier
+def test_the_same_samples_give_the_same_bytes_and_are_left_alone(classifier: Classifier) -> None:
+    samples, pixels = asphalt(), colours()
+    before = samples.clone(), pixels.clone()
+
+    torch.manual_seed(1)
+    first = fit(classifier, samples, RGB).distance(pixels)
+    torch.manual_seed(2)  # no classifier may draw from torch's own generator
+    second = fit(classifier, samples, RGB).distance(pixels)
+
+    assert torch.equal(first, second)
+    assert torch.equal(samples, before[0])
+    assert torch.equal(pixels, before[1])
+
+
+@every_classifier
+def test_the_size_of_the_chunks_does_not_matter(
+    classifier: Classifier, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fitted = fit(classifier, asphalt(), RGB)
+    whole = fitted.distance(colours(1000))
+
+    monkeypatch.setattr(base, "CHUNK", 7 * fitted.floats)
+
+    torch.testing.assert_close(fitted.distance(colours(1000)), whole, rtol=1e-5, atol=1e-5)
+
+
+@every_classifier
+def test_planes_need_not_be_copied_to_be_scored(classifier: Classifier) -> None:
+    fitted = fit(classifier, asphalt().double(), RGB)
+    planes = colours().T.contiguous()
+
+    torch.testing.assert_close(
+        fitted.distance(planes.T), fitted.distance(colours()), rtol=1e-5, atol=1e-5
+    )
+
+
+# --- saving -----------------------------------------------------------------------------------
+
+
+@every_classifier
+def test_saved_and_loaded_it_says_the_same(classifier: Classifier, tmp_path: Path) -> None:
+    fitted = fit(classifier, around_red(), HS, classifier.settings(hue="chord"))
+    pixels = colours(planes=2)
+
+    save(fitted, tmp_path / "road.safetensors")
+    again = load(classifier, tmp_path / "road.safetensors")
+
+    assert torch.equal(again.distance(pixels), fitted.distance(pixels))
+    assert torch.equal(again.likelihood(pixels), fitted.likelihood(pixels))
+    assert [path.name for path in tmp_path.iterdir()] == ["road.safetensors"]
+
+
+@every_classifier
+def test_a_fitted_one_takes_over_another_state_of_its_kind(classifier: Classifier) -> None:
+    small, large = fit(classifier, asphalt(3), RGB), fit(classifier, asphalt(90, seed=4), RGB)
+
+    small.load_state_dict(large.state_dict())
+
+    assert torch.equal(small.likelihood(colours()), large.likelihood(colours()))
+
+
+@every_classifier
+def test_the_state_of_another_classifier_is_refused(classifier: Classifier, tmp_path: Path) -> None:
+    names = list(CLASSIFIERS)
+    other = CLASSIFIERS[names[names.index(classifier.name) - 1]]
+    foreign = fit(other, asphalt(), RGB)
+    save(foreign, tmp_path / "road.safetensors")
+    told = f"^state: is that of {other.name} .give one of {classifier.name}.$"
+
+    with pytest.raises(WeightsError, match=told):
+        restored(classifier, foreign.state_dict())
+    with pytest.raises(WeightsError, match=told):
+        load(classifier, tmp_path / "road.safetensors")
+    with pytest.raises(WeightsError, match=told):
+        fit(classifier, asphalt(), RGB).load_state_dict(foreign.state_dict())
+
+
+@every_classifier
+def test_a_state_of_other_planes_is_refused(classifier: Classifier) -> None:
+    of_hue = fit(classifier, around_red(), HS)
+
+    with pytest.raises(WeightsError, match=r"was learned on the planes H, S .give one learned on"):
+        fit(classifier, asphalt(), RGB).load_state_dict(of_hue.state_dict())

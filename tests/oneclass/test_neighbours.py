@@ -1,0 +1,211 @@
+"""Nearest neighbour and minimum spanning tree against loops over samples and edges."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from sklearn.neighbors import NearestNeighbors
+from torch import Tensor
+
+from roadtorch.errors import InputError
+from roadtorch.oneclass import neighbours
+from roadtorch.oneclass.axes import axes_of
+from roadtorch.oneclass.base import Fitted, fit
+from roadtorch.oneclass.neighbours import MST, NN, NearestSettings, TreeSettings
+from tests.reference import oneclass_boundary as reference
+
+PLANES = {1: ("nr",), 2: ("nr", "ng"), 3: ("R", "G", "B")}
+DIMENSIONS = pytest.mark.parametrize("dimensions", [1, 2, 3])
+RATIO = NearestSettings(reading="ratio")
+
+
+def some(number: int, dimensions: int, seed: int = 0, spread: float = 1.0) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return 0.4 + spread * (torch.rand(number, dimensions, generator=generator) - 0.4)
+
+
+def road(number: int, dimensions: int) -> Tensor:
+    return some(number, dimensions, seed=1, spread=0.2)
+
+
+def fitted(classifier, samples: Tensor, settings=None) -> Fitted:
+    return fit(classifier, samples, axes_of(PLANES[samples.shape[1]]), settings)
+
+
+def doubles(values: Tensor) -> np.ndarray:
+    return values.double().numpy()
+
+
+def edges_of(samples: Tensor) -> list[tuple[int, int]]:
+    return [(int(i), int(j)) for i, j in neighbours.spanning_tree(samples.double())]
+
+
+# --- nearest neighbour ------------------------------------------------------------------
+
+
+@DIMENSIONS
+def test_nearest_distance_is_that_of_a_loop_and_of_scikit_learn(dimensions):
+    samples, pixels = road(90, dimensions), some(1000, dimensions)
+    distance = doubles(fitted(NN, samples).distance(pixels))
+    expected = reference.nearest_distance(doubles(samples), doubles(pixels))
+    peer = NearestNeighbors(n_neighbors=1).fit(doubles(samples)).kneighbors(doubles(pixels))[0]
+    np.testing.assert_allclose(distance, expected, rtol=1e-6, atol=0)
+    np.testing.assert_allclose(distance, peer[:, 0], rtol=1e-6, atol=0)
+
+
+@DIMENSIONS
+def test_a_pixel_that_equals_a_sample_is_at_distance_zero_exactly(dimensions):
+    samples = road(90, dimensions)
+    assert (fitted(NN, samples).distance(samples) == 0).all()
+
+
+def test_near_pixels_keep_their_digits_far_from_the_origin():
+    samples = torch.tensor([[0.9, 0.9, 0.9], [0.1, 0.1, 0.1]])
+    pixels = samples[:1] + torch.tensor([[3e-5, 0, 0], [6e-5, 0, 0]])
+    distance = doubles(fitted(NN, samples).distance(pixels))
+    expected = reference.nearest_distance(doubles(samples), doubles(pixels))
+    np.testing.assert_allclose(distance, expected, rtol=1e-6)
+
+
+@DIMENSIONS
+def test_ratio_is_that_of_a_loop_and_ignores_twins(dimensions):
+    samples, pixels = road(40, dimensions), some(500, dimensions)
+    expected = reference.nearest_ratio(doubles(samples), doubles(pixels))
+    for given_samples in (samples, samples.repeat(2, 1)):
+        ratio = fitted(NN, given_samples, RATIO).distance(pixels)
+        np.testing.assert_allclose(doubles(ratio), expected, rtol=1e-5)
+
+
+def test_ratio_of_samples_of_one_colour_is_the_distance():
+    samples, pixels = torch.full((5, 3), 0.5), some(50, 3)
+    ratio, plain = fitted(NN, samples, RATIO), fitted(NN, samples)
+    assert torch.equal(ratio.distance(pixels), plain.distance(pixels))
+    assert ratio.distance(pixels).isfinite().all()
+
+
+def test_threshold_leaves_each_sample_out():
+    samples = torch.tensor([[0.1], [0.2], [0.4], [0.8]])
+    # To the next sample: 0.1, 0.1, 0.2, 0.4; half of four are kept.
+    half = fitted(NN, samples, NearestSettings(rejected=0.5))
+    assert float(half.threshold) == pytest.approx(0.15)
+    # Over the next one's: 0.1/0.1, 0.1/0.1, 0.2/0.1, 0.4/0.2.
+    half = fitted(NN, samples, NearestSettings(rejected=0.5, reading="ratio"))
+    assert float(half.threshold) == pytest.approx(1.5)
+
+
+def test_a_twin_is_a_neighbour_at_distance_zero():
+    samples = torch.tensor([[0.1], [0.1], [0.4], [0.8]])
+    # 0, 0, 0.3, 0.4
+    learned = fitted(NN, samples, NearestSettings(rejected=0.5))
+    assert float(learned.threshold) == pytest.approx(0.15)
+    assert int(learned.state["points"].shape[0]) == 3
+
+
+@given(st.integers(1, 3), st.integers(1, 20), st.integers(0, 1000))
+def test_order_and_twins_of_samples_change_no_distance(dimensions, number, seed):
+    samples, pixels = some(number, dimensions, seed), some(30, dimensions, seed + 1)
+    order = torch.randperm(number, generator=torch.Generator().manual_seed(seed))
+    mixed = torch.cat([samples[order], samples[: number // 2]])
+    for classifier in (NN, MST):
+        plain, other = fitted(classifier, samples), fitted(classifier, mixed)
+        assert torch.equal(plain.distance(pixels), other.distance(pixels))
+
+
+def test_thousands_of_samples_on_a_line_are_searched_not_compared():
+    samples, pixels = some(13_266, 1), some(20_000, 1, seed=5)
+    learned = fitted(NN, samples)
+    ordered = doubles(samples)[:, 0]
+    ordered.sort()
+    values = doubles(pixels)[:, 0]
+    place = np.searchsorted(ordered, values).clip(1, len(ordered) - 1)
+    expected = np.minimum(abs(ordered[place] - values), abs(values - ordered[place - 1]))
+    np.testing.assert_allclose(doubles(learned.distance(pixels)), expected, rtol=1e-6)
+    assert learned.floats < 100
+
+
+# --- minimum spanning tree --------------------------------------------------------------
+
+
+@DIMENSIONS
+def test_tree_is_as_short_as_kruskals(dimensions):
+    samples = doubles(some(12, dimensions))
+    length = reference.distance_matrix(samples, samples)
+    edges = edges_of(torch.from_numpy(samples))
+    expected = sum(length[edge] for edge in reference.kruskal(samples))
+    assert sum(length[edge] for edge in edges) == pytest.approx(expected, rel=1e-12)
+    assert len(edges) == 11
+    assert len({node for edge in edges for node in edge}) == 12
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_tree_is_the_shortest_of_all_trees(seed):
+    samples = doubles(some(6, 2, seed))
+    length = reference.distance_matrix(samples, samples)
+    total = sum(length[edge] for edge in edges_of(torch.from_numpy(samples)))
+    assert total == pytest.approx(reference.shortest_of_all_trees(samples), rel=1e-12)
+
+
+@DIMENSIONS
+def test_tree_distance_is_that_of_a_loop_over_segments(dimensions):
+    samples, pixels = road(40, dimensions), some(300, dimensions)
+    edges = reference.kruskal(doubles(samples))
+    expected = reference.tree_distance(doubles(samples), edges, doubles(pixels))
+    found = doubles(fitted(MST, samples).distance(pixels))
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-8)
+
+
+def test_tree_distance_has_its_three_cases():
+    samples = torch.tensor([[0.2, 0.2], [0.6, 0.2]])
+    pixels = torch.tensor([[0.4, 0.5], [0.1, 0.2], [0.9, 0.6], [0.3, 0.2]])
+    distance = fitted(MST, samples).distance(pixels)
+    torch.testing.assert_close(distance, torch.tensor([0.3, 0.1, 0.5, 0.0]))
+
+
+def test_tree_on_a_line_covers_all_between_its_ends():
+    samples, pixels = road(30, 1), some(1000, 1)
+    low, high = samples.min(), samples.max()
+    expected = torch.maximum(low - pixels, pixels - high).clamp(min=0)[:, 0]
+    found = fitted(MST, samples).distance(pixels)
+    torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-8)
+    inside = ((pixels >= low) & (pixels <= high))[:, 0]
+    assert inside.any()
+    assert (found[inside] == 0).all()
+
+
+@given(st.integers(1, 3), st.integers(1, 25), st.integers(0, 1000))
+def test_tree_is_never_farther_than_the_nearest_sample(dimensions, number, seed):
+    samples, pixels = some(number, dimensions, seed), some(50, dimensions, seed + 1)
+    tree, nearest = (fitted(kind, samples).distance(pixels) for kind in (MST, NN))
+    assert (tree <= nearest + 1e-7).all()
+    if number == 1:
+        torch.testing.assert_close(tree, nearest, rtol=1e-6, atol=0)
+
+
+def test_tree_threshold_is_a_length_of_an_edge():
+    samples = torch.tensor([[0.1], [0.2], [0.4], [0.8]])
+    lengths = {0.0: 0.4, 0.34: 0.2, 0.7: 0.1}
+    for rejected, expected in lengths.items():
+        learned = fitted(MST, samples, TreeSettings(rejected=rejected))
+        assert float(learned.threshold) == pytest.approx(expected)
+
+
+def test_equal_edges_give_the_same_tree_every_time():
+    grid = torch.cartesian_prod(torch.arange(4.0), torch.arange(4.0)) / 10
+    pixels = some(200, 2)
+    first, again = (fitted(MST, samples).distance(pixels) for samples in (grid, grid.flip(0)))
+    assert torch.equal(first, again)
+
+
+def test_too_many_different_samples_are_refused_with_what_to_do():
+    with pytest.raises(InputError, match=r"4097 different samples.*one sample per superpixel"):
+        fitted(MST, some(neighbours.MOST + 1, 2))
+
+
+@DIMENSIONS
+@pytest.mark.parametrize("classifier", [NN, MST])
+def test_chunks_change_nothing(classifier, dimensions, monkeypatch):
+    learned, pixels = fitted(classifier, road(30, dimensions)), some(999, dimensions)
+    whole = learned.distance(pixels)
+    monkeypatch.setattr("roadtorch.oneclass.base.CHUNK", 3000)
+    torch.testing.assert_close(learned.distance(pixels), whole, rtol=1e-6, atol=1e-9)

@@ -1,0 +1,158 @@
+"""The boundary classifiers of P3, slow and obvious, in NumPy's double precision."""
+
+from collections.abc import Callable
+from itertools import combinations, product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog, minimize
+
+Array = NDArray[np.floating[Any]]
+
+
+def distance_matrix(left: Array, right: Array) -> Array:
+    """|a - b| for rows a of left, b of right."""
+    return np.sqrt(((left[:, None] - right[None]) ** 2).sum(2))
+
+
+def nearest_distance(samples: Array, pixels: Array) -> Array:
+    return distance_matrix(pixels, samples).min(1)
+
+
+def nearest_ratio(samples: Array, pixels: Array) -> Array:
+    """The toolbox: over the distance from the nearest sample to its own next one, no twins."""
+    among = distance_matrix(samples, samples)
+    among[among < 1e-5] = np.inf
+    to_samples = distance_matrix(pixels, samples)
+    return to_samples.min(1) / among.min(1)[to_samples.argmin(1)]
+
+
+def segment_distance(pixel: Array, start: Array, end: Array) -> float:
+    """To the foot of the perpendicular, or to the nearer end where it lies outside."""
+    step = end - start
+    length = float(step @ step)
+    share = float((pixel - start) @ step) / length if length else 0.0
+    if share <= 0:
+        return float(np.linalg.norm(pixel - start))
+    if share >= 1:
+        return float(np.linalg.norm(pixel - end))
+    return float(np.linalg.norm(pixel - start - share * step))
+
+
+def tree_distance(samples: Array, edges: list[tuple[int, int]], pixels: Array) -> Array:
+    return np.array(
+        [min(segment_distance(x, samples[i], samples[j]) for i, j in edges) for x in pixels]
+    )
+
+
+def kruskal(samples: Array) -> list[tuple[int, int]]:
+    """The shortest edges that close no circle."""
+    length = distance_matrix(samples, samples)
+    group = list(range(len(samples)))
+    edges = []
+    for i, j in sorted(combinations(range(len(samples)), 2), key=lambda edge: length[edge]):
+        if group[i] != group[j]:
+            edges.append((i, j))
+            joined = group[j]
+            group = [group[i] if g == joined else g for g in group]
+    return edges
+
+
+def shortest_of_all_trees(samples: Array) -> float:
+    """The least length among all trees, each from its Prüfer sequence."""
+    number, length = len(samples), distance_matrix(samples, samples)
+    best = np.inf
+    for sequence in product(range(number), repeat=number - 2):
+        degree = [1 + sequence.count(node) for node in range(number)]
+        total = 0.0
+        for node in sequence:
+            leaf = degree.index(1)
+            total += length[leaf, node]
+            degree[leaf] -= 1
+            degree[node] -= 1
+        last = [node for node in range(number) if degree[node] == 1]
+        best = min(best, total + length[last[0], last[1]])
+    return best
+
+
+def ball_weights(gram: Array, cap: float) -> Array:
+    """The dual of SVDD by a general solver, from equal weights."""
+    scaled = (gram - gram.mean()) / (gram.max() - gram.min())
+    number = len(gram)
+    found = minimize(
+        lambda a: a @ scaled @ a,
+        np.full(number, 1 / number),
+        jac=lambda a: 2 * scaled @ a,
+        bounds=[(0, cap)] * number,
+        constraints={"type": "eq", "fun": lambda a: a.sum() - 1, "jac": np.ones_like},
+        method="SLSQP",
+        options={"maxiter": 1000, "ftol": 1e-15},
+    )
+    return found.x
+
+
+def ball_distance(samples: Array, weights: Array, sigma: float, pixels: Array) -> Array:
+    def kernel(left: Array, right: Array) -> Array:
+        return np.exp(-(distance_matrix(left, right) ** 2) / sigma**2)
+
+    norm = weights @ kernel(samples, samples) @ weights
+    return np.sqrt(np.maximum(1 + norm - 2 * kernel(pixels, samples) @ weights, 0))
+
+
+def minimax_score(
+    samples: Array,
+    pixels: Array,
+    ridge: float,
+    sigma: float,
+    solve: Callable[[Array, Array], Array] = np.linalg.solve,
+) -> Array:
+    """The toolbox's steps over all samples, twins included; scaled so that their mean is 1."""
+
+    def kernel(left: Array, right: Array) -> Array:
+        return np.exp(-(distance_matrix(left, right) ** 2) / sigma**2)
+
+    gram = kernel(samples, samples)
+    mean = gram.mean(0)
+    rows = (gram - mean) / np.sqrt(len(samples))
+    solved = solve(rows.T @ rows + ridge * np.eye(len(samples)), mean)
+    return kernel(pixels, samples) @ solved / (mean @ solved)
+
+
+def game_value(dissimilarities: Array, cap: float) -> float:
+    """The dual of dLP: the worst mixture p of samples, p ≤ cap, against their best answer."""
+    number = len(dissimilarities)
+    solution = linprog(
+        np.r_[np.zeros(number), -1.0],
+        A_ub=np.c_[-dissimilarities.T, np.ones(number)],
+        b_ub=np.zeros(number),
+        A_eq=np.r_[np.ones(number), 0.0][None],
+        b_eq=[1.0],
+        bounds=[(0, cap)] * number + [(None, None)],
+    )
+    return -float(solution.fun)
+
+
+def best_vertex(dissimilarities: Array, slack: float) -> float:
+    """The value of dLP by trying every basis of the linear programme; few samples only.
+
+    Variables w, ξ, what the constraints leave over, and ρ ≥ 0 (distances are).
+    """
+    number = len(dissimilarities)
+    one = np.eye(number)
+    matrix = np.block(
+        [
+            [dissimilarities, -one, one, -np.ones((number, 1))],
+            [np.ones((1, number)), np.zeros((1, 2 * number)), np.zeros((1, 1))],
+        ]
+    )
+    right = np.r_[np.zeros(number), 1.0]
+    cost = np.r_[np.zeros(number), np.full(number, slack), np.zeros(number), 1.0]
+    bases = np.array(list(combinations(range(matrix.shape[1]), number + 1)))
+    squares = matrix[:, bases].transpose(1, 0, 2)
+    regular = np.abs(np.linalg.det(squares)) > 1e-9
+    values = np.linalg.solve(
+        squares[regular], np.broadcast_to(right[:, None], (regular.sum(), number + 1, 1))
+    )[..., 0]
+    feasible = (values >= -1e-9).all(1)
+    return float((values * cost[bases[regular]]).sum(1)[feasible].min())

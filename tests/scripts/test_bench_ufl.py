@@ -1,0 +1,47 @@
+"""The benchmark of ``ufl``: what it prints and writes, and that its stages are most of detect."""
+
+import json
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from roadtorch.detectors import load_detector
+from scripts import bench_ufl
+from scripts.bench import SUM, time_stages
+from tests.scenes import render_scene
+
+
+def test_every_stage_and_every_rate_is_printed_and_written(tmp_path: Path) -> None:
+    figures = tmp_path / "figures.json"
+    words = ["--sizes", "32x24", "--rounds", "1", "--threads", "1", "--json", str(figures)]
+
+    done = subprocess.run(
+        [sys.executable, str(Path(bench_ufl.__file__)), *words],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+    assert done.returncode == 0, done.stderr
+    size = json.loads(figures.read_text())["sizes"]["32x24"]
+    assert all(size["rounds"][0][stage] > 0 for stage in bench_ufl.STAGES)
+    patches = 115 * 155  # of 160x120, whatever the size of the picture
+    assert size["operations"]["K-means"] == 10 * 2 * patches * 200 * 108
+    for name in (*size["ms"], *size["ratios"], *size["operations"]):
+        assert f"\n| {name} | " in done.stdout
+
+
+def test_the_stages_leave_out_little_of_detect() -> None:
+    image = render_scene(2, 120, 160).image
+    detect = load_detector("ufl").detect
+    detect(image)
+    shares = []
+    for _ in range(3):
+        start = time.perf_counter()
+        times = time_stages(detect, image, bench_ufl.STAGES)
+        shares.append(times[SUM] / 1000 / (time.perf_counter() - start))
+
+    assert max(shares) <= 1
+    assert statistics.median(shares) > 0.8

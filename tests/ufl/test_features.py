@@ -1,0 +1,136 @@
+"""Patches, whitening and K-means."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadtorch.ufl import features
+from roadtorch.ufl.features import DictionarySettings
+from tests.reference import ufl as reference
+
+
+def random(*size: int, seed: int = 0) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return torch.rand(*size, generator=generator, dtype=torch.float64)
+
+
+@pytest.mark.parametrize("side", [2, 3, 6])
+def test_patches_are_taken_everywhere_by_rows(side: int) -> None:
+    image = random(3, 8, 9)
+
+    found = features.extract_patches(image, side)
+
+    np.testing.assert_array_equal(found.numpy(), reference.patches(image.numpy(), side))
+
+
+def test_contrast_is_normalised_over_all_channels_together() -> None:
+    patches = random(5, 12)
+
+    found = features.normalise_contrast(patches, 0.01).numpy()
+
+    for before, after in zip(patches.numpy(), found, strict=True):
+        expected = (before - before.mean()) / np.sqrt(before.var(ddof=1) + 0.01)
+        np.testing.assert_allclose(after, expected)
+
+
+def test_flat_patches_become_0() -> None:
+    assert (features.normalise_contrast(torch.full((4, 12), 0.5), 1e-4) == 0).all()
+
+
+def test_whitening_without_epsilon_leaves_unit_covariance() -> None:
+    points = random(500, 6) @ random(6, 6, seed=1)
+
+    mean, matrix = features.whitening(points, 1e-12)
+
+    white = ((points - mean) @ matrix).numpy()
+    np.testing.assert_allclose(np.cov(white.T), np.eye(6), atol=1e-6)
+    torch.testing.assert_close(matrix, matrix.T)
+
+
+def test_equal_patches_are_whitened_to_0() -> None:
+    patches = features.white_patches(torch.full((3, 20, 20), 0.4), DictionarySettings())
+
+    torch.testing.assert_close(patches, torch.zeros_like(patches), atol=1e-5, rtol=0)
+
+
+@given(st.integers(0, 10**6), st.integers(1, 12), st.integers(1, 40))
+def test_a_round_of_k_means_moves_bases_to_the_means_of_their_own(
+    seed: int, bases: int, count: int
+) -> None:
+    points, start = random(count, 4, seed=seed), random(bases, 4, seed=seed + 1)
+
+    found = features.update(points, start)
+
+    moved, counts = reference.lloyd(points.numpy(), start.numpy())
+    np.testing.assert_allclose(found.dictionary.numpy(), moved, atol=1e-12)
+    assert found.counts.tolist() == counts
+
+
+def test_assignment_over_several_blocks_is_that_of_single_patches() -> None:
+    points, bases = random(features.BLOCK + 7, 3), random(5, 3, seed=1)
+
+    found = features.assign(points, bases)
+
+    assert torch.equal(found, torch.cdist(points, bases).argmin(1))
+
+
+def test_of_equal_bases_the_first_wins_and_the_others_become_0() -> None:
+    points = torch.ones(6, 2)
+
+    found = features.update(points, torch.ones(3, 2))
+
+    assert found.counts.tolist() == [6, 0, 0]
+    assert found.dictionary.tolist() == [[1, 1], [0, 0], [0, 0]]
+
+
+def test_k_means_lowers_the_squared_distances() -> None:
+    points = random(400, 5)
+    start = features.start_dictionary(points, DictionarySettings(bases=8, start="patches"))
+
+    spent = [
+        torch.cdist(points, step.dictionary).min(1).values.square().sum()
+        for step in features.updates(points, start, 6)
+    ]
+
+    assert all(after <= before + 1e-12 for before, after in pairwise(spent))
+
+
+@pytest.mark.parametrize("start", ["noise", "patches"])
+def test_the_random_seed_settles_the_start(start: str) -> None:
+    points = random(50, 4)
+
+    one, same, other = (
+        features.start_dictionary(
+            points, DictionarySettings.model_validate({"start": start, "random_seed": seed})
+        )
+        for seed in (3, 3, 4)
+    )
+
+    assert torch.equal(one, same)
+    assert not torch.equal(one, other)
+    assert one.dtype == points.dtype
+
+
+def test_noise_is_small_and_patches_are_patches() -> None:
+    points = random(50, 4)
+
+    noise = features.start_dictionary(points, DictionarySettings(bases=4000))
+    drawn = features.start_dictionary(points, DictionarySettings(bases=90, start="patches"))
+
+    assert float(noise.std()) == pytest.approx(0.1, rel=0.05)
+    assert (torch.cdist(drawn, points).min(1).values < 1e-6).all()
+
+
+def test_more_bases_than_patches_is_no_problem() -> None:
+    image = random(3, 8, 8).float()
+
+    learned = features.learn_dictionary(
+        features.white_patches(image, DictionarySettings()), DictionarySettings(bases=64)
+    )
+
+    assert learned.shape == (64, 108)
+    assert learned.isfinite().all()

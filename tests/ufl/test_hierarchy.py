@@ -1,0 +1,131 @@
+"""The tree of regions and the choice among its nodes."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadtorch.ufl import hierarchy
+from tests.reference import ufl as reference
+
+STEPS = hierarchy.thresholds(6, "included")
+
+
+def bumpy(seed: int, rows: int = 9, columns: int = 11) -> torch.Tensor:
+    """A map with hills, some values exactly on the thresholds, and a maximum of 1."""
+    values = torch.rand(rows, columns, generator=torch.Generator().manual_seed(seed))
+    smooth = torch.nn.functional.avg_pool2d(values[None], 3, 1, 1)[0].double()
+    return ((smooth / smooth.max() * 12).round() / 12).clamp(0, 1)
+
+
+def stable(seed: int, size: torch.Size) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return torch.randn(size, generator=generator, dtype=torch.float64)
+
+
+def two_hills() -> torch.Tensor:
+    """A plain at 0.2 with a wide hill of height 1 and a narrow one of 0.7."""
+    values = torch.full((8, 12), 0.2, dtype=torch.float64)
+    values[2:7, 1:6], values[3:6, 2:5] = 0.6, 1.0
+    values[3:6, 8:11] = 0.7
+    return values
+
+
+def test_thresholds_of_the_program_and_of_the_text() -> None:
+    assert hierarchy.thresholds(4, "included").tolist() == [0, 0.25, 0.5, 0.75, 1]
+    assert hierarchy.thresholds(4, "left_out").tolist() == [0, 0.25, 0.5, 0.75]
+
+
+@given(st.integers(0, 10**6))
+def test_regions_are_the_components_of_every_level_in_reading_order(seed: int) -> None:
+    values = bumpy(seed)
+
+    found = hierarchy.threshold_regions(values, STEPS)
+
+    number = 1
+    assert (found.labels[0] == 1).all()
+    for level, step in enumerate(STEPS.tolist()[1:], 1):
+        for pixels in reference.components(values.numpy() >= step):
+            number += 1
+            rows, columns = zip(*sorted(pixels), strict=True)
+            assert (found.labels[level][rows, columns] == number).all()
+            assert (found.level[number], found.area[number]) == (level, len(pixels))
+            assert found.parent[number] == found.labels[level - 1][rows[0], columns[0]]
+    assert len(found.area) == number + 1
+
+
+@given(st.integers(0, 10**6), st.integers(1, 12))
+def test_the_chosen_road_is_that_of_the_paper_step_by_step(seed: int, least: int) -> None:
+    values = bumpy(seed)
+    pixels = stable(seed, values.shape)
+
+    tree = hierarchy.build_tree(hierarchy.threshold_regions(values, STEPS), least)
+    choice = hierarchy.select_nodes(tree, hierarchy.node_stability(tree, pixels))
+
+    root = reference.tree(values.numpy(), STEPS.tolist(), least)
+    expected = reference.road(root, pixels.numpy())
+    assert np.array_equal(hierarchy.selected_area(tree, choice.selected).numpy(), expected)
+    total = sum(reference.optimise(child, pixels.numpy())[0] for child in root.children)
+    if root.children:
+        assert float(choice.best[0]) == pytest.approx(total)
+
+
+@given(st.integers(0, 10**6))
+def test_single_regions_are_worth_at_least_as_much_as_runs(seed: int) -> None:
+    """Every first region of a run is among the regions, so their best sum is no smaller."""
+    values = bumpy(seed)
+    pixels = stable(seed, values.shape)
+    regions = hierarchy.threshold_regions(values, STEPS)
+
+    def worth(nodes: hierarchy.Nodes) -> float:
+        tree = hierarchy.build_tree(regions, 4, nodes)
+        choice = hierarchy.select_nodes(tree, hierarchy.node_stability(tree, pixels), "never")
+        return float(pixels[hierarchy.selected_area(tree, choice.selected)].sum())
+
+    assert worth("regions") >= worth("runs") - 1e-9
+
+
+def test_an_only_region_joins_the_node_and_two_start_their_own() -> None:
+    tree = hierarchy.build_tree(hierarchy.threshold_regions(two_hills(), STEPS), 4)
+
+    # 0 and 1/6: the plain; 2/6: the two hills; 4/6: both still; 5/6 and 1: the wide one alone.
+    areas = [int(hierarchy.node_area(tree, node).sum()) for node in range(len(tree.node))]
+    assert areas == [96, 25, 9]
+    assert tree.parent.tolist() == [-1, 0, 0]
+    levels = [tree.regions.level[tree.node_of == node].tolist() for node in range(3)]
+    assert levels == [[0, 1], [2, 3, 4, 5, 6], [2, 3, 4]]
+
+
+def test_small_regions_vanish() -> None:
+    tree = hierarchy.build_tree(hierarchy.threshold_regions(two_hills(), STEPS), 10)
+
+    assert len(tree.node) == 1
+    assert hierarchy.node_area(tree, 0).all()
+
+
+def test_the_whole_map_is_road_only_where_nothing_splits_and_only_if_allowed() -> None:
+    values = torch.ones(6, 6, dtype=torch.float64)
+    tree = hierarchy.build_tree(hierarchy.threshold_regions(values, STEPS), 4)
+    stability = hierarchy.node_stability(tree, values)
+
+    assert stability.tolist() == [6.0]  # six levels above the first, which does not count
+    assert hierarchy.select_nodes(tree, stability).selected.tolist() == [True]
+    assert hierarchy.select_nodes(tree, stability, "never").selected.tolist() == [False]
+
+
+def test_a_map_of_0_has_one_node_worth_nothing() -> None:
+    tree = hierarchy.build_tree(hierarchy.threshold_regions(torch.zeros(6, 6), STEPS), 4)
+
+    choice = hierarchy.select_nodes(tree, hierarchy.node_stability(tree, torch.ones(6, 6)))
+
+    assert choice.selected.tolist() == [False]
+    assert choice.best.tolist() == [0]
+
+
+def test_sums_of_regions() -> None:
+    regions = hierarchy.threshold_regions(two_hills(), STEPS)
+
+    sums = hierarchy.region_sums(regions, torch.ones(8, 12))
+
+    assert sums.tolist() == regions.area.tolist()

@@ -1,0 +1,84 @@
+"""Encoding, scores and selection."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadtorch.ufl import maps
+from roadtorch.ufl.maps import MapSettings
+from tests.reference import ufl as reference
+
+SIZE = (7, 5)
+
+
+def random(*size: int, seed: int = 0) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return torch.rand(*size, generator=generator, dtype=torch.float64)
+
+
+@pytest.mark.parametrize("kind", ["base", "patch"])
+@given(seed=st.integers(0, 10**6), bases=st.integers(1, 40))
+def test_responses_follow_equations_3_and_4(kind: str, seed: int, bases: int) -> None:
+    points, dictionary = random(35, 4, seed=seed), random(bases, 4, seed=seed + 1)
+    settings = MapSettings.model_validate({"encoder": kind})
+
+    found = maps.make_encoder(points, dictionary, settings.encoder)(dictionary)
+
+    expected = reference.responses(points.numpy(), dictionary.numpy(), kind)
+    np.testing.assert_allclose(found.numpy(), expected, atol=1e-6)
+
+
+def test_scores_are_those_of_equation_5() -> None:
+    responses = random(6, 35)
+    weights = maps.row_weights(SIZE[0], "from_one").repeat_interleave(SIZE[1])
+
+    found = maps.score_maps(responses, weights)
+
+    unit = (responses / responses.amax(1, keepdim=True)).view(-1, *SIZE).numpy()
+    np.testing.assert_allclose(found.numpy(), [reference.score(each) for each in unit])
+
+
+@pytest.mark.parametrize(("rows", "first", "last"), [(115, -57, 57), (114, -57, 56)])
+def test_the_programs_row_weights(rows: int, first: int, last: int) -> None:
+    weights = maps.row_weights(rows, "centred")
+
+    assert (weights[0], weights[-1], weights.diff().unique().tolist()) == (first, last, [1])
+
+
+@pytest.mark.parametrize("kind", ["base", "patch"])
+def test_the_best_maps_are_kept_best_first(kind: str) -> None:
+    points, dictionary = random(35, 4), random(41, 4, seed=1)
+    settings = MapSettings.model_validate({"encoder": kind, "share": 0.3})
+
+    found = maps.select_maps(points, dictionary, SIZE, settings)
+
+    responses = reference.responses(points.numpy(), dictionary.numpy(), kind)
+    unit = responses / responses.max(axis=1, keepdims=True)
+    weights = np.repeat(np.arange(7) - 3, 5)
+    order = np.argsort(-(unit @ weights), kind="stable")
+    assert found.order.tolist() == order.tolist()
+    np.testing.assert_allclose(found.maps.flatten(1).numpy(), unit[order[:12]], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("bases", "share", "count"), [(200, 0.2, 40), (5, 0.5, 3), (3, 0.01, 1), (4, 1.0, 4)]
+)
+def test_how_many_maps_are_selected(bases: int, share: float, count: int) -> None:
+    assert maps.selected_count(bases, share) == count
+
+
+def test_patches_that_are_all_equal_give_maps_of_0() -> None:
+    found = maps.select_maps(torch.zeros(35, 4), torch.zeros(10, 4), SIZE, MapSettings())
+
+    assert (found.maps == 0).all()
+    assert (found.scores == 0).all()
+    assert (maps.mean_map(found.maps, "maximum") == 0).all()
+
+
+def test_the_mean_map_reaches_1_or_is_just_the_mean() -> None:
+    stack = random(4, *SIZE) / 2
+
+    torch.testing.assert_close(maps.mean_map(stack, "none"), stack.mean(0))
+    torch.testing.assert_close(maps.mean_map(stack, "maximum"), stack.mean(0) / stack.mean(0).max())

@@ -1,0 +1,88 @@
+"""Resizing, blur and brightness equalisation."""
+
+import numpy as np
+import pytest
+import torch
+
+from roadtorch.ufl import preprocess
+from tests.reference import ufl as reference
+
+
+def random(*size: int, seed: int = 0) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return torch.rand(*size, generator=generator, dtype=torch.float64)
+
+
+@pytest.mark.parametrize(
+    ("height", "width", "size"),
+    [(360, 480, (120, 160)), (375, 1242, (120, 397)), (227, 320, (120, 169)), (16, 16, (120, 120))],
+)
+def test_the_papers_sizes_follow_from_the_shape(height: int, width: int, size: tuple) -> None:
+    assert preprocess.WorkingShape().size(height, width) == size
+
+
+def test_very_long_pictures_are_cut_short() -> None:
+    assert preprocess.WorkingShape(widest=4).size(16, 4000) == (120, 480)
+    assert preprocess.WorkingShape(widest=4).size(4000, 16) == (120, 30)
+
+
+def test_blur_is_the_gaussian_of_equation_1() -> None:
+    image = random(2, 9, 11)
+
+    found = preprocess.blur(image, 1.5, 3)
+
+    expected = np.stack([reference.blurred(plane, 1.5, 3) for plane in image.numpy()])
+    np.testing.assert_allclose(found.numpy(), expected, atol=1e-12)
+
+
+def test_equalisation_gives_grey_pictures_the_target_everywhere_but_at_edges() -> None:
+    ramp = torch.linspace(0.1, 0.9, 40, dtype=torch.float64).expand(3, 30, 40)
+
+    found = preprocess.equalised(ramp, preprocess.Smoothing(target=0.7))
+
+    torch.testing.assert_close(found, torch.full_like(ramp, 0.7), atol=0.02, rtol=0)
+
+
+def test_equalisation_does_not_see_how_bright_a_picture_is() -> None:
+    image = 0.2 + 0.5 * random(3, 20, 24)
+
+    bright, dark = (preprocess.equalised(image * gain, preprocess.Smoothing()) for gain in (1, 0.1))
+
+    torch.testing.assert_close(bright, dark)
+
+
+def test_black_stays_black_where_the_program_divides_0_by_0() -> None:
+    image = 0.3 + 0.3 * random(3, 32, 32)
+    image[:, 5:25, 5:25] = 0
+
+    found = preprocess.equalised(image, preprocess.Smoothing())
+
+    assert found.isfinite().all()
+    assert (found[:, 12:18, 12:18] == 0).all()
+
+
+def test_bicubic_keeps_the_size_it_has() -> None:
+    image = random(3, 20, 30)
+
+    assert preprocess.bicubic(image, (20, 30)) is image
+
+
+@pytest.mark.parametrize("size", [(10, 15), (37, 61), (20, 60)])
+def test_bicubic_keeps_flat_pictures_and_8_bits(size: tuple[int, int]) -> None:
+    flat = torch.full((3, 20, 30), 77 / 255, dtype=torch.float64)
+
+    torch.testing.assert_close(preprocess.bicubic(flat, size), flat.new_full((3, *size), 77 / 255))
+    levels = preprocess.bicubic(random(3, 20, 30), size) * 255
+    torch.testing.assert_close(levels, levels.round())
+
+
+def test_bicubic_halves_with_the_stretched_cubic_kernel() -> None:
+    # Keys' kernel (a = -1/2) at the distances 1/4, 3/4, 5/4, 7/4, both sides, each over 2.
+    taps = np.array([-3, -9, 29, 111, 111, 29, -9, -3]) / 256
+    image = (random(1, 1, 16).expand(3, 16, 16) * 255).round() / 255
+
+    found = preprocess.bicubic(image, (8, 8))
+
+    row = image[0, 0].numpy() * 255
+    expected = np.floor(np.clip(row[3:11] @ taps, 0, 255) + 0.5)
+    assert found[0, 4, 3] * 255 == pytest.approx(expected)

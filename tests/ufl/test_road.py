@@ -1,0 +1,191 @@
+"""Place, reconstruction error, the two loops, and the way back to the image."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadtorch.ufl import hierarchy, road
+from roadtorch.ufl.road import RoadSettings
+from tests.reference import ufl as reference
+
+
+def random(*size: int, seed: int = 0) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return torch.rand(*size, generator=generator, dtype=torch.float64)
+
+
+def lower_half() -> torch.Tensor:
+    mask = torch.zeros(9, 12, dtype=torch.bool)
+    mask[5:, 3:9] = True
+    return mask
+
+
+# Place
+
+
+def test_place_of_the_text_is_equation_6() -> None:
+    found = road.place_weights(10, 14, "from_one")
+
+    for row, column in np.ndindex(10, 14):
+        expected = (row + 1 - 5) / 5 + (-abs(column + 1 - 7) + 5) / 5
+        assert float(found[row, column]) == pytest.approx(expected)
+
+
+def test_place_of_the_program_is_symmetric() -> None:
+    found = road.place_weights(11, 14, "symmetric")
+
+    torch.testing.assert_close(found, found.flip(1))
+    torch.testing.assert_close(found[:, 0] - found[5, 0], -(found[:, 0] - found[5, 0]).flip(0))
+
+
+def test_place_ahead_is_0_on_the_sides_of_its_triangle() -> None:
+    found = road.place_ahead(100, 200, apex=0.5, base=0.8)
+
+    assert (found[:50] == -1).all()
+    assert float(found[-1, 99]) > 0.98
+    inside = (found > 0).sum(1)
+    assert abs(int(inside[-1]) - 0.8 * 200) <= 2
+    assert abs(int(inside[74]) - 0.4 * 200) <= 4
+    torch.testing.assert_close(found, found.flip(1))
+
+
+# Reconstruction error (eq. 10)
+
+
+@pytest.mark.parametrize("centring", ["road", "none"])
+@given(seed=st.integers(0, 10**6), kept=st.floats(0.3, 0.99))
+def test_the_error_is_equation_10(centring: str, seed: int, kept: float) -> None:
+    maps = random(5, 9, 12, seed=seed)
+
+    settings = RoadSettings.model_validate({"centring": centring})
+    found = road.reconstruction_error(maps, lower_half(), settings.centring, kept)
+
+    expected = reference.errors(maps.numpy(), lower_half().numpy(), kept, centring == "road")
+    np.testing.assert_allclose(found.numpy(), expected, atol=1e-7)
+
+
+def test_the_centred_basis_on_raw_features_keeps_the_mean_as_error() -> None:
+    maps = 5 + 0.1 * random(4, 9, 12)
+
+    error = road.reconstruction_error(maps, lower_half(), "basis", 1.0)
+    centred = road.reconstruction_error(maps, lower_half(), "road", 1.0)
+
+    assert float(centred.max()) < 1e-6
+    assert float(error.max()) < 1e-6  # all four directions are kept
+    least = road.reconstruction_error(maps, lower_half(), "basis", 0.01)
+    assert float(least.min()) > 1
+
+
+def test_road_that_is_all_alike_is_explained_by_its_mean_alone() -> None:
+    maps = torch.ones(3, 9, 12)
+    maps[:, 0] = 3
+
+    error = road.reconstruction_error(maps, lower_half(), "road", 0.95)
+
+    assert (error[1:] == 0).all()
+    torch.testing.assert_close(error[0], torch.full((12,), 2 * 3**0.5))
+
+
+def test_errors_are_scaled_where_the_mean_map_is_not_0() -> None:
+    error = torch.tensor([[1.0, 2.0], [3.0, 9.0]])
+    covered = torch.tensor([[True, True], [True, False]])
+
+    found = road.normalised_error(error, covered)
+
+    assert found.tolist() == [[0, 0.5], [1, 0]]
+
+
+@pytest.mark.parametrize("covered", [True, False])
+def test_errors_that_are_all_alike_or_nowhere_become_0(covered: bool) -> None:
+    found = road.normalised_error(torch.full((3, 4), 2.0), torch.full((3, 4), covered))
+
+    assert (found == 0).all()
+
+
+# The two loops
+
+
+def street() -> tuple[torch.Tensor, torch.Tensor]:
+    """Six maps (6,30,40) and their mean: a road that varies, and a wall with other features."""
+    maps = torch.zeros(6, 30, 40, dtype=torch.float64)
+    maps[:, 16:, 8:32] = torch.linspace(0.9, 1, 24, dtype=torch.float64)
+    maps[:4, 6:16, 8:32] = 0.9
+    return maps, maps.mean(0) / maps.mean(0).max()
+
+
+def run(settings: RoadSettings, nodes: hierarchy.Nodes = "regions") -> list[road.Round]:
+    maps, mean = street()
+    regions = hierarchy.threshold_regions(mean, hierarchy.thresholds(16, "included"))
+    return road.find_road(maps, mean, hierarchy.build_tree(regions, 10, nodes), settings)
+
+
+def test_the_first_round_has_no_error_and_the_next_learn_from_the_one_before() -> None:
+    rounds = run(RoadSettings(rounds=3, place="ahead"))
+
+    assert len(rounds) == 3
+    assert (rounds[0].error == 0).all()
+    assert float(rounds[1].error.max()) == 1
+    assert rounds[1].error[20:, 10:30].mean() < rounds[1].error[8:14, 10:30].mean()
+
+
+def test_the_road_is_found_without_the_wall() -> None:
+    found = run(RoadSettings(place="ahead"))[-1].road
+
+    assert found[17:, 9:31].all()
+    assert not found[:15].any()
+
+
+def test_a_round_that_finds_no_road_ends_it() -> None:
+    maps = torch.zeros(2, 30, 40, dtype=torch.float64)
+    regions = hierarchy.threshold_regions(maps[0], hierarchy.thresholds(16, "included"))
+
+    rounds = road.find_road(maps, maps[0], hierarchy.build_tree(regions, 10), RoadSettings())
+
+    assert len(rounds) == 1
+    assert rounds[0].model is None
+    assert not rounds[0].road.any()
+
+
+def test_the_node_that_is_learned_from() -> None:
+    choice = hierarchy.Choice(
+        torch.tensor([False, False, True, True]),
+        torch.tensor([9.0, 1.0, 2.0, 3.0]),
+        torch.tensor([5.0, 5.0, 2.0, 3.0]),
+    )
+
+    assert road.model_node(choice, "selected") == 3
+    assert road.model_node(choice, "best") == 1
+
+
+# Back to the image
+
+
+@given(st.integers(0, 10**6))
+def test_masks_come_back_as_in_the_program(seed: int) -> None:
+    mask = random(9, 12, seed=seed) > 0.7
+
+    assert np.array_equal(road.mask_to_image(mask, 6).numpy(), reference.to_image(mask.numpy()))
+
+
+@pytest.mark.parametrize("side", [2, 5, 6, 7])
+def test_maps_come_back_at_the_size_of_the_image(side: int) -> None:
+    values = random(9, 12)
+
+    found = road.map_to_image(values, side)
+
+    assert found.shape == road.mask_to_image(values > 0.5, side).shape == (8 + side, 11 + side)
+    assert float(values.min()) <= float(found.min()) <= float(found.max()) <= float(values.max())
+    ramp = torch.arange(12.0).expand(9, 12)
+    assert float(road.map_to_image(ramp, side)[4, 6]) == 6 - (side - 1) / 2
+
+
+def test_widening_takes_a_square_of_pixels() -> None:
+    mask = torch.zeros(9, 12, dtype=torch.bool)
+    mask[4, 0] = True
+
+    found = road.widened(mask, 2)
+
+    assert found.nonzero().tolist() == [[row, column] for row in range(2, 7) for column in range(3)]
+    assert torch.equal(road.widened(mask, 0), mask)

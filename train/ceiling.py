@@ -1,0 +1,103 @@
+"""The ceiling of CNN-7: the same network, trained on the true labels of the other two drives.
+
+    python train/ceiling.py configs/cnn7.toml ../shared/data/camvid --out runs/ceiling --epochs 4
+
+Patches, jitter, error and descent are those of the config; only the classes of the patches come
+from people. Void has no class. Each drive is scored with a network that never saw it. This is a
+measure, not a way to train: what it makes is not label-free and is never shipped.
+"""
+
+import argparse
+from pathlib import Path
+
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from roadtorch.evaluation import metrics
+from roadtorch.evaluation.datasets import Dataset, Item, open_dataset
+from roadtorch.layout.network import PatchNetwork
+from roadtorch.layout.weights import save_network
+from roadtorch.train.config import PatchTraining, read_training
+from roadtorch.train.loop import Task, make_optimiser, step
+from roadtorch.train.patches import PatchSamples, find_sites, squared_error
+from roadtorch.train.prepared import make_folder, to_bytes, write_arrays
+from roadtorch.train.recipe import seeded
+from roadtorch.train.team import join_team
+from roadtorch.working import at_work
+
+VOID = 255
+
+
+def prepare(dataset: Dataset, item: Item, training: PatchTraining, path: Path) -> None:
+    """What ``prepare_patches`` keeps of a picture, with the true classes of its sites."""
+    image, truth = dataset.read(item)
+    assert truth.layout is not None
+    small = at_work(image, training.network.working)
+    sites = find_sites(training.superpixels.cut(small), training.sites)
+    (height, width), (rows, columns) = small.shape[-2:], truth.layout.shape
+    classes = truth.layout[sites[:, 0] * rows // height, sites[:, 1] * columns // width]
+    known = classes != VOID
+    arrays = {"image": to_bytes(small), "sites": sites[known].to(torch.int16)}
+    write_arrays(path, {**arrays, "classes": classes[known].to(torch.uint8)})
+
+
+def train(files: list[Path], training: PatchTraining, epochs: int) -> PatchNetwork:
+    """A network trained on prepared pictures for that many epochs, the rate falling to 0."""
+    with join_team() as team, seeded(training.seed, 0):
+        network = PatchNetwork(training.network)
+        samples = PatchSamples(files, training, team)
+        optimiser = make_optimiser(network, training.descent)
+        task = Task(network, optimiser, samples, squared_error, training.descent, training.stopping)
+        for epoch in range(epochs):
+            error = count = 0.0
+            for chunk in tqdm(range(samples.chunks), f"epoch {epoch + 1}", disable=None):
+                for batch in samples.batches(epoch, chunk):
+                    error += step(task, batch, team)
+                    count += batch.count
+            print(f"epoch {epoch + 1}: error {error / count:.4f}", flush=True)
+    return network.eval()
+
+
+def recalls(network: PatchNetwork, dataset: Dataset, items: list[Item]) -> Tensor:
+    """Recall of sky, vertical, horizontal over pictures; void ignored."""
+    confusion = torch.zeros((4, 4), dtype=torch.int64)
+    for item in items:
+        image, truth = dataset.read(item)
+        assert truth.layout is not None
+        confusion += metrics.count_layout(network.cues(image)["layout"].argmax(0), truth.layout)
+    return metrics.class_recalls(confusion)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="CNN-7 on true labels, one drive left out.")
+    parser.add_argument("config", type=Path)
+    parser.add_argument("camvid", type=Path)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--epochs", type=int, default=4)
+    parser.add_argument("--every", type=int, default=1, help="score every so-manieth picture")
+    chosen = parser.parse_args()
+    torch.set_num_threads(1)
+    training = read_training(chosen.config)
+    assert isinstance(training, PatchTraining), "give the config of a patch network"
+    dataset = open_dataset("camvid", chosen.camvid)
+    make_folder(chosen.out)
+    files = {item: chosen.out / f"{item.name}.npz" for item in dataset.items}
+    for item, file in tqdm(files.items(), "truth", disable=None):
+        if not file.exists():
+            prepare(dataset, item, training, file)
+    means = []
+    for drive in dataset.groups():
+        others = [file for item, file in files.items() if item.group != drive]
+        network = train(others, training, chosen.epochs)
+        save_network(chosen.out / f"{drive}.safetensors", network, {"trained on": "true labels"})
+        held = [item for item in dataset.items if item.group == drive][:: chosen.every]
+        found = recalls(network, dataset, held)
+        means.append(float(found.mean()))
+        each = "/".join(f"{value:.3f}" for value in found.tolist())
+        print(f"{drive}: sky/vertical/horizontal {each}, mean {means[-1]:.3f}", flush=True)
+    print(f"mean over the drives {sum(means) / len(means):.3f}")
+
+
+if __name__ == "__main__":
+    main()
