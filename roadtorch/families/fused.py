@@ -57,7 +57,7 @@ class UntrainedSettings(Decision):
 class FusionSettings(UntrainedSettings):
     """The fused detector with a network that has seen other streets."""
 
-    threshold: float = Field(default=0.39, ge=0, le=1, description=THRESHOLD)
+    threshold: float = Field(default=0.325, ge=0, le=1, description=THRESHOLD)
     weights: Weights = Weights()
     share: float = Field(default=0.7, ge=0, le=1, description=SHARE)
     learned: LearnedRoad = LearnedRoad()
@@ -66,7 +66,7 @@ class FusionSettings(UntrainedSettings):
 class PaperSettings(Decision):
     """P2 as it is written: CNN-7, colour plane fusion over superpixels, a uniform prior."""
 
-    threshold: float = Field(default=0.1, ge=0, le=1, description=THRESHOLD)
+    threshold: float = Field(default=0.258, ge=0, le=1, description=THRESHOLD)
     superpixels: Superpixels = Superpixels()
     weights: Weights = Weights()
     texture: TextureSettings = TextureSettings()

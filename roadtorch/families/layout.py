@@ -28,14 +28,14 @@ class LabellerDetectorSettings(Decision):
 class Cnn7Settings(Decision):
     """CNN-7 as a road detector."""
 
-    threshold: float = Field(default=0.6, ge=0, le=1, description=THRESHOLD)
+    threshold: float = Field(default=0.637, ge=0, le=1, description=THRESHOLD)
     weights: Weights = Weights()
 
 
 class LayoutSettings(Decision):
     """The layout by a network for whole pictures and by the labeller."""
 
-    threshold: float = Field(default=0.8, ge=0, le=1, description=THRESHOLD)
+    threshold: float = Field(default=0.783, ge=0, le=1, description=THRESHOLD)
     superpixels: Superpixels = Superpixels()
     labeller: LabellerSettings = LabellerSettings()
     weights: Weights = Weights()

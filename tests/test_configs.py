@@ -1,0 +1,34 @@
+"""The configs that ship: read by their commands, and in agreement with the defaults."""
+
+from pathlib import Path
+
+import pytest
+
+from roadtorch.cli.config import choose
+from roadtorch.detectors import detector_entry
+from roadtorch.settings import build_settings
+from roadtorch.train.config import read_training
+
+CONFIGS = Path(__file__).resolve().parents[1] / "configs"
+THRESHOLDS = sorted((CONFIGS / "thresholds").glob("*.toml"))
+TRAINING = sorted(CONFIGS.glob("*.toml"))
+OWN = ("ufl", "ufl:original")  # their 0.5 is exactly the mask that the method chooses
+
+
+@pytest.mark.parametrize("path", TRAINING, ids=lambda path: path.stem)
+def test_every_training_config_is_one(path: Path) -> None:
+    assert read_training(path).descent.rate > 0
+
+
+@pytest.mark.parametrize("path", THRESHOLDS, ids=lambda path: path.stem)
+def test_the_default_threshold_is_the_one_that_was_chosen(path: Path) -> None:
+    name, values = choose(None, path, (), None)
+    kind = detector_entry(name).settings
+
+    chosen, default = build_settings(kind, values).model_dump(), kind().model_dump()
+    if name not in OWN:
+        assert default.pop("threshold") == pytest.approx(chosen.pop("threshold"), abs=0.01)
+    else:
+        del default["threshold"], chosen["threshold"]
+    assert chosen == default
+    assert "#   roadtorch tune camvid" in path.read_text()
