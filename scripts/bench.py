@@ -43,13 +43,16 @@ from roadtorch.detectors import load_detector
 from roadtorch.errors import RoadtorchError
 from roadtorch.families import fused
 from roadtorch.image import read_image
+from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.superpixels import slic
 from roadtorch.torchvision_shim import torchvision
 from tests.scenes import render_scene
 
-STAGES: dict[str, tuple[tuple[ModuleType, str], ...]] = {
+Stages = Mapping[str, tuple[tuple[ModuleType | type, str], ...]]
+STAGES: Stages = {
     "check the image": ((detectors, "checked_image"),),
     "resize to the working size": ((working, "resized"),),
+    "network": ((PictureNetwork, "cues"),),
     "brighten": ((fused, "brightened"),),
     "superpixels": ((working, "slic"),),
     "measure": ((fused, "measure_segments"),),
@@ -57,6 +60,12 @@ STAGES: dict[str, tuple[tuple[ModuleType, str], ...]] = {
     "texture": ((fused, "unsaturated_uniformity"), (texture, "uniformity_likelihood")),
     "distance": ((fused, "seed_distance"), (fused, "distance_likelihood")),
     "road": ((fused, "segment_road"),),
+    "pool": (
+        (fused, "segment_mean"),
+        (fused, "pooled"),
+        (fused, "log_odds"),
+        (fused, "naive_bayes"),
+    ),
     "paint": ((fused, "road_place"), (fused, "paint")),
     "back to full size": ((working, "restored"),),
     "decide": ((detectors, "decide"),),
@@ -72,7 +81,6 @@ OURS, THEIRS = f"roadtorch slic, {SEGMENTS} segments", f"skimage slic, {SEGMENTS
 SUM = "sum of the stages"
 RATIOS = {"fusion / lraspp": (FUSION, LRASPP), "skimage slic / our slic": (THEIRS, OURS)}
 
-Stages = Mapping[str, tuple[tuple[ModuleType, str], ...]]
 Clock = Callable[[], float]
 """Seconds, from any start."""
 Round = dict[str, float]

@@ -76,9 +76,9 @@ def test_the_stages_leave_out_little_of_detect_and_count_nothing_twice() -> None
     detect(image)
     shares = []
     for _ in range(5):
-        start = time.perf_counter()
-        times = bench.time_stages(detect, image)
-        shares.append(times[bench.SUM] / 1000 / (time.perf_counter() - start))
+        start = time.process_time()  # which other work on the machine does not touch
+        times = bench.time_stages(detect, image, bench.STAGES, time.process_time)
+        shares.append(times[bench.SUM] / 1000 / (time.process_time() - start))
 
     assert max(shares) <= 1
     assert statistics.median(shares) > 0.8

@@ -39,9 +39,9 @@ def test_the_stages_leave_out_little_of_detect() -> None:
     detect(image)
     shares = []
     for _ in range(3):
-        start = time.perf_counter()
-        times = time_stages(detect, image, bench_ufl.STAGES)
-        shares.append(times[SUM] / 1000 / (time.perf_counter() - start))
+        start = time.process_time()
+        times = time_stages(detect, image, bench_ufl.STAGES, time.process_time)
+        shares.append(times[SUM] / 1000 / (time.process_time() - start))
 
     assert max(shares) <= 1
     assert statistics.median(shares) > 0.8
