@@ -168,7 +168,7 @@ def test_maps_of_other_settings_are_not_mixed_in(call: Call, kitti: Path, tmp_pa
         ("calib", "{root}/calib: does not exist (bird's-eye view needs calibration files)"),
         ("image_2", "{root}/image_2: does not exist (give the folder that holds image_2 or "),
         ("name", "thumb: is not the name of a KITTI road picture (name pictures CATEGORY_NUMBER"),
-        ("detector", "fusoin: unknown detector (did you mean fusion?)"),
+        ("detector", "fusoin: unknown detector (did you mean fusion, "),
         ("twice", "{root}/image_2/um_000000.jpg and {root}/image_2/um_000000.png: both would "),
     ],
 )
