@@ -7,33 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from roadtorch.cli.options import PATH, labelled_set
+
 if TYPE_CHECKING:
     from roadtorch.evaluation.plan import Described
     from roadtorch.evaluation.progress import Progress
     from roadtorch.evaluation.runner import Plan, Result
     from roadtorch.evaluation.tally import Tally
 
-PATH = click.Path(path_type=Path)
-
 
 @click.command()
-@click.argument("dataset")
-@click.argument("root", type=PATH)
-@click.option("--split", help="Part of the data set; camvid: dev (default), train, val.")
-@click.option(
-    "--detector",
-    "names",
-    multiple=True,
-    default=("fusion",),
-    show_default=True,
-    help="Detector to score; may be given several times, with wildcards ('cpf*').",
-)
-@click.option("--set", "assignments", multiple=True, help="Setting of the detectors: key=value.")
+@labelled_set
 @click.option("--maps", "folders", multiple=True, help="Maps made elsewhere: NAME=DIR or DIR.")
 @click.option("--bev", is_flag=True, help="Score in bird's-eye view (kitti-road).")
 @click.option("--out", type=PATH, help="Folder for metrics.json, report.html, curves and rows.")
-@click.option("--limit", type=click.IntRange(min=1), help="Look at this many pictures only.")
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--mean-from", help="Learn prior:mean on another set: NAME:ROOT.")
 @click.option("--threshold-from", type=PATH, help="Thresholds that an earlier metrics.json chose.")
 @click.option("--against", help="Compare all with this detector; the best one if not given.")

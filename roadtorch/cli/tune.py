@@ -4,25 +4,12 @@ from pathlib import Path
 
 import click
 
-PATH = click.Path(path_type=Path)
+from roadtorch.cli.options import PATH, labelled_set
 
 
 @click.command()
-@click.argument("dataset")
-@click.argument("root", type=PATH)
-@click.option("--split", help="Part of the data set; camvid: dev (default), train, val.")
-@click.option(
-    "--detector",
-    "names",
-    multiple=True,
-    default=("fusion",),
-    show_default=True,
-    help="Detector to tune; may be given several times, with wildcards ('cpf*').",
-)
-@click.option("--set", "assignments", multiple=True, help="Setting of the detectors: key=value.")
+@labelled_set
 @click.option("--out", type=PATH, required=True, help="Folder for the configs, NAME.toml.")
-@click.option("--limit", type=click.IntRange(min=1), help="Look at this many pictures only.")
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
 @click.pass_context
 def tune(
     context: click.Context,
