@@ -7,10 +7,13 @@ them. P3 does not say which average it took.
 import csv
 import html
 import io
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
 from typing import Any
+
+import numpy as np
 
 from roadtorch.color import REPRESENTATIONS
 from roadtorch.image import write_text
@@ -83,15 +86,16 @@ def printed_table() -> dict[tuple[str, str], float]:
 def measured_table(detectors: Mapping[str, Mapping[str, Any]], drive: str | None = None) -> Table:
     """The cells of a run, of all of it or of one drive; empty where no one-class detector ran.
 
-    detectors: as in metrics.json.
+    detectors: as in metrics.json. Cells without an AUC are left out.
     """
     found = {}
     for classifier in CLASSIFIERS:
         for planes in REPRESENTATIONS:
-            figures = detectors.get(f"{FAMILY}{classifier}:{planes}")
-            if figures is not None:
-                part = figures if drive is None else figures["groups"][drive]
-                found[classifier, planes] = 100 * part["auc_mean"]
+            figures = detectors.get(f"{FAMILY}{classifier}:{planes}", {})
+            part = figures if drive is None else figures.get("groups", {}).get(drive, {})
+            value = part.get("auc_mean")
+            if value is not None and math.isfinite(value):
+                found[classifier, planes] = 100 * value
     return found
 
 
@@ -108,32 +112,35 @@ def rank_correlations(ours: Table, paper: Table) -> Iterator[tuple[str, int, flo
     """Spearman's coefficient between two tables: what over, how many pairs, the coefficient.
 
     Over the cells that both have, of all and of each half; and over the means of columns and
-    of rows. NaN where there is nothing to rank.
+    of rows. Where there is nothing to rank, nothing is said.
     """
+    for name, pairs in _compared(ours, paper):
+        ranks = [_ranks(values) for values in zip(*pairs, strict=True)]
+        if ranks and all(np.ptp(one) > 0 for one in ranks):
+            yield name, len(pairs), float(np.corrcoef(ranks)[0, 1])
+
+
+def _compared(ours: Table, paper: Table) -> Iterator[tuple[str, Sequence[tuple[float, float]]]]:
+    """What ``rank_correlations`` is over, and the pairs of values."""
     both = [key for key in ours if key in paper]
     parts = {"all cells": both}
     parts |= {name: [key for key in both if key[1] in HALVES[name]] for name in HALVES}
     for name, keys in parts.items():
-        yield name, len(keys), _spearman([(ours[key], paper[key]) for key in keys])
+        yield name, [(ours[key], paper[key]) for key in keys]
     for half in HALVES:
         for name, place in (("columns", 1), ("rows", 0)):
             groups: dict[str, list[tuple[str, str]]] = {}
             for key in parts[half]:
                 groups.setdefault(key[place], []).append(key)
-            means = [
-                (fmean(ours[key] for key in keys), fmean(paper[key] for key in keys))
-                for keys in groups.values()
-            ]
-            yield f"means of {name}, {half}", len(means), _spearman(means)
+            means = [[fmean(table[key] for key in keys) for keys in groups.values()]
+                     for table in (ours, paper)]  # fmt: skip
+            yield f"means of {name}, {half}", list(zip(*means, strict=True))
 
 
-def _spearman(pairs: Sequence[tuple[float, float]]) -> float:
-    import numpy as np
-    from scipy.stats import rankdata  # slow to import
-
-    ranks = np.array([rankdata(values) for values in zip(*pairs, strict=True)])
-    is_flat = len(pairs) < 2 or bool((np.ptp(ranks, axis=1) == 0).any())
-    return float("nan") if is_flat else float(np.corrcoef(ranks)[0, 1])
+def _ranks(values: Sequence[float]) -> np.ndarray:
+    """1 for the least; equal values share the mean of their places."""
+    _, place, counts = np.unique(np.array(values), return_inverse=True, return_counts=True)
+    return (counts.cumsum() - (counts - 1) / 2)[place]
 
 
 # --- text, CSV, HTML --------------------------------------------------------------------
@@ -171,7 +178,8 @@ def _heading(document: Mapping[str, Any]) -> str:
 
 
 def _drives(document: Mapping[str, Any]) -> list[str]:
-    return sorted({drive for one in document["detectors"].values() for drive in one["groups"]})
+    every = document["detectors"].values()
+    return sorted({drive for figures in every for drive in figures.get("groups", {})})
 
 
 def _lines(ours: Table, paper: Table, columns: Sequence[str]) -> list[str]:
@@ -205,7 +213,7 @@ def table_csv(document: Mapping[str, Any]) -> str:
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(["classifier", "representation", "auc", "paper", *drives])
     for key, value in measured_table(document["detectors"]).items():
-        own = [f"{table[key]:.2f}" for table in by_drive]
+        own = [f"{table[key]:.2f}" if key in table else "" for table in by_drive]
         writer.writerow([*key, f"{value:.2f}", paper.get(key, ""), *own])
     return file.getvalue()
 

@@ -26,11 +26,12 @@ CLASSIFIERS: dict[str, Classifier] = {
         *density.CLASSIFIERS,
         *mixture.CLASSIFIERS,
         boundary.SVDD,
-        *reconstruction.CLASSIFIERS[:1],
+        reconstruction.PCA,
         boundary.MPM,
         neighbours.MST,
         boundary.DLP,
-        *reconstruction.CLASSIFIERS[1:],
+        reconstruction.K_MEANS,
+        reconstruction.K_CENTRES,
     )
 }
 """The 17 classifiers of P3 by name, in the order of its Table III."""

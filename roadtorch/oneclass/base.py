@@ -162,15 +162,15 @@ class Fitted(nn.Module):
 
     def _in_chunks(self, planes: Tensor, arrange: Callable[[Tensor], Tensor]) -> Tensor:
         found, state = planes.new_empty(planes.shape[1]), self.state
-        length = max(1, CHUNK // max(1, self.floats))
-        for part, into in zip(planes.split(length, 1), found.split(length), strict=True):
+        block, length = (max(1, CHUNK // max(1, each)) for each in (len(planes), self.floats))
+        for part, into in zip(planes.split(block, 1), found.split(block), strict=True):
             # A sum is finite where all its parts are (values near 1e38 do not occur).
-            if math.isfinite(float(part.sum())):
-                into.copy_(self.classifier.distance(state, arrange(part)))
-                continue
-            broken = ~part.sum(0).isfinite()
-            into.copy_(self.classifier.distance(state, arrange(torch.where(broken, 0, part))))
-            into.masked_fill_(broken, math.inf)
+            broken = None if math.isfinite(float(part.sum())) else ~part.sum(0).isfinite()
+            seen = arrange(part if broken is None else torch.where(broken, 0, part))
+            for piece, place in zip(seen.split(length, 1), into.split(length), strict=True):
+                place.copy_(self.classifier.distance(state, piece))
+            if broken is not None:
+                into.masked_fill_(broken, math.inf)
         return found
 
     def score(self, pixels: Tensor) -> Tensor:
@@ -271,7 +271,7 @@ def _checked_samples(samples: Tensor, axes: Axes) -> Tensor:
     return samples
 
 
-def boundary(distances: Tensor, rejected: float) -> float:
+def rejecting_distance(distances: Tensor, rejected: float) -> float:
     """The distance beyond which a fraction of the training distances (m,) lies.
 
     Midway between the k-th and the next in increasing order, k = ⌊(1-rejected)·m + ½⌋; the
@@ -298,7 +298,7 @@ def _threshold(
         training = learned.training
         if training is None:
             training = fitted._in_chunks(seen, lambda part: part)
-        found = boundary(training, rejected)
+        found = rejecting_distance(training, rejected)
     reach = _quantum_distance(fitted, seen, axes)
     return found if math.isfinite(found) and found > ROUNDING * reach else reach
 

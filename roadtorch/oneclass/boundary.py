@@ -16,7 +16,7 @@ from torch import Tensor
 from roadtorch.errors import InputError
 from roadtorch.oneclass.axes import Axes
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, State
-from roadtorch.oneclass.neighbours import MST, NN, few_distinct, squared_distances
+from roadtorch.oneclass.neighbours import few_distinct, squared_distances
 
 Width = Annotated[float, Field(gt=0, le=1e6)]
 
@@ -365,5 +365,3 @@ DLP = Classifier(
     _fit_linear,
     linear_distance,
 )
-CLASSIFIERS: tuple[Classifier, ...] = (NN, SVDD, MPM, MST, DLP)
-"""The boundary methods of P3 but k-centres."""

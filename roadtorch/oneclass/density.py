@@ -32,9 +32,9 @@ class GaussianSettings(ClassifierSettings):
     ridge: float = Field(
         default=1e-3, ge=0, le=1, description="share of the mean variance mixed into the covariance"
     )
-    boundary: Literal["quantile", "chi2"] = Field(
+    threshold: Literal["quantile", "chi2"] = Field(
         default="quantile",
-        description="threshold from the samples' distances, or from what a Gaussian would reject",
+        description="the rejected fraction of the samples, or of a Gaussian",
     )
 
 
@@ -92,7 +92,7 @@ def _gaussian(mean: Tensor, inverse_root: Tensor, settings: GaussianSettings) ->
     offset = -inverse_root @ mean
     state = {"mean": mean, "whitening": inverse_root, "offset": offset[:, None]}
     threshold = None
-    if settings.boundary == "chi2" and settings.rejected > 0:
+    if settings.threshold == "chi2" and settings.rejected > 0:
         threshold = chi_quantile(1 - settings.rejected, len(mean))
     state = {name: value.float() for name, value in state.items()}
     return Learned(state, 4 * len(mean), threshold=threshold)

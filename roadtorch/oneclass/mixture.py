@@ -17,7 +17,7 @@ from roadtorch.oneclass.base import (
     ClassifierSettings,
     Learned,
     State,
-    boundary,
+    rejecting_distance,
 )
 from roadtorch.oneclass.density import floor_of, whitening
 
@@ -231,7 +231,9 @@ def by_consistency(densities: Tensor, fold: Tensor, rejected: float) -> int:
     limit = rejected + 2 * (rejected * (1 - rejected) / count) ** 0.5
     number = 1
     for tried, of_number in enumerate(-densities, start=1):
-        edges = [boundary(row[fold != tenth], rejected) for tenth, row in enumerate(of_number)]
+        edges = [
+            rejecting_distance(row[fold != tenth], rejected) for tenth, row in enumerate(of_number)
+        ]
         outside = of_number[fold, torch.arange(count)] > torch.tensor(edges).to(of_number)[fold]
         if float(outside.double().mean()) > limit:
             break

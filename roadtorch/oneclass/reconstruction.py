@@ -209,5 +209,3 @@ K_CENTRES = Classifier(
     _fit_centres,
     centre_distance,
 )
-CLASSIFIERS: tuple[Classifier, ...] = (PCA, K_MEANS, K_CENTRES)
-"""The reconstruction methods of P3, and k-centres, which scores as k-means does."""

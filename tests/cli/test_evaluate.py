@@ -408,6 +408,21 @@ def test_wildcards_and_misspelt_names():
         expand_names(["test-oracel"])
 
 
+def test_one_class_detectors_get_p3s_table(camvid, tmp_path):
+    out, names = tmp_path / "out", ("oneclass:gaussian:HS", "oneclass:hist64_s:S")
+    chosen = [word for name in names for word in ("--detector", name)]
+
+    result = run("camvid", camvid, *chosen, "--montage", 0, "--out", out)
+
+    text = (out / "table3.txt").read_text()
+    assert text in result.stdout
+    ours = 100 * metrics(out)["detectors"]["oneclass:gaussian:HS"]["auc_mean"]
+    assert f"*{ours:.1f}/93.2" in text
+    assert len((out / "table3.csv").read_text().splitlines()) == 3
+    assert {path.name for path in out.glob("fig*")} == {"fig8.svg", "fig9.svg"}
+    assert "<b>" in (out / "table3.html").read_text()
+
+
 def test_a_star_leaves_the_one_class_grid_out_and_its_family_brings_it_in():
     everything, grid, row = map(expand_names, (["*"], ["oneclass:*:*"], ["oneclass:nn:*", "cpf"]))
 

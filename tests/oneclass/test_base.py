@@ -29,9 +29,9 @@ from roadtorch.oneclass.base import (
     Fitted,
     Learned,
     State,
-    boundary,
     fit,
     load,
+    rejecting_distance,
     restored,
     save,
 )
@@ -130,16 +130,16 @@ def test_hue_as_a_plain_number_is_left_as_it_is() -> None:
 def test_the_boundary_lies_between_kept_and_rejected_samples(
     distances: list[float], rejected: float
 ) -> None:
-    found = boundary(torch.tensor(distances, dtype=torch.float64), rejected)
+    found = rejecting_distance(torch.tensor(distances, dtype=torch.float64), rejected)
 
-    assert found == pytest.approx(reference.boundary(np.array(distances), rejected))
+    assert found == pytest.approx(reference.rejecting_distance(np.array(distances), rejected))
 
 
 @pytest.mark.parametrize(("count", "outside"), [(90, 2), (13266, 332)])
 def test_p3s_fraction_rejects_as_many_samples_as_the_toolbox(count: int, outside: int) -> None:
     distances = torch.rand(count, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
 
-    assert int((distances > boundary(distances, 0.025)).sum()) == outside
+    assert int((distances > rejecting_distance(distances, 0.025)).sum()) == outside
 
 
 def test_the_likelihood_is_a_half_at_the_threshold_and_falls_with_the_root_of_the_distance() -> (

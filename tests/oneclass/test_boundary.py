@@ -24,12 +24,14 @@ from roadtorch.oneclass.boundary import (
     MinimaxSettings,
     SvddSettings,
 )
-from roadtorch.oneclass.neighbours import squared_distances
+from roadtorch.oneclass.neighbours import MST, NN, squared_distances
 from tests.reference import oneclass_boundary as reference
 
 PLANES = {1: ("nr",), 2: ("nr", "ng"), 3: ("R", "G", "B")}
 DIMENSIONS = pytest.mark.parametrize("dimensions", [1, 2, 3])
-ALL = pytest.mark.parametrize("classifier", boundary.CLASSIFIERS, ids=lambda kind: kind.name)
+ALL = pytest.mark.parametrize(
+    "classifier", [NN, SVDD, MPM, MST, DLP], ids=lambda classifier: classifier.name
+)
 
 
 def some(number: int, dimensions: int, seed: int = 0) -> Tensor:

@@ -79,7 +79,7 @@ def test_affine_maps_of_the_planes_change_nothing_without_ridge_and_floor(seed: 
 
 
 def test_the_threshold_may_be_what_a_gaussian_rejects() -> None:
-    fitted = fit(GAUSSIAN, correlated(3), PLANES[3], GaussianSettings(boundary="chi2"))
+    fitted = fit(GAUSSIAN, correlated(3), PLANES[3], GaussianSettings(threshold="chi2"))
 
     assert float(fitted.threshold) == pytest.approx(chi2.ppf(0.975, 3) ** 0.5)
 

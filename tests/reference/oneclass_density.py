@@ -13,7 +13,7 @@ def log_sum(exponents: np.ndarray) -> np.ndarray:
     return top + np.log(np.exp(exponents - top).sum(0))
 
 
-def boundary(distances: np.ndarray, rejected: float) -> float:
+def rejecting_distance(distances: np.ndarray, rejected: float) -> float:
     """Midway between the last sample that is kept and the first that is not."""
     ordered = sorted(float(distance) for distance in distances)
     kept = math.floor((1 - rejected) * len(ordered) + 0.5)
