@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 import torch
 from pydantic import Field
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import minimum_spanning_tree
 from torch import Tensor
 
@@ -132,7 +133,8 @@ def spanning_tree(points: Tensor) -> Tensor:
     if points.shape[1] == 1:
         order = points[:, 0].argsort()
         return torch.stack((order[:-1], order[1:]), dim=1)
-    tree = minimum_spanning_tree(cdist(points, points)).tocoo()
+    # Of a dense matrix SciPy takes distances below 1e-8 for no edge at all.
+    tree = minimum_spanning_tree(csr_array(cdist(points, points))).tocoo()
     return torch.from_numpy(np.stack((tree.row, tree.col), axis=1)).long()
 
 

@@ -190,6 +190,17 @@ def test_tree_threshold_is_a_length_of_an_edge():
         assert float(learned.threshold) == pytest.approx(expected)
 
 
+@pytest.mark.parametrize("apart", [1e-9, 1e-7])
+def test_samples_that_differ_by_rounding_alone_still_make_a_tree(apart: float) -> None:
+    grey = torch.tensor([[0.5, 0.5], [0.5, 0.5 + apart], [0.5 + apart, 0.5]], dtype=torch.float64)
+
+    near = neighbours.spanning_tree(grey)
+    far = neighbours.spanning_tree(torch.cat([grey, grey[:1] + 0.3]))
+
+    assert {frozenset(edge) for edge in near.tolist()} == {frozenset((0, 1)), frozenset((0, 2))}
+    assert len(far) == 3
+
+
 def test_equal_edges_give_the_same_tree_every_time():
     grid = torch.cartesian_prod(torch.arange(4.0), torch.arange(4.0)) / 10
     pixels = some(200, 2)
