@@ -5,7 +5,9 @@
 
 First part: fit to the samples of one picture, about 90, and score all of its pixels, both
 sides on the same float32 samples and pixels, each pixel scored (no distinct colours). Every
-round runs all pairs once; ratios are medians over the rounds of theirs over ours.
+round runs all pairs once; ratios are medians over the rounds of theirs over ours. A timed call
+follows one of its own kind, for otherwise ours would start on caches that a peer has filled,
+and a peer on caches that ours has hardly touched.
 
 Second part: the whole grid of classifiers and representations on one picture, its planes and
 superpixels made once.
@@ -115,6 +117,7 @@ def compare(image: Tensor, representation: str, rounds: int) -> dict[str, dict[s
         # Two by two, so that both sides of a ratio see the same load.
         turn = 2 * (number % (len(calls) // 2))
         for key, call in calls[turn:] + calls[:turn]:
+            call()
             spent = milliseconds(call)
             if number >= WARM_UP:
                 times[key].append(spent)

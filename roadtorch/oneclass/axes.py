@@ -8,6 +8,7 @@ have it as a circle.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import torch
@@ -41,13 +42,13 @@ class Axes:
         """How many there are."""
         return len(self.names)
 
-    @property
+    @cached_property
     def span(self) -> Tensor:
         """high - low, float64 (d,)."""
         high, low = (torch.tensor(bound, dtype=torch.float64) for bound in (self.high, self.low))
         return high - low
 
-    @property
+    @cached_property
     def quantum(self) -> Tensor:
         """The smallest step that means something, a 255th of the span: float64 (d,)."""
         return self.span / 255
@@ -85,6 +86,8 @@ def circular_mean(hues: Tensor, weights: Tensor | None = None) -> Tensor:
 
 def mean_hues(planes: Tensor, axes: Axes) -> Tensor:
     """For each plane of (d,m) its circular mean, weighted by saturation; 0 if not circular."""
+    if not any(axes.circular):
+        return planes.new_zeros(len(axes))
     weights = planes[axes.names.index("S")].clamp_min(0) if "S" in axes.names else None
     pairs = zip(planes, axes.circular, strict=True)
     means = [circular_mean(row, weights) if round_ else row.new_zeros(()) for row, round_ in pairs]
@@ -93,8 +96,13 @@ def mean_hues(planes: Tensor, axes: Axes) -> Tensor:
 
 def unrolled(hues: Tensor, mean: Tensor | float) -> Tensor:
     """Hues in turns as their distance along the circle from a mean: -0.5 to 0.5."""
-    away = hues - mean
-    return away.sub_((away + 0.5).floor_())  # several times faster than a remainder
+    return unroll(hues.clone(), mean)
+
+
+def unroll(hues: Tensor, mean: Tensor | float) -> Tensor:
+    """The same in place."""
+    hues.sub_(mean)
+    return hues.sub_(hues.round())  # several times faster than a remainder
 
 
 def arranged(planes: Tensor, axes: Axes, hue: Hue, means: Tensor) -> Tensor:
@@ -104,15 +112,18 @@ def arranged(planes: Tensor, axes: Axes, hue: Hue, means: Tensor) -> Tensor:
     """
     if hue == "linear" or not any(axes.circular):
         return planes
+    if hue == "unrolled":
+        # In place of a copy, which is all that a large picture can afford.
+        seen = planes.clone()
+        for row, mean, circular in zip(seen, means, axes.circular, strict=True):
+            if circular:
+                unroll(row, mean)
+        return seen
     rows: list[Tensor] = []
-    for row, mean, circular in zip(planes, means, axes.circular, strict=True):
-        if not circular:
-            rows.append(row)
-        elif hue == "unrolled":
-            rows.append(unrolled(row, mean))
-        else:
-            angle = 2 * math.pi * row
-            rows += [angle.cos() / (2 * math.pi), angle.sin() / (2 * math.pi)]
+    for row, circular in zip(planes, axes.circular, strict=True):
+        angle = 2 * math.pi * row
+        chord = [angle.cos() / (2 * math.pi), angle.sin() / (2 * math.pi)]
+        rows += chord if circular else [row]
     return torch.stack(rows)
 
 

@@ -4,6 +4,7 @@ Fits are in float64, whatever the samples; pixels are scored in float32.
 """
 
 import math
+from functools import cache
 from typing import Literal
 
 import torch
@@ -19,8 +20,9 @@ STEPS = 50
 STARTS = 30
 """Random starts of the least determinant."""
 
-SETTLED = 1e-7
-"""Reweighting ends when the mean moves by less than this share of a plane's span."""
+SETTLED = 1e-5
+"""Reweighting ends when the mean moves by less than this share of a plane's span, a quarter
+of a hundredth of a level."""
 
 
 # --- one Gaussian -----------------------------------------------------------------------
@@ -38,6 +40,7 @@ class GaussianSettings(ClassifierSettings):
     )
 
 
+@cache
 def floor_of(axes: Axes) -> Tensor:
     """The variance that rounding to 256 levels alone causes, quantum²/12: float64 (d,).
 
@@ -62,10 +65,8 @@ def moments(samples: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Ten
 
 def regularised(covariance: Tensor, ridge: float, floor: Tensor) -> Tensor:
     """(1-r)Σ + r·(tr Σ/d)·I + diag(floor): what dd_tools does, and a floor of variance."""
-    dimensions = len(covariance)
-    mean_variance = covariance.diagonal().sum() / dimensions
-    ridged = (1 - ridge) * covariance + ridge * mean_variance * torch.eye(dimensions).to(covariance)
-    return ridged + torch.diag(floor)
+    added = floor + ridge * covariance.diagonal().mean()
+    return (1 - ridge) * covariance + torch.diag(added)
 
 
 def whitening(covariance: Tensor) -> Tensor:
@@ -95,7 +96,7 @@ def _gaussian(mean: Tensor, inverse_root: Tensor, settings: GaussianSettings) ->
     if settings.threshold == "chi2" and settings.rejected > 0:
         threshold = chi_quantile(1 - settings.rejected, len(mean))
     state = {name: value.float() for name, value in state.items()}
-    return Learned(state, 4 * len(mean), threshold=threshold)
+    return Learned(state, len(mean) + 1, threshold=threshold)
 
 
 def _fit_gaussian(

@@ -232,7 +232,8 @@ def by_consistency(densities: Tensor, fold: Tensor, rejected: float) -> int:
     number = 1
     for tried, of_number in enumerate(-densities, start=1):
         edges = [
-            rejecting_distance(row[fold != tenth], rejected) for tenth, row in enumerate(of_number)
+            rejecting_distance(row[fold != tenth].numpy(), rejected)
+            for tenth, row in enumerate(of_number)
         ]
         outside = of_number[fold, torch.arange(count)] > torch.tensor(edges).to(of_number)[fold]
         if float(outside.double().mean()) > limit:
