@@ -24,23 +24,26 @@ BASE = 1.16
 class SeedArea(Settings):
     """The rectangle at the middle of the bottom edge that is taken to be road."""
 
-    height: int = Field(
+    height: int | float = Field(
         default=30, ge=1, le=FRAME[0], description="rows, of a frame of 240; scaled with the image"
     )
-    width: int = Field(
+    width: int | float = Field(
         default=80, ge=1, le=FRAME[1], description="columns, of a frame of 320; scaled likewise"
     )
 
 
-def seed_area(height: int, width: int, seed: SeedArea | None = None) -> tuple[slice, slice]:
+def seed_area(
+    height: int, width: int, seed: SeedArea | None = None, least: int = 1
+) -> tuple[slice, slice]:
     """Rows and columns of the seed area in a picture of height × width pixels.
 
-    At the middle of the bottom edge, never empty and always inside. P2 (section 4, "the
-    central-bottom part of the image"); without ``seed`` the default size.
+    At the middle of the bottom edge, of at least ``least`` pixels on each side where the
+    picture has them, and always inside. P2 (section 4, "the central-bottom part of the
+    image"); without ``seed`` the default size.
     """
     seed = SeedArea() if seed is None else seed
-    rows = min(height, max(1, round(seed.height * height / FRAME[0])))
-    columns = min(width, max(1, round(seed.width * width / FRAME[1])))
+    rows = min(height, max(least, round(seed.height * height / FRAME[0])))
+    columns = min(width, max(least, round(seed.width * width / FRAME[1])))
     left = (width - columns) // 2
     return slice(height - rows, height), slice(left, left + columns)
 

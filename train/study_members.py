@@ -4,11 +4,11 @@
     python train/study_members.py ../shared/data oneclass:gaussian:O1O2 ufl --base fusion
 
 The likelihoods B of the base and M of a member are joined as odds, as in naive Bayes (P2, eq. 4):
-logit(B) + w logit(M). The weight w is chosen by mean MaxF on two drives of CamVid and told on
-the third; on IDD Lite with the weight that all three choose. Differences from the base stand with
-95 % intervals over pictures drawn anew. Maps are looked at in every third row and column, and
-kept in the cache, by set and detector, so that a detector runs once: remove its folder when the
-detector has changed.
+logit(B) + w logit(M). The weight w, and among several members the one, are chosen by mean MaxF on
+two drives of CamVid and told on the third; on IDD Lite what all three choose. Differences from
+the base stand with 95 % intervals over pictures drawn anew. Maps are looked at in every third row
+and column, and kept in the cache, by set and detector, so that a detector runs once: remove its
+folder when the detector has changed.
 """
 
 import argparse
@@ -80,16 +80,17 @@ def picture_maps(item: Item, detectors: Mapping[str, Detector], cache: Path) -> 
 
 
 @dataclass(frozen=True)
-class Pair:
-    """A base and a member, by name."""
+class Joined:
+    """A base, a member beside it, by name, and the weight of the member's log odds."""
 
     base: str
     member: str
+    weight: float
 
-    def joined(self, picture: Picture, weight: float) -> Tensor:
-        """p(road | both) (h,w), the member's log odds weighted."""
+    def likelihood(self, picture: Picture) -> Tensor:
+        """p(road | both) (h,w)."""
         maps = [picture.maps[self.base], picture.maps[self.member]]
-        return fused_log_odds(maps, [1.0, weight]).sigmoid()
+        return fused_log_odds(maps, [1.0, self.weight]).sigmoid()
 
 
 def count(picture: Picture, likelihood: Tensor) -> RoadCounts:
@@ -97,20 +98,34 @@ def count(picture: Picture, likelihood: Tensor) -> RoadCounts:
     return metrics.count_levels(likelihood, picture.truth.road, picture.truth.valid)
 
 
-def drive_counts(pictures: list[Picture], pair: Pair) -> dict[float, dict[str, RoadCounts]]:
-    """For every weight the counts of each drive."""
-    found: dict[float, dict[str, RoadCounts]] = {weight: {} for weight in WEIGHTS}
+Choices = Mapping[Joined, Mapping[str, RoadCounts]]
+"""The counts of each drive, by what is joined how."""
+
+
+def drive_counts(pictures: list[Picture], base: str, member: str) -> Choices:
+    """For every weight of a member the counts of each drive."""
+    found: dict[Joined, dict[str, RoadCounts]] = {
+        Joined(base, member, weight): {} for weight in WEIGHTS
+    }
     for picture in pictures:
         drive = picture.item.group or ""
-        for weight, sums in found.items():
-            more = count(picture, pair.joined(picture, weight))
+        for joined, sums in found.items():
+            more = count(picture, joined.likelihood(picture))
             sums[drive] = sums[drive] + more if drive in sums else more
     return found
 
 
-def best_weight(counts: Mapping[float, Mapping[str, RoadCounts]], drives: list[str]) -> float:
-    """The weight with the highest mean MaxF over the drives, the smallest of equals."""
-    return max(counts, key=lambda weight: mean_max_f(counts[weight], drives))
+def best_choice(counts: Choices, drives: list[str]) -> Joined:
+    """The choice with the highest mean MaxF over the drives, the first of equals."""
+    return max(counts, key=lambda joined: mean_max_f(counts[joined], drives))
+
+
+def held_out_choices(counts: Choices, drives: list[str]) -> dict[str, Joined]:
+    """For every drive what the others choose."""
+    return {
+        drive: best_choice(counts, [other for other in drives if other != drive])
+        for drive in drives
+    }
 
 
 def mean_max_f(counts: Mapping[str, RoadCounts], drives: list[str]) -> float:
@@ -160,36 +175,38 @@ def compare(title: str, tallies: Mapping[str, Tally], thresholds: Mapping[str, f
             print(f"  {name} less {base}, {key}: {change:+.4f} ({low:+.4f} to {high:+.4f})")
 
 
-def study(pair: Pair, camvid: list[Picture], idd: list[Picture]) -> None:
-    """Choose the weight of one member, and tell what it is worth."""
-    counts = drive_counts(camvid, pair)
-    drives = sorted(counts[0.0])
-    print(f"\n{pair.member} beside {pair.base}: MaxF of each drive over the weight")
-    for weight, each in counts.items():
-        shown = "  ".join(f"{float(metrics.max_f(each[drive])[0]):.4f}" for drive in drives)
-        print(f"  {weight:<5g} {shown}  mean {mean_max_f(each, drives):.4f}")
-    chosen = {
-        drive: best_weight(counts, [other for other in drives if other != drive])
-        for drive in drives
-    }
-    weight = best_weight(counts, drives)
-    print(f"chosen on the other drives: {chosen}; on all three: {weight:g}")
-    joined = f"{pair.base} + {pair.member}"
-    looks = {pair.base: lambda picture: picture.maps[pair.base]}
-    held_out = looks | {joined: lambda one: pair.joined(one, chosen[one.item.group or ""])}
-    compare("CamVid", {name: tally(camvid, look) for name, look in held_out.items()}, {})
-    everywhere = looks | {joined: lambda picture: pair.joined(picture, weight)}
+def study(base: str, members: list[str], camvid: list[Picture], idd: list[Picture]) -> None:
+    """Choose a member and its weight, and tell what it is worth."""
+    counts: dict[Joined, Mapping[str, RoadCounts]] = {}
+    for member in members:
+        own = drive_counts(camvid, base, member)
+        print(f"\n{member} beside {base}: MaxF of each drive over the weight")
+        for joined, each in own.items():
+            drives = sorted(each)
+            shown = "  ".join(f"{float(metrics.max_f(each[drive])[0]):.4f}" for drive in drives)
+            print(f"  {joined.weight:<5g} {shown}  mean {mean_max_f(each, drives):.4f}")
+        counts |= own
+    drives = sorted(next(iter(counts.values())))
+    held_out, everywhere = held_out_choices(counts, drives), best_choice(counts, drives)
+    print("\nchosen on the other drives")
+    for drive, joined in (held_out | {"all three": everywhere}).items():
+        print(f"  {drive:10s} {joined.weight:g} of {joined.member}")
+    title = f"{base} + {members[0] if len(members) == 1 else 'the chosen'}"
+    alone = {base: lambda picture: picture.maps[base]}
+    chosen = {title: lambda picture: held_out[picture.item.group or ""].likelihood(picture)}
+    compare("CamVid", {name: tally(camvid, look) for name, look in (alone | chosen).items()}, {})
     thresholds = {
-        pair.base: shared_threshold(counts[0.0]),
-        joined: shared_threshold(counts[weight]),
+        base: shared_threshold(counts[Joined(base, members[0], 0.0)]),
+        title: shared_threshold(counts[everywhere]),
     }
-    compare("IDD Lite", {name: tally(idd, look) for name, look in everywhere.items()}, thresholds)
+    looks = alone | {title: everywhere.likelihood}
+    compare("IDD Lite", {name: tally(idd, look) for name, look in looks.items()}, thresholds)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Does one more member make a detector better?")
     parser.add_argument("data", type=Path, help="the folder that holds camvid/ and idd_lite/")
-    parser.add_argument("members", nargs="+", help="names of detectors")
+    parser.add_argument("members", nargs="+", help="names of detectors, one is chosen")
     parser.add_argument("--base", default="fusion")
     parser.add_argument("--cache", type=Path, default=Path("members"), help="where maps are kept")
     parser.add_argument("--limit", type=int, help="look at this many pictures of each set only")
@@ -202,8 +219,7 @@ def main() -> None:
         read_pictures(every_kth(dataset, arguments.limit), names, arguments.cache / key)
         for key, dataset in sets.items()
     )
-    for member in arguments.members:
-        study(Pair(arguments.base, member), camvid, idd)
+    study(arguments.base, arguments.members, camvid, idd)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -94,9 +94,13 @@ def measured_table(detectors: Mapping[str, Mapping[str, Any]], drive: str | None
             figures = detectors.get(f"{FAMILY}{classifier}:{planes}", {})
             part = figures if drive is None else figures.get("groups", {}).get(drive, {})
             value = part.get("auc_mean")
-            if value is not None and math.isfinite(value):
+            if _known(value):
                 found[classifier, planes] = 100 * value
     return found
+
+
+def _known(value: float | None) -> TypeGuard[float]:
+    return value is not None and math.isfinite(value)
 
 
 def best_cells(table: Table, columns: Sequence[str]) -> set[tuple[str, str]]:
@@ -166,9 +170,9 @@ def _heading(document: Mapping[str, Any]) -> str:
     drives = _drives(document)
     over = f", mean over {', '.join(drives)}" if drives else ""
     floors = [
-        f"{name} {100 * figures['auc_mean']:.1f}"
+        f"{name} {100 * value:.1f}"
         for name, figures in document["detectors"].items()
-        if name.startswith("prior:")
+        if name.startswith("prior:") and _known(value := figures["auc_mean"])
     ]
     beside = f"; floors: {', '.join(floors)}" if floors else ""
     set_ = " ".join(filter(None, (document["dataset"], document["split"])))
@@ -184,21 +188,22 @@ def _drives(document: Mapping[str, Any]) -> list[str]:
 
 def _lines(ours: Table, paper: Table, columns: Sequence[str]) -> list[str]:
     best = best_cells(ours, columns)
-    columns = [planes for planes in columns if any(key[1] == planes for key in ours)]
-    rows = [name for name in CLASSIFIERS if any((name, planes) in ours for planes in columns)]
+    rows, columns = _measured(ours, columns)
     lines = ["classifier".ljust(16) + "".join(planes.rjust(12) for planes in columns)] * bool(rows)
     for name in rows:
-        cells = [f"{_cell(ours, key)}/{_cell(paper, key)}" for key in _row(name, columns)]
-        starred = (
-            f"*{cell}" if key in best else cell
-            for key, cell in zip(_row(name, columns), cells, strict=True)
-        )
-        lines.append(name.ljust(16) + "".join(cell.rjust(12) for cell in starred))
+        line = name.ljust(16)
+        for key in ((name, planes) for planes in columns):
+            cell = f"{_cell(ours, key)}/{_cell(paper, key)}"
+            line += " " + (f"*{cell}" if key in best else cell).rjust(11)
+        lines.append(line)
     return lines
 
 
-def _row(name: str, columns: Sequence[str]) -> list[tuple[str, str]]:
-    return [(name, planes) for planes in columns]
+def _measured(ours: Table, columns: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The classifiers and those of the columns in which there is any value."""
+    columns = [planes for planes in columns if any(key[1] == planes for key in ours)]
+    rows = [name for name in CLASSIFIERS if any((name, planes) in ours for planes in columns)]
+    return rows, columns
 
 
 def _cell(table: Table, key: tuple[str, str]) -> str:
@@ -243,10 +248,13 @@ def table_html(document: Mapping[str, Any]) -> str:
 
 def _html_half(title: str, ours: Table, paper: Table, columns: Sequence[str]) -> str:
     best = best_cells(ours, columns)
+    names, columns = _measured(ours, columns)
+    if not names:
+        return ""
     rows = ["<tr><th>classifier</th>" + "".join(f"<th>{name}</th>" for name in columns) + "</tr>"]
-    for name in CLASSIFIERS:
+    for name in names:
         cells = []
-        for key in _row(name, columns):
+        for key in ((name, planes) for planes in columns):
             value = f"<b>{_cell(ours, key)}</b>" if key in best else _cell(ours, key)
             cells.append(f"<td>{value} <small>{_cell(paper, key)}</small></td>")
         rows.append(f"<tr><td>{name}</td>{''.join(cells)}</tr>")

@@ -10,16 +10,18 @@ from torch import Tensor
 
 from roadtorch.color import REPRESENTATIONS
 from roadtorch.detectors import Analysis, Entry, Grid
+from roadtorch.families.decision import ISOLATED
 from roadtorch.oneclass import CLASSIFIERS
 from roadtorch.oneclass.axes import axes_of
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, fit
 from roadtorch.oneclass.histogram import HistogramSettings
 from roadtorch.oneclass.samples import (
-    FRAME,
     AllSampleSettings,
     SampleSettings,
+    WideSeedArea,
     representation,
     road_samples,
+    sample_area,
 )
 from roadtorch.settings import Settings
 from roadtorch.working import WorkingSize, at_working_size
@@ -28,6 +30,9 @@ GRID = Grid(
     "oneclass:<classifier>:<planes>",
     "colours like those ahead of the car, learned from the one picture (P3)",
 )
+
+PIXELS = 640 * 480
+"""Of P3's pictures, as far as is known."""
 
 FAR = 1000.0
 """Thresholds beyond which the cue ``distance`` is cut off: empty bins are infinitely far."""
@@ -46,10 +51,9 @@ class OneClassSettings(Settings):
         le=1,
         description="road from this likelihood on; at 0.5, samples but for the rejected fraction",
     )
-    isolated: Literal["drop", "keep"] = Field(
-        default="keep", description="what becomes of road regions that do not touch the seed area"
-    )
-    working: WorkingSize = WorkingSize(pixels=FRAME[0] * FRAME[1])
+    isolated: Literal["drop", "keep"] = Field(default="keep", description=ISOLATED)
+    working: WorkingSize = WorkingSize(pixels=PIXELS)
+    seed: WideSeedArea = WideSeedArea()
     samples: SampleSettings = SampleSettings()
     classifier: ClassifierSettings = ClassifierSettings()
     random: int = Field(default=0, ge=0, le=2**63 - 1, description="seed of restarts and of noise")
@@ -59,7 +63,7 @@ class OneClassSettings(Settings):
 def settings_of(classifier: Classifier) -> type[OneClassSettings]:
     """The settings of a detector with that classifier: the group ``classifier`` is its own.
 
-    The histograms take every pixel of the training area, the others one per superpixel
+    The histograms take every pixel of the seed area, the others one per superpixel
     (P3, section V).
     """
     own = classifier.settings
@@ -81,17 +85,17 @@ def _one_class(settings: OneClassSettings, classifier: Classifier, planes: str) 
 
     def analyse(image: Tensor) -> dict[str, Tensor]:
         generator = torch.Generator().manual_seed(settings.random)
-        samples = road_samples(image, names, settings.samples)
+        samples = road_samples(image, names, settings.samples, settings.seed)
         fitted = fit(classifier, samples, axes, settings.classifier, generator)
         palette = representation(image, names)
         distance = fitted.distance(palette.values.T)
         used = torch.zeros_like(palette.index, dtype=torch.bool)
-        used[settings.samples.area.within(*palette.index.shape)] = True
+        used[sample_area(palette.index.shape, settings.seed)] = True
         near = distance.clamp_max(FAR * fitted.threshold)
         return {
             "likelihood": fitted.squashed(distance)[palette.index],
             "distance": near[palette.index],
-            "training_area": used,
+            "seed_area": used,
         }
 
     return at_working_size(analyse, settings.working)

@@ -85,7 +85,10 @@ def circular_mean(hues: Tensor, weights: Tensor | None = None) -> Tensor:
 
 
 def mean_hues(planes: Tensor, axes: Axes) -> Tensor:
-    """For each plane of (d,m) its circular mean, weighted by saturation; 0 if not circular."""
+    """For each plane of (d,m) its circular mean; 0 if not circular: (d,).
+
+    Weighted by saturation where S is one of the planes, as grey has a hue by convention alone.
+    """
     if not any(axes.circular):
         return planes.new_zeros(len(axes))
     weights = planes[axes.names.index("S")].clamp_min(0) if "S" in axes.names else None

@@ -14,16 +14,16 @@ a likelihood in [0,1] but writes down distances for most classifiers; here all o
 with t the distance that a given fraction of the training samples exceeds. It is strictly
 decreasing and 0.5 lies at the threshold; its log-odds are -½ ln(distance/t). Unlike
 exp(-distance) it neither underflows nor crowds the far pixels on a few of the 65,536 levels
-that a 16-bit map can hold; without the root, a tight threshold still did (by 0.003 of AUC).
+that a 16-bit map can hold; without the root, a tight threshold still does.
 """
 
 import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import torch
@@ -39,7 +39,7 @@ from roadtorch.oneclass.axes import Axes, Hue, arranged, arranged_axes, mean_hue
 from roadtorch.settings import Settings
 
 CHUNK = 700_000
-"""Floats held at a time while pixels are scored: 2.8 MB, which stays in the cache."""
+"""Floats of the largest tensor while pixels are scored: 2.8 MB, which stays in the cache."""
 
 PROBES = 16
 """Samples around which the distance of one quantum is measured."""
@@ -49,6 +49,11 @@ ROUNDING = 1e-3
 
 LEARNED = "learned."
 """How the names of what was learned begin in a state."""
+
+OWN = ("about", "hues", "threshold")
+"""The other names in a state."""
+
+HUES: dict[str, Hue] = {hue: hue for hue in get_args(Hue)}
 
 State = Mapping[str, Tensor]
 """What a classifier has learned, by name."""
@@ -76,7 +81,7 @@ class Learned:
     """What fitting gives.
 
     state: the tensors that the distance needs, of any number, type and shape.
-    floats: how many float32 a pixel takes while it is scored; sets the size of the chunks.
+    floats: the largest tensor made while a pixel is scored, in float32; sets the chunks.
     training: distances of the training samples, any number of them, where these are not
         simply scored (leave-one-out, lengths of edges).
     threshold: the distance of the boundary, where the classifier has one of its own.
@@ -118,7 +123,8 @@ class Fitted(nn.Module):
     """A classifier that has seen samples; made by ``fit``, ``load`` or ``restored``.
 
     All it knows is in buffers, so that ``state_dict`` and ``load_state_dict`` carry it
-    whole. It takes over the state of the same classifier on the same planes only.
+    whole. It takes over the state of the same classifier on the same planes, whatever its
+    settings were; for any other, WeightsError, and it stays as it was.
     """
 
     about: Tensor
@@ -132,17 +138,14 @@ class Fitted(nn.Module):
         super().__init__()
         self.classifier = classifier
         self.axes, self.hue, self.floats = axes, hue, learned.floats
-        about = bytearray(_told(_About(classifier.name, axes, hue, learned.floats)))
+        shapes = tuple((name, tuple(value.shape)) for name, value in learned.state.items())
+        about = bytearray(_told(_About(classifier.name, axes, hue, learned.floats, shapes)))
         self.register_buffer("about", torch.frombuffer(about, dtype=torch.uint8))
         self.register_buffer("hues", torch.zeros(len(axes)))
         self.register_buffer("threshold", torch.tensor(math.nan))
         self.learned = nn.Module()
         for name, value in learned.state.items():
             self.learned.register_buffer(name, value.detach().contiguous())
-
-    def _read_about(self) -> None:
-        about = _read_about(self.about)
-        self.axes, self.hue, self.floats = about.axes, about.hue, about.floats
 
     @property
     def state(self) -> State:
@@ -198,17 +201,19 @@ class Fitted(nn.Module):
         self, state_dict: dict[str, Any], prefix: str, *rest: Any, **more: Any
     ) -> None:
         """Take the shapes of another state of the same classifier, then its values."""
-        about = state_dict.get(f"{prefix}about")
-        if about is not None:
-            self._check_planes(_read_about(about))
-        for key in ("about", "hues", "threshold"):
-            if f"{prefix}{key}" in state_dict:
-                self.register_buffer(key, torch.empty_like(state_dict[f"{prefix}{key}"]))
-        inner = f"{prefix}{LEARNED}"
-        for key in [key for key in state_dict if key.startswith(inner)]:
-            self.learned.register_buffer(key[len(inner) :], torch.empty_like(state_dict[key]))
+        own = {
+            key[len(prefix) :]: value for key, value in state_dict.items() if key.startswith(prefix)
+        }
+        about = _read_about(own.get("about"))
+        self._check_planes(about)
+        _check_parts(about, own)
+        for name in OWN:
+            self.register_buffer(name, torch.empty_like(own[name]))
+        self.learned = nn.Module()
+        for name, _ in about.shapes:
+            self.learned.register_buffer(name, torch.empty_like(own[LEARNED + name]))
         super()._load_from_state_dict(state_dict, prefix, *rest, **more)
-        self._read_about()
+        self.axes, self.hue, self.floats = about.axes, about.hue, about.floats
 
     def _check_planes(self, about: "_About") -> None:
         _check_about(about, self.classifier.name)
@@ -327,9 +332,9 @@ class _About(NamedTuple):
     axes: Axes
     hue: Hue
     floats: int
+    shapes: tuple[tuple[str, tuple[int, ...]], ...]
 
 
-@lru_cache
 def _told(about: _About) -> bytes:
     """What a state says that it is: JSON as bytes, so that a state holds tensors alone."""
     axes = {field.name: getattr(about.axes, field.name) for field in fields(Axes)}
@@ -341,8 +346,10 @@ def _read_about(about: Tensor | None) -> _About:
     try:
         told = json.loads(bytes([] if about is None else about.tolist()))
         axes = Axes(**{key: tuple(values) for key, values in told["axes"].items()})
-        return _About(told["classifier"], axes, told["hue"], int(told["floats"]))
-    except (ValueError, KeyError, TypeError, AttributeError):
+        shapes = tuple((name, tuple(shape)) for name, shape in told["shapes"])
+        hue = HUES[told["hue"]]
+        return _About(told["classifier"], axes, hue, int(told["floats"]), shapes)
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
         what = "does not say what it is the state of"
         raise WeightsError("state", what, "give the state of a fitted classifier") from None
 
@@ -351,6 +358,18 @@ def _check_about(about: _About, classifier: str) -> None:
     if about.classifier != classifier:
         what = f"is that of {about.classifier}"
         raise WeightsError("state", what, f"give one of {classifier}")
+
+
+def _check_parts(about: _About, state: Mapping[str, Tensor]) -> None:
+    """WeightsError unless a state has all that it says it has, and nothing else."""
+    expected = {LEARNED + name: shape for name, shape in about.shapes}
+    expected |= {"hues": (len(about.axes),), "threshold": ()}
+    found = {name: tuple(value.shape) for name, value in state.items() if name != "about"}
+    for name in sorted(expected.keys() | found.keys()):
+        if found.get(name) != expected.get(name):
+            what = f"is incomplete: {name} is {found.get(name, 'missing')}"
+            remedy = f"fit and save it again ({expected.get(name, 'nothing')} was expected)"
+            raise WeightsError("state", what, remedy)
 
 
 def restored(classifier: Classifier, state: Mapping[str, Tensor]) -> Fitted:
@@ -362,11 +381,7 @@ def restored(classifier: Classifier, state: Mapping[str, Tensor]) -> Fitted:
     _check_about(about, classifier.name)
     inner = {key[len(LEARNED) :]: value for key, value in state.items() if key.startswith(LEARNED)}
     fitted = Fitted(classifier, about.axes, about.hue, Learned(inner, about.floats))
-    try:
-        fitted.load_state_dict(dict(state))
-    except RuntimeError as problem:
-        what = f"is incomplete: {str(problem).splitlines()[-1].strip()}"
-        raise WeightsError("state", what, "fit and save it again") from None
+    fitted.load_state_dict(dict(state))
     return fitted
 
 

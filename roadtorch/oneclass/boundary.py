@@ -18,7 +18,7 @@ from roadtorch.oneclass.axes import Axes
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, State
 from roadtorch.oneclass.neighbours import few_distinct, squared_distances
 
-Width = Annotated[float, Field(gt=0, le=1e6)]
+Width = Annotated[float, Field(ge=1e-6, le=1e6)]
 
 
 # --- support vector data description ----------------------------------------------------
@@ -192,6 +192,8 @@ def minimax_direction(
     mean = mean * np.sqrt(twins)
     solved = np.linalg.solve(rows.T @ rows + ridge * np.eye(len(mean)), mean)
     strength = float(mean @ solved)
+    if strength == 0:  # black, to the linear kernel: no half-space is better than another
+        return np.zeros_like(mean), 0.0
     return np.sqrt(twins) * solved / strength, strength**0.5
 
 

@@ -40,7 +40,7 @@ class NoisyHistogramSettings(HistogramSettings):
         ge=0,
         le=1,
         description="standard deviation of the noise on a second copy of the samples, in ranges "
-        "of the plane; 0: no second copy",
+        "of the plane; 0: the samples alone, which have the same histogram as two copies",
     )
     edge: Literal["drop", "clip"] = Field(
         default="drop", description="what becomes of noisy samples beyond the plane's range"

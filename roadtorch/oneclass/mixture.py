@@ -31,6 +31,9 @@ The toolbox dd_tools goes on until the sum changes by less than 1e-6 of itself."
 TRIAL = 10
 """Rounds of each start before the best of them goes on."""
 
+FARTHEST = -1e37
+"""Of an exponent: of two infinite ones the difference would be no number."""
+
 WIDENING = 0.01
 """Share of the samples' mean variance added to each component's (dd_tools)."""
 
@@ -340,7 +343,7 @@ def mixture_distance(state: State, pixels: Tensor) -> Tensor:
     if len(squared) == 1:
         return squared[0].sqrt_()
     exponents = torch.add(state["log_weights"][:, None], squared, alpha=-0.5)
-    top = exponents.amax(0)
+    top = exponents.clamp_min_(FARTHEST).amax(0)
     # Below that they are lost in the sum, and subnormal numbers are slow.
     total = exponents.sub_(top).clamp_min_(-80).exp_().sum(0).log_()
     return total.add_(top).mul_(-2).clamp_min_(0).sqrt_()

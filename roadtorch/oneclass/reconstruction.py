@@ -14,7 +14,7 @@ from roadtorch.oneclass.axes import Axes
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, State
 from roadtorch.oneclass.density import floor_of, length_of, moments
 from roadtorch.oneclass.mixture import spread_starts
-from roadtorch.oneclass.neighbours import few_distinct, squared_distances
+from roadtorch.oneclass.neighbours import MOST, few_distinct, squared_distances
 
 ROUNDS = 100
 """Of moving centres at most."""
@@ -181,7 +181,9 @@ def _fit_centres(
     ]
     middle = int(apart.amax(1).argmin())
     start = torch.stack([farthest_first(apart, count, middle), *draws])
-    centres, radii = k_centres(apart, start)
+    together = max(1, MOST**2 // len(points) ** 2)  # a start takes as much room as ``apart``
+    runs = [k_centres(apart, part) for part in start.split(together)]
+    centres, radii = (torch.cat(parts) for parts in zip(*runs, strict=True))
     best = points[centres[int(radii.argmin())]].float()
     return Learned({"centres": best}, 2 * len(best))
 

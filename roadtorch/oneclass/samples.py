@@ -5,6 +5,7 @@ picture make it once. The planes are those of the distinct colours, so that a sa
 pixel of one colour have the same values to the bit.
 """
 
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import torch
@@ -12,17 +13,14 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.color import PLANES, plane
+from roadtorch.geometry import FRAME, SeedArea, seed_area
 from roadtorch.oneclass.axes import circular_mean, unrolled
 from roadtorch.settings import Settings
 from roadtorch.sharing import shareable
 from roadtorch.superpixels import segment_median, slic
 
-FRAME = (480, 640)
-"""Height and width of the frame in which the area is described. P3 does not give the size of
-its pictures; this is that of the same authors' other road papers."""
-
 LEAST = 8
-"""Pixels that the area has on each side, where the picture has them."""
+"""Pixels that the seed area has on each side, where the picture has them: a few samples."""
 
 GRID_SHAPE = 15 / 6
 """Columns over rows of the cells that stand in for superpixels: 6x15 for 90."""
@@ -31,31 +29,38 @@ ALIKE = 1e-3
 """Values this close to a whole level of 255 are taken for 8-bit values."""
 
 
-class TrainingArea(Settings):
-    """The rectangle at the middle of the bottom edge whose pixels are samples of road."""
+class WideSeedArea(SeedArea):
+    """P3's seed area, its "training area": 201×66 pixels, 13,266, of a frame of 640×480.
 
-    height: int = Field(
-        default=66, ge=1, le=FRAME[0], description="rows, of a frame of 480; scaled with the image"
+    P3 does not give the size of its pictures; this is that of the same authors' other papers.
+    """
+
+    height: int | float = Field(
+        default=33, ge=1, le=FRAME[0], description="rows, of a frame of 240; scaled with the image"
     )
-    width: int = Field(
-        default=201, ge=1, le=FRAME[1], description="columns, of a frame of 640; scaled likewise"
+    width: int | float = Field(
+        default=100.5,
+        ge=1,
+        le=FRAME[1],
+        description="columns, of a frame of 320; scaled likewise",
     )
 
-    def within(self, height: int, width: int) -> tuple[slice, slice]:
-        """Its rows and columns in a picture of height × width; P3: 201×66, 13,266 pixels."""
-        rows = min(height, max(LEAST, round(self.height * height / FRAME[0])))
-        columns = min(width, max(LEAST, round(self.width * width / FRAME[1])))
-        left = (width - columns) // 2
-        return slice(height - rows, height), slice(left, left + columns)
+
+SEED = WideSeedArea()
+"""P3's own."""
+
+
+def sample_area(shape: Sequence[int], seed: SeedArea = SEED) -> tuple[slice, slice]:
+    """Rows and columns of the seed area whose pixels are samples of road, of a shape (…,H,W)."""
+    return seed_area(shape[-2], shape[-1], seed, LEAST)
 
 
 class SampleSettings(Settings):
-    """The area, and how many samples are made of it."""
+    """How many samples are made of the seed area."""
 
-    area: TrainingArea = TrainingArea()
     reduction: Literal["superpixels", "grid", "none"] = Field(
         default="superpixels",
-        description="one sample per superpixel of the area, or per cell of a grid, or each pixel",
+        description="one sample per superpixel of the seed area, per cell of a grid, or each pixel",
     )
     segments: int = Field(
         default=90, ge=1, le=10**5, description="superpixels or cells to aim at; P3: about 90"
@@ -68,11 +73,11 @@ class SampleSettings(Settings):
 
 
 class AllSampleSettings(SampleSettings):
-    """The same with every pixel of the area, as P3 has it for its histograms."""
+    """The same with every pixel of the seed area, as P3 has it for its histograms."""
 
     reduction: Literal["superpixels", "grid", "none"] = Field(
         default="none",
-        description="one sample per superpixel of the area, or per cell of a grid, or each pixel",
+        description="one sample per superpixel of the seed area, per cell of a grid, or each pixel",
     )
 
 
@@ -121,10 +126,9 @@ def representation(image: Tensor, names: tuple[str, ...]) -> Palette:
 
 
 @shareable
-def area_segments(image: Tensor, settings: SampleSettings) -> Tensor:
-    """Labels int64 (h,w) of the training area: superpixels, or cells of a grid."""
-    height, width = image.shape[-2:]
-    rows, columns = settings.area.within(height, width)
+def area_segments(image: Tensor, settings: SampleSettings, seed: SeedArea) -> Tensor:
+    """Labels int64 (h,w) of the seed area: superpixels, or cells of a grid."""
+    rows, columns = sample_area(image.shape, seed)
     area = image[:, rows, columns]
     if settings.reduction == "superpixels":
         return slic(area, settings.segments)
@@ -136,48 +140,48 @@ def area_segments(image: Tensor, settings: SampleSettings) -> Tensor:
 
 
 @shareable
-def area_values(image: Tensor, name: str, area: TrainingArea) -> Tensor:
-    """One plane in the training area of an image: (h,w)."""
-    palette = colours(image)
-    return colour_plane(image, name)[palette.index[area.within(*palette.index.shape)]]
+def area_values(image: Tensor, name: str, seed: SeedArea) -> Tensor:
+    """One plane in the seed area of an image: (h,w)."""
+    index = colours(image).index
+    return colour_plane(image, name)[index[sample_area(index.shape, seed)]]
 
 
 @shareable
-def segment_medians(image: Tensor, name: str, settings: SampleSettings) -> Tensor:
-    """The lower median of one plane in each superpixel of the training area: (m,).
+def segment_medians(image: Tensor, name: str, settings: SampleSettings, seed: SeedArea) -> Tensor:
+    """The lower median of one plane in each superpixel of the seed area: (m,).
 
     Of hue the median along the circle, seen from the mean hue of the area.
     """
-    values = area_values(image, name, settings.area)
-    labels = area_segments(image, settings)
+    values = area_values(image, name, seed)
+    labels = area_segments(image, settings, seed)
     count = int(labels.max()) + 1
     if not PLANES[name].circular:
         return segment_median(values[None], labels, count)[0]
-    mean = circular_mean(values.flatten(), area_values(image, "S", settings.area).flatten())
+    mean = circular_mean(values.flatten(), area_values(image, "S", seed).flatten())
     return (segment_median(unrolled(values, mean)[None], labels, count)[0] + mean).remainder(1)
 
 
-def road_samples(image: Tensor, names: tuple[str, ...], settings: SampleSettings) -> Tensor:
+def road_samples(
+    image: Tensor, names: tuple[str, ...], settings: SampleSettings, seed: SeedArea = SEED
+) -> Tensor:
     """The samples of road of an image (3,H,W) in the named planes: (m,d).
 
     P3, section V: 13,266 pixels, or about 90 values, "the central value of the distribution
     within each superpixel". P3 does not name its superpixels; SLIC stands for them.
     """
     if settings.reduction == "none":
-        planes = [area_values(image, name, settings.area).flatten() for name in names]
+        planes = [area_values(image, name, seed).flatten() for name in names]
         return torch.stack(planes, 1)
-    medians = torch.stack([segment_medians(image, name, settings) for name in names], 1)
+    medians = torch.stack([segment_medians(image, name, settings, seed) for name in names], 1)
     if settings.central == "median":
         return medians
-    return _medoids(image, names, settings, medians)
+    labels = area_segments(image, settings, seed).flatten()
+    pixels = road_samples(image, names, AllSampleSettings(), seed)
+    return _medoids(pixels, names, labels, medians)
 
 
-def _medoids(
-    image: Tensor, names: tuple[str, ...], settings: SampleSettings, medians: Tensor
-) -> Tensor:
-    """The pixel of each superpixel that is nearest to its median: (m,d)."""
-    pixels = road_samples(image, names, settings.model_copy(update={"reduction": "none"}))
-    label = area_segments(image, settings).flatten()
+def _medoids(pixels: Tensor, names: tuple[str, ...], label: Tensor, medians: Tensor) -> Tensor:
+    """Of pixels (p,d), labels (p,), those nearest to the medians (m,d) of their segments: (m,d)."""
     difference = pixels - medians[label]
     circular = [place for place, name in enumerate(names) if PLANES[name].circular]
     difference[:, circular] = unrolled(difference[:, circular], 0)

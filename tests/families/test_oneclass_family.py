@@ -15,7 +15,7 @@ from roadtorch.errors import ConfigError
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.datasets import Truth, open_dataset
 from roadtorch.families.oneclass import ENTRIES
-from roadtorch.oneclass import CLASSIFIERS, axes_of, fit, samples
+from roadtorch.oneclass import CLASSIFIERS, Fitted, axes_of, fit, samples
 from roadtorch.oneclass.samples import AllSampleSettings, SampleSettings, road_samples
 from roadtorch.oneclass.samples import representation as representation_of
 from roadtorch.settings import build_settings
@@ -89,31 +89,8 @@ def test_a_classifiers_own_settings_are_in_its_group() -> None:
     assert not torch.equal(changed.likelihood, detected("oneclass:kmeans:RGB").likelihood)
     with pytest.raises(ConfigError, match=r"^classifier\.centre"):
         detector("kmeans:RGB", classifier={"centre": 1})
-    with pytest.raises(ConfigError, match=r"^samples\.area\.width"):
-        detector("kmeans:RGB", samples={"area": {"width": 700}})
-
-
-@pytest.mark.parametrize(
-    ("settings", "cue"),
-    [
-        ({"samples": {"reduction": "grid"}}, "likelihood"),
-        ({"samples": {"central": "medoid"}}, "likelihood"),
-        ({"samples": {"segments": 10}}, "likelihood"),
-        ({"samples": {"area": {"height": 240}}}, "training_area"),
-        ({"samples": {"area": {"width": 20}}}, "training_area"),
-        ({"working": {"pixels": 4800}}, "likelihood"),
-        ({"classifier": {"rejected": 0.5}}, "likelihood"),
-        ({"random": 7}, "likelihood"),
-    ],
-)
-def test_every_setting_reaches_the_result(settings: dict, cue: str) -> None:
-    name = "oneclass:hist64_sn:HS" if "random" in settings else "oneclass:mog2:HS"
-    after, before = detector(name, **settings).detect(street()), detected(name)
-
-    maps = [
-        found.likelihood if cue == "likelihood" else found.cues[cue] for found in (before, after)
-    ]
-    assert not torch.equal(*maps)
+    with pytest.raises(ConfigError, match=r"^seed\.width"):
+        detector("kmeans:RGB", seed={"width": 700})
 
 
 # --- what they find ---------------------------------------------------------------------
@@ -136,13 +113,13 @@ def test_maps_are_those_of_the_classifier_fitted_by_hand(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ONE_OF_EACH)
-def test_cues_are_finite_and_the_training_area_is_that_of_the_paper(name: str) -> None:
+def test_cues_are_finite_and_the_seed_area_is_that_of_the_paper(name: str) -> None:
     cues = detected(name).cues
 
-    assert set(cues) == {"distance", "training_area"}
+    assert set(cues) == {"distance", "seed_area"}
     assert cues["distance"].isfinite().all()
-    assert cues["training_area"].sum() == 16 * 50  # 66 of 480 rows, 201 of 640 columns
-    assert cues["training_area"][-1, 80]
+    assert cues["seed_area"].sum() == 16 * 50  # 66 of 480 rows, 201 of 640 columns
+    assert cues["seed_area"][-1, 80]
 
 
 def test_large_pictures_are_scored_at_working_size_and_maps_brought_back() -> None:
@@ -183,6 +160,22 @@ def test_planes_and_superpixels_are_made_once_for_all_detectors() -> None:
         assert torch.equal(found[name].likelihood, detected(name).likelihood)
 
 
+@pytest.mark.parametrize("planes", ["R", "V"])
+def test_of_a_byte_plane_no_more_than_its_levels_are_scored(planes: str) -> None:
+    image = torch.randint(256, (3, 100, 100)).to(torch.float32) / 255
+    sizes = []
+    score = Fitted.distance
+
+    def watched(fitted: Fitted, pixels: Tensor) -> Tensor:
+        sizes.append(len(pixels))
+        return score(fitted, pixels)
+
+    with patch.object(Fitted, "distance", watched):
+        detector(f"gaussian:{planes}").detect(image)
+
+    assert 0 < sum(sizes) <= 256
+
+
 # --- real pictures ----------------------------------------------------------------------
 
 
@@ -209,14 +202,21 @@ def auc_of(root: Path, name: str, **settings: object) -> Tensor:
 def test_in_one_plane_all_that_rank_by_the_distance_to_one_centre_agree(
     plane: str, data_root: Path
 ) -> None:
-    """As P3's Table III has it, whatever the units and the variance."""
-    gaussian = auc_of(data_root, f"gaussian:{plane}")
-    mean = auc_of(data_root, f"kmeans:{plane}", classifier={"centres": 1})
-    component = auc_of(data_root, f"mog2:{plane}", classifier={"components": 1})
-    wide = auc_of(data_root, f"gaussian:{plane}", classifier={"ridge": 1.0})
+    """As P3's Table III has it: about the mean in each picture, about the middle on average."""
+    mean: dict[str, dict] = {
+        "gaussian": {},
+        "kmeans": {"centres": 1},
+        "mog2": {"components": 1},
+        "mpm": {"sigma": 1e3, "ridge": 1.0},
+    }
+    about_mean = torch.stack(
+        [auc_of(data_root, f"{name}:{plane}", classifier=told) for name, told in mean.items()]
+    )
+    about_middle = torch.stack([auc_of(data_root, f"{name}:{plane}") for name in ("svdd", "dlp")])
 
-    for other in (mean, component, wide):
-        assert (gaussian - other).abs().max() < 0.01
+    assert (about_mean.amax(0) - about_mean.amin(0)).max() < 0.01
+    # dLP leaves the middle a little; over all of CamVid they are as one (docs/oneclass.md).
+    assert about_middle.mean(1).diff().abs() < 0.02
 
 
 @pytest.mark.data
@@ -228,7 +228,7 @@ def test_combinations_that_rank_alike_in_p3_rank_alike_here(
     balls = [auc_of(data_root, f"{name}:{representation}") for name in ("svdd", "dlp")]
     near = [auc_of(data_root, f"{name}:{representation}") for name in ("kmeans", "kcentres", "mst")]
 
-    for group, apart in ((balls, 0.02), (near, 0.04)):
+    for group, apart in ((balls, 0.01), (near, 0.04)):
         values = torch.stack(group).mean(1)
         assert values.max() - values.min() < apart
 

@@ -100,8 +100,8 @@ ONE_CLASS = {  # what all have, shown with one of them
     "threshold": 0.9,
     "isolated": "drop",
     "working": {"pixels": 2000},
+    "seed": {"height": 120, "width": 20},
     "samples": {
-        "area": {"height": 240, "width": 40},
         "reduction": "grid",
         "segments": 10,
         "central": "medoid",
@@ -316,7 +316,7 @@ def test_every_kind_of_one_class_classifier_is_above() -> None:
         ("oneclass:nn:HS", ("classifier", "reading"), "near"),
         ("oneclass:mog2:HS", ("classifier", "components"), 0),
         ("oneclass:svdd:HS", ("classifier", "sigma"), 0.0),
-        ("oneclass:svdd:HS", ("samples", "area", "width"), 641),
+        ("oneclass:svdd:HS", ("seed", "width"), 321),
         ("oneclass:gaussian:HS", ("random",), -1),
     ],
 )

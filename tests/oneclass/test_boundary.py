@@ -114,9 +114,9 @@ def test_distance_is_that_to_the_centre_in_the_kernels_space(dimensions):
 
 @DIMENSIONS
 @pytest.mark.parametrize("rejected", [0.025, 0.1, 0.5])
-def test_svdd_is_the_one_class_machine_of_scikit_learn(dimensions, rejected):
+@pytest.mark.parametrize("sigma", [0.3, 5.0])
+def test_svdd_is_the_one_class_machine_of_scikit_learn(dimensions, rejected, sigma):
     samples, pixels = road(90, dimensions), some(2000, dimensions)
-    sigma = 0.3
     machine: Any = OneClassSVM(nu=rejected, tol=1e-10).set_params(gamma=1 / sigma**2)
     machine.fit(doubles(samples))
     decision = machine.decision_function(doubles(pixels))
@@ -348,15 +348,6 @@ def test_too_many_different_samples_are_refused_with_what_to_do():
 
 
 @ALL
-@pytest.mark.parametrize("samples", [torch.full((1, 3), 0.5), torch.full((20, 3), 0.5)])
-def test_one_colour_ranks_by_the_distance_to_it(classifier, samples):
-    learned, pixels = fitted(classifier, samples), some(300, 3)
-    same_ranks(learned.distance(pixels), (pixels - 0.5).norm(dim=1))
-    assert float(learned.distance(samples).max()) == pytest.approx(0, abs=1e-4)
-    assert float(learned.threshold) > 0
-
-
-@ALL
 def test_a_constant_plane_changes_no_rank_among_pixels_that_share_it(classifier):
     samples, pixels = road(40, 2), some(300, 2)
     with_constant, pixels_too = (
@@ -367,15 +358,6 @@ def test_a_constant_plane_changes_no_rank_among_pixels_that_share_it(classifier)
 
 
 @ALL
-def test_fewer_samples_than_planes_are_enough(classifier):
-    learned, pixels = fitted(classifier, some(2, 3)), some(100, 3)
-    distance = learned.distance(pixels)
-    assert distance.isfinite().all()
-    assert (distance >= 0).all()
-    assert distance.unique().numel() > 90
-
-
-@ALL
 def test_samples_on_a_byte_grid_with_twins_give_finite_ordered_distances(classifier):
     samples = (road(500, 1) * 255).round() / 255
     pixels = torch.arange(256.0)[:, None] / 255
@@ -383,14 +365,6 @@ def test_samples_on_a_byte_grid_with_twins_give_finite_ordered_distances(classif
     assert distance.isfinite().all()
     upper = distance[pixels[:, 0] > samples.max()]
     assert (upper.diff() > 0).all()
-
-
-@ALL
-def test_distances_of_a_chunk_are_those_of_the_whole(classifier, monkeypatch):
-    learned, pixels = fitted(classifier, road(30, 3)), some(999, 3)
-    whole = learned.distance(pixels)
-    monkeypatch.setattr("roadtorch.oneclass.base.CHUNK", 2000)
-    torch.testing.assert_close(learned.distance(pixels), whole, rtol=1e-5, atol=1e-7)
 
 
 @ALL

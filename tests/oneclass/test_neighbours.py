@@ -211,12 +211,3 @@ def test_equal_edges_give_the_same_tree_every_time():
 def test_too_many_different_samples_are_refused_with_what_to_do():
     with pytest.raises(InputError, match=r"4097 different samples.*one sample per superpixel"):
         fitted(MST, some(neighbours.MOST + 1, 2))
-
-
-@DIMENSIONS
-@pytest.mark.parametrize("classifier", [NN, MST])
-def test_chunks_change_nothing(classifier, dimensions, monkeypatch):
-    learned, pixels = fitted(classifier, road(30, dimensions)), some(999, dimensions)
-    whole = learned.distance(pixels)
-    monkeypatch.setattr("roadtorch.oneclass.base.CHUNK", 3000)
-    torch.testing.assert_close(learned.distance(pixels), whole, rtol=1e-6, atol=1e-9)

@@ -8,11 +8,12 @@ from roadtorch.color import PLANES, REPRESENTATIONS, planes
 from roadtorch.oneclass.samples import (
     AllSampleSettings,
     SampleSettings,
-    TrainingArea,
+    WideSeedArea,
     area_segments,
     colours,
     representation,
     road_samples,
+    sample_area,
 )
 from roadtorch.superpixels import segment_median
 from tests.scenes import render_scene
@@ -31,7 +32,7 @@ def eight_bit(height: int = 96, width: int = 128, levels: int = 12) -> Tensor:
 
 
 def test_the_area_of_p3_has_13266_pixels() -> None:
-    rows, columns = TrainingArea().within(480, 640)
+    rows, columns = sample_area((480, 640))
 
     assert (rows, columns) == (slice(414, 480), slice(219, 420))
     image = torch.rand(3, 480, 640)
@@ -50,18 +51,12 @@ def test_the_area_of_p3_has_13266_pixels() -> None:
 def test_the_area_scales_with_the_picture_and_stays_inside(
     size: tuple[int, int], shape: tuple[int, int]
 ) -> None:
-    rows, columns = TrainingArea().within(*size)
+    rows, columns = sample_area(size)
 
     assert (rows.stop - rows.start, columns.stop - columns.start) == shape
     assert rows.stop == size[0]
     left, right = columns.start, size[1] - columns.stop
     assert 0 <= right - left <= 1
-
-
-def test_a_larger_area_is_cut_at_the_picture() -> None:
-    rows, columns = TrainingArea(height=480, width=640).within(48, 64)
-
-    assert (rows, columns) == (slice(0, 48), slice(0, 64))
 
 
 # --- distinct colours -----------------------------------------------------------------------------
@@ -115,18 +110,18 @@ def test_about_ninety_superpixels_give_about_ninety_samples() -> None:
 
 def test_a_sample_is_the_median_of_its_superpixel() -> None:
     image, settings = render_scene(3, 240, 320).image, SampleSettings()
-    rows, columns = settings.area.within(240, 320)
+    rows, columns = sample_area((240, 320))
 
     found = road_samples(image, ("S", "O2"), settings)
 
-    labels = area_segments(image, settings)
+    labels = area_segments(image, settings, WideSeedArea())
     stack = planes(image, ("S", "O2"))[:, rows, columns]
     expected = segment_median(stack, labels, int(labels.max()) + 1)
     torch.testing.assert_close(found, expected.T, atol=1e-6, rtol=0)
 
 
 def test_the_grid_is_of_six_by_fifteen_cells() -> None:
-    labels = area_segments(torch.rand(3, 480, 640), GRID)
+    labels = area_segments(torch.rand(3, 480, 640), GRID, WideSeedArea())
 
     assert labels.shape == (66, 201)
     assert torch.bincount(labels.flatten()).shape == (90,)

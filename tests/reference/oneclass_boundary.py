@@ -120,7 +120,10 @@ def minimax_score(
 
 
 def game_value(dissimilarities: Array, cap: float) -> float:
-    """The dual of dLP: the worst mixture p of samples, p ≤ cap, against their best answer."""
+    """The dual of dLP: the worst mixture p of samples, p ≤ cap, against their best answer.
+
+    However p was found, what it guarantees is a lower bound of dLP's value; checked by hand.
+    """
     number = len(dissimilarities)
     solution = linprog(
         np.r_[np.zeros(number), -1.0],
@@ -130,7 +133,10 @@ def game_value(dissimilarities: Array, cap: float) -> float:
         b_eq=[1.0],
         bounds=[(0, cap)] * number + [(None, None)],
     )
-    return -float(solution.fun)
+    worst = np.clip(solution.x[:number], 0, cap)
+    worst = worst / worst.sum()
+    assert worst.max() <= cap * (1 + 1e-9)
+    return float((worst @ dissimilarities).min())
 
 
 def best_vertex(dissimilarities: Array, slack: float) -> float:
