@@ -25,11 +25,27 @@ IMAGE_COLUMNS = (
 # --- table ------------------------------------------------------------------------------
 
 
+MOST_SHOWN = 40
+"""Detectors on the screen, besides the floors; a grid of 310 fills no screen well."""
+
+
 def screen(document: Mapping[str, Any]) -> str:
     """The tables of a run: road, layout if somebody labels it, and detectors in pairs."""
-    detectors = document["detectors"]
-    tables = (score_table(detectors), layout_table(detectors), paired_table(document["paired"]))
+    detectors, paired = shortlist(document["detectors"]), document["paired"]
+    shown = {name: changes for name, changes in paired["detectors"].items() if name in detectors}
+    tables = [score_table(detectors), layout_table(detectors)]
+    tables.append(paired_table({**paired, "detectors": shown}))
+    if more := len(document["detectors"]) - len(detectors):
+        tables.append(f"{more} more detectors, with lower MaxF, are in metrics.json (--out DIR)")
     return "\n\n".join(filter(None, tables))
+
+
+def shortlist(detectors: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+    """The floors and the best of the others by MaxF, in the order in which they stand."""
+    order = sorted(detectors, key=lambda name: -_number(detectors[name]["maxf"]))
+    best = [name for name in order if not name.startswith("prior:")][:MOST_SHOWN]
+    chosen = {name for name in detectors if name.startswith("prior:")} | set(best)
+    return {name: figures for name, figures in detectors.items() if name in chosen}
 
 
 SCORES = {
