@@ -24,10 +24,10 @@ BASE = 1.16
 class SeedArea(Settings):
     """The rectangle at the middle of the bottom edge that is taken to be road."""
 
-    height: int | float = Field(
+    height: float = Field(
         default=30, ge=1, le=FRAME[0], description="rows, of a frame of 240; scaled with the image"
     )
-    width: int | float = Field(
+    width: float = Field(
         default=80, ge=1, le=FRAME[1], description="columns, of a frame of 320; scaled likewise"
     )
 

@@ -86,7 +86,9 @@ def _allowed(field: Mapping[str, Any]) -> str:
 
 
 def _text(value: Any) -> str:
-    """A value as ``--set`` takes it; strings without their quotes."""
+    """A value as ``--set`` takes it; strings without their quotes, 30.0 as 30."""
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 

@@ -35,10 +35,10 @@ class WideSeedArea(SeedArea):
     P3 does not give the size of its pictures; this is that of the same authors' other papers.
     """
 
-    height: int | float = Field(
+    height: float = Field(
         default=33, ge=1, le=FRAME[0], description="rows, of a frame of 240; scaled with the image"
     )
-    width: int | float = Field(
+    width: float = Field(
         default=100.5,
         ge=1,
         le=FRAME[1],
