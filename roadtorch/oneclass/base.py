@@ -17,13 +17,12 @@ exp(-distance) it neither underflows nor crowds the far pixels on a few of the 6
 that a 16-bit map can hold; without the root, a tight threshold still does.
 """
 
-import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any
 
 import numpy as np
 import torch
@@ -36,6 +35,14 @@ from torch import Tensor, nn
 from roadtorch.errors import ConfigError, InputError, WeightsError
 from roadtorch.image import atomic
 from roadtorch.oneclass.axes import Axes, Hue, arranged, arranged_axes, mean_hues
+from roadtorch.oneclass.state import (
+    LEARNED,
+    About,
+    check_classifier,
+    check_parts,
+    read_about,
+    to_bytes,
+)
 from roadtorch.settings import Settings
 
 CHUNK = 700_000
@@ -47,13 +54,8 @@ PROBES = 16
 ROUNDING = 1e-3
 """A threshold below this share of one quantum's distance comes from rounding alone."""
 
-LEARNED = "learned."
-"""How the names of what was learned begin in a state."""
-
 OWN = ("about", "hues", "threshold")
 """The other names in a state."""
-
-HUES: dict[str, Hue] = {hue: hue for hue in get_args(Hue)}
 
 State = Mapping[str, Tensor]
 """What a classifier has learned, by name."""
@@ -139,7 +141,7 @@ class Fitted(nn.Module):
         self.classifier = classifier
         self.axes, self.hue, self.floats = axes, hue, learned.floats
         shapes = tuple((name, tuple(value.shape)) for name, value in learned.state.items())
-        about = bytearray(_told(_About(classifier.name, axes, hue, learned.floats, shapes)))
+        about = bytearray(to_bytes(About(classifier.name, axes, hue, learned.floats, shapes)))
         self.register_buffer("about", torch.frombuffer(about, dtype=torch.uint8))
         self.register_buffer("hues", torch.zeros(len(axes)))
         self.register_buffer("threshold", torch.tensor(math.nan))
@@ -204,9 +206,9 @@ class Fitted(nn.Module):
         own = {
             key[len(prefix) :]: value for key, value in state_dict.items() if key.startswith(prefix)
         }
-        about = _read_about(own.get("about"))
+        about = read_about(own.get("about"))
         self._check_planes(about)
-        _check_parts(about, own)
+        check_parts(about, own)
         for name in OWN:
             self.register_buffer(name, torch.empty_like(own[name]))
         self.learned = nn.Module()
@@ -215,8 +217,8 @@ class Fitted(nn.Module):
         super()._load_from_state_dict(state_dict, prefix, *rest, **more)
         self.axes, self.hue, self.floats = about.axes, about.hue, about.floats
 
-    def _check_planes(self, about: "_About") -> None:
-        _check_about(about, self.classifier.name)
+    def _check_planes(self, about: About) -> None:
+        check_classifier(about, self.classifier.name)
         if about.axes != self.axes:
             what = f"was learned on the planes {', '.join(about.axes.names)}"
             remedy = f"give one learned on {', '.join(self.axes.names)}"
@@ -327,58 +329,13 @@ def _moves(axes: Axes) -> Tensor:
 # --- saving -----------------------------------------------------------------------------
 
 
-class _About(NamedTuple):
-    classifier: str
-    axes: Axes
-    hue: Hue
-    floats: int
-    shapes: tuple[tuple[str, tuple[int, ...]], ...]
-
-
-def _told(about: _About) -> bytes:
-    """What a state says that it is: JSON as bytes, so that a state holds tensors alone."""
-    axes = {field.name: getattr(about.axes, field.name) for field in fields(Axes)}
-    return json.dumps({**about._asdict(), "axes": axes}).encode()
-
-
-def _read_about(about: Tensor | None) -> _About:
-    """The opposite of ``_told``; WeightsError where the bytes say no such thing."""
-    try:
-        told = json.loads(bytes([] if about is None else about.tolist()))
-        axes = Axes(**{key: tuple(values) for key, values in told["axes"].items()})
-        shapes = tuple((name, tuple(shape)) for name, shape in told["shapes"])
-        hue = HUES[told["hue"]]
-        return _About(told["classifier"], axes, hue, int(told["floats"]), shapes)
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
-        what = "does not say what it is the state of"
-        raise WeightsError("state", what, "give the state of a fitted classifier") from None
-
-
-def _check_about(about: _About, classifier: str) -> None:
-    if about.classifier != classifier:
-        what = f"is that of {about.classifier}"
-        raise WeightsError("state", what, f"give one of {classifier}")
-
-
-def _check_parts(about: _About, state: Mapping[str, Tensor]) -> None:
-    """WeightsError unless a state has all that it says it has, and nothing else."""
-    expected = {LEARNED + name: shape for name, shape in about.shapes}
-    expected |= {"hues": (len(about.axes),), "threshold": ()}
-    found = {name: tuple(value.shape) for name, value in state.items() if name != "about"}
-    for name in sorted(expected.keys() | found.keys()):
-        if found.get(name) != expected.get(name):
-            what = f"is incomplete: {name} is {found.get(name, 'missing')}"
-            remedy = f"fit and save it again ({expected.get(name, 'nothing')} was expected)"
-            raise WeightsError("state", what, remedy)
-
-
 def restored(classifier: Classifier, state: Mapping[str, Tensor]) -> Fitted:
     """A fitted classifier from its ``state_dict``.
 
     Raises WeightsError when the state is that of another classifier, of none, or incomplete.
     """
-    about = _read_about(state.get("about"))
-    _check_about(about, classifier.name)
+    about = read_about(state.get("about"))
+    check_classifier(about, classifier.name)
     inner = {key[len(LEARNED) :]: value for key, value in state.items() if key.startswith(LEARNED)}
     fitted = Fitted(classifier, about.axes, about.hue, Learned(inner, about.floats))
     fitted.load_state_dict(dict(state))
