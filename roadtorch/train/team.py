@@ -53,6 +53,10 @@ def join_team() -> Iterator[Team]:
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:
         yield Team()
         return
+    # It has the group that is there when it is imported as default arguments: imported later, as
+    # optimisers do, it would keep gloo's threads alive until they crash the ending interpreter.
+    import torch.distributed.nn  # noqa: F401
+
     distributed.init_process_group("gloo")
     try:
         yield Team(distributed.get_rank(), distributed.get_world_size())

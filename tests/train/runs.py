@@ -81,6 +81,12 @@ def command(*arguments: object) -> list[str]:
     return [sys.executable, "-m", "roadtorch.train", *map(str, arguments)]
 
 
+def torchrun(processes: int) -> list[str]:
+    """The words that start what follows in several processes of this machine."""
+    words = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", str(processes)]
+    return [*words, "--master-addr", "127.0.0.1", "--master-port", str(29600 + os.getpid() % 300)]
+
+
 def run(words: Sequence[object], folder: Path) -> subprocess.CompletedProcess[str]:
     """Run a command with one thread and no network but this machine."""
     return subprocess.run(

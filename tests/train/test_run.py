@@ -5,7 +5,6 @@ import math
 import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -17,7 +16,16 @@ from roadtorch.layout.network import PatchNetwork
 from roadtorch.layout.weights import load_network, read_origin, save_network
 from roadtorch.train import loop
 from roadtorch.train.run import Outcome, train
-from tests.train.runs import PATCHES, command, order_of, rows_of, run, training_of, write_config
+from tests.train.runs import (
+    PATCHES,
+    command,
+    order_of,
+    rows_of,
+    run,
+    torchrun,
+    training_of,
+    write_config,
+)
 
 # --- whole runs ------------------------------------------------------------------------------
 
@@ -217,10 +225,8 @@ def test_two_processes_give_the_weights_of_one(
     train(training, order_of(streets, kept, tmp_path / "one", kind))
     arguments = ["--config", tmp_path / f"{kind}.toml", "--images", streets, "--out", "two"]
     arguments += ["--set", "descent.method=sgd", "--set", "descent.rate=0.05"]
-    torchrun = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2"]
-    torchrun += ["--master-addr", "127.0.0.1", "--master-port", str(29600 + os.getpid() % 300)]
 
-    done = run([*torchrun, "-m", "roadtorch.train", *arguments], tmp_path)
+    done = run([*torchrun(2), "-m", "roadtorch.train", *arguments], tmp_path)
 
     assert done.returncode == 0, done.stderr
     one, two = (load_network(tmp_path / n / "weights.safetensors") for n in ("one", "two"))
