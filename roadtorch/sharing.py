@@ -23,7 +23,7 @@ Result = TypeVar("Result")
 
 
 class _Made(NamedTuple):
-    source: object  # kept, so that nothing else can have its identity
+    given: object  # kept, so that nothing else can have its identity
     result: object
     seconds: float
 
@@ -35,7 +35,7 @@ class Shared:
     saved: float = 0.0  # seconds
     _made: dict[Hashable, _Made] = field(default_factory=dict, repr=False)
 
-    def get(self, key: Hashable, source: object, make: Callable[[], Result]) -> Result:
+    def get(self, key: Hashable, given: object, make: Callable[[], Result]) -> Result:
         """The result under that key, made now if it is not there."""
         if key in self._made:
             made = self._made[key]
@@ -45,7 +45,7 @@ class Shared:
         result = make()
         # What it took from others counts as its own: whoever saves this saves that too.
         seconds = time.perf_counter() - start + self.saved - saved
-        self._made[key] = _Made(source, result, seconds)
+        self._made[key] = _Made(given, result, seconds)
         return result
 
 
@@ -66,7 +66,10 @@ def sharing() -> Iterator[Shared]:
 def shareable(
     function: Callable[Concatenate[Source, P], Result],
 ) -> Callable[Concatenate[Source, P], Result]:
-    """Mark a function of one source, told by identity, and of hashable settings."""
+    """Mark a function of one source, told by identity, and of what can be hashed.
+
+    That is settings, and other tensors, which are told by identity as well.
+    """
 
     @wraps(function)
     def wrapped(source: Source, /, *args: P.args, **kwargs: P.kwargs) -> Result:
@@ -74,6 +77,7 @@ def shareable(
         if shared is None:
             return function(source, *args, **kwargs)
         key = (function, id(source), args, tuple(sorted(kwargs.items())))
-        return shared.get(key, source, lambda: function(source, *args, **kwargs))
+        given = (source, args, kwargs)
+        return shared.get(key, given, lambda: function(source, *args, **kwargs))
 
     return wrapped

@@ -13,8 +13,10 @@ Sources: "KITTI" is the road benchmark's development kit (Fritsch, Kühnl, Geige
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -45,6 +47,18 @@ class RoadCounts:
     def levels(self) -> int:
         """How many levels the likelihood was rounded to."""
         return self.road.shape[-1]
+
+    def __reduce__(self) -> tuple[Callable[..., "RoadCounts"], tuple[np.ndarray, ...]]:
+        """Between processes the levels that occur: of one picture's 65,536 most do not."""
+        both = torch.stack([self.road, self.other]).numpy()
+        places = np.flatnonzero(both).astype(np.int32)
+        return _from_sparse, (np.array(both.shape), places, both.reshape(-1)[places])
+
+
+def _from_sparse(shape: np.ndarray, places: np.ndarray, counts: np.ndarray) -> RoadCounts:
+    both = np.zeros(shape, counts.dtype)
+    both.reshape(-1)[places] = counts
+    return RoadCounts(*torch.from_numpy(both))
 
 
 @dataclass(frozen=True)

@@ -53,6 +53,22 @@ def test_counts_equal_looking_at_every_pair_of_pixels(seed):
     assert found.tolist() == [slow.count(mask, road, valid, share) for share in tolerances]
 
 
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000))
+def test_a_small_road_is_compared_with_all_that_is_near_it(seed):
+    generator = np.random.default_rng(seed)
+    mask, road = blob(generator), blob(generator)
+    top, left = (generator.integers(1, side) for side in SIZE)
+    road[:top] = road[:, :left] = False
+    tolerances = (0.0, 1 * PIXEL, 2 * PIXEL)
+
+    maps = (torch.from_numpy(mask), torch.from_numpy(road), everything())
+    found = boundary.count_boundary(*maps, tolerances)
+
+    every = np.ones(SIZE, bool)
+    assert found.tolist() == [slow.count(mask, road, every, share) for share in tolerances]
+
+
 # --- what a border is -----------------------------------------------------------------------------
 
 

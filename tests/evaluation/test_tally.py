@@ -1,11 +1,12 @@
 """What is kept of a pass comes back from tensors, and stays small."""
 
+import pickle
 from dataclasses import replace
 
 import torch
 
 from roadtorch.detectors import Detection
-from roadtorch.evaluation import summary
+from roadtorch.evaluation import metrics, summary
 from roadtorch.evaluation.datasets import Dataset, open_dataset
 from roadtorch.evaluation.runner import Plan, looks, score_item
 from roadtorch.evaluation.tally import Tally, tally_from, tally_tensors
@@ -72,3 +73,18 @@ def test_rows_outlive_the_room_there_was_for_them_and_can_be_sorted(tmp_path):
 
 def looks_of(dataset: Dataset):
     return looks(Plan(dataset, {"prior:rows": {}}))
+
+
+def test_counts_go_between_processes_whole_and_small() -> None:
+    generator = torch.Generator().manual_seed(0)
+    road = torch.rand(60, 80, generator=generator) > 0.5
+    likelihood = torch.rand(60, 80, generator=generator)
+    counts = metrics.count_levels(likelihood, road, torch.ones_like(road))
+
+    message = pickle.dumps(counts)
+    found = pickle.loads(message)
+
+    assert torch.equal(found.road, counts.road)
+    assert torch.equal(found.other, counts.other)
+    assert found.road.dtype == torch.int64
+    assert len(message) < 20 * 4800 < counts.road.numel() * 8
