@@ -1,60 +1,27 @@
 """What every one-class classifier keeps to, whatever it has learned."""
 
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from roadtorch.errors import ConfigError, InputError, WeightsError
-from roadtorch.oneclass import CLASSIFIERS, Fitted, axes_of, base, fit, load, restored, save
+from roadtorch.errors import ConfigError, InputError
+from roadtorch.oneclass import CLASSIFIERS, Fitted, axes_of, base, fit
 from roadtorch.oneclass.axes import Axes, Hue
 from roadtorch.oneclass.base import Classifier
-
-RGB = axes_of(("R", "G", "B"))
-HS = axes_of(("H", "S"))
-HISTOGRAMS = {"hist64_s", "hist64_sn", "hist100_s", "hist100_sn"}
-SPREAD = 0.02
-
-
-def words_of(annotation: Any) -> Iterator[str]:
-    """The words that a setting may be, wherever in its type they stand."""
-    for part in get_args(annotation):
-        if isinstance(part, str):
-            yield part
-        else:
-            yield from words_of(part)
-
-
-READINGS = [
-    pytest.param(classifier, {name: word}, id=f"{classifier.name}-{name}={word}")
-    for classifier in CLASSIFIERS.values()
-    for name, field in classifier.settings.model_fields.items()
-    for word in words_of(field.annotation)
-]
-"""Every classifier with every reading of the paper that it can be told, one at a time."""
-
-every_classifier = pytest.mark.parametrize(
-    "classifier", CLASSIFIERS.values(), ids=CLASSIFIERS.keys()
+from tests.oneclass.cases import (
+    HISTOGRAMS,
+    HS,
+    READINGS,
+    RGB,
+    around_red,
+    asphalt,
+    colours,
+    every_classifier,
+    every_distance,
 )
-every_distance = pytest.mark.parametrize(
-    "classifier",
-    [classifier for name, classifier in CLASSIFIERS.items() if name not in HISTOGRAMS],
-    ids=[name for name in CLASSIFIERS if name not in HISTOGRAMS],
-)
-
-
-def asphalt(count: int = 90, seed: int = 0) -> Tensor:
-    """Samples (count,3) of a grey with some noise."""
-    generator = torch.Generator().manual_seed(seed)
-    return 0.45 + SPREAD * torch.randn(count, 3, generator=generator)
-
-
-def colours(count: int = 500, seed: int = 1, planes: int = 3) -> Tensor:
-    return torch.rand(count, planes, generator=torch.Generator().manual_seed(seed))
 
 
 def check_answers(fitted: Fitted, pixels: Tensor) -> None:
@@ -297,14 +264,6 @@ def test_one_plane_is_enough_but_for_pca(classifier: Classifier, planes: str) ->
 # --- hue ------------------------------------------------------------------------------------
 
 
-def around_red(count: int = 90, seed: int = 0) -> Tensor:
-    """Hue on both sides of red, where it begins and ends, and some saturation."""
-    generator = torch.Generator().manual_seed(seed)
-    hue = (0.02 * torch.randn(count, generator=generator)).remainder(1)
-    saturation = 0.4 + 0.02 * torch.randn(count, generator=generator)
-    return torch.stack([hue, saturation], 1)
-
-
 @every_classifier
 @pytest.mark.parametrize("hue", ["unrolled", "chord"])
 def test_hue_is_a_circle(classifier: Classifier, hue: Hue) -> None:
@@ -379,13 +338,18 @@ class Largest(TorchDispatchMode):
         return made
 
 
-@every_classifier
-@pytest.mark.parametrize("axes", [axes_of(("S",)), HS, RGB], ids=["S", "HS", "RGB"])
+@pytest.mark.parametrize(
+    ("classifier", "axes"),
+    [
+        pytest.param(classifier, axes, id=f"{classifier.name}-{'+'.join(axes.names)}")
+        for classifier in CLASSIFIERS.values()
+        for axes in (axes_of(("S",)), HS, RGB)
+        if not classifier.refuses(len(axes))
+    ],
+)
 def test_no_tensor_is_much_larger_than_the_floats_that_size_the_chunks(
     classifier: Classifier, axes: Axes
 ) -> None:
-    if classifier.refuses(len(axes)):
-        pytest.skip("a single plane")
     fitted, pixels = fit(classifier, asphalt()[:, : len(axes)], axes), colours(70_000)
 
     with Largest() as seen, torch.no_grad():
@@ -402,89 +366,3 @@ def test_planes_need_not_be_copied_to_be_scored(classifier: Classifier) -> None:
     torch.testing.assert_close(
         fitted.distance(planes.T), fitted.distance(colours()), rtol=1e-5, atol=1e-5
     )
-
-
-# --- saving -----------------------------------------------------------------------------------
-
-
-@every_classifier
-def test_saved_and_loaded_it_says_the_same(classifier: Classifier, tmp_path: Path) -> None:
-    fitted = fit(classifier, around_red(), HS, classifier.settings(hue="chord"))
-    pixels = colours(planes=2)
-
-    save(fitted, tmp_path / "road.safetensors")
-    again = load(classifier, tmp_path / "road.safetensors")
-
-    assert torch.equal(again.distance(pixels), fitted.distance(pixels))
-    assert torch.equal(again.likelihood(pixels), fitted.likelihood(pixels))
-    assert [path.name for path in tmp_path.iterdir()] == ["road.safetensors"]
-
-
-@every_classifier
-def test_a_fitted_one_takes_over_another_state_of_its_kind(classifier: Classifier) -> None:
-    small, large = fit(classifier, asphalt(3), RGB), fit(classifier, asphalt(90, seed=4), RGB)
-
-    small.load_state_dict(large.state_dict())
-
-    assert torch.equal(small.likelihood(colours()), large.likelihood(colours()))
-
-
-@pytest.mark.parametrize(("classifier", "reading"), READINGS)
-def test_it_takes_over_a_state_of_its_kind_whatever_the_settings(
-    classifier: Classifier, reading: dict[str, str]
-) -> None:
-    usual, other = (
-        fit(classifier, around_red(90, seed), HS, classifier.settings.model_validate(told))
-        for seed, told in ((0, {}), (1, reading))
-    )
-    pixels = colours(planes=2)
-    expected = usual.likelihood(pixels)
-
-    other.load_state_dict(usual.state_dict())
-
-    assert torch.equal(other.likelihood(pixels), expected)
-
-
-@every_classifier
-def test_a_state_with_a_part_missing_or_cut_is_refused_and_changes_nothing(
-    classifier: Classifier,
-) -> None:
-    fitted, state = fit(classifier, asphalt(), RGB), fit(classifier, asphalt(50), RGB).state_dict()
-    before = fitted.distance(colours())
-
-    for name in state:
-        without = {key: value for key, value in state.items() if key != name}
-        cut = state | {name: state[name].flatten()[:-1]}
-        for spoilt in (without, cut):
-            with pytest.raises(WeightsError, match=r"^state: "):
-                fitted.load_state_dict(spoilt)
-            with pytest.raises(WeightsError, match=r"^state: "):
-                restored(classifier, spoilt)
-    with pytest.raises(WeightsError, match=r"surplus is \(2,\)"):
-        restored(classifier, state | {"surplus": torch.zeros(2)})
-
-    assert torch.equal(fitted.distance(colours()), before)
-
-
-@every_classifier
-def test_the_state_of_another_classifier_is_refused(classifier: Classifier, tmp_path: Path) -> None:
-    names = list(CLASSIFIERS)
-    other = CLASSIFIERS[names[names.index(classifier.name) - 1]]
-    foreign = fit(other, asphalt(), RGB)
-    save(foreign, tmp_path / "road.safetensors")
-    told = f"^state: is that of {other.name} .give one of {classifier.name}.$"
-
-    with pytest.raises(WeightsError, match=told):
-        restored(classifier, foreign.state_dict())
-    with pytest.raises(WeightsError, match=told):
-        load(classifier, tmp_path / "road.safetensors")
-    with pytest.raises(WeightsError, match=told):
-        fit(classifier, asphalt(), RGB).load_state_dict(foreign.state_dict())
-
-
-@every_classifier
-def test_a_state_of_other_planes_is_refused(classifier: Classifier) -> None:
-    of_hue = fit(classifier, around_red(), HS)
-
-    with pytest.raises(WeightsError, match=r"was learned on the planes H, S .give one learned on"):
-        fit(classifier, asphalt(), RGB).load_state_dict(of_hue.state_dict())
