@@ -119,7 +119,7 @@ def test_the_threshold_rejects_about_the_fraction(classifier: Classifier, reject
 @every_classifier
 def test_the_more_is_rejected_the_nearer_the_threshold(classifier: Classifier) -> None:
     by_share = [
-        fit(classifier, asphalt(1000), RGB, classifier.settings(rejected=share))
+        fit(classifier, asphalt(400), RGB, classifier.settings(rejected=share))
         for share in (0.0, 0.2, 0.5, 0.9)
     ]
     # SVDD and dLP change with the share, so that their thresholds are of different distances.
