@@ -116,18 +116,21 @@ def arranged(planes: Tensor, axes: Axes, hue: Hue, means: Tensor) -> Tensor:
     if hue == "linear" or not any(axes.circular):
         return planes
     if hue == "unrolled":
-        # In place of a copy, which is all that a large picture can afford.
-        seen = planes.clone()
+        seen = planes.clone()  # the one copy; the rest happens in place
         for row, mean, circular in zip(seen, means, axes.circular, strict=True):
             if circular:
                 unroll(row, mean)
         return seen
     rows: list[Tensor] = []
     for row, circular in zip(planes, axes.circular, strict=True):
-        angle = 2 * math.pi * row
-        chord = [angle.cos() / (2 * math.pi), angle.sin() / (2 * math.pi)]
-        rows += chord if circular else [row]
+        rows += chord(row) if circular else [row]
     return torch.stack(rows)
+
+
+def chord(hues: Tensor) -> list[Tensor]:
+    """Hues in turns as points on a circle of circumference 1, cosine and sine."""
+    angle = 2 * math.pi * hues
+    return [angle.cos() / (2 * math.pi), angle.sin() / (2 * math.pi)]
 
 
 def arranged_axes(axes: Axes, hue: Hue) -> Axes:

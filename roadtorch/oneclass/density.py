@@ -36,8 +36,8 @@ class GaussianSettings(ClassifierSettings):
     )
     threshold: Literal["quantile", "chi2"] = Field(
         default="quantile",
-        description="where the rejected fraction of the samples lies outside, or that of a "
-        "Gaussian (unless it is 0, which nothing keeps)",
+        description="beyond it lies the rejected fraction of the samples, or of a Gaussian (of the "
+        "samples if the fraction is 0)",
     )
 
 
@@ -152,8 +152,8 @@ def reweighted(
     c is where a Gaussian has 2.5 % outside. D is the Mahalanobis distance, the covariance has
     weights w². Power 1 is Huber's: far samples never lose all of their pull on the covariance,
     and 10 % of them are too many in three planes. Power 1.5 (ours) lets go of them, and of
-    clean samples it says what the plain Gaussian says. Starts at the
-    median with the median absolute deviations, which few outliers change.
+    clean samples it says what the plain Gaussian says. Starts at the median with the median
+    absolute deviations, which few outliers change.
     """
     reach = chi_quantile(1 - min(max(settings.rejected, 1e-6), 1 - 1e-6), len(axes))
     floor, limit = floor_of(axes), SETTLED * axes.span
