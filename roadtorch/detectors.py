@@ -11,7 +11,7 @@ each entry point names an ``Entry`` or a sequence of them.
 import fnmatch
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -71,10 +71,12 @@ class Grid:
 
     Lists show them once, and a wildcard matches them only where it names the family.
     name: ``family:<option>:<option>``, the options by what they are. summary: one line.
+    refused: combinations that make no sense, by the name they would have, with the reason.
     """
 
     name: str
     summary: str
+    refused: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def family(self) -> str:
@@ -225,7 +227,11 @@ def matching_detectors(pattern: str) -> list[str]:
 
 
 def unknown_detector(name: str) -> ConfigError:
-    """The error for a name or a pattern that fits no detector."""
+    """The error for a name or a pattern that fits no detector: why, or the nearest names."""
+    grids = [entry.grid for entry in _catalogue().values() if entry.grid]
+    for grid in grids:
+        if name in grid.refused:
+            return ConfigError(name, grid.refused[name], f"choose another {grid.name}")
     return unknown_name("detector", name, list_detectors(), detector_groups())
 
 

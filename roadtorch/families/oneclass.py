@@ -29,6 +29,12 @@ from roadtorch.working import WorkingSize, at_working_size
 GRID = Grid(
     "oneclass:<classifier>:<planes>",
     "colours like those ahead of the car, learned from the one picture (P3)",
+    {
+        f"oneclass:{classifier.name}:{planes}": reason
+        for classifier in CLASSIFIERS.values()
+        for planes, names in REPRESENTATIONS.items()
+        if (reason := classifier.refuses(len(names)))
+    },
 )
 
 PIXELS = 640 * 480

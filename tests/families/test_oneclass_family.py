@@ -58,6 +58,14 @@ def test_every_classifier_is_on_every_representation_but_pca_on_single_planes() 
     assert set(BY_NAME) == expected
 
 
+@pytest.mark.parametrize("planes", ["R", "H"])
+def test_principal_components_of_one_plane_are_refused_with_the_reason(planes: str) -> None:
+    told = f"^oneclass:pca:{planes}: one plane has a single principal component, .* .choose another"
+
+    with pytest.raises(ConfigError, match=told):
+        load_detector(f"oneclass:pca:{planes}")
+
+
 def test_all_of_them_are_registered_and_look_at_a_picture() -> None:
     image = render_scene(3, 32, 32).image
 
