@@ -208,6 +208,11 @@ def detector_groups() -> dict[str, list[Entry]]:
     return dict(sorted(groups.items()))
 
 
+def is_pattern(name: str) -> bool:
+    """Whether a name has wildcards."""
+    return any(letter in name for letter in "*?[")
+
+
 def matching_detectors(pattern: str) -> list[str]:
     """The names of the detectors that a pattern with wildcards (``cpf*``) fits, sorted.
 

@@ -257,6 +257,15 @@ def _relative(path: Path, root: Path) -> str:
 # --- out --------------------------------------------------------------------------------
 
 
+def make_folder(path: Path, remedy: str = "give another folder") -> None:
+    """Make a folder and those above it; InputError with the remedy when that is not possible."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        what = f"cannot be made a folder: {problem.strerror}"
+        raise InputError(path, what, remedy) from None
+
+
 @contextmanager
 def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path in the folder of ``path``; rename it at the end, if all went well.

@@ -16,12 +16,13 @@ from tqdm import tqdm
 
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.datasets import Dataset, Item, open_dataset
+from roadtorch.image import make_folder
 from roadtorch.layout.network import PatchNetwork
 from roadtorch.layout.weights import save_network
 from roadtorch.train.config import PatchTraining, read_training
 from roadtorch.train.loop import Task, make_optimiser, step
 from roadtorch.train.patches import PatchSamples, find_sites, squared_error
-from roadtorch.train.prepared import make_folder, to_bytes, write_arrays
+from roadtorch.train.prepared import to_bytes, write_arrays
 from roadtorch.train.recipe import seeded
 from roadtorch.train.team import join_team
 from roadtorch.working import at_work

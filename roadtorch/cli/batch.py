@@ -14,10 +14,11 @@ from time import monotonic
 import click
 
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
-from roadtorch.image import Picture, find_images, write_text
+from roadtorch.image import Picture, find_images, make_folder, write_text
 
 INDEX = "index.csv"
 DONE = "done"
+ELSEWHERE = "give another --out"
 SAVE_EVERY = 5.0  # seconds of work that a power cut may cost
 
 
@@ -72,23 +73,14 @@ def plan(inputs: Sequence[str], out: Path, suffixes: Mapping[str, str]) -> list[
     return jobs
 
 
-def make_folder(path: Path) -> None:
-    """Make a folder and those above it; InputError when that is not possible."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        what = f"cannot be made a folder: {problem.strerror}"
-        raise InputError(path, what, "give another --out") from None
-
-
 def make_writable(path: Path) -> None:
     """Make a folder and try to write in it: InputError before the work, not after it."""
-    make_folder(path)
+    make_folder(path, ELSEWHERE)
     try:
         tempfile.TemporaryFile(dir=path).close()
     except OSError as problem:
         what = f"cannot be written: {problem.strerror}"
-        raise InputError(path, what, "give another --out") from None
+        raise InputError(path, what, ELSEWHERE) from None
 
 
 def _refuse_shared(jobs: Sequence[Job]) -> None:

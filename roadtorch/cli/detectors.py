@@ -23,11 +23,16 @@ def detectors(name: str | None) -> None:
 
     A NAME with wildcards lists those that it fits: 'oneclass:*:HS'.
     """
-    from roadtorch.detectors import detector_entry, detector_groups, matching_detectors
+    from roadtorch.detectors import (
+        detector_entry,
+        detector_groups,
+        is_pattern,
+        matching_detectors,
+    )
 
     if name is None:
         rows = [row for group in detector_groups().items() for row in listed(*group)]
-    elif any(letter in name for letter in "*?["):
+    elif is_pattern(name):
         rows = [(known, detector_entry(known).summary) for known in matching_detectors(name)]
     else:
         entry = detector_entry(name)

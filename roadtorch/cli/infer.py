@@ -4,7 +4,8 @@ from pathlib import Path
 
 import click
 
-PATH = click.Path(path_type=Path)
+from roadtorch.cli.options import PATH
+
 KINDS = ("likelihood", "mask", "overlay", "cues", "npy")
 
 

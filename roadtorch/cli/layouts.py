@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from roadtorch.cli.batch import Job, Row, make_folder
+from roadtorch.cli.batch import ELSEWHERE, Job, Row
 from roadtorch.detectors import checked_image
-from roadtorch.image import layout_colours, read_image, write_jpeg, write_labels
+from roadtorch.image import layout_colours, make_folder, read_image, write_jpeg, write_labels
 from roadtorch.settings import build_settings, parse_assignments
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class Labelling:
         start = perf_counter()
         image = checked_image(read_image(job.picture.path))
         labels = label_layout(image, self.settings).labels
-        make_folder(job.output("").parent)
+        make_folder(job.output("").parent, ELSEWHERE)
         write_labels(job.output(SUFFIXES["labels"]), labels)
         if self.overlay:
             write_jpeg(job.output(SUFFIXES["overlay"]), colour_layout(image, labels))

@@ -9,12 +9,13 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from roadtorch.cli.batch import INDEX, Job, Row, make_folder
+from roadtorch.cli.batch import ELSEWHERE, INDEX, Job, Row
 from roadtorch.detectors import Detection, Detector
 from roadtorch.errors import ConfigError
 from roadtorch.image import (
     LAYOUT_COLOURS,
     layout_colours,
+    make_folder,
     read_image,
     write_colours,
     write_map,
@@ -78,7 +79,7 @@ class Inference:
         return Row(job.file, str(width), str(height), f"{ms:.0f}", f"{share:.4f}")
 
     def _write(self, job: Job, image: Tensor, detection: Detection) -> None:
-        make_folder(job.output("").parent)
+        make_folder(job.output("").parent, ELSEWHERE)
         if "likelihood" in self.kinds:
             write_map(job.output(SUFFIXES["likelihood"]), detection.likelihood, self.depth)
         if "mask" in self.kinds:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-PATH = click.Path(path_type=Path)
+from roadtorch.cli.options import PATH
 
 
 @click.command()

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from torch import Tensor
 
-from roadtorch.detectors import detector_entry, matching_detectors
+from roadtorch.detectors import detector_entry, is_pattern, matching_detectors
 from roadtorch.errors import ConfigError
 from roadtorch.evaluation import floors, maps
 from roadtorch.evaluation.datasets import Dataset, list_datasets, open_dataset
@@ -55,8 +55,7 @@ def expand_names(names: Sequence[str]) -> list[str]:
     for name in names:
         if name == floors.MEAN:  # the evaluator's own
             continue
-        is_pattern = any(letter in name for letter in "*?[")
-        matches = matching_detectors(name) if is_pattern else [detector_entry(name).name]
+        matches = matching_detectors(name) if is_pattern(name) else [detector_entry(name).name]
         found.update(dict.fromkeys(matches))
     return list(found)
 

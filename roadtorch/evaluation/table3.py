@@ -118,8 +118,10 @@ def rank_correlations(ours: Table, paper: Table) -> Iterator[tuple[str, int, flo
     Over the cells that both have, of all and of each half; and over the means of columns and
     of rows. Where there is nothing to rank, nothing is said.
     """
+    from scipy.stats import rankdata  # slow to import, and most runs do without
+
     for name, pairs in _compared(ours, paper):
-        ranks = [_ranks(values) for values in zip(*pairs, strict=True)]
+        ranks = [rankdata(values) for values in zip(*pairs, strict=True)]
         if ranks and all(np.ptp(one) > 0 for one in ranks):
             yield name, len(pairs), float(np.corrcoef(ranks)[0, 1])
 
@@ -139,12 +141,6 @@ def _compared(ours: Table, paper: Table) -> Iterator[tuple[str, Sequence[tuple[f
             means = [[fmean(table[key] for key in keys) for keys in groups.values()]
                      for table in (ours, paper)]  # fmt: skip
             yield f"means of {name}, {half}", list(zip(*means, strict=True))
-
-
-def _ranks(values: Sequence[float]) -> np.ndarray:
-    """1 for the least; equal values share the mean of their places."""
-    _, place, counts = np.unique(np.array(values), return_inverse=True, return_counts=True)
-    return (counts.cumsum() - (counts - 1) / 2)[place]
 
 
 # --- text, CSV, HTML --------------------------------------------------------------------

@@ -27,7 +27,7 @@ from roadtorch.fusion import (
     segment_road,
 )
 from roadtorch.layout.labeller import HORIZONTAL, LabellerSettings, decide_layout, segment_layout
-from roadtorch.layout.network import PatchNetwork, normalise
+from roadtorch.layout.network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.pool import pooled
 from roadtorch.segments import Segments, brightened, measure_segments
@@ -159,7 +159,7 @@ def _paper(settings: PaperSettings) -> Analysis:
     network = network_of(settings.weights, "cnn-7", PatchNetwork)
 
     def analyse(image: Tensor) -> dict[str, Tensor]:
-        layout = network.dense(normalise(image, network.settings.normalisation).pixels)
+        layout = network.potentials(image)
         labels = settings.superpixels.cut(image)
         everywhere = labels >= 0
         fused, values = fused_uniformity(image, labels, everywhere, settings.seed, settings.texture)

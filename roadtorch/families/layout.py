@@ -9,7 +9,7 @@ from roadtorch.detectors import Analysis, Entry
 from roadtorch.families.decision import THRESHOLD, Decision
 from roadtorch.families.networks import Weights, WithNetwork, network_of
 from roadtorch.layout.labeller import HORIZONTAL, LabellerSettings, decide_layout, label_layout
-from roadtorch.layout.network import PatchNetwork, normalise
+from roadtorch.layout.network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.pool import pooled
 from roadtorch.working import Superpixels, at_working_size
@@ -58,7 +58,7 @@ def _cnn7(settings: Cnn7Settings) -> Analysis:
     network = network_of(settings.weights, "cnn-7", PatchNetwork)
 
     def analyse(image: Tensor) -> dict[str, Tensor]:
-        potentials = network.dense(normalise(image, network.settings.normalisation).pixels)
+        potentials = network.potentials(image)
         return {"likelihood": potentials[HORIZONTAL], "layout": potentials}
 
     return WithNetwork(network, at_working_size(analyse, settings.working))

@@ -26,11 +26,16 @@ from roadtorch.oneclass.samples import (
 from roadtorch.settings import Settings
 from roadtorch.working import WorkingSize, at_working_size
 
+
+def _name(classifier: Classifier, planes: str) -> str:
+    return f"oneclass:{classifier.name}:{planes}"
+
+
 GRID = Grid(
     "oneclass:<classifier>:<planes>",
     "colours like those ahead of the car, learned from the one picture (P3)",
     {
-        f"oneclass:{classifier.name}:{planes}": reason
+        _name(classifier, planes): reason
         for classifier in CLASSIFIERS.values()
         for planes, names in REPRESENTATIONS.items()
         if (reason := classifier.refuses(len(names)))
@@ -109,14 +114,14 @@ def _one_class(settings: OneClassSettings, classifier: Classifier, planes: str) 
 
 def _entries() -> Iterator[Entry]:
     for classifier in CLASSIFIERS.values():
-        for planes, names in REPRESENTATIONS.items():
-            if not classifier.refuses(len(names)):
+        for planes in REPRESENTATIONS:
+            if _name(classifier, planes) not in GRID.refused:
                 yield _entry(classifier, planes)
 
 
 def _entry(classifier: Classifier, planes: str) -> Entry:
     return Entry(
-        f"oneclass:{classifier.name}:{planes}",
+        _name(classifier, planes),
         f"{classifier.summary}, in {planes} (P3)",
         settings_of(classifier),
         lambda settings: _one_class(settings, classifier, planes),

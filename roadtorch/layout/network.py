@@ -188,7 +188,7 @@ class PatchNetwork(nn.Module):
         maps = self.second(maps).tanh()
         if shape.subsamplings == 2:
             maps = pool(maps, 2)
-        return self._potentials(self.last(maps))
+        return self._squashed(self.last(maps))
 
     def dense(self, pixels: Tensor) -> Tensor:
         """Potentials (3,H,W) for each pixel of a normalised picture (3,H,W).
@@ -205,17 +205,21 @@ class PatchNetwork(nn.Module):
         if shape.subsamplings == 2:
             maps = _pooled_everywhere(maps, 2, shape.pooling)
         maps = F.conv2d(maps, self.last.weight, self.last.bias, dilation=shape.stride)
-        return self._potentials(maps)[0]
+        return self._squashed(maps)[0]
 
     @torch.no_grad()
     def cues(self, image: Tensor) -> Mapping[str, Tensor]:
         """``layout``: potentials (3,H,W) of an image (3,H,W) in [0,1], found at working size."""
-        return at_working_size(self._analyse, self.settings.working)(image)
+        analyse = at_working_size(
+            lambda one: {"layout": self.potentials(one)}, self.settings.working
+        )
+        return analyse(image)
 
-    def _analyse(self, image: Tensor) -> dict[str, Tensor]:
-        return {"layout": self.dense(normalise(image, self.settings.normalisation).pixels)}
+    def potentials(self, image: Tensor) -> Tensor:
+        """Potentials (3,H,W) for each pixel of an image (3,H,W) in [0,1], at its own size."""
+        return self.dense(normalise(image, self.settings.normalisation).pixels)
 
-    def _potentials(self, scores: Tensor) -> Tensor:
+    def _squashed(self, scores: Tensor) -> Tensor:
         if self.settings.topology.potentials == "softmax":
             return scores.softmax(1)
         return scores.sigmoid()

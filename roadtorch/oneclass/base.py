@@ -301,9 +301,11 @@ def _threshold(
     of that colour is accepted.
     """
     near = _one_quantum_away(seen, axes)
+    known = learned.threshold is not None or learned.training is not None
     # In one go: for few samples a call costs more than what it computes.
-    distances = fitted._in_chunks(torch.cat([seen, near], 1), lambda part: part).numpy()
-    training, steps = np.split(distances, [seen.shape[1]])
+    asked = near if known else torch.cat([seen, near], 1)
+    distances = fitted._in_chunks(asked, lambda part: part).numpy()
+    training, steps = np.split(distances, [-near.shape[1]])
     found = learned.threshold
     if found is None:
         training = training if learned.training is None else learned.training.numpy()

@@ -74,15 +74,20 @@ class Sites(Settings):
     )
 
 
-class PatchTraining(Settings):
-    """A patch network, trained as P2 trains CNN-7."""
-
-    name: ClassVar[str] = "patches"
+class Beginning(Settings):
+    """Where every training begins."""
 
     seed: int = Field(default=0, ge=0, le=2**31, description="of everything that is drawn")
     start: str = Field(
         default="", description="weight file of the same network to start from; none: new weights"
     )
+
+
+class PatchTraining(Beginning):
+    """A patch network, trained as P2 trains CNN-7."""
+
+    name: ClassVar[str] = "patches"
+
     network: PatchNetworkSettings = PatchNetworkSettings()
     superpixels: Superpixels = Superpixels()
     labeller: LabellerSettings = LabellerSettings()
@@ -176,15 +181,11 @@ class Rounds(Settings):
     )
 
 
-class PictureTraining(Settings):
+class PictureTraining(Beginning):
     """A network for whole pictures with two heads, layout and road. Ours."""
 
     name: ClassVar[str] = "pictures"
 
-    seed: int = Field(default=0, ge=0, le=2**31, description="of everything that is drawn")
-    start: str = Field(
-        default="", description="weight file of the same network to start from; none: new weights"
-    )
     network: PictureNetworkSettings = PictureNetworkSettings()
     teacher: Teacher = Teacher()
     rounds: Rounds = Rounds()

@@ -13,9 +13,9 @@ from typing import Any
 import torch
 
 from roadtorch.errors import ConfigError, InputError, WeightsError
-from roadtorch.image import Picture, atomic, write_text
+from roadtorch.image import Picture, atomic, make_folder, write_text
 from roadtorch.train.config import as_values, build_training
-from roadtorch.train.prepared import Prepared, make_folder, name_of
+from roadtorch.train.prepared import Prepared, bytes_of, name_of
 
 FORMAT = 1
 """Of checkpoints; raised when older code could not go on with them."""
@@ -38,12 +38,8 @@ def config_hash(values: Mapping[str, Any]) -> str:
 
 def pictures_hash(pictures: Iterable[Picture]) -> str:
     """SHA-256 of the names and sizes of pictures: whether they are still the same."""
-    lines = (f"{name_of(picture)} {_size(picture.path)}\n" for picture in pictures)
+    lines = (f"{name_of(picture)} {bytes_of(picture)}\n" for picture in pictures)
     return sha256("".join(lines).encode()).hexdigest()
-
-
-def _size(path: Path) -> int:
-    return path.stat().st_size if path.exists() else -1
 
 
 @dataclass(frozen=True)

@@ -108,7 +108,7 @@ def _stop_asked(around: Surroundings) -> bool:
 def _chunks(task: Task, progress: Progress, around: Surroundings) -> Iterator[None]:
     """Work through the rest of an epoch; yields after each chunk."""
     title = f"epoch {progress.epoch + 1}"
-    hidden = True if around.quiet or not around.team.leads else None
+    hidden = around.team.hides_bar(around.quiet)
     total, saved = task.samples.chunks, time.monotonic()
     with tqdm(
         total=total, desc=title, initial=progress.chunk, disable=hidden, file=sys.stderr

@@ -22,7 +22,7 @@ from roadtorch.train.draws import generator_at, uniform
 from roadtorch.train.prepared import Arrays, from_bytes, read_arrays, to_bytes
 from roadtorch.train.samples import Batch
 from roadtorch.train.team import Team
-from roadtorch.working import resized, working_size
+from roadtorch.working import at_work
 
 ORDER, SITES, JITTER = range(3)
 """What is drawn: each has its own generators."""
@@ -44,8 +44,7 @@ def prepare_patches(image: Tensor, training: PatchTraining) -> Arrays:
     Sites that the labeller leaves in doubt are not there.
     """
     working = training.network.working
-    size = working_size(image.shape[-2], image.shape[-1], working)
-    small = resized(image, size).clamp(0, 1)
+    small = at_work(image, working)
     labels = label_layout(small, training.labeller, working, training.superpixels).labels
     sites = find_sites(training.superpixels.cut(small), training.sites)
     classes = labels[sites[:, 0], sites[:, 1]]

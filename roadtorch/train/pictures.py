@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from roadtorch.detectors import Detector, load_detector
 from roadtorch.errors import ConfigError
+from roadtorch.image import make_folder
 from roadtorch.layout.network import CLASSES, Normalisation, normalise
 from roadtorch.layout.picture_network import OUTPUTS, PictureNetwork, potentials_of
 from roadtorch.train.config import Light, PictureTraining, Rounds, Shift, Teacher
@@ -21,7 +22,6 @@ from roadtorch.train.prepared import (
     Arrays,
     Workshop,
     from_bytes,
-    make_folder,
     read_arrays,
     to_bytes,
     write_arrays,
@@ -95,11 +95,11 @@ def label_again(
     One file a picture, in the order of ``files``; those that exist are kept. Stops early
     when asked to.
     """
-    team, quiet = workshop.team, workshop.quiet
+    team = workshop.team
     names = [folder / f"{number:06d}.npz" for number in range(len(files))]
     make_folder(folder)
     pairs = team.share(list(zip(files, names, strict=True)))
-    hidden = True if quiet or not team.leads else None
+    hidden = team.hides_bar(workshop.quiet)
     for file, name in tqdm(pairs, "labels again", unit="image", disable=hidden, file=sys.stderr):
         if workshop.stop.asked:
             break

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from roadtorch.detectors import checked_image
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
-from roadtorch.image import Picture, atomic, read_image, write_text
+from roadtorch.image import Picture, atomic, make_folder, read_image, write_text
 from roadtorch.signals import Stop
 from roadtorch.train.team import Team
 
@@ -67,7 +67,8 @@ class Workshop:
         then only what is ready comes back.
         """
         mine = self.team.share(pictures)
-        shown = tqdm(mine, title, unit="image", disable=self._hidden(), file=sys.stderr)
+        hidden = self.team.hides_bar(self.quiet)
+        shown = tqdm(mine, title, unit="image", disable=hidden, file=sys.stderr)
         made = [self._one(picture, make) for picture in self._until_stopped(shown)]
         everyone = self.team.gather(made)
         found = {item.name: item for items in everyone for item in items}
@@ -95,11 +96,8 @@ class Workshop:
             text = f"{picture.path}: {type(problem).__name__}: {problem} (report it)"
             return _skipped(name, " ".join(text.split()))
         make_folder(file.parent)
-        write_arrays(file, arrays | {SOURCE: _size(picture)})
+        write_arrays(file, arrays | {SOURCE: torch.tensor(bytes_of(picture))})
         return Prepared(name, file)
-
-    def _hidden(self) -> bool | None:
-        return True if self.quiet or not self.team.leads else None
 
 
 def _skipped(name: str, why: str) -> Prepared:
@@ -110,13 +108,14 @@ def _skipped(name: str, why: str) -> Prepared:
 def _is_of(file: Path, picture: Picture) -> bool:
     """Whether a file is whole and was made of this picture, by its size in bytes."""
     try:
-        return file.exists() and bool(read_arrays(file, SOURCE)[SOURCE] == _size(picture))
+        return file.exists() and bool(read_arrays(file, SOURCE)[SOURCE] == bytes_of(picture))
     except InputError:
         return False
 
 
-def _size(picture: Picture) -> Tensor:
-    return torch.tensor(picture.path.stat().st_size if picture.path.exists() else -1)
+def bytes_of(picture: Picture) -> int:
+    """The size of a picture's file; -1 where it is gone."""
+    return picture.path.stat().st_size if picture.path.exists() else -1
 
 
 def name_of(picture: Picture) -> str:
@@ -128,15 +127,6 @@ def _about(picture: Picture, problem: RoadtorchError) -> RoadtorchError:
     """The same problem, told of the file."""
     where = picture.path if problem.where == "image" else problem.where
     return InputError(where, problem.what, problem.remedy)
-
-
-def make_folder(path: Path) -> None:
-    """Make a folder and those above it; InputError when that is not possible."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        what = f"cannot be made a folder: {problem.strerror}"
-        raise InputError(path, what, "give another folder") from None
 
 
 def write_arrays(path: Path, arrays: Arrays) -> None:

@@ -24,6 +24,10 @@ class Team:
         """Whether this process writes and speaks for all."""
         return self.rank == 0
 
+    def hides_bar(self, quiet: bool) -> bool | None:
+        """tqdm's ``disable``: no bar here, or (None) one where somebody can see it."""
+        return True if quiet or not self.leads else None
+
     def share(self, items: Sequence[Item]) -> Sequence[Item]:
         """This process's part of a list that all have: every ``size``-th item."""
         return items[self.rank :: self.size]
