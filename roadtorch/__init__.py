@@ -8,16 +8,17 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from roadtorch.detectors import Detection, Detector, list_detectors, load_detector
+    from roadtorch.detector import Detection, Detector
+    from roadtorch.detectors.catalogue import list_detectors, load_detector
     from roadtorch.image import read_image
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "Detection": "roadtorch.detectors",
-    "Detector": "roadtorch.detectors",
-    "list_detectors": "roadtorch.detectors",
-    "load_detector": "roadtorch.detectors",
+    "Detection": "roadtorch.detector",
+    "Detector": "roadtorch.detector",
+    "list_detectors": "roadtorch.detectors.catalogue",
+    "load_detector": "roadtorch.detectors.catalogue",
     "read_image": "roadtorch.image",
 }
 

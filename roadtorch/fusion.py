@@ -11,15 +11,11 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.geometry import SeedArea, distances, seed_segments
-from roadtorch.segments import Bandwidths, Segments, class_log_density, likeness
+from roadtorch.segment_features import Bandwidths, Segments, class_log_density, likeness
 from roadtorch.settings import Settings
 
 SUREST = 1e-4
 """Likelihoods count as at least this far from 0 and 1: no cue alone can veto the others."""
-
-FAINTEST = 0.0034
-"""Added to the contrast of a faint border (Lab/100): in a clean picture less is no edge either."""
 
 STRONGEST_LOOK = 3.0
 """The look says at most this much (log odds): paint on the road looks like nothing else on it,
@@ -103,26 +99,6 @@ def road_place(row: Tensor, column: Tensor, place: RoadPlace) -> Tensor:
     """Prior p(road) at rows and columns from 0 to 1: a triangle with soft sides, ahead (ours)."""
     half = place.narrow + place.spread * (row - place.apex).clamp_min(0)
     return ((half - (column - 0.5).abs()) / place.softness).sigmoid()
-
-
-def seed_distance(segments: Segments, seed: SeedArea) -> Tensor:
-    """Distance (n,) of each segment from those of the seed area, along the picture.
-
-    The least sum of the contrasts of the borders crossed on the way: a kerb or a painted line
-    must be crossed somewhere even where both sides have the same colour. The unit is a faint
-    border of this picture (the lower quartile), so that grain does not count. Ours, after
-    the geodesic distances of interactive segmentation.
-    """
-    steps = segments.contrast_between
-    if len(steps):
-        steps = steps / (steps.quantile(0.25) + FAINTEST)
-    sources = seed_segments(segments.labels, seed)
-    return distances(segments.pairs, steps, sources, len(segments.size))
-
-
-def distance_likelihood(distance: Tensor, reach: float) -> Tensor:
-    """Likelihood of road at a distance ≥ 0 from the seed area: 0.73 there, 0.5 at ``reach``."""
-    return (1 - distance / reach).sigmoid()
 
 
 def segment_road(

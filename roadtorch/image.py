@@ -1,12 +1,7 @@
-"""Pictures in and out: decoding to RGB tensors, and results that are never half-written."""
+"""Pictures in and out: decoding to RGB tensors, encoding maps, masks and overlays."""
 
-import glob
 import io
 import os
-import secrets
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -18,22 +13,26 @@ from PIL.ExifTags import Base as ExifTag
 from torch import Tensor
 
 from roadtorch.errors import InputError
+from roadtorch.files import atomic
 
 FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "BMP")
+
 READABLE = "JPEG, PNG, TIFF, WebP or BMP"
+
 BITS_PER_SAMPLE, SAMPLE_FORMAT, FLOATING_POINT = 258, 339, 3  # TIFF 6.0 tags, and a value
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")  # looked for in folders
-RESULTS = (".likelihood.png", ".mask.png", ".overlay.jpg")  # ours; never pictures to look at
 
 # Okabe and Ito, "Color Universal Design" (2008): told apart with every kind of colour vision.
 SKY_BLUE = (86, 180, 233)
-ORANGE = (230, 159, 0)
-LAYOUT_COLOURS = (SKY_BLUE, (213, 94, 0), (0, 158, 115))  # sky, vertical, horizontal
-TINT = 0.5  # share of the tint's colour inside the mask; ours: the road's texture stays visible
-OUTLINE = 1 / 240  # the outline's width as a share of the shorter side; ours
-JPEG_OPTIONS = (cv2.IMWRITE_JPEG_QUALITY, 92)
 
+ORANGE = (230, 159, 0)
+
+TINT = 0.5  # share of the tint's colour inside the mask; ours: the road's texture stays visible
+
+OUTLINE = 1 / 240  # the outline's width as a share of the shorter side; ours
+
+JPEG_OPTIONS = (cv2.IMWRITE_JPEG_QUALITY, 92)
 
 # --- in ---------------------------------------------------------------------------------
 
@@ -170,123 +169,6 @@ def _first_scan(data: bytes) -> int:
     return at
 
 
-# --- finding ----------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A picture file and the name of its results: relative, sub-folders kept, no suffix."""
-
-    path: Path
-    name: str
-
-
-def find_images(
-    inputs: Iterable[str | os.PathLike[str]], apart: Path | None = None
-) -> list[Picture]:
-    """The pictures that files, folders and quoted globs stand for, in a settled order.
-
-    Folders are searched with all that is below them, hidden names and earlier results
-    left out, and so is the folder ``apart``, where new results go. A single missing
-    file stays in the list, so that the others are not held up by it; reading it fails.
-
-    Raises InputError, naming the input, for a folder or glob without pictures, and when
-    nothing that was named exists.
-    """
-    given = [Path(item) for item in inputs]
-    found = [picture for item in given for picture in _expand(item, apart)]
-    if given and not any(picture.path.exists() for picture in found):
-        raise InputError(given[0], "does not exist", "check the name")
-    return list(dict.fromkeys(found))
-
-
-def _expand(item: Path, apart: Path | None) -> list[Picture]:
-    if item.is_dir():
-        found = [Picture(path, _relative(path, item)) for path in _walk(item, apart)]
-    elif not item.exists() and glob.has_magic(str(item)):
-        found = _expand_glob(item, apart)
-    else:
-        return [Picture(item, item.stem)]
-    if not found:
-        raise InputError(item, "holds no pictures", f"give {READABLE} files")
-    return found
-
-
-def _expand_glob(pattern: Path, apart: Path | None) -> list[Picture]:
-    """The glob's files, and its folders as if each had been given."""
-    root = Path(*_before_magic(pattern))
-    found: list[Picture] = []
-    for path in map(Path, sorted(glob.glob(str(pattern), recursive=True))):
-        if path.is_file() and _is_picture(path):
-            found.append(Picture(path, _relative(path, root)))
-    if not found:
-        folders = [path for path in map(Path, sorted(glob.glob(str(pattern)))) if path.is_dir()]
-        walked = [path for folder in folders for path in _walk(folder, apart)]
-        found = [Picture(path, _relative(path, root)) for path in walked]
-    return found
-
-
-def _before_magic(pattern: Path) -> Iterator[str]:
-    for part in pattern.parts:
-        if glob.has_magic(part):
-            return
-        yield part
-
-
-def _walk(folder: Path, apart: Path | None) -> Iterator[Path]:
-    """Every picture below a folder, sorted by name, folder by folder."""
-    apart = apart.resolve() if apart and apart.resolve() != folder.resolve() else None
-    for top, folders, files in os.walk(folder):
-        here = Path(top)
-        folders[:] = sorted(
-            name for name in folders if name[0] != "." and (here / name).resolve() != apart
-        )
-        yield from (here / name for name in sorted(files) if _is_picture(here / name))
-
-
-def _is_picture(path: Path) -> bool:
-    name = path.name.lower()
-    is_ours = name.endswith(RESULTS) or ".cue." in name
-    return name.endswith(SUFFIXES) and not name.startswith(".") and not is_ours
-
-
-def _relative(path: Path, root: Path) -> str:
-    return path.relative_to(root).with_suffix("").as_posix()
-
-
-# --- out --------------------------------------------------------------------------------
-
-
-def make_folder(path: Path, remedy: str = "give another folder") -> None:
-    """Make a folder and those above it; InputError with the remedy when that is not possible."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        what = f"cannot be made a folder: {problem.strerror}"
-        raise InputError(path, what, remedy) from None
-
-
-@contextmanager
-def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path in the folder of ``path``; rename it at the end, if all went well.
-
-    Whatever happens, ``path`` holds its old content or all of the new one, and no
-    temporary file stays. Raises InputError when the folder cannot be written.
-    """
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    except OSError as problem:
-        what = f"cannot be written: {problem.strerror or problem}"
-        raise InputError(path, what, "choose a folder with room that you may write to") from None
-    finally:
-        # Where even looking for the file fails there is none to remove.
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-
-
 def write_map(path: str | os.PathLike[str], likelihood: Tensor, depth: Literal[8, 16] = 8) -> None:
     """Write a map (H,W) in [0,1] as grey PNG of 8 or 16 bits: round(x · 255 or 65535)."""
     levels, kind = {8: (255, np.uint8), 16: (65535, np.uint16)}[depth]
@@ -333,18 +215,6 @@ def write_npy(path: str | os.PathLike[str], values: Tensor) -> None:
     """Write a tensor as NumPy file, type and shape unchanged."""
     with atomic(path) as temporary, temporary.open("wb") as file:
         np.save(file, values.detach().cpu().numpy())
-
-
-def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write UTF-8 text with the line ends as they are."""
-    with atomic(path) as temporary:
-        temporary.write_bytes(text.encode())
-
-
-def layout_colours(labels: Tensor) -> Tensor:
-    """Layout labels (H,W) as an image (3,H,W); what is not sky, vertical or horizontal is black."""
-    table = torch.tensor([*LAYOUT_COLOURS, (0, 0, 0)]) / 255
-    return table[labels.long().clamp(max=len(LAYOUT_COLOURS))].permute(2, 0, 1)
 
 
 def tint_mask(pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:

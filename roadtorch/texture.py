@@ -1,11 +1,19 @@
-"""Texture of road: colour plane fusion, uniformity of histograms, local binary patterns.
+"""Texture of road: colour plane fusion and the uniformity of histograms.
 
 P2: Álvarez et al., "Road Scene Segmentation from a Single Image", sections 4 and 6.2.
 """
 
+from typing import Annotated
+
 import torch
+from pydantic import AfterValidator, Field
 from torch import Tensor
-from torch.nn import functional
+
+from roadtorch.color import PLANES, planes
+from roadtorch.errors import unknown_name
+from roadtorch.seed_area import SeedArea, seed_area
+from roadtorch.segment_statistics import segment_histogram
+from roadtorch.settings import Settings
 
 VARIANCE_FLOOR = 1e-12
 """Added to the diagonal of Σ, so that a constant area has weights too (equal ones)."""
@@ -13,14 +21,6 @@ VARIANCE_FLOOR = 1e-12
 NARROWEST = 1e-4
 """The least range that is cut into levels: below it there is only rounding, planes being of
 order 1, and a flat picture would look rough."""
-
-CORNER = 0.5**0.5
-"""Row and column of the diagonal neighbours on the circle of radius 1."""
-
-SMALLEST_ROTATION = tuple(
-    min((code >> turn | code << (8 - turn)) & 255 for turn in range(8)) for code in range(256)
-)
-"""For each pattern of eight bits in a circle, the smallest number that a rotation gives."""
 
 
 def minimum_variance_weights(samples: Tensor, ridge: float) -> Tensor:
@@ -75,7 +75,7 @@ def uniformity(histogram: Tensor) -> Tensor:
 
     0 for an empty histogram: nothing is known of it, and it must not pass for road.
     """
-    return _shares(histogram).square().sum(-1)
+    return shares(histogram).square().sum(-1)
 
 
 def saturated(image: Tensor, dark: float, bright: float) -> Tensor:
@@ -98,64 +98,91 @@ def uniformity_likelihood(values: Tensor, even: float) -> Tensor:
     return values / (values + even)
 
 
-def uniform_patterns(grey: Tensor) -> Tensor:
-    """Rotation-invariant uniform local binary patterns (8 neighbours, radius 1): int64 (H,W).
-
-    0…8: that many neighbours, in one run, are at least as bright as the centre; 9: several
-    runs. LBP^riu2 of Ojala et al., PAMI 2002; "uniform" in scikit-image. The picture is
-    continued beyond its edge by its outermost pixels.
-    """
-    bits = _brighter(grey)
-    changes = (bits != bits.roll(1, 0)).sum(0)
-    return torch.where(changes <= 2, bits.sum(0), 9)
-
-
-def smallest_patterns(grey: Tensor) -> Tensor:
-    """Rotation-invariant local binary patterns (8 neighbours, radius 1): int64 (H,W), 0…255.
-
-    The smallest number among the rotations of the eight bits, 36 different ones. LBP^ri of
-    Ojala et al., PAMI 2002; "ror" in scikit-image. Edges as in ``uniform_patterns``.
-    """
-    code = torch.zeros_like(grey, dtype=torch.int64)
-    for place, bit in enumerate(_brighter(grey)):
-        code |= bit.to(torch.int64) << place
-    return torch.tensor(SMALLEST_ROTATION, device=grey.device)[code]
-
-
-def _brighter(grey: Tensor) -> Tensor:
-    """Whether each of 8 neighbours on the unit circle is at least as bright: bool (8,H,W).
-
-    From the right, anticlockwise. Differences to the centre are interpolated, not values:
-    flat areas then give exactly 0.
-    """
-    height, width = grey.shape
-    padded = functional.pad(grey[None, None], (1, 1, 1, 1), mode="replicate")[0, 0]
-
-    def difference(row: int, column: int) -> Tensor:
-        return padded[1 + row : 1 + row + height, 1 + column : 1 + column + width] - grey
-
-    ring = [(0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1), (1, 0), (1, 1)]
-    around = torch.stack([difference(*place) for place in ring])
-    straight, diagonal = around[0::2], around[1::2]
-    sides = straight + straight.roll(-1, 0)
-    between = CORNER * CORNER * diagonal + CORNER * (1 - CORNER) * sides
-    return torch.stack([straight, between], 1).flatten(0, 1) >= 0
-
-
-def similarity(histogram: Tensor, reference: Tensor) -> Tensor:
-    """How alike counts (…,L) and a reference (L,) are: (…), 1 alike, 0 nothing in common.
-
-    1 - χ²/2 with χ² = Σ (p-q)²/(p+q). Ojala et al. take a log-likelihood, which here also
-    rewards regions more even than the reference (AUC below one half); χ², the histogram
-    intersection and the Kullback-Leibler divergence came out within 0.01 of one another.
-    0 where a histogram is empty.
-    """
-    one, two = _shares(histogram), _shares(reference)
-    total = one + two
-    squares = (one - two).square() / total.clamp_min(torch.finfo(total.dtype).tiny)
-    return ((total - squares).sum(-1) / 2).clamp(0, 1)
-
-
-def _shares(histogram: Tensor) -> Tensor:
+def shares(histogram: Tensor) -> Tensor:
+    """Counts (…,L) as shares of their sum: (…,L), all 0 for an empty histogram."""
     total = histogram.sum(-1, keepdim=True)
     return histogram / total.clamp_min(torch.finfo(histogram.dtype).tiny)
+
+
+def _known_plane(name: str) -> str:
+    if name not in PLANES:
+        raise ValueError(unknown_name("plane", name, PLANES))
+    return name
+
+
+class TextureSettings(Settings):
+    """Colour plane fusion and the histograms of the fused plane."""
+
+    planes: tuple[Annotated[str, AfterValidator(_known_plane)], ...] = Field(
+        default=("R", "G", "B", "nr", "ng", "O1", "O2", "S", "V"),
+        min_length=1,
+        strict=False,
+        description="the colour planes that are fused",
+    )
+    ridge: float = Field(
+        default=3e-3, ge=0, le=1e6, description="share of the mean variance added to the diagonal"
+    )
+    bins: int = Field(default=64, ge=2, le=4096, description="levels of the histograms")
+    tail: float = Field(
+        default=0.005, ge=0, lt=0.5, description="share of pixels beyond the levels, on each side"
+    )
+    even: float = Field(
+        default=0.35, gt=0, le=1, description="the uniformity U whose likelihood is 0.5"
+    )
+
+
+class Saturation(Settings):
+    """Which pixels CPFv2 leaves out."""
+
+    dark: float = Field(
+        default=0.02, ge=0, le=1, description="saturated if no channel is above this (0 to 1)"
+    )
+    bright: float = Field(
+        default=0.98, ge=0, le=1, description="saturated if a channel reaches this (0 to 1)"
+    )
+    least: float = Field(
+        default=0.5, ge=0, le=1, description="share of unsaturated pixels a segment needs"
+    )
+
+
+def segment_histograms(levels: Tensor, labels: Tensor, bins: int, usable: Tensor) -> Tensor:
+    """Histograms (n,bins) of levels (H,W) over the usable pixels of the n segments of labels."""
+    return segment_histogram(levels, labels, int(labels.max()) + 1, bins, usable)
+
+
+def fused_uniformity(
+    image: Tensor, labels: Tensor, usable: Tensor, seed: SeedArea, settings: TextureSettings
+) -> tuple[Tensor, Tensor]:
+    """P2 section 4 step by step: weights from the seed area, fused plane, U of each segment.
+
+    image: (3,H,W); labels: int64 (H,W), n segments; usable: bool (H,W), the pixels that count,
+    for the weights as for the histograms (where the seed area has too few, all of its pixels
+    give the weights). Returns the fused plane (H,W) and U (n,).
+    """
+    stack = planes(image, settings.planes)
+    area = seed_area(labels.shape[-2], labels.shape[-1], seed)
+    samples = stack[:, *area][:, usable[area]]
+    if samples.shape[1] <= len(stack):
+        samples = stack[:, *area].flatten(1)
+    fused = fused_plane(stack, minimum_variance_weights(samples.T, settings.ridge))
+    low, high = value_range(fused, usable, settings.tail)
+    levels = quantise(fused, settings.bins, low, high)
+    return fused, uniformity(segment_histograms(levels, labels, settings.bins, usable))
+
+
+def unsaturated_uniformity(
+    image: Tensor,
+    labels: Tensor,
+    seed: SeedArea,
+    settings: TextureSettings,
+    saturation: Saturation,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """CPFv2: the same without saturated pixels; U = 0 where a segment has few others.
+
+    Returns the fused plane (H,W), U (n,) and where the picture is saturated, bool (H,W).
+    """
+    clipped = saturated(image, saturation.dark, saturation.bright)
+    fused, values = fused_uniformity(image, labels, ~clipped, seed, settings)
+    counts = segment_histograms(clipped.long(), labels, 2, torch.ones_like(labels))
+    kept = counts[:, 0] >= saturation.least * counts.sum(1)
+    return fused, values * kept, clipped

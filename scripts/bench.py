@@ -38,37 +38,37 @@ from tqdm import tqdm
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the rendered scenes
 
-from roadtorch import detectors, texture, working
-from roadtorch.detectors import load_detector
+from roadtorch import detector, superpixels, working_size
+from roadtorch.detectors import fusion
+from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import RoadtorchError
-from roadtorch.families import fused
 from roadtorch.image import read_image
 from roadtorch.layout.picture_network import PictureNetwork
+from roadtorch.scenes import render_scene
 from roadtorch.superpixels import slic
 from roadtorch.torchvision_shim import torchvision
-from tests.scenes import render_scene
 
 Stages = Mapping[str, tuple[tuple[ModuleType | type, str], ...]]
 STAGES: Stages = {
-    "check the image": ((detectors, "checked_image"),),
-    "resize to the working size": ((working, "resized"),),
+    "check the image": ((detector, "checked_image"),),
+    "resize to the working size": ((working_size, "resized"),),
     "network": ((PictureNetwork, "cues"),),
-    "brighten": ((fused, "brightened"),),
-    "superpixels": ((working, "slic"),),
-    "measure": ((fused, "measure_segments"),),
-    "layout": ((fused, "segment_layout"), (fused, "decide_layout")),
-    "texture": ((fused, "unsaturated_uniformity"), (texture, "uniformity_likelihood")),
-    "distance": ((fused, "seed_distance"), (fused, "distance_likelihood")),
-    "road": ((fused, "segment_road"),),
+    "brighten": ((fusion, "brightened"),),
+    "superpixels": ((superpixels, "slic"),),
+    "measure": ((fusion, "measure_segments"),),
+    "layout": ((fusion, "segment_layout"), (fusion, "decide_layout")),
+    "texture": ((fusion, "unsaturated_uniformity"), (fusion, "uniformity_likelihood")),
+    "distance": ((fusion, "seed_distance"), (fusion, "distance_likelihood")),
+    "road": ((fusion, "segment_road"),),
     "pool": (
-        (fused, "segment_mean"),
-        (fused, "pooled"),
-        (fused, "log_odds"),
-        (fused, "naive_bayes"),
+        (fusion, "segment_mean"),
+        (fusion, "pooled"),
+        (fusion, "log_odds"),
+        (fusion, "naive_bayes"),
     ),
-    "paint": ((fused, "road_place"), (fused, "paint")),
-    "back to full size": ((working, "restored"),),
-    "decide": ((detectors, "decide"),),
+    "paint": ((fusion, "road_place"), (fusion, "paint")),
+    "back to full size": ((working_size, "restored"),),
+    "decide": ((detector, "decide"),),
 }
 """The functions that make up each stage, by the module in which ``fusion`` looks them up."""
 
@@ -272,7 +272,7 @@ def picture_at(path: Path | None, width: int, height: int) -> Tensor:
     """The given picture at this size, or a rendered street."""
     if path is None:
         return render_scene(0, height, width).image
-    return working.resized(read_image(path), (height, width)).clamp(0, 1)
+    return working_size.resized(read_image(path), (height, width)).clamp(0, 1)
 
 
 def main() -> None:

@@ -25,11 +25,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import cv2
 import torch
 
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Dataset
 from roadtorch.evaluation import comparison, summary
-from roadtorch.evaluation.datasets import Dataset, open_dataset
 from roadtorch.evaluation.progress import Progress
 from roadtorch.evaluation.runner import Plan, run
-from tests.scenes import render_scene, write_picture
+from roadtorch.scenes import render_scene, write_picture
 
 DETECTORS = ("prior:rows", "prior:triangle", "prior:uniform")
 SIZE = (360, 480)

@@ -25,13 +25,14 @@ from tqdm import tqdm
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the rendered scenes
 
 from roadtorch.errors import RoadtorchError
-from roadtorch.image import find_images, read_image
-from roadtorch.layout.network import normalise
+from roadtorch.image import read_image
+from roadtorch.layout.normalisation import normalise
+from roadtorch.scenes import render_scene
+from roadtorch.sources.pictures import find_images
 from roadtorch.train.config import PatchTraining
 from roadtorch.train.patches import PatchSamples, cut_patches, draw_jitter, prepare_patches
 from roadtorch.train.prepared import from_bytes, read_arrays, write_arrays
 from roadtorch.train.team import Team
-from tests.scenes import render_scene
 
 TRAINING = PatchTraining(passes=1)
 PLAIN = "plain DataLoader"

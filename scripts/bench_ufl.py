@@ -24,11 +24,11 @@ from torch import Tensor
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the rendered scenes
 
-from roadtorch import detectors, working
-from roadtorch.detectors import load_detector
+from roadtorch import detector, working_size
+from roadtorch.detectors import ufl
+from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import RoadtorchError
-from roadtorch.families import ufl
-from roadtorch.ufl import features, maps
+from roadtorch.ufl import features, learned, maps
 from scripts.bench import (
     SUM,
     Clock,
@@ -47,12 +47,12 @@ from scripts.bench import (
 
 KMEANS, ENCODING = "K-means", "encode and select"
 STAGES: Stages = {
-    "check the image": ((detectors, "checked_image"),),
+    "check the image": ((detector, "checked_image"),),
     "resize to the working size": ((ufl, "bicubic"),),
-    "blur and equalise": ((ufl, "equalised"),),
-    "patches and whitening": ((ufl, "white_patches"),),
-    KMEANS: ((ufl, "learn_dictionary"),),
-    ENCODING: ((ufl, "select_maps"),),
+    "blur and equalise": ((learned, "equalised"),),
+    "patches and whitening": ((learned, "white_patches"),),
+    KMEANS: ((learned, "learn_dictionary"),),
+    ENCODING: ((learned, "select_maps"),),
     "mean map": ((ufl, "mean_map"),),
     "regions": ((ufl, "threshold_regions"),),
     "tree": ((ufl, "build_tree"),),
@@ -64,8 +64,8 @@ STAGES: Stages = {
         (ufl, "paint_nodes"),
         (ufl, "map_to_image"),
     ),
-    "back to full size": ((working, "restored"),),
-    "decide": ((detectors, "decide"),),
+    "back to full size": ((working_size, "restored"),),
+    "decide": ((detector, "decide"),),
 }
 """The functions that make up each stage, by the module in which ``ufl`` looks them up."""
 
@@ -84,7 +84,7 @@ def patches_of(image: Tensor) -> Tensor:
     """The white patches (n,d) from which ``ufl`` learns."""
     settings = ufl.UflSettings()
     small = ufl.bicubic(image, settings.working.size(image.shape[1], image.shape[2]))
-    return features.white_patches(ufl.equalised(small, settings.smoothing), settings.dictionary)
+    return features.white_patches(learned.equalised(small, settings.smoothing), settings.dictionary)
 
 
 def kmeans_products(patches: Tensor, bases: Tensor, rounds: int) -> None:

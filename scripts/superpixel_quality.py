@@ -35,9 +35,9 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.labels import read_labels
 from roadtorch.errors import RoadtorchError
-from roadtorch.evaluation.datasets import open_dataset
-from roadtorch.evaluation.labels import read_labels
 from roadtorch.superpixels import slic
 
 TOLERANCE = 2  # pixels

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from roadtorch.detectors import detector_entry
+from roadtorch.detectors.catalogue import detector_entry
 
 
 def representatives(names: Iterable[str]) -> list[str]:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from roadtorch.cli.config import choose
-from roadtorch.detectors import detector_entry
+from roadtorch.detectors.catalogue import detector_entry
 from roadtorch.settings import build_settings
 from roadtorch.train.config import read_training
 

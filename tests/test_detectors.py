@@ -9,14 +9,10 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-import roadtorch.detectors
-from roadtorch.detectors import (
-    Detection,
-    Detector,
-    Entry,
-    Grid,
-    checked_image,
-    decide,
+import roadtorch.plugins
+from roadtorch.detector import Detection, Detector, Entry, Grid, checked_image, decide
+from roadtorch.detectors import catalogue as catalogue_module
+from roadtorch.detectors.catalogue import (
     detector_entry,
     detector_groups,
     list_detectors,
@@ -199,7 +195,7 @@ def brightness(settings: Simple) -> Any:
 def catalogue(monkeypatch: pytest.MonkeyPatch) -> dict[str, Entry]:
     """The catalogue of this test alone."""
     entries: dict[str, Entry] = {}
-    monkeypatch.setattr(roadtorch.detectors, "_catalogue", lambda: entries)
+    monkeypatch.setattr(catalogue_module, "_catalogue", lambda: entries)
     return entries
 
 
@@ -330,8 +326,8 @@ def offer(monkeypatch: pytest.MonkeyPatch, *attributes: str) -> list[str]:
         EntryPoint(name, f"tests.test_detectors:{name}", "roadtorch.detectors")
         for name in attributes
     ]
-    monkeypatch.setattr(roadtorch.detectors, "entry_points", lambda group: points)
-    return sorted(roadtorch.detectors._catalogue.__wrapped__())
+    monkeypatch.setattr(roadtorch.plugins, "entry_points", lambda group: points)
+    return sorted(catalogue_module._catalogue.__wrapped__())
 
 
 def test_other_packages_add_detectors(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from roadtorch.detectors import Detection, load_detector
+from roadtorch.detector import Detection
+from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation.metrics import (
     RoadCounts,
     count_levels,
@@ -17,24 +18,23 @@ from roadtorch.evaluation.metrics import (
     max_f,
 )
 from roadtorch.fusion import (
-    FAINTEST,
     STRONGEST_LOOK,
     RoadPlace,
     RoadSettings,
     Weights,
-    distance_likelihood,
     log_odds,
     naive_bayes,
     neighbour_mean,
     road_place,
-    seed_distance,
     segment_road,
 )
-from roadtorch.geometry import SeedArea, prior_rows
-from roadtorch.segments import Segments, likeness, measure_segments
+from roadtorch.priors import prior_rows
+from roadtorch.scenes import Scene, render_scene
+from roadtorch.seed_area import SeedArea
+from roadtorch.seed_distance import FAINTEST, distance_likelihood, seed_distance
+from roadtorch.segment_features import Segments, likeness, measure_segments
 from roadtorch.superpixels import slic
 from tests.reference import fusion as reference
-from tests.scenes import Scene, render_scene
 
 LIKELIHOODS = st.floats(0, 1)
 WEIGHTS = st.floats(0, 4)

@@ -6,17 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadtorch.errors import ConfigError
-from roadtorch.geometry import (
-    SeedArea,
-    distances,
-    prior_rows,
-    prior_triangle,
-    prior_uniform,
-    remove_isolated,
-    seed_area,
-    seed_segments,
-    squares,
-)
+from roadtorch.priors import prior_rows, prior_triangle, prior_uniform
+from roadtorch.seed_area import SeedArea, remove_isolated, seed_area, seed_segments
+from roadtorch.seed_distance import distances
+from roadtorch.superpixels import squares
 
 SIDES = st.integers(16, 2000)
 

@@ -15,11 +15,9 @@ from PIL import Image
 from torch import Tensor
 
 from roadtorch.errors import InputError
+from roadtorch.files import atomic
 from roadtorch.image import (
     ORANGE,
-    Picture,
-    atomic,
-    find_images,
     read_image,
     tint_mask,
     write_colours,
@@ -29,6 +27,7 @@ from roadtorch.image import (
     write_npy,
     write_overlay,
 )
+from roadtorch.sources.pictures import Picture, find_images
 
 # Every channel differs, and no turn or flip leaves it as it is.
 PIXELS = (np.arange(5 * 7 * 3).reshape(5, 7, 3) * 2).astype(np.uint8)

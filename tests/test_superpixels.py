@@ -12,16 +12,15 @@ from torch import Tensor
 
 from roadtorch import superpixels
 from roadtorch.errors import ConfigError
-from roadtorch.superpixels import (
+from roadtorch.segment_statistics import (
     borders,
-    connect,
     paint,
     segment_histogram,
     segment_mean,
     segment_median,
     segment_sum,
-    slic,
 )
+from roadtorch.superpixels import connect, slic
 from tests.reference import superpixels as reference
 
 

@@ -7,7 +7,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skimage.feature import local_binary_pattern
 
-from roadtorch import texture
+from roadtorch.lbp import similarity, smallest_patterns, uniform_patterns
+from roadtorch.texture import (
+    fused_plane,
+    minimum_variance_weights,
+    quantise,
+    saturated,
+    uniformity,
+    uniformity_likelihood,
+    value_range,
+)
 from tests.reference import texture as reference
 
 
@@ -26,7 +35,7 @@ def correlated_samples(count: int = 400, planes: int = 4, seed: int = 0) -> torc
 def test_weights_follow_equation_3():
     samples = correlated_samples()
 
-    weights = texture.minimum_variance_weights(samples, ridge=0)
+    weights = minimum_variance_weights(samples, ridge=0)
 
     expected = reference.minimum_variance_weights(samples.numpy())
     np.testing.assert_allclose(weights.numpy(), expected, rtol=1e-6)
@@ -36,7 +45,7 @@ def test_independent_planes_weigh_by_the_inverse_of_their_variance():
     signs = torch.tensor([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], dtype=torch.float64)
     samples = signs * torch.tensor([1.0, 2.0, 4.0])
 
-    weights = texture.minimum_variance_weights(samples, ridge=0)
+    weights = minimum_variance_weights(samples, ridge=0)
 
     assert weights.tolist() == pytest.approx([16 / 21, 4 / 21, 1 / 21])
 
@@ -44,7 +53,7 @@ def test_independent_planes_weigh_by_the_inverse_of_their_variance():
 @pytest.mark.parametrize("ridge", [0, 1e-8, 1e-3, 1, 1e6])
 @pytest.mark.parametrize("count", [1, 2, 5, 2400])
 def test_weights_sum_to_one_even_with_fewer_samples_than_planes(ridge, count):
-    weights = texture.minimum_variance_weights(correlated_samples(count, 9), ridge)
+    weights = minimum_variance_weights(correlated_samples(count, 9), ridge)
 
     assert weights.sum().item() == pytest.approx(1, abs=1e-6)
 
@@ -54,7 +63,7 @@ def test_weights_sum_to_one_even_with_fewer_samples_than_planes(ridge, count):
 def test_a_constant_area_weighs_all_planes_alike(level, dtype):
     samples = torch.full((2400, 9), level, dtype=dtype)
 
-    weights = texture.minimum_variance_weights(samples, ridge=0.001)
+    weights = minimum_variance_weights(samples, ridge=0.001)
 
     assert weights.dtype == dtype
     assert weights.tolist() == pytest.approx([1 / 9] * 9, abs=1e-4)
@@ -65,8 +74,8 @@ def test_a_constant_area_weighs_all_planes_alike(level, dtype):
 def test_weights_move_with_their_planes(order, seed):
     samples = correlated_samples(60, 4, seed)
 
-    weights = texture.minimum_variance_weights(samples, ridge=0.01)
-    shuffled = texture.minimum_variance_weights(samples[:, list(order)], ridge=0.01)
+    weights = minimum_variance_weights(samples, ridge=0.01)
+    shuffled = minimum_variance_weights(samples[:, list(order)], ridge=0.01)
 
     torch.testing.assert_close(shuffled, weights[list(order)], rtol=1e-6, atol=1e-8)
 
@@ -76,13 +85,13 @@ def test_weights_move_with_their_planes(order, seed):
 def test_no_single_plane_varies_less_than_their_fusion(seed):
     samples = correlated_samples(100, 5, seed)
 
-    fused = samples @ texture.minimum_variance_weights(samples, ridge=1e-10)
+    fused = samples @ minimum_variance_weights(samples, ridge=1e-10)
 
     assert fused.var() <= samples.var(0).min() * (1 + 1e-6)
 
 
 def test_a_large_ridge_gives_the_mean_of_the_planes():
-    weights = texture.minimum_variance_weights(correlated_samples(), ridge=1e6)
+    weights = minimum_variance_weights(correlated_samples(), ridge=1e6)
 
     assert weights.tolist() == pytest.approx([0.25] * 4, abs=1e-4)
 
@@ -90,9 +99,9 @@ def test_a_large_ridge_gives_the_mean_of_the_planes():
 def test_the_ridge_is_relative_so_that_contrast_does_not_matter():
     samples = correlated_samples()
 
-    weights = texture.minimum_variance_weights(samples, ridge=0.01)
+    weights = minimum_variance_weights(samples, ridge=0.01)
 
-    torch.testing.assert_close(texture.minimum_variance_weights(7 * samples, 0.01), weights)
+    torch.testing.assert_close(minimum_variance_weights(7 * samples, 0.01), weights)
 
 
 # Fused plane (P2 eq. 2)
@@ -101,7 +110,7 @@ def test_the_ridge_is_relative_so_that_contrast_does_not_matter():
 def test_the_fused_plane_is_the_weighted_sum():
     planes, weights = random(3, 4, 5), torch.tensor([0.5, -1.0, 1.5], dtype=torch.float64)
 
-    fused = texture.fused_plane(planes, weights)
+    fused = fused_plane(planes, weights)
 
     np.testing.assert_allclose(fused, reference.fused(planes.numpy(), weights.numpy()))
 
@@ -112,7 +121,7 @@ def test_the_fused_plane_is_the_weighted_sum():
 def test_levels_are_equal_steps_and_the_ends_take_what_lies_beyond():
     values = torch.tensor([-9.0, 0.0, 0.24, 0.25, 0.6, 1.0, 9.0])
 
-    levels = texture.quantise(values, 4, 0, 1)
+    levels = quantise(values, 4, 0, 1)
 
     assert levels.dtype == torch.int64
     assert levels.tolist() == [0, 0, 0, 1, 2, 3, 3]
@@ -120,7 +129,7 @@ def test_levels_are_equal_steps_and_the_ends_take_what_lies_beyond():
 
 @pytest.mark.parametrize("value", [-3.0, 0.0, 2.0])
 def test_an_empty_range_still_gives_valid_levels(value):
-    levels = texture.quantise(torch.full((2, 2), value), 8, value, value)
+    levels = quantise(torch.full((2, 2), value), 8, value, value)
 
     assert levels.unique().tolist() == [0]
 
@@ -128,7 +137,7 @@ def test_an_empty_range_still_gives_valid_levels(value):
 def test_rounding_errors_are_no_texture():
     flat = 0.3 + 1e-7 * random(20, 20, dtype=torch.float32)
 
-    levels = texture.quantise(flat, 64, float(flat.min()), float(flat.max()))
+    levels = quantise(flat, 64, float(flat.min()), float(flat.max()))
 
     assert levels.unique().tolist() == [0]
 
@@ -137,15 +146,15 @@ def test_the_range_skips_the_tails_of_the_usable_pixels():
     plane = torch.arange(1000.0).reshape(20, 50)
     usable = plane < 500
 
-    assert texture.value_range(plane, usable, 0) == (0, 499)
-    assert texture.value_range(plane, usable, 0.01) == (5, 494)
+    assert value_range(plane, usable, 0) == (0, 499)
+    assert value_range(plane, usable, 0.01) == (5, 494)
 
 
 def test_the_range_of_one_or_no_usable_pixel_is_defined():
     plane = torch.tensor([[3.0, 4.0]])
 
-    assert texture.value_range(plane, torch.tensor([[False, True]]), 0.4) == (4, 4)
-    assert texture.value_range(plane, torch.tensor([[False, False]]), 0.4) == (0, 1)
+    assert value_range(plane, torch.tensor([[False, True]]), 0.4) == (4, 4)
+    assert value_range(plane, torch.tensor([[False, False]]), 0.4) == (0, 1)
 
 
 # Uniformity (P2 eq. 1)
@@ -156,28 +165,28 @@ def test_uniformity_follows_equation_1(levels):
     histogram = torch.bincount(torch.tensor(levels), minlength=8).float()
 
     expected = reference.uniformity_of_values(np.array(levels))
-    assert texture.uniformity(histogram).item() == pytest.approx(expected, abs=1e-6)
+    assert uniformity(histogram).item() == pytest.approx(expected, abs=1e-6)
 
 
 def test_uniformity_is_one_for_one_level_least_for_an_even_histogram_zero_for_none():
     histograms = torch.tensor([[0.0, 9.0, 0.0, 0.0], [5.0, 5.0, 5.0, 5.0], [0.0, 0.0, 0.0, 0.0]])
 
-    assert texture.uniformity(histograms).tolist() == [1, 0.25, 0]
+    assert uniformity(histograms).tolist() == [1, 0.25, 0]
 
 
 @given(st.permutations(range(6)))
 def test_uniformity_does_not_depend_on_which_levels(order):
     histogram = torch.tensor([5.0, 0.0, 1.0, 7.0, 2.0, 2.0])
 
-    shuffled = texture.uniformity(histogram[list(order)])
+    shuffled = uniformity(histogram[list(order)])
 
-    torch.testing.assert_close(shuffled, texture.uniformity(histogram))
+    torch.testing.assert_close(shuffled, uniformity(histogram))
 
 
 def test_the_likelihood_of_uniformity_grows_and_is_one_half_at_the_given_value():
     values = torch.linspace(0, 1, 101)
 
-    likelihood = texture.uniformity_likelihood(values, 0.3)
+    likelihood = uniformity_likelihood(values, 0.3)
 
     assert (likelihood.diff() > 0).all()
     assert likelihood[0] == 0
@@ -198,7 +207,7 @@ def test_a_pixel_is_saturated_when_one_channel_is_full_or_all_are_black():
     }
     image = torch.tensor(list(pixels.values())).T[:, None]
 
-    found = texture.saturated(image, dark=0.02, bright=0.98)
+    found = saturated(image, dark=0.02, bright=0.98)
 
     assert dict(zip(pixels, found[0].tolist(), strict=True)) == {
         "white": True,
@@ -215,7 +224,7 @@ def test_a_pixel_is_saturated_when_one_channel_is_full_or_all_are_black():
 @pytest.mark.filterwarnings("ignore:Applying `local_binary_pattern` to floating-point")
 @pytest.mark.parametrize(
     ("patterns", "method"),
-    [(texture.uniform_patterns, "uniform"), (texture.smallest_patterns, "ror")],
+    [(uniform_patterns, "uniform"), (smallest_patterns, "ror")],
 )
 @pytest.mark.parametrize("seed", range(3))
 def test_patterns_agree_with_scikit_image_inside_the_edge(patterns, method, seed):
@@ -227,14 +236,14 @@ def test_patterns_agree_with_scikit_image_inside_the_edge(patterns, method, seed
     np.testing.assert_array_equal(found, expected)
 
 
-@pytest.mark.parametrize("patterns", [texture.uniform_patterns, texture.smallest_patterns])
+@pytest.mark.parametrize("patterns", [uniform_patterns, smallest_patterns])
 def test_patterns_turn_with_the_picture(patterns):
     grey = random(20, 20)
 
     assert torch.equal(patterns(grey.rot90()), patterns(grey).rot90())
 
 
-@pytest.mark.parametrize("patterns", [texture.uniform_patterns, texture.smallest_patterns])
+@pytest.mark.parametrize("patterns", [uniform_patterns, smallest_patterns])
 @given(st.floats(0.25, 3), st.floats(-1, 1))
 @settings(max_examples=20, deadline=None)
 def test_patterns_do_not_depend_on_exposure(patterns, gain, offset):
@@ -247,12 +256,12 @@ def test_patterns_do_not_depend_on_exposure(patterns, gain, offset):
 def test_every_neighbour_in_a_flat_picture_counts_as_bright(level):
     grey = torch.full((16, 16), level)
 
-    assert (texture.uniform_patterns(grey) == 8).all()
-    assert (texture.smallest_patterns(grey) == 255).all()
+    assert (uniform_patterns(grey) == 8).all()
+    assert (smallest_patterns(grey) == 255).all()
 
 
 def test_there_are_thirty_six_rotation_invariant_patterns():
-    assert len(texture.smallest_patterns(random(200, 200)).unique()) == 36
+    assert len(smallest_patterns(random(200, 200)).unique()) == 36
 
 
 # Comparing histograms
@@ -263,7 +272,7 @@ def test_there_are_thirty_six_rotation_invariant_patterns():
 def test_similarity_is_one_minus_half_chi_square(pairs):
     first, second = (np.array(side, dtype=float) + 0.5 for side in zip(*pairs, strict=True))
 
-    found = texture.similarity(torch.from_numpy(first), torch.from_numpy(second)).item()
+    found = similarity(torch.from_numpy(first), torch.from_numpy(second)).item()
 
     assert found == pytest.approx(1 - reference.chi_square(first, second) / 2, abs=1e-9)
 
@@ -271,6 +280,6 @@ def test_similarity_is_one_minus_half_chi_square(pairs):
 def test_similarity_runs_from_nothing_in_common_to_alike_whatever_the_counts():
     histograms = torch.tensor([[0.0, 0.0, 3.0], [4.0, 12.0, 0.0], [0.0, 0.0, 0.0]])
 
-    found = texture.similarity(histograms, torch.tensor([1.0, 3.0, 0.0]))
+    found = similarity(histograms, torch.tensor([1.0, 3.0, 0.0]))
 
     assert found.tolist() == [0, 1, 0]

@@ -14,10 +14,11 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Dataset, Item
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.datasets import Dataset, Item, open_dataset
-from roadtorch.image import make_folder
-from roadtorch.layout.network import PatchNetwork
+from roadtorch.files import make_folder
+from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import save_network
 from roadtorch.train.config import PatchTraining, read_training
 from roadtorch.train.loop import Task, make_optimiser, step
@@ -25,7 +26,7 @@ from roadtorch.train.patches import PatchSamples, find_sites, squared_error
 from roadtorch.train.prepared import to_bytes, write_arrays
 from roadtorch.train.recipe import seeded
 from roadtorch.train.team import join_team
-from roadtorch.working import at_work
+from roadtorch.working_size import at_work
 
 VOID = 255
 

@@ -25,7 +25,8 @@ from torch import Tensor
 from torch.nn.functional import one_hot
 from tqdm import tqdm
 
-from roadtorch.evaluation.datasets import Truth, open_dataset
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Truth
 from roadtorch.evaluation.metrics import (
     RoadCounts,
     class_recalls,
@@ -34,28 +35,23 @@ from roadtorch.evaluation.metrics import (
     level_of,
     max_f,
 )
-from roadtorch.families.texture import Saturation, TextureSettings, unsaturated_uniformity
-from roadtorch.fusion import (
-    RoadPlace,
-    RoadSettings,
-    Weights,
-    distance_likelihood,
-    seed_distance,
-    segment_road,
-)
-from roadtorch.geometry import SeedArea
-from roadtorch.layout.labeller import (
-    HORIZONTAL,
-    ColumnOrder,
-    LabellerSettings,
-    PlacePrior,
-    segment_layout,
-)
-from roadtorch.segments import Bandwidths, Exposure, Segments, brightened, measure_segments
+from roadtorch.exposure import Exposure, brightened
+from roadtorch.fusion import RoadPlace, RoadSettings, Weights, segment_road
+from roadtorch.layout.classes import HORIZONTAL
+from roadtorch.layout.labeller import ColumnOrder, LabellerSettings, PlacePrior, segment_layout
+from roadtorch.seed_area import SeedArea
+from roadtorch.seed_distance import distance_likelihood, seed_distance
+from roadtorch.segment_features import Bandwidths, Segments, measure_segments
+from roadtorch.segment_statistics import segment_histogram
 from roadtorch.settings import Settings, build_settings
-from roadtorch.superpixels import segment_histogram
-from roadtorch.texture import uniformity_likelihood
-from roadtorch.working import Superpixels, WorkingSize, resized, restored, working_size
+from roadtorch.superpixels import Superpixels
+from roadtorch.texture import (
+    Saturation,
+    TextureSettings,
+    uniformity_likelihood,
+    unsaturated_uniformity,
+)
+from roadtorch.working_size import WorkingSize, resized, restored, working_size
 
 DRIVES = ("0001TP", "0006R0", "0016E5")
 EVERY = {"0001TP": 2, "0006R0": 3, "0016E5": 8, "idd": 6}

@@ -16,9 +16,9 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Dataset
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.datasets import Dataset, open_dataset
-from roadtorch.evaluation.report import align
 from roadtorch.evaluation.runner import every_kth
 from roadtorch.evaluation.uncertainty import (
     Replicated,
@@ -28,6 +28,7 @@ from roadtorch.evaluation.uncertainty import (
     replicate,
 )
 from roadtorch.layout.weights import load_network
+from roadtorch.report.screen import align
 
 SEED = 11  # of the draws
 

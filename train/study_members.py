@@ -21,16 +21,18 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from roadtorch.detectors import Detector, load_detector
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Dataset, Item, Truth
+from roadtorch.detector import Detector
+from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation import boundary, comparison, metrics
-from roadtorch.evaluation.datasets import Dataset, Item, Truth, open_dataset
 from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.runner import every_kth
 from roadtorch.evaluation.summary import shared_threshold, summarise, thresholds_of
 from roadtorch.evaluation.tally import Score, Tally
 from roadtorch.fusion import fused_log_odds
 from roadtorch.image import read_image, write_npy
-from roadtorch.sharing import sharing
+from roadtorch.image_cache import sharing
 
 STEP = slice(1, None, 3)
 WEIGHTS = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)

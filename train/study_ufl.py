@@ -27,8 +27,10 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from roadtorch.detectors import decide
-from roadtorch.evaluation.datasets import Truth, open_dataset
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Truth
+from roadtorch.detector import decide
+from roadtorch.detectors import ufl
 from roadtorch.evaluation.metrics import (
     Decisions,
     RoadCounts,
@@ -37,9 +39,9 @@ from roadtorch.evaluation.metrics import (
     f_measure,
     max_f,
 )
-from roadtorch.families import ufl
 from roadtorch.settings import build_settings
 from roadtorch.ufl import hierarchy, maps, preprocess, road
+from roadtorch.ufl.learned import Learned, learn_features
 
 DRIVES = ("0001TP", "0006R0", "0016E5")
 REPORTED = "val, every 5th"
@@ -110,12 +112,12 @@ def cues_of(
     image: Tensor, variants: Mapping[str, ufl.OriginalSettings]
 ) -> Iterator[tuple[str, dict[str, Tensor]]]:
     """The cues of each variant; features that several variants share are learned once."""
-    learned: dict[Any, ufl.Learned] = {}
+    learned: dict[Any, Learned] = {}
     for name, settings in variants.items():
         parts = (settings.smoothing, settings.dictionary, settings.maps)
         key = tuple(tuple(part.model_dump().values()) for part in parts)
         if key not in learned:
-            learned[key] = ufl.learn_features(image, *parts)
+            learned[key] = learn_features(image, *parts)
         yield name, ufl.road_cues(learned[key], settings)
 
 
@@ -289,9 +291,7 @@ def ceiling(frames: Frames, out: Path) -> None:
     steps = hierarchy.thresholds(settings.tree.levels, settings.tree.top)
     for drive, own in frames.items():
         for image, truth in tqdm(own, drive, disable=None):
-            learned = ufl.learn_features(
-                image, settings.smoothing, settings.dictionary, settings.maps
-            )
+            learned = learn_features(image, settings.smoothing, settings.dictionary, settings.maps)
             mean_map = maps.mean_map(learned.maps.maps, settings.maps.scale)
             regions = hierarchy.threshold_regions(mean_map, steps)
             for nodes in ("runs", "regions"):

@@ -14,7 +14,8 @@ from time import monotonic
 import click
 
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
-from roadtorch.image import Picture, find_images, make_folder, write_text
+from roadtorch.files import make_folder, write_text
+from roadtorch.sources.pictures import Picture, find_images
 
 INDEX = "index.csv"
 DONE = "done"

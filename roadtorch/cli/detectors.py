@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from roadtorch.detectors import Entry
+    from roadtorch.detector import Entry
 
 WIDTH = 100  # letters in a line
 CELL = 14  # letters in a line of an inner column
@@ -23,7 +23,7 @@ def detectors(name: str | None) -> None:
 
     A NAME with wildcards lists those that it fits: 'oneclass:*:HS'.
     """
-    from roadtorch.detectors import (
+    from roadtorch.detectors.catalogue import (
         detector_entry,
         detector_groups,
         is_pattern,

@@ -57,11 +57,13 @@ def evaluate(
     """
     from roadtorch import __version__
     from roadtorch.cli.batch import make_writable
-    from roadtorch.evaluation import comparison, report, table3
-    from roadtorch.evaluation.datasets import open_dataset
+    from roadtorch.data.catalogue import open_dataset
+    from roadtorch.data.kitti import birds_eye
+    from roadtorch.evaluation import comparison
     from roadtorch.evaluation.plan import described, make_plan
     from roadtorch.evaluation.progress import Progress, fingerprint
-    from roadtorch.evaluation.sets.kitti import birds_eye
+    from roadtorch.report import files, table3
+    from roadtorch.report.screen import screen
 
     if out is not None:
         make_writable(out)  # now rather than after the long run
@@ -75,11 +77,11 @@ def evaluate(
     progress = Progress(out, fingerprint(plan.dataset, about))
     failures = run_pass(plan, jobs, progress)
     figures, pairs = figures_of(about, progress.tallies, given, against)
-    document = report.metrics_document(
+    document = files.metrics_document(
         plan.dataset, figures, failures, __version__, command_line(context)
     )
     document["paired"] = pairs
-    click.echo(report.screen(document))
+    click.echo(screen(document))
     if grid := table3.table_text(document):
         click.echo(f"\n{grid}")
     for failure in failures:
@@ -114,7 +116,7 @@ def command_line(context: click.Context) -> str:
 
 
 def _given_thresholds(about: Mapping[str, "Described"], path: Path | None) -> dict[str, float]:
-    from roadtorch.evaluation.report import earlier_threshold, read_thresholds
+    from roadtorch.report.files import earlier_threshold, read_thresholds
 
     if path is None:
         return {}
@@ -192,18 +194,18 @@ def _write(
     montage: int,
 ) -> None:
     """Everything that stays: figures, curves, rows, sheets of pictures, and the report."""
-    from roadtorch.evaluation import report, table3
-    from roadtorch.evaluation.montage import write_montages
     from roadtorch.evaluation.outlines import outlines
-    from roadtorch.evaluation.page import html
-    from roadtorch.image import write_text
+    from roadtorch.files import write_text
+    from roadtorch.report import files, table3
+    from roadtorch.report.montage import write_montages
+    from roadtorch.report.page import html
 
     figures = document["detectors"]
-    rows = report.image_rows(progress.tallies, figures)
+    rows = files.image_rows(progress.tallies, figures)
     curves = {name: outlines(tally) for name, tally in progress.tallies.items()}
-    report.write_metrics(out / "metrics.json", document)
-    report.write_metrics(out / "curves.json", curves)
-    write_text(out / "images.csv", report.rows_csv(rows, failures))
+    files.write_metrics(out / "metrics.json", document)
+    files.write_metrics(out / "curves.json", curves)
+    write_text(out / "images.csv", files.rows_csv(rows, failures))
     table3.write_table3(out, document, curves)
     sheets = write_montages(out, plan, progress.tallies, figures, montage) if montage else {}
     html.write_report(out / "report.html", document, curves, rows, sheets)

@@ -80,7 +80,7 @@ def infer(
         raise click.UsageError("Missing argument 'INPUT...'", context)
 
     from roadtorch.cli import batch, results
-    from roadtorch.detectors import load_detector
+    from roadtorch.detectors.catalogue import load_detector
 
     loaded = load_detector(name, **values)
     effective = configuration.as_toml(loaded.name, loaded.settings)

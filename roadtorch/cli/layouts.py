@@ -9,8 +9,10 @@ import torch
 from torch import Tensor
 
 from roadtorch.cli.batch import ELSEWHERE, Job, Row
-from roadtorch.detectors import checked_image
-from roadtorch.image import layout_colours, make_folder, read_image, write_jpeg, write_labels
+from roadtorch.detector import checked_image
+from roadtorch.files import make_folder
+from roadtorch.image import read_image, write_jpeg, write_labels
+from roadtorch.layout.classes import layout_colours
 from roadtorch.settings import build_settings, parse_assignments
 
 if TYPE_CHECKING:

@@ -10,20 +10,18 @@ import torch
 from torch import Tensor
 
 from roadtorch.cli.batch import ELSEWHERE, INDEX, Job, Row
-from roadtorch.detectors import Detection, Detector
+from roadtorch.detector import Detection, Detector
 from roadtorch.errors import ConfigError
+from roadtorch.files import make_folder, write_text
 from roadtorch.image import (
-    LAYOUT_COLOURS,
-    layout_colours,
-    make_folder,
     read_image,
     write_colours,
     write_map,
     write_mask,
     write_npy,
     write_overlay,
-    write_text,
 )
+from roadtorch.layout.classes import LAYOUT_COLOURS, layout_colours
 
 CONFIG = "config.toml"
 SUFFIXES = {

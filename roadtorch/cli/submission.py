@@ -6,12 +6,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 
+from roadtorch.camera.birds_eye import read_calibration, to_birds_eye
 from roadtorch.cli import batch
 from roadtorch.cli.batch import Job, Row
-from roadtorch.detectors import Detector
-from roadtorch.evaluation.bev import read_calibration, to_birds_eye
-from roadtorch.evaluation.sets.kitti import result_name
-from roadtorch.image import Picture, atomic, read_image, write_map
+from roadtorch.data.kitti import result_name
+from roadtorch.detector import Detector
+from roadtorch.files import atomic
+from roadtorch.image import read_image, write_map
+from roadtorch.sources.pictures import Picture
 
 ARCHIVE = "submission.zip"
 SUFFIX = ".png"

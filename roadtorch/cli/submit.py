@@ -46,8 +46,8 @@ def submit(
     name, values = configuration.choose(detector, config, assignments, None)
 
     from roadtorch.cli import batch, results, submission
-    from roadtorch.detectors import load_detector
-    from roadtorch.evaluation.sets.kitti import base_folder, calib_folder
+    from roadtorch.data.kitti import base_folder, calib_folder
+    from roadtorch.detectors.catalogue import load_detector
 
     loaded = load_detector(name, **values)
     folder = base_folder(root, "testing")

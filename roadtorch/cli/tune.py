@@ -32,11 +32,11 @@ def tune(
     from roadtorch.cli.batch import make_writable
     from roadtorch.cli.config import as_toml
     from roadtorch.cli.evaluate import command_line, run_pass
+    from roadtorch.data.catalogue import open_dataset
     from roadtorch.evaluation import tuning
-    from roadtorch.evaluation.datasets import open_dataset
     from roadtorch.evaluation.plan import described, make_plan
     from roadtorch.evaluation.progress import Progress, fingerprint
-    from roadtorch.image import write_text
+    from roadtorch.files import write_text
 
     make_writable(out)
     opened = open_dataset(dataset, root, split)

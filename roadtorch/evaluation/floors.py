@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from roadtorch.evaluation.datasets import Dataset
+from roadtorch.data.dataset import Dataset
 
 MEAN = "prior:mean"
 

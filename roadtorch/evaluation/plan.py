@@ -6,10 +6,12 @@ from typing import Any, NamedTuple
 
 from torch import Tensor
 
-from roadtorch.detectors import detector_entry, is_pattern, matching_detectors
+from roadtorch.data import maps
+from roadtorch.data.catalogue import list_datasets, open_dataset
+from roadtorch.data.dataset import Dataset
+from roadtorch.detectors.catalogue import detector_entry, is_pattern, matching_detectors
 from roadtorch.errors import ConfigError
-from roadtorch.evaluation import floors, maps
-from roadtorch.evaluation.datasets import Dataset, list_datasets, open_dataset
+from roadtorch.evaluation import floors
 from roadtorch.evaluation.runner import MEAN_THRESHOLD, Plan, every_kth
 from roadtorch.settings import build_settings, parse_assignments
 

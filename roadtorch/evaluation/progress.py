@@ -12,11 +12,11 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 import roadtorch
+from roadtorch.data.dataset import Dataset
 from roadtorch.errors import ConfigError
-from roadtorch.evaluation.datasets import Dataset
 from roadtorch.evaluation.runner import Result
 from roadtorch.evaluation.tally import Tally, tally_from, tally_tensors
-from roadtorch.image import atomic
+from roadtorch.files import atomic
 
 FILE = "progress.safetensors"
 SAVE_EVERY = 20.0  # seconds of work that a power cut may cost, at least

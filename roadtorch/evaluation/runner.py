@@ -12,13 +12,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from roadtorch.detectors import Detection, load_detector
+from roadtorch.data import maps
+from roadtorch.data.dataset import Dataset, Item, Truth
+from roadtorch.detector import Detection
+from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import RoadtorchError
-from roadtorch.evaluation import boundary, maps, metrics
-from roadtorch.evaluation.datasets import Dataset, Item, Truth
+from roadtorch.evaluation import boundary, metrics
 from roadtorch.evaluation.floors import MEAN, resize
 from roadtorch.evaluation.tally import Score
-from roadtorch.sharing import Shared, sharing
+from roadtorch.image_cache import Shared, sharing
 
 MEAN_THRESHOLD = 0.5  # road at this place in at least half of the pictures
 

@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
+from roadtorch.data.dataset import Item
 from roadtorch.evaluation import curves, metrics
-from roadtorch.evaluation.datasets import Item
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
 
 WHOLE = "all"  # the one group of a set that knows no drives

@@ -5,14 +5,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from roadtorch.detectors import detector_entry
+from roadtorch.data.dataset import Dataset
+from roadtorch.detectors.catalogue import detector_entry
 from roadtorch.errors import DatasetError
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.datasets import Dataset
-from roadtorch.evaluation.report import align
 from roadtorch.evaluation.runner import Plan
 from roadtorch.evaluation.summary import held_out_thresholds, shared_threshold
 from roadtorch.evaluation.tally import Tally
+from roadtorch.report.screen import align
 from roadtorch.settings import Settings, build_settings
 
 DIGITS = 3  # of a threshold in a config

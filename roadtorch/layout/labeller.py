@@ -13,22 +13,20 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn import functional as F
 
-from roadtorch.segments import (
+from roadtorch.exposure import Exposure, brightened
+from roadtorch.image_cache import shareable
+from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
+from roadtorch.segment_features import (
     Bandwidths,
-    Exposure,
     Segments,
-    brightened,
     class_log_density,
     likeness,
     measure_segments,
 )
+from roadtorch.segment_statistics import paint, segment_mean
 from roadtorch.settings import Settings
-from roadtorch.sharing import shareable
-from roadtorch.superpixels import paint, segment_mean
-from roadtorch.working import Superpixels, WorkingSize, at_working_size
-
-SKY, VERTICAL, HORIZONTAL = range(3)
-UNLABELLED = 255
+from roadtorch.superpixels import Superpixels
+from roadtorch.working_size import WorkingSize, at_working_size
 
 
 class PlacePrior(Settings):

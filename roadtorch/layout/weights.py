@@ -4,18 +4,19 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from pydantic import Field
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
 import roadtorch
 from roadtorch.errors import ConfigError, WeightsError
-from roadtorch.image import atomic
-from roadtorch.layout.network import PatchNetwork, PatchNetworkSettings
+from roadtorch.files import atomic
+from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
-from roadtorch.settings import build_settings
+from roadtorch.settings import Settings, build_settings
 
 FORMAT = 1
 """Of the metadata; raised when older code could not read it."""
@@ -125,3 +126,27 @@ def _checked(path: Path, text: str | None) -> dict[str, Any]:
     if not complete or kind not in NETWORKS:
         raise WeightsError(path, "has a header that makes no sense", "fetch or train it again")
     return header
+
+
+Network = TypeVar("Network", PatchNetwork, PictureNetwork)
+
+
+class Weights(Settings):
+    """Which weights a network has."""
+
+    file: str = Field(
+        default="", description="weights of roadtorch train; empty: those that are shipped"
+    )
+
+
+def network_of(weights: Weights, shipped: str, kind: type[Network]) -> Network:
+    """The network with the weights of a file, or with those shipped under a name.
+
+    Raises WeightsError for a file that cannot be used, or holds another kind of network.
+    """
+    path = weights.file or shipped_weights(shipped)
+    network = load_network(path)
+    if not isinstance(network, kind):
+        what = f"holds a network for {network.kind}, not for {kind.kind}"
+        raise WeightsError(path, what, "use weights of that kind of training")
+    return network

@@ -33,7 +33,7 @@ from safetensors.torch import save as as_safetensors
 from torch import Tensor, nn
 
 from roadtorch.errors import ConfigError, InputError, WeightsError
-from roadtorch.image import atomic
+from roadtorch.files import atomic
 from roadtorch.oneclass.axes import Axes, Hue, arranged, arranged_axes, mean_hues
 from roadtorch.oneclass.state import (
     LEARNED,

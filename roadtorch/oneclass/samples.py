@@ -13,11 +13,12 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.color import PLANES, plane
-from roadtorch.geometry import FRAME, SeedArea, seed_area
+from roadtorch.image_cache import shareable
 from roadtorch.oneclass.axes import circular_mean, unrolled
+from roadtorch.seed_area import FRAME, SeedArea, seed_area
+from roadtorch.segment_statistics import segment_median
 from roadtorch.settings import Settings
-from roadtorch.sharing import shareable
-from roadtorch.superpixels import segment_median, slic
+from roadtorch.superpixels import slic
 
 LEAST = 8
 """Pixels that the seed area has on each side, where the picture has them: a few samples."""

@@ -8,10 +8,11 @@ from pydantic import Field
 
 from roadtorch.errors import ConfigError, unknown_name
 from roadtorch.layout.labeller import LabellerSettings
-from roadtorch.layout.network import PatchNetworkSettings
+from roadtorch.layout.patch_network import PatchNetworkSettings
 from roadtorch.layout.picture_network import PictureNetworkSettings
 from roadtorch.settings import Settings, build_settings, read_settings_file
-from roadtorch.working import Superpixels, WorkingSize
+from roadtorch.superpixels import Superpixels
+from roadtorch.working_size import WorkingSize
 
 
 class Descent(Settings):

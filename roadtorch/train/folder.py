@@ -13,7 +13,8 @@ from typing import Any
 import torch
 
 from roadtorch.errors import ConfigError, InputError, WeightsError
-from roadtorch.image import Picture, atomic, make_folder, write_text
+from roadtorch.files import atomic, make_folder, write_text
+from roadtorch.sources.pictures import Picture
 from roadtorch.train.config import as_values, build_training
 from roadtorch.train.prepared import Prepared, bytes_of, name_of
 

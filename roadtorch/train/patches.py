@@ -14,15 +14,16 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from roadtorch.errors import InputError
-from roadtorch.layout.labeller import UNLABELLED, label_layout
-from roadtorch.layout.network import CLASSES, normalise
-from roadtorch.superpixels import segment_mean
+from roadtorch.layout.classes import CLASSES, UNLABELLED
+from roadtorch.layout.labeller import label_layout
+from roadtorch.layout.normalisation import normalise
+from roadtorch.segment_statistics import segment_mean
 from roadtorch.train.config import Jitter, PatchTraining, Sites
 from roadtorch.train.draws import generator_at, uniform
 from roadtorch.train.prepared import Arrays, from_bytes, read_arrays, to_bytes
 from roadtorch.train.samples import Batch
 from roadtorch.train.team import Team
-from roadtorch.working import at_work
+from roadtorch.working_size import at_work
 
 ORDER, SITES, JITTER = range(3)
 """What is drawn: each has its own generators."""

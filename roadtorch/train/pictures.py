@@ -11,10 +11,12 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 from tqdm import tqdm
 
-from roadtorch.detectors import Detector, load_detector
+from roadtorch.detector import Detector
+from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError
-from roadtorch.image import make_folder
-from roadtorch.layout.network import CLASSES, Normalisation, normalise
+from roadtorch.files import make_folder
+from roadtorch.layout.classes import CLASSES
+from roadtorch.layout.normalisation import Normalisation, normalise
 from roadtorch.layout.picture_network import OUTPUTS, PictureNetwork, potentials_of
 from roadtorch.train.config import Light, PictureTraining, Rounds, Shift, Teacher
 from roadtorch.train.draws import generator_at, uniform
@@ -28,7 +30,7 @@ from roadtorch.train.prepared import (
 )
 from roadtorch.train.samples import Batch
 from roadtorch.train.team import Team
-from roadtorch.working import resized
+from roadtorch.working_size import resized
 
 ORDER, VARIATION = 3, 4
 """What is drawn; the numbers go on from those of patches."""

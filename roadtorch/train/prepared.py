@@ -13,10 +13,12 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from roadtorch.detectors import checked_image
+from roadtorch.detector import checked_image
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
-from roadtorch.image import Picture, atomic, make_folder, read_image, write_text
+from roadtorch.files import atomic, make_folder, write_text
+from roadtorch.image import read_image
 from roadtorch.signals import Stop
+from roadtorch.sources.pictures import Picture
 from roadtorch.train.team import Team
 
 SETTINGS = "settings.json"

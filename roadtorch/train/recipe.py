@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.errors import WeightsError
-from roadtorch.layout.network import PatchNetwork
+from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import LayoutNetwork, load_network
 from roadtorch.train.config import Descent, PatchTraining, PictureTraining, Stopping, Training

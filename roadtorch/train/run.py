@@ -11,9 +11,9 @@ from tqdm import tqdm
 
 from roadtorch import __version__
 from roadtorch.errors import InputError
-from roadtorch.image import Picture, find_images
 from roadtorch.layout.weights import LayoutNetwork, fill, load_network, save_network
 from roadtorch.signals import stop_on_signals
+from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.train.config import Training, as_values
 from roadtorch.train.folder import (
     CHECKPOINT,

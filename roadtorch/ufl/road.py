@@ -8,7 +8,7 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn import functional as F
 
-from roadtorch.geometry import APEX
+from roadtorch.priors import APEX
 from roadtorch.settings import Settings
 from roadtorch.ufl.hierarchy import (
     Choice,

@@ -15,14 +15,15 @@ from click.testing import CliRunner, Result
 from pydantic import Field
 
 from roadtorch.cli.evaluate import evaluate
-from roadtorch.detectors import Entry, list_detectors, register
+from roadtorch.detector import Entry
+from roadtorch.detectors.catalogue import list_detectors, register
 from roadtorch.errors import ConfigError, DatasetError, InputError
 from roadtorch.evaluation import runner
 from roadtorch.evaluation.plan import expand_names, open_named
 from roadtorch.evaluation.progress import FILE
 from roadtorch.image import read_image
+from roadtorch.scenes import render_scene, write_camvid, write_picture
 from roadtorch.settings import Settings
-from tests.scenes import render_scene, write_camvid, write_picture
 
 DRIVES = ("0001TP", "0006R0", "0016E5")
 SCENES = {f"{DRIVES[i % 3]}_{i}": render_scene(i, 48, 64) for i in range(6)}

@@ -8,7 +8,7 @@ import torch
 from PIL import Image
 
 from roadtorch.cli import batch, results
-from roadtorch.detectors import load_detector
+from roadtorch.detectors.catalogue import load_detector
 from roadtorch.image import read_image
 from tests.cli.conftest import Call, save_picture
 

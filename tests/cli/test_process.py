@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tests.scenes import render_scene
+from roadtorch.scenes import render_scene
 
 COMMAND = [sys.executable, "-m", "roadtorch"]
 

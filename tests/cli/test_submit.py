@@ -11,11 +11,11 @@ import pytest
 from PIL import Image
 
 from roadtorch.cli import batch, submission
-from roadtorch.detectors import load_detector
+from roadtorch.detectors.catalogue import load_detector
 from roadtorch.image import read_image
+from roadtorch.scenes import render_scene, write_picture
 from tests.cli.conftest import Call
 from tests.reference import bev as reference
-from tests.scenes import render_scene, write_picture
 
 HEIGHT, WIDTH = 120, 160
 GREY = ("--detector", "grey-uniformity")

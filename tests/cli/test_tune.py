@@ -8,14 +8,15 @@ import torch
 from pydantic import Field
 
 from roadtorch.cli.config import choose
-from roadtorch.detectors import Entry, list_detectors, load_detector, register
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.detector import Entry
+from roadtorch.detectors.catalogue import list_detectors, load_detector, register
 from roadtorch.evaluation import tuning
-from roadtorch.evaluation.datasets import open_dataset
 from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.runner import Plan
 from roadtorch.evaluation.tally import Tally
+from roadtorch.scenes import render_scene, write_camvid
 from roadtorch.settings import Settings
-from tests.scenes import render_scene, write_camvid
 
 DRIVES = ("0001TP", "0006R0", "0016E5")
 

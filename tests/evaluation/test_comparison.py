@@ -5,14 +5,14 @@ import math
 import pytest
 import torch
 
-from roadtorch.detectors import Detection
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.detector import Detection
 from roadtorch.errors import ConfigError
 from roadtorch.evaluation import comparison, summary
-from roadtorch.evaluation.datasets import open_dataset
 from roadtorch.evaluation.runner import Plan, score_item
 from roadtorch.evaluation.tally import Tally
 from roadtorch.evaluation.uncertainty import Replicated
-from tests.scenes import render_scene, write_camvid
+from roadtorch.scenes import render_scene, write_camvid
 
 DRIVES = ("0001TP", "0006R0")
 SCENES = {f"{DRIVES[i % 2]}_{i}": render_scene(i, 48, 64) for i in range(12)}

@@ -2,9 +2,10 @@
 
 import pytest
 
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Dataset
 from roadtorch.evaluation import floors, metrics, runner
-from roadtorch.evaluation.datasets import Dataset, open_dataset
-from roadtorch.geometry import prior_rows
+from roadtorch.priors import prior_rows
 
 pytestmark = pytest.mark.data
 

@@ -5,11 +5,12 @@ from pathlib import Path
 import pytest
 import torch
 
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Dataset
 from roadtorch.errors import ConfigError
-from roadtorch.evaluation.datasets import Dataset, open_dataset
 from roadtorch.evaluation.progress import FILE, Progress, fingerprint
 from roadtorch.evaluation.runner import Plan, run
-from tests.scenes import render_scene, write_camvid
+from roadtorch.scenes import render_scene, write_camvid
 
 DETECTORS = {"prior:rows": {}, "prior:triangle": {}}
 

@@ -8,13 +8,15 @@ from typing import ClassVar
 import pytest
 import torch
 
-from roadtorch.detectors import Detection
-from roadtorch.evaluation import boundary, floors, metrics, report, runner, summary
-from roadtorch.evaluation.datasets import Dataset, Item, open_dataset
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Dataset, Item
+from roadtorch.detector import Detection
+from roadtorch.evaluation import boundary, floors, metrics, runner, summary
 from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.runner import Plan
 from roadtorch.evaluation.tally import Score, Tally
-from tests.scenes import render_scene, write_camvid
+from roadtorch.report import screen
+from roadtorch.scenes import render_scene, write_camvid
 
 DRIVES = ("0001TP", "0006R0", "0016E5")
 
@@ -209,7 +211,7 @@ def test_layout_recalls_by_drive_over_all_and_labelled_pixels(dataset, scenes):
     assert layout["labelled"]["mean"] == 1
     assert 0.2 < layout["labelled_share"] < 0.8
     assert figures["layout"]["confusion"]["horizontal"]["vertical"] == 1
-    assert "drive" in report.layout_table({"it": figures})
+    assert "drive" in screen.layout_table({"it": figures})
 
 
 # --- floors --------------------------------------------------------------------------------------
@@ -344,4 +346,4 @@ def test_the_levels_of_the_set_are_those_that_are_told_apart(dataset):
 
 
 def test_columns_line_up():
-    assert report.align([["a", "b"], ["long", "1.5"]]) == "a       b\nlong  1.5"
+    assert screen.align([["a", "b"], ["long", "1.5"]]) == "a       b\nlong  1.5"

@@ -5,12 +5,13 @@ from dataclasses import replace
 
 import torch
 
-from roadtorch.detectors import Detection
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Dataset
+from roadtorch.detector import Detection
 from roadtorch.evaluation import metrics, summary
-from roadtorch.evaluation.datasets import Dataset, open_dataset
 from roadtorch.evaluation.runner import Plan, looks, score_item
 from roadtorch.evaluation.tally import Tally, tally_from, tally_tensors
-from tests.scenes import render_scene, write_camvid
+from roadtorch.scenes import render_scene, write_camvid
 
 
 def scenes_dataset(root) -> tuple[Dataset, dict]:

@@ -10,11 +10,8 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from roadtorch.evaluation.metrics import class_recalls, count_layout, labelled_share
+from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 from roadtorch.layout.labeller import (
-    HORIZONTAL,
-    SKY,
-    UNLABELLED,
-    VERTICAL,
     ColumnOrder,
     LabellerSettings,
     LayoutLabels,
@@ -25,10 +22,11 @@ from roadtorch.layout.labeller import (
     place_prior,
     segment_layout,
 )
-from roadtorch.segments import measure_segments
-from roadtorch.working import Superpixels, WorkingSize
+from roadtorch.scenes import Scene, render_scene
+from roadtorch.segment_features import measure_segments
+from roadtorch.superpixels import Superpixels
+from roadtorch.working_size import WorkingSize
 from tests.reference import layout as reference
-from tests.scenes import Scene, render_scene
 
 ALL = LabellerSettings(support="maximum")
 

@@ -9,7 +9,7 @@ from roadtorch.layout.picture_network import (
     place_planes,
     potentials_of,
 )
-from tests.scenes import render_scene
+from roadtorch.scenes import render_scene
 
 SMALL = PictureNetworkSettings(height=48, width=64, narrow=8, wide=16)
 

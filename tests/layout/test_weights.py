@@ -8,7 +8,7 @@ import torch
 from safetensors.torch import save_file
 
 from roadtorch.errors import WeightsError
-from roadtorch.layout.network import PatchNetwork, PatchNetworkSettings, Topology
+from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import LayoutNetwork, load_network, read_origin, save_network
 

@@ -15,8 +15,8 @@ from roadtorch.oneclass.samples import (
     road_samples,
     sample_area,
 )
-from roadtorch.superpixels import segment_median
-from tests.scenes import render_scene
+from roadtorch.scenes import render_scene
+from roadtorch.segment_statistics import segment_median
 
 GRID = SampleSettings(reduction="grid")
 

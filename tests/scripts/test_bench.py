@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from roadtorch import working
-from roadtorch.detectors import load_detector
+from roadtorch import working_size
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.scenes import render_scene, write_picture
 from scripts import bench
-from tests.scenes import render_scene, write_picture
 
 SCRIPT = Path(bench.__file__)
 
@@ -85,9 +85,9 @@ def test_the_stages_leave_out_little_of_detect_and_count_nothing_twice() -> None
 
 
 def test_the_stopwatch_is_taken_off_again_even_after_an_error() -> None:
-    before = working.resized
+    before = working_size.resized
 
     with pytest.raises(RuntimeError, match=r"no longer calls .*superpixels"):
         bench.time_stages(lambda image: None, torch.zeros(3, 16, 16))
 
-    assert working.resized is before
+    assert working_size.resized is before

@@ -11,8 +11,8 @@ import torch
 from roadtorch.color import REPRESENTATIONS, planes
 from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
 from roadtorch.oneclass.samples import SampleSettings, road_samples
+from roadtorch.scenes import render_scene
 from scripts import bench_oneclass
-from tests.scenes import render_scene
 
 
 def test_pairs_and_grid_are_printed_and_written(tmp_path: Path) -> None:

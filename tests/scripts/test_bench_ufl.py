@@ -7,10 +7,10 @@ import sys
 import time
 from pathlib import Path
 
-from roadtorch.detectors import load_detector
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.scenes import render_scene
 from scripts import bench_ufl
 from scripts.bench import SUM, time_stages
-from tests.scenes import render_scene
 
 
 def test_every_stage_and_every_rate_is_printed_and_written(tmp_path: Path) -> None:

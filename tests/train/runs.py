@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from roadtorch.cli.config import merge
+from roadtorch.scenes import render_scene, write_picture
 from roadtorch.settings import parse_assignments, read_settings_file
 from roadtorch.train.config import Training, build_training
 from roadtorch.train.run import Order
-from tests.scenes import render_scene, write_picture
 
 PATCHES = """
 kind = "patches"

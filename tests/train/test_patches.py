@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from roadtorch.errors import InputError
-from roadtorch.layout.network import PatchNetwork, PatchNetworkSettings, reflected
+from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, reflected
+from roadtorch.scenes import render_scene
 from roadtorch.train.config import Jitter, PatchTraining, Sites, build_training
 from roadtorch.train.patches import (
     Draw,
@@ -29,7 +30,6 @@ from roadtorch.train.prepared import write_arrays
 from roadtorch.train.samples import Batch
 from roadtorch.train.team import Team
 from tests.reference import network as reference
-from tests.scenes import render_scene
 
 
 def training_of(**values: object) -> PatchTraining:

@@ -5,9 +5,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from roadtorch.detectors import load_detector
+from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
+from roadtorch.scenes import render_scene
 from roadtorch.train.config import Light, PictureTraining, Rounds, Shift, Teacher, build_training
 from roadtorch.train.pictures import (
     Goals,
@@ -27,7 +28,6 @@ from roadtorch.train.pictures import (
 from roadtorch.train.prepared import write_arrays
 from roadtorch.train.samples import Batch
 from roadtorch.train.team import Team
-from tests.scenes import render_scene
 
 STILL = Shift(scale=0, stretch=0, rotation=0, move=0)
 

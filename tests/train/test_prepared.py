@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.image import find_images
 from roadtorch.signals import Stop
+from roadtorch.sources.pictures import find_images
 from roadtorch.train.prepared import Arrays, Workshop, read_arrays, write_arrays
 from roadtorch.train.team import Team
 from tests.train.runs import write_streets

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from roadtorch.errors import ConfigError, WeightsError
-from roadtorch.layout.network import PatchNetwork
+from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import load_network, read_origin, save_network
 from roadtorch.train import loop
 from roadtorch.train.run import Outcome, train

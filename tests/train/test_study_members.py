@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from roadtorch.data.dataset import Item, Truth
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.datasets import Item, Truth
 from train.study_members import Joined, Picture, best_choice, drive_counts, held_out_choices
 
 DRIVES = ["0001TP", "0006R0", "0016E5"]

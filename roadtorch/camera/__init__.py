@@ -1,0 +1,1 @@
+"""What belongs to a camera: how its picture lies on the ground."""

@@ -1,0 +1,196 @@
+"""CamVid: in the 11 classes it is mostly used with, and in its original 32 colours.
+
+Brostow, Fauqueur, Cipolla, Pattern Recognition Letters 30(2), 2009. Every figure on CamVid
+depends on how the 32 entries are read; the name of the set says how:
+
+``camvid``, ``camvid32``        the 11 classes of the 480×360 release (SegNet's)
+``camvid32:literal``            P2's sentence: sky; road and sidewalk; all 29 others vertical
+``camvid32:literal-ignore``     the same with void left out
+"""
+
+import re
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+from roadtorch.data.dataset import Dataset, Item, Kind
+from roadtorch.data.labels import ColourLabels, NumberLabels, pairs
+from roadtorch.errors import DatasetError
+from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
+
+DRIVE_LETTERS = 6  # CamVid names begin with the drive: 0001TP, 0006R0, 0016E5, Seq05V
+
+# --- eleven classes ---------------------------------------------------------------------
+
+CLASSES = (
+    *("sky", "building", "pole", "road", "pavement", "tree"),
+    *("sign", "fence", "car", "pedestrian", "bicyclist", "void"),
+)
+
+CAMVID_LABELS = NumberLabels(
+    road=(CLASSES.index("road"),),
+    void=(CLASSES.index("void"),),
+    values=tuple(range(len(CLASSES))),
+    layout=(SKY, *(VERTICAL,) * 2, *(HORIZONTAL,) * 2, *(VERTICAL,) * 6, UNLABELLED),
+)
+
+CAMVID_SPLITS = {"dev": ("train", "val"), "train": ("train",), "val": ("val",)}
+
+
+def open_camvid(root: Path, split: str) -> Dataset:
+    """CamVid in the 11-class layout: ROOT/train, ROOT/trainannot, ROOT/val, ROOT/valannot."""
+    items = tuple(
+        _item(image, label)
+        for part in CAMVID_SPLITS[split]
+        for image, label in pairs(root / part, root / f"{part}annot")
+    )
+    return Dataset("camvid", root, split, items, CAMVID_LABELS)
+
+
+def _item(image: Path, label: Path) -> Item:
+    return Item(image.stem, image, label, group=image.stem[:DRIVE_LETTERS])
+
+
+# --- 32 colours -------------------------------------------------------------------------
+
+# Colour, name, and the class it became in the 480×360 release: measured by laying the
+# full-size labels of 66 frames over it, as published groupings of the 32 contradict each
+# other and the release (road shoulder is road there, and seven rare entries are void).
+COLOURS32 = (
+    ((64, 128, 64), "Animal", "void"),
+    ((192, 0, 128), "Archway", "void"),
+    ((0, 128, 192), "Bicyclist", "bicyclist"),
+    ((0, 128, 64), "Bridge", "void"),
+    ((128, 0, 0), "Building", "building"),
+    ((64, 0, 128), "Car", "car"),
+    ((64, 0, 192), "CartLuggagePram", "void"),
+    ((192, 128, 64), "Child", "void"),
+    ((192, 192, 128), "Column_Pole", "pole"),
+    ((64, 64, 128), "Fence", "fence"),
+    ((128, 0, 192), "LaneMkgsDriv", "road"),
+    ((192, 0, 64), "LaneMkgsNonDriv", "road"),
+    ((128, 128, 64), "Misc_Text", "sign"),
+    ((192, 0, 192), "MotorcycleScooter", "bicyclist"),
+    ((128, 64, 64), "OtherMoving", "void"),
+    ((64, 192, 128), "ParkingBlock", "pavement"),
+    ((64, 64, 0), "Pedestrian", "pedestrian"),
+    ((128, 64, 128), "Road", "road"),
+    ((128, 128, 192), "RoadShoulder", "road"),
+    ((0, 0, 192), "Sidewalk", "pavement"),
+    ((192, 128, 128), "SignSymbol", "sign"),
+    ((128, 128, 128), "Sky", "sky"),
+    ((64, 128, 192), "SUVPickupTruck", "car"),
+    ((0, 0, 64), "TrafficCone", "void"),
+    ((0, 64, 64), "TrafficLight", "sign"),
+    ((192, 64, 128), "Train", "void"),
+    ((128, 128, 0), "Tree", "tree"),
+    ((192, 128, 192), "Truck_Bus", "car"),
+    ((64, 0, 64), "Tunnel", "void"),
+    ((192, 192, 0), "VegetationMisc", "tree"),
+    ((0, 0, 0), "Void", "void"),
+    ((64, 192, 0), "Wall", "building"),
+)
+
+NAMES32 = tuple(name for _, name, _ in COLOURS32)
+
+LITERAL_LAYOUT = {"Sky": SKY, "Road": HORIZONTAL, "Sidewalk": HORIZONTAL}
+
+
+def _through_classes() -> NumberLabels:
+    """What the colours mean through the 11 classes; lane markings and shoulders are road."""
+    became = [CLASSES.index(name) for _, _, name in COLOURS32]
+    values = range(len(became))
+    return NumberLabels(
+        road=tuple(i for i in values if became[i] in CAMVID_LABELS.road),
+        void=tuple(i for i in values if became[i] in CAMVID_LABELS.void),
+        values=tuple(values),
+        layout=tuple(CAMVID_LABELS.layout[index] for index in became),
+    )
+
+
+def _literal(void: tuple[str, ...]) -> NumberLabels:
+    """What the colours mean by P2's sentence (ECCV 2012, §6.1): only ``Road`` is road."""
+    layout = [
+        UNLABELLED if name in void else LITERAL_LAYOUT.get(name, VERTICAL) for name in NAMES32
+    ]
+    return NumberLabels(
+        road=(NAMES32.index("Road"),),
+        void=tuple(map(NAMES32.index, void)),
+        values=tuple(range(len(NAMES32))),
+        layout=tuple(layout),
+    )
+
+
+READINGS = {
+    "camvid32": _through_classes(),
+    "camvid32:literal": _literal(void=()),
+    "camvid32:literal-ignore": _literal(void=("Void",)),
+}
+
+# Where copies keep the pictures and their labels.
+FOLDERS32 = (
+    ("images", "labels"),
+    ("701_StillsRaw_full", "LabeledApproved_full"),
+    ("images/701_StillsRaw_full", "labels"),
+    *((part, f"{part}_labels") for part in ("train", "val", "test")),
+)
+
+SPLITS32 = {
+    "all": ("train", "val", "test"),
+    "dev": ("train", "val"),
+    "train": ("train",),
+    "val": ("val",),
+    "test": ("test",),
+}
+
+
+def split_of(name: str) -> str:
+    """The part of SegNet's division (367, 101, 233 frames) that a frame is in, by its name.
+
+    Raises DatasetError for a name that is not CamVid's.
+    """
+    found = re.fullmatch(r"(0001TP|0006R0|0016E5|Seq05VD)_f?(\d+)", name)
+    if found is None:
+        raise DatasetError(
+            name, "is not the name of a CamVid frame", "name frames like 0016E5_07959"
+        )
+    drive, frame = found[1], int(found[2])
+    if drive == "Seq05VD" or (drive == "0001TP" and frame >= 8550):
+        return "test"
+    return "val" if drive == "0016E5" and 7959 <= frame <= 8159 else "train"
+
+
+def open_camvid32(root: Path, split: str, name: str = "camvid32") -> Dataset:
+    """CamVid in its original colours: ROOT/images/NAME.*, ROOT/labels/NAME_L.png.
+
+    Or ROOT/701_StillsRaw_full and ROOT/LabeledApproved_full, as published; or ROOT/train
+    and ROOT/train_labels, and so on. The split goes by the frames' names, whatever folder
+    they are in. name: which reading of the colours (``READINGS``).
+    """
+    items = tuple(item for item in _items32(root) if split_of(item.name) in SPLITS32[split])
+    numbers = READINGS[name]
+    return Dataset(
+        name, root, split, items, ColourLabels(tuple(c for c, _, _ in COLOURS32), numbers)
+    )
+
+
+def _items32(root: Path) -> Iterator[Item]:
+    found = [
+        (root / images, root / labels)
+        for images, labels in FOLDERS32
+        if (root / images).is_dir() and (root / labels).is_dir()
+    ]
+    # A folder that holds the published one is not a folder of pictures itself.
+    nested = {images.parent for images, _ in found}
+    kept = [(images, labels) for images, labels in found if images not in nested]
+    if not kept:
+        known = ", ".join(f"{images} + {labels}" for images, labels in FOLDERS32)
+        raise DatasetError(root, "holds no CamVid in 32 colours", f"known folders: {known}")
+    for images, labels in kept:
+        yield from (_item(image, label) for image, label in pairs(images, labels, "_L.png"))
+
+
+KINDS = {
+    "camvid": Kind(tuple(CAMVID_SPLITS), open_camvid),
+    **{name: Kind(tuple(SPLITS32), partial(open_camvid32, name=name)) for name in READINGS},
+}

@@ -1,0 +1,77 @@
+"""Labelled sets by name: the one door to all of them.
+
+Other packages add theirs through the entry-point group ``roadtorch.datasets``: the entry
+point's name is the set's, and it names a ``Kind``.
+"""
+
+from collections.abc import Mapping
+from functools import cache, partial
+from pathlib import Path
+
+from roadtorch.data import camvid, kitti
+from roadtorch.data.cityscapes import open_cityscapes
+from roadtorch.data.dataset import Dataset, Kind
+from roadtorch.data.folder import open_folder, open_idd_lite
+from roadtorch.data.labelme import open_labelme
+from roadtorch.errors import ConfigError, DatasetError, unknown_name
+from roadtorch.plugins import load_plugins
+
+ENTRY_POINT_GROUP = "roadtorch.datasets"
+
+
+KINDS: Mapping[str, Kind] = {
+    **camvid.KINDS,
+    "cityscapes": Kind(("val", "train"), open_cityscapes),
+    "folder": Kind(("all",), open_folder),
+    "idd-lite": Kind(("all",), open_idd_lite),
+    kitti.NAME: Kind(kitti.SPLITS, kitti.open_kitti_road),
+    "labelme": Kind(("all",), open_labelme),
+    "labelme:intersection": Kind(("all",), partial(open_labelme, agreement="intersection")),
+    "labelme:union": Kind(("all",), partial(open_labelme, agreement="union")),
+}
+
+
+def open_dataset(name: str, root: Path, split: str | None = None) -> Dataset:
+    """Open a labelled set; without ``split`` its default one.
+
+    Raises ConfigError for an unknown name or split, DatasetError for an incomplete or
+    empty set.
+    """
+    kind = dataset_kind(name)
+    if split is not None and split not in kind.splits:
+        raise unknown_name(f"split of {name}", split, kind.splits)
+    if not root.is_dir():
+        raise DatasetError(root, "is not a folder", f"give the folder that holds {name}")
+    split = split or kind.splits[0]
+    dataset = kind.open(root, split)
+    if not dataset.items:
+        raise DatasetError(root, f"holds no pictures of the split {split}", "choose another split")
+    return dataset
+
+
+def list_datasets() -> list[str]:
+    """The names of all sets, sorted; those of other packages among them."""
+    return sorted(_catalogue())
+
+
+def dataset_kind(name: str) -> Kind:
+    """The kind of one set; ConfigError with the nearest names if there is none."""
+    kinds = _catalogue()
+    if name not in kinds:
+        raise unknown_name("data set", name, kinds)
+    return kinds[name]
+
+
+@cache
+def _catalogue() -> dict[str, Kind]:
+    kinds = dict(KINDS)
+    load_plugins(ENTRY_POINT_GROUP, "data set", lambda name, kind: _add(kinds, name, kind))
+    return kinds
+
+
+def _add(kinds: dict[str, Kind], name: str, kind: object) -> None:
+    if name in kinds:
+        raise ConfigError(name, "is the name of another set", "choose a new name")
+    if not isinstance(kind, Kind):
+        raise ConfigError(name, f"is {type(kind).__name__}", "name a Kind")
+    kinds[name] = kind

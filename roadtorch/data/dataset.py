@@ -1,0 +1,111 @@
+"""What a labelled set of street pictures is.
+
+A set is a list of items (paths), a reader of their truth and, where it is not scored in
+the picture itself, a view. Pictures and labels are read one at a time, so memory is flat
+over any number of items.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from torch import Tensor
+
+from roadtorch.errors import DatasetError
+from roadtorch.image import read_image
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is known about one picture.
+
+    road: bool (H,W). valid: bool (H,W), False where nothing is known (void).
+    layout: uint8 (H,W), 0 sky, 1 vertical, 2 horizontal, 255 void; None if the set has none.
+    """
+
+    road: Tensor
+    valid: Tensor
+    layout: Tensor | None = None
+
+
+@dataclass(frozen=True)
+class Item:
+    """One picture with its label file.
+
+    group: the drive (city, category) it is from, if known. extra: further files that its
+    truth or view is made of, such as other people's annotations or a calibration.
+    """
+
+    name: str
+    image: Path
+    label: Path
+    group: str | None = None
+    extra: tuple[Path, ...] = ()
+
+
+class TruthReader(Protocol):
+    """Reads the truth of an item; a small frozen dataclass, for it travels to processes."""
+
+    def truth(self, item: Item) -> Truth:
+        """Read and check the item's label files; DatasetError naming the file."""
+        ...
+
+
+class View(Protocol):
+    """Brings maps of an item's picture into the space in which they are scored."""
+
+    @property
+    def name(self) -> str:
+        """What the space is called in results."""
+        ...
+
+    def __call__(self, item: Item, values: Tensor) -> Tensor:
+        """Turn maps (...,H,W) of any type into (...,h,w); what is unseen becomes 0 (False)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A labelled set that has been found complete: every picture has its label file.
+
+    levels: how many levels of likelihood are told apart in scoring (KITTI's program: 256).
+    view: None for sets that are scored in the picture itself.
+    """
+
+    name: str
+    root: Path
+    split: str
+    items: tuple[Item, ...]
+    reader: TruthReader = field(repr=False)
+    levels: int = 65_536
+    view: View | None = field(default=None, repr=False)
+
+    def groups(self) -> list[str]:
+        """The drives, sorted; empty for a set that does not know them."""
+        return sorted({item.group for item in self.items if item.group is not None})
+
+    def truth(self, item: Item) -> Truth:
+        """Read the truth of one item, in the picture's own space."""
+        return self.reader.truth(item)
+
+    def read(self, item: Item) -> tuple[Tensor, Truth]:
+        """Read image (3,H,W) and truth; DatasetError when their sizes differ."""
+        image, truth = read_image(item.image), self.truth(item)
+        if image.shape[1:] != truth.road.shape:
+            (height, width), (rows, columns) = image.shape[1:], truth.road.shape
+            what = f"is {columns} by {rows} pixels, its picture {width} by {height}"
+            raise DatasetError(item.label, what, "labels must have the size of the picture")
+        return image, truth
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A layout of files that can be opened.
+
+    splits: their names, the default first. open: makes the set from its folder and the name
+    of a split; raises DatasetError for an incomplete one.
+    """
+
+    splits: tuple[str, ...]
+    open: Callable[[Path, str], Dataset]

@@ -1,0 +1,133 @@
+"""The KITTI road benchmark: its files, their names, and scoring in bird's-eye view.
+
+Fritsch, Kuehnl, Geiger (ITSC 2013). Three categories: um, urban with marked lanes; umm,
+with several marked lanes; uu, unmarked. The benchmark scores maps of 8 bits in bird's-eye
+view; scores in the picture itself are something else, as far pixels weigh much less there.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
+
+from torch import Tensor
+
+from roadtorch.camera.birds_eye import read_calibration, to_birds_eye
+from roadtorch.data.dataset import Dataset, Item
+from roadtorch.data.labels import ColourLabels, NumberLabels
+from roadtorch.errors import ConfigError, DatasetError
+from roadtorch.image import SUFFIXES
+
+NAME = "kitti-road"
+
+SPLITS = ("road", "lane")  # what is road: all of it, or the car's own lane (um alone)
+
+LEVELS = 256
+
+LANE_CATEGORIES = ("um",)
+
+# Blue is road, red is valid; road outside the valid area is not scored.
+KITTI_COLOURS = ColourLabels(
+    colours=((0, 0, 0), (255, 0, 0), (255, 0, 255), (0, 0, 255)),
+    numbers=NumberLabels(road=(2,), void=(0, 3), values=(0, 1, 2, 3)),
+)
+
+# --- names ------------------------------------------------------------------------------
+
+
+def category_of(name: str) -> str:
+    """The category in a picture's name, "um" in um_000012; DatasetError without one."""
+    return _parts(name)[0]
+
+
+def result_name(name: str, kind: str = "road") -> str:
+    """The name of a picture's truth and of its map for the server: um_road_000012.
+
+    Raises DatasetError for a name that is not CATEGORY_NUMBER, such as um_000012.
+    """
+    category, number = _parts(name)
+    return f"{category}_{kind}_{number}"
+
+
+def _parts(name: str) -> tuple[str, str]:
+    found = re.fullmatch(r"([a-z]+)_(\d+)", name)
+    if found is None:
+        remedy = "name pictures CATEGORY_NUMBER, as um_000012"
+        raise DatasetError(name, "is not the name of a KITTI road picture", remedy)
+    return found[1], found[2]
+
+
+def base_folder(root: Path, part: str) -> Path:
+    """The folder that holds image_2: ROOT itself or ROOT/part (training or testing).
+
+    Raises DatasetError when neither does.
+    """
+    for folder in (root, root / part):
+        if (folder / "image_2").is_dir():
+            return folder
+    remedy = f"give the folder that holds image_2 or {part}/image_2"
+    raise DatasetError(root / "image_2", "does not exist", remedy)
+
+
+# --- the labelled set -------------------------------------------------------------------
+
+
+def open_kitti_road(root: Path, split: str) -> Dataset:
+    """The training pictures: ROOT/image_2 and ROOT/gt_image_2, or both in ROOT/training.
+
+    split: "road", every picture; "lane", those of um with the car's own lane as road. The
+    groups are the categories. Scored in the picture itself (see ``birds_eye``), with the
+    benchmark's 256 levels. Raises DatasetError for a missing folder or label file.
+    """
+    folder = base_folder(root, "training")
+    return Dataset(NAME, root, split, tuple(_items(folder, split)), KITTI_COLOURS, LEVELS)
+
+
+def _items(folder: Path, split: str) -> Iterator[Item]:
+    images = sorted(
+        path for path in (folder / "image_2").iterdir() if path.suffix.lower() in SUFFIXES
+    )
+    for image in images:
+        category = category_of(image.stem)
+        if split == "road" or category in LANE_CATEGORIES:
+            label = folder / "gt_image_2" / f"{result_name(image.stem, split)}.png"
+            if not label.is_file():
+                raise DatasetError(label, "is missing", "every picture needs its label file")
+            yield Item(image.stem, image, label, group=category)
+
+
+@dataclass(frozen=True)
+class BirdsEye:
+    """The view from above, by the pictures' calibration files; calib: their folder."""
+
+    calib: Path
+    name: ClassVar[str] = "bird's-eye view"
+
+    def __call__(self, item: Item, values: Tensor) -> Tensor:
+        """Maps (…,H,W) of the item's picture as (…,800,400), type kept; 0 where unseen.
+
+        Raises DatasetError naming a calibration file that is missing or broken.
+        """
+        # Read anew for each map: a third of a millisecond, and never out of date.
+        return to_birds_eye(values, read_calibration(self.calib / f"{item.name}.txt"))
+
+
+def birds_eye(dataset: Dataset) -> Dataset:
+    """The same set, scored in bird's-eye view like the benchmark: ROOT/calib/NAME.txt.
+
+    Cells that no pixel shows are void. Raises ConfigError for another set than KITTI's,
+    DatasetError when there is no folder calib.
+    """
+    if dataset.name != NAME:
+        remedy = f"only {NAME} has calibration files"
+        raise ConfigError(dataset.name, "has no bird's-eye view", remedy)
+    return replace(dataset, view=BirdsEye(calib_folder(base_folder(dataset.root, "training"))))
+
+
+def calib_folder(folder: Path) -> Path:
+    """The calibration files beside image_2; DatasetError when there is no such folder."""
+    if not (folder / "calib").is_dir():
+        remedy = "bird's-eye view needs calibration files"
+        raise DatasetError(folder / "calib", "does not exist", remedy)
+    return folder / "calib"

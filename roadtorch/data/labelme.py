@@ -1,0 +1,227 @@
+"""Truth from drawn annotations: LabelMe's XML, labelme's JSON, one or several people.
+
+XML as LabelMe and the tool of Álvarez et al. (arXiv 1412.3506, §4) store it: objects that
+consist of polygons, each with the name of who drew it. JSON as the program labelme stores
+it: a list of shapes. The files of one picture are all those that bear its name::
+
+    NAME.xml     NAME.json           beside the picture or in ROOT/annotations
+    USER/NAME.xml                    one folder for each person
+    NAME.USER.xml                    one suffix for each person
+"""
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePath
+
+from PIL import Image
+from PIL.ExifTags import Base as ExifTag
+
+from roadtorch.data.annotations import Annotation, Drawing, read_annotation
+from roadtorch.data.dataset import Dataset, Item, Truth
+from roadtorch.data.labels import is_picture
+from roadtorch.data.polygons import OTHER, ROAD, VOID, Agreement, agree, paint
+from roadtorch.errors import ConfigError, DatasetError
+from roadtorch.image import SUFFIXES
+
+ENDINGS = (".xml", ".json")
+
+AGREEMENTS = ("majority", "union", "intersection")
+
+TURNED = (5, 6, 7, 8)  # EXIF orientations that swap width and height
+
+FAR = 1.0  # picture sizes that a shape may reach beyond the picture; ours: beyond is a mistake
+
+
+@dataclass(frozen=True)
+class PolygonLabels:
+    """The truth in annotations of polygons.
+
+    road, void: names of objects, lower case; every other object is not road, and cuts a
+    hole into what was drawn before it. agreement: when several people drew, a pixel is
+    road if most of them say so, any or all. user: listen to this person alone. root: the
+    folder below which people have folders of their own, if they do.
+    Raises ConfigError for an unknown agreement.
+    """
+
+    road: tuple[str, ...] = ("road",)
+    void: tuple[str, ...] = ("void", "ignore")
+    agreement: Agreement = "majority"
+    user: str | None = None
+    root: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.agreement not in AGREEMENTS:
+            what, known = "unknown agreement", ", ".join(AGREEMENTS)
+            raise ConfigError(self.agreement, what, f"known: {known}")
+
+    def truth(self, item: Item) -> Truth:
+        """Read, paint and combine the item's annotations; DatasetError naming the file."""
+        size = picture_size(item.image)
+        found = [self._read(path, item, size) for path in (item.label, *item.extra)]
+        said = {
+            user: paint([(part.shape, self._meaning(part.name)) for part in drawings], size)
+            for user, drawings in self._listen(_by_user(found), item).items()
+        }
+        return agree(said, size, self.agreement)
+
+    def _meaning(self, name: str) -> int:
+        return ROAD if name in self.road else VOID if name in self.void else OTHER
+
+    def _read(self, path: Path, item: Item, size: tuple[int, int]) -> Annotation:
+        """A file that fits the picture; all of it from one person, if the file is theirs."""
+        annotation = read_annotation(path)
+        _check_size(annotation, size, path)
+        user = file_user(path, item.name, self.root)
+        if not user:
+            return annotation
+        drawings = tuple(replace(part, user=user) for part in annotation.drawings)
+        return Annotation(annotation.size, drawings, users=(user,))
+
+    def _listen(
+        self, by_user: dict[str, list[Drawing]], item: Item
+    ) -> Mapping[str, Sequence[Drawing]]:
+        if self.user is None:
+            return by_user
+        if self.user not in by_user:
+            known = ", ".join(sorted(by_user)) or "nobody"
+            what = f"has nothing from the user {self.user}"
+            raise DatasetError(item.label, what, f"it was annotated by {known}")
+        return {self.user: by_user[self.user]}
+
+
+def _by_user(annotations: Sequence[Annotation]) -> dict[str, list[Drawing]]:
+    """What each person drew, in the order of the files; who drew nothing is there too."""
+    found: dict[str, list[Drawing]] = defaultdict(list)
+    for annotation in annotations:
+        for user in annotation.users:
+            found[user] = found[user]
+        for part in annotation.drawings:
+            found[part.user].append(part)
+    return dict(found)
+
+
+# --- sizes ------------------------------------------------------------------------------
+
+
+def picture_size(path: Path) -> tuple[int, int]:
+    """(height, width) of a picture as it is shown, from its header.
+
+    Raises DatasetError when it cannot be opened.
+    """
+    try:
+        with Image.open(path) as picture:
+            turned = picture.getexif().get(ExifTag.Orientation) in TURNED
+            return (picture.width, picture.height) if turned else (picture.height, picture.width)
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as problem:
+        raise DatasetError(path, f"cannot be opened: {problem}", "replace the file") from None
+
+
+def _check_size(annotation: Annotation, size: tuple[int, int], path: Path) -> None:
+    """The file is for a picture of this size, and nothing lies far outside it.
+
+    Shapes may stick out of the picture, and are clipped.
+    """
+    height, width = size
+    if annotation.size not in (None, size):
+        rows, columns = annotation.size
+        what = f"is for {columns} by {rows} pixels, its picture has {width} by {height}"
+        raise DatasetError(path, what, "labels must have the size of the picture")
+    for part in annotation.drawings:
+        left, top, right, bottom = part.shape.bounds()
+        beside = max(-left, right - width) > FAR * width
+        if beside or max(-top, bottom - height) > FAR * height:
+            what = (
+                f"has an object {part.name!r} from ({left:g}, {top:g}) to ({right:g}, {bottom:g})"
+                f", far outside its picture of {width} by {height}"
+            )
+            raise DatasetError(path, what, "give coordinates in pixels of this picture")
+
+
+# --- finding the files ------------------------------------------------------------------
+
+
+def file_user(path: Path, name: str, root: Path | None) -> str:
+    """Whose file an annotation of the picture ``name`` is; "" if the file does not say."""
+    stem = PurePath(name).name
+    if path.stem != stem:
+        return path.stem.removeprefix(f"{stem}.")
+    if root is None or not path.is_relative_to(root):
+        return ""
+    folders = path.relative_to(root).parts
+    return folders[0] if len(folders) > len(PurePath(name).parts) else ""
+
+
+def open_labelme(root: Path, split: str, agreement: Agreement = "majority") -> Dataset:
+    """Pictures in ROOT/images or ROOT, annotations in ROOT/annotations or beside them.
+
+    Folders may be nested, and LabelMe's capital letters (Images, Annotations) do as well. A
+    picture's group is its uppermost folder. Raises DatasetError for a folder without
+    pictures, a picture without annotation, and two files of one person for one picture.
+    """
+    images = _first_folder(root, "images", "Images")
+    annotations = _first_folder(root, "annotations", "Annotations")
+    if annotations == root:
+        annotations = images
+    pictures = _pictures(images)
+    files = _files(annotations, set(pictures))
+    missing = [name for name in pictures if name not in files]
+    if missing:
+        first = (annotations / missing[0]).with_name(f"{PurePath(missing[0]).name}.xml")
+        what = f"is missing, and so is .json, {len(missing)} of {len(pictures)} annotations in all"
+        raise DatasetError(first, what, "every picture needs its annotation, be it empty")
+    items = tuple(
+        Item(name, path, files[name][0], _group(name), tuple(files[name][1:]))
+        for name, path in pictures.items()
+    )
+    reader = PolygonLabels(agreement=agreement, root=annotations)
+    name = "labelme" if agreement == "majority" else f"labelme:{agreement}"
+    return Dataset(name, root, split, items, reader)
+
+
+def _first_folder(root: Path, *names: str) -> Path:
+    return next((root / name for name in names if (root / name).is_dir()), root)
+
+
+def _group(name: str) -> str | None:
+    folders = PurePath(name).parts[:-1]
+    return folders[0] if folders else None
+
+
+def _pictures(folder: Path) -> dict[str, Path]:
+    """Every picture below a folder by its relative name without ending, sorted."""
+    found: dict[str, Path] = {}
+    for path in sorted(folder.rglob("*")):
+        if is_picture(path):
+            name = path.relative_to(folder).with_suffix("").as_posix()
+            if name in found:
+                what = f"has the name of {found[name].name}"
+                raise DatasetError(path, what, "a name may have one picture")
+            found[name] = path
+    if not found:
+        raise DatasetError(folder, "holds no pictures", f"known endings: {' '.join(SUFFIXES)}")
+    return found
+
+
+def _files(folder: Path, names: set[str]) -> dict[str, list[Path]]:
+    """The annotation files of each picture; files that belong to none are passed over."""
+    found: dict[str, dict[str, Path]] = defaultdict(dict)
+    for path in sorted(folder.rglob("*")):
+        if path.suffix.lower() not in ENDINGS or path.name.startswith("."):
+            continue
+        name = _picture_of(path.relative_to(folder).with_suffix("").as_posix(), names)
+        if name is None:
+            continue
+        user = file_user(path, name, folder)
+        if user in found[name]:
+            what = f"and {found[name][user].name} are both for the picture {name}"
+            raise DatasetError(path, what, "give people folders of their own, or drop one")
+        found[name][user] = path
+    return {name: list(paths.values()) for name, paths in found.items()}
+
+
+def _picture_of(name: str, names: set[str]) -> str | None:
+    """The picture that an annotation of this relative name belongs to."""
+    suffixed = name.rpartition(".")[0] if "." in PurePath(name).name else name
+    candidates = (name, name.partition("/")[2], suffixed)
+    return next((candidate for candidate in candidates if candidate in names), None)

@@ -1,0 +1,80 @@
+"""Likelihood maps made elsewhere, scored like those of a detector."""
+
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from roadtorch.errors import ConfigError, InputError
+from roadtorch.image import read_image
+
+ENDINGS = (".png", ".likelihood.png", ".npy", ".likelihood.npy")
+
+THRESHOLD = 0.5  # of the masks; an 8-bit map is road from 128 up
+
+
+def parse_maps(text: str) -> tuple[str, Path]:
+    """``NAME=DIR`` or ``DIR``, whose own name is then taken: (``maps:NAME``, folder).
+
+    Raises ConfigError for a folder that does not exist.
+    """
+    name, equals, folder = text.rpartition("=")
+    path = Path(folder)
+    if not path.is_dir():
+        raise ConfigError(folder, "is not a folder", "give the folder that holds the maps")
+    return f"maps:{name if equals else path.resolve().name}", path
+
+
+def find_map(folder: Path, names: Sequence[str]) -> Path:
+    """The file with the map of a picture that goes by one of these names.
+
+    Raises InputError when there is none.
+    """
+    paths = [folder / f"{name}{ending}" for name in names for ending in ENDINGS]
+    for path in paths:
+        if path.is_file():
+            return path
+    remedy = f"every picture needs a map, {' or '.join(ENDINGS)}"
+    raise InputError(paths[0], "is missing", remedy)
+
+
+def read_map(path: Path) -> Tensor:
+    """A map file as float32 (H,W): a grey picture of 8 or 16 bits, or a NumPy file of floats.
+
+    Raises InputError for a file that cannot be read, is coloured, or has no two dimensions.
+    """
+    if path.suffix != ".npy":
+        image = read_image(path)
+        if (image != image[0]).any():
+            raise InputError(path, "is a colour picture", "give a grey one, bright where road is")
+        return image[0]
+    try:
+        values = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as problem:
+        raise InputError(path, f"cannot be read: {problem}", "replace the file") from None
+    if values.ndim != 2 or values.dtype.kind != "f":
+        what = f"holds {values.dtype} of shape {values.shape}"
+        raise InputError(path, what, "give floating-point numbers (height, width)")
+    return torch.from_numpy(values.astype(np.float32))
+
+
+def map_likelihood(
+    folder: Path, names: Sequence[str], sizes: Collection[tuple[int, int]]
+) -> Tensor:
+    """The map of one picture, float32 (H,W) in [0,1], of one of the allowed sizes.
+
+    names: what its file may be called, but for the ending. Raises InputError naming the
+    file when it is missing, of another size, not grey, or has values that are not in [0,1].
+    """
+    path = find_map(folder, names)
+    likelihood = read_map(path)
+    if tuple(likelihood.shape) not in sizes:
+        height, width = likelihood.shape
+        wanted = " or ".join(dict.fromkeys(f"{columns} by {rows}" for rows, columns in sizes))
+        raise InputError(path, f"is {width} by {height} pixels", f"it should be {wanted}")
+    low, high = (float(bound) for bound in torch.aminmax(likelihood))
+    if not (low >= 0 and high <= 1):  # also true of NaN
+        raise InputError(path, f"has values from {low:g} to {high:g}", "keep to [0, 1]")
+    return likelihood

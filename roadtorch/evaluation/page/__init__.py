@@ -1,1 +1,0 @@
-"""One page that a person reads: the figures of a run as tables, charts and sentences."""

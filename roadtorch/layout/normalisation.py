@@ -1,0 +1,44 @@
+"""What is done to a picture before a network sees it."""
+
+from typing import Literal, NamedTuple
+
+from pydantic import Field
+from torch import Tensor
+
+from roadtorch.exposure import Exposure, brightened
+from roadtorch.settings import Settings
+
+FIXED_MEAN, FIXED_GAIN = 0.5, 4.0
+"""Levels in [0,1] become values from -2 to 2, near the unit variance that tanh likes."""
+
+FLATTEST = 0.02
+"""The least deviation that a picture is divided by: a flat one stays flat."""
+
+
+class Normalisation(Settings):
+    """What is done to a picture before a network sees it."""
+
+    kind: Literal["fixed", "picture", "brightened"] = Field(
+        default="fixed",
+        description="levels as they are; less the picture's mean colour, over its deviation; "
+        "or brightened as for the labeller",
+    )
+    exposure: Exposure = Exposure()
+
+
+class Normalised(NamedTuple):
+    """pixels (3,H,W) of about zero mean; gain: by how much a difference of levels has grown."""
+
+    pixels: Tensor
+    gain: float
+
+
+def normalise(image: Tensor, normalisation: Normalisation) -> Normalised:
+    """An image (3,H,W) in [0,1] as the networks want it. Ours; P2 says "RGB pixel values"."""
+    if normalisation.kind == "picture":
+        mean = image.mean((1, 2), keepdim=True)
+        gain = float(1 / (image - mean).square().mean().sqrt().clamp_min(FLATTEST))
+        return Normalised((image - mean) * gain, gain)
+    if normalisation.kind == "brightened":
+        image = brightened(image, normalisation.exposure)
+    return Normalised((image - FIXED_MEAN) * FIXED_GAIN, FIXED_GAIN)

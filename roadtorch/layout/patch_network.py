@@ -1,0 +1,248 @@
+"""The convolutional networks of P2, section 3, and their application to every pixel.
+
+A patch network looks at the square around a pixel and says how much that pixel looks like
+sky, vertical, horizontal: convolution, tanh, 2×2 subsampling, convolution, tanh (in one half
+of the family another subsampling), convolution, potentials in [0,1]. CNN-7 is the member of
+the family that P2 selects, and the default here.
+"""
+
+from collections.abc import Iterator, Mapping
+from itertools import product
+from typing import ClassVar, Literal
+
+import torch
+from pydantic import Field, model_validator
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from roadtorch.errors import ConfigError
+from roadtorch.layout.classes import CLASSES
+from roadtorch.layout.normalisation import Normalisation, normalise
+from roadtorch.settings import Settings
+from roadtorch.working_size import WorkingSize, at_working_size
+
+PATCHES = (32, 48, 64)
+"""The sizes of patches that P2 compares (Fig. 3)."""
+
+LEAST_KERNEL, LARGEST_KERNEL = 5, 13
+
+PROPOSALS = 3
+
+
+class Topology(Settings):
+    """Patch, kernels and subsampling of a network that turns a patch into one set of potentials.
+
+    The defaults are CNN-7 (P2, Fig. 4). ConfigError for sizes that do not end in 1×1.
+    """
+
+    patch: Literal[32, 48, 64] = Field(default=32, description="pixels of the patch's side")
+    k1: int = Field(default=4, ge=1, le=64, description="kernels of the first layer; P2: 4 or 6")
+    k2: int = Field(
+        default=16, ge=1, le=256, description="kernels of the second layer; P2: 10 to 130"
+    )
+    size1: int = Field(
+        default=7, ge=LEAST_KERNEL, le=LARGEST_KERNEL, description="side of the first kernels"
+    )
+    size2: int = Field(
+        default=7, ge=LEAST_KERNEL, le=LARGEST_KERNEL, description="side of the second kernels"
+    )
+    size3: int = Field(
+        default=7, ge=LEAST_KERNEL, le=LARGEST_KERNEL, description="side of the last kernels"
+    )
+    subsamplings: Literal[1, 2] = Field(
+        default=1, description="stages followed by 2×2 subsampling: the first, or both"
+    )
+    pooling: Literal["mean", "max"] = Field(
+        default="mean", description="what 2×2 subsampling keeps of four values"
+    )
+    potentials: Literal["sigmoid", "softmax"] = Field(
+        default="sigmoid", description="three answers, each for itself, or shares that sum to 1"
+    )
+
+    @model_validator(mode="after")
+    def _ends_in_one(self) -> "Topology":
+        sizes = (self.patch, self.size1, self.size2, self.size3, self.subsamplings)
+        if _last_side(*sizes) != 1:
+            raise ConfigError("topology", _ending(*sizes), f"nearest that do: {_nearest(*sizes)}")
+        return self
+
+    @property
+    def stride(self) -> int:
+        """Pixels between neighbouring outputs when the network runs over a whole picture."""
+        return 2**self.subsamplings
+
+
+def _last_side(patch: int, size1: int, size2: int, size3: int, subsamplings: int) -> int | None:
+    """The side of the last map; None where a map is empty or an odd one would be halved."""
+    side = patch
+    for stage, size in enumerate((size1, size2, size3), 1):
+        side -= size - 1
+        if stage <= subsamplings:
+            if side % 2:
+                return None
+            side //= 2
+    return side if side > 0 else None
+
+
+def _ending(patch: int, size1: int, size2: int, size3: int, subsamplings: int) -> str:
+    side = _last_side(patch, size1, size2, size3, subsamplings)
+    end = "has a map that 2×2 subsampling cannot halve, or none left" if side is None else ""
+    return f"{_told(patch, size1, size2, size3, subsamplings)} " + (
+        end or f"ends in {side}×{side}, not in 1×1"
+    )
+
+
+def _told(patch: int, size1: int, size2: int, size3: int, subsamplings: int) -> str:
+    return f"patch={patch} size1={size1} size2={size2} size3={size3} subsamplings={subsamplings}"
+
+
+def _nearest(*sizes: int) -> str:
+    """The sizes with the smallest changes that end in 1×1, as settings."""
+    kernels = range(LEAST_KERNEL, LARGEST_KERNEL + 1)
+    fitting = [
+        other
+        for other in product(PATCHES, kernels, kernels, kernels, (1, 2))
+        if _last_side(*other) == 1
+    ]
+    # A step in the patch is 16 pixels; odd kernels, which have a centre, go first.
+    weights = (0.25, 1, 1, 1, 2)
+
+    def change(other: tuple[int, ...]) -> tuple[float, int]:
+        steps = (w * abs(a - b) for w, a, b in zip(weights, sizes, other, strict=True))
+        return sum(steps), sum(size % 2 == 0 for size in other[1:4])
+
+    return "; ".join(_told(*other) for other in sorted(fitting, key=change)[:PROPOSALS])
+
+
+class PatchNetworkSettings(Settings):
+    """A patch network with what happens to the picture before it."""
+
+    topology: Topology = Topology()
+    normalisation: Normalisation = Normalisation()
+    working: WorkingSize = WorkingSize()
+
+
+class PatchNetwork(nn.Module):
+    """CNN-7 and its family. P2, section 3 and Fig. 2.
+
+    ``forward`` takes patches, ``dense`` whole pictures, both normalised; ``cues`` takes an
+    image as it was read.
+    """
+
+    kind: ClassVar[str] = "patches"
+
+    def __init__(self, settings: PatchNetworkSettings | None = None) -> None:
+        super().__init__()
+        self.settings = settings or PatchNetworkSettings()
+        shape = self.settings.topology
+        self.first = nn.Conv2d(3, shape.k1, shape.size1)
+        self.second = nn.Conv2d(shape.k1, shape.k2, shape.size2)
+        self.last = nn.Conv2d(shape.k2, CLASSES, shape.size3)
+
+    def forward(self, patches: Tensor) -> Tensor:
+        """Potentials (n,3) in [0,1] of normalised patches (n,3,P,P)."""
+        return self.strided(patches).flatten(1)
+
+    def strided(self, pixels: Tensor) -> Tensor:
+        """Potentials (B,3,h,w) at every ``stride``-th place of pictures (B,3,H,W), unpadded."""
+        shape = self.settings.topology
+        pool = F.avg_pool2d if shape.pooling == "mean" else F.max_pool2d
+        maps = pool(self.first(pixels).tanh(), 2)
+        maps = self.second(maps).tanh()
+        if shape.subsamplings == 2:
+            maps = pool(maps, 2)
+        return self._squashed(self.last(maps))
+
+    def dense(self, pixels: Tensor) -> Tensor:
+        """Potentials (3,H,W) for each pixel of a normalised picture (3,H,W).
+
+        Equal to ``forward`` on the patch around each pixel, computed once for all: instead of
+        dropping three of four places, every later step takes neighbours twice as far apart
+        (Giusti et al., "Fast Image Scanning with Deep Max-Pooling Convolutional Neural
+        Networks", ICIP 2013, in its dilated form). Past the border the picture is reflected.
+        """
+        shape = self.settings.topology
+        maps = reflected(pixels, shape.patch)[None]
+        maps = _pooled_everywhere(self.first(maps).tanh(), 1, shape.pooling)
+        maps = F.conv2d(maps, self.second.weight, self.second.bias, dilation=2).tanh_()
+        if shape.subsamplings == 2:
+            maps = _pooled_everywhere(maps, 2, shape.pooling)
+        maps = F.conv2d(maps, self.last.weight, self.last.bias, dilation=shape.stride)
+        return self._squashed(maps)[0]
+
+    @torch.no_grad()
+    def cues(self, image: Tensor) -> Mapping[str, Tensor]:
+        """``layout``: potentials (3,H,W) of an image (3,H,W) in [0,1], found at working size."""
+        analyse = at_working_size(
+            lambda one: {"layout": self.potentials(one)}, self.settings.working
+        )
+        return analyse(image)
+
+    def potentials(self, image: Tensor) -> Tensor:
+        """Potentials (3,H,W) for each pixel of an image (3,H,W) in [0,1], at its own size."""
+        return self.dense(normalise(image, self.settings.normalisation).pixels)
+
+    def _squashed(self, scores: Tensor) -> Tensor:
+        if self.settings.topology.potentials == "softmax":
+            return scores.softmax(1)
+        return scores.sigmoid()
+
+
+def sparse_potentials(network: PatchNetwork, pixels: Tensor) -> Tensor:
+    """Potentials (3,H,W) computed at every ``stride``-th pixel and interpolated. Ours.
+
+    A quarter (or a sixteenth) of the places, so faster and smoother than ``dense``; the two
+    differ between the places that are computed.
+    """
+    stride = network.settings.topology.stride
+    height, width = pixels.shape[-2:]
+    coarse = network.strided(reflected(pixels, network.settings.topology.patch)[None])
+    # The value of a place belongs to the first of its stride pixels, not to their middle.
+    grid = _sampling_grid(height, width, stride, coarse)
+    return F.grid_sample(coarse, grid, padding_mode="border", align_corners=True)[0]
+
+
+def _sampling_grid(height: int, width: int, stride: int, coarse: Tensor) -> Tensor:
+    """(1,H,W,2): where each pixel lies on a coarse map, from -1 to 1, corners aligned."""
+    rows, columns = (
+        torch.arange(length).to(coarse) / stride * (2 / max(1, count - 1)) - 1
+        for length, count in zip((height, width), coarse.shape[-2:], strict=True)
+    )
+    across, down = torch.meshgrid(columns, rows, indexing="xy")
+    return torch.stack([across, down], -1)[None]
+
+
+def reflected(pixels: Tensor, patch: int) -> Tensor:
+    """Pixels (…,H,W) with a frame, so that each has its patch: patch/2 before, one less behind.
+
+    Reflected at the outermost pixels, as often as it takes; a picture of one row is repeated.
+    """
+    for axis in (-2, -1):
+        index = _bounced(pixels.shape[axis], patch // 2, patch - patch // 2 - 1)
+        pixels = pixels.index_select(axis, index.to(pixels.device))
+    return pixels
+
+
+def _bounced(length: int, before: int, behind: int) -> Tensor:
+    """-before … length+behind-1, thrown back at 0 and length-1 like a ball between walls."""
+    period = max(1, 2 * (length - 1))
+    place = torch.arange(-before, length + behind).remainder(period)
+    return torch.minimum(place, period - place).clamp_max(length - 1)
+
+
+def _pooled_everywhere(maps: Tensor, apart: int, pooling: str) -> Tensor:
+    """2×2 subsampling (B,C,H,W) begun at every place, of values that are ``apart`` pixels apart."""
+    for axis in (-2, -1):
+        length = maps.shape[axis] - apart
+        one, two = maps.narrow(axis, 0, length), maps.narrow(axis, apart, length)
+        maps = (one + two) / 2 if pooling == "mean" else torch.maximum(one, two)
+    return maps
+
+
+def fitting_topologies() -> Iterator[Topology]:
+    """Every member of P2's family by its sizes (Fig. 3), with the kernel counts of CNN-7."""
+    for patch, one, two, three, stages in product(
+        PATCHES, (5, 7, 9, 13), (7, 9, 13), (5, 7, 9), (1, 2)
+    ):
+        if _last_side(patch, one, two, three, stages) == 1:
+            yield Topology(patch=patch, size1=one, size2=two, size3=three, subsamplings=stages)

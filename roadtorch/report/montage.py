@@ -1,0 +1,142 @@
+"""Sheets of pictures to look at: what a detector saw, and what it made of it."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from roadtorch.data.dataset import Dataset, Item, Truth
+from roadtorch.detector import Detection
+from roadtorch.evaluation.runner import Look, Plan, Scene, looks, seen_truth
+from roadtorch.evaluation.summary import chosen_pictures, thresholds_of
+from roadtorch.evaluation.tally import WHOLE, Tally
+from roadtorch.image import to_pixels, write_jpeg
+from roadtorch.layout.classes import layout_colours
+
+MOST = 8  # detectors with sheets
+
+TILE_WIDTH = 320  # pixels
+
+CAPTION = 18  # pixels of height
+
+BLUE, VERMILLION, WHITE = (0, 114, 178), (213, 94, 0), (255, 255, 255)  # Okabe and Ito
+
+
+def write_montages(
+    out: Path,
+    plan: Plan,
+    tallies: Mapping[str, Tally],
+    figures: Mapping[str, Mapping[str, Any]],
+    count: int,
+) -> dict[str, dict[str, bytes]]:
+    """Write ``montage.NAME.best.jpg``, ``.median`` and ``.worst`` for the best detectors.
+
+    Floors get none, and of many detectors only the ``MOST`` with the highest MaxF do.
+    Returns the files' content by detector and part.
+    """
+    found = looks(plan)
+    shown = [name for name in found if not name.startswith("prior:")]
+    shown.sort(key=lambda name: -_known(figures[name]["maxf"]))
+    sheets: dict[str, dict[str, bytes]] = {}
+    for name in shown[:MOST]:
+        thresholds = thresholds_of(figures[name])
+        chosen = chosen_pictures(tallies[name].rows, thresholds, count)
+        for part, pictures in chosen.items():
+            if pictures:
+                path = out / f"montage.{name.replace(':', '-')}.{part}.jpg"
+                write_jpeg(path, sheet(plan.dataset, found[name], pictures, thresholds))
+                sheets.setdefault(name, {})[part] = path.read_bytes()
+    return sheets
+
+
+def _known(value: float) -> float:
+    return -1.0 if math.isnan(value) else value
+
+
+def sheet(
+    dataset: Dataset,
+    look: Look,
+    chosen: Sequence[tuple[float, str]],
+    thresholds: Mapping[str, float],
+) -> Tensor:
+    """One sheet (3,H,W): a row of tiles for each chosen (F, picture name)."""
+    by_name = {item.name: item for item in dataset.items}
+    rows = []
+    for value, name in chosen:
+        item = by_name[name]
+        rows.append(sheet_row(dataset, look, item, thresholds[item.group or WHOLE], value))
+    width = max(row.shape[1] for row in rows)
+    rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows]
+    return torch.from_numpy(np.concatenate(rows).transpose(2, 0, 1).astype(np.float32) / 255)
+
+
+def sheet_row(
+    dataset: Dataset, look: Look, item: Item, threshold: float, value: float
+) -> np.ndarray:
+    """Image, layout, uniformity, likelihood and decision of one item, side by side.
+
+    A map that was made for another view, as KITTI's are, is shown in that view.
+    """
+    image, truth = dataset.read(item)
+    detection = look(image, item)
+    scene = Scene(dataset, item, image, truth)
+    if detection.likelihood.shape != truth.road.shape:
+        scene = replace(scene, image=scene.seen(image), truth=seen_truth(scene))
+    decided = detection.likelihood >= threshold
+    tiles = {
+        f"{item.name}  F {value:.3f}": to_pixels(image),
+        **cue_tiles(detection),
+        "likelihood": heat(detection.likelihood),
+        "decision (blue), truth (line)": decision_tile(scene.image, decided, scene.truth),
+    }
+    height = round(image.shape[1] * TILE_WIDTH / image.shape[2])
+    return np.concatenate([captioned(tile, text, height) for text, tile in tiles.items()], axis=1)
+
+
+def cue_tiles(detection: Detection) -> dict[str, np.ndarray]:
+    """Tiles of the cues that a detection has, among layout and uniformity."""
+    tiles, cues = {}, detection.cues
+    if "layout_labels" in cues or "layout" in cues:
+        labels = cues["layout_labels"] if "layout_labels" in cues else cues["layout"].argmax(0)
+        tiles["layout"] = to_pixels(layout_colours(labels))
+    if "uniformity" in cues:
+        uniformity = cues["uniformity"].to(torch.float32)
+        low, high = uniformity.min(), uniformity.max()
+        tiles["uniformity"] = heat((uniformity - low) / (high - low).clamp(min=1e-9))
+    return tiles
+
+
+def heat(values: Tensor) -> np.ndarray:
+    """A map (H,W) in [0,1] as colours from dark blue to yellow, uint8 RGB (H,W,3)."""
+    levels = (values * 255).round().to(torch.uint8).contiguous().numpy()
+    return np.ascontiguousarray(cv2.applyColorMap(levels, cv2.COLORMAP_CIVIDIS)[..., ::-1])
+
+
+def decision_tile(image: Tensor, decided: Tensor, truth: Truth) -> np.ndarray:
+    """The image with the decided road tinted blue, void black, the true road outlined."""
+    tint = torch.tensor(BLUE)[:, None, None] / 255
+    tinted = torch.where(decided, 0.45 * image + 0.55 * tint, image) * truth.valid
+    pixels = to_pixels(tinted)
+    outlines, _ = cv2.findContours(
+        truth.road.numpy().astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE
+    )
+    width = max(1, round(pixels.shape[1] / TILE_WIDTH))
+    return cv2.drawContours(pixels, outlines, -1, VERMILLION, 2 * width)
+
+
+def captioned(tile: np.ndarray, text: str, height: int) -> np.ndarray:
+    """A tile of the sheet's width and that height, black where it is of another shape."""
+    scale = min(TILE_WIDTH / tile.shape[1], height / tile.shape[0])
+    size = (max(1, round(tile.shape[1] * scale)), max(1, round(tile.shape[0] * scale)))
+    small = cv2.resize(tile, size, interpolation=cv2.INTER_AREA)
+    canvas = np.zeros((CAPTION + height, TILE_WIDTH, 3), np.uint8)
+    cv2.putText(canvas, text, (4, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.4, WHITE, 1, cv2.LINE_AA)
+    left = (TILE_WIDTH - size[0]) // 2
+    canvas[CAPTION : CAPTION + size[1], left : left + size[0]] = small
+    return canvas

@@ -1,0 +1,278 @@
+"""Charts of a run: scores, curves, and the single pictures, each as SVG text (`svg.to_svg`)."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import FuncFormatter
+
+from roadtorch.report.page.svg import (
+    BAND,
+    FLOOR,
+    GRID,
+    INK,
+    PAPER,
+    Series,
+    bounds,
+    number,
+    short,
+    to_svg,
+)
+
+MARKERS = ("o", "^", "s", "D", "v", "P")  # drives
+
+MOST_DRIVES = len(MARKERS)  # told apart in a chart
+
+MOST_TICKS = 300  # pictures of one drive and detector in a chart
+
+Curves = Mapping[str, Mapping[str, Any]]
+"""By detector: ``mean`` and ``groups``, see `roadtorch.evaluation.outlines`."""
+
+# --- scores -----------------------------------------------------------------------------
+
+
+def maxf_chart(series: Sequence[Series], detectors: Mapping[str, Mapping[str, Any]]) -> str:
+    """MaxF of every detector with its 95 % interval, drives as small marks; empty without any."""
+    shown = [one for one in series if number(detectors[one.name].get("maxf")) is not None]
+    drives = sorted({drive for one in shown for drive in detectors[one.name].get("groups", {})})
+    floors = [detectors[one.name]["maxf"] for one in shown if one.is_floor]
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        _name_rows(axes, shown)
+        if floors:
+            axes.axvline(max(floors), color=FLOOR, linewidth=1, dashes=(4, 3))
+            axes.annotate(f"best floor {max(floors):.3f}", (max(floors), 1), (0, 3),
+                          xycoords=("data", "axes fraction"), textcoords="offset points",
+                          ha="center", va="bottom", color=FLOOR, fontsize=9)  # fmt: skip
+        for row, one in enumerate(shown):
+            _maxf_row(axes, row, one, detectors[one.name], drives)
+        axes.set_xlabel("MaxF (mean over drives)" if drives else "MaxF")
+        if 1 < len(drives) <= MOST_DRIVES:
+            marks = [_mark(MARKERS[i], name) for i, name in enumerate(drives)]
+            figure.legend(handles=marks, loc="outside lower left", ncols=3, fontsize=9)
+
+    return to_svg("maxf", "MaxF with 95 % intervals", 78 + 24 * len(shown), draw) if shown else ""
+
+
+def _maxf_row(
+    axes: Axes, row: int, one: Series, figures: Mapping[str, Any], drives: Sequence[str]
+) -> None:
+    ends = bounds((figures.get("ci95") or {}).get("maxf"))
+    if ends:
+        axes.plot(ends, [row, row], color=one.colour, linewidth=2.6, alpha=0.65)
+    for place, drive in enumerate(drives):
+        value = number(figures.get("groups", {}).get(drive, {}).get("maxf"))
+        marker = MARKERS[place] if len(drives) <= MOST_DRIVES else "|"
+        if value is not None:
+            axes.plot(value, row, marker, color=INK, mfc="none", markersize=4.5, mew=0.8, alpha=0.7)
+    face = PAPER if one.is_floor else one.colour
+    axes.plot(figures["maxf"], row, "o", color=one.colour, mfc=face, markersize=7.5, mew=1.4)
+    axes.annotate(f"{figures['maxf']:.3f}", (1, row), (4, 0), xycoords=("axes fraction", "data"),
+                  textcoords="offset points", va="center", annotation_clip=False)  # fmt: skip
+
+
+def difference_chart(series: Sequence[Series], paired: Mapping[str, Any], key: str) -> str:
+    """Differences in one figure to the detector ``against`` with 95 % intervals."""
+    changes = {name: one.get(key) or {} for name, one in paired.get("detectors", {}).items()}
+    shown = [
+        one for one in series if number(changes.get(one.name, {}).get("difference")) is not None
+    ]
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        _name_rows(axes, shown)
+        axes.axvline(0, color=INK, linewidth=1)
+        for row, one in enumerate(shown):
+            value = changes[one.name]["difference"]
+            ends = bounds(changes[one.name].get("ci95"))
+            if ends:
+                axes.plot(ends, [row, row], color=one.colour, linewidth=2.6, alpha=0.65)
+            face = PAPER if one.is_floor else one.colour
+            axes.plot(value, row, "o", color=one.colour, mfc=face, markersize=7.5, mew=1.4)
+        axes.xaxis.set_major_formatter(FuncFormatter(_difference))
+        axes.set_xlabel(f"MaxF less that of {short(paired['against'])}")
+        axes.margins(x=0.08)
+
+    label = "Paired differences in MaxF with 95 % intervals"
+    return to_svg("paired", label, 62 + 24 * len(shown), draw) if shown else ""
+
+
+def _difference(value: float, _: int | None = None) -> str:
+    """A tick's text; what rounding leaves of zero has no sign."""
+    return f"{round(value, 9):+g}".replace("-", "\N{MINUS SIGN}") if round(value, 9) else "0"
+
+
+def _name_rows(axes: Axes, shown: Sequence[Series]) -> None:
+    """One row a detector, first on top, floors on a band."""
+    axes.set_yticks(range(len(shown)), [short(one.name) for one in shown])
+    axes.tick_params(axis="y", length=0)
+    axes.grid(visible=False, axis="y")
+    axes.set_ylim(len(shown) - 0.5, -0.5)
+    for row, (one, text) in enumerate(zip(shown, axes.get_yticklabels(), strict=True)):
+        if one.is_floor:
+            axes.axhspan(row - 0.5, row + 0.5, color=BAND, linewidth=0, zorder=0)
+            text.set_color(FLOOR)
+
+
+def _mark(marker: str, label: str) -> Line2D:
+    return Line2D([], [], linestyle="", marker=marker, color=INK, mfc="none", markersize=4.5,
+                  mew=0.8, label=short(label))  # fmt: skip
+
+
+# --- curves -----------------------------------------------------------------------------
+
+
+def roc_chart(series: Sequence[Series], curves: Curves) -> str:
+    """ROC curves, and their corner at few false positives once more, larger."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        axes.plot([0, 1], [0, 1], color=GRID, linewidth=1)
+        inset = axes.inset_axes((0.42, 0.1, 0.55, 0.55), xlim=(0, 0.2), ylim=(0.8, 1))
+        for one in (axes, inset):
+            _draw_curves(one, series, curves, "roc")
+        _finish_inset(axes, inset)
+        axes.set(xlabel="false positive rate", ylabel="true positive rate (recall)")
+
+    return to_svg("roc", "ROC curves", 440, draw) if _has(series, curves, "roc") else ""
+
+
+def precision_chart(series: Sequence[Series], curves: Curves) -> str:
+    """Precision over recall, lines of equal F, and the corner near (1,1) once more, larger."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        inset = axes.inset_axes((0.1, 0.1, 0.5, 0.5), xlim=(0.7, 1), ylim=(0.7, 1))
+        for one, levels in ((axes, (0.3, 0.5, 0.7, 0.8, 0.9)), (inset, (0.85, 0.9, 0.95))):
+            _draw_equal_f(one, levels)
+            _draw_curves(one, series, curves, "pr")
+        _finish_inset(axes, inset)
+        axes.set(xlabel="recall", ylabel="precision")
+
+    return to_svg("pr", "Precision and recall", 440, draw) if _has(series, curves, "pr") else ""
+
+
+def _has(series: Sequence[Series], curves: Curves, kind: str) -> bool:
+    return any(list(_lines(curves.get(one.name, {}).get("mean", {}), kind)) for one in series)
+
+
+def _lines(found: Mapping[str, Any], kind: str) -> Iterator[np.ndarray]:
+    """The coordinates of one curve, float64 (coordinates,points), where they are known."""
+    lists = found.get(kind)
+    if lists and all(lists):
+        points = np.array(lists, dtype=np.float64)
+        points = points[:, np.isfinite(points[:2]).all(0)]
+        if points.shape[1]:
+            yield points
+
+
+def _draw_curves(axes: Axes, series: Sequence[Series], curves: Curves, kind: str) -> None:
+    """The means of all, best on top; thin lines for the drives of the best detector."""
+    best = next((one for one in series if not one.is_floor), None)
+    for depth, one in enumerate(series):
+        own = curves.get(one.name, {})
+        for x, y, *_ in _lines(own.get("mean", {}), kind):
+            width = 1.2 if one.is_floor else 2
+            axes.plot(x, y, **one.line(width), zorder=4 - depth / 100)
+        for drive in own.get("groups", {}).values() if one is best else ():
+            for x, y, *_ in _lines(drive, kind):
+                axes.plot(x, y, color=one.colour, linewidth=0.7, alpha=0.75, zorder=3)
+
+
+def _draw_equal_f(axes: Axes, levels: Sequence[float]) -> None:
+    """F is 2PR/(P+R): where it is constant, P = F·R/(2R-F), which is 1 at R = F/(2-F)."""
+    for level in levels:
+        recall = np.linspace(level / (2 - level), 1, 60)
+        axes.plot(recall, level * recall / (2 * recall - level), color=GRID, linewidth=0.8)
+        axes.annotate(f"F {level:g}", (recall[0], 1), (0, 3), xycoords=("data", "axes fraction"),
+                      textcoords="offset points", ha="center", fontsize=8, color=FLOOR,
+                      annotation_clip=False)  # fmt: skip
+
+
+def _finish_inset(axes: Axes, inset: Axes) -> None:
+    axes.set(xlim=(0, 1), ylim=(0, 1))
+    axes.grid(visible=False)
+    inset.grid(visible=False)
+    inset.patch.set_facecolor(PAPER)
+    inset.tick_params(labelsize=8)
+    inset.locator_params(nbins=4)
+    for spine in inset.spines.values():
+        spine.set_visible(True)
+    (left, right), (bottom, top) = inset.get_xlim(), inset.get_ylim()
+    frame = Rectangle((left, bottom), right - left, top - bottom, fill=False, edgecolor=FLOOR)
+    axes.add_patch(frame)
+
+
+def reliability_chart(series: Sequence[Series], curves: Curves) -> str:
+    """The share of road among pixels of each likelihood; below, how many pixels have it."""
+
+    def draw(figure: Figure) -> None:
+        upper, lower = figure.subplots(2, sharex=True, height_ratios=(3, 1))
+        upper.plot([0, 1], [0, 1], color=FLOOR, linewidth=1)
+        for depth, one in enumerate(series):
+            for found in _lines(curves.get(one.name, {}).get("mean", {}), "reliability"):
+                look = {**one.line(1.1 if one.is_floor else 1.8), "zorder": 4 - depth / 100}
+                upper.plot(found[0], found[1], marker="" if one.is_floor else ".", **look)
+                if len(found) > 2:
+                    lower.plot(found[0], np.where(found[2] > 0, found[2], np.nan), **look)
+        upper.set(xlim=(-0.01, 1.01), ylim=(0, 1.01), ylabel="share of road")
+        lower.set(yscale="log", xlabel="likelihood", ylabel="pixels")
+        lower.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{100 * y:g} %"))
+        lower.yaxis.set_minor_formatter(FuncFormatter(lambda *_: ""))
+
+    known = _has(series, curves, "reliability")
+    return to_svg("reliability", "Reliability of the likelihoods", 440, draw) if known else ""
+
+
+# --- pictures ---------------------------------------------------------------------------
+
+
+def distribution_chart(series: Sequence[Series], rows: Sequence[Mapping[str, Any]]) -> str:
+    """F of the single pictures by detector and drive: a tick each, quartiles and deciles."""
+    names = {one.name for one in series}
+    values: dict[str, dict[str, list[float]]] = {}
+    drives = sorted({str(row.get("group") or "") for row in rows})
+    for row in rows:
+        value = number(row.get("f"))
+        if row.get("detector") in names and value is not None:
+            group = str(row.get("group") or "") if len(drives) <= MOST_DRIVES else ""
+            values.setdefault(row["detector"], {}).setdefault(group, []).append(value)
+    shown = [one for one in series if one.name in values]
+    lanes = drives if 1 < len(drives) <= MOST_DRIVES else [""]
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        _name_rows(axes, shown)
+        for row, one in enumerate(shown):
+            for place, group in enumerate(sorted(values[one.name])):
+                middle = row + (place + 0.5) / max(len(values[one.name]), 1) * 0.84 - 0.42
+                _draw_lane(axes, middle, 0.3 / len(lanes), one, values[one.name][group])
+                if len(lanes) > 1:
+                    axes.annotate(short(group), (1, middle), (4, 0), fontsize=8, va="center",
+                                  xycoords=("axes fraction", "data"), color=FLOOR,
+                                  textcoords="offset points", annotation_clip=False)  # fmt: skip
+        axes.set_xlim(right=1)
+        axes.set_xlabel("F of a picture, at its drive's threshold")
+
+    height = 46 + len(shown) * max(26, 13 * len(lanes))
+    return to_svg("pictures", "F of the single pictures", height, draw) if shown else ""
+
+
+def _draw_lane(
+    axes: Axes, middle: float, half: float, one: Series, values: Sequence[float]
+) -> None:
+    """Ticks for pictures, a line from the first to the last decile, a bar between quartiles."""
+    every = np.sort(np.array(values))
+    kept = every[np.unique(np.linspace(0, len(every) - 1, MOST_TICKS).round().astype(int))]
+    x = np.repeat(kept, 3)
+    y = np.tile([middle - half, middle + half, np.nan], len(kept))
+    axes.plot(x, y, color=one.colour, linewidth=0.6, alpha=0.55, zorder=2)
+    low, first, median, third, high = np.quantile(every, (0.1, 0.25, 0.5, 0.75, 0.9))
+    axes.plot([low, high], [middle, middle], color=INK, linewidth=0.9, zorder=3)
+    axes.plot([first, third], [middle, middle], color=INK, linewidth=3.2, zorder=3)
+    axes.plot(median, middle, "o", color=INK, mfc=PAPER, markersize=4, mew=1, zorder=4)

@@ -1,0 +1,90 @@
+"""ROC curves of a grid of detectors as a file of its own: a row of panels for each classifier."""
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from roadtorch.files import write_text
+from roadtorch.report.page.svg import COLOURS, DASHES, GRID, INK, Series, to_svg
+
+ROW = 190  # points, of the panels of one classifier
+
+KEY = 60  # points, for the names of the lines
+
+Halves = Mapping[str, Sequence[str]]
+"""What is on the left and on the right: by title, the planes that have a line there."""
+
+
+def roc_families(
+    curves: Mapping[str, Any], family: str, classifiers: Sequence[str], halves: Halves
+) -> str:
+    """One row a classifier, one column a half, one line a representation; "" without curves.
+
+    curves: the content of curves.json, its P3 averages over the pictures (``roc_vertical``), of
+    which the mean over drives is drawn. Names are ``family`` + ``classifier:planes``.
+    """
+    lines = {
+        (name, planes): line
+        for name in classifiers
+        for planes in (plane for half in halves.values() for plane in half)
+        if (line := mean_line(curves.get(f"{family}{name}:{planes}", {}))) is not None
+    }
+    shown = [name for name in classifiers if any(key[0] == name for key in lines)]
+
+    def draw(figure: Figure) -> None:
+        panels = figure.subplots(len(shown), len(halves), sharex=True, sharey=True, squeeze=False)
+        for row, name in zip(panels, shown, strict=True):
+            for axes, (title, planes) in zip(row, halves.items(), strict=True):
+                _panel(axes, f"{name}, {title}", [(one, lines.get((name, one.name)))
+                                                  for one in looks(planes)])  # fmt: skip
+        for axes, planes in zip(panels[-1], halves.values(), strict=True):
+            axes.set_xlabel("false positive rate")
+            handles = [
+                axes.plot([], [], label=one.name, **one.line(1.4))[0] for one in looks(planes)
+            ]
+            axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.28),
+                        ncols=4, fontsize=8, handlelength=2.2, columnspacing=1)  # fmt: skip
+
+    label = f"ROC curves of {', '.join(shown)}"
+    return to_svg(label, label, KEY + ROW * len(shown), draw) if shown else ""
+
+
+def mean_line(own: Mapping[str, Any]) -> np.ndarray | None:
+    """FPR and TPR (2,points), averaged over drives at equal FPR; None where they are not known."""
+    parts = [own.get("mean", {}), *own.get("groups", {}).values()]
+    found = [np.array(part["roc_vertical"]) for part in parts if part.get("roc_vertical")]
+    return np.mean(found, axis=0) if found else None
+
+
+def looks(names: Sequence[str]) -> list[Series]:
+    """A colour and a dash for each of up to 64 names; with eight or fewer each its own colour."""
+    count = len(COLOURS)
+    return [
+        Series(name, COLOURS[place % count], DASHES[place // count])
+        for place, name in enumerate(names)
+    ]
+
+
+def _panel(axes: Axes, title: str, lines: Sequence[tuple[Series, np.ndarray | None]]) -> None:
+    axes.set_title(title, fontsize=9, color=INK)
+    axes.plot([0, 1], [0, 1], color=GRID, linewidth=1)
+    for one, line in lines:
+        if line is not None:
+            axes.plot(*line, **one.line(1.2))
+    axes.set(xlim=(0, 1), ylim=(0, 1))
+    axes.label_outer()
+
+
+def write_roc_families(
+    path: Path, curves: Mapping[str, Any], family: str, classifiers: Sequence[str], halves: Halves
+) -> None:
+    """Write the figure, if there is any curve, as an SVG file for any viewer."""
+    if svg := roc_families(curves, family, classifiers, halves):
+        # Pages may change the colours; a file has them as they are, on white.
+        plain = re.sub(r"var\(--\w+, (#[0-9a-f]{6})\)", r"\1", svg)
+        write_text(path, plain.replace("<svg ", '<svg style="background:#fff" ', 1))

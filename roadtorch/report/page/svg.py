@@ -1,0 +1,185 @@
+"""How every chart looks, and how a figure becomes SVG text inside a page.
+
+Colours are those of Okabe and Ito, "Color Universal Design" (2008), and every detector has
+a dash pattern too. In the text each colour is a variable (``var(--c1, #0072b2)``), so that
+a page may darken or brighten it. The same figures give the same bytes: no dates, no files,
+no scripts, no fonts.
+"""
+
+import io
+import math
+import re
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+
+MOST = 8  # detectors in a chart, best first
+
+MOST_FLOORS = 4
+
+LONGEST = 34  # letters of a name in a chart
+
+WIDTH = 460  # points, of one panel
+
+COLOURS = (
+    *("#0072b2", "#d55e00", "#009e73", "#cc79a7"),  # blue, vermillion, green, purple
+    *("#e69f00", "#56b4e9", "#000000", "#f0e442"),  # orange, sky blue, black, yellow
+)
+
+FLOOR, GRID, BAND, INK, PAPER = "#7f7f7f", "#d9d9d9", "#efefef", "#1a1a1a", "#fefefe"
+
+VARIABLES = {
+    **{colour: f"var(--c{place}, {colour})" for place, colour in enumerate(COLOURS, 1)},
+    FLOOR: f"var(--floor, {FLOOR})",
+    GRID: f"var(--grid, {GRID})",
+    BAND: f"var(--band, {BAND})",
+    INK: "currentColor",
+    PAPER: f"var(--paper, {PAPER})",
+}
+
+DASHES = ((), (7, 2), (2, 1.5), (7, 2, 1.5, 2), (4, 2), (9, 2, 4, 2), (12, 3), (5, 1.5, 1, 1.5))
+
+FLOOR_DASHES = ((3, 3), (1, 3), (6, 3, 1, 3), (9, 4))
+
+STYLE: dict[str, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": "DejaVu Sans",
+    "font.size": 11,
+    "xtick.labelsize": 10,
+    "axes.labelsize": 10,
+    "text.parse_math": False,  # a $ in a name is a $
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": FLOOR,
+    "axes.facecolor": "none",
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.7,
+    "xtick.color": FLOOR,
+    "ytick.color": FLOOR,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "figure.facecolor": "none",
+    "legend.frameon": False,
+    "lines.scale_dashes": False,
+    "lines.dash_capstyle": "butt",
+    "svg.fonttype": "none",
+    "path.simplify_threshold": 0.15,
+}
+
+# --- what is drawn ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Series:
+    """A detector as all charts show it."""
+
+    name: str
+    colour: str
+    dash: tuple[float, ...]  # points, line and gap in turn; empty for a solid line
+    is_floor: bool = False
+
+    def line(self, width: float) -> dict[str, Any]:
+        """How Matplotlib draws it."""
+        return {"color": self.colour, "linewidth": width, "dashes": self.dash or (None, None)}
+
+    def variable(self) -> str:
+        """The colour as a page names it."""
+        return VARIABLES[self.colour]
+
+
+def is_floor(name: str) -> bool:
+    """Whether a detector is one that never looks at the picture."""
+    return name.startswith("prior:")
+
+
+def number(value: Any) -> float | None:
+    """A figure as a number; None for what is not defined or not there."""
+    known = isinstance(value, int | float) and not isinstance(value, bool)
+    return float(value) if known and math.isfinite(value) else None
+
+
+def ranked_names(detectors: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Names by MaxF, highest first; those without one last."""
+
+    def place(name: str) -> tuple[float, str]:
+        value = number(detectors[name].get("maxf"))
+        return (math.inf if value is None else -value), name
+
+    return sorted(detectors, key=place)
+
+
+def choose_series(detectors: Mapping[str, Mapping[str, Any]]) -> list[Series]:
+    """The detectors that charts show, by rank: the eight best, and the four best floors."""
+    ranked = ranked_names(detectors)
+    best = [name for name in ranked if not is_floor(name)][:MOST]
+    floors = [name for name in ranked if is_floor(name)][:MOST_FLOORS]
+    looks = dict(zip(best, zip(COLOURS, DASHES, strict=True), strict=False))
+    found = [Series(name, *looks[name]) for name in best]
+    found += [
+        Series(name, FLOOR, dash, is_floor=True)
+        for name, dash in zip(floors, FLOOR_DASHES, strict=False)
+    ]
+    return sorted(found, key=lambda one: ranked.index(one.name))
+
+
+def bounds(interval: Any) -> tuple[float, float] | None:
+    """Both ends of an interval; None where one is missing or undefined."""
+    if not isinstance(interval, list | tuple) or len(interval) != 2:
+        return None
+    low, high = number(interval[0]), number(interval[1])
+    return None if low is None or high is None else (low, high)
+
+
+# --- to text ----------------------------------------------------------------------------
+
+
+def short(name: Any) -> str:
+    """A name that can stand in a chart: printable, and not too long."""
+    text = "".join(letter if letter.isprintable() else "?" for letter in str(name))
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 10]}…{text[-9:]}"
+
+
+def to_svg(name: str, label: str, height: float, draw: Callable[[Figure], None]) -> str:
+    """An SVG element of the panel's width and a height, in points, that ``draw`` fills."""
+    file = io.StringIO()
+    with matplotlib.rc_context(), warnings.catch_warnings():
+        # Letters that the measuring font lacks: the reader's browser has its own fonts.
+        warnings.filterwarnings("ignore", "Glyph .* missing from")
+        matplotlib.rcdefaults()  # not what the user's matplotlibrc says
+        settings: dict[Any, Any] = {**STYLE, "svg.hashsalt": name}
+        matplotlib.rcParams.update(settings)
+        figure = Figure(figsize=(WIDTH / 72, height / 72), layout="constrained")
+        draw(figure)
+        nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        figure.savefig(file, format="svg", metadata=nothing)
+    return _inline(file.getvalue(), label, WIDTH, height)
+
+
+def _inline(svg: str, label: str, width: float, height: float) -> str:
+    """Matplotlib's file as an element: page-wide styles, names and long numbers taken out."""
+    body = svg[svg.index("<svg") :].split(">", 1)[1]
+    body = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", body, flags=re.S)
+    body = re.sub(r'<g id="[^"]*"', "<g", body)  # the same in every chart
+    body = re.sub(r'(?<= )(?:d|x|y|transform)="[^"]*"', lambda m: _rounded(m[0]), body)
+    body = re.sub(r"(?<=: )#[0-9a-f]{6}", lambda m: VARIABLES.get(m[0], m[0]), body)
+    body = re.sub(r"\n\s*", "\n", body)
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
+        f'viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escape(label)}" '
+        f'stroke-linejoin="round" stroke-linecap="butt">{body.strip()}'
+    )
+
+
+def _rounded(attribute: str) -> str:
+    """Two decimals are a hundredth of a point."""
+    return re.sub(r"(\.\d\d)\d+", r"\1", attribute)

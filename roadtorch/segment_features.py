@@ -1,0 +1,121 @@
+"""What is measured of each superpixel, and how alike superpixels are.
+
+The layout labeller and the fused detector both learn, in one picture, what a class looks
+like from the segments that are believed to belong to it. This is the part they share.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from pydantic import Field
+from torch import Tensor
+from torch.nn import functional as F
+
+from roadtorch.color import planes
+from roadtorch.image_cache import shareable
+from roadtorch.segment_statistics import borders, segment_mean
+from roadtorch.settings import Settings
+
+LIGHTNESS_SHARE = 0.3
+"""Weight of lightness against a and b in the contrast of a border: the edge of a shadow changes
+mostly lightness, that of a verge colour too."""
+
+RAREST = 1e-8
+"""The least density: a segment like no other keeps its prior."""
+
+
+class Bandwidths(Settings):
+    """How far two segments may be apart and still be alike: widths of Gaussian kernels."""
+
+    lightness: float = Field(default=0.135, gt=0, le=10, description="in L, L from 0 to 1")
+    chroma: float = Field(default=0.045, gt=0, le=10, description="in a and b, in units of L")
+    gradient: float = Field(
+        default=0.07, gt=0, le=10, description="in the mean gradient, L per pixel"
+    )
+    contrast: float = Field(default=0.09, gt=0, le=10, description="in the deviation of L inside")
+    row: float = Field(default=1.3, gt=0, le=100, description="in the picture's height")
+    column: float = Field(default=0.8, gt=0, le=100, description="in the picture's width")
+
+
+@dataclass(frozen=True)
+class Segments:
+    """The superpixels of one picture. n segments; places are shares of height and width."""
+
+    labels: Tensor
+    """int64 (H,W), 0…n-1."""
+    color: Tensor
+    """(3,n): mean L, a, b, each divided by 100."""
+    gradient: Tensor
+    """(n,): mean length of the gradient of L."""
+    contrast: Tensor
+    """(n,): standard deviation of L."""
+    row: Tensor
+    """(n,): centroid, 0 at the top edge, 1 at the bottom edge."""
+    column: Tensor
+    """(n,): centroid, 0 at the left edge, 1 at the right edge."""
+    size: Tensor
+    """(n,): share of the picture's pixels; sums to 1."""
+    pairs: Tensor
+    """int64 (2,E): segments that share a border, each pair once."""
+    contrast_between: Tensor
+    """(E,): mean of ``border_contrast`` along the border of each pair."""
+
+
+@shareable
+def measure_segments(image: Tensor, labels: Tensor) -> Segments:
+    """Measure the segments ``labels`` (H,W) of an image (3,H,W) in [0,1]."""
+    height, width = labels.shape
+    count = int(labels.max()) + 1
+    lab = planes(image, ("L", "a", "b"))
+    rows = ((torch.arange(height).to(image) + 0.5) / height)[:, None].expand(height, width)
+    columns = ((torch.arange(width).to(image) + 0.5) / width).expand(height, width)
+    maps = [lab, lab[:1].square(), gradient_length(lab[:1]), rows[None], columns[None]]
+    mean = segment_mean(torch.cat(maps), labels, count)
+    pairs, between = borders(labels, border_contrast(lab))
+    size = torch.bincount(labels.reshape(-1), minlength=count).to(image) / labels.numel()
+    deviation = (mean[3] - mean[0].square()).clamp_min(0).sqrt()
+    return Segments(labels, mean[:3], mean[4], deviation, mean[5], mean[6], size, pairs, between)
+
+
+def border_contrast(lab: Tensor) -> Tensor:
+    """How much a pixel looks like a border, (H,W): gradient of Lab/100 (3,H,W), less noise.
+
+    The mean of 3×3 pixels goes first, against sensor noise; lightness counts by
+    ``LIGHTNESS_SHARE``.
+    """
+    smooth = F.avg_pool2d(F.pad(lab[None], (1, 1, 1, 1), mode="replicate"), 3, stride=1)[0]
+    gradient = gradient_length(smooth)
+    return torch.hypot(LIGHTNESS_SHARE * gradient[0], torch.hypot(gradient[1], gradient[2]))
+
+
+def gradient_length(planes: Tensor) -> Tensor:
+    """Length of the gradient of planes (…,H,W): central differences, 0 past the edge."""
+    across = F.pad((planes[..., 2:] - planes[..., :-2]) / 2, (1, 1))
+    down = F.pad((planes[..., 2:, :] - planes[..., :-2, :]) / 2, (0, 0, 1, 1))
+    return torch.hypot(across, down)
+
+
+def likeness(segments: Segments, bandwidths: Bandwidths) -> Tensor:
+    """(n,n) in [0,1]: product of Gaussian kernels over appearance and place, 1 for itself."""
+    scaled = [
+        segments.color[0] / bandwidths.lightness,
+        segments.color[1] / bandwidths.chroma,
+        segments.color[2] / bandwidths.chroma,
+        segments.gradient / bandwidths.gradient,
+        segments.contrast / bandwidths.contrast,
+        segments.row / bandwidths.row,
+        segments.column / bandwidths.column,
+    ]
+    points = torch.stack(scaled, 1)
+    return torch.exp(torch.cdist(points, points).square() / -2)
+
+
+def class_log_density(alike: Tensor, posterior: Tensor, size: Tensor) -> Tensor:
+    """log p(segment | class), (n,C), by kernel density over the segments themselves.
+
+    alike: (n,n) from ``likeness``; posterior: (n,C), what each segment is believed to be;
+    size: (n,). A class with next to no support keeps a finite density.
+    """
+    support = posterior * size[:, None]
+    density = alike @ support / support.sum(0).clamp_min(1e-3)
+    return density.clamp_min(RAREST).log()

@@ -1,0 +1,95 @@
+"""Pictures on disk: the files that names, folders and globs stand for."""
+
+import glob
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from roadtorch.errors import InputError
+from roadtorch.image import READABLE, SUFFIXES
+
+RESULTS = (".likelihood.png", ".mask.png", ".overlay.jpg")  # ours; never pictures to look at
+
+# --- finding ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture file and the name of its results: relative, sub-folders kept, no suffix."""
+
+    path: Path
+    name: str
+
+
+def find_images(
+    inputs: Iterable[str | os.PathLike[str]], apart: Path | None = None
+) -> list[Picture]:
+    """The pictures that files, folders and quoted globs stand for, in a settled order.
+
+    Folders are searched with all that is below them, hidden names and earlier results
+    left out, and so is the folder ``apart``, where new results go. A single missing
+    file stays in the list, so that the others are not held up by it; reading it fails.
+
+    Raises InputError, naming the input, for a folder or glob without pictures, and when
+    nothing that was named exists.
+    """
+    given = [Path(item) for item in inputs]
+    found = [picture for item in given for picture in _expand(item, apart)]
+    if given and not any(picture.path.exists() for picture in found):
+        raise InputError(given[0], "does not exist", "check the name")
+    return list(dict.fromkeys(found))
+
+
+def _expand(item: Path, apart: Path | None) -> list[Picture]:
+    if item.is_dir():
+        found = [Picture(path, _relative(path, item)) for path in _walk(item, apart)]
+    elif not item.exists() and glob.has_magic(str(item)):
+        found = _expand_glob(item, apart)
+    else:
+        return [Picture(item, item.stem)]
+    if not found:
+        raise InputError(item, "holds no pictures", f"give {READABLE} files")
+    return found
+
+
+def _expand_glob(pattern: Path, apart: Path | None) -> list[Picture]:
+    """The glob's files, and its folders as if each had been given."""
+    root = Path(*_before_magic(pattern))
+    found: list[Picture] = []
+    for path in map(Path, sorted(glob.glob(str(pattern), recursive=True))):
+        if path.is_file() and _is_picture(path):
+            found.append(Picture(path, _relative(path, root)))
+    if not found:
+        folders = [path for path in map(Path, sorted(glob.glob(str(pattern)))) if path.is_dir()]
+        walked = [path for folder in folders for path in _walk(folder, apart)]
+        found = [Picture(path, _relative(path, root)) for path in walked]
+    return found
+
+
+def _before_magic(pattern: Path) -> Iterator[str]:
+    for part in pattern.parts:
+        if glob.has_magic(part):
+            return
+        yield part
+
+
+def _walk(folder: Path, apart: Path | None) -> Iterator[Path]:
+    """Every picture below a folder, sorted by name, folder by folder."""
+    apart = apart.resolve() if apart and apart.resolve() != folder.resolve() else None
+    for top, folders, files in os.walk(folder):
+        here = Path(top)
+        folders[:] = sorted(
+            name for name in folders if name[0] != "." and (here / name).resolve() != apart
+        )
+        yield from (here / name for name in sorted(files) if _is_picture(here / name))
+
+
+def _is_picture(path: Path) -> bool:
+    name = path.name.lower()
+    is_ours = name.endswith(RESULTS) or ".cue." in name
+    return name.endswith(SUFFIXES) and not name.startswith(".") and not is_ours
+
+
+def _relative(path: Path, root: Path) -> str:
+    return path.relative_to(root).with_suffix("").as_posix()

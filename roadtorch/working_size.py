@@ -1,0 +1,90 @@
+"""The size at which detectors think, and the way back to the size of the picture."""
+
+from collections.abc import Callable, Iterator, Mapping
+
+import torch
+from pydantic import Field
+from torch import Tensor
+from torch.nn import functional as F
+
+from roadtorch.image_cache import shareable
+from roadtorch.settings import Settings
+
+SHORTEST = 16
+"""Pixels that a long, thin picture keeps on its short side."""
+
+
+class WorkingSize(Settings):
+    """How large a picture is when it is analysed; smaller ones stay as they are."""
+
+    pixels: int = Field(
+        default=320 * 240,
+        ge=SHORTEST**2,
+        le=10**9,
+        description="pixels at most; P2 works at 320x240",
+    )
+
+
+def working_size(height: int, width: int, working: WorkingSize) -> tuple[int, int]:
+    """Height and width at which a picture is analysed: its shape, at most ``working.pixels``."""
+    scale = min(1.0, (working.pixels / (height * width)) ** 0.5)
+    return max(SHORTEST, round(height * scale)), max(SHORTEST, round(width * scale))
+
+
+@shareable
+def at_work(image: Tensor, working: WorkingSize) -> Tensor:
+    """The image (3,H,W) as it is analysed: at its working size, in [0,1]."""
+    return resized(image, working_size(image.shape[-2], image.shape[-1], working)).clamp(0, 1)
+
+
+def resized(maps: Tensor, size: tuple[int, int]) -> Tensor:
+    """Maps (…,H,W), floating point, at another size: averaged or bilinear."""
+    if tuple(maps.shape[-2:]) == tuple(size):
+        return maps
+    batch = maps.reshape(1, -1, *maps.shape[-2:])
+    batch = F.interpolate(batch, size=size, mode="bilinear", antialias=True)
+    return batch.reshape(*maps.shape[:-2], *size)
+
+
+def restored(cue: Tensor, size: tuple[int, int]) -> Tensor:
+    """A cue (…,H,W) at the picture's own size: values smoothly, labels and masks by pixels."""
+    if cue.is_floating_point():
+        return resized(cue, size)
+    rows = torch.arange(size[0], device=cue.device) * cue.shape[-2] // size[0]
+    columns = torch.arange(size[1], device=cue.device) * cue.shape[-1] // size[1]
+    return cue[..., rows[:, None], columns]
+
+
+class FullSize(Mapping[str, Tensor]):
+    """Cues by name, each brought to the picture's own size when it is asked for.
+
+    A large picture has room for the maps that are wanted, not for all that were made.
+    """
+
+    def __init__(self, cues: Mapping[str, Tensor], size: tuple[int, int]) -> None:
+        self._cues = cues
+        self._size = size
+
+    def __getitem__(self, name: str) -> Tensor:
+        """The cue (…,H,W) at full size; KeyError where there is none of that name."""
+        return restored(self._cues[name], self._size)
+
+    def __iter__(self) -> Iterator[str]:
+        """The names of the cues."""
+        return iter(self._cues)
+
+    def __len__(self) -> int:
+        """How many cues there are."""
+        return len(self._cues)
+
+
+def at_working_size(
+    analyse: Callable[[Tensor], Mapping[str, Tensor]], working: WorkingSize
+) -> Callable[[Tensor], Mapping[str, Tensor]]:
+    """The same analysis made at the working size, its cues brought back to full size."""
+
+    def wrapped(image: Tensor) -> Mapping[str, Tensor]:
+        size = (image.shape[-2], image.shape[-1])
+        return FullSize(analyse(at_work(image, working)), size)
+
+    return wrapped

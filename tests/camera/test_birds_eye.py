@@ -1,0 +1,380 @@
+"""The bird's-eye view: against single points, a pinhole by hand, and the benchmark's own kit."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadtorch.camera.birds_eye import (
+    Calibration,
+    cell_pixels,
+    cell_to_road,
+    image_to_pixel,
+    image_to_road,
+    pixel_cells,
+    pixel_to_image,
+    project,
+    read_calibration,
+    road_to_cell,
+    road_to_image,
+    to_birds_eye,
+    to_image,
+)
+from roadtorch.errors import DatasetError
+from tests.reference import bev as reference
+
+HEIGHT, WIDTH = 120, 160
+SHARED = Path(__file__).resolve().parents[3] / "shared/reference/kitti_vectors.json"
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+def calibration_of(rows: dict[str, np.ndarray]) -> Calibration:
+    return Calibration(
+        tuple(rows["P2"].ravel().tolist()),
+        tuple(rows["R0_rect"].ravel().tolist()),
+        tuple(rows["Tr_cam_to_road"].ravel().tolist()),
+    )
+
+
+def numbers(*values: float) -> torch.Tensor:
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def pattern(height: int, width: int) -> torch.Tensor:
+    """The picture of the kit's vectors: (r + 2c) mod 256."""
+    return ((torch.arange(height)[:, None] + 2 * torch.arange(width)) % 256).to(torch.uint8)
+
+
+@pytest.fixture
+def rows() -> dict[str, np.ndarray]:
+    return reference.made_up_rows()
+
+
+@pytest.fixture
+def pinhole() -> Calibration:
+    """Level and straight: u = f x / z + 80.5, v = f · 1.6 / z + 50.5."""
+    return calibration_of(reference.made_up_rows(0, 0, 0, shift=0))
+
+
+# --- points ------------------------------------------------------------------------------
+
+
+def test_a_level_pinhole_by_hand(pinhole):
+    u, v = project(road_to_image(pinhole), numbers(0, 2, -5), numbers(10, 20, 13))
+
+    assert u.tolist() == pytest.approx([80.5, 93.5, 30.5])
+    assert v.tolist() == pytest.approx([71.3, 60.9, 66.5])
+
+
+def test_points_go_through_every_frame_of_the_camera(rows):
+    homography = road_to_image(calibration_of(rows))
+
+    for x, z in [(0, 6), (-9.9, 7), (8, 45), (3, 20)]:
+        u, v = project(homography, numbers(x), numbers(z))
+        assert (float(u), float(v)) == pytest.approx(reference.see(rows, x, z), abs=1e-9)
+
+
+def test_pixels_meet_the_road_where_their_ray_does(rows):
+    homography = image_to_road(calibration_of(rows))
+
+    for u, v in [(1, 120), (80, 70), (160, 60), (33, 20)]:
+        x, z = project(homography, numbers(u), numbers(v))
+        assert (float(x), float(z)) == pytest.approx(reference.meet_road(rows, u, v), abs=1e-6)
+
+
+@given(st.floats(-10, 10), st.floats(6, 46), st.floats(-0.05, 0.05), st.floats(-0.1, 0.1))
+def test_the_road_comes_back_from_the_image(x, z, pitch, yaw):
+    calibration = calibration_of(reference.made_up_rows(pitch, yaw))
+
+    u, v = project(road_to_image(calibration), numbers(x), numbers(z))
+    back = project(image_to_road(calibration), u, v)
+
+    assert [float(c) for c in back] == pytest.approx([x, z], abs=1e-6)
+
+
+def test_cells_count_from_far_left():
+    x, z = cell_to_road(torch.tensor([0, 799, 400]), torch.tensor([0, 399, 200]))
+
+    assert x.tolist() == pytest.approx([-9.975, 9.975, 0.025], abs=1e-6)
+    assert z.tolist() == pytest.approx([45.975, 6.025, 25.975], abs=1e-5)
+    assert torch.equal(x, x.float().double())
+
+
+def test_a_point_falls_half_a_cell_to_the_left_and_far():
+    # 0.6 and 0.4 of a cell to the right of x = 0, of a cell ahead of z = 6.
+    row, column = road_to_cell(numbers(0.03, 0.02), numbers(6.03, 6.02))
+
+    assert column.tolist() == [200, 199]
+    assert row.tolist() == [798, 799]
+
+
+def test_half_cells_round_to_even():
+    x = numbers(*((column + 0.5) * 0.05 - 10 for column in range(400)))
+    exact = [(value + 10) / 0.05 for value in x.tolist()]
+    assert {value % 2 for value in exact} >= {0.5, 1.5}
+
+    _, column = road_to_cell(x, torch.full_like(x, 10))
+
+    assert column.tolist() == [round(value) - 1 for value in exact]
+
+
+def test_pixels_are_counted_from_one_and_cut_off():
+    row, column = image_to_pixel(numbers(1, 1.99, 160), numbers(1, 3.5, 120))
+
+    assert (row.tolist(), column.tolist()) == ([0, 2, 119], [0, 0, 159])
+    u, v = pixel_to_image(torch.tensor(2), torch.tensor(7))
+    assert (float(u), float(v)) == (8, 3)
+
+
+# --- maps --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("size", "pitch"),
+    [((HEIGHT, WIDTH), 0.02), ((70, 130), 0.02), ((HEIGHT, WIDTH), -0.6)],
+    ids=["as usual", "near cells below the picture", "far cells above it"],
+)
+def test_every_cell_holds_the_pixel_its_centre_falls_on(size, pitch):
+    rows = reference.made_up_rows(pitch)
+    image = pattern(*size)
+    cells = to_birds_eye(image, calibration_of(rows))
+
+    generator = np.random.default_rng(0)
+    places = np.column_stack([generator.integers(0, 800, 3000), generator.integers(0, 400, 3000)])
+    expected = [reference.cell_value(image.numpy(), rows, r, c) for r, c in places]
+
+    assert cells.shape == (800, 400)
+    assert cells.dtype == torch.uint8
+    assert cells.numpy()[tuple(places.T)].tolist() == expected
+    assert 0.02 < np.mean(np.array(expected) == 0) < 0.9
+
+
+def test_every_pixel_holds_the_cell_it_sees(rows):
+    cells = pattern(800, 400)
+    image = to_image(cells, calibration_of(rows), HEIGHT, WIDTH)
+
+    expected = [
+        [reference.pixel_value(cells.numpy(), rows, r, c) for c in range(0, WIDTH, 3)]
+        for r in range(0, HEIGHT, 2)
+    ]
+
+    assert image[::2, ::3].tolist() == expected
+    assert not image[:50].any()  # above the horizon
+
+
+@pytest.mark.parametrize("dtype", [torch.bool, torch.uint8, torch.float32, torch.float64])
+def test_any_type_and_any_leading_axes(rows, dtype):
+    calibration = calibration_of(rows)
+    stack = torch.rand(2, 3, HEIGHT, WIDTH).mul(9).to(dtype)
+
+    cells = to_birds_eye(stack, calibration)
+
+    assert cells.dtype == dtype
+    assert cells.shape == (2, 3, 800, 400)
+    assert torch.equal(cells[1, 2], to_birds_eye(stack[1, 2], calibration))
+    assert not cells[..., ~cell_pixels(calibration, HEIGHT, WIDTH).inside].any()
+
+
+def test_values_without_a_source_are_zero_even_beside_nan(rows):
+    calibration = calibration_of(rows)
+    hole = torch.full((HEIGHT, WIDTH), float("nan"))
+
+    cells = to_birds_eye(hole, calibration)
+
+    inside = cell_pixels(calibration, HEIGHT, WIDTH).inside
+    assert cells[inside].isnan().all()
+    assert (cells[~inside] == 0).all()
+
+
+def test_thresholds_may_come_before_or_after(rows):
+    calibration = calibration_of(rows)
+    likelihood = torch.rand(HEIGHT, WIDTH, generator=torch.Generator().manual_seed(0))
+
+    assert torch.equal(
+        to_birds_eye(likelihood >= 0.3, calibration), to_birds_eye(likelihood, calibration) >= 0.3
+    )
+
+
+def test_there_and_back_is_off_by_a_few_pixels_at_most(rows):
+    calibration = calibration_of(rows)
+    columns = torch.arange(WIDTH, dtype=torch.float32).expand(HEIGHT, -1).contiguous()
+
+    back = to_image(to_birds_eye(columns, calibration), calibration, HEIGHT, WIDTH)
+
+    seen = pixel_cells(calibration, HEIGHT, WIDTH).inside & (back > 0)
+    assert seen.sum() > 1000
+    assert (back - columns).abs()[seen].max() <= 3
+
+
+def test_a_lookup_refuses_maps_of_another_size(rows):
+    lookup = cell_pixels(calibration_of(rows), HEIGHT, WIDTH)
+
+    with pytest.raises(ValueError, match=r"\(120, 161\), not \(120, 160\)"):
+        lookup(torch.zeros(HEIGHT, WIDTH + 1))
+
+
+# --- calibration files -------------------------------------------------------------------
+
+
+def test_a_file_is_read_whatever_else_it_holds(tmp_path, rows):
+    text = reference.calibration_text(rows)
+
+    found = read_calibration(write(tmp_path / "um_000000.txt", text))
+
+    for values, name in zip(
+        (found.projection, found.rectification, found.camera_to_road),
+        ("P2", "R0_rect", "Tr_cam_to_road"),
+        strict=True,
+    ):
+        assert np.allclose(values, rows[name].ravel(), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("row", "values", "what"),
+    [
+        ("P2", None, "has no row P2"),
+        ("Tr_cam_to_road", None, "has no row Tr_cam_to_road"),
+        ("R0_rect", "1 0 0 0 1 0 0 0", "R0_rect has 8 values"),
+        ("P2", "1 " * 13, "P2 has 13 values"),
+        ("P2", "", "P2 has 0 values"),
+        ("P2", "1 0 0 0 0 1 0 0 0 0 1 x", "P2 holds 'x'"),
+        ("R0_rect", "1 0 0 0 1 0 0 0 nan", "R0_rect holds 'nan'"),
+        ("R0_rect", "1 0 0 0 1 0 0 0 1e999", "R0_rect holds '1e999'"),
+        ("Tr_cam_to_road", "0 " * 12, "Tr_cam_to_road has no inverse"),
+        ("Tr_cam_to_road", "1 0 0 0 0 1 0 0 0 0 1 0", "show the road as a line"),
+        ("P2", "0 " * 12, "show the road as a line"),
+    ],
+)
+def test_broken_files_are_named(tmp_path, row, values, what):
+    level = reference.made_up_rows(0, 0, 0, shift=0)
+    kept = {name: matrix for name, matrix in level.items() if name != row}
+    line = "" if values is None else f"{row}: {values}\n"
+    path = write(tmp_path / "um_000003.txt", reference.calibration_text(kept) + line)
+
+    with pytest.raises(DatasetError) as caught:
+        read_calibration(path)
+
+    assert str(path) in str(caught.value)
+    assert what in str(caught.value)
+
+
+def test_missing_and_binary_files_are_named(tmp_path):
+    (tmp_path / "binary.txt").write_bytes(b"P2: \xff\xfe")
+
+    for name, what in [
+        ("none.txt", "is missing"),
+        ("binary.txt", "cannot be read"),
+        ("", "cannot"),
+    ]:
+        with pytest.raises(DatasetError, match=what):
+            read_calibration(tmp_path / name)
+
+
+# --- the kit's own numbers ---------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def vectors() -> dict[str, Any]:
+    if not SHARED.is_file():
+        pytest.skip("the benchmark's vectors are not beside the repository (../shared/reference)")
+    return json.loads(SHARED.read_text())
+
+
+@pytest.fixture
+def calibrations(vectors, tmp_path) -> dict[str, Calibration]:
+    return {
+        name: read_calibration(write(tmp_path / f"{name}.txt", entry["file_text"]))
+        for name, entry in vectors["calibration"].items()
+    }
+
+
+def sizes(vectors: dict[str, Any], name: str) -> tuple[int, int]:
+    entry = vectors["calibration"][name]
+    return entry["image_height"], entry["image_width"]
+
+
+@pytest.mark.data
+def test_the_kits_points_on_the_road(vectors, calibrations):
+    for name, entry in vectors["calibration"].items():
+        expected = torch.tensor(entry["homography_road_XZ1_to_image"], dtype=torch.float64)
+        assert torch.allclose(road_to_image(calibrations[name]), expected, rtol=1e-9, atol=1e-9)
+    for point in vectors["road_to_image"]:
+        homography = road_to_image(calibrations[point["calib"]])
+        u, v = project(homography, numbers(point["X"]), numbers(point["Z"]))
+        assert float(u) == pytest.approx(point["u"], abs=1e-3)
+        assert float(v) == pytest.approx(point["v"], abs=1e-3)
+
+
+@pytest.mark.data
+def test_the_kits_cells(vectors, calibrations):
+    for cell in vectors["bev_cell_to_image"]:
+        at = torch.tensor(cell["bev_row"]), torch.tensor(cell["bev_col"])
+        calibration = calibrations[cell["calib"]]
+        x, z = cell_to_road(*at)
+        u, v = project(road_to_image(calibration), x, z)
+        found = [float(value) for value in (x, z, u, v)]
+        assert found == pytest.approx([cell[key] for key in "XZuv"], abs=1e-3)
+
+        height, width = sizes(vectors, cell["calib"])
+        lookup = cell_pixels(calibration, height, width)
+        assert bool(lookup.inside[at]) == cell["inside"]
+        assert int(lookup(pattern(height, width))[at]) == cell["value"]
+        if cell["inside"]:
+            pixel = divmod(int(lookup.index[at]), width)
+            assert pixel == (cell["img_row"], cell["img_col"])
+
+
+@pytest.mark.data
+def test_the_kits_pixels(vectors, calibrations):
+    for pixel in vectors["image_to_bev"]:
+        at = torch.tensor(pixel["img_row"]), torch.tensor(pixel["img_col"])
+        calibration = calibrations[pixel["calib"]]
+        u, v = pixel_to_image(*at)
+        x, z = project(image_to_road(calibration), u, v)
+        found = [float(value) for value in (u, v, x, z)]
+        assert found == pytest.approx([pixel[key] for key in "uvXZ"], abs=1e-3)
+
+        lookup = pixel_cells(calibration, *sizes(vectors, pixel["calib"]))
+        assert bool(lookup.inside[at]) == pixel["inside"]
+        assert int(lookup(pattern(800, 400))[at]) == pixel["value"]
+        if pixel["inside"]:
+            cell = divmod(int(lookup.index[at]), 400)
+            assert cell == (pixel["bev_row"], pixel["bev_col"])
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["um_000000", "uu_000093"])
+def test_the_kits_whole_maps_byte_by_byte(vectors, calibrations, name):
+    height, width = sizes(vectors, name)
+    (forward,) = (case for case in vectors["warp_forward"] if case["calib"] == name)
+    (reverse,) = (case for case in vectors["warp_reverse"] if case["calib"] == name)
+
+    cells = to_birds_eye(pattern(height, width), calibrations[name])
+    image = to_image(pattern(800, 400), calibrations[name], height, width)
+
+    inside = cell_pixels(calibrations[name], height, width).inside
+    assert (int(inside.sum()), int((~inside).sum())) == (
+        forward["cells_inside"],
+        forward["cells_outside"],
+    )
+    assert int(cells.sum(dtype=torch.int64)) == forward["sum"]
+    assert sha256(cells) == forward["sha256_rowmajor_uint8_800x400"]
+    seen = pixel_cells(calibrations[name], height, width).inside
+    assert int(seen.sum()) == reverse["pixels_inside"]
+    assert int(seen.any(1).nonzero()[0]) == reverse["first_image_row_used"]
+    assert int(image.sum(dtype=torch.int64)) == reverse["sum"]
+    assert sha256(image) == reverse["sha256_rowmajor_uint8_HxW"]
+
+
+def sha256(values: torch.Tensor) -> str:
+    return hashlib.sha256(values.contiguous().numpy().tobytes()).hexdigest()

@@ -1,0 +1,180 @@
+"""Folders, IDD Lite, Cityscapes, and the documented example of somebody's own set."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Dataset, Item, Kind
+from roadtorch.data.labels import read_labels
+from roadtorch.errors import DatasetError
+
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs/evaluation.md"
+
+
+def write_png(path: Path, pixels: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(pixels).save(path)
+
+
+def folder_set(root: Path, mask: np.ndarray) -> Dataset:
+    write_png(root / "images/a.png", np.zeros((*mask.shape[:2], 3), np.uint8))
+    write_png(root / "masks/a.png", mask)
+    return open_dataset("folder", root)
+
+
+# --- folder --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("road", "void"), [(255, 127), (255, 128), (1, 128)])
+def test_folder_masks_in_either_coding(tmp_path, road, void):
+    found = folder_set(tmp_path, np.array([[0, road, void]], np.uint8))
+
+    truth = found.truth(found.items[0])
+
+    assert truth.road[0].tolist() == [False, True, False]
+    assert truth.valid[0].tolist() == [True, True, False]
+    assert truth.layout is None
+
+
+def test_unknown_values_are_named_and_counted(tmp_path):
+    found = folder_set(tmp_path, np.array([[0, 3, 3, 77, 255]], np.uint8))
+
+    with pytest.raises(DatasetError, match=r"a\.png: .*3 \(2 pixels\), 77 \(1 pixels\)"):
+        found.truth(found.items[0])
+
+
+def test_one_and_255_in_one_mask_are_ambiguous(tmp_path):
+    found = folder_set(tmp_path, np.array([[0, 1, 255]], np.uint8))
+
+    with pytest.raises(DatasetError, match="both 1 and 255"):
+        found.truth(found.items[0])
+
+
+# --- IDD Lite ------------------------------------------------------------------------------------
+
+
+def test_idd_lite_classes(tmp_path):
+    write_png(tmp_path / "images/a.png", np.zeros((1, 8, 3), np.uint8))
+    write_png(tmp_path / "labels/a.png", np.array([[0, 1, 2, 3, 4, 5, 6, 255]], np.uint8))
+
+    found = open_dataset("idd-lite", tmp_path)
+    truth = found.truth(found.items[0])
+
+    assert found.groups() == []
+    assert truth.road[0].tolist() == [True] + [False] * 7
+    assert truth.valid[0].tolist() == [True] * 7 + [False]
+    assert truth.layout is not None
+    assert truth.layout[0].tolist() == [2, 2, 1, 1, 1, 1, 0, 255]
+
+
+@pytest.mark.data
+def test_shares_of_the_classes_of_idd_lite(data_root):
+    found = open_dataset("idd-lite", data_root / "idd_lite")
+    counts = np.zeros(256, np.int64)
+    for item in found.items:
+        counts += np.bincount(read_labels(item.label).ravel(), minlength=256)
+
+    shares = 100 * counts[[0, 1, 6, 255]] / counts.sum()
+    assert len(found.items) == 250
+    assert shares.tolist() == pytest.approx([31.41, 2.36, 20.15, 0.01], abs=6e-3)
+
+
+# --- Cityscapes ----------------------------------------------------------------------------------
+
+LABELS = np.arange(35, dtype=np.uint8)[None]
+LABELS[0, 34] = 255
+
+
+def write_city(root: Path, name: str, split: str = "val", labels: np.ndarray = LABELS) -> Path:
+    place = f"{split}/{name.partition('_')[0]}/{name}"
+    write_png(root / f"leftImg8bit/{place}_leftImg8bit.png", np.zeros((*labels.shape, 3), np.uint8))
+    write_png(root / f"gtFine/{place}_gtFine_labelIds.png", labels)
+    return root / f"gtFine/{place}_gtFine_labelIds.png"
+
+
+def test_cityscapes_is_grouped_by_city(tmp_path):
+    for name in ("ulm_000001_000019", "bonn_000000_000019"):
+        write_city(tmp_path, name)
+    write_city(tmp_path, "aachen_000000_000019", "train")
+
+    found = open_dataset("cityscapes", tmp_path)
+
+    assert [item.name for item in found.items] == ["bonn_000000_000019", "ulm_000001_000019"]
+    assert found.groups() == ["bonn", "ulm"]
+    assert open_dataset("cityscapes", tmp_path, "train").groups() == ["aachen"]
+
+
+def test_cityscapes_numbers(tmp_path):
+    write_city(tmp_path, "ulm_000001_000019")
+    found = open_dataset("cityscapes", tmp_path)
+
+    truth = found.read(found.items[0])[1]
+
+    scored = [7, 8, 11, 12, 13, 17, *range(19, 29), 31, 32, 33]  # the 19 of its own evaluation
+    assert truth.road[0].nonzero().flatten().tolist() == [7]
+    assert truth.valid[0].nonzero().flatten().tolist() == scored
+    assert truth.layout is not None
+    assert (truth.layout[0] != 255).nonzero().flatten().tolist() == scored
+    assert (truth.layout[0] == 2).nonzero().flatten().tolist() == [7, 8, 22]
+    assert (truth.layout[0] == 0).nonzero().flatten().tolist() == [23]
+
+
+def test_what_cityscapes_may_lack(tmp_path):
+    with pytest.raises(DatasetError, match="leftImg8bit/val: does not exist"):
+        open_dataset("cityscapes", tmp_path)
+    label = write_city(tmp_path, "ulm_000001_000019")
+    label.unlink()
+    with pytest.raises(DatasetError, match=r"_labelIds\.png: is missing, 1 of 1"):
+        open_dataset("cityscapes", tmp_path)
+    for picture in (tmp_path / "leftImg8bit").rglob("*.png"):
+        picture.unlink()
+    with pytest.raises(DatasetError, match=r"holds no pictures CITY/\*_leftImg8bit\.png"):
+        open_dataset("cityscapes", tmp_path)
+
+
+def test_training_numbers_are_not_taken_for_labels(tmp_path):
+    write_city(tmp_path, "ulm_000001_000019", labels=np.array([[0, 40, 40]], np.uint8))
+    found = open_dataset("cityscapes", tmp_path)
+
+    with pytest.raises(DatasetError, match=r"unknown values 40 \(2 pixels\)"):
+        found.truth(found.items[0])
+
+
+# --- the examples of docs/evaluation.md ----------------------------------------------------------
+
+
+def documented(name: str) -> Any:
+    """What the example of that name in the documentation defines."""
+    blocks = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
+    space: dict[str, Any] = {"__name__": __name__}
+    exec(next(block for block in blocks if name in block), space)
+    return space[name]
+
+
+def test_the_documented_set(tmp_path):
+    kind = documented("MOUNTAIN_ROADS")
+    for name in ("pass-1", "pass-2", "valley-1"):
+        write_png(tmp_path / f"test/photos/{name}.png", np.zeros((1, 4, 3), np.uint8))
+        write_png(tmp_path / f"test/labels/{name}.png", np.array([[0, 1, 2, 9]], np.uint8))
+
+    found = kind.open(tmp_path, kind.splits[0])
+    truth = found.read(found.items[0])[1]
+
+    assert isinstance(kind, Kind)
+    assert found.groups() == ["pass", "valley"]
+    assert truth.road[0].tolist() == [False, True, True, False]
+    assert truth.valid[0].tolist() == [True, True, True, False]
+
+
+def test_the_documented_reader(tmp_path):
+    write_png(tmp_path / "a.png", np.array([[0, 100, 255]], np.uint8))
+
+    truth = documented("Probability")().truth(Item("a", tmp_path / "a.png", tmp_path / "a.png"))
+
+    assert truth.road[0].tolist() == [False, False, True]
+    assert truth.valid[0].tolist() == [True, False, True]

@@ -1,0 +1,187 @@
+"""The fused detector and the labeller as a detector: cues, awkward pictures, settings."""
+
+from functools import cache
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from roadtorch.detector import Detection
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.errors import WeightsError
+from roadtorch.fusion import log_odds
+from roadtorch.layout.classes import HORIZONTAL
+from roadtorch.layout.labeller import label_layout
+from roadtorch.layout.weights import load_network, shipped_weights
+from tests.detectors.streets import lost_highlights
+
+CUES = {
+    "layout",
+    "layout_labels",
+    "learned_road",
+    "texture",
+    "uniformity",
+    "fused_plane",
+    "saturated",
+    "distance",
+    "place",
+    "segments",
+}
+
+
+@cache
+def street() -> Tensor:
+    return lost_highlights(dusk=0.6)
+
+
+@cache
+def detected() -> Detection:
+    return load_detector("fusion").detect(street())
+
+
+def test_all_cues_of_the_fused_detector_are_there() -> None:
+    assert set(detected().cues) == CUES
+
+
+@pytest.mark.parametrize("name", ["layout", "texture", "distance", "place", "uniformity"])
+def test_likelihoods_and_shares_are_between_zero_and_one(name: str) -> None:
+    cue = detected().cues[name]
+
+    assert 0 <= cue.min() < cue.max() <= 1
+
+
+def test_layout_potentials_sum_to_one() -> None:
+    total = detected().cues["layout"].sum(0)
+
+    torch.testing.assert_close(total, torch.ones_like(total))
+
+
+def test_the_texture_cue_leaves_out_saturated_segments() -> None:
+    cues = detected().cues
+
+    assert cues["saturated"][62:70, 22:42].all()
+    assert cues["texture"][66, 32] == 0
+
+
+def test_the_seed_area_is_nearest_and_the_sky_far() -> None:
+    distance = detected().cues["distance"]
+
+    assert distance[-6:, 52:76].mean() > 0.6
+    assert distance[:10].max() < distance[-6:, 52:76].min()
+
+
+@pytest.mark.parametrize("cue", ["fused_plane", "distance"])
+def test_the_seed_area_is_that_of_the_settings_for_texture_and_distance(cue: str) -> None:
+    wide = load_detector("fusion", seed={"width": 300, "height": 60}).detect(street())
+
+    assert not torch.equal(wide.cues[cue], detected().cues[cue])
+
+
+def test_without_learning_the_map_is_the_weighted_product_of_its_own_cues() -> None:
+    road = {
+        "rounds": 0,
+        "bias": 0.5,
+        "temperature": 2.0,
+        "place": {"weight": 0.3},
+        "weights": {"layout": 0.9, "distance": 1.3, "texture": 0.6},
+    }
+
+    found = load_detector("fusion:untrained", road=road).detect(street())
+
+    cues = found.cues
+    odds = 0.5 + 0.3 * log_odds(cues["place"]) + 0.9 * log_odds(cues["layout"][HORIZONTAL])
+    odds = odds + 1.3 * log_odds(cues["distance"]) + 0.6 * log_odds(cues["texture"])
+    torch.testing.assert_close(found.likelihood, (odds / 2).sigmoid(), atol=1e-4, rtol=0.0)
+
+
+def test_a_network_that_is_not_trusted_changes_nothing() -> None:
+    silent = {"share": 0.0, "learned": {"weight": 0.0, "detail": 0.0}}
+
+    found = load_detector("fusion", **silent).detect(street())
+
+    alone = load_detector("fusion:untrained").detect(street())
+    # Pooling lifts potentials of 0 to one in ten thousand, which log odds notice a little.
+    torch.testing.assert_close(found.likelihood, alone.likelihood, atol=0.02, rtol=0.0)
+    torch.testing.assert_close(found.cues["layout"], alone.cues["layout"], atol=2e-3, rtol=0.0)
+    assert set(found.cues) == {*alone.cues, "learned_road"}
+
+
+def test_what_the_network_has_learned_about_the_road_counts_pixel_by_pixel() -> None:
+    settings = {"learned": {"detail": 0.0}}
+    coarse = load_detector("fusion", **settings).detect(street())
+
+    odds = log_odds(coarse.likelihood) + 0.8 * log_odds(coarse.cues["learned_road"])
+    fine = load_detector("fusion", learned={"detail": 0.8}).detect(street())
+
+    torch.testing.assert_close(fine.likelihood, odds.sigmoid(), atol=2e-4, rtol=0.0)
+
+
+def test_the_paper_multiplies_layout_and_uniformity() -> None:
+    found = load_detector("fusion:paper").detect(street())
+
+    cues = found.cues
+    assert torch.equal(found.likelihood, cues["layout"][HORIZONTAL] * cues["uniformity"])
+    assert torch.equal(
+        cues["layout"], load_detector("layout:cnn-7").detect(street()).cues["layout"]
+    )
+    assert torch.equal(cues["uniformity"], load_detector("cpf").detect(street()).cues["uniformity"])
+
+
+def test_the_layout_is_a_pool_of_two_opinions() -> None:
+    own = load_detector("labeller").detect(street()).cues["layout"]
+    network = load_network(shipped_weights("layout"))
+    learned = network.cues(street())["layout"]
+
+    ends = [load_detector("layout", share=share).detect(street()) for share in (0.0, 1.0)]
+
+    torch.testing.assert_close(ends[0].cues["layout"], own, atol=1e-3, rtol=0.0)
+    torch.testing.assert_close(ends[1].cues["layout"], learned, atol=1e-3, rtol=0.0)
+    middle = load_detector("layout", share=0.7).detect(street()).cues["layout"]
+    logs = 0.3 * own.clamp_min(1e-4).log() + 0.7 * learned.clamp_min(1e-4).log()
+    torch.testing.assert_close(middle, logs.softmax(0), atol=2e-3, rtol=0.0)
+
+
+@pytest.mark.parametrize("name", ["fusion", "fusion:paper", "layout", "layout:cnn-7"])
+def test_the_weights_of_its_network_are_part_of_a_detector(name: str) -> None:
+    assert sum(value.numel() for value in load_detector(name).state_dict().values()) > 1000
+
+
+def test_weights_that_cannot_be_used_are_named(tmp_path: Path) -> None:
+    page = tmp_path / "page.safetensors"
+    page.write_text("<html>404</html>")
+
+    with pytest.raises(WeightsError, match=r"page\.safetensors: is damaged"):
+        load_detector("fusion", weights={"file": str(page)})
+    with pytest.raises(WeightsError, match="holds a network for patches, not for pictures"):
+        load_detector("layout", weights={"file": str(shipped_weights("cnn-7"))})
+    with pytest.raises(WeightsError, match="is not a file"):
+        load_detector("layout:cnn-7", weights={"file": "nowhere.safetensors"})
+
+
+def test_the_labeller_as_a_detector_answers_with_its_ground() -> None:
+    found = load_detector("labeller").detect(street())
+
+    layout = label_layout(street())
+    assert set(found.cues) == {"layout", "layout_labels"}
+    assert torch.equal(found.likelihood, layout.potentials[HORIZONTAL])
+    assert torch.equal(found.cues["layout_labels"], layout.labels)
+
+
+@pytest.mark.parametrize("name", ["fusion", "labeller"])
+@pytest.mark.parametrize("size", [(16, 16), (16, 250), (120, 17)])
+@pytest.mark.parametrize("kind", ["flat", "black", "white", "noise"])
+def test_awkward_pictures_give_finite_maps(name: str, size: tuple[int, int], kind: str) -> None:
+    image = {
+        "flat": torch.tensor([0.3, 0.5, 0.4]).view(3, 1, 1).expand(3, *size),
+        "black": torch.zeros(3, *size),
+        "white": torch.ones(3, *size),
+        "noise": torch.rand(3, *size, generator=torch.Generator().manual_seed(0)),
+    }[kind]
+
+    found = load_detector(name).detect(image)
+
+    for cue in (found.likelihood, *found.cues.values()):
+        assert cue.shape[-2:] == size
+        assert not cue.is_floating_point() or cue.isfinite().all()
+    assert 0 <= found.likelihood.min() <= found.likelihood.max() <= 1

@@ -1,0 +1,260 @@
+"""The detectors of P3: their names, what they compose, what they share, what P3 observed."""
+
+from functools import cache
+from pathlib import Path
+from unittest.mock import patch
+
+import pytest
+import torch
+from sklearn.metrics import roc_auc_score
+from torch import Tensor
+
+from roadtorch.color import REPRESENTATIONS, planes
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Truth
+from roadtorch.detector import Detection, Detector
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.detectors.oneclass import ENTRIES
+from roadtorch.errors import ConfigError
+from roadtorch.evaluation import metrics
+from roadtorch.image_cache import sharing
+from roadtorch.oneclass import CLASSIFIERS, Fitted, axes_of, fit, samples
+from roadtorch.oneclass.samples import AllSampleSettings, SampleSettings, road_samples
+from roadtorch.oneclass.samples import representation as representation_of
+from roadtorch.scenes import render_scene
+from roadtorch.settings import build_settings
+from tests.representatives import representatives
+
+BY_NAME = {entry.name: entry for entry in ENTRIES}
+ONE_OF_EACH = representatives(BY_NAME)
+
+
+def detector(name: str, **settings: object) -> Detector:
+    entry = BY_NAME[f"oneclass:{name}" if ":" in name and "oneclass" not in name else name]
+    return Detector(entry, build_settings(entry.settings, settings)).eval()
+
+
+@cache
+def street() -> Tensor:
+    """A rendered street with 8-bit levels, as a file would give it."""
+    return (render_scene(3, 120, 160).image * 255).round() / 255
+
+
+@cache
+def detected(name: str) -> Detection:
+    return detector(name).detect(street())
+
+
+# --- names ------------------------------------------------------------------------------
+
+
+def test_every_classifier_is_on_every_representation_but_pca_on_single_planes() -> None:
+    expected = {
+        f"oneclass:{classifier}:{planes}"
+        for classifier in CLASSIFIERS
+        for planes, names in REPRESENTATIONS.items()
+        if classifier != "pca" or len(names) > 1
+    }
+
+    assert len(ENTRIES) == len(expected) == 17 * 19 - 13
+    assert set(BY_NAME) == expected
+
+
+@pytest.mark.parametrize("planes", ["R", "H"])
+def test_principal_components_of_one_plane_are_refused_with_the_reason(planes: str) -> None:
+    told = f"^oneclass:pca:{planes}: one plane has a single principal component, .* .choose another"
+
+    with pytest.raises(ConfigError, match=told):
+        load_detector(f"oneclass:pca:{planes}")
+
+
+def test_all_of_them_are_registered_and_look_at_a_picture() -> None:
+    image = render_scene(3, 32, 32).image
+
+    with sharing():
+        for name in BY_NAME:
+            found = load_detector(name).detect(image)
+            assert found.likelihood.shape == found.mask.shape == (32, 32), name
+            assert 0 <= found.likelihood.min() < found.likelihood.max() <= 1, name
+
+
+def test_the_histograms_take_all_pixels_and_the_others_one_per_superpixel() -> None:
+    reductions = {
+        name: detector(f"{name}:HS").settings.model_dump()["samples"]["reduction"]
+        for name in CLASSIFIERS
+    }
+
+    assert {name for name, how in reductions.items() if how == "none"} == {
+        "hist64_s",
+        "hist64_sn",
+        "hist100_s",
+        "hist100_sn",
+    }
+    assert set(reductions.values()) == {"none", "superpixels"}
+
+
+def test_a_classifiers_own_settings_are_in_its_group() -> None:
+    changed = detector("kmeans:RGB", classifier={"centres": 1}).detect(street())
+
+    assert not torch.equal(changed.likelihood, detected("oneclass:kmeans:RGB").likelihood)
+    with pytest.raises(ConfigError, match=r"^classifier\.centre"):
+        detector("kmeans:RGB", classifier={"centre": 1})
+    with pytest.raises(ConfigError, match=r"^seed\.width"):
+        detector("kmeans:RGB", seed={"width": 700})
+
+
+# --- what they find ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ONE_OF_EACH)
+def test_maps_are_those_of_the_classifier_fitted_by_hand(name: str) -> None:
+    _, kind, representation = name.split(":")
+    names = REPRESENTATIONS[representation]
+    every = AllSampleSettings() if kind.startswith("hist") else SampleSettings()
+
+    found = detected(name)
+
+    fitted = fit(CLASSIFIERS[kind], road_samples(street(), names, every), axes_of(names))
+    likelihood = fitted.likelihood(planes(street(), names).flatten(1).T).view(120, 160)
+    # Planes of the distinct colours may differ from planes of the pixels in the last digit.
+    close = torch.isclose(found.likelihood, likelihood, atol=2e-3)
+    assert close.float().mean() > 0.995
+    assert torch.equal(found.mask, found.likelihood >= 0.5)
+
+
+@pytest.mark.parametrize("name", ONE_OF_EACH)
+def test_cues_are_finite_and_the_seed_area_is_that_of_the_paper(name: str) -> None:
+    cues = detected(name).cues
+
+    assert set(cues) == {"distance", "seed_area"}
+    assert cues["distance"].isfinite().all()
+    assert cues["seed_area"].sum() == 16 * 50  # 66 of 480 rows, 201 of 640 columns
+    assert cues["seed_area"][-1, 80]
+
+
+def test_large_pictures_are_scored_at_working_size_and_maps_brought_back() -> None:
+    found = detector("gaussian:RGB", working={"pixels": 2000}).detect(street())
+
+    assert detector("gaussian:RGB").settings.model_dump()["working"]["pixels"] == 640 * 480
+    assert found.likelihood.shape == found.cues["distance"].shape == (120, 160)
+    near = (found.likelihood - detected("oneclass:gaussian:RGB").likelihood).abs()
+    assert 0 < near.mean() < 0.2
+
+
+def test_isolated_regions_are_dropped_when_asked_for() -> None:
+    kept, dropped = (
+        detector("gaussian:S", threshold=0.3, isolated=how).detect(street()).mask
+        for how in ("keep", "drop")
+    )
+
+    assert int(dropped.sum()) < int(kept.sum())
+    assert not (dropped & ~kept).any()
+
+
+# --- sharing ----------------------------------------------------------------------------
+
+
+def test_planes_and_superpixels_are_made_once_for_all_detectors() -> None:
+    names = [name for name in ONE_OF_EACH if "hist" not in name]
+    with (
+        patch.object(samples, "slic", wraps=samples.slic) as cut,
+        patch.object(samples, "plane", wraps=samples.plane) as made,
+        sharing(),
+    ):
+        found = {name: detector(name).detect(street()) for name in names}
+
+    assert cut.call_count == 1
+    asked = [call.args[1] for call in made.call_args_list]
+    assert max(asked.count(name) for name in asked) <= 2  # by colours, and by distinct values
+    for name in names:
+        assert torch.equal(found[name].likelihood, detected(name).likelihood)
+
+
+@pytest.mark.parametrize("planes", ["R", "V"])
+def test_of_a_byte_plane_no_more_than_its_levels_are_scored(planes: str) -> None:
+    image = torch.randint(256, (3, 100, 100)).to(torch.float32) / 255
+    sizes = []
+    score = Fitted.distance
+
+    def watched(fitted: Fitted, pixels: Tensor) -> Tensor:
+        sizes.append(len(pixels))
+        return score(fitted, pixels)
+
+    with patch.object(Fitted, "distance", watched):
+        detector(f"gaussian:{planes}").detect(image)
+
+    assert 0 < sum(sizes) <= 256
+
+
+# --- real pictures ----------------------------------------------------------------------
+
+
+@cache
+def pictures(root: Path) -> list[tuple[Tensor, Truth]]:
+    """One picture of each of CamVid's three drives."""
+    dataset = open_dataset("camvid", root / "camvid", "dev")
+    items = {item.group: item for item in dataset.items[::40]}
+    return [dataset.read(item) for item in items.values()]
+
+
+def auc_of(root: Path, name: str, **settings: object) -> Tensor:
+    """The AUC of a detector on each of them, from likelihoods at 65,536 levels."""
+    kind = detector(name, **settings)
+    values = []
+    for image, truth in pictures(root):
+        counts = metrics.count_levels(kind.detect(image).likelihood, truth.road, truth.valid)
+        values.append(float(metrics.auc(counts)))
+    return torch.tensor(values)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("plane", [name for name, of in REPRESENTATIONS.items() if len(of) == 1])
+def test_in_one_plane_all_that_rank_by_the_distance_to_one_centre_agree(
+    plane: str, data_root: Path
+) -> None:
+    """As P3's Table III has it: about the mean in each picture, about the middle on average."""
+    mean: dict[str, dict] = {
+        "gaussian": {},
+        "kmeans": {"centres": 1},
+        "mog2": {"components": 1},
+        "mpm": {"sigma": 1e3, "ridge": 1.0},
+    }
+    about_mean = torch.stack(
+        [auc_of(data_root, f"{name}:{plane}", classifier=told) for name, told in mean.items()]
+    )
+    about_middle = torch.stack([auc_of(data_root, f"{name}:{plane}") for name in ("svdd", "dlp")])
+
+    assert (about_mean.amax(0) - about_mean.amin(0)).max() < 0.01
+    # dLP leaves the middle a little; over all of CamVid they are as one (docs/oneclass.md).
+    assert about_middle.mean(1).diff().abs() < 0.02
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("representation", ["RGB", "Lab", "O1O2", "HS"])
+def test_combinations_that_rank_alike_in_p3_rank_alike_here(
+    representation: str, data_root: Path
+) -> None:
+    """P3, Table III: the wide SVDD and dLP agree, and k-means, k-centres and the tree."""
+    balls = [auc_of(data_root, f"{name}:{representation}") for name in ("svdd", "dlp")]
+    near = [auc_of(data_root, f"{name}:{representation}") for name in ("kmeans", "kcentres", "mst")]
+
+    for group, apart in ((balls, 0.01), (near, 0.04)):
+        values = torch.stack(group).mean(1)
+        assert values.max() - values.min() < apart
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["gaussian:RGB", "mog4:Lab", "svdd:RGB", "mpm:HS", "nn:S"])
+def test_the_likelihoods_levels_cost_no_auc(name: str, data_root: Path) -> None:
+    _, kind, representation = f"oneclass:{name}".split(":")
+    names = REPRESENTATIONS[representation]
+    for (image, truth), found in zip(pictures(data_root), auc_of(data_root, name), strict=True):
+        fitted = fit(
+            CLASSIFIERS[kind], road_samples(image, names, SampleSettings()), axes_of(names)
+        )
+        palette = representation_of(image, names)
+        score = fitted.score(palette.values.T)[palette.index][truth.valid].numpy()
+
+        exact = roc_auc_score(truth.road[truth.valid].numpy(), score)
+
+        assert float(found) == pytest.approx(exact, abs=1e-3)

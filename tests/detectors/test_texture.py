@@ -1,0 +1,201 @@
+"""The detectors that rest on texture alone: what they compose, and what their settings reach."""
+
+from functools import cache
+
+import pytest
+import torch
+from torch import Tensor
+
+from roadtorch.color import plane
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.seed_area import SeedArea
+from roadtorch.superpixels import squares
+from roadtorch.texture import (
+    Saturation,
+    TextureSettings,
+    fused_uniformity,
+    quantise,
+    unsaturated_uniformity,
+    value_range,
+)
+from tests.detectors.streets import lost_highlights
+
+
+@cache
+def street() -> Tensor:
+    return lost_highlights()
+
+
+def per_segment(cue: Tensor, segments: Tensor) -> Tensor:
+    """The value (n,) of a cue that is constant in each segment; fails where it is not."""
+    count = int(segments.max()) + 1
+    low, high = (
+        torch.full((count,), start, dtype=cue.dtype).scatter_reduce(
+            0, segments.reshape(-1), cue.reshape(-1), which
+        )
+        for start, which in ((float("inf"), "amin"), (-float("inf"), "amax"))
+    )
+    assert torch.equal(low, high)
+    return low
+
+
+# --- what the maps are made of ------------------------------------------------------------
+
+CUES = {
+    "cpf": {"uniformity", "fused_plane", "segments"},
+    "cpf:v2": {"uniformity", "fused_plane", "segments", "saturated"},
+    "cpf:squares": {"uniformity", "fused_plane", "segments"},
+    "grey-uniformity": {"uniformity", "segments"},
+    "lbp": {"patterns", "segments"},
+}
+
+
+@pytest.mark.parametrize("name", CUES)
+def test_the_cues_are_there_and_the_likelihood_is_one_per_segment(name: str) -> None:
+    found = load_detector(name).detect(street())
+
+    assert set(found.cues) == CUES[name]
+    per_segment(found.likelihood, found.cues["segments"])
+
+
+@pytest.mark.parametrize("name", ["cpf", "cpf:v2", "cpf:squares", "grey-uniformity"])
+@pytest.mark.parametrize("even", [0.1, 0.6])
+def test_the_likelihood_is_that_of_the_uniformity(name: str, even: float) -> None:
+    group = {"even": even} if name == "grey-uniformity" else {"texture": {"even": even}}
+
+    found = load_detector(name, **group).detect(street())
+
+    uniformity = found.cues["uniformity"]
+    torch.testing.assert_close(found.likelihood, uniformity / (uniformity + even))
+
+
+def test_grey_uniformity_is_that_of_the_grey_levels_of_each_segment() -> None:
+    found = load_detector("grey-uniformity", bins=32).detect(street())
+
+    segments = found.cues["segments"]
+    levels = (plane(street(), "grey") * 32).long().clamp(0, 31)
+    for number, value in enumerate(per_segment(found.cues["uniformity"], segments)):
+        shares = levels[segments == number].bincount(minlength=32) / (segments == number).sum()
+        assert float(value) == pytest.approx(float(shares.square().sum()), abs=1e-5)
+
+
+def test_squares_are_squares() -> None:
+    found = load_detector("cpf:squares", square=24).detect(street())
+
+    assert torch.equal(found.cues["segments"], squares(96, 128, 24))
+
+
+def test_the_fused_plane_varies_least_over_the_seed_area() -> None:
+    seed = SeedArea(height=60, width=120)
+
+    found = load_detector("cpf", seed=seed, texture={"ridge": 1e-6}).detect(street())
+
+    rows, columns = slice(72, 96), slice(40, 88)
+    variance = found.cues["fused_plane"][rows, columns].var()
+    for name in TextureSettings().planes:
+        assert variance <= plane(street(), name)[rows, columns].var() * 1.001
+
+
+def test_a_single_plane_is_its_own_fusion() -> None:
+    found = load_detector("cpf", texture={"planes": ["ng"]}).detect(street())
+
+    torch.testing.assert_close(found.cues["fused_plane"], plane(street(), "ng"))
+
+
+def test_segments_with_the_texture_of_the_seed_area_are_more_likely_road_by_lbp() -> None:
+    generator = torch.Generator().manual_seed(0)
+    image = 0.5 + 0.1 * torch.randn(3, 64, 64, generator=generator).clamp(-4, 4)
+    image[:, :32] = 0.2 + 0.4 * torch.arange(32)[:, None] / 32  # smooth above, rough below
+
+    found = load_detector("lbp").detect(image.clamp(0, 1))
+
+    assert found.likelihood[40:].mean() > found.likelihood[:24].mean() + 0.3
+
+
+# --- CPFv2 --------------------------------------------------------------------------------
+
+
+def test_segments_that_are_mostly_saturated_have_no_uniformity_and_are_not_road() -> None:
+    found = load_detector("cpf:v2").detect(street())
+
+    segments, clipped = found.cues["segments"], found.cues["saturated"]
+    assert clipped[60:72, 20:44].all()
+    clipped_share = torch.tensor(
+        [float(clipped[segments == number].float().mean()) for number in segments.unique()]
+    )
+    values = per_segment(found.cues["uniformity"], segments)
+    assert (clipped_share > 0.5).any()
+    assert torch.equal(values == 0, clipped_share > 0.5)
+    assert not found.mask[62:70, 24:40].any()
+
+
+def test_without_the_rule_a_saturated_patch_is_the_most_uniform_of_all() -> None:
+    found = load_detector("cpf").detect(street())
+
+    assert found.cues["uniformity"][66, 32] > 0.9
+
+
+def test_saturated_pixels_do_not_enter_the_histogram_of_their_segment() -> None:
+    labels = torch.zeros(32, 32, dtype=torch.int64)
+    labels[:, 16:] = 1
+    image = torch.rand(3, 32, 32, generator=torch.Generator().manual_seed(0)) * 0.5 + 0.2
+    spoilt = image.clone()
+    spoilt[:, :8, :16] = 1.0  # a quarter of the first segment
+
+    fused, values, clipped = unsaturated_uniformity(
+        spoilt, labels, SeedArea(), TextureSettings(), Saturation()
+    )
+
+    assert torch.equal(clipped, (spoilt == 1.0).all(0))
+    settings = TextureSettings()
+    low, high = value_range(fused, ~clipped, settings.tail)
+    levels = quantise(fused, settings.bins, low, high)
+    for number in (0, 1):
+        counts = levels[(labels == number) & ~clipped].bincount(minlength=settings.bins)
+        wanted = (counts / counts.sum()).square().sum()
+        assert float(values[number]) == pytest.approx(float(wanted), abs=1e-6)
+
+
+@pytest.mark.parametrize(("least", "kept"), [(0.5, True), (0.7, True), (0.8, False), (1.0, False)])
+def test_the_share_a_segment_needs_is_a_setting(least: float, kept: bool) -> None:
+    image = torch.rand(3, 32, 32, generator=torch.Generator().manual_seed(0)) * 0.5 + 0.2
+    image[:, :8] = 0.0  # a quarter
+    labels = torch.zeros(32, 32, dtype=torch.int64)
+
+    _, values, _ = unsaturated_uniformity(
+        image, labels, SeedArea(), TextureSettings(), Saturation(least=least)
+    )
+
+    assert bool(values[0] > 0) == kept
+
+
+@pytest.mark.parametrize("grey", [0.0, 1.0])
+def test_where_all_is_saturated_nothing_is_road(grey: float) -> None:
+    found = load_detector("cpf:v2").detect(torch.full((3, 32, 48), grey))
+
+    assert found.likelihood.abs().max() == 0
+    assert found.cues["saturated"].all()
+    assert found.cues["fused_plane"].isfinite().all()
+
+
+def test_with_nothing_saturated_both_rules_agree() -> None:
+    image = street() * 0.8 + 0.1
+
+    one, two = (load_detector(name).detect(image) for name in ("cpf", "cpf:v2"))
+
+    torch.testing.assert_close(one.likelihood, two.likelihood)
+
+
+def test_a_seed_area_without_enough_usable_pixels_gives_the_weights_with_all_of_them() -> None:
+    image = street()
+    labels = squares(96, 128, 16)
+    everywhere, nowhere = (
+        torch.ones(96, 128, dtype=torch.bool),
+        torch.ones(96, 128, dtype=torch.bool),
+    )
+    nowhere[80:] = False
+
+    fused, _ = fused_uniformity(image, labels, nowhere, SeedArea(), TextureSettings())
+    usual, _ = fused_uniformity(image, labels, everywhere, SeedArea(), TextureSettings())
+
+    torch.testing.assert_close(fused, usual)

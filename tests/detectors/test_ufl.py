@@ -1,0 +1,209 @@
+"""The detectors ``ufl`` and ``ufl:original``: what they compose, and awkward pictures."""
+
+from functools import cache
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from roadtorch.detector import Detection, Detector
+from roadtorch.detectors.ufl import ENTRIES
+from roadtorch.errors import ConfigError
+from roadtorch.scenes import render_scene
+from roadtorch.settings import build_settings
+from roadtorch.ufl.pictures import dictionary_picture, mosaic
+
+BY_NAME = {entry.name: entry for entry in ENTRIES}
+QUICK = {"working": {"rows": 48}, "dictionary": {"bases": 30, "rounds": 3}}
+
+
+def detector(name: str, **settings: Any) -> Detector:
+    entry = BY_NAME[name]
+    return Detector(entry, build_settings(entry.settings, settings))
+
+
+@cache
+def street() -> Tensor:
+    return render_scene(3, 96, 128).image
+
+
+@cache
+def found(name: str) -> Detection:
+    return detector(name).detect(street())
+
+
+CUES = {
+    "equalised",
+    "dictionary",
+    "selected_maps",
+    "best_map",
+    "mean_map",
+    "tree_levels",
+    "error",
+    "pixel_stability",
+    "node_stability",
+    "iteration_1",
+    "iteration_2",
+}
+
+
+@pytest.mark.parametrize("name", BY_NAME)
+def test_the_cues_show_every_stage_at_the_size_of_the_picture(name: str) -> None:
+    cues = found(name).cues
+
+    assert set(cues) == CUES
+    assert all(cue.shape[-2:] == (96, 128) for cue in cues.values())
+    assert cues["dictionary"].shape[0] == cues["equalised"].shape[0] == 3
+    assert cues["iteration_2"].dtype == torch.bool
+
+
+@pytest.mark.parametrize("name", BY_NAME)
+def test_at_the_working_size_the_decision_is_that_of_the_second_iteration(name: str) -> None:
+    image = render_scene(4, 120, 160).image
+
+    result = detector(name).detect(image)
+
+    assert result.mask.any()
+    assert torch.equal(result.mask, result.cues["iteration_2"])
+
+
+def test_the_best_settings_find_the_road_of_a_plain_street() -> None:
+    scene = render_scene(0, 120, 160)
+
+    mask = detector("ufl").detect(scene.image).mask
+
+    assert float((mask & scene.road).sum() / (mask | scene.road).sum()) > 0.75
+
+
+@pytest.mark.parametrize("name", BY_NAME)
+def test_the_random_seed_settles_the_result(name: str) -> None:
+    first, again, other = (
+        detector(name, working={"rows": 48}, dictionary={"random_seed": seed, "bases": 30})(
+            street()[None]
+        )
+        for seed in (1, 1, 2)
+    )
+
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
+
+
+# --- awkward pictures -----------------------------------------------------------------------
+
+
+def noise(height: int, width: int) -> Tensor:
+    return torch.rand(3, height, width, generator=torch.Generator().manual_seed(0))
+
+
+AWKWARD = {
+    "black": torch.zeros(3, 40, 50),
+    "white": torch.ones(3, 40, 50),
+    "grey": torch.full((3, 40, 50), 0.4),
+    "one colour": torch.tensor([0.9, 0.2, 0.4])[:, None, None].expand(3, 40, 50),
+    "letter-boxed": torch.cat([torch.zeros(3, 20, 60), noise(20, 60), torch.zeros(3, 20, 60)], 1),
+    "grey ramp": torch.linspace(0, 1, 60)[:, None].expand(3, 60, 70),
+    "smallest": noise(16, 16),
+    "very wide": noise(16, 300),
+    "very high": noise(300, 16),
+}
+
+
+@pytest.mark.parametrize("name", BY_NAME)
+@pytest.mark.parametrize("kind", AWKWARD)
+def test_awkward_pictures_get_a_sound_answer(name: str, kind: str) -> None:
+    image = AWKWARD[kind]
+
+    result = detector(name, **QUICK).detect(image)
+
+    assert result.likelihood.shape == result.mask.shape == image.shape[1:]
+    assert float(result.likelihood.min()) >= 0
+    assert float(result.likelihood.max()) <= 1
+    assert all(cue.isfinite().all() for cue in result.cues.values())
+
+
+@pytest.mark.parametrize("kind", ["black", "white", "grey", "one colour"])
+@pytest.mark.parametrize("name", BY_NAME)
+def test_pictures_without_any_contrast_have_no_road(name: str, kind: str) -> None:
+    assert not detector(name, **QUICK).detect(AWKWARD[kind]).mask.any()
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"dictionary": {"bases": 1}},
+        {"dictionary": {"side": 16, "bases": 8}, "working": {"rows": 16}},
+        {"dictionary": {"side": 5, "bases": 20}},
+        {"maps": {"share": 1.0}, "dictionary": {"bases": 6}},
+        {"tree": {"least": 10**6}, "dictionary": {"bases": 20}},
+        {"tree": {"levels": 1}, "dictionary": {"bases": 20}},
+        {"tree": {"least": 1}, "dictionary": {"bases": 20}},
+        {"road": {"dilation": 0, "rounds": 1}, "dictionary": {"bases": 20, "rounds": 0}},
+    ],
+)
+@pytest.mark.parametrize("name", BY_NAME)
+def test_extreme_settings_work(name: str, settings: dict[str, Any]) -> None:
+    result = detector(name, **{"working": {"rows": 48}, **settings}).detect(street())
+
+    assert result.likelihood.isfinite().all()
+
+
+# --- settings -------------------------------------------------------------------------------
+
+OTHER = {
+    "working": {"rows": 60},
+    "smoothing": {"sigma": 2.5},
+    "dictionary": {"start": "patches"},
+    "maps": {"encoder": "patch"},
+    "tree": {"levels": 5},
+    "road": {"weight": 0.2},
+}
+
+
+@pytest.mark.parametrize("key", OTHER)
+def test_every_group_of_settings_reaches_the_result(key: str) -> None:
+    small: dict[str, Any] = {"working": {"rows": 48}, "dictionary": {"bases": 40}}
+    plain = detector("ufl", **small)(street()[None])
+    merged = {**small, key: OTHER[key]}
+
+    assert not torch.equal(plain, detector("ufl", **merged)(street()[None]))
+
+
+def test_a_group_that_is_set_in_part_keeps_the_best_defaults_of_the_rest() -> None:
+    settings = detector("ufl", road={"weight": 1.0}).settings.model_dump()["road"]
+
+    assert (settings["weight"], settings["place"], settings["dilation"]) == (1.0, "ahead", 2)
+
+
+def test_wrong_settings_are_refused_by_name() -> None:
+    with pytest.raises(ConfigError, match=r"dictionary\.bases"):
+        detector("ufl", dictionary={"bases": 0})
+
+
+def test_isolated_road_is_dropped_before_the_likelihood_is_made() -> None:
+    kept = detector("ufl", isolated="keep").detect(street()).cues["iteration_2"]
+    dropped = found("ufl").cues["iteration_2"]
+
+    assert not (dropped & ~kept).any()
+
+
+# --- pictures of the stages -----------------------------------------------------------------
+
+
+def test_a_mosaic_shows_tiles_in_reading_order() -> None:
+    tiles = torch.arange(1.0, 6)[:, None, None, None].expand(5, 1, 2, 2)
+
+    board = mosaic(tiles, (4, 6))
+
+    assert board[0, ::2, ::2].tolist() == [[1, 2, 3], [4, 5, 0]]
+
+
+def test_the_dictionary_is_shown_best_base_first_each_from_0_to_1() -> None:
+    dictionary = torch.zeros(2, 12)
+    dictionary[1, 0] = 5.0
+
+    picture = dictionary_picture(dictionary, torch.tensor([1, 0]), 2, (2, 4))
+
+    assert picture.shape == (3, 2, 4)
+    assert float(picture[0, 0, 0]) == float(picture.max()) == 1
+    assert (picture[:, :, 2:] == 0).all()

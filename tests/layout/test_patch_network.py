@@ -1,0 +1,204 @@
+"""Patch networks: the family, one patch, every pixel, and sizes that do not fit."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roadtorch.errors import ConfigError
+from roadtorch.layout.normalisation import Normalisation, normalise
+from roadtorch.layout.patch_network import (
+    PatchNetwork,
+    PatchNetworkSettings,
+    Topology,
+    fitting_topologies,
+    reflected,
+    sparse_potentials,
+)
+from roadtorch.scenes import render_scene
+from roadtorch.settings import build_settings
+from tests.reference import network as reference
+
+SHAPES = [
+    Topology(),
+    Topology(pooling="max", potentials="softmax"),
+    Topology(size2=9, size3=5, k1=6, k2=10),
+    Topology(patch=48, size1=5, size2=13, size3=5, subsamplings=2),
+    Topology(patch=64, size1=13, size2=9, size3=9, subsamplings=2, pooling="max"),
+]
+
+
+def network_of(topology: Topology, **others: object) -> PatchNetwork:
+    with torch.random.fork_rng():
+        torch.manual_seed(7)
+        values = {"topology": topology.model_dump(), **others}
+        return PatchNetwork(build_settings(PatchNetworkSettings, values)).eval()
+
+
+def pixels(height: int, width: int) -> torch.Tensor:
+    return torch.randn(3, height, width, generator=torch.Generator().manual_seed(height))
+
+
+# --- the family -----------------------------------------------------------------------------
+
+
+def test_the_default_is_cnn_7() -> None:
+    network = PatchNetwork()
+
+    shapes = [tuple(weight.shape) for weight in network.parameters() if weight.ndim == 4]
+
+    assert shapes == [(4, 3, 7, 7), (16, 4, 7, 7), (3, 16, 7, 7)]
+    assert network(torch.zeros(2, 3, 32, 32)).shape == (2, 3)
+
+
+def test_the_papers_family_has_members_at_every_patch_size() -> None:
+    family = list(fitting_topologies())
+
+    assert {topology.patch for topology in family} == {32, 48, 64}
+    assert {topology.subsamplings for topology in family} == {1, 2}
+    for topology in family:
+        side = topology.patch
+        assert network_of(topology).strided(torch.zeros(1, 3, side, side)).shape == (1, 3, 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("values", "what", "near"),
+    [
+        ({"size3": 5}, "ends in 3×3", "patch=32 size1=7 size2=9 size3=5 subsamplings=1"),
+        ({"size1": 6}, "cannot halve", "patch=32 size1=7 size2=7 size3=7 subsamplings=1"),
+        ({"size2": 13, "size3": 9}, "none left", "patch=48 size1=7 size2=13 size3=9"),
+    ],
+)
+def test_sizes_that_do_not_end_in_one_are_refused_with_the_nearest(
+    values: dict[str, int], what: str, near: str
+) -> None:
+    with pytest.raises(ConfigError) as caught:
+        build_settings(PatchNetworkSettings, {"topology": values})
+
+    assert what in caught.value.what
+    assert near in caught.value.remedy
+
+
+def test_what_is_proposed_instead_is_accepted() -> None:
+    with pytest.raises(ConfigError) as caught:
+        build_settings(Topology, {"patch": 64})
+
+    proposals = caught.value.remedy.removeprefix("nearest that do: ").split("; ")
+    assert len(proposals) == 3
+    for proposal in proposals:
+        pairs = (part.split("=") for part in proposal.split())
+        build_settings(Topology, {key: int(value) for key, value in pairs})
+
+
+# --- one patch and every pixel ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("topology", [SHAPES[0], SHAPES[1], SHAPES[3]], ids=str)
+def test_a_patch_gives_what_the_layers_say_one_by_one(topology: Topology) -> None:
+    network = network_of(topology)
+    patch = pixels(topology.patch, topology.patch)
+    weights = {name: value.double().numpy() for name, value in network.state_dict().items()}
+
+    found = network(patch[None])[0]
+
+    wanted = reference.potentials(
+        patch.double().numpy(),
+        weights,
+        topology.subsamplings,
+        topology.pooling,
+        topology.potentials,
+    )
+    np.testing.assert_allclose(found.detach().numpy(), wanted, atol=1e-5)
+
+
+@pytest.mark.parametrize("topology", SHAPES, ids=str)
+@pytest.mark.parametrize("size", [(16, 16), (21, 38)])
+def test_dense_equals_the_network_patch_by_patch(topology: Topology, size: tuple[int, int]) -> None:
+    network, picture = network_of(topology), pixels(*size)
+    around = [
+        reference.patch_around(picture.numpy(), row, column, topology.patch)
+        for row, column in [(0, 0), (size[0] - 1, size[1] - 1), (7, 12), (8, 12), (7, 13)]
+    ]
+
+    dense = network.dense(picture)
+
+    # Every position, cut by unfolding; and some whose patches are cut pixel by pixel.
+    cut = reflected(picture, topology.patch).unfold(1, topology.patch, 1)
+    cut = cut.unfold(2, topology.patch, 1).permute(1, 2, 0, 3, 4).flatten(0, 1)
+    torch.testing.assert_close(dense.flatten(1), network(cut).T, atol=1e-5, rtol=0)
+    some = network(torch.from_numpy(np.stack(around)).float())
+    places = dense[:, [0, -1, 7, 8, 7], [0, -1, 12, 12, 13]]
+    torch.testing.assert_close(places, some.T, atol=1e-5, rtol=0)
+
+
+@settings(max_examples=20)
+@given(st.integers(1, 9), st.integers(1, 9))
+def test_the_frame_is_a_reflection_as_often_as_it_takes(height: int, width: int) -> None:
+    picture = torch.arange(height * width, dtype=torch.float32).reshape(1, height, width)
+
+    framed = reflected(picture, 32)
+
+    for row, column in [(0, 0), (height + 30, width + 30), (20, 3)]:
+        y = int(reference.bounce(row - 16, height))
+        x = int(reference.bounce(column - 16, width))
+        assert framed[0, row, column] == picture[0, y, x]
+    assert framed.shape == (1, height + 31, width + 31)
+
+
+@pytest.mark.parametrize("topology", [SHAPES[0], SHAPES[3]], ids=str)
+@pytest.mark.parametrize("size", [(24, 32), (21, 19)])
+def test_sparse_equals_dense_where_it_computes(topology: Topology, size: tuple[int, int]) -> None:
+    network, picture, step = network_of(topology), pixels(*size), topology.stride
+
+    sparse, dense = sparse_potentials(network, picture), network.dense(picture)
+
+    assert sparse.shape == dense.shape
+    torch.testing.assert_close(sparse[:, ::step, ::step], dense[:, ::step, ::step])
+    between = (sparse[:, 0, 0] + sparse[:, 0, step]) / 2
+    torch.testing.assert_close(sparse[:, 0, step // 2], between)
+
+
+# --- pictures --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [(16, 16), (240, 320), (300, 500), (17, 90)])
+def test_cues_have_the_size_of_the_picture_and_are_potentials(size: tuple[int, int]) -> None:
+    image = render_scene(1).image
+    image = torch.nn.functional.interpolate(image[None], size=size)[0]
+
+    layout = PatchNetwork().cues(image)["layout"]
+
+    assert layout.shape == (3, *size)
+    assert layout.min() >= 0
+    assert layout.max() <= 1
+
+
+def test_a_picture_less_its_mean_over_its_deviation_forgets_light_and_cast() -> None:
+    image = render_scene(2).image * 0.6 + 0.1
+    cast = image * 0.5 + torch.tensor([0.05, 0.1, 0.2])[:, None, None]
+
+    one = normalise(image, Normalisation(kind="picture"))
+    two = normalise(cast, Normalisation(kind="picture"))
+
+    torch.testing.assert_close(one.pixels, two.pixels, atol=1e-4, rtol=0)
+    assert two.gain == pytest.approx(2 * one.gain, rel=1e-4)
+    assert float(one.pixels.square().mean()) == pytest.approx(1, abs=1e-3)
+
+
+def test_fixed_normalisation_and_a_flat_picture() -> None:
+    flat = torch.full((3, 16, 16), 0.5)
+
+    assert normalise(flat, Normalisation()).pixels.abs().max() == 0
+    assert normalise(flat, Normalisation(kind="picture")).pixels.abs().max() == 0
+    torch.testing.assert_close(
+        normalise(flat + 0.25, Normalisation()).pixels, torch.ones(3, 16, 16)
+    )
+
+
+def test_dark_pictures_are_brightened_before_the_network_where_asked() -> None:
+    dark = render_scene(3).image * 0.1
+
+    bright = normalise(dark, Normalisation(kind="brightened")).pixels
+
+    assert bright.mean() > normalise(dark, Normalisation()).pixels.mean() + 0.3

@@ -1,0 +1,238 @@
+"""Charts: the lines are the numbers, and the text can stand in any page."""
+
+import math
+import re
+import subprocess
+import sys
+from xml.etree import ElementTree
+
+import matplotlib
+import numpy as np
+import pytest
+
+from roadtorch.report.page import charts, svg
+from tests.reports import DRIVES, made_run
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+@pytest.fixture(scope="module")
+def run():
+    return made_run()
+
+
+@pytest.fixture(scope="module")
+def drawn(run) -> dict[str, str]:
+    document, curves, rows = run
+    series = svg.choose_series(document["detectors"])
+    return {
+        "maxf": charts.maxf_chart(series, document["detectors"]),
+        "paired": charts.difference_chart(series, document["paired"], "maxf"),
+        "roc": charts.roc_chart(series, curves),
+        "pr": charts.precision_chart(series, curves),
+        "reliability": charts.reliability_chart(series, curves),
+        "pictures": charts.distribution_chart(series, rows),
+    }
+
+
+def texts(chart: str) -> list[str]:
+    return [one.text or "" for one in ElementTree.fromstring(chart).iter(f"{SVG}text")]
+
+
+def lines(chart: str, colour: str, width: float) -> list[np.ndarray]:
+    """Points (n,2) of the lines with a colour and a width."""
+    found = []
+    for path in ElementTree.fromstring(chart).iter(f"{SVG}path"):
+        style = path.get("style", "")
+        if f"stroke: {svg.VARIABLES[colour]}" in style and f"stroke-width: {width:g}" in style:
+            values = re.findall(r"[ML] (\S+) (\S+)", path.get("d", ""))
+            found.append(np.array(values, dtype=float))
+    return found
+
+
+def assert_proportional(shown: np.ndarray, given: np.ndarray) -> None:
+    """Points on the page are numbers times a factor, and moved, to half a point."""
+    slope, offset = np.polyfit(given, shown, 1)
+    assert abs(slope) > 1
+    assert np.abs(slope * given + offset - shown).max() < 0.5
+
+
+# --- which detectors -----------------------------------------------------------------------------
+
+
+def test_the_eight_best_and_the_four_best_floors_are_shown_by_rank():
+    names = [f"d{i}" for i in range(12)] + [f"prior:{i}" for i in range(6)]
+    detectors = {name: {"maxf": 1 - i / 20} for i, name in enumerate(names)}
+
+    found = svg.choose_series(dict(reversed(detectors.items())))
+
+    assert [one.name for one in found] == names[:8] + names[12:16]
+    assert len({(one.colour, one.dash) for one in found}) == 12
+    assert all(one.is_floor == one.name.startswith("prior:") for one in found)
+
+
+def test_detectors_without_a_score_come_last():
+    detectors = {"a": {"maxf": None}, "b": {}, "c": {"maxf": 0.1}, "d": {"maxf": math.nan}}
+
+    assert svg.ranked_names(detectors) == ["c", "a", "b", "d"]
+
+
+# --- what is drawn -------------------------------------------------------------------------------
+
+
+def test_intervals_of_maxf_are_where_they_belong(run, drawn):
+    detectors = run[0]["detectors"]
+    colours = {one.name: one.colour for one in svg.choose_series(detectors) if not one.is_floor}
+
+    ends = [lines(drawn["maxf"], colours[name], 2.6)[0][:, 0] for name in colours]
+
+    given = [detectors[name]["ci95"]["maxf"] for name in colours]
+    assert_proportional(np.concatenate(ends), np.concatenate(given))
+
+
+def test_maxf_is_written_beside_every_row_and_floors_stand_among_them(run, drawn):
+    found = texts(drawn["maxf"])
+
+    for name, figures in run[0]["detectors"].items():
+        assert name in found
+        assert f"{figures['maxf']:.3f}" in found
+    best_floor = run[0]["detectors"]["prior:mean"]["maxf"]
+    assert f"best floor {best_floor:.3f}" in found
+    assert set(DRIVES) <= set(found)
+
+
+def test_differences_are_where_they_belong(run, drawn):
+    changes = run[0]["paired"]["detectors"]
+
+    ends = lines(drawn["paired"], svg.COLOURS[1], 2.6) + lines(drawn["paired"], svg.FLOOR, 2.6)
+
+    given = [changes[name]["maxf"]["ci95"] for name in ("labeller", "prior:mean", "prior:rows")]
+    assert_proportional(np.concatenate(ends)[:, 0], np.concatenate(given))
+    assert "fusion" not in texts(drawn["paired"])
+
+
+@pytest.mark.parametrize(("name", "kind"), [("roc", "roc"), ("pr", "pr")])
+def test_curves_pass_through_their_points(name, kind):
+    points = [[0.0, 0.2, 0.6, 1.0], [1.0, 0.7, 0.9, 0.1]]
+    series = [svg.Series("it", svg.COLOURS[0], ())]
+    draw = {"roc": charts.roc_chart, "pr": charts.precision_chart}[name]
+
+    chart = draw(series, {"it": {"mean": {kind: points}, "groups": {}}})
+
+    shown = max(lines(chart, svg.COLOURS[0], 2), key=lambda line: np.ptp(line[:, 0]))
+    assert_proportional(shown[:, 0], np.array(points[0]))
+    assert_proportional(shown[:, 1], np.array(points[1]))
+
+
+def test_drives_are_thin_lines_of_the_best_detector_alone(drawn):
+    best, second = svg.COLOURS[:2]
+
+    assert len(lines(drawn["roc"], best, 0.7)) == 2 * len(DRIVES)  # and in the enlarged corner
+    assert not lines(drawn["roc"], second, 0.7)
+    assert lines(drawn["roc"], second, 2)
+
+
+def test_undefined_points_are_left_out():
+    bins = [[0.1, None, 0.9], [0.2, math.nan, 0.8], [0.5, 0, 0.5]]
+    series = [svg.Series("it", svg.COLOURS[0], ())]
+
+    chart = charts.reliability_chart(series, {"it": {"mean": {"reliability": bins}}})
+
+    assert all(np.isfinite(line).all() for line in lines(chart, svg.COLOURS[0], 1.8))
+    assert "nan" not in chart
+
+
+def test_every_picture_is_a_tick_and_thousands_are_thinned():
+    series = [svg.Series("it", svg.COLOURS[0], ())]
+    rows = [{"detector": "it", "group": "", "f": i / 10} for i in range(11)] + [
+        {"detector": "it", "group": "", "f": None},
+        {"detector": "other", "group": "", "f": 0.3},
+    ]
+
+    few = lines(charts.distribution_chart(series, rows), svg.COLOURS[0], 0.6)[0]
+    many = charts.distribution_chart(series, [{**rows[0], "f": i / 9999} for i in range(9999)])
+
+    assert len(few) == 2 * 11
+    assert_proportional(few[::2, 0], np.arange(11) / 10)
+    assert len(np.unique(lines(many, svg.COLOURS[0], 0.6)[0][:, 0])) == charts.MOST_TICKS
+
+
+def test_many_drives_are_not_told_apart():
+    drives = [f"drive {i}" for i in range(40)]
+    document, _, rows = made_run(["it"], drives)
+    series = svg.choose_series(document["detectors"])
+
+    assert not set(drives) & set(texts(charts.distribution_chart(series, rows)))
+    assert not set(drives) & set(texts(charts.maxf_chart(series, document["detectors"])))
+
+
+def test_nothing_to_draw_is_no_chart():
+    series = [svg.Series("it", svg.COLOURS[0], ())]
+
+    assert charts.maxf_chart(series, {"it": {"maxf": None}}) == ""
+    assert charts.difference_chart(series, {}, "maxf") == ""
+    assert charts.roc_chart(series, {}) == ""
+    assert charts.precision_chart(series, {"it": {"mean": {"pr": [[], []]}}}) == ""
+    assert charts.reliability_chart(series, {"it": {"mean": {"reliability": None}}}) == ""
+    assert charts.distribution_chart(series, []) == ""
+
+
+# --- the text ------------------------------------------------------------------------------------
+
+
+def test_names_are_text_and_only_text():
+    name = "<b>$x_1$ 道 \x01"
+    series = [svg.Series(name, svg.COLOURS[0], ())]
+
+    chart = charts.maxf_chart(series, {name: {"maxf": 0.5}})
+
+    assert "<b>$x_1$ 道 ?" in texts(chart)
+    assert "<b>" not in chart
+
+
+def test_a_long_name_keeps_both_ends():
+    found = svg.short("oneclass:" + "x" * 100 + ":linear")
+
+    assert len(found) == svg.LONGEST
+    assert found.startswith("oneclass:")
+    assert found.endswith(":linear")
+
+
+def test_charts_bring_nothing_that_acts_on_the_page(drawn):
+    for chart in drawn.values():
+        tags = {one.tag.removeprefix(SVG) for one in ElementTree.fromstring(chart).iter()}
+        assert not tags & {"style", "script", "metadata", "image", "a"}
+        assert chart.startswith("<svg ")
+        assert "viewBox" in chart
+        assert set(re.findall(r'href="(.)', chart)) <= {"#"}
+        assert set(re.findall(r"url\((.)", chart)) <= {"#"}
+
+
+def test_ids_are_not_shared_between_charts(drawn):
+    found = [set(re.findall(r'\bid="([^"]+)"', chart)) for chart in drawn.values()]
+
+    assert sum(map(len, found)) == len(set().union(*found))
+
+
+def test_every_colour_is_one_that_the_page_may_change(drawn):
+    for chart in drawn.values():
+        written = re.findall(r"(?:fill|stroke): (#\w+)", chart)
+        assert not written
+
+
+def test_the_same_numbers_give_the_same_text_whatever_the_user_prefers(run, drawn):
+    series = svg.choose_series(run[0]["detectors"])
+
+    with matplotlib.rc_context({"font.size": 30, "axes.facecolor": "red"}):
+        again = charts.maxf_chart(series, run[0]["detectors"])
+        assert matplotlib.rcParams["font.size"] == 30
+
+    assert again == drawn["maxf"]
+
+
+def test_pyplot_and_its_windows_stay_out():
+    code = "import sys, roadtorch.report.page.charts; print('matplotlib.pyplot' in sys.modules)"
+
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+
+    assert done.stdout.strip() == "False"

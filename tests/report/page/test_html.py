@@ -1,0 +1,447 @@
+"""The report: its numbers, what it leaves out, and that it needs and asks for nothing else."""
+
+import base64
+import copy
+import hashlib
+import html as entities
+import json
+import math
+import re
+import shutil
+import subprocess
+import time
+from dataclasses import dataclass, field
+from html.parser import HTMLParser
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from roadtorch.errors import InputError
+from roadtorch.report.page import html
+from tests.reports import DRIVES, NAMES, made_run, made_sheet
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
+HOSTILE = '"><script>alert(1)</script><img src="http://example.org/x.png">'
+
+
+@dataclass
+class Page(HTMLParser):
+    """What a browser would find: tables by section, text, tags and attributes."""
+
+    source: str
+    tables: dict[str, list[list[list[str]]]] = field(default_factory=dict)
+    tags: list[tuple[str, dict[str, str]]] = field(default_factory=list)
+    text: dict[str, str] = field(default_factory=dict)
+    rows_of_floors: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        super().__init__()
+        self._section, self._cell, self._inside = "head", False, ""
+        self.feed(self.source)
+
+    def handle_starttag(self, tag, attrs):
+        values = {name: value or "" for name, value in attrs}
+        self.tags.append((tag, values))
+        self._inside = tag
+        if tag == "section":
+            self._section = values["id"]
+        tables = self.tables.setdefault(self._section, [])
+        if tag == "table":
+            tables.append([])
+        elif tag == "tr":
+            tables[-1].append([])
+            self._floor = values.get("class") == "floor"
+        elif tag in ("td", "th"):
+            tables[-1][-1].append("")
+            self._cell = True
+
+    def handle_endtag(self, tag):
+        if tag in ("td", "th"):
+            self._cell = False
+            if tag == "th" and self._floor:
+                self.rows_of_floors.append(self.tables[self._section][-1][-1][-1])
+
+    def handle_data(self, data):
+        if self._inside not in ("style", "script"):
+            self.text[self._section] = self.text.get(self._section, "") + data
+        if self._cell:
+            self.tables[self._section][-1][-1][-1] += data
+
+    def named(self, tag: str) -> list[dict[str, str]]:
+        return [values for name, values in self.tags if name == tag]
+
+    def charts(self) -> list[str]:
+        return [values["aria-label"] for values in self.named("svg") if values.get("role") == "img"]
+
+
+def render(document, curves=None, rows=(), sheets=None) -> Page:
+    return Page(html.render_report(document, curves or {}, rows, sheets or {}))
+
+
+@pytest.fixture(scope="module")
+def page() -> Page:
+    sheets = {"fusion": {part: made_sheet() for part in ("worst", "best", "median")}}
+    return render(*made_run(), sheets)
+
+
+def column(page: Page, section: str, header: str, table: int = 0) -> dict[str, str]:
+    """A column's text by row name."""
+    head, *rows = page.tables[section][table]
+    place = [name.replace("\n", " ") for name in head].index(header)
+    return {row[0]: row[place] for row in rows}
+
+
+# --- numbers -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("header", "key"),
+    [("MaxF mean", "maxf"), ("AUC", "auc_pooled"), ("AP", "ap"), ("IoU", "iou"), ("EER", "eer"),
+     ("Brier", "brier")],
+)  # fmt: skip
+def test_the_scores_are_those_of_the_document(page, header, key):
+    detectors = made_run()[0]["detectors"]
+
+    assert column(page, "scores", header) == {name: f"{detectors[name][key]:.3f}" for name in NAMES}
+
+
+def test_drives_intervals_and_times_are_in_the_table(page):
+    detectors = made_run()[0]["detectors"]
+
+    for drive in DRIVES:
+        found = column(page, "scores", f"MaxF {drive}")
+        for name in NAMES:
+            assert found[name] == f"{detectors[name]['groups'][drive]['maxf']:.3f}"
+    low, high = detectors["cpf:v2"]["ci95"]["maxf"]
+    assert column(page, "scores", "95 %")["cpf:v2"] == f"{low:.3f}–{high:.3f}"
+    assert set(column(page, "scores", "ms").values()) == {"12.3"}
+
+
+def test_the_best_is_first_and_floors_are_marked(page):
+    document = made_run()[0]
+    shuffled = {**document, "detectors": dict(sorted(document["detectors"].items()))}
+
+    assert list(column(render(shuffled), "scores", "AP")) == list(NAMES)
+    assert {*page.rows_of_floors} == {"prior:mean", "prior:rows"}
+
+
+def test_the_distance_to_the_best_floor_stands_beside_every_score(page):
+    scores = {name: one["maxf"] for name, one in made_run()[0]["detectors"].items()}
+
+    found = column(page, "scores", "above floor")
+
+    assert found["prior:mean"] == "+0.000"
+    for name, text in found.items():
+        expected = scores[name] - scores["prior:mean"]
+        assert float(text.replace("\N{MINUS SIGN}", "-")) == pytest.approx(expected, abs=5e-4)
+
+
+def test_tables_by_drive_have_the_drives_figures(page):
+    detectors = made_run()[0]["detectors"]
+
+    for place, drive in enumerate(DRIVES):
+        assert column(page, "drives", "IoU", place)["labeller"] == (
+            f"{detectors['labeller']['groups'][drive]['iou']:.3f}"
+        )
+        assert "PRE" in page.tables["drives"][place][0]
+    assert len(page.tables["drives"]) == len(DRIVES) + 1  # and all pooled
+
+
+def test_differences_have_their_intervals(page):
+    change = made_run()[0]["paired"]["detectors"]["labeller"]["maxf"]
+
+    text = column(page, "pairs", "MaxF")["labeller"].replace("\N{MINUS SIGN}", "-")
+
+    low, high = change["ci95"]
+    assert text == f"{change['difference']:+.3f}{low:+.3f} to {high:+.3f}"
+    assert "fusion" not in column(page, "pairs", "MaxF")
+
+
+def test_borders_are_named_by_their_tolerance(page):
+    assert column(page, "further", "border F 0.25 %")["fusion"] == f"{0.95 / 4:.3f}"
+    assert column(page, "further", "border F 0.5 %")["fusion"] == f"{0.95 / 3:.3f}"
+
+
+@pytest.mark.parametrize("form", ["names", "lists"])
+def test_confusions_are_tables(form):
+    document = made_run(["it"])[0]
+    layout = document["detectors"]["it"]["layout"]
+    if form == "lists":
+        layout["confusion"] = [list(row.values()) for row in layout["confusion"].values()]
+
+    heat, recalls = render(document).tables["layout"]
+
+    assert heat[0] == ["truth", "sky", "vertical", "horizontal"]
+    assert heat[2] == ["vertical", "0.050", "0.900", "0.050"]
+    assert [row[0] for row in recalls] == ["drive", *DRIVES, "mean"]
+
+
+def test_detectors_that_share_a_layout_share_its_tables():
+    document = made_run(["a", "b", "c"])[0]
+    for part in (document["detectors"]["b"], document["detectors"]["c"]):
+        part["layout"] = document["detectors"]["a"]["layout"]
+        part["groups"] = document["detectors"]["a"]["groups"]
+    document["detectors"]["c"]["layout"] = made_run(["c"])[0]["detectors"]["c"]["layout"] | {
+        "sky": 0.1
+    }
+
+    page = render(document)
+
+    assert len(page.tables["layout"]) == 4
+    assert "a, b" in page.text["layout"]
+
+
+def test_the_run_is_told(page):
+    text = page.text["made"]
+
+    assert "roadtorch evaluate camvid data --detector 'cpf*'" in text
+    assert "roadtorch 0.1.0" in text
+    assert "thresholds from the other drives" in text
+    assert '"height": 30' in text
+    assert "0001TP_9" in page.text["failures"]
+    assert "is not a picture" in page.text["failures"]
+    assert "MaxF" in page.text["reading"]
+
+
+# --- parts ---------------------------------------------------------------------------------------
+
+
+def test_all_charts_are_there(page):
+    assert len(page.charts()) == 6
+
+
+def test_sheets_are_jpeg_inside_the_page_best_first(page):
+    pictures = page.named("img")
+
+    assert [one["alt"].split()[0] for one in pictures] == ["Best", "Median", "Worst"]
+    for one in pictures:
+        kind, data = one["src"].split(",")
+        decoded = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR)
+        assert kind == "data:image/jpeg;base64"
+        assert decoded is not None
+        assert decoded.shape == (24, 64, 3)
+
+
+def test_a_wide_sheet_is_made_as_wide_as_the_page_shows_it():
+    sheet = made_sheet(width=2400, height=300)
+
+    page = render(made_run(["it"])[0], sheets={"it": {"best": sheet}})
+
+    shown = page.named("img")[0]
+    encoded = np.frombuffer(base64.b64decode(shown["src"].split(",")[1]), np.uint8)
+    decoded = cv2.imdecode(encoded, cv2.IMREAD_COLOR)
+    assert decoded is not None
+    assert decoded.shape == (150, 1200, 3)
+    assert (shown["width"], shown["height"]) == ("1200", "150")
+
+
+def test_sheets_of_the_eight_best_are_shown_and_the_others_counted():
+    names = [f"d{i}" for i in range(11)]
+
+    page = render(made_run(names)[0], sheets={name: {"best": made_sheet()} for name in names})
+
+    assert len(page.named("img")) == 8
+    assert "Sheets of 3 more detectors" in page.text["looked-at"]
+
+
+@pytest.mark.parametrize("data", [b"", b"no picture"])
+def test_a_sheet_that_is_no_picture_is_named(data):
+    with pytest.raises(InputError, match="fusion, best pictures"):
+        render(made_run()[0], sheets={"fusion": {"best": data}})
+
+
+def test_many_failures_are_counted():
+    document = made_run(["it"])[0]
+    document["failed"] = [{"image": f"picture {i}", "reason": "broken"} for i in range(250)]
+
+    page = render(document)
+
+    assert len(page.tables["failures"][0]) == 1 + html.MOST_FAILURES
+    assert "50 more are in metrics.json" in page.text["failures"]
+
+
+# --- what is missing or undefined ----------------------------------------------------------------
+
+
+def test_a_run_with_nothing_but_names():
+    page = render({"dataset": "folder", "detectors": {"it": {}, "prior:rows": {}}})
+
+    assert "No detector has a score." in page.text["head"]
+    assert page.charts() == []
+    assert {"curves", "pairs", "layout", "looked-at", "failures", "drives"}.isdisjoint(page.tables)
+
+
+def parts_of(document):
+    """Ways to every mapping inside a document, but settings."""
+    detector = document["detectors"]["fusion"]
+    yield from ((key,) for key in document if key not in ("detectors", "dataset"))
+    yield from (("detectors", "fusion", key) for key in detector)
+    yield from (("detectors", "fusion", "groups", "0006R0", key) for key in detector["layout"])
+    yield from (("detectors", "fusion", "layout", key) for key in detector["layout"])
+    yield ("paired", "detectors", "labeller", "maxf")
+    yield ("paired", "detectors", "labeller", "maxf", "ci95")
+
+
+@pytest.fixture
+def _no_charts(monkeypatch):
+    monkeypatch.setattr(html, "_charts", lambda *_: dict.fromkeys(
+        ("maxf", "paired", "roc", "pr", "reliability", "pictures"), ""))  # fmt: skip
+
+
+@pytest.mark.usefixtures("_no_charts")
+@pytest.mark.parametrize("way", list(parts_of(made_run()[0])), ids="/".join)
+def test_whatever_is_missing_is_left_out(way):
+    document = copy.deepcopy(made_run()[0])
+    inner = document
+    for key in way[:-1]:
+        inner = inner[key]
+    inner.pop(way[-1], None)
+
+    page = render(document)
+
+    assert {*column(page, "scores", "AP")} == {*NAMES}
+    assert "None" not in "".join(page.text.values())
+
+
+def undefined(value, nothing):
+    if isinstance(value, dict):
+        return {key: undefined(part, nothing) for key, part in value.items()}
+    if isinstance(value, list):
+        return [undefined(part, nothing) for part in value]
+    return nothing if isinstance(value, float) else value
+
+
+@pytest.mark.parametrize("nothing", [None, math.nan])
+def test_undefined_figures_are_dashes(nothing):
+    document, curves, rows = undefined(list(made_run()), nothing)
+
+    page = render(document, curves, rows)
+
+    assert set(column(page, "scores", "MaxF mean").values()) == {"–"}
+    assert set(column(page, "scores", "95 %").values()) == {"–"}
+    assert set(column(page, "scores", "above floor").values()) == {"–"}
+    assert page.charts() == []
+    assert not re.search(r"\bnan\b|None", "".join(page.text.values()))
+
+
+def test_one_detector_without_drives():
+    page = render(*made_run(["it"], drives=[]))
+
+    assert column(page, "scores", "MaxF") == {"it": "0.950"}
+    assert "No floor was scored beside it." in page.text["head"]
+    assert "drives" not in page.tables
+    assert len(page.charts()) == 5  # nobody to compare with
+
+
+def test_a_grid_of_three_hundred_detectors_stays_readable():
+    names = [f"oneclass:{i}" for i in range(297)] + ["prior:mean", "prior:rows", "prior:uniform"]
+    begin = time.process_time()
+
+    page = render(*made_run(names))
+
+    assert time.process_time() - begin < 15
+    assert len(page.source) < 2_000_000
+    assert len(page.tables["scores"][0]) == 301
+    assert "the table has all 300" in page.text["scores"]
+    assert page.source.count("<details") < 30
+
+
+# --- nothing leaves the page ---------------------------------------------------------------------
+
+
+def test_no_attribute_and_no_style_refers_to_anything_outside(page):
+    for tag, values in page.tags:
+        for name, value in values.items():
+            if name.split(":")[-1] in ("src", "href", "srcset", "data", "action", "poster"):
+                assert value.startswith(("#", "data:image/jpeg;")), (tag, name, value)
+    assert set(re.findall(r"url\(\s*['\"]?(.)", page.source)) <= {"#"}
+    assert "@import" not in page.source
+    assert not {tag for tag, _ in page.tags} & {"link", "iframe", "object", "embed", "base"}
+
+
+def test_the_policy_allows_one_script_and_no_connection(page):
+    policy = next(one["content"] for one in page.named("meta") if "http-equiv" in one)
+    (script,) = re.findall(r"<script>(.*?)</script>", page.source, re.DOTALL)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+
+    rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
+
+    assert rules["default-src"] == "'none'"
+    assert rules["img-src"] == "data:"
+    assert rules["script-src"] == f"'sha256-{digest}'"
+    assert policy in page.source[: page.source.index("<style>")]
+
+
+def test_names_are_text_wherever_they_stand():
+    document, curves, rows = made_run([HOSTILE, "prior:" + HOSTILE], [HOSTILE, "b"])
+    document |= {key: HOSTILE for key in ("dataset", "split", "command", "view", "void")}
+    document["failed"] = [{"image": HOSTILE, "reason": HOSTILE}]
+    document["detectors"][HOSTILE]["settings"] = {HOSTILE: HOSTILE}
+    document["detectors"][HOSTILE]["threshold_from"] = HOSTILE
+
+    page = render(document, curves, rows, {HOSTILE: {"best": made_sheet()}})
+
+    assert len(page.named("script")) == 1
+    assert [one["src"][:5] for one in page.named("img")] == ["data:"]
+    assert page.tables["failures"][0][1] == [HOSTILE, HOSTILE]
+    assert HOSTILE in column(page, "scores", "AP")
+    assert "alert(1)" not in page.source.replace(entities.escape("<script>alert(1)"), "")
+
+
+def test_a_file_name_that_is_no_text_can_be_written(tmp_path: Path):
+    document = made_run(["it"])[0]
+    document["failed"] = [{"image": "road\udcff", "reason": "is not a picture"}]
+
+    html.write_report(tmp_path / "report.html", document, {}, [], {})
+
+    assert "road\\udcff" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_the_same_run_gives_the_same_bytes():
+    document, curves, rows = made_run(["it", "prior:rows"])
+
+    first, second = (html.render_report(document, curves, rows, {}) for _ in range(2))
+
+    assert first == second
+
+
+# --- in a browser --------------------------------------------------------------------------------
+
+
+def browse(page: Path, folder: Path) -> tuple[str, set[str]]:
+    """The page as Chromium has it after its scripts, and the addresses that it asked for."""
+    assert CHROMIUM
+    log = folder / "net.json"
+    command = [
+        *(CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run"),
+        *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+        "--host-resolver-rules=MAP * ~NOTFOUND",
+        *(f"--user-data-dir={folder / 'profile'}", f"--log-net-log={log}"),
+        *("--virtual-time-budget=2000", "--dump-dom", page.as_uri()),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    events = json.loads(log.read_text(encoding="utf-8"))["events"]
+    asked = {event.get("params", {}).get("url", "") for event in events}
+    return done.stdout, {url for url in asked if "example.org" in url}
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+def test_a_browser_shows_it_and_asks_for_nothing(tmp_path: Path):
+    document, curves, rows = made_run([*NAMES, HOSTILE])
+    report = tmp_path / "report.html"
+    html.write_report(report, document, curves, rows, {"fusion": {"best": made_sheet()}})
+    control = tmp_path / "control.html"
+    control.write_text('<img src="http://example.org/x.png">', encoding="utf-8")
+
+    dom, asked = browse(report, tmp_path)
+
+    page = Page(dom)
+    assert list(column(page, "scores", "AP")) == [*NAMES, HOSTILE]
+    assert len(page.charts()) == 6
+    assert len(page.named("img")) == 1
+    assert page.named("button")  # its own script ran: the headers sort
+    assert not asked
+    assert browse(control, tmp_path)[1]  # the log would have told
