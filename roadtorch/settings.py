@@ -4,7 +4,7 @@ import math
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import pydantic
 
@@ -13,6 +13,9 @@ from roadtorch.errors import ConfigError, InputError, unknown_name
 
 class Settings(pydantic.BaseModel):
     """The base of every group of settings: frozen, and unknown keys are refused."""
+
+    renamed: ClassVar[Mapping[str, str]] = {}
+    """Keys of this group that had other names: old and new, for the refusal of the old ones."""
 
     model_config = pydantic.ConfigDict(
         frozen=True, extra="forbid", strict=True, validate_default=True, allow_inf_nan=False
@@ -39,11 +42,10 @@ def _first_mistake(kind: type[Settings], problem: pydantic.ValidationError) -> C
     path = [str(part) for part in error["loc"]]
     key = ".".join(path)
     if error["type"] == "extra_forbidden":
-        known = [".".join([*path[:-1], name]) for name in _fields_at(kind, path[:-1])]
-        return unknown_name("setting", key, known)
+        return _unknown_key(_group_at(kind, path[:-1]), path)
     given = f"{error['input']!r} was given"
     if error["type"] == "model_type":
-        known = ", ".join(_fields_at(kind, path))
+        known = ", ".join(_group_at(kind, path).model_fields)
         return ConfigError(key, f"{given} for a group of settings", f"set one of its keys: {known}")
     told = getattr(error.get("ctx", {}).get("error"), "args", ())
     if told and isinstance(told[0], ConfigError):  # a validator's own words
@@ -52,14 +54,21 @@ def _first_mistake(kind: type[Settings], problem: pydantic.ValidationError) -> C
     return ConfigError(key, given, message[0].lower() + message[1:])
 
 
-def _fields_at(kind: type[pydantic.BaseModel], path: list[str]) -> list[str]:
-    """The field names of the model found by following ``path`` from ``kind``."""
+def _unknown_key(group: type[Settings], path: list[str]) -> ConfigError:
+    key, siblings = ".".join(path), path[:-1]
+    if new := group.renamed.get(path[-1]):
+        return ConfigError(key, "has another name now", f"write {'.'.join([*siblings, new])}")
+    known = [".".join([*siblings, name]) for name in group.model_fields]
+    return unknown_name("setting", key, known)
+
+
+def _group_at(kind: type[Settings], path: list[str]) -> type[Settings]:
+    """The group of settings found by following ``path`` from ``kind``."""
     for name in path:
         annotation = kind.model_fields[name].annotation
-        if not (isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel)):
-            return []
+        assert isinstance(annotation, type) and issubclass(annotation, Settings)
         kind = annotation
-    return list(kind.model_fields)
+    return kind
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:

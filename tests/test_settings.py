@@ -76,6 +76,20 @@ def test_numbers_survive_the_way_through_text(value: float) -> None:
     assert parse_assignments([f"x={value!r}"]) == {"x": value}
 
 
+def test_an_old_key_is_refused_with_the_new_one() -> None:
+    class Inner(Settings):
+        renamed = {"seed": "random_seed"}
+        random_seed: int = 0
+
+    class Outer(Settings):
+        draws: Inner = Inner()
+
+    with pytest.raises(
+        ConfigError, match=r"draws\.seed: has another .* \(write draws\.random_seed\)"
+    ):
+        build_settings(Outer, {"draws": {"seed": 3}})
+
+
 @pytest.mark.parametrize("item", ["", "bins", "=3", "a..b=1", ".a=1"])
 def test_an_item_that_is_no_assignment_is_refused(item: str) -> None:
     with pytest.raises(ConfigError, match="is not a setting"):
