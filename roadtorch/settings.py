@@ -66,7 +66,8 @@ def _group_at(kind: type[Settings], path: list[str]) -> type[Settings]:
     """The group of settings found by following ``path`` from ``kind``."""
     for name in path:
         annotation = kind.model_fields[name].annotation
-        assert isinstance(annotation, type) and issubclass(annotation, Settings)
+        assert isinstance(annotation, type)
+        assert issubclass(annotation, Settings)
         kind = annotation
     return kind
 

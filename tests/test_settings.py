@@ -1,5 +1,6 @@
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import pytest
 from hypothesis import given
@@ -78,7 +79,7 @@ def test_numbers_survive_the_way_through_text(value: float) -> None:
 
 def test_an_old_key_is_refused_with_the_new_one() -> None:
     class Inner(Settings):
-        renamed = {"seed": "random_seed"}
+        renamed: ClassVar[Mapping[str, str]] = {"seed": "random_seed"}
         random_seed: int = 0
 
     class Outer(Settings):
