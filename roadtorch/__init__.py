@@ -1,6 +1,8 @@
 """roadtorch: find the road in a single picture, on a CPU, without labels.
 
-The public names are loaded when they are first used, so that ``import roadtorch``
+The names in ``__all__`` are what programs may rely on; so are ``roadtorch.testing``, the
+one-class classifiers of ``roadtorch.oneclass`` and the steps of the papers by the names that
+the documents give. They are loaded when they are first used, so that ``import roadtorch``
 (and with it ``roadtorch --help``) does not wait for torch.
 """
 
@@ -8,26 +10,69 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from roadtorch.detector import Detection, Detector
+    from roadtorch.data.catalogue import list_datasets, open_dataset
+    from roadtorch.data.dataset import Dataset, Item, Kind, Truth
+    from roadtorch.data.labels import ColourLabels, NumberLabels
+    from roadtorch.detector import Detection, Detector, DetectorSettings, Entry
     from roadtorch.detectors.catalogue import list_detectors, load_detector
+    from roadtorch.errors import (
+        ConfigError,
+        DatasetError,
+        InputError,
+        RoadtorchError,
+        WeightsError,
+    )
     from roadtorch.image import read_image
+    from roadtorch.layout.labeller import label_layout
 
 __version__ = "0.1.0"
 
 _HOMES = {
+    "ColourLabels": "roadtorch.data.labels",
+    "ConfigError": "roadtorch.errors",
+    "Dataset": "roadtorch.data.dataset",
+    "DatasetError": "roadtorch.errors",
     "Detection": "roadtorch.detector",
     "Detector": "roadtorch.detector",
+    "DetectorSettings": "roadtorch.detector",
+    "Entry": "roadtorch.detector",
+    "InputError": "roadtorch.errors",
+    "Item": "roadtorch.data.dataset",
+    "Kind": "roadtorch.data.dataset",
+    "NumberLabels": "roadtorch.data.labels",
+    "RoadtorchError": "roadtorch.errors",
+    "Truth": "roadtorch.data.dataset",
+    "WeightsError": "roadtorch.errors",
+    "label_layout": "roadtorch.layout.labeller",
+    "list_datasets": "roadtorch.data.catalogue",
     "list_detectors": "roadtorch.detectors.catalogue",
     "load_detector": "roadtorch.detectors.catalogue",
+    "open_dataset": "roadtorch.data.catalogue",
     "read_image": "roadtorch.image",
 }
 
 __all__ = [
+    "ColourLabels",
+    "ConfigError",
+    "Dataset",
+    "DatasetError",
     "Detection",
     "Detector",
+    "DetectorSettings",
+    "Entry",
+    "InputError",
+    "Item",
+    "Kind",
+    "NumberLabels",
+    "RoadtorchError",
+    "Truth",
+    "WeightsError",
     "__version__",
+    "label_layout",
+    "list_datasets",
     "list_detectors",
     "load_detector",
+    "open_dataset",
     "read_image",
 ]
 

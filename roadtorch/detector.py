@@ -1,26 +1,56 @@
 """What a detector is: a picture in, a likelihood, a mask and cues out.
 
-Everything that all detectors share (checking the picture, deciding on the mask, batching) is
-here, once. It knows none of them: they are in ``detectors``, and found by name there.
+A detector has two parts. Its own is an ``nn.Module`` that turns an image into cues, of which
+``likelihood`` is one: those that come with roadtorch are in ``detectors``, where they are
+found by name. What all detectors share (checking the image, deciding on the mask, batches)
+is ``Detector``, here, once; it knows none of them.
 """
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from roadtorch.errors import InputError
+from roadtorch.errors import ConfigError, InputError
 from roadtorch.seed_area import SeedArea, remove_isolated, seed_area
 from roadtorch.settings import Settings
-from roadtorch.working_size import WorkingSize
+from roadtorch.working_size import WorkingSize, at_working_size
 
 SMALLEST_SIDE = 16  # pixels; below it, superpixels and the seed area have no meaning
 
-Analysis = Callable[[Tensor], Mapping[str, Tensor]]
-"""An image (3,H,W) in, named cues out; ``likelihood`` (H,W) in [0,1] is one of them."""
+Threshold = Annotated[float, Field(ge=0, le=1, description="road from this likelihood on")]
+Isolated = Annotated[
+    Literal["drop", "keep"],
+    Field(description="what becomes of road regions that do not touch the seed area"),
+]
+
+TUNED = "road from this likelihood on; the default has the best F on CamVid's three drives"
+"""The description of a threshold that was chosen on labelled pictures."""
+
+
+class DetectorSettings(Settings):
+    """What every detector can be told: how its likelihood becomes a mask."""
+
+    renamed: ClassVar[Mapping[str, str]] = {"seed": "seed_area", "random": "random_seed"}
+
+    threshold: Threshold = 0.5
+    isolated: Isolated = "keep"
+    seed_area: SeedArea = Field(
+        default=SeedArea(), description="where road is assumed, and what connected road touches"
+    )
+
+
+class WorkingSettings(DetectorSettings):
+    """What every detector can be told that thinks at a working size; it drops isolated road.
+
+    Its module sees the image at that size; ``Detector`` brings what it finds back to full size.
+    """
+
+    isolated: Isolated = "drop"
+    working: WorkingSize = WorkingSize()
 
 
 class Cues(Mapping[str, Tensor]):
@@ -59,7 +89,7 @@ class Detection:
 
 
 @dataclass(frozen=True)
-class Grid:
+class DetectorGrid:
     """Many detectors of one family, one for each combination of options.
 
     Lists show them once, and a wildcard matches them only where it names the family.
@@ -81,31 +111,39 @@ class Grid:
 class Entry:
     """One detector on offer.
 
-    name: ``family[:option[:option]]``.
-    summary: one line for lists.
-    settings: the model of its settings; it has ``threshold``, a float in [0,1]. A field
-        ``isolated`` equal to ``"drop"`` asks for the removal of road regions that do
-        not touch the seed area, whose size a field ``seed`` may set.
-    build: makes the analysis from the settings. An analysis that is an ``nn.Module``
-        becomes part of the detector, so that its weights are saved with it.
-    grid: where it is one of many.
+    name: ``family[:option[:option]]``. summary: one line for lists.
+    settings: the model of its settings.
+    build: makes from them the module whose ``forward(image)`` takes an image (3,H,W) in [0,1]
+        and gives named cues, (H,W) or (C,H,W); ``likelihood`` (H,W) in [0,1] is one of them.
+        Usually its class.
+    grid: where it is one of many. floor: whether it is a floor, which never looks at the picture.
     """
 
     name: str
     summary: str
-    settings: type[Settings]
-    build: Callable[[Any], Analysis]
-    grid: Grid | None = None
+    settings: type[DetectorSettings]
+    build: Callable[[Any], nn.Module]
+    grid: DetectorGrid | None = None
+    floor: bool = False
 
 
 class Detector(nn.Module):
-    """A detector that is ready to look at images; made by ``load_detector``."""
+    """A detector that is ready to look at images; made by ``load_detector``.
 
-    def __init__(self, entry: Entry, settings: Settings) -> None:
+    name, settings: what it was made from. analysis: the module that finds the cues, its
+    parts (networks among them) as attributes.
+    """
+
+    def __init__(self, entry: Entry, settings: DetectorSettings) -> None:
         super().__init__()
         self.name = entry.name
         self.settings = settings
-        self.analysis = entry.build(settings)
+        analysis = entry.build(settings)
+        if not isinstance(analysis, nn.Module):
+            what = f"builds {type(analysis).__name__}"
+            remedy = "build an nn.Module whose forward(image) gives the cues"
+            raise ConfigError(entry.name, what, remedy)
+        self.analysis = analysis
 
     @torch.no_grad()
     def detect(self, image: Tensor) -> Detection:
@@ -113,8 +151,7 @@ class Detector(nn.Module):
 
         Raises InputError when the image is anything else.
         """
-        image = checked_image(image)
-        found = self.analysis(image)
+        found = self._find(checked_image(image))
         likelihood = found["likelihood"]
         return Detection(likelihood, decide(likelihood, self.settings), Cues(found))
 
@@ -128,7 +165,13 @@ class Detector(nn.Module):
             )
         if not len(images):
             return images.new_empty((0, *images.shape[-2:]), dtype=torch.float32)
-        return torch.stack([self.analysis(checked_image(image))["likelihood"] for image in images])
+        return torch.stack([self._find(checked_image(image))["likelihood"] for image in images])
+
+    def _find(self, image: Tensor) -> Mapping[str, Tensor]:
+        """The likelihood and the cues at the size of the image."""
+        if isinstance(self.settings, WorkingSettings):
+            return at_working_size(self.analysis, image, self.settings.working)
+        return self.analysis(image)
 
     def extra_repr(self) -> str:
         """The name and settings, for ``print(detector)``."""
@@ -160,25 +203,9 @@ def checked_image(image: Tensor) -> Tensor:
     return image.to(torch.float32)
 
 
-def decide(likelihood: Tensor, settings: Settings) -> Tensor:
+def decide(likelihood: Tensor, settings: DetectorSettings) -> Tensor:
     """The mask bool (H,W): likelihood ≥ threshold, isolated regions dropped if asked for."""
-    mask = likelihood >= getattr(settings, "threshold")  # noqa: B009  (see Entry.settings)
-    if getattr(settings, "isolated", "keep") != "drop":
+    mask = likelihood >= settings.threshold
+    if settings.isolated == "keep":
         return mask
-    height, width = mask.shape
-    rows, columns = seed_area(height, width, getattr(settings, "seed", SeedArea()))
-    return remove_isolated(mask, rows, columns)
-
-
-THRESHOLD = "road from this likelihood on; the default has the best F on CamVid's three drives"
-
-ISOLATED = "what becomes of road regions that do not touch the seed area"
-
-
-class Decision(Settings):
-    """Working size, seed area, and how the likelihood becomes a mask."""
-
-    threshold: float = Field(default=0.5, ge=0, le=1, description=THRESHOLD)
-    isolated: Literal["drop", "keep"] = Field(default="drop", description=ISOLATED)
-    seed: SeedArea = Field(default=SeedArea(), description="the area taken to be road")
-    working: WorkingSize = WorkingSize()
+    return remove_isolated(mask, *seed_area(mask.shape[0], mask.shape[1], settings.seed_area))

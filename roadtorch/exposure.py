@@ -5,7 +5,7 @@ import math
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.image_cache import shareable
+from roadtorch.image_cache import cached_per_image
 from roadtorch.settings import Settings
 
 STRONGEST = 0.3
@@ -23,7 +23,7 @@ class Exposure(Settings):
     )
 
 
-@shareable
+@cached_per_image
 def brightened(image: Tensor, exposure: Exposure) -> Tensor:
     """An image (3,H,W) in [0,1] under the gamma that lifts its lower part to ``ground``.
 

@@ -5,7 +5,8 @@ that cues multiply as odds. Over segments one more cue is learned from the other
 road of this very picture looks like (ours).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import torch
 from pydantic import Field
@@ -40,7 +41,7 @@ class RoadPlace(Settings):
     )
 
 
-class Weights(Settings):
+class Exponents(Settings):
     """How much each cue is trusted: exponents of the likelihoods; 1 each is eq. 4 of P2."""
 
     layout: float = Field(default=0.44, ge=0, le=10, description="the ground of the scene layout")
@@ -54,11 +55,13 @@ class Weights(Settings):
     )
 
 
-class RoadSettings(Settings):
+class SegmentRoadSettings(Settings):
     """How the cues of a picture's segments become p(road)."""
 
+    renamed: ClassVar[Mapping[str, str]] = {"weights": "exponents"}
+
     place: RoadPlace = RoadPlace()
-    weights: Weights = Weights()
+    exponents: Exponents = Exponents()
     reach: float = Field(
         default=1.7,
         gt=0,
@@ -106,7 +109,7 @@ def segment_road(
     layout: Tensor,
     distance: Tensor,
     texture: Tensor,
-    settings: RoadSettings,
+    settings: SegmentRoadSettings,
     further: Tensor | float = 0.0,
 ) -> Tensor:
     """p(road) of each segment (n,) from its likelihoods (n,) by layout, distance and texture.
@@ -116,14 +119,14 @@ def segment_road(
     Naive Bayes over the cues gives a first belief; then, in rounds, kernel densities of road
     and background are learned from the belief and join as one more cue, as do the neighbours.
     """
-    weights = settings.weights
+    exponents = settings.exponents
     place = road_place(segments.row, segments.column, settings.place)
     known = (
         settings.bias
         + further
         + fused_log_odds(
             [place, layout, distance, texture],
-            [settings.place.weight, weights.layout, weights.distance, weights.texture],
+            [settings.place.weight, exponents.layout, exponents.distance, exponents.texture],
         )
     )
     alike = likeness(segments, settings.bandwidths)
@@ -133,7 +136,7 @@ def segment_road(
         belief = score.sigmoid()
         density = class_log_density(alike, torch.stack([belief, 1 - belief], 1), segments.size)
         look = (density[:, 0] - density[:, 1]).clamp(-STRONGEST_LOOK, STRONGEST_LOOK)
-        score = known + weights.look * look + weights.neighbours * (around @ (2 * belief - 1))
+        score = known + exponents.look * look + exponents.neighbours * (around @ (2 * belief - 1))
     return (score / settings.temperature).sigmoid()
 
 

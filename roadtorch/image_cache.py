@@ -1,7 +1,7 @@
 """Work that several detectors need on one image, done once while it is shared.
 
-Functions of an image (or of what was made of one) and of settings are marked ``@shareable``.
-Inside ``with sharing():`` each of them computes once for an image and the same settings,
+Functions of an image (or of what was made of one) and of settings are marked ``@cached_per_image``.
+Inside ``with image_cache():`` each of them computes once for an image and the same settings,
 whoever asks; outside, it is a plain call. What one shared function made of an image may go
 into another, so that a resized image, its superpixels and what is measured on them are all
 made once.
@@ -31,7 +31,7 @@ class _Made(NamedTuple):
 
 
 @dataclass
-class Shared:
+class ImageCache:
     """What has been made so far; ``saved`` is the time that asking again did not take."""
 
     saved: float = 0.0  # seconds
@@ -51,13 +51,13 @@ class Shared:
         return result
 
 
-_current: ContextVar[Shared | None] = ContextVar("shared", default=None)
+_current: ContextVar[ImageCache | None] = ContextVar("shared", default=None)
 
 
 @contextmanager
-def sharing() -> Iterator[Shared]:
+def image_cache() -> Iterator[ImageCache]:
     """Share work inside the block; everything made is forgotten at its end."""
-    shared = Shared()
+    shared = ImageCache()
     token = _current.set(shared)
     try:
         yield shared
@@ -65,7 +65,7 @@ def sharing() -> Iterator[Shared]:
         _current.reset(token)
 
 
-def shareable(
+def cached_per_image(
     function: Callable[Concatenate[Source, P], Result],
 ) -> Callable[Concatenate[Source, P], Result]:
     """Mark a function of one source, told by identity, and of what can be hashed.

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from roadtorch.color import planes
-from roadtorch.image_cache import shareable
+from roadtorch.image_cache import cached_per_image
 from roadtorch.segment_statistics import borders, segment_mean
 from roadtorch.settings import Settings
 
@@ -61,7 +61,7 @@ class Segments:
     """(E,): mean of ``border_contrast`` along the border of each pair."""
 
 
-@shareable
+@cached_per_image
 def measure_segments(image: Tensor, labels: Tensor) -> Segments:
     """Measure the segments ``labels`` (H,W) of an image (3,H,W) in [0,1]."""
     height, width = labels.shape

@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from roadtorch.errors import ConfigError
-from roadtorch.image_cache import shareable
+from roadtorch.image_cache import cached_per_image
 from roadtorch.settings import Settings
 
 
@@ -35,7 +35,7 @@ class Superpixels(Settings):
         return _cut(image, self)
 
 
-@shareable
+@cached_per_image
 def _cut(image: Tensor, superpixels: Superpixels) -> Tensor:
     pixels = image.shape[-2] * image.shape[-1]
     return slic(image, max(16, round(pixels / superpixels.pixels)), superpixels.compactness)
@@ -78,7 +78,7 @@ OUTSIDE = 1e6
 """The squared distance to a centre beyond the grid: never the smallest."""
 
 
-class Grid(NamedTuple):
+class CellGrid(NamedTuple):
     """The initial grid: rows and columns of cells, and a cell's height and width in pixels."""
 
     rows: int
@@ -111,7 +111,7 @@ def slic(
     return labels if image.ndim == 4 else labels[0]
 
 
-def _grid(height: int, width: int, segments: int) -> Grid:
+def _grid(height: int, width: int, segments: int) -> CellGrid:
     """About ``segments`` nearly square cells of even size that cover the picture."""
     side = (height * width / segments) ** 0.5
 
@@ -119,10 +119,10 @@ def _grid(height: int, width: int, segments: int) -> Grid:
         return COARSE * max(1, round(length / max(1, round(length / side)) / COARSE))
 
     tall, wide = cell(height), cell(width)
-    return Grid(-(-height // tall), -(-width // wide), tall, wide)
+    return CellGrid(-(-height // tall), -(-width // wide), tall, wide)
 
 
-def _features(images: Tensor, grid: Grid, step: float) -> Tensor:
+def _features(images: Tensor, grid: CellGrid, step: float) -> Tensor:
     """(B,7,H',W'), padded with 0: nearly L, a, b, then row·step, column·step, |·|² of the five, 1.
 
     The last two make a squared distance one matrix product (see ``_tables``).
@@ -142,7 +142,7 @@ def _features(images: Tensor, grid: Grid, step: float) -> Tensor:
     return padded
 
 
-def _cells(maps: Tensor, grid: Grid) -> Tensor:
+def _cells(maps: Tensor, grid: CellGrid) -> Tensor:
     """(B,C,H',W') → (B·rows·columns, C, pixels of a cell)."""
     batch, channels = maps.shape[:2]
     blocks = maps.reshape(
@@ -151,7 +151,7 @@ def _cells(maps: Tensor, grid: Grid) -> Tensor:
     return blocks.permute(0, 2, 4, 1, 3, 5).reshape(batch * grid.rows * grid.columns, channels, -1)
 
 
-def _tables(sums: Tensor, grid: Grid) -> Tensor:
+def _tables(sums: Tensor, grid: CellGrid) -> Tensor:
     """(B,7,rows,columns) sums over segments → (cells, 9, 7) factors of the squared distances.
 
     |f-c|² + 1 = -2 f·c + 1·|f|² + (|c|²+1)·1; the 1 keeps rounding from making it negative.
@@ -189,7 +189,7 @@ def _member_sums(tables: Tensor, pixels: Tensor) -> Tensor:
     return torch.bmm(member, pixels.transpose(1, 2))
 
 
-def _move_centres(features: Tensor, grid: Grid, iterations: int) -> Tensor:
+def _move_centres(features: Tensor, grid: CellGrid, iterations: int) -> Tensor:
     """(B,7,rows,columns): sums of the features over each segment after k-means on the grid."""
     pixels = _cells(features[..., ::COARSE, ::COARSE], grid)
     batch, cells = len(features), grid.rows * grid.columns
@@ -203,7 +203,7 @@ def _move_centres(features: Tensor, grid: Grid, iterations: int) -> Tensor:
     return sums
 
 
-def _assign(features: Tensor, centres: Tensor, grid: Grid) -> Tensor:
+def _assign(features: Tensor, centres: Tensor, grid: CellGrid) -> Tensor:
     """(B,H',W') int32: for each pixel the grid cell whose centre is nearest."""
     chunks = _in_chunks(_tables(centres, grid), _cells(features, grid))
     nearest = torch.cat([_keys(*chunk).amin(1) & 15 for chunk in chunks])

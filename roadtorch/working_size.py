@@ -7,7 +7,7 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn import functional as F
 
-from roadtorch.image_cache import shareable
+from roadtorch.image_cache import cached_per_image
 from roadtorch.settings import Settings
 
 SHORTEST = 16
@@ -31,7 +31,7 @@ def working_size(height: int, width: int, working: WorkingSize) -> tuple[int, in
     return max(SHORTEST, round(height * scale)), max(SHORTEST, round(width * scale))
 
 
-@shareable
+@cached_per_image
 def at_work(image: Tensor, working: WorkingSize) -> Tensor:
     """The image (3,H,W) as it is analysed: at its working size, in [0,1]."""
     return resized(image, working_size(image.shape[-2], image.shape[-1], working)).clamp(0, 1)
@@ -79,12 +79,7 @@ class FullSize(Mapping[str, Tensor]):
 
 
 def at_working_size(
-    analyse: Callable[[Tensor], Mapping[str, Tensor]], working: WorkingSize
-) -> Callable[[Tensor], Mapping[str, Tensor]]:
-    """The same analysis made at the working size, its cues brought back to full size."""
-
-    def wrapped(image: Tensor) -> Mapping[str, Tensor]:
-        size = (image.shape[-2], image.shape[-1])
-        return FullSize(analyse(at_work(image, working)), size)
-
-    return wrapped
+    analyse: Callable[[Tensor], Mapping[str, Tensor]], image: Tensor, working: WorkingSize
+) -> FullSize:
+    """What ``analyse`` finds in an image (3,H,W) at its working size, brought back to full size."""
+    return FullSize(analyse(at_work(image, working)), (image.shape[-2], image.shape[-1]))

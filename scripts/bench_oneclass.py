@@ -40,7 +40,7 @@ from roadtorch.color import REPRESENTATIONS, planes
 from roadtorch.detector import Detector
 from roadtorch.detectors.oneclass import ENTRIES
 from roadtorch.errors import RoadtorchError
-from roadtorch.image_cache import sharing
+from roadtorch.image_cache import image_cache
 from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
 from roadtorch.oneclass.samples import SampleSettings, road_samples
 from scripts.bench import machine, picture_at, positive, sizes
@@ -152,7 +152,7 @@ def time_grid(image: Tensor, rounds: int) -> dict[str, float]:
     wall, processor = [], []
     for number in tqdm(range(WARM_UP + rounds), "grid", leave=False, file=sys.stderr):
         start, used = time.perf_counter(), time.process_time()
-        with sharing():
+        with image_cache():
             for detector in detectors:
                 detector.detect(image)
         if number >= WARM_UP:

@@ -1,20 +1,19 @@
 """Detectors that stand for all: of a grid of hundreds, one for each way of working."""
 
-from collections.abc import Iterable
-
-from roadtorch.detectors.catalogue import detector_entry
+from roadtorch.detectors.catalogue import detector_groups
 
 
-def representatives(names: Iterable[str]) -> list[str]:
+def representatives() -> list[str]:
     """Names of detectors without those of grids that differ in their last option alone.
 
     Of ``oneclass:nn:…`` the first stays, of the next classifier the second, and so on, so
     that few names see most of the options.
     """
     found, grids = [], {}
-    for name in names:
-        if detector_entry(name).grid is None:
-            found.append(name)
-        else:
-            grids.setdefault(name.rpartition(":")[0], []).append(name)
+    for entries in detector_groups().values():
+        for entry in entries:
+            if entry.grid is None:
+                found.append(entry.name)
+            else:
+                grids.setdefault(entry.name.rpartition(":")[0], []).append(entry.name)
     return found + [members[number % len(members)] for number, members in enumerate(grids.values())]

@@ -6,25 +6,31 @@ from typing import Any
 
 import pytest
 import torch
-from pydantic import Field
 from torch import Tensor, nn
 
 import roadtorch.plugins
-from roadtorch.detector import Detection, Detector, Entry, Grid, checked_image, decide
+from roadtorch.detector import (
+    Detector,
+    DetectorGrid,
+    DetectorSettings,
+    Entry,
+    checked_image,
+    decide,
+)
 from roadtorch.detectors import catalogue as catalogue_module
 from roadtorch.detectors.catalogue import (
-    detector_entry,
     detector_groups,
     list_detectors,
     load_detector,
-    matching_detectors,
     register,
 )
+from roadtorch.detectors.fusion import Fusion
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.settings import Settings
+from roadtorch.testing import PROMISES, street
 from tests.representatives import representatives
 
-every_detector = pytest.mark.parametrize("name", representatives(list_detectors()))
+NAMES = representatives()
 
 
 @cache
@@ -33,105 +39,18 @@ def loaded(name: str) -> Detector:
     return load_detector(name)
 
 
-def street(height: int, width: int, seed: int = 0) -> Tensor:
-    """A noisy grey wedge under a pale sky: enough of a street for a contract."""
-    generator = torch.Generator().manual_seed(seed)
-    rows = torch.linspace(0, 1, height).view(-1, 1)
-    columns = torch.linspace(-1, 1, width).view(1, -1)
-    road = (rows > 0.45) & (columns.abs() < rows - 0.3)
-    colours = torch.tensor([[0.7, 0.8, 0.95], [0.3, 0.45, 0.2], [0.45, 0.45, 0.47]])
-    classes = torch.where(road, 2, (rows > 0.45).long().expand(height, width))
-    noise = torch.randn(3, height, width, generator=generator) * 0.04
-    return (colours[classes].permute(2, 0, 1) + noise).clamp(0, 1)
-
-
-def check_detection(detection: Detection, height: int, width: int) -> None:
-    likelihood, mask = detection.likelihood, detection.mask
-    assert (likelihood.dtype, mask.dtype) == (torch.float32, torch.bool)
-    assert likelihood.shape == mask.shape == (height, width)
-    assert likelihood.isfinite().all()
-    assert likelihood.min() >= 0
-    assert likelihood.max() <= 1
-    for name, cue in detection.cues.items():
-        assert cue.shape[-2:] == (height, width), name
-        assert cue.ndim in (2, 3), name
-        assert not cue.is_floating_point() or cue.isfinite().all(), name
-    if "layout" in detection.cues:
-        assert detection.cues["layout"].shape == (3, height, width)
-
-
 # --- the contract -------------------------------------------------------------------------
 
 
-@every_detector
-@pytest.mark.parametrize(
-    ("height", "width"), [(16, 16), (17, 200), (61, 16), (64, 48), (241, 319), (240, 320)]
-)
-def test_any_size_gives_maps_of_that_size(name: str, height: int, width: int) -> None:
-    check_detection(loaded(name).detect(street(height, width)), height, width)
+@pytest.mark.parametrize("name", NAMES)
+def test_every_detector_keeps_to_the_contract(name: str) -> None:
+    for promise in PROMISES:
+        promise(loaded(name))
 
 
-@every_detector
-@pytest.mark.parametrize("kind", ["black", "white", "flat", "grey"])
-def test_pictures_without_anything_to_see_give_proper_maps(name: str, kind: str) -> None:
-    image = {
-        "black": torch.zeros(3, 48, 64),
-        "white": torch.ones(3, 48, 64),
-        "flat": torch.tensor([0.2, 0.5, 0.7]).view(3, 1, 1).expand(3, 48, 64),
-        "grey": street(48, 64).mean(0, keepdim=True).expand(3, 48, 64),
-    }[kind]
-
-    check_detection(loaded(name).detect(image), 48, 64)
-
-
-@every_detector
-def test_the_same_image_gives_the_same_bytes_and_is_left_alone(name: str) -> None:
-    image = street(96, 128)
-    before = image.clone()
-
-    torch.manual_seed(1)
-    first = loaded(name).detect(image)
-    torch.manual_seed(2)  # no detector may draw from torch's own generator
-    second = load_detector(name).detect(image)
-
-    assert torch.equal(image, before)
-    assert torch.equal(first.likelihood, second.likelihood)
-    assert torch.equal(first.mask, second.mask)
-    assert first.cues.keys() == second.cues.keys()
-    assert all(torch.equal(first.cues[key], second.cues[key]) for key in first.cues)
-
-
-@every_detector
-def test_a_batch_is_its_images_one_by_one(name: str) -> None:
-    images = torch.stack([street(48, 64, seed) for seed in range(2)])
-
-    batch = loaded(name)(images)
-
-    singles = torch.stack([loaded(name).detect(image).likelihood for image in images])
-    assert torch.equal(batch, singles)
-    assert loaded(name)(images[:0]).shape == (0, 48, 64)
-
-
-@every_detector
-def test_saved_and_loaded_it_says_the_same(name: str) -> None:
-    image = street(48, 64)
-    copy = load_detector(name)
-
-    copy.load_state_dict(loaded(name).state_dict())
-
-    assert torch.equal(copy.detect(image).likelihood, loaded(name).detect(image).likelihood)
-
-
-@every_detector
-def test_the_mask_follows_the_threshold(name: str) -> None:
-    image = street(96, 128)
-
-    everything = load_detector(name, threshold=0.0).detect(image)
-    detection = loaded(name).detect(image)
-
-    assert everything.mask.all()
-    threshold: float = getattr(loaded(name).settings, "threshold")  # noqa: B009
-    assert not detection.mask[detection.likelihood < threshold].any()
+@pytest.mark.parametrize("name", NAMES)
+def test_at_threshold_zero_everything_is_road(name: str) -> None:
+    assert load_detector(name, threshold=0.0).detect(street(48, 64)).mask.all()
 
 
 def with_value(value: float) -> Tensor:
@@ -140,7 +59,6 @@ def with_value(value: float) -> Tensor:
     return image
 
 
-@every_detector
 @pytest.mark.parametrize(
     ("image", "what"),
     [
@@ -157,9 +75,9 @@ def with_value(value: float) -> Tensor:
     ],
     ids=["nan", "inf", "bright", "negative", "grey", "batch", "small", "none", "bytes", "list"],
 )
-def test_what_is_no_image_is_refused(name: str, image: Any, what: str) -> None:
+def test_what_is_no_image_is_refused_with_the_reason(image: Any, what: str) -> None:
     with pytest.raises(InputError) as caught:
-        loaded(name).detect(image)
+        loaded("prior:rows").detect(image)
 
     assert caught.value.where == "image"
     assert caught.value.what.startswith(what)
@@ -178,17 +96,17 @@ def test_other_floating_types_become_float32(dtype: torch.dtype) -> None:
 # --- the door -----------------------------------------------------------------------------
 
 
-class Simple(Settings):
-    threshold: float = Field(default=0.5, ge=0, le=1)
+class Simple(DetectorSettings):
     gain: float = 1.0
 
 
-class Isolated(Simple):
-    isolated: str = "drop"
+class Brightness(nn.Module):
+    def __init__(self, settings: Simple) -> None:
+        super().__init__()
+        self.gain = settings.gain
 
-
-def brightness(settings: Simple) -> Any:
-    return lambda image: {"likelihood": image.mean(0) * settings.gain, "red": image[0]}
+    def forward(self, image: Tensor) -> dict[str, Tensor]:
+        return {"likelihood": image.mean(0) * self.gain, "red": image[0]}
 
 
 @pytest.fixture
@@ -200,7 +118,7 @@ def catalogue(monkeypatch: pytest.MonkeyPatch) -> dict[str, Entry]:
 
 
 def test_a_registered_detector_is_found_set_and_run(catalogue: dict[str, Entry]) -> None:
-    register(Entry("bright", "mean of the channels", Simple, brightness))
+    register(Entry("bright", "mean of the channels", Simple, Brightness))
     image = torch.full((3, 16, 16), 0.4)
 
     detection = load_detector("bright", gain=2).detect(image)
@@ -212,32 +130,35 @@ def test_a_registered_detector_is_found_set_and_run(catalogue: dict[str, Entry])
 
 
 def test_a_name_is_given_once(catalogue: dict[str, Entry]) -> None:
-    entry = Entry("bright", "", Simple, brightness)
+    entry = Entry("bright", "", Simple, Brightness)
     register(entry)
 
     with pytest.raises(ConfigError, match="bright: is the name of another detector"):
         register(entry)
 
 
-def test_settings_without_a_threshold_are_refused(catalogue: dict[str, Entry]) -> None:
-    with pytest.raises(ConfigError, match="without a threshold"):
-        register(Entry("bright", "", Settings, brightness))
+def test_settings_of_another_kind_are_refused(catalogue: dict[str, Entry]) -> None:
+    with pytest.raises(ConfigError, match=r"bright: has settings \(Settings\) that are no D"):
+        register(Entry("bright", "", Settings, Brightness))  # pyright: ignore[reportArgumentType]
 
 
-def test_weights_of_an_analysis_belong_to_the_detector(catalogue: dict[str, Entry]) -> None:
-    class Learned(nn.Module):
-        def __init__(self) -> None:
-            super().__init__()
-            self.gain = nn.Parameter(torch.tensor(0.5))
+def test_what_is_built_must_be_a_module(catalogue: dict[str, Entry]) -> None:
+    def build(settings: Simple) -> Any:
+        return lambda image: {"likelihood": image.mean(0)}
 
-        def forward(self, image: Tensor) -> dict[str, Tensor]:
-            return {"likelihood": image.mean(0) * self.gain}
+    register(Entry("bright", "", Simple, build))
 
-    register(Entry("learned", "", Simple, lambda settings: Learned()))
-    detector = load_detector("learned")
+    with pytest.raises(ConfigError, match=r"bright: builds function \(build an nn\.Module"):
+        load_detector("bright")
 
-    assert list(detector.state_dict()) == ["analysis.gain"]
-    assert not detector.detect(torch.ones(3, 16, 16)).likelihood.requires_grad
+
+def test_the_parts_of_a_detector_can_be_seen_and_their_weights_are_its_own() -> None:
+    detector = load_detector("fusion")
+
+    assert isinstance(detector.analysis, Fusion)
+    assert detector.analysis.network.settings.width == 160
+    assert all(name.startswith("analysis.network.") for name in detector.state_dict())
+    assert not detector.detect(street(32, 32)).likelihood.requires_grad
 
 
 def test_regions_away_from_the_seed_area_are_dropped_when_asked() -> None:
@@ -246,7 +167,7 @@ def test_regions_away_from_the_seed_area_are_dropped_when_asked() -> None:
     likelihood[2:5, 2:5] = 1  # far from it
 
     kept = decide(likelihood, Simple())
-    dropped = decide(likelihood, Isolated())
+    dropped = decide(likelihood, Simple(isolated="drop"))
 
     assert kept[3, 3]
     assert not dropped[3, 3]
@@ -269,14 +190,21 @@ def test_misspelt_names_and_wrong_settings_are_told(
         load_detector(name, **settings)
 
 
-MANY = Grid("many:<gain>:<kind>", "many of them")
+MANY = DetectorGrid("many:<gain>:<kind>", "many of them")
 
 
 @pytest.fixture
 def with_grid(catalogue: dict[str, Entry]) -> None:
     """A detector, a grid of four in two families of names, and one that follows in order."""
     for name in ("bright", "many:2:b", "many:2:a", "many:1:b", "many:1:a", "zebra"):
-        register(Entry(name, "", Simple, brightness, MANY if ":" in name else None))
+        register(Entry(name, "", Simple, Brightness, MANY if ":" in name else None))
+
+
+@pytest.mark.usefixtures("with_grid")
+def test_lists_have_what_there_is_to_compare_a_grid_once() -> None:
+    assert list_detectors() == ["bright", "many:<gain>:<kind>", "zebra"]
+    with pytest.raises(ConfigError, match=r"stands for many detectors \(name one; 'many:\*' lists"):
+        load_detector("many:<gain>:<kind>")
 
 
 @pytest.mark.usefixtures("with_grid")
@@ -300,15 +228,15 @@ def test_a_grid_is_one_group_of_detectors_in_their_own_order() -> None:
     ],
 )
 def test_wildcards_meet_a_grid_where_they_name_its_family(pattern: str, names: list[str]) -> None:
-    assert matching_detectors(pattern) == names
+    assert list_detectors(pattern) == names
 
 
 @pytest.mark.usefixtures("with_grid")
 def test_a_pattern_that_fits_a_grid_alone_says_how_to_ask_for_it() -> None:
     with pytest.raises(ConfigError, match=r"\*:1:\*: fits only .* many:<gain>:<kind> \(begin it"):
-        matching_detectors("*:1:*")
+        list_detectors("*:1:*")
     with pytest.raises(ConfigError, match=r"many:3:\*: unknown detector"):
-        matching_detectors("many:3:*")
+        list_detectors("many:3:*")
 
 
 @pytest.mark.usefixtures("with_grid")
@@ -317,7 +245,7 @@ def test_a_name_that_is_near_none_gets_a_short_list() -> None:
         load_detector("0")
 
 
-FOREIGN = (Entry("theirs", "", Simple, brightness), Entry("theirs:2", "", Simple, brightness))
+FOREIGN = (Entry("theirs", "", Simple, Brightness), Entry("theirs:2", "", Simple, Brightness))
 
 
 def offer(monkeypatch: pytest.MonkeyPatch, *attributes: str) -> list[str]:
@@ -343,11 +271,31 @@ def test_a_broken_package_costs_only_its_own(monkeypatch: pytest.MonkeyPatch) ->
     assert {"theirs", "prior:rows"} <= set(names)
 
 
-def test_every_entry_has_a_summary_and_a_threshold() -> None:
-    for name in list_detectors():
-        entry = detector_entry(name)
-        assert entry.summary, name
-        assert 0 <= getattr(entry.settings(), "threshold") <= 1, name  # noqa: B009
+def exits_at_import() -> None:
+    raise SystemExit(3)
+
+
+def test_a_package_that_ends_the_process_costs_only_its_own(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Point:
+        name, dist, value = "deadly", None, "deadly:ENTRY"
+        load = staticmethod(exits_at_import)
+
+    monkeypatch.setattr(roadtorch.plugins, "entry_points", lambda group: [Point()])
+
+    with pytest.warns(RuntimeWarning, match="'deadly' of deadly:ENTRY .* it ends the process"):
+        names = catalogue_module._catalogue.__wrapped__()
+
+    assert "fusion" in names
+
+
+def test_every_entry_has_a_summary_and_the_priors_alone_are_floors() -> None:
+    entries = [entry for group in detector_groups().values() for entry in group]
+
+    assert all(entry.summary for entry in entries)
+    floors = {entry.name for entry in entries if entry.floor}
+    assert floors == {"prior:rows", "prior:triangle", "prior:uniform"}
 
 
 def test_the_likelihood_is_no_cue() -> None:

@@ -19,9 +19,9 @@ from roadtorch.evaluation.metrics import (
 )
 from roadtorch.fusion import (
     STRONGEST_LOOK,
+    Exponents,
     RoadPlace,
-    RoadSettings,
-    Weights,
+    SegmentRoadSettings,
     log_odds,
     naive_bayes,
     neighbour_mean,
@@ -191,11 +191,11 @@ def cues(count: int) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def known_scores(
-    segments: Segments, found: tuple[Tensor, ...], chosen: RoadSettings
+    segments: Segments, found: tuple[Tensor, ...], chosen: SegmentRoadSettings
 ) -> list[float]:
     """Log odds before anything is learned, by the formula."""
     place = road_place(segments.row, segments.column, chosen.place)
-    weights = chosen.weights
+    weights = chosen.exponents
     trusted = (chosen.place.weight, weights.layout, weights.distance, weights.texture)
     return [
         chosen.bias
@@ -210,7 +210,9 @@ def known_scores(
 @pytest.mark.parametrize("rounds", [0, 1, 3])
 def test_the_road_of_segments_is_that_of_a_loop(rounds: int) -> None:
     segments = noisy()
-    chosen = RoadSettings(rounds=rounds, weights=Weights(look=0.7, neighbours=1.3), temperature=2.0)
+    chosen = SegmentRoadSettings(
+        rounds=rounds, exponents=Exponents(look=0.7, neighbours=1.3), temperature=2.0
+    )
     found = cues(len(segments.size))
 
     road = segment_road(segments, *found, chosen)
@@ -220,8 +222,8 @@ def test_the_road_of_segments_is_that_of_a_loop(rounds: int) -> None:
         likeness(segments, chosen.bandwidths).tolist(),
         segments.size.tolist(),
         reference.neighbours([(one, two) for one, two in segments.pairs.T.tolist()], len(road)),
-        (chosen.weights.look, STRONGEST_LOOK),
-        chosen.weights.neighbours,
+        (chosen.exponents.look, STRONGEST_LOOK),
+        chosen.exponents.neighbours,
         rounds,
     )
     wanted = (torch.tensor(scores) / 2).sigmoid()
@@ -231,20 +233,20 @@ def test_the_road_of_segments_is_that_of_a_loop(rounds: int) -> None:
 def test_without_learning_it_is_naive_bayes_of_the_cues() -> None:
     segments = noisy()
     found = cues(len(segments.size))
-    chosen = RoadSettings(rounds=0, bias=0.0, temperature=1.0, place=RoadPlace(weight=1.0))
+    chosen = SegmentRoadSettings(rounds=0, bias=0.0, temperature=1.0, place=RoadPlace(weight=1.0))
 
     road = segment_road(segments, *found, chosen)
 
     prior = road_place(segments.row, segments.column, chosen.place)
-    weights = [chosen.weights.layout, chosen.weights.distance, chosen.weights.texture]
+    weights = [chosen.exponents.layout, chosen.exponents.distance, chosen.exponents.texture]
     torch.testing.assert_close(road, naive_bayes(prior, found, weights), atol=1e-5, rtol=0.0)
 
 
 def test_with_all_weights_zero_the_bias_is_all_there_is() -> None:
     segments = noisy()
-    chosen = RoadSettings(
+    chosen = SegmentRoadSettings(
         place=RoadPlace(weight=0.0),
-        weights=Weights(layout=0, distance=0, texture=0, look=0, neighbours=0),
+        exponents=Exponents(layout=0, distance=0, texture=0, look=0, neighbours=0),
         bias=-1.5,
         temperature=3.0,
     )
@@ -257,7 +259,7 @@ def test_with_all_weights_zero_the_bias_is_all_there_is() -> None:
 @pytest.mark.parametrize("cue", range(3))
 def test_before_learning_more_likely_in_a_cue_is_more_likely_road(cue: int) -> None:
     segments = noisy()
-    chosen = RoadSettings(rounds=0, weights=Weights(layout=1, distance=1, texture=1))
+    chosen = SegmentRoadSettings(rounds=0, exponents=Exponents(layout=1, distance=1, texture=1))
     found = cues(len(segments.size))
     layout, distance, texture = (
         value + (0.5 * (1 - value) if number == cue else 0) for number, value in enumerate(found)
@@ -273,7 +275,7 @@ def test_cues_that_say_the_same_everywhere_give_finite_roads(value: float) -> No
     segments = noisy()
     same = torch.full_like(segments.size, value)
 
-    road = segment_road(segments, same, same, same, RoadSettings())
+    road = segment_road(segments, same, same, same, SegmentRoadSettings())
 
     assert road.isfinite().all()
     assert 0 <= road.min() <= road.max() <= 1
@@ -297,7 +299,7 @@ def test_a_segment_without_neighbours_hears_nothing() -> None:
     alone = measure_segments(image, torch.zeros(16, 16, dtype=torch.int64))
 
     assert neighbour_mean(alone).tolist() == [[0.0]]
-    assert segment_road(alone, *cues(1), RoadSettings()).isfinite().all()
+    assert segment_road(alone, *cues(1), SegmentRoadSettings()).isfinite().all()
 
 
 # --- pictures -----------------------------------------------------------------------------

@@ -7,13 +7,13 @@ import torch
 from torch import Tensor
 
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.image_cache import shareable, sharing
+from roadtorch.image_cache import cached_per_image, image_cache
 from roadtorch.scenes import render_scene
 
 calls: list[tuple[int, int]] = []
 
 
-@shareable
+@cached_per_image
 def doubled(image: Tensor, times: int = 1) -> Tensor:
     """The image times a power of two."""
     calls.append((id(image), times))
@@ -21,7 +21,7 @@ def doubled(image: Tensor, times: int = 1) -> Tensor:
     return image * 2**times
 
 
-@shareable
+@cached_per_image
 def summed(image: Tensor) -> Tensor:
     """Of the doubled image, which is shared itself."""
     time.sleep(0.002)
@@ -43,7 +43,7 @@ def test_outside_a_block_every_call_computes():
 def test_inside_a_block_the_same_question_is_answered_once():
     image, other = torch.ones(3, 4, 4), torch.ones(3, 4, 4)
 
-    with sharing():
+    with image_cache():
         first = doubled(image, 1)
         assert doubled(image, 1) is first
         assert doubled(image, 2)[0, 0, 0] == 4
@@ -53,21 +53,21 @@ def test_inside_a_block_the_same_question_is_answered_once():
 
 
 def test_a_block_forgets_and_images_that_are_gone_leave_nothing_behind():
-    with sharing():
+    with image_cache():
         results = [doubled(torch.full((1,), float(value)), 1) for value in range(100)]
 
     assert [int(result) for result in results] == list(range(0, 200, 2))
     image = torch.ones(1)
-    with sharing():
+    with image_cache():
         first = doubled(image, 1)
-    with sharing():
+    with image_cache():
         assert doubled(image, 1) is not first
 
 
 def test_saved_time_is_what_the_work_would_have_taken_with_all_its_parts():
     image = torch.ones(3, 4, 4)
 
-    with sharing() as shared:
+    with image_cache() as shared:
         doubled(image, 1)
         assert shared.saved == 0
         summed(image)  # takes 2 ms of its own and saves 2 ms
@@ -83,7 +83,7 @@ def test_shared_work_changes_no_result(name):
     image = render_scene(3, 96, 128).image
     alone = load_detector(name).detect(image)
 
-    with sharing():
+    with image_cache():
         for other in ("fusion", "cpf:v2", "labeller"):
             load_detector(other).detect(image)
         beside = load_detector(name).detect(image)
@@ -96,7 +96,7 @@ def test_shared_work_changes_no_result(name):
 def test_detectors_cut_a_picture_once():
     image = render_scene(3, 96, 128).image
 
-    with sharing() as shared:
+    with image_cache() as shared:
         load_detector("cpf").detect(image)
         assert shared.saved == 0
         load_detector("cpf:v2").detect(image)

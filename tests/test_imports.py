@@ -45,8 +45,9 @@ def test_help_answers_in_under_three_tenths_of_a_second() -> None:
 
 
 def test_public_names_are_sorted_and_all_there() -> None:
-    assert roadtorch.__all__ == sorted(roadtorch.__all__)
-    assert all(hasattr(roadtorch, name) for name in roadtorch.__all__)
+    assert roadtorch.__all__ == sorted({*roadtorch._HOMES, "__version__"})
+    for name, home in roadtorch._HOMES.items():
+        assert getattr(roadtorch, name).__module__ == home, name
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:

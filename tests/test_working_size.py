@@ -129,7 +129,7 @@ def test_an_analysis_at_working_size_sees_a_small_picture_and_answers_at_full_si
         return {"likelihood": image[0], "segments": (image[0] > 0.5).long(), "mask": image[1] > 0.5}
 
     image = torch.rand(3, 100, 200, generator=torch.Generator().manual_seed(0)).round()
-    cues = at_working_size(analyse, WorkingSize(pixels=20 * 40))(image)
+    cues = at_working_size(analyse, image, WorkingSize(pixels=20 * 40))
 
     assert seen[0].shape == (3, 20, 40)
     assert 0 <= seen[0].min() <= seen[0].max() <= 1
@@ -142,7 +142,7 @@ def test_an_analysis_at_working_size_sees_a_small_picture_and_answers_at_full_si
 def test_a_small_picture_is_analysed_as_it_is() -> None:
     image = torch.rand(3, 17, 19)
 
-    cues = at_working_size(lambda given: {"given": given}, WorkingSize())(image)
+    cues = at_working_size(lambda given: {"given": given}, image, WorkingSize())
 
     assert torch.equal(cues["given"], image)
 

@@ -36,7 +36,7 @@ from roadtorch.evaluation.metrics import (
     max_f,
 )
 from roadtorch.exposure import Exposure, brightened
-from roadtorch.fusion import RoadPlace, RoadSettings, Weights, segment_road
+from roadtorch.fusion import Exponents, RoadPlace, SegmentRoadSettings, segment_road
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import ColumnOrder, LabellerSettings, PlacePrior, segment_layout
 from roadtorch.seed_area import SeedArea
@@ -121,7 +121,7 @@ def layout_recalls(frames: list[Frame], settings: LabellerSettings) -> dict[str,
     return {drive: class_recalls(confusion).tolist() for drive, confusion in confusions.items()}
 
 
-def road_f(frames: list[Frame], settings: RoadSettings) -> dict[str, list[float]]:
+def road_f(frames: list[Frame], settings: SegmentRoadSettings) -> dict[str, list[float]]:
     """MaxF of road by drive, pixels pooled, and F at the threshold 0.5 that all drives share."""
     counts = {frame.drive: RoadCounts(torch.zeros(LEVELS), torch.zeros(LEVELS)) for frame in frames}
     for frame in frames:
@@ -153,11 +153,11 @@ LABELLER: Space = {
 ROAD: Space = {
     "place.weight": (0.0, 2.0),
     "place.apex": (0.3, 0.7),
-    "weights.layout": (0.0, 2.0),
-    "weights.distance": (0.0, 3.0),
-    "weights.texture": (0.0, 2.0),
-    "weights.look": (0.0, 2.0),
-    "weights.neighbours": (0.0, 10.0),
+    "exponents.layout": (0.0, 2.0),
+    "exponents.distance": (0.0, 3.0),
+    "exponents.texture": (0.0, 2.0),
+    "exponents.look": (0.0, 2.0),
+    "exponents.neighbours": (0.0, 10.0),
     "reach": (0.5, 6.0),
     "bandwidths.chroma": (0.01, 0.1),
     "bandwidths.row": (0.1, 3.0),
@@ -177,9 +177,9 @@ NEUTRAL = {
         order=ColumnOrder(weight=1.0),
         sharpness=1.0,
     ),
-    "fusion": RoadSettings(
+    "fusion": SegmentRoadSettings(
         place=RoadPlace(weight=1.0, apex=0.5, narrow=0.1, spread=1.0, softness=0.1),
-        weights=Weights(layout=1.0, distance=1.0, texture=1.0, look=1.0, neighbours=1.0),
+        exponents=Exponents(layout=1.0, distance=1.0, texture=1.0, look=1.0, neighbours=1.0),
         reach=2.0,
         bandwidths=NEUTRAL_WIDTHS,
         bias=0.0,
@@ -226,7 +226,7 @@ def _mean(figures: dict[str, list[float]], drives: list[str]) -> float:
 
 RECIPES: dict[str, tuple[Settings, Space, Callable[[list[Frame], Any], dict[str, list[float]]]]] = {
     "labeller": (LabellerSettings(), LABELLER, layout_recalls),
-    "fusion": (RoadSettings(), ROAD, road_f),
+    "fusion": (SegmentRoadSettings(), ROAD, road_f),
 }
 """What there is to choose: where it starts, what may move, and the score."""
 

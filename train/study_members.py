@@ -32,7 +32,7 @@ from roadtorch.evaluation.summary import shared_threshold, summarise, thresholds
 from roadtorch.evaluation.tally import Score, Tally
 from roadtorch.fusion import fused_log_odds
 from roadtorch.image import read_image, write_npy
-from roadtorch.image_cache import sharing
+from roadtorch.image_cache import image_cache
 
 STEP = slice(1, None, 3)
 WEIGHTS = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)
@@ -71,7 +71,7 @@ def picture_maps(item: Item, detectors: Mapping[str, Detector], cache: Path) -> 
     missing = [name for name, path in paths.items() if not path.exists()]
     if missing:
         image = read_image(item.image)
-        with sharing():
+        with image_cache():
             for name in missing:
                 paths[name].parent.mkdir(parents=True, exist_ok=True)
                 write_npy(paths[name], detectors[name].detect(image).likelihood[STEP, STEP])

@@ -41,7 +41,8 @@ from roadtorch.evaluation.metrics import (
 )
 from roadtorch.settings import build_settings
 from roadtorch.ufl import hierarchy, maps, preprocess, road
-from roadtorch.ufl.learned import Learned, learn_features
+from roadtorch.ufl.learned import LearnedFeatures, learn_features
+from roadtorch.ufl.road import SHARPNESS
 
 DRIVES = ("0001TP", "0006R0", "0016E5")
 REPORTED = "val, every 5th"
@@ -101,18 +102,18 @@ def small(image: Tensor, truth: Truth) -> tuple[Tensor, Truth]:
     return preprocess.bicubic(image, (reduced.road.shape[0], reduced.road.shape[1])), reduced
 
 
-def settings_of(name: str, values: Mapping[str, Any]) -> ufl.OriginalSettings:
+def settings_of(name: str, values: Mapping[str, Any]) -> ufl.OriginalUflSettings:
     """The settings of a detector, some of them changed."""
     made = build_settings(ENTRIES[name].settings, values)
-    assert isinstance(made, ufl.OriginalSettings)
+    assert isinstance(made, ufl.OriginalUflSettings)
     return made
 
 
 def cues_of(
-    image: Tensor, variants: Mapping[str, ufl.OriginalSettings]
+    image: Tensor, variants: Mapping[str, ufl.OriginalUflSettings]
 ) -> Iterator[tuple[str, dict[str, Tensor]]]:
     """The cues of each variant; features that several variants share are learned once."""
-    learned: dict[Any, Learned] = {}
+    learned: dict[Any, LearnedFeatures] = {}
     for name, settings in variants.items():
         parts = (settings.smoothing, settings.dictionary, settings.maps)
         key = tuple(tuple(part.model_dump().values()) for part in parts)
@@ -121,7 +122,7 @@ def cues_of(
         yield name, ufl.road_cues(learned[key], settings)
 
 
-def score(frames: Frames, variants: Mapping[str, ufl.OriginalSettings]) -> dict[str, Scores]:
+def score(frames: Frames, variants: Mapping[str, ufl.OriginalUflSettings]) -> dict[str, Scores]:
     """F of the masks of each variant by set of frames; prints a table."""
     found: dict[str, dict[str, Decisions]] = {name: {} for name in variants}
     for drive, own in frames.items():
@@ -230,7 +231,7 @@ def candidates(cues: Mapping[str, Tensor]) -> dict[str, Tensor]:
     mask = list(cues)[-1]  # the last iteration
     road_mask = cues[mask].float()
     covered = (cues["mean_map"] > 0).float()
-    pixel = torch.sigmoid(ufl.SHARPNESS * cues["pixel_stability"]) * covered
+    pixel = torch.sigmoid(SHARPNESS * cues["pixel_stability"]) * covered
     node = cues["node_stability"] / cues["node_stability"].max().clamp_min(1e-9)
     levels = cues["tree_levels"] / 17
     return {

@@ -27,13 +27,13 @@ def detectors(name: str | None) -> None:
         detector_entry,
         detector_groups,
         is_pattern,
-        matching_detectors,
+        list_detectors,
     )
 
     if name is None:
         rows = [row for group in detector_groups().items() for row in listed(*group)]
     elif is_pattern(name):
-        rows = [(known, detector_entry(known).summary) for known in matching_detectors(name)]
+        rows = [(known, detector_entry(known).summary) for known in list_detectors(name)]
     else:
         entry = detector_entry(name)
         click.echo(f"{name}: {entry.summary}\n")

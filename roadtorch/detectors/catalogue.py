@@ -9,14 +9,13 @@ from collections.abc import Iterable
 from functools import cache
 from typing import Any
 
-from roadtorch.detector import Detector, Entry
+from roadtorch.detector import Detector, DetectorSettings, Entry
 from roadtorch.detectors import fusion, layout, oneclass, priors, texture, ufl
 from roadtorch.errors import ConfigError, unknown_name
 from roadtorch.plugins import load_plugins
 from roadtorch.settings import build_settings
 
 ENTRY_POINT_GROUP = "roadtorch.detectors"
-
 
 ENTRIES: tuple[Entry, ...] = (
     *fusion.ENTRIES,
@@ -39,9 +38,24 @@ def load_detector(name: str, **settings: Any) -> Detector:
     return Detector(entry, build_settings(entry.settings, settings)).eval()
 
 
-def list_detectors() -> list[str]:
-    """The names of all detectors, sorted; those of other packages among them."""
-    return sorted(_catalogue())
+def list_detectors(pattern: str | None = None) -> list[str]:
+    """What there is to compare, sorted: every detector, and of a grid of hundreds its name alone.
+
+    With a pattern (``cpf*``) the detectors that it fits: those of a grid only where it begins
+    with their family (``oneclass:*:HS``), so that ``*`` does not mean hundreds of combinations.
+    Detectors of other packages are among them. Raises ConfigError for a pattern that fits none.
+    """
+    if pattern is None:
+        return list(detector_groups())
+    fitting = [detector_entry(name) for name in fnmatch.filter(sorted(_catalogue()), pattern)]
+    found = [one for one in fitting if not one.grid or pattern.startswith(one.grid.family)]
+    if not fitting:
+        raise unknown_detector(pattern)
+    if not found:
+        grids = sorted({one.grid.name for one in fitting if one.grid})
+        what = f"fits only detectors of {', '.join(grids)}"
+        raise ConfigError(pattern, what, "begin it with the name of the family")
+    return [one.name for one in found]
 
 
 def detector_entry(name: str) -> Entry:
@@ -65,31 +79,16 @@ def is_pattern(name: str) -> bool:
     return any(letter in name for letter in "*?[")
 
 
-def matching_detectors(pattern: str) -> list[str]:
-    """The names of the detectors that a pattern with wildcards (``cpf*``) fits, sorted.
-
-    Those of a grid only where the pattern begins with its family (``oneclass:*:HS``), so
-    that ``*`` means what there is to compare, and not hundreds of combinations. Raises
-    ConfigError when it fits none.
-    """
-    fitting = [detector_entry(name) for name in fnmatch.filter(list_detectors(), pattern)]
-    found = [one for one in fitting if not one.grid or pattern.startswith(one.grid.family)]
-    if not fitting:
-        raise unknown_detector(pattern)
-    if not found:
-        grids = sorted({one.grid.name for one in fitting if one.grid})
-        what = f"fits only detectors of {', '.join(grids)}"
-        raise ConfigError(pattern, what, "begin it with the name of the family")
-    return [one.name for one in found]
-
-
 def unknown_detector(name: str) -> ConfigError:
     """The error for a name or a pattern that fits no detector: why, or the nearest names."""
-    grids = [entry.grid for entry in _catalogue().values() if entry.grid]
-    for grid in grids:
+    grids = {entry.grid.name: entry.grid for entry in _catalogue().values() if entry.grid}
+    for grid in grids.values():
         if name in grid.refused:
             return ConfigError(name, grid.refused[name], f"choose another {grid.name}")
-    return unknown_name("detector", name, list_detectors(), detector_groups())
+    if name in grids:
+        remedy = f"name one; '{grids[name].family}*' lists them"
+        return ConfigError(name, "stands for many detectors", remedy)
+    return unknown_name("detector", name, _catalogue(), detector_groups())
 
 
 def register(entry: Entry) -> None:
@@ -100,8 +99,9 @@ def register(entry: Entry) -> None:
 def _add(entries: dict[str, Entry], entry: Entry) -> None:
     if entry.name in entries:
         raise ConfigError(entry.name, "is the name of another detector", "choose a new name")
-    if "threshold" not in entry.settings.model_fields:
-        raise ConfigError(entry.name, "has settings without a threshold", "add that field")
+    if not issubclass(entry.settings, DetectorSettings):
+        what = f"has settings ({entry.settings.__name__}) that are no DetectorSettings"
+        raise ConfigError(entry.name, what, "derive them from roadtorch.DetectorSettings")
     entries[entry.name] = entry
 
 

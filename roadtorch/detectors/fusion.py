@@ -4,18 +4,23 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from pydantic import Field
-from torch import Tensor
+from torch import Tensor, nn
 
-from roadtorch.detector import THRESHOLD, Analysis, Decision, Entry
-from roadtorch.detectors.layout import SHARE, WithNetwork
+from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings
 from roadtorch.exposure import brightened
-from roadtorch.fusion import RoadSettings, log_odds, naive_bayes, road_place, segment_road
+from roadtorch.fusion import (
+    SegmentRoadSettings,
+    log_odds,
+    naive_bayes,
+    road_place,
+    segment_road,
+)
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import LabellerSettings, decide_layout, segment_layout
-from roadtorch.layout.opinion_pool import pooled
+from roadtorch.layout.opinion_pool import Share, pooled
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
-from roadtorch.layout.weights import Weights, network_of
+from roadtorch.layout.weights import WeightsFile, network_of
 from roadtorch.seed_distance import distance_likelihood, seed_distance
 from roadtorch.segment_features import Segments, measure_segments
 from roadtorch.segment_statistics import paint, segment_mean
@@ -28,7 +33,6 @@ from roadtorch.texture import (
     uniformity_likelihood,
     unsaturated_uniformity,
 )
-from roadtorch.working_size import at_working_size
 
 
 class LearnedRoad(Settings):
@@ -38,56 +42,69 @@ class LearnedRoad(Settings):
     detail: float = Field(default=0.5, ge=0, le=10, description="pixel by pixel, at the end")
 
 
-class UntrainedSettings(Decision):
+class UntrainedFusionSettings(WorkingSettings):
     """The fused detector without a network: each part with its own group of settings."""
 
-    threshold: float = Field(default=0.39, ge=0, le=1, description=THRESHOLD)
+    threshold: Threshold = Field(default=0.39, description=TUNED)
     superpixels: Superpixels = Superpixels()
     labeller: LabellerSettings = LabellerSettings()
     texture: TextureSettings = TextureSettings()
     saturation: Saturation = Saturation()
-    road: RoadSettings = RoadSettings()
+    road: SegmentRoadSettings = SegmentRoadSettings()
 
 
-class FusionSettings(UntrainedSettings):
+class FusionSettings(UntrainedFusionSettings):
     """The fused detector with a network that has seen other streets."""
 
-    threshold: float = Field(default=0.325, ge=0, le=1, description=THRESHOLD)
-    weights: Weights = Weights()
-    share: float = Field(default=0.7, ge=0, le=1, description=SHARE)
+    threshold: Threshold = Field(default=0.325, description=TUNED)
+    weights: WeightsFile = WeightsFile()
+    share: Share = 0.7
     learned: LearnedRoad = LearnedRoad()
 
 
-class PaperSettings(Decision):
+class PaperFusionSettings(WorkingSettings):
     """P2 as it is written: CNN-7, colour plane fusion over superpixels, a uniform prior."""
 
-    threshold: float = Field(default=0.258, ge=0, le=1, description=THRESHOLD)
+    threshold: Threshold = Field(default=0.258, description=TUNED)
     superpixels: Superpixels = Superpixels()
-    weights: Weights = Weights()
+    weights: WeightsFile = WeightsFile()
     texture: TextureSettings = TextureSettings()
 
 
-def _untrained(settings: UntrainedSettings) -> Analysis:
-    def analyse(image: Tensor) -> Mapping[str, Tensor]:
-        street = _look_at(image, settings)
+class UntrainedFusion(nn.Module):
+    """Naive Bayes of what one picture shows by itself. Ours, after P2."""
+
+    def __init__(self, settings: UntrainedFusionSettings) -> None:
+        super().__init__()
+        self.settings = settings
+
+    def forward(self, image: Tensor) -> dict[str, Tensor]:
+        """The cues of an image (3,H,W) in [0,1]."""
+        street = look_at(image, self.settings)
         layout = street.layout.T
-        road = street.road(layout[HORIZONTAL], settings.road)
+        road = street.road(layout[HORIZONTAL], self.settings.road)
+        labels = decide_layout(street.layout, self.settings.labeller)
         return {
             "likelihood": paint(road, street.labels),
             "layout": paint(layout, street.labels),
-            "layout_labels": paint(decide_layout(layout.T, settings.labeller), street.labels),
+            "layout_labels": paint(labels, street.labels),
             **street.cues,
         }
 
-    return at_working_size(analyse, settings.working)
 
+class Fusion(nn.Module):
+    """The same with what a network has learned from other streets: the best we know."""
 
-def _fusion(settings: FusionSettings) -> Analysis:
-    network = network_of(settings.weights, "layout", PictureNetwork)
+    def __init__(self, settings: FusionSettings) -> None:
+        super().__init__()
+        self.settings = settings
+        self.network = network_of(settings.weights, "layout", PictureNetwork)
 
-    def analyse(image: Tensor) -> Mapping[str, Tensor]:
-        learned = network.cues(image)
-        street = _look_at(image, settings)
+    def forward(self, image: Tensor) -> dict[str, Tensor]:
+        """The cues of an image (3,H,W) in [0,1]."""
+        settings = self.settings
+        learned = self.network.cues(image)
+        street = look_at(image, settings)
         labels, count = street.labels, len(street.layout)
         layout = pooled(
             street.layout.T, segment_mean(learned["layout"], labels, count), settings.share
@@ -102,8 +119,6 @@ def _fusion(settings: FusionSettings) -> Analysis:
             "learned_road": learned["road"],
             **street.cues,
         }
-
-    return WithNetwork(network, at_working_size(analyse, settings.working))
 
 
 class Street(NamedTuple):
@@ -123,20 +138,23 @@ class Street(NamedTuple):
         """int64 (H,W)."""
         return self.segments.labels
 
-    def road(self, ground: Tensor, road: RoadSettings, further: Tensor | float = 0.0) -> Tensor:
+    def road(
+        self, ground: Tensor, road: SegmentRoadSettings, further: Tensor | float = 0.0
+    ) -> Tensor:
         """p(road) of each segment (n,), the layout's ground (n,) and further log odds given."""
         return segment_road(self.segments, ground, self.near, self.even, road, further)
 
 
-def _look_at(image: Tensor, settings: UntrainedSettings) -> Street:
+def look_at(image: Tensor, settings: UntrainedFusionSettings) -> Street:
+    """Layout, texture, distance and place of an image (3,H,W) at working size."""
     image = brightened(image, settings.labeller.exposure)
     labels = settings.superpixels.cut(image)
     segments = measure_segments(image, labels)
     fused, uniformity, clipped = unsaturated_uniformity(
-        image, labels, settings.seed, settings.texture, settings.saturation
+        image, labels, settings.seed_area, settings.texture, settings.saturation
     )
     even = uniformity_likelihood(uniformity, settings.texture.even)
-    near = distance_likelihood(seed_distance(segments, settings.seed), settings.road.reach)
+    near = distance_likelihood(seed_distance(segments, settings.seed_area), settings.road.reach)
     place = road_place(segments.row, segments.column, settings.road.place)
     cues = {
         "texture": paint(even, labels),
@@ -150,17 +168,25 @@ def _look_at(image: Tensor, settings: UntrainedSettings) -> Street:
     return Street(segments, segment_layout(segments, settings.labeller), near, even, cues)
 
 
-def _paper(settings: PaperSettings) -> Analysis:
-    network = network_of(settings.weights, "cnn-7", PatchNetwork)
+class PaperFusion(nn.Module):
+    """Layout of CNN-7 times uniformity, P2 eq. 4 with a uniform prior."""
 
-    def analyse(image: Tensor) -> dict[str, Tensor]:
-        layout = network.potentials(image)
+    def __init__(self, settings: PaperFusionSettings) -> None:
+        super().__init__()
+        self.settings = settings
+        self.network = network_of(settings.weights, "cnn-7", PatchNetwork)
+
+    def forward(self, image: Tensor) -> dict[str, Tensor]:
+        """The cues of an image (3,H,W) in [0,1]."""
+        settings = self.settings
+        layout = self.network.potentials(image)
         labels = settings.superpixels.cut(image)
-        everywhere = labels >= 0
-        fused, values = fused_uniformity(image, labels, everywhere, settings.seed, settings.texture)
+        fused, values = fused_uniformity(
+            image, labels, labels >= 0, settings.seed_area, settings.texture
+        )
         uniformity = paint(values, labels)
         return {
-            # Eq. 4 with a uniform prior; the paper thresholds the product as it is.
+            # The paper thresholds the product as it is.
             "likelihood": layout[HORIZONTAL] * uniformity,
             "layout": layout,
             "texture": uniformity_likelihood(uniformity, settings.texture.even),
@@ -169,26 +195,24 @@ def _paper(settings: PaperSettings) -> Analysis:
             "segments": labels,
         }
 
-    return WithNetwork(network, at_working_size(analyse, settings.working))
-
 
 ENTRIES = (
     Entry(
         "fusion",
         "naive Bayes of layout, texture and more: the best we know",
         FusionSettings,
-        _fusion,
+        Fusion,
     ),
     Entry(
         "fusion:untrained",
         "the same without the network: nothing was trained",
-        UntrainedSettings,
-        _untrained,
+        UntrainedFusionSettings,
+        UntrainedFusion,
     ),
     Entry(
         "fusion:paper",
         "layout of CNN-7 times uniformity, as the paper has it (P2)",
-        PaperSettings,
-        _paper,
+        PaperFusionSettings,
+        PaperFusion,
     ),
 )

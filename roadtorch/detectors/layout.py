@@ -1,101 +1,92 @@
-"""Networks inside detectors: which weights, and how they travel with the detector."""
-
-from collections.abc import Callable, Mapping
+"""Detectors that take the ground of the scene layout for road."""
 
 from pydantic import Field
 from torch import Tensor, nn
 
-from roadtorch.detector import THRESHOLD, Analysis, Decision, Entry
+from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings
 from roadtorch.layout.classes import HORIZONTAL
-from roadtorch.layout.labeller import LabellerSettings, decide_layout, label_layout
-from roadtorch.layout.opinion_pool import pooled
+from roadtorch.layout.labeller import LabellerSettings, decide_layout, label_whole
+from roadtorch.layout.opinion_pool import Share, pooled
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
-from roadtorch.layout.weights import Weights, network_of
+from roadtorch.layout.weights import WeightsFile, network_of
 from roadtorch.superpixels import Superpixels
-from roadtorch.working_size import at_working_size
 
 
-class WithNetwork(nn.Module):
-    """An analysis that asks a network, whose weights become part of the detector."""
-
-    def __init__(
-        self, network: nn.Module, analyse: Callable[[Tensor], Mapping[str, Tensor]]
-    ) -> None:
-        super().__init__()
-        self.network = network
-        self._analyse = analyse
-
-    def forward(self, image: Tensor) -> Mapping[str, Tensor]:
-        """The cues of an image (3,H,W) in [0,1]."""
-        return self._analyse(image)
-
-
-SHARE = "weight of the network against the labels made in this picture"
-
-
-class LabellerDetectorSettings(Decision):
+class LabellerDetectorSettings(WorkingSettings):
     """The layout labeller as a road detector."""
 
-    threshold: float = Field(default=0.92, ge=0, le=1, description=THRESHOLD)
+    threshold: Threshold = Field(default=0.92, description=TUNED)
     superpixels: Superpixels = Superpixels()
     labeller: LabellerSettings = LabellerSettings()
 
 
-class Cnn7Settings(Decision):
+class Cnn7Settings(WorkingSettings):
     """CNN-7 as a road detector."""
 
-    threshold: float = Field(default=0.637, ge=0, le=1, description=THRESHOLD)
-    weights: Weights = Weights()
+    threshold: Threshold = Field(default=0.637, description=TUNED)
+    weights: WeightsFile = WeightsFile()
 
 
-class LayoutSettings(Decision):
+class LayoutSettings(WorkingSettings):
     """The layout by a network for whole pictures and by the labeller."""
 
-    threshold: float = Field(default=0.783, ge=0, le=1, description=THRESHOLD)
+    threshold: Threshold = Field(default=0.783, description=TUNED)
     superpixels: Superpixels = Superpixels()
     labeller: LabellerSettings = LabellerSettings()
-    weights: Weights = Weights()
-    share: float = Field(default=0.7, ge=0, le=1, description=SHARE)
+    weights: WeightsFile = WeightsFile()
+    share: Share = 0.7
 
 
-def _labeller(settings: LabellerDetectorSettings) -> Analysis:
-    def analyse(image: Tensor) -> dict[str, Tensor]:
-        found = label_layout(image, settings.labeller, settings.working, settings.superpixels)
+class Labeller(nn.Module):
+    """The ground that the labeller finds in the picture itself; no weights."""
+
+    def __init__(self, settings: LabellerDetectorSettings) -> None:
+        super().__init__()
+        self.settings = settings
+
+    def forward(self, image: Tensor) -> dict[str, Tensor]:
+        """The cues of an image (3,H,W) in [0,1]."""
+        found = label_whole(image, self.settings.labeller, self.settings.superpixels)
         return {
             "likelihood": found.potentials[HORIZONTAL],
             "layout": found.potentials,
             "layout_labels": found.labels,
         }
 
-    return analyse
 
+class Cnn7(nn.Module):
+    """The ground that a patch network sees, pixel by pixel (P2, section 3)."""
 
-def _cnn7(settings: Cnn7Settings) -> Analysis:
-    network = network_of(settings.weights, "cnn-7", PatchNetwork)
+    def __init__(self, settings: Cnn7Settings) -> None:
+        super().__init__()
+        self.network = network_of(settings.weights, "cnn-7", PatchNetwork)
 
-    def analyse(image: Tensor) -> dict[str, Tensor]:
-        potentials = network.potentials(image)
+    def forward(self, image: Tensor) -> dict[str, Tensor]:
+        """The cues of an image (3,H,W) in [0,1]."""
+        potentials = self.network.potentials(image)
         return {"likelihood": potentials[HORIZONTAL], "layout": potentials}
 
-    return WithNetwork(network, at_working_size(analyse, settings.working))
 
+class Layout(nn.Module):
+    """The ground that a network for whole pictures and the labeller agree on. Ours."""
 
-def _layout(settings: LayoutSettings) -> Analysis:
-    network = network_of(settings.weights, "layout", PictureNetwork)
+    def __init__(self, settings: LayoutSettings) -> None:
+        super().__init__()
+        self.settings = settings
+        self.network = network_of(settings.weights, "layout", PictureNetwork)
 
-    def analyse(image: Tensor) -> Mapping[str, Tensor]:
-        own = label_layout(image, settings.labeller, settings.working, settings.superpixels)
-        learned = network.cues(image)
-        potentials = pooled(own.potentials, learned["layout"], settings.share)
+    def forward(self, image: Tensor) -> dict[str, Tensor]:
+        """The cues of an image (3,H,W) in [0,1]."""
+        own = label_whole(image, self.settings.labeller, self.settings.superpixels)
+        learned = self.network.cues(image)
+        potentials = pooled(own.potentials, learned["layout"], self.settings.share)
         return {
             "likelihood": potentials[HORIZONTAL],
             "layout": potentials,
-            "layout_labels": _decided(potentials, settings.labeller),
+            "layout_labels": _decided(potentials, self.settings.labeller),
             "learned_road": learned["road"],
         }
-
-    return WithNetwork(network, at_working_size(analyse, settings.working))
 
 
 def _decided(potentials: Tensor, settings: LabellerSettings) -> Tensor:
@@ -109,13 +100,13 @@ ENTRIES = (
         "layout",
         "layout by a network and the labeller: the best we know",
         LayoutSettings,
-        _layout,
+        Layout,
     ),
-    Entry("layout:cnn-7", "ground of the layout by CNN-7 (P2)", Cnn7Settings, _cnn7),
+    Entry("layout:cnn-7", "ground of the layout by CNN-7 (P2)", Cnn7Settings, Cnn7),
     Entry(
         "labeller",
         "ground of the machine-made scene layout, no training",
         LabellerDetectorSettings,
-        _labeller,
+        Labeller,
     ),
 )

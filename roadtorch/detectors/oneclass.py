@@ -1,15 +1,15 @@
 """One-class colour classification of pixels: every classifier on every representation (P3)."""
 
-from collections.abc import Iterator
-from functools import cache
-from typing import Any, Literal
+from collections.abc import Callable, Iterator
+from functools import cache, partial
+from typing import Any, ClassVar
 
 import torch
 from pydantic import Field, create_model
-from torch import Tensor
+from torch import Tensor, nn
 
 from roadtorch.color import REPRESENTATIONS
-from roadtorch.detector import ISOLATED, Analysis, Entry, Grid
+from roadtorch.detector import DetectorGrid, Entry, Isolated, Threshold, WorkingSettings
 from roadtorch.oneclass import CLASSIFIERS
 from roadtorch.oneclass.axes import axes_of
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, fit
@@ -22,15 +22,14 @@ from roadtorch.oneclass.samples import (
     road_samples,
     sample_area,
 )
-from roadtorch.settings import Settings
-from roadtorch.working_size import WorkingSize, at_working_size
+from roadtorch.working_size import WorkingSize
 
 
 def _name(classifier: Classifier, planes: str) -> str:
     return f"oneclass:{classifier.name}:{planes}"
 
 
-GRID = Grid(
+GRID = DetectorGrid(
     "oneclass:<classifier>:<planes>",
     "colours like those ahead of the car, learned from the one picture (P3)",
     {
@@ -48,25 +47,34 @@ FAR = 1000.0
 """Thresholds beyond which the cue ``distance`` is cut off: empty bins are infinitely far."""
 
 
-class OneClassSettings(Settings):
+class OneClassSettings(WorkingSettings):
     """Where samples come from, and what the classifier is told.
 
     P3 thresholds the likelihood and nothing else, so isolated regions are kept. Its pictures
     are taken to be of 640×480 pixels, and larger ones are reduced to as many.
     """
 
-    threshold: float = Field(
+    taught: ClassVar[Classifier]
+    """The classifier that they are for; set by ``settings_of``."""
+
+    threshold: Threshold = Field(
         default=0.5,
-        ge=0,
-        le=1,
         description="road from this likelihood on; at 0.5, samples but for the rejected fraction",
     )
-    isolated: Literal["drop", "keep"] = Field(default="keep", description=ISOLATED)
+    isolated: Isolated = "keep"
     working: WorkingSize = WorkingSize(pixels=PIXELS)
-    seed: WideSeedArea = WideSeedArea()
+    seed_area: WideSeedArea = WideSeedArea()
     samples: SampleSettings = SampleSettings()
     classifier: ClassifierSettings = ClassifierSettings()
-    random: int = Field(default=0, ge=0, le=2**63 - 1, description="seed of restarts and of noise")
+    random_seed: int = Field(default=0, ge=0, le=2**63 - 1, description="of restarts and of noise")
+
+    def __reduce__(self) -> tuple[Callable[..., "OneClassSettings"], tuple[str, dict[str, Any]]]:
+        """Pickled by the classifier's name: its model is made by a function, not a statement."""
+        return _settings_again, (self.taught.name, self.model_dump())
+
+
+def _settings_again(name: str, values: dict[str, Any]) -> OneClassSettings:
+    return settings_of(CLASSIFIERS[name]).model_validate(values)
 
 
 @cache
@@ -80,35 +88,42 @@ def settings_of(classifier: Classifier) -> type[OneClassSettings]:
     every = issubclass(own, HistogramSettings)
     samples = AllSampleSettings if every else SampleSettings
     fields: dict[str, Any] = {"classifier": (own, own()), "samples": (samples, samples())}
-    return create_model(
+    made = create_model(
         f"{classifier.name}_settings",
         __base__=OneClassSettings,
         __doc__=own.__doc__,
         __module__=__name__,
         **fields,
     )
+    made.taught = classifier
+    return made
 
 
-def _one_class(settings: OneClassSettings, classifier: Classifier, planes: str) -> Analysis:
-    names = REPRESENTATIONS[planes]
-    axes = axes_of(names)
+class OneClass(nn.Module):
+    """A classifier that learns the colours of the seed area and judges all pixels by them."""
 
-    def analyse(image: Tensor) -> dict[str, Tensor]:
-        generator = torch.Generator().manual_seed(settings.random)
-        samples = road_samples(image, names, settings.samples, settings.seed)
-        fitted = fit(classifier, samples, axes, settings.classifier, generator)
-        palette = representation(image, names)
+    def __init__(self, settings: OneClassSettings, classifier: Classifier, planes: str) -> None:
+        super().__init__()
+        self.settings = settings
+        self.classifier = classifier
+        self.planes = REPRESENTATIONS[planes]
+
+    def forward(self, image: Tensor) -> dict[str, Tensor]:
+        """The cues of an image (3,H,W) in [0,1]."""
+        settings = self.settings
+        generator = torch.Generator().manual_seed(settings.random_seed)
+        samples = road_samples(image, self.planes, settings.samples, settings.seed_area)
+        fitted = fit(self.classifier, samples, axes_of(self.planes), settings.classifier, generator)
+        palette = representation(image, self.planes)
         distance = fitted.distance(palette.values.T)
         used = torch.zeros_like(palette.index, dtype=torch.bool)
-        used[sample_area(palette.index.shape, settings.seed)] = True
+        used[sample_area(palette.index.shape, settings.seed_area)] = True
         near = distance.clamp_max(FAR * fitted.threshold)
         return {
             "likelihood": fitted.squashed(distance)[palette.index],
             "distance": near[palette.index],
             "seed_area": used,
         }
-
-    return at_working_size(analyse, settings.working)
 
 
 def _entries() -> Iterator[Entry]:
@@ -123,7 +138,7 @@ def _entry(classifier: Classifier, planes: str) -> Entry:
         _name(classifier, planes),
         f"{classifier.summary}, in {planes} (P3)",
         settings_of(classifier),
-        lambda settings: _one_class(settings, classifier, planes),
+        partial(OneClass, classifier=classifier, planes=planes),
         GRID,
     )
 

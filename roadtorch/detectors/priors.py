@@ -1,33 +1,32 @@
 """The floors: detectors that never look at the picture."""
 
 from collections.abc import Callable
+from functools import partial
 
-from pydantic import Field
-from torch import Tensor
+from torch import Tensor, nn
 
-from roadtorch.detector import Analysis, Entry
+from roadtorch.detector import DetectorSettings, Entry
 from roadtorch.priors import prior_rows, prior_triangle, prior_uniform
-from roadtorch.settings import Settings
 
 
-class PriorSettings(Settings):
-    """Settings of the floors that never look at the picture."""
+class Prior(nn.Module):
+    """A location prior as an answer: ``prior(height, width)``, whatever the picture shows."""
 
-    threshold: float = Field(default=0.5, ge=0, le=1, description="road from this likelihood on")
+    def __init__(self, settings: DetectorSettings, prior: Callable[[int, int], Tensor]) -> None:
+        super().__init__()
+        self.prior = prior
+
+    def forward(self, image: Tensor) -> dict[str, Tensor]:
+        """``likelihood`` (H,W) for an image (3,H,W)."""
+        return {"likelihood": self.prior(*image.shape[-2:]).to(image)}
 
 
-def _prior(make: Callable[[int, int], Tensor]) -> Callable[[PriorSettings], Analysis]:
-    """A detector that answers with a location prior."""
-    return lambda settings: lambda image: {"likelihood": make(*image.shape[-2:]).to(image)}
+def _floor(name: str, summary: str, prior: Callable[[int, int], Tensor]) -> Entry:
+    return Entry(name, summary, DetectorSettings, partial(Prior, prior=prior), floor=True)
 
 
 ENTRIES = (
-    Entry("prior:uniform", "0.5 everywhere", PriorSettings, _prior(prior_uniform)),
-    Entry("prior:rows", "row / height", PriorSettings, _prior(prior_rows)),
-    Entry(
-        "prior:triangle",
-        "a triangle ahead of the car",
-        PriorSettings,
-        _prior(prior_triangle),
-    ),
+    _floor("prior:uniform", "0.5 everywhere", prior_uniform),
+    _floor("prior:rows", "row / height", prior_rows),
+    _floor("prior:triangle", "a triangle ahead of the car", prior_triangle),
 )

@@ -4,12 +4,12 @@ from typing import Literal
 
 import torch
 from pydantic import Field
-from torch import Tensor
+from torch import Tensor, nn
 
 from roadtorch.color import plane
-from roadtorch.detector import THRESHOLD, Analysis, Decision, Entry
+from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings
 from roadtorch.lbp import PATTERNS, similarity
-from roadtorch.seed_area import SeedArea, seed_area
+from roadtorch.seed_area import seed_area
 from roadtorch.segment_statistics import paint
 from roadtorch.superpixels import Superpixels, squares
 from roadtorch.texture import (
@@ -22,40 +22,39 @@ from roadtorch.texture import (
     uniformity_likelihood,
     unsaturated_uniformity,
 )
-from roadtorch.working_size import at_working_size
 
 
-class CpfSettings(Decision):
+class CpfSettings(WorkingSettings):
     """Colour plane fusion over superpixels."""
 
-    threshold: float = Field(default=0.54, ge=0, le=1, description=THRESHOLD)
+    threshold: Threshold = Field(default=0.54, description=TUNED)
     superpixels: Superpixels = Superpixels()
     texture: TextureSettings = TextureSettings()
 
 
-class CpfV2Settings(Decision):
+class CpfV2Settings(WorkingSettings):
     """Colour plane fusion over superpixels, without saturated pixels."""
 
-    threshold: float = Field(default=0.52, ge=0, le=1, description=THRESHOLD)
+    threshold: Threshold = Field(default=0.52, description=TUNED)
     superpixels: Superpixels = Superpixels()
     texture: TextureSettings = TextureSettings()
     saturation: Saturation = Saturation()
 
 
-class CpfSquaresSettings(Decision):
+class CpfSquaresSettings(WorkingSettings):
     """Colour plane fusion over squares."""
 
-    threshold: float = Field(default=0.52, ge=0, le=1, description=THRESHOLD)
+    threshold: Threshold = Field(default=0.52, description=TUNED)
     square: int = Field(
         default=16, ge=2, le=4096, description="side of the squares in pixels at working size"
     )
     texture: TextureSettings = TextureSettings()
 
 
-class GreySettings(Decision):
+class GreyUniformitySettings(WorkingSettings):
     """Uniformity of the grey image over superpixels."""
 
-    threshold: float = Field(default=0.58, ge=0, le=1, description=THRESHOLD)
+    threshold: Threshold = Field(default=0.58, description=TUNED)
     superpixels: Superpixels = Superpixels()
     bins: int = Field(default=64, ge=2, le=4096, description="levels of the histograms")
     even: float = Field(
@@ -63,14 +62,105 @@ class GreySettings(Decision):
     )
 
 
-class LbpSettings(Decision):
+class LbpSettings(WorkingSettings):
     """Local binary patterns over superpixels."""
 
-    threshold: float = Field(default=0.97, ge=0, le=1, description=THRESHOLD)
+    threshold: Threshold = Field(default=0.97, description=TUNED)
     superpixels: Superpixels = Superpixels()
     patterns: Literal["uniform", "smallest"] = Field(
         default="uniform", description="runs of brighter neighbours, or smallest rotation"
     )
+
+
+class Cpf(nn.Module):
+    """Colour plane fusion: U of the fused plane over superpixels (P2, section 4)."""
+
+    def __init__(self, settings: CpfSettings) -> None:
+        super().__init__()
+        self.settings = settings
+
+    def forward(self, image: Tensor) -> dict[str, Tensor]:
+        """The cues of an image (3,H,W) in [0,1]."""
+        return _cues_over(self.settings.superpixels.cut(image), image, self.settings)
+
+
+class CpfSquares(nn.Module):
+    """Colour plane fusion over squares, which P2 compares superpixels with."""
+
+    def __init__(self, settings: CpfSquaresSettings) -> None:
+        super().__init__()
+        self.settings = settings
+
+    def forward(self, image: Tensor) -> dict[str, Tensor]:
+        """The cues of an image (3,H,W) in [0,1]."""
+        labels = squares(image.shape[-2], image.shape[-1], self.settings.square)
+        return _cues_over(labels.to(image.device), image, self.settings)
+
+
+class CpfV2(nn.Module):
+    """Colour plane fusion without saturated pixels (P2, section 6.2)."""
+
+    def __init__(self, settings: CpfV2Settings) -> None:
+        super().__init__()
+        self.settings = settings
+
+    def forward(self, image: Tensor) -> dict[str, Tensor]:
+        """The cues of an image (3,H,W) in [0,1]."""
+        settings = self.settings
+        labels = settings.superpixels.cut(image)
+        fused, values, clipped = unsaturated_uniformity(
+            image, labels, settings.seed_area, settings.texture, settings.saturation
+        )
+        cues = _texture_cues(labels, fused, values, settings.texture.even)
+        return {**cues, "saturated": clipped}
+
+
+class GreyUniformity(nn.Module):
+    """U of the grey image over superpixels, P2's baseline without fusion."""
+
+    def __init__(self, settings: GreyUniformitySettings) -> None:
+        super().__init__()
+        self.settings = settings
+
+    def forward(self, image: Tensor) -> dict[str, Tensor]:
+        """The cues of an image (3,H,W) in [0,1]."""
+        settings = self.settings
+        labels = settings.superpixels.cut(image)
+        levels = quantise(plane(image, "grey"), settings.bins, 0, 1)
+        everywhere = torch.ones_like(labels)
+        values = uniformity(segment_histograms(levels, labels, settings.bins, everywhere))
+        painted = paint(values, labels)
+        likelihood = uniformity_likelihood(painted, settings.even)
+        return {"likelihood": likelihood, "uniformity": painted, "segments": labels}
+
+
+class Lbp(nn.Module):
+    """Local binary patterns like those of the seed area, P2's texture baseline."""
+
+    def __init__(self, settings: LbpSettings) -> None:
+        super().__init__()
+        self.settings = settings
+
+    def forward(self, image: Tensor) -> dict[str, Tensor]:
+        """The cues of an image (3,H,W) in [0,1]."""
+        patterns_of, codes = PATTERNS[self.settings.patterns]
+        labels = self.settings.superpixels.cut(image)
+        patterns = patterns_of(plane(image, "grey"))
+        counts = segment_histograms(patterns, labels, codes, torch.ones_like(labels))
+        area = seed_area(labels.shape[-2], labels.shape[-1], self.settings.seed_area)
+        reference = torch.bincount(patterns[area].flatten(), minlength=codes).to(counts)
+        likelihood = paint(similarity(counts, reference), labels)
+        return {"likelihood": likelihood, "patterns": patterns, "segments": labels}
+
+
+def _cues_over(
+    labels: Tensor, image: Tensor, settings: CpfSettings | CpfSquaresSettings
+) -> dict[str, Tensor]:
+    everywhere = torch.ones_like(labels, dtype=torch.bool)
+    fused, values = fused_uniformity(
+        image, labels, everywhere, settings.seed_area, settings.texture
+    )
+    return _texture_cues(labels, fused, values, settings.texture.even)
 
 
 def _texture_cues(labels: Tensor, fused: Tensor, values: Tensor, even: float) -> dict[str, Tensor]:
@@ -82,73 +172,15 @@ def _texture_cues(labels: Tensor, fused: Tensor, values: Tensor, even: float) ->
     }
 
 
-def _cpf_over(
-    labels: Tensor, image: Tensor, seed: SeedArea, settings: TextureSettings
-) -> dict[str, Tensor]:
-    everywhere = torch.ones_like(labels, dtype=torch.bool)
-    fused, values = fused_uniformity(image, labels, everywhere, seed, settings)
-    return _texture_cues(labels, fused, values, settings.even)
-
-
-def _cpf(settings: CpfSettings) -> Analysis:
-    def analyse(image: Tensor) -> dict[str, Tensor]:
-        return _cpf_over(settings.superpixels.cut(image), image, settings.seed, settings.texture)
-
-    return at_working_size(analyse, settings.working)
-
-
-def _cpf_squares(settings: CpfSquaresSettings) -> Analysis:
-    def analyse(image: Tensor) -> dict[str, Tensor]:
-        labels = squares(image.shape[-2], image.shape[-1], settings.square)
-        return _cpf_over(labels.to(image.device), image, settings.seed, settings.texture)
-
-    return at_working_size(analyse, settings.working)
-
-
-def _cpf_v2(settings: CpfV2Settings) -> Analysis:
-    def analyse(image: Tensor) -> dict[str, Tensor]:
-        labels = settings.superpixels.cut(image)
-        fused, values, clipped = unsaturated_uniformity(
-            image, labels, settings.seed, settings.texture, settings.saturation
-        )
-        cues = _texture_cues(labels, fused, values, settings.texture.even)
-        return {**cues, "saturated": clipped}
-
-    return at_working_size(analyse, settings.working)
-
-
-def _grey_uniformity(settings: GreySettings) -> Analysis:
-    def analyse(image: Tensor) -> dict[str, Tensor]:
-        labels = settings.superpixels.cut(image)
-        levels = quantise(plane(image, "grey"), settings.bins, 0, 1)
-        everywhere = torch.ones_like(labels)
-        values = uniformity(segment_histograms(levels, labels, settings.bins, everywhere))
-        painted = paint(values, labels)
-        likelihood = uniformity_likelihood(painted, settings.even)
-        return {"likelihood": likelihood, "uniformity": painted, "segments": labels}
-
-    return at_working_size(analyse, settings.working)
-
-
-def _lbp(settings: LbpSettings) -> Analysis:
-    patterns_of, codes = PATTERNS[settings.patterns]
-
-    def analyse(image: Tensor) -> dict[str, Tensor]:
-        labels = settings.superpixels.cut(image)
-        patterns = patterns_of(plane(image, "grey"))
-        counts = segment_histograms(patterns, labels, codes, torch.ones_like(labels))
-        area = seed_area(labels.shape[-2], labels.shape[-1], settings.seed)
-        reference = torch.bincount(patterns[area].flatten(), minlength=codes).to(counts)
-        likelihood = paint(similarity(counts, reference), labels)
-        return {"likelihood": likelihood, "patterns": patterns, "segments": labels}
-
-    return at_working_size(analyse, settings.working)
-
-
 ENTRIES = (
-    Entry("cpf", "uniformity of fused colour planes over superpixels (P2)", CpfSettings, _cpf),
-    Entry("cpf:v2", "the same without saturated pixels (P2)", CpfV2Settings, _cpf_v2),
-    Entry("cpf:squares", "the same as cpf over squares (P2)", CpfSquaresSettings, _cpf_squares),
-    Entry("grey-uniformity", "uniformity of the grey image (P2)", GreySettings, _grey_uniformity),
-    Entry("lbp", "local binary patterns like those of the seed area (P2)", LbpSettings, _lbp),
+    Entry("cpf", "uniformity of fused colour planes over superpixels (P2)", CpfSettings, Cpf),
+    Entry("cpf:v2", "the same without saturated pixels (P2)", CpfV2Settings, CpfV2),
+    Entry("cpf:squares", "the same as cpf over squares (P2)", CpfSquaresSettings, CpfSquares),
+    Entry(
+        "grey-uniformity",
+        "uniformity of the grey image (P2)",
+        GreyUniformitySettings,
+        GreyUniformity,
+    ),
+    Entry("lbp", "local binary patterns like those of the seed area (P2)", LbpSettings, Lbp),
 )

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.image_cache import shareable
+from roadtorch.image_cache import cached_per_image
 
 TOLERANCES = (0.0025, 0.005, 0.0075)
 """1.5, 3 and 4.5 pixels at 480x360: Csurka's figure, and two that ask for more."""
@@ -60,7 +60,7 @@ def border(mask: Tensor, valid: Tensor) -> Tensor:
     return found & inside
 
 
-@shareable
+@cached_per_image
 def true_border(road: Tensor, valid: Tensor) -> tuple[np.ndarray, np.ndarray]:
     """The border of the truth, bool (H,W), and the distance to it: once for all detectors."""
     true = border(road, valid).numpy()

@@ -9,7 +9,7 @@ from torch import Tensor
 from roadtorch.data import maps
 from roadtorch.data.catalogue import list_datasets, open_dataset
 from roadtorch.data.dataset import Dataset
-from roadtorch.detectors.catalogue import detector_entry, is_pattern, matching_detectors
+from roadtorch.detectors.catalogue import detector_entry, is_pattern, list_detectors
 from roadtorch.errors import ConfigError
 from roadtorch.evaluation import floors
 from roadtorch.evaluation.runner import MEAN_THRESHOLD, Plan, every_kth
@@ -50,14 +50,14 @@ def make_plan(
 def expand_names(names: Sequence[str]) -> list[str]:
     """Detector names with wildcards expanded, each once, in the order given.
 
-    The hundreds of a grid need its family: ``oneclass:*:HS``, see ``matching_detectors``.
+    The hundreds of a grid need its family: ``oneclass:*:HS``, see ``list_detectors``.
     Raises ConfigError for a name or a pattern that fits nothing.
     """
     found: dict[str, None] = {}
     for name in names:
         if name == floors.MEAN:  # the evaluator's own
             continue
-        matches = matching_detectors(name) if is_pattern(name) else [detector_entry(name).name]
+        matches = list_detectors(name) if is_pattern(name) else [detector_entry(name).name]
         found.update(dict.fromkeys(matches))
     return list(found)
 

@@ -20,7 +20,7 @@ from roadtorch.errors import RoadtorchError
 from roadtorch.evaluation import boundary, metrics
 from roadtorch.evaluation.floors import MEAN, resize
 from roadtorch.evaluation.tally import Score
-from roadtorch.image_cache import Shared, sharing
+from roadtorch.image_cache import ImageCache, image_cache
 
 MEAN_THRESHOLD = 0.5  # road at this place in at least half of the pictures
 
@@ -133,7 +133,7 @@ def seen_truth(scene: Scene) -> Truth:
     return Truth(scene.seen(truth.road), scene.seen(truth.valid), layout)
 
 
-def score_scene(look: Look, scene: Scene, shared: Shared) -> Score:
+def score_scene(look: Look, scene: Scene, shared: ImageCache) -> Score:
     """Run one detector on one picture and count."""
     truth, saved = scene.truth, shared.saved
     start = time.perf_counter()
@@ -167,7 +167,7 @@ def score_item(plan: Plan, found: Mapping[str, Look], item: Item) -> Result:
     try:
         scene = read_scene(plan.dataset, item)
         scores = {}
-        with sharing() as shared:
+        with image_cache() as shared:
             for who, look in found.items():
                 scores[who] = score_scene(look, scene, shared)
         return Result(item, scores)

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from roadtorch.exposure import Exposure, brightened
-from roadtorch.image_cache import shareable
+from roadtorch.image_cache import cached_per_image
 from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 from roadtorch.segment_features import (
     Bandwidths,
@@ -107,26 +107,28 @@ def label_layout(
 ) -> LayoutLabels:
     """Label an image (3,H,W) in [0,1] as sky, vertical, horizontal (0, 1, 2; 255 in doubt).
 
-    Where settings are left out, their defaults hold. The maps have the image's size.
+    It is looked at in its working size. Where settings are left out, their defaults hold. The
+    maps have the image's size.
     """
-    settings = settings or LabellerSettings()
-    superpixels = superpixels or Superpixels()
-
-    def analyse(small: Tensor) -> dict[str, Tensor]:
-        bright = brightened(small, settings.exposure)
-        segments = measure_segments(bright, superpixels.cut(bright))
-        potentials = segment_layout(segments, settings)
-        labels = decide_layout(potentials, settings)
-        return {
-            "layout": paint(potentials.T, segments.labels),
-            "layout_labels": paint(labels, segments.labels),
-        }
-
-    cues = at_working_size(analyse, working or WorkingSize())(image)
-    return LayoutLabels(cues["layout"], cues["layout_labels"])
+    given = settings or LabellerSettings(), superpixels or Superpixels()
+    cues = at_working_size(
+        lambda small: label_whole(small, *given)._asdict(), image, working or WorkingSize()
+    )
+    return LayoutLabels(cues["potentials"], cues["labels"])
 
 
-@shareable
+def label_whole(
+    image: Tensor, settings: LabellerSettings, superpixels: Superpixels
+) -> LayoutLabels:
+    """The same with the image looked at as it is."""
+    bright = brightened(image, settings.exposure)
+    segments = measure_segments(bright, superpixels.cut(bright))
+    potentials = segment_layout(segments, settings)
+    labels = decide_layout(potentials, settings)
+    return LayoutLabels(paint(potentials.T, segments.labels), paint(labels, segments.labels))
+
+
+@cached_per_image
 def segment_layout(segments: Segments, settings: LabellerSettings) -> Tensor:
     """Potentials (n,3) of n segments: sky, vertical, horizontal; each row sums to 1.
 

@@ -173,14 +173,14 @@ class PatchNetwork(nn.Module):
     @torch.no_grad()
     def cues(self, image: Tensor) -> Mapping[str, Tensor]:
         """``layout``: potentials (3,H,W) of an image (3,H,W) in [0,1], found at working size."""
-        analyse = at_working_size(
-            lambda one: {"layout": self.potentials(one)}, self.settings.working
+        return at_working_size(
+            lambda small: {"layout": self.potentials(small)}, image, self.settings.working
         )
-        return analyse(image)
 
     def potentials(self, image: Tensor) -> Tensor:
         """Potentials (3,H,W) for each pixel of an image (3,H,W) in [0,1], at its own size."""
-        return self.dense(normalise(image, self.settings.normalisation).pixels)
+        pixels = normalise(image, self.settings.normalisation).pixels
+        return self.dense(pixels.to(self.first.weight)).to(image)
 
     def _squashed(self, scores: Tensor) -> Tensor:
         if self.settings.topology.potentials == "softmax":

@@ -81,7 +81,8 @@ class PictureNetwork(nn.Module):
         """``layout`` (3,H,W) and ``road`` (H,W), in [0,1], of an image (3,H,W) in [0,1]."""
         size = (image.shape[-2], image.shape[-1])
         small = resized(image, (self.settings.height, self.settings.width)).clamp(0, 1)
-        scores = self(normalise(small, self.settings.normalisation).pixels[None])
+        pixels = normalise(small, self.settings.normalisation).pixels[None]
+        scores = self(pixels.to(self.heads.weight)).to(image)
         potentials = resized(potentials_of(scores)[0], size).clamp(0, 1)
         return {"layout": potentials[:CLASSES], "road": potentials[CLASSES]}
 

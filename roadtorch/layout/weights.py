@@ -131,7 +131,7 @@ def _checked(path: Path, text: str | None) -> dict[str, Any]:
 Network = TypeVar("Network", PatchNetwork, PictureNetwork)
 
 
-class Weights(Settings):
+class WeightsFile(Settings):
     """Which weights a network has."""
 
     file: str = Field(
@@ -139,7 +139,7 @@ class Weights(Settings):
     )
 
 
-def network_of(weights: Weights, shipped: str, kind: type[Network]) -> Network:
+def network_of(weights: WeightsFile, shipped: str, kind: type[Network]) -> Network:
     """The network with the weights of a file, or with those shipped under a name.
 
     Raises WeightsError for a file that cannot be used, or holds another kind of network.

@@ -117,7 +117,7 @@ def nearest_distance(state: State, planes: Tensor) -> Tensor:
 # --- minimum spanning tree --------------------------------------------------------------
 
 
-class TreeSettings(ClassifierSettings):
+class SpanningTreeSettings(ClassifierSettings):
     """Minimum spanning tree."""
 
 
@@ -148,7 +148,7 @@ def edge_quantile(lengths: Tensor, fraction: float) -> float:
 
 
 def _fit_tree(
-    samples: Tensor, axes: Axes, settings: TreeSettings, generator: torch.Generator
+    samples: Tensor, axes: Axes, settings: SpanningTreeSettings, generator: torch.Generator
 ) -> Learned:
     points, _ = few_distinct("mst", samples)
     edges = spanning_tree(points)
@@ -191,5 +191,9 @@ NN = Classifier(
     "nn", "distance to the nearest sample", NearestSettings, _fit_nearest, nearest_distance
 )
 MST = Classifier(
-    "mst", "distance to the samples' minimum spanning tree", TreeSettings, _fit_tree, tree_distance
+    "mst",
+    "distance to the samples' minimum spanning tree",
+    SpanningTreeSettings,
+    _fit_tree,
+    tree_distance,
 )

@@ -1,6 +1,6 @@
 """Where the samples of road come from, and each value of a picture only once (P3, section V).
 
-What depends on the picture alone is marked ``shareable``: many classifiers that look at one
+What depends on the picture alone is marked ``cached_per_image``: many classifiers that look at one
 picture make it once. The planes are those of the distinct colours, so that a sample and a
 pixel of one colour have the same values to the bit.
 """
@@ -13,7 +13,7 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.color import PLANES, plane
-from roadtorch.image_cache import shareable
+from roadtorch.image_cache import cached_per_image
 from roadtorch.oneclass.axes import circular_mean, unrolled
 from roadtorch.seed_area import FRAME, SeedArea, seed_area
 from roadtorch.segment_statistics import segment_median
@@ -89,7 +89,7 @@ class Palette(NamedTuple):
     index: Tensor
 
 
-@shareable
+@cached_per_image
 def colours(image: Tensor) -> Palette:
     """The distinct colours of an image (3,H,W), values (3,k), if it has 8-bit levels.
 
@@ -105,7 +105,7 @@ def colours(image: Tensor) -> Palette:
     return Palette(levels.to(image.dtype) / 255, index.view(size))
 
 
-@shareable
+@cached_per_image
 def plane_values(image: Tensor, name: str) -> Palette:
     """The distinct values of one plane of an image (3,H,W): values (1,k)."""
     palette = colours(image)
@@ -113,7 +113,7 @@ def plane_values(image: Tensor, name: str) -> Palette:
     return Palette(values[None], index[palette.index])
 
 
-@shareable
+@cached_per_image
 def colour_plane(image: Tensor, name: str) -> Tensor:
     """One plane of the distinct colours of an image (3,H,W): (k,)."""
     return plane(colours(image).values[:, None], name)[0]
@@ -126,7 +126,7 @@ def representation(image: Tensor, names: tuple[str, ...]) -> Palette:
     return Palette(torch.stack([colour_plane(image, name) for name in names]), colours(image).index)
 
 
-@shareable
+@cached_per_image
 def area_segments(image: Tensor, settings: SampleSettings, seed: SeedArea) -> Tensor:
     """Labels int64 (h,w) of the seed area: superpixels, or cells of a grid."""
     rows, columns = sample_area(image.shape, seed)
@@ -140,14 +140,14 @@ def area_segments(image: Tensor, settings: SampleSettings, seed: SeedArea) -> Te
     return row[:, None] * across + column
 
 
-@shareable
+@cached_per_image
 def area_values(image: Tensor, name: str, seed: SeedArea) -> Tensor:
     """One plane in the seed area of an image: (h,w)."""
     index = colours(image).index
     return colour_plane(image, name)[index[sample_area(index.shape, seed)]]
 
 
-@shareable
+@cached_per_image
 def segment_medians(image: Tensor, name: str, settings: SampleSettings, seed: SeedArea) -> Tensor:
     """The lower median of one plane in each superpixel of the seed area: (m,).
 

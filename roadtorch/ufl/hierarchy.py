@@ -23,7 +23,7 @@ NODES = "what a node is: a region and all that follow until it splits (P1), or a
 LEAST = "minPts, pixels of the map that a region needs"
 
 
-class TreeSettings(Settings):
+class RegionTreeSettings(Settings):
     """Thresholds and the least size of a region."""
 
     levels: int = Field(default=16, ge=1, le=1024, description="L, steps of the thresholds")
@@ -166,7 +166,7 @@ def node_stability(tree: Tree, pixels: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class Choice:
+class NodeChoice:
     """Which nodes are road: selected bool (M,), stability S and best sums S-hat, float64 (M,)."""
 
     selected: Tensor
@@ -176,7 +176,7 @@ class Choice:
 
 def select_nodes(
     tree: Tree, stability: Tensor, whole: Literal["if_undivided", "never"] = "if_undivided"
-) -> Choice:
+) -> NodeChoice:
     """Eq. 9: the disjoint nodes with the greatest sum of stabilities, bottom-up.
 
     A node that is worth more than the best of what it holds takes its place. The root takes
@@ -193,7 +193,7 @@ def select_nodes(
     if len(own) == 1 and whole == "if_undivided":
         wins[0] = own[0] > 0
         best[0] = max(0.0, own[0])
-    return Choice(
+    return NodeChoice(
         torch.tensor(_topmost(wins, parent)), stability, torch.tensor(best, dtype=torch.float64)
     )
 

@@ -10,7 +10,7 @@ from roadtorch.ufl.preprocess import Smoothing, equalised
 
 
 @dataclass(frozen=True)
-class Learned:
+class LearnedFeatures:
     """What is learned from one picture, before any road is looked for.
 
     even: (3,H,W), equalised. dictionary: (K,d). maps: the selected feature maps.
@@ -23,10 +23,10 @@ class Learned:
 
 def learn_features(
     image: Tensor, smoothing: Smoothing, dictionary: DictionarySettings, maps: MapSettings
-) -> Learned:
+) -> LearnedFeatures:
     """Preprocessing, dictionary and feature maps of an image (3,H,W) (P1, sections II.A, B)."""
     even = equalised(image, smoothing)
     patches = white_patches(even, dictionary)
     bases = learn_dictionary(patches, dictionary)
     size = (image.shape[1] - dictionary.side + 1, image.shape[2] - dictionary.side + 1)
-    return Learned(even, bases, select_maps(patches, bases, size, maps))
+    return LearnedFeatures(even, bases, select_maps(patches, bases, size, maps))

@@ -1,9 +1,13 @@
-"""What Fig. 3 of P1 shows: bases and maps as small pictures in one."""
+"""What Figs. 3 and 4 of P1 show: bases, maps and regions as pictures."""
 
 import math
 
 import torch
 from torch import Tensor
+
+from roadtorch.ufl.hierarchy import Tree, paint_nodes
+from roadtorch.ufl.maps import FeatureMaps
+from roadtorch.ufl.road import Round, map_to_image
 
 
 def dictionary_picture(
@@ -28,3 +32,20 @@ def mosaic(tiles: Tensor, shape: tuple[int, ...]) -> Tensor:
     board[:count] = tiles
     board = board.view(rows, columns, channels, height, width).permute(2, 0, 3, 1, 4)
     return board.reshape(channels, rows * height, columns * width)
+
+
+def map_pictures(
+    found: FeatureMaps, mean_map: Tensor, tree: Tree, last: Round, side: int
+) -> dict[str, Tensor]:
+    """What Fig. 4 of P1 shows, by name, each at the size of the image; side: of a patch."""
+    levels = (tree.node_of >= 0)[tree.regions.labels.long()].sum(0)
+    nodes = paint_nodes(tree, last.choice.stability.clamp_min(0) * last.choice.selected)
+    cues = {
+        "best_map": found.maps[0],
+        "mean_map": mean_map,
+        "tree_levels": levels,
+        "error": last.error,
+        "pixel_stability": last.pixels,
+        "node_stability": nodes,
+    }
+    return {name: map_to_image(cue.float(), side) for name, cue in cues.items()}

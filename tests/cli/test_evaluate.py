@@ -13,9 +13,10 @@ import pytest
 import torch
 from click.testing import CliRunner, Result
 from pydantic import Field
+from torch import nn
 
 from roadtorch.cli.evaluate import evaluate
-from roadtorch.detector import Entry
+from roadtorch.detector import DetectorSettings, Entry
 from roadtorch.detectors.catalogue import list_detectors, register
 from roadtorch.errors import ConfigError, DatasetError, InputError
 from roadtorch.evaluation import runner
@@ -23,36 +24,36 @@ from roadtorch.evaluation.plan import expand_names, open_named
 from roadtorch.evaluation.progress import FILE
 from roadtorch.image import read_image
 from roadtorch.scenes import render_scene, write_camvid, write_picture
-from roadtorch.settings import Settings
 
 DRIVES = ("0001TP", "0006R0", "0016E5")
 SCENES = {f"{DRIVES[i % 3]}_{i}": render_scene(i, 48, 64) for i in range(6)}
 TRUTH = {float(scene.image.double().sum()): scene for scene in SCENES.values()}
 
 
-class OracleSettings(Settings):
+class OracleSettings(DetectorSettings):
     """Settings of a detector that knows the answers."""
 
-    threshold: float = Field(default=0.5, ge=0, le=1)
     doubt: float = Field(default=0.0, ge=0, le=1)
 
 
-def oracle(settings: OracleSettings):
-    """Look the truth up by the sum of the image's pixels."""
+class Oracle(nn.Module):
+    """Looks the truth up by the sum of the image's pixels."""
 
-    def analyse(image):
+    def __init__(self, settings: OracleSettings) -> None:
+        super().__init__()
+        self.doubt = settings.doubt
+
+    def forward(self, image):
         scene = TRUTH[float(image.double().sum())]
-        likelihood = scene.road.float() * (1 - settings.doubt) + settings.doubt / 2
+        likelihood = scene.road.float() * (1 - self.doubt) + self.doubt / 2
         layout = torch.stack([scene.layout == kind for kind in range(3)]).float()
         return {"likelihood": likelihood, "layout": layout, "uniformity": likelihood}
-
-    return analyse
 
 
 @pytest.fixture(scope="module", autouse=True)
 def known_oracle() -> None:
     if "test-oracle" not in list_detectors():
-        register(Entry("test-oracle", "knows the truth", OracleSettings, oracle))
+        register(Entry("test-oracle", "knows the truth", OracleSettings, Oracle))
 
 
 @pytest.fixture

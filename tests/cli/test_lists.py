@@ -52,7 +52,7 @@ def test_detectors_name_explains_its_settings(call: Call) -> None:
     assert "≥ 0, ≤ 1" in cells["threshold"]
     assert "drop | keep" in cells["isolated"]
     assert "64" in cells["texture.bins"]
-    assert "columns" in cells["seed.width"]
+    assert "columns" in cells["seed_area.width"]
 
 
 def test_an_unknown_detector_is_wrong_usage(call: Call) -> None:
@@ -76,7 +76,12 @@ def test_settings_fit_a_hundred_columns_and_none_is_lost(call: Call) -> None:
 
     assert max(map(len, lines)) <= 100
     listed = {line.split()[0] for line in lines if line[:1].strip()}
-    assert {"seed.height", "texture.planes", "working.pixels", "road.weights.layout"} <= listed
+    assert {
+        "seed_area.height",
+        "texture.planes",
+        "working.pixels",
+        "road.exponents.layout",
+    } <= listed
 
 
 def test_the_hue_is_said_to_be_circular(call: Call) -> None:

@@ -6,35 +6,40 @@ from pathlib import Path
 import pytest
 import torch
 from pydantic import Field
+from torch import nn
 
 from roadtorch.cli.config import choose
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.detector import Entry
+from roadtorch.detector import DetectorSettings, Entry
 from roadtorch.detectors.catalogue import list_detectors, load_detector, register
 from roadtorch.evaluation import tuning
 from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.runner import Plan
 from roadtorch.evaluation.tally import Tally
 from roadtorch.scenes import render_scene, write_camvid
-from roadtorch.settings import Settings
 
 DRIVES = ("0001TP", "0006R0", "0016E5")
 
 
-class BrightnessSettings(Settings):
+class BrightnessSettings(DetectorSettings):
     """Settings of a detector that takes the mean of the channels for road."""
 
-    threshold: float = Field(default=0.5, ge=0, le=1)
     gain: float = Field(default=1.0, ge=0, le=1)
+
+
+class Brightness(nn.Module):
+    def __init__(self, settings: BrightnessSettings) -> None:
+        super().__init__()
+        self.gain = settings.gain
+
+    def forward(self, image):
+        return {"likelihood": image.mean(0) * self.gain}
 
 
 @pytest.fixture(scope="module", autouse=True)
 def known_detector() -> None:
-    def build(settings):
-        return lambda image: {"likelihood": image.mean(0) * settings.gain}
-
     if "test-brightness" not in list_detectors():
-        register(Entry("test-brightness", "bright is road", BrightnessSettings, build))
+        register(Entry("test-brightness", "bright is road", BrightnessSettings, Brightness))
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.oneclass import ENTRIES
 from roadtorch.errors import ConfigError
 from roadtorch.evaluation import metrics
-from roadtorch.image_cache import sharing
+from roadtorch.image_cache import image_cache
 from roadtorch.oneclass import CLASSIFIERS, Fitted, axes_of, fit, samples
 from roadtorch.oneclass.samples import AllSampleSettings, SampleSettings, road_samples
 from roadtorch.oneclass.samples import representation as representation_of
@@ -26,7 +26,7 @@ from roadtorch.settings import build_settings
 from tests.representatives import representatives
 
 BY_NAME = {entry.name: entry for entry in ENTRIES}
-ONE_OF_EACH = representatives(BY_NAME)
+ONE_OF_EACH = [name for name in representatives() if name in BY_NAME]
 
 
 def detector(name: str, **settings: object) -> Detector:
@@ -71,7 +71,7 @@ def test_principal_components_of_one_plane_are_refused_with_the_reason(planes: s
 def test_all_of_them_are_registered_and_look_at_a_picture() -> None:
     image = render_scene(3, 32, 32).image
 
-    with sharing():
+    with image_cache():
         for name in BY_NAME:
             found = load_detector(name).detect(image)
             assert found.likelihood.shape == found.mask.shape == (32, 32), name
@@ -151,7 +151,7 @@ def test_isolated_regions_are_dropped_when_asked_for() -> None:
     assert not (dropped & ~kept).any()
 
 
-# --- sharing ----------------------------------------------------------------------------
+# --- the image cache ----------------------------------------------------------------------------
 
 
 def test_planes_and_superpixels_are_made_once_for_all_detectors() -> None:
@@ -159,7 +159,7 @@ def test_planes_and_superpixels_are_made_once_for_all_detectors() -> None:
     with (
         patch.object(samples, "slic", wraps=samples.slic) as cut,
         patch.object(samples, "plane", wraps=samples.plane) as made,
-        sharing(),
+        image_cache(),
     ):
         found = {name: detector(name).detect(street()) for name in names}
 

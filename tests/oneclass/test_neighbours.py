@@ -12,7 +12,7 @@ from roadtorch.errors import InputError
 from roadtorch.oneclass import neighbours
 from roadtorch.oneclass.axes import axes_of
 from roadtorch.oneclass.base import Fitted, fit
-from roadtorch.oneclass.neighbours import MST, NN, NearestSettings, TreeSettings
+from roadtorch.oneclass.neighbours import MST, NN, NearestSettings, SpanningTreeSettings
 from tests.reference import oneclass_boundary as reference
 
 PLANES = {1: ("nr",), 2: ("nr", "ng"), 3: ("R", "G", "B")}
@@ -186,7 +186,7 @@ def test_tree_threshold_is_a_length_of_an_edge():
     samples = torch.tensor([[0.1], [0.2], [0.4], [0.8]])
     lengths = {0.0: 0.4, 0.34: 0.2, 0.7: 0.1}
     for rejected, expected in lengths.items():
-        learned = fitted(MST, samples, TreeSettings(rejected=rejected))
+        learned = fitted(MST, samples, SpanningTreeSettings(rejected=rejected))
         assert float(learned.threshold) == pytest.approx(expected)
 
 

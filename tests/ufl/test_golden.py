@@ -179,7 +179,9 @@ def test_both_rounds_from_the_stored_mean_map(golden: Any) -> None:
     tree = found_tree(golden)
     order = golden["node_id"].argsort()
 
-    rounds = road.find_road(selected(golden).maps, golden["mean_map"], tree, road.RoadSettings())
+    rounds = road.find_road(
+        selected(golden).maps, golden["mean_map"], tree, road.StabilitySettings()
+    )
 
     assert tree.node[rounds[0].model] == int(golden["road_node_after_it1"])
     for number, found in enumerate(rounds, 1):
@@ -201,7 +203,7 @@ def test_from_the_picture_and_the_stored_start_to_the_mask(golden: Any, dtype: t
     mean = maps.mean_map(found.maps, "maximum")
     regions = hierarchy.threshold_regions(mean, hierarchy.thresholds(16, "included"))
     rounds = road.find_road(
-        found.maps, mean, hierarchy.build_tree(regions, 50), road.RoadSettings()
+        found.maps, mean, hierarchy.build_tree(regions, 50), road.StabilitySettings()
     )
     mask = road.mask_to_image(road.widened(rounds[-1].road, 3), 6)
 

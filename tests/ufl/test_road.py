@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadtorch.ufl import hierarchy, road
-from roadtorch.ufl.road import RoadSettings
+from roadtorch.ufl.road import StabilitySettings
 from tests.reference import ufl as reference
 
 
@@ -59,7 +59,7 @@ def test_place_ahead_is_0_on_the_sides_of_its_triangle() -> None:
 def test_the_error_is_equation_10(centring: str, seed: int, kept: float) -> None:
     maps = random(5, 9, 12, seed=seed)
 
-    settings = RoadSettings.model_validate({"centring": centring})
+    settings = StabilitySettings.model_validate({"centring": centring})
     found = road.reconstruction_error(maps, lower_half(), settings.centring, kept)
 
     expected = reference.errors(maps.numpy(), lower_half().numpy(), kept, centring == "road")
@@ -115,14 +115,14 @@ def street() -> tuple[torch.Tensor, torch.Tensor]:
     return maps, maps.mean(0) / maps.mean(0).max()
 
 
-def run(settings: RoadSettings, nodes: hierarchy.Nodes = "regions") -> list[road.Round]:
+def run(settings: StabilitySettings, nodes: hierarchy.Nodes = "regions") -> list[road.Round]:
     maps, mean = street()
     regions = hierarchy.threshold_regions(mean, hierarchy.thresholds(16, "included"))
     return road.find_road(maps, mean, hierarchy.build_tree(regions, 10, nodes), settings)
 
 
 def test_the_first_round_has_no_error_and_the_next_learn_from_the_one_before() -> None:
-    rounds = run(RoadSettings(rounds=3, place="ahead"))
+    rounds = run(StabilitySettings(rounds=3, place="ahead"))
 
     assert len(rounds) == 3
     assert (rounds[0].error == 0).all()
@@ -131,7 +131,7 @@ def test_the_first_round_has_no_error_and_the_next_learn_from_the_one_before() -
 
 
 def test_the_road_is_found_without_the_wall() -> None:
-    found = run(RoadSettings(place="ahead"))[-1].road
+    found = run(StabilitySettings(place="ahead"))[-1].road
 
     assert found[17:, 9:31].all()
     assert not found[:15].any()
@@ -141,7 +141,7 @@ def test_a_round_that_finds_no_road_ends_it() -> None:
     maps = torch.zeros(2, 30, 40, dtype=torch.float64)
     regions = hierarchy.threshold_regions(maps[0], hierarchy.thresholds(16, "included"))
 
-    rounds = road.find_road(maps, maps[0], hierarchy.build_tree(regions, 10), RoadSettings())
+    rounds = road.find_road(maps, maps[0], hierarchy.build_tree(regions, 10), StabilitySettings())
 
     assert len(rounds) == 1
     assert rounds[0].model is None
@@ -149,7 +149,7 @@ def test_a_round_that_finds_no_road_ends_it() -> None:
 
 
 def test_the_node_that_is_learned_from() -> None:
-    choice = hierarchy.Choice(
+    choice = hierarchy.NodeChoice(
         torch.tensor([False, False, True, True]),
         torch.tensor([9.0, 1.0, 2.0, 3.0]),
         torch.tensor([5.0, 5.0, 2.0, 3.0]),
