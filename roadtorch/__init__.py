@@ -7,12 +7,12 @@ The public names are loaded when they are first used, so that ``import roadtorch
 import importlib
 from typing import TYPE_CHECKING
 
+from roadtorch.version import __version__
+
 if TYPE_CHECKING:
     from roadtorch.detector import Detection, Detector
     from roadtorch.detectors.catalogue import list_detectors, load_detector
     from roadtorch.image import read_image
-
-__version__ = "0.1.0"
 
 _HOMES = {
     "Detection": "roadtorch.detector",
