@@ -67,7 +67,7 @@ STAGES: Stages = {
         (fusion, "naive_bayes"),
     ),
     "paint": ((fusion, "road_place"), (fusion, "paint")),
-    "back to full size": ((working_size, "restored"),),
+    "back to full size": ((working_size, "at_picture_size"),),
     "decide": ((detector, "decide"),),
 }
 """The functions that make up each stage, by the module in which ``fusion`` looks them up."""
