@@ -51,7 +51,7 @@ from roadtorch.texture import (
     uniformity_likelihood,
     unsaturated_uniformity,
 )
-from roadtorch.working_size import WorkingSize, resized, at_picture_size, working_size
+from roadtorch.working_size import WorkingSize, at_picture_size, resized, working_size
 
 DRIVES = ("0001TP", "0006R0", "0016E5")
 EVERY = {"0001TP": 2, "0006R0": 3, "0016E5": 8, "idd": 6}
