@@ -9,6 +9,8 @@ the documents give. They are loaded when they are first used, so that ``import r
 import importlib
 from typing import TYPE_CHECKING
 
+from roadtorch.version import __version__
+
 if TYPE_CHECKING:
     from roadtorch.data.catalogue import list_datasets, open_dataset
     from roadtorch.data.dataset import Dataset, Item, Kind, Truth
@@ -24,8 +26,6 @@ if TYPE_CHECKING:
     )
     from roadtorch.image import read_image
     from roadtorch.layout.labeller import label_layout
-
-__version__ = "0.1.0"
 
 _HOMES = {
     "ColourLabels": "roadtorch.data.labels",

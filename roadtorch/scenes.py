@@ -5,7 +5,7 @@ below the horizon is traced to its place on the road plane, in metres), houses a
 cars, one unknown object. The same strokes paint the picture and the class map, so the
 truth is exact to half a pixel. Class numbers are CamVid's.
 
-``python -m tests.scenes --out DIR --count 6`` writes pictures to look at.
+``python -m roadtorch.scenes --out DIR --count 6`` writes pictures to look at.
 """
 
 import argparse
@@ -21,16 +21,13 @@ from torch import Tensor
 SKY, BUILDING, ROAD, PAVEMENT, TREE, CAR, VOID = 0, 1, 3, 4, 5, 8, 11
 
 LAYOUT_OF_CLASS = np.full(12, 1, np.uint8)  # vertical unless said otherwise
-
 LAYOUT_OF_CLASS[[SKY, ROAD, PAVEMENT]] = 0, 2, 2
-
 CAMERA_HEIGHT = 1.35  # metres above the road
-
 FAR = 90.0  # metres: nothing upright stands farther away
 
 
 @dataclass(frozen=True)
-class Scene:
+class RenderedScene:
     """A picture and everything that is true about it."""
 
     image: Tensor  # float32 (3,H,W) in [0,1], sRGB
@@ -41,7 +38,7 @@ class Scene:
 
 
 @dataclass(frozen=True)
-class Street:
+class RenderedStreet:
     """What is being looked at; lengths in metres, light in [0, 1]."""
 
     horizon: float  # share of the height above the horizon
@@ -60,8 +57,8 @@ class Street:
         return self.heading * ahead + self.curvature * ahead**2 - self.offset
 
 
-def draw_street(generator: np.random.Generator, **options: float) -> Street:
-    """A random street; any field of Street can be fixed by name."""
+def draw_street(generator: np.random.Generator, **options: float) -> RenderedStreet:
+    """A random street; any field of RenderedStreet can be fixed by name."""
     chosen: dict[str, float] = {
         "horizon": generator.uniform(0.36, 0.56),
         "curvature": generator.uniform(-0.005, 0.005),
@@ -74,13 +71,13 @@ def draw_street(generator: np.random.Generator, **options: float) -> Street:
         "dusk": float(generator.choice([0.0, 0.15, 0.3, 0.8])),
         "noise": generator.uniform(0.004, 0.02),
     }
-    return Street(**{**chosen, **options})  # an unknown option is a TypeError
+    return RenderedStreet(**{**chosen, **options})  # an unknown option is a TypeError
 
 
 class Canvas:
     """A picture and its class map, painted together."""
 
-    def __init__(self, height: int, width: int, street: Street) -> None:
+    def __init__(self, height: int, width: int, street: RenderedStreet) -> None:
         self.height, self.width = height, width
         self.street = street
         self.focal = 0.95 * max(width, height * 4 / 3)  # pixels
@@ -189,7 +186,7 @@ def sample(texture: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def shadow(
-    generator: np.random.Generator, street: Street, across: np.ndarray, ahead: np.ndarray
+    generator: np.random.Generator, street: RenderedStreet, across: np.ndarray, ahead: np.ndarray
 ) -> np.ndarray:
     """How much light reaches the ground, (H,W) in (0,1]: bands that cross the road."""
     light = np.ones_like(across)
@@ -347,8 +344,8 @@ def photograph(canvas: Canvas, generator: np.random.Generator) -> np.ndarray:
     return np.round(np.clip(rgb, 0, 1) * 255).astype(np.uint8)
 
 
-def render_scene(seed: int, height: int = 240, width: int = 320, **options: float) -> Scene:
-    """The scene of a seed; any field of Street can be fixed by name (dusk=0.8, cars=0)."""
+def render_scene(seed: int, height: int = 240, width: int = 320, **options: float) -> RenderedScene:
+    """The scene of a seed; any field of RenderedStreet can be fixed by name (dusk=0.8, cars=0)."""
     generator = np.random.default_rng(seed)
     canvas = Canvas(2 * height, 2 * width, draw_street(generator, **options))
     # A generator for each part: fixing one part leaves the others as they were.
@@ -361,7 +358,7 @@ def render_scene(seed: int, height: int = 240, width: int = 320, **options: floa
     paint_cars(canvas, cars)
     rgb = photograph(canvas, camera)
     classes = canvas.classes[::2, ::2].copy()
-    return Scene(
+    return RenderedScene(
         image=torch.from_numpy(rgb.transpose(2, 0, 1).astype(np.float32) / 255),
         road=torch.from_numpy(classes == ROAD),
         layout=torch.from_numpy(LAYOUT_OF_CLASS[classes]),
@@ -370,7 +367,7 @@ def render_scene(seed: int, height: int = 240, width: int = 320, **options: floa
     )
 
 
-def write_picture(path: Path, scene: Scene) -> None:
+def write_picture(path: Path, scene: RenderedScene) -> None:
     """Write the scene's image as PNG."""
     path.parent.mkdir(parents=True, exist_ok=True)
     rgb = (scene.image * 255).round().to(torch.uint8).permute(1, 2, 0).numpy()
@@ -378,7 +375,7 @@ def write_picture(path: Path, scene: Scene) -> None:
         raise OSError(f"{path} cannot be written")
 
 
-def write_camvid(root: Path, split: str, scenes: dict[str, Scene]) -> None:
+def write_camvid(root: Path, split: str, scenes: dict[str, RenderedScene]) -> None:
     """Write scenes by name in CamVid's layout: ROOT/SPLIT/NAME.png, ROOT/SPLITannot/NAME.png."""
     (root / f"{split}annot").mkdir(parents=True, exist_ok=True)
     for name, scene in scenes.items():
@@ -386,7 +383,7 @@ def write_camvid(root: Path, split: str, scenes: dict[str, Scene]) -> None:
         cv2.imwrite(str(root / f"{split}annot" / f"{name}.png"), scene.classes.numpy())
 
 
-def main() -> None:
+def write_scenes() -> None:
     """Write scenes as PNG files."""
     parser = argparse.ArgumentParser(description="Write rendered street scenes as PNG files.")
     parser.add_argument("--out", type=Path, required=True)
@@ -400,4 +397,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    write_scenes()

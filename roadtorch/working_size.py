@@ -46,7 +46,7 @@ def resized(maps: Tensor, size: tuple[int, int]) -> Tensor:
     return batch.reshape(*maps.shape[:-2], *size)
 
 
-def restored(cue: Tensor, size: tuple[int, int]) -> Tensor:
+def at_picture_size(cue: Tensor, size: tuple[int, int]) -> Tensor:
     """A cue (…,H,W) at the picture's own size: values smoothly, labels and masks by pixels."""
     if cue.is_floating_point():
         return resized(cue, size)
@@ -67,7 +67,7 @@ class FullSize(Mapping[str, Tensor]):
 
     def __getitem__(self, name: str) -> Tensor:
         """The cue (…,H,W) at full size; KeyError where there is none of that name."""
-        return restored(self._cues[name], self._size)
+        return at_picture_size(self._cues[name], self._size)
 
     def __iter__(self) -> Iterator[str]:
         """The names of the cues."""

@@ -36,7 +36,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the rendered scenes
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the scripts beside
 
 from roadtorch import detector, superpixels, working_size
 from roadtorch.detectors import fusion
@@ -46,7 +46,7 @@ from roadtorch.image import read_image
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.scenes import render_scene
 from roadtorch.superpixels import slic
-from roadtorch.torchvision_shim import torchvision
+from scripts.torchvision_shim import torchvision
 
 Stages = Mapping[str, tuple[tuple[ModuleType | type, str], ...]]
 STAGES: Stages = {
@@ -67,7 +67,7 @@ STAGES: Stages = {
         (fusion, "naive_bayes"),
     ),
     "paint": ((fusion, "road_place"), (fusion, "paint")),
-    "back to full size": ((working_size, "restored"),),
+    "back to full size": ((working_size, "at_picture_size"),),
     "decide": ((detector, "decide"),),
 }
 """The functions that make up each stage, by the module in which ``fusion`` looks them up."""

@@ -3,6 +3,8 @@
     python scripts/bench_oneclass.py
     python scripts/bench_oneclass.py --picture street.jpg --rounds 30 --json oneclass.json
 
+scikit-learn comes with the test extra (`scripts/test.sh` installs it).
+
 First part: fit to the samples of one picture, about 90, and score all of its pixels, both
 sides on the same float32 samples and pixels, each pixel scored (no distinct colours). Every
 round runs all pairs once; ratios are medians over the rounds of theirs over ours. A timed call

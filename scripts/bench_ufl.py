@@ -64,7 +64,7 @@ STAGES: Stages = {
         (ufl, "paint_nodes"),
         (ufl, "map_to_image"),
     ),
-    "back to full size": ((working_size, "restored"),),
+    "back to full size": ((working_size, "at_picture_size"),),
     "decide": ((detector, "decide"),),
 }
 """The functions that make up each stage, by the module in which ``ufl`` looks them up."""

@@ -29,7 +29,7 @@ from roadtorch.fusion import (
     segment_road,
 )
 from roadtorch.priors import prior_rows
-from roadtorch.scenes import Scene, render_scene
+from roadtorch.scenes import RenderedScene, render_scene
 from roadtorch.seed_area import SeedArea
 from roadtorch.seed_distance import FAINTEST, distance_likelihood, seed_distance
 from roadtorch.segment_features import Segments, likeness, measure_segments
@@ -308,7 +308,7 @@ SEEDS = range(6)
 
 
 @cache
-def scene(seed: int) -> Scene:
+def scene(seed: int) -> RenderedScene:
     return render_scene(seed)
 
 

@@ -13,9 +13,9 @@ from roadtorch.working_size import (
     SHORTEST,
     FullSize,
     WorkingSize,
+    at_picture_size,
     at_working_size,
     resized,
-    restored,
     working_size,
 )
 
@@ -104,7 +104,7 @@ def test_making_a_map_smaller_averages_it() -> None:
 def test_labels_come_back_as_labels_and_masks_as_masks(size: tuple[int, int]) -> None:
     labels = torch.arange(130).reshape(10, 13)
 
-    result, mask = restored(labels, size), restored(labels > 64, size)
+    result, mask = at_picture_size(labels, size), at_picture_size(labels > 64, size)
 
     assert result.shape == mask.shape == size
     assert result.dtype == torch.int64
@@ -116,7 +116,7 @@ def test_labels_come_back_as_labels_and_masks_as_masks(size: tuple[int, int]) ->
 def test_doubling_a_label_map_repeats_each_label() -> None:
     labels = torch.tensor([[4, 7], [9, 255]])
 
-    doubled = restored(labels, (4, 4))
+    doubled = at_picture_size(labels, (4, 4))
 
     assert torch.equal(doubled, labels.repeat_interleave(2, 0).repeat_interleave(2, 1))
 
@@ -153,7 +153,7 @@ def test_only_the_cue_that_is_asked_for_is_brought_to_full_size() -> None:
 
     assert list(cues) == ["likelihood", "labels"]
     assert len(cues) == 2
-    assert torch.equal(cues["likelihood"], restored(small["likelihood"], (48, 64)))
+    assert torch.equal(cues["likelihood"], at_picture_size(small["likelihood"], (48, 64)))
     assert torch.equal(cues["labels"][::2, ::2], small["labels"])
     with pytest.raises(KeyError, match="mask"):
         cues["mask"]

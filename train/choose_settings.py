@@ -51,7 +51,7 @@ from roadtorch.texture import (
     uniformity_likelihood,
     unsaturated_uniformity,
 )
-from roadtorch.working_size import WorkingSize, resized, restored, working_size
+from roadtorch.working_size import WorkingSize, at_picture_size, resized, working_size
 
 DRIVES = ("0001TP", "0006R0", "0016E5")
 EVERY = {"0001TP": 2, "0006R0": 3, "0016E5": 8, "idd": 6}
@@ -97,7 +97,7 @@ def measure_frame(image: Tensor, truth: Truth, drive: str) -> Frame:
     segments = measure_segments(small, labels)
     count = len(segments.size)
     valid, road, kinds = (
-        restored(part, size).long() for part in (truth.valid, truth.road, truth.layout)
+        at_picture_size(part, size).long() for part in (truth.valid, truth.road, truth.layout)
     )
     texture = TextureSettings()
     _, values, _ = unsaturated_uniformity(small, labels, SeedArea(), texture, Saturation())

@@ -55,7 +55,6 @@ def evaluate(
     prior:triangle and, where other drives can teach it, prior:mean stand beside them.
     A run that is interrupted goes on where it was when it is started again.
     """
-    from roadtorch import __version__
     from roadtorch.cli.batch import make_writable
     from roadtorch.data.catalogue import open_dataset
     from roadtorch.data.kitti import birds_eye
@@ -64,6 +63,7 @@ def evaluate(
     from roadtorch.evaluation.progress import Progress, fingerprint
     from roadtorch.report import files, table3
     from roadtorch.report.screen import screen
+    from roadtorch.version import __version__
 
     if out is not None:
         make_writable(out)  # now rather than after the long run

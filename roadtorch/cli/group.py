@@ -11,8 +11,8 @@ from typing import Any, NoReturn
 
 import click
 
-from roadtorch import __version__
 from roadtorch.errors import RoadtorchError
+from roadtorch.version import __version__
 
 # name: (module:attribute, summary). The summary is here so that help imports no command.
 COMMANDS = {

@@ -20,7 +20,7 @@ SUFFIX = ".png"
 READABLE_BY_ALL = 0o644 << 16  # where zip keeps the Unix permissions
 
 
-def plan(images: Path, out: Path) -> list[Job]:
+def plan_maps(images: Path, out: Path) -> list[Job]:
     """The jobs for a folder of KITTI road pictures, their results named as the server wants.
 
     Raises what ``batch.plan`` raises, and DatasetError for a picture that is not named

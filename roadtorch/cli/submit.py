@@ -52,7 +52,7 @@ def submit(
     loaded = load_detector(name, **values)
     folder = base_folder(root, "testing")
     work = submission.Submission(loaded, calib_folder(folder))
-    planned = submission.plan(folder / "image_2", out)
+    planned = submission.plan_maps(folder / "image_2", out)
     batch.make_writable(out)
     results.keep_config(out, configuration.as_toml(loaded.name, loaded.settings), overwrite)
     failed = batch.run(planned, out, work, batch.Options(jobs, overwrite, quiet))

@@ -11,7 +11,6 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
-import roadtorch
 from roadtorch.data.dataset import Dataset
 from roadtorch.errors import ConfigError
 from roadtorch.evaluation.runner import Result
@@ -33,7 +32,7 @@ def fingerprint(dataset: Dataset, detectors: Mapping[str, Any]) -> str:
         (item.name, item.group, *(_stamp(path) for path in (item.image, item.label)))
         for item in dataset.items
     ]
-    code = sorted(Path(roadtorch.__file__).parent.rglob("*.py"))
+    code = sorted(Path(__file__).parents[1].rglob("*.py"))
     parts = [dataset.name, dataset.split, files, detectors, [_stamp(path) for path in code]]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 

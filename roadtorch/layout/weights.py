@@ -11,7 +11,6 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-import roadtorch
 from roadtorch.errors import ConfigError, WeightsError
 from roadtorch.files import atomic
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings
@@ -71,7 +70,7 @@ def load_network(path: str | os.PathLike[str]) -> LayoutNetwork:
 
 def shipped_weights(name: str) -> Path:
     """The weight file that comes with roadtorch under that name, such as ``cnn-7``."""
-    return Path(roadtorch.__file__).parent / "weights" / f"{name}.safetensors"
+    return Path(__file__).parents[1] / "weights" / f"{name}.safetensors"
 
 
 def read_origin(path: str | os.PathLike[str]) -> dict[str, Any]:

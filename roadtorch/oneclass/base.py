@@ -38,10 +38,10 @@ from roadtorch.oneclass.axes import Axes, Hue, arranged, arranged_axes, mean_hue
 from roadtorch.oneclass.state import (
     LEARNED,
     About,
+    about_as_bytes,
     check_classifier,
     check_parts,
     read_about,
-    to_bytes,
 )
 from roadtorch.settings import Settings
 
@@ -141,7 +141,7 @@ class Fitted(nn.Module):
         self.classifier = classifier
         self.axes, self.hue, self.floats = axes, hue, learned.floats
         shapes = tuple((name, tuple(value.shape)) for name, value in learned.state.items())
-        about = bytearray(to_bytes(About(classifier.name, axes, hue, learned.floats, shapes)))
+        about = bytearray(about_as_bytes(About(classifier.name, axes, hue, learned.floats, shapes)))
         self.register_buffer("about", torch.frombuffer(about, dtype=torch.uint8))
         self.register_buffer("hues", torch.zeros(len(axes)))
         self.register_buffer("threshold", torch.tensor(math.nan))

@@ -26,14 +26,14 @@ class About(NamedTuple):
     shapes: tuple[tuple[str, tuple[int, ...]], ...]
 
 
-def to_bytes(about: About) -> bytes:
+def about_as_bytes(about: About) -> bytes:
     """What a state says that it is: JSON as bytes, so that a state holds tensors alone."""
     axes = {field.name: getattr(about.axes, field.name) for field in fields(Axes)}
     return json.dumps({**about._asdict(), "axes": axes}).encode()
 
 
 def read_about(about: Tensor | None) -> About:
-    """The opposite of ``to_bytes``; WeightsError where the bytes say no such thing."""
+    """The opposite of ``about_as_bytes``; WeightsError where the bytes say no such thing."""
     try:
         told = json.loads(bytes([] if about is None else about.tolist()))
         axes = Axes(**{key: tuple(values) for key, values in told["axes"].items()})

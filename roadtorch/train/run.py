@@ -9,7 +9,6 @@ from typing import Any
 
 from tqdm import tqdm
 
-from roadtorch import __version__
 from roadtorch.errors import InputError
 from roadtorch.layout.weights import LayoutNetwork, fill, load_network, save_network
 from roadtorch.signals import stop_on_signals
@@ -25,6 +24,7 @@ from roadtorch.train.loop import Progress, Surroundings, Task, make_optimiser, s
 from roadtorch.train.prepared import Prepared, Workshop
 from roadtorch.train.recipe import Recipe, recipe_of
 from roadtorch.train.team import join_team
+from roadtorch.version import __version__
 
 PREPARED = "prepared"
 

@@ -58,7 +58,7 @@ def normalise_contrast(patches: Tensor, epsilon: float) -> Tensor:
     return centred.mul_((variance + epsilon).rsqrt_())
 
 
-def whitening(patches: Tensor, epsilon: float) -> tuple[Tensor, Tensor]:
+def zca_whitening(patches: Tensor, epsilon: float) -> tuple[Tensor, Tensor]:
     """ZCA whitening: the mean (d,) and the symmetric matrix (d,d) to apply behind it.
 
     V (D + epsilon)^-1/2 V^T with the eigenvalues D and eigenvectors V of the covariance
@@ -75,7 +75,7 @@ def whitening(patches: Tensor, epsilon: float) -> tuple[Tensor, Tensor]:
 def white_patches(image: Tensor, settings: DictionarySettings) -> Tensor:
     """Every patch (n,d) of an equalised image (3,H,W), contrast-normalised and whitened."""
     patches = normalise_contrast(extract_patches(image, settings.side), settings.contrast)
-    mean, matrix = whitening(patches, settings.whitening)
+    mean, matrix = zca_whitening(patches, settings.whitening)
     return torch.addmm(-(mean @ matrix), patches, matrix)
 
 

@@ -22,7 +22,7 @@ from roadtorch.layout.labeller import (
     place_prior,
     segment_layout,
 )
-from roadtorch.scenes import Scene, render_scene
+from roadtorch.scenes import RenderedScene, render_scene
 from roadtorch.segment_features import measure_segments
 from roadtorch.superpixels import Superpixels
 from roadtorch.working_size import WorkingSize
@@ -190,7 +190,7 @@ def test_a_lead_of_exactly_the_margin_is_enough() -> None:
 
 
 @cache
-def scene(seed: int, dusk: float) -> Scene:
+def scene(seed: int, dusk: float) -> RenderedScene:
     return render_scene(seed, dusk=dusk)
 
 
@@ -204,7 +204,7 @@ def all_labels(seed: int, dusk: float) -> Tensor:
     return label_layout(scene(seed, dusk).image, ALL).labels
 
 
-def truth(shown: Scene) -> Tensor:
+def truth(shown: RenderedScene) -> Tensor:
     """Layout labels with the unknown object as void."""
     return torch.where(shown.void, UNLABELLED, shown.layout.long())
 

@@ -44,7 +44,7 @@ def test_flat_patches_become_0() -> None:
 def test_whitening_without_epsilon_leaves_unit_covariance() -> None:
     points = random(500, 6) @ random(6, 6, seed=1)
 
-    mean, matrix = features.whitening(points, 1e-12)
+    mean, matrix = features.zca_whitening(points, 1e-12)
 
     white = ((points - mean) @ matrix).numpy()
     np.testing.assert_allclose(np.cov(white.T), np.eye(6), atol=1e-6)

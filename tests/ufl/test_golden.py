@@ -69,7 +69,7 @@ def test_whitening(golden: Any) -> None:
     found = features.extract_patches(equalised(golden), 6)
     normal = features.normalise_contrast(found, 10 / 255**2)
 
-    mean, matrix = features.whitening(normal, 0.1)
+    mean, matrix = features.zca_whitening(normal, 0.1)
 
     close(mean, golden.patches("white_mean"))
     close(matrix, golden["white_zca"][golden.order][:, golden.order])

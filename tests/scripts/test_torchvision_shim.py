@@ -1,10 +1,13 @@
 import subprocess
 import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
 
 CODE = """
 import torch
 {before}
-from roadtorch.torchvision_shim import declare_missing_operators, torchvision
+from scripts.torchvision_shim import declare_missing_operators, torchvision
 network = torchvision.models.mobilenet_v3_small(weights=None).eval()
 with torch.no_grad():
     print(tuple(network(torch.zeros(1, 3, 32, 32)).shape), declare_missing_operators())
@@ -13,7 +16,10 @@ with torch.no_grad():
 
 def output_of(before: str) -> str:
     done = subprocess.run(
-        [sys.executable, "-c", CODE.format(before=before)], capture_output=True, text=True
+        [sys.executable, "-c", CODE.format(before=before)],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,  # from where ``scripts`` can be imported
     )
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()

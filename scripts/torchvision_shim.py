@@ -1,4 +1,4 @@
-"""The only way torchvision is imported: ``from roadtorch.torchvision_shim import torchvision``.
+"""The only way torchvision is imported: ``from scripts.torchvision_shim import torchvision``.
 
 A torchvision wheel beside a CPU-only torch cannot load its compiled operators, and then
 fails at import because it describes the results of operators that nobody declared
