@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from roadtorch.cli.config import choose
+from roadtorch.cli.config import chosen_detector
 from roadtorch.detectors.catalogue import detector_entry
 from roadtorch.settings import build_settings
 from roadtorch.train.config import read_training
@@ -22,7 +22,7 @@ def test_every_training_config_is_one(path: Path) -> None:
 
 @pytest.mark.parametrize("path", THRESHOLDS, ids=lambda path: path.stem)
 def test_the_default_threshold_is_the_one_that_was_chosen(path: Path) -> None:
-    name, values = choose(None, path, (), None)
+    name, values = chosen_detector(None, path, (), None)
     kind = detector_entry(name).settings
 
     chosen, default = build_settings(kind, values).model_dump(), kind().model_dump()

@@ -104,7 +104,7 @@ def _refuse_replacing(jobs: Sequence[Job]) -> None:
                 raise ConfigError(output, "is one of the pictures", "give another --out")
 
 
-def run(jobs: Sequence[Job], out: Path, work: Work, options: "Options") -> int:
+def run_jobs(jobs: Sequence[Job], out: Path, work: Work, options: "Options") -> int:
     """Do the jobs that are not done yet; returns the exit code.
 
     A picture is done when index.csv says so and its files exist. A picture that fails

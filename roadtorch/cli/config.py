@@ -11,7 +11,7 @@ from roadtorch.settings import Settings, parse_assignments, read_settings_file
 DEFAULT_DETECTOR = "fusion"
 
 
-def choose(
+def chosen_detector(
     detector: str | None,
     config: Path | None,
     assignments: Sequence[str],

@@ -75,7 +75,7 @@ def infer(
     """
     from roadtorch.cli import config as configuration
 
-    name, values = configuration.choose(detector, config, assignments, threshold)
+    name, values = configuration.chosen_detector(detector, config, assignments, threshold)
     if not inputs and not print_config:
         raise click.UsageError("Missing argument 'INPUT...'", context)
 
@@ -91,4 +91,4 @@ def infer(
     batch.make_writable(out)
     results.keep_config(out, effective, overwrite)
     work = results.Inference(loaded, frozenset(save), 16 if depth == "16" else 8)
-    context.exit(batch.run(planned, out, work, batch.Options(jobs, overwrite, quiet)))
+    context.exit(batch.run_jobs(planned, out, work, batch.Options(jobs, overwrite, quiet)))

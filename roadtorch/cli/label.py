@@ -46,4 +46,4 @@ def label(
     batch.make_writable(out)
     results.keep_config(out, config.as_toml("labeller", settings), overwrite)
     options = batch.Options(jobs, overwrite, quiet)
-    context.exit(batch.run(planned, out, layouts.Labelling(settings, overlay), options))
+    context.exit(batch.run_jobs(planned, out, layouts.Labelling(settings, overlay), options))

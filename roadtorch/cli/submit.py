@@ -43,7 +43,7 @@ def submit(
     """
     from roadtorch.cli import config as configuration
 
-    name, values = configuration.choose(detector, config, assignments, None)
+    name, values = configuration.chosen_detector(detector, config, assignments, None)
 
     from roadtorch.cli import batch, results, submission
     from roadtorch.data.kitti import base_folder, calib_folder
@@ -55,7 +55,7 @@ def submit(
     planned = submission.plan_maps(folder / "image_2", out)
     batch.make_writable(out)
     results.keep_config(out, configuration.as_toml(loaded.name, loaded.settings), overwrite)
-    failed = batch.run(planned, out, work, batch.Options(jobs, overwrite, quiet))
+    failed = batch.run_jobs(planned, out, work, batch.Options(jobs, overwrite, quiet))
     archive = out / submission.ARCHIVE
     if failed:
         click.echo(f"roadtorch: {archive} not written, as maps are missing", err=True)

@@ -8,7 +8,7 @@ import torch
 from pydantic import Field
 from torch import nn
 
-from roadtorch.cli.config import choose
+from roadtorch.cli.config import chosen_detector
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.detector import DetectorSettings, Entry
 from roadtorch.detectors.catalogue import list_detectors, load_detector, register
@@ -62,7 +62,7 @@ def test_the_config_holds_the_choice_its_command_and_its_worth(call, camvid, tmp
     assert f"#   roadtorch tune camvid {camvid}" in text
     assert "camvid dev, 6 pictures" in text
     assert "Each drive at the threshold of the others: F 0." in text
-    detector, values = choose(None, out / "test-brightness.toml", (), None)
+    detector, values = chosen_detector(None, out / "test-brightness.toml", (), None)
     assert (detector, values["gain"]) == ("test-brightness", 0.5)
     assert load_detector(detector, **values).settings.model_dump() == values
     assert done.stdout.splitlines()[1].split()[:3] == [

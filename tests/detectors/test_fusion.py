@@ -73,7 +73,7 @@ def test_the_seed_area_is_nearest_and_the_sky_far() -> None:
 
 @pytest.mark.parametrize("cue", ["fused_plane", "distance"])
 def test_the_seed_area_is_that_of_the_settings_for_texture_and_distance(cue: str) -> None:
-    wide = load_detector("fusion", seed={"width": 300, "height": 60}).detect(street())
+    wide = load_detector("fusion", seed_area={"width": 300, "height": 60}).detect(street())
 
     assert not torch.equal(wide.cues[cue], detected().cues[cue])
 
@@ -84,7 +84,7 @@ def test_without_learning_the_map_is_the_weighted_product_of_its_own_cues() -> N
         "bias": 0.5,
         "temperature": 2.0,
         "place": {"weight": 0.3},
-        "weights": {"layout": 0.9, "distance": 1.3, "texture": 0.6},
+        "exponents": {"layout": 0.9, "distance": 1.3, "texture": 0.6},
     }
 
     found = load_detector("fusion:untrained", road=road).detect(street())

@@ -99,8 +99,8 @@ def test_a_classifiers_own_settings_are_in_its_group() -> None:
     assert not torch.equal(changed.likelihood, detected("oneclass:kmeans:RGB").likelihood)
     with pytest.raises(ConfigError, match=r"^classifier\.centre"):
         detector("kmeans:RGB", classifier={"centre": 1})
-    with pytest.raises(ConfigError, match=r"^seed\.width"):
-        detector("kmeans:RGB", seed={"width": 700})
+    with pytest.raises(ConfigError, match=r"^seed_area\.width"):
+        detector("kmeans:RGB", seed_area={"width": 700})
 
 
 # --- what they find ---------------------------------------------------------------------

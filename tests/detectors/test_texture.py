@@ -88,7 +88,7 @@ def test_squares_are_squares() -> None:
 def test_the_fused_plane_varies_least_over_the_seed_area() -> None:
     seed = SeedArea(height=60, width=120)
 
-    found = load_detector("cpf", seed=seed, texture={"ridge": 1e-6}).detect(street())
+    found = load_detector("cpf", seed_area=seed, texture={"ridge": 1e-6}).detect(street())
 
     rows, columns = slice(72, 96), slice(40, 88)
     variance = found.cues["fused_plane"][rows, columns].var()
