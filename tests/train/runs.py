@@ -11,7 +11,7 @@ from roadtorch.cli.config import merge
 from roadtorch.scenes import render_scene, write_picture
 from roadtorch.settings import parse_assignments, read_settings_file
 from roadtorch.train.config import Training, build_training
-from roadtorch.train.run import Order
+from roadtorch.train.run import Request
 
 PATCHES = """
 kind = "patches"
@@ -104,8 +104,8 @@ def training_of(kind: str, folder: Path, *changes: str) -> Training:
     return build_training(merge(values, parse_assignments(changes)))
 
 
-def order_of(streets: Path, kept: Path, out: Path, kind: str, resume: bool = False) -> Order:
-    return Order(str(streets), out, resume, kept / kind, quiet=True)
+def request_of(streets: Path, kept: Path, out: Path, kind: str, resume: bool = False) -> Request:
+    return Request(str(streets), out, resume, kept / kind, quiet=True)
 
 
 def rows_of(out: Path) -> list[dict[str, str]]:

@@ -19,7 +19,7 @@ from roadtorch.train.run import Outcome, train
 from tests.train.runs import (
     PATCHES,
     command,
-    order_of,
+    request_of,
     rows_of,
     run,
     torchrun,
@@ -35,7 +35,7 @@ def test_a_run_leaves_weights_a_log_a_curve_and_a_list(
 ) -> None:
     training = training_of("patches", tmp_path)
 
-    outcome = train(training, order_of(streets, kept, tmp_path / "run", "patches"))
+    outcome = train(training, request_of(streets, kept, tmp_path / "run", "patches"))
 
     out = tmp_path / "run"
     assert outcome == Outcome(out / "weights.safetensors", None, 0)
@@ -56,7 +56,7 @@ def test_rounds_begin_with_the_labels_of_the_last_network(
     streets: Path, kept: Path, tmp_path: Path
 ) -> None:
     outcome = train(
-        training_of("pictures", tmp_path), order_of(streets, kept, tmp_path / "run", "pictures")
+        training_of("pictures", tmp_path), request_of(streets, kept, tmp_path / "run", "pictures")
     )
 
     out = tmp_path / "run"
@@ -75,7 +75,7 @@ def test_training_stops_when_the_error_falls_by_no_more(
     rules = ("stopping.rule=fall", "stopping.epochs=4", f"stopping.fall={fall}")
     training = training_of("patches", tmp_path, *rules)
 
-    train(training, order_of(streets, kept, tmp_path / "run", "patches"))
+    train(training, request_of(streets, kept, tmp_path / "run", "patches"))
 
     assert len(rows_of(tmp_path / "run")) == epochs
 
@@ -87,7 +87,7 @@ def test_an_error_that_is_no_number_is_told(
 
     with pytest.raises(ConfigError, match=r"descent.rate: the error is no longer a number"):
         train(
-            training_of("patches", tmp_path), order_of(streets, kept, tmp_path / "run", "patches")
+            training_of("patches", tmp_path), request_of(streets, kept, tmp_path / "run", "patches")
         )
 
 
@@ -99,11 +99,11 @@ def test_a_run_can_start_from_the_weights_of_another(
     kind: str, streets: Path, kept: Path, tmp_path: Path
 ) -> None:
     first = tmp_path / "first" / "weights.safetensors"
-    train(training_of(kind, tmp_path), order_of(streets, kept, first.parent, kind))
+    train(training_of(kind, tmp_path), request_of(streets, kept, first.parent, kind))
     changes = [f"start={json.dumps(str(first))}", "descent.rate=1e-9"]
     changes += ["rounds.count=1", "rounds.start=continued"] if kind == "pictures" else []
 
-    train(training_of(kind, tmp_path, *changes), order_of(streets, kept, tmp_path / "run", kind))
+    train(training_of(kind, tmp_path, *changes), request_of(streets, kept, tmp_path / "run", kind))
 
     # With next to no rate the weights stay where they started.
     one, two = (load_network(path) for path in (first, tmp_path / "run" / "weights.safetensors"))
@@ -118,7 +118,7 @@ def test_weights_of_another_network_are_no_start(streets: Path, kept: Path, tmp_
     training = training_of("patches", tmp_path, f"start={json.dumps(str(other))}")
 
     with pytest.raises(WeightsError, match="holds a network with other settings"):
-        train(training, order_of(streets, kept, tmp_path / "run", "patches"))
+        train(training, request_of(streets, kept, tmp_path / "run", "patches"))
 
     assert not (tmp_path / "run").exists()
 
@@ -146,15 +146,15 @@ def test_a_run_in_pieces_ends_with_the_bits_of_a_whole_one(
     momentum = ["descent.momentum=0.9"] if kind == "patches" else []
     training = training_of(kind, tmp_path, *momentum)
     whole, pieces = tmp_path / "whole", tmp_path / "pieces"
-    train(training, order_of(streets, kept, whole, kind))
+    train(training, request_of(streets, kept, whole, kind))
 
     cuts = 0
     for cut in (1, 2, 3, 4):
         with monkeypatch.context() as patch:
             interrupt_after(cut, signal.SIGTERM, patch)
-            outcome = train(training, order_of(streets, kept, pieces, kind, resume=True))
+            outcome = train(training, request_of(streets, kept, pieces, kind, resume=True))
         cuts += outcome.interrupted == signal.SIGTERM
-    train(training, order_of(streets, kept, pieces, kind, resume=True))
+    train(training, request_of(streets, kept, pieces, kind, resume=True))
 
     assert cuts >= 3
     names = [path.name for path in whole.glob("*.safetensors")]
@@ -170,7 +170,7 @@ def test_an_interrupted_run_leaves_weights_that_work(
     interrupt_after(1, signal.SIGINT, monkeypatch)
 
     outcome = train(
-        training_of("patches", tmp_path), order_of(streets, kept, tmp_path / "run", "patches")
+        training_of("patches", tmp_path), request_of(streets, kept, tmp_path / "run", "patches")
     )
 
     assert outcome.weights is None
@@ -184,7 +184,9 @@ def test_the_last_rounds_weights_outlive_an_interruption_of_the_next(
 ) -> None:
     interrupt_after(5, signal.SIGTERM, monkeypatch)  # a round has 2 epochs of 2 batches
 
-    train(training_of("pictures", tmp_path), order_of(streets, kept, tmp_path / "run", "pictures"))
+    train(
+        training_of("pictures", tmp_path), request_of(streets, kept, tmp_path / "run", "pictures")
+    )
 
     assert read_origin(tmp_path / "run" / "weights.safetensors")["round"] == 1
 
@@ -222,7 +224,7 @@ def test_two_processes_give_the_weights_of_one(
     kind: str, streets: Path, kept: Path, tmp_path: Path
 ) -> None:
     training = training_of(kind, tmp_path, "descent.method=sgd", "descent.rate=0.05")
-    train(training, order_of(streets, kept, tmp_path / "one", kind))
+    train(training, request_of(streets, kept, tmp_path / "one", kind))
     arguments = ["--config", tmp_path / f"{kind}.toml", "--images", streets, "--out", "two"]
     arguments += ["--set", "descent.method=sgd", "--set", "descent.rate=0.05"]
 
