@@ -18,7 +18,7 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, Item
 from roadtorch.evaluation import metrics
 from roadtorch.files import make_folder
-from roadtorch.layout.classes import UNLABELLED
+from roadtorch.layout.classes import CLASSES, UNLABELLED
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import save_network
 from roadtorch.train.arrays import to_bytes, write_arrays
@@ -65,7 +65,7 @@ def train(files: list[Path], training: PatchTraining, epochs: int) -> PatchNetwo
 
 def recalls(network: PatchNetwork, dataset: Dataset, items: list[Item]) -> Tensor:
     """Recall of sky, vertical, horizontal over pictures; void ignored."""
-    confusion = torch.zeros((4, 4), dtype=torch.int64)
+    confusion = torch.zeros((CLASSES + 1, CLASSES + 1), dtype=torch.int64)
     for item in items:
         image, truth = dataset.read(item)
         assert truth.layout is not None

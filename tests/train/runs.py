@@ -8,10 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from roadtorch.cli.config import merge
-from roadtorch.scenes import render_scene, write_picture
+from roadtorch.scenes import write_picture
 from roadtorch.settings import parse_assignments, read_settings_file
 from roadtorch.train.config import Training, build_training
 from roadtorch.train.run import Request
+from tests.streets import scene
 
 PATCHES = """
 kind = "patches"
@@ -68,7 +69,7 @@ CONFIGS = {"patches": PATCHES, "pictures": PICTURES}
 def write_streets(folder: Path, count: int) -> Path:
     """A folder with pictures of rendered streets."""
     for seed in range(count):
-        write_picture(folder / f"street_{seed}.png", render_scene(seed, 60, 80))
+        write_picture(folder / f"street_{seed}.png", scene(seed, 60, 80))
     return folder
 
 

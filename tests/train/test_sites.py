@@ -2,9 +2,10 @@
 
 import torch
 
-from roadtorch.scenes import render_scene
+from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
 from roadtorch.train.config import PatchTraining, Sites, build_training
 from roadtorch.train.sites import find_sites, prepare_patches
+from tests.streets import scene
 
 
 def training_of(**values: object) -> PatchTraining:
@@ -31,21 +32,21 @@ def test_sites_stay_inside_the_picture() -> None:
 
 
 def test_a_street_gives_sites_with_the_labels_of_what_is_there() -> None:
-    scene = render_scene(4)
+    street = scene(4)
 
-    arrays = prepare_patches(scene.image, training_of())
+    arrays = prepare_patches(street.image, training_of())
 
     rows, columns = arrays["sites"].long().T
-    truth = scene.layout[rows, columns]
+    truth = street.layout[rows, columns]
     assert arrays["image"].shape == (3, 240, 320)
     assert arrays["image"].dtype == torch.uint8
     assert len(rows) > 600
-    assert set(arrays["classes"].tolist()) == {0, 1, 2}
+    assert set(arrays["classes"].tolist()) == {SKY, VERTICAL, HORIZONTAL}
     assert (truth == arrays["classes"]).float().mean() > 0.85
 
 
 def test_certain_labels_are_fewer_than_those_of_largest_support() -> None:
-    image = render_scene(4, 60, 80).image
+    image = scene(4, 60, 80).image
 
     def count(support: str) -> int:
         return len(prepare_patches(image, training_of(labeller={"support": support}))["classes"])

@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from roadtorch.layout.classes import CLASSES
 from roadtorch.train.batches import Batch
 from roadtorch.train.config import PictureTraining, Rounds, Teacher, build_training
 from roadtorch.train.targets import PictureError, Targets, centred, target_error, targets_of
@@ -35,7 +36,7 @@ def test_only_certain_pixels_count() -> None:
 
     assert targets.layout_weight.flatten().tolist() == [1, 0, 1]
     assert targets.road_weight.flatten().tolist() == [1, 0, 1]
-    torch.testing.assert_close(targets.layout, teacher[:, :3])
+    torch.testing.assert_close(targets.layout, teacher[:, :CLASSES])
 
 
 def test_in_later_rounds_only_agreement_counts() -> None:
@@ -48,7 +49,7 @@ def test_in_later_rounds_only_agreement_counts() -> None:
 
     assert targets.layout_weight.flatten().tolist() == [1, 0, 1]
     assert targets.road_weight.flatten().tolist() == [1, 0, 0]
-    torch.testing.assert_close(targets.layout, (teacher + network)[:, :3] / 2)
+    torch.testing.assert_close(targets.layout, (teacher + network)[:, :CLASSES] / 2)
 
 
 def test_the_last_network_alone_can_be_the_teacher() -> None:
@@ -57,8 +58,8 @@ def test_the_last_network_alone_can_be_the_teacher() -> None:
 
     targets = targets_of(teacher, network, Teacher(), Rounds(combine="network"))
 
-    torch.testing.assert_close(targets.layout, network[:, :3])
-    torch.testing.assert_close(targets.road, network[:, 3:])
+    torch.testing.assert_close(targets.layout, network[:, :CLASSES])
+    torch.testing.assert_close(targets.road, network[:, CLASSES:])
     assert targets.layout_weight.item() == 1
 
 

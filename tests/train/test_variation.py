@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from roadtorch.scenes import render_scene
 from roadtorch.train.config import Light, Shift
 from roadtorch.train.variation import draw_frames, reframed, relit
+from tests.streets import scene
 
 STILL = Shift(scale=0, stretch=0, rotation=0, move=0)
 
@@ -45,7 +45,7 @@ def test_what_is_outside_the_picture_does_not_count() -> None:
 
 
 def test_light_changes_the_picture_and_stays_in_range() -> None:
-    images = torch.stack([render_scene(seed, 60, 80).image for seed in range(4)])
+    images = torch.stack([scene(seed, 60, 80).image for seed in range(4)])
 
     relit_images = relit(images, Light(), seeded(3))
 

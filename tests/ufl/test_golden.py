@@ -1,5 +1,6 @@
 """Every stage against the authors' program, from the stored input of that stage, in float64."""
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,21 +20,25 @@ def close(found: Tensor, stored: Tensor, atol: float = STORED) -> None:
     torch.testing.assert_close(found.double(), stored.double(), rtol=0, atol=atol)
 
 
+@cache
 def equalised(golden: Any, dtype: torch.dtype = torch.float64) -> Tensor:
     """From the picture: what is stored of this stage is rounded, and normalising magnifies that."""
     return preprocess.equalised(golden.image.to(dtype), preprocess.Smoothing())
 
 
+@cache
 def white(golden: Any, dtype: torch.dtype = torch.float64) -> Tensor:
     even = equalised(golden, dtype)
     return features.white_patches(even, features.DictionarySettings())
 
 
+@cache
 def found_tree(golden: Any) -> hierarchy.Tree:
     steps = hierarchy.thresholds(16, "included")
     return hierarchy.build_tree(hierarchy.threshold_regions(golden["mean_map"], steps), 50)
 
 
+@cache
 def selected(golden: Any) -> maps.FeatureMaps:
     dictionary = golden.patches("centroids_final")
     return maps.select_maps(white(golden), dictionary, MAP, maps.MapSettings())
