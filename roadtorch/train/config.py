@@ -238,7 +238,7 @@ def read_training(path: Path) -> Training:
 
 
 def with_current_names(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Nested values that an older version wrote down, with the keys that have other names now.
+    """Settings that an older version wrote down, under the present names of their first level.
 
     For records of runs alone, where a new name means what the old one did; a config that
     somebody gives is refused with the new name.

@@ -6,7 +6,6 @@ from typing import Any, get_args
 
 import pytest
 import torch
-from _pytest.mark import ParameterSet
 from torch import Tensor
 
 from roadtorch.oneclass import CLASSIFIERS, Fitted, axes_of, fit
@@ -14,7 +13,7 @@ from roadtorch.oneclass.base import Classifier
 
 RGB = axes_of(("R", "G", "B"))
 HS = axes_of(("H", "S"))
-HISTOGRAMS = {"hist64_s", "hist64_sn", "hist100_s", "hist100_sn"}
+HISTOGRAMS = {name for name in CLASSIFIERS if name.startswith("hist")}
 SPREAD = 0.02
 
 
@@ -33,7 +32,7 @@ def of_asphalt(classifier: Classifier) -> Fitted:
     return fit(classifier, asphalt(), RGB)
 
 
-def readings(*left_out: str) -> list[ParameterSet]:
+def readings(*left_out: str) -> list[Any]:
     """Every classifier with every other reading of the paper that it can be told, one at a time.
 
     left_out: names of settings that do not matter. Defaults are what all other tests look at.

@@ -33,6 +33,14 @@ def white(golden: Any, dtype: torch.dtype = torch.float64) -> Tensor:
 
 
 @cache
+def dictionary(golden: Any, dtype: torch.dtype = torch.float64) -> Tensor:
+    """After the ten updates, from the stored start."""
+    start = golden.patches("centroids_init").to(dtype)
+    *_, last = features.updates(white(golden, dtype), start, 10)
+    return last.dictionary
+
+
+@cache
 def found_tree(golden: Any) -> hierarchy.Tree:
     steps = hierarchy.thresholds(16, "included")
     return hierarchy.build_tree(hierarchy.threshold_regions(golden["mean_map"], steps), 50)
@@ -103,9 +111,7 @@ def test_each_of_the_ten_updates_from_the_stored_one_before(golden: Any) -> None
 
 
 def test_the_ten_updates_one_after_the_other(golden: Any) -> None:
-    *_, last = features.updates(white(golden), golden.patches("centroids_init"), 10)
-
-    close(last.dictionary, golden.patches("centroids_final"))
+    close(dictionary(golden), golden.patches("centroids_final"))
 
 
 def test_scores_order_and_selected_maps(golden: Any) -> None:
@@ -200,9 +206,9 @@ def test_both_rounds_from_the_stored_mean_map(golden: Any) -> None:
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
 def test_from_the_picture_and_the_stored_start_to_the_mask(golden: Any, dtype: torch.dtype) -> None:
-    patches = white(golden, dtype)
-    *_, last = features.updates(patches, golden.patches("centroids_init").to(dtype), 10)
-    found = maps.select_maps(patches, last.dictionary, MAP, maps.MapSettings())
+    found = maps.select_maps(
+        white(golden, dtype), dictionary(golden, dtype), MAP, maps.MapSettings()
+    )
     mean = maps.mean_map(found.maps, "maximum")
     regions = hierarchy.threshold_regions(mean, hierarchy.thresholds(16, "included"))
     rounds = road.find_road(
