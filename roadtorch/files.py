@@ -1,8 +1,10 @@
 """Files that are never half-written, and the folders they go to."""
 
+import csv
+import io
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -45,3 +47,15 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write UTF-8 text with the line ends as they are."""
     with atomic(path) as temporary:
         temporary.write_bytes(text.encode())
+
+
+def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> str:
+    """Rows as CSV under a line with the names of the columns; lines end in a line feed.
+
+    A column that a row lacks stays empty; ValueError for a row with a key that is no column.
+    """
+    text = io.StringIO(newline="")
+    table = csv.DictWriter(text, columns, lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
+    return text.getvalue()

@@ -29,10 +29,12 @@ from roadtorch.image import read_image
 from roadtorch.layout.normalisation import normalise
 from roadtorch.scenes import render_scene
 from roadtorch.sources.pictures import find_images
+from roadtorch.train.arrays import from_bytes, read_arrays, write_arrays
 from roadtorch.train.config import PatchTraining
-from roadtorch.train.patches import PatchSamples, cut_patches, draw_jitter, prepare_patches
-from roadtorch.train.prepared import from_bytes, read_arrays, write_arrays
-from roadtorch.train.team import Team
+from roadtorch.train.patch_samples import PatchSamples
+from roadtorch.train.patches import cut_patches, draw_jitter
+from roadtorch.train.processes import Processes
+from roadtorch.train.sites import prepare_patches
 
 TRAINING = PatchTraining(passes=1)
 PLAIN = "plain DataLoader"
@@ -86,7 +88,7 @@ def contestants(files: list[Path], workers: int) -> dict[str, Callable[[], int]]
     """Work that makes every patch of the pictures once and returns how many there were."""
     batch = TRAINING.descent.batch
     loader = DataLoader(PatchByPatch(files), batch, shuffle=True, num_workers=workers)
-    samples = PatchSamples(files, TRAINING, Team())
+    samples = PatchSamples(files, TRAINING, Processes())
 
     def plain() -> int:
         return sum(len(inputs) for inputs, _ in loader)

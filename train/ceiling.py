@@ -18,17 +18,17 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, Item
 from roadtorch.evaluation import metrics
 from roadtorch.files import make_folder
+from roadtorch.layout.classes import CLASSES, UNLABELLED
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import save_network
+from roadtorch.train.arrays import to_bytes, write_arrays
 from roadtorch.train.config import PatchTraining, read_training
-from roadtorch.train.loop import Task, make_optimiser, step
-from roadtorch.train.patches import PatchSamples, find_sites, squared_error
-from roadtorch.train.prepared import to_bytes, write_arrays
-from roadtorch.train.recipe import seeded
-from roadtorch.train.team import join_team
+from roadtorch.train.generators import seeded
+from roadtorch.train.loop import TrainingSetup, make_optimiser, step
+from roadtorch.train.patch_samples import PatchSamples, squared_error
+from roadtorch.train.processes import join_processes
+from roadtorch.train.sites import find_sites
 from roadtorch.working_size import at_work
-
-VOID = 255
 
 
 def prepare(dataset: Dataset, item: Item, training: PatchTraining, path: Path) -> None:
@@ -39,23 +39,25 @@ def prepare(dataset: Dataset, item: Item, training: PatchTraining, path: Path) -
     sites = find_sites(training.superpixels.cut(small), training.sites)
     (height, width), (rows, columns) = small.shape[-2:], truth.layout.shape
     classes = truth.layout[sites[:, 0] * rows // height, sites[:, 1] * columns // width]
-    known = classes != VOID
+    known = classes != UNLABELLED
     arrays = {"image": to_bytes(small), "sites": sites[known].to(torch.int16)}
     write_arrays(path, {**arrays, "classes": classes[known].to(torch.uint8)})
 
 
 def train(files: list[Path], training: PatchTraining, epochs: int) -> PatchNetwork:
     """A network trained on prepared pictures for that many epochs, the rate falling to 0."""
-    with join_team() as team, seeded(training.seed, 0):
+    with join_processes() as processes, seeded(training.random_seed, 0):
         network = PatchNetwork(training.network)
-        samples = PatchSamples(files, training, team)
+        samples = PatchSamples(files, training, processes)
         optimiser = make_optimiser(network, training.descent)
-        task = Task(network, optimiser, samples, squared_error, training.descent, training.stopping)
+        setup = TrainingSetup(
+            network, optimiser, samples, squared_error, training.descent, training.stopping
+        )
         for epoch in range(epochs):
             error = count = 0.0
             for chunk in tqdm(range(samples.chunks), f"epoch {epoch + 1}", disable=None):
                 for batch in samples.batches(epoch, chunk):
-                    error += step(task, batch, team)
+                    error += step(setup, batch, processes)
                     count += batch.count
             print(f"epoch {epoch + 1}: error {error / count:.4f}", flush=True)
     return network.eval()
@@ -63,7 +65,7 @@ def train(files: list[Path], training: PatchTraining, epochs: int) -> PatchNetwo
 
 def recalls(network: PatchNetwork, dataset: Dataset, items: list[Item]) -> Tensor:
     """Recall of sky, vertical, horizontal over pictures; void ignored."""
-    confusion = torch.zeros((4, 4), dtype=torch.int64)
+    confusion = torch.zeros((CLASSES + 1, CLASSES + 1), dtype=torch.int64)
     for item in items:
         image, truth = dataset.read(item)
         assert truth.layout is not None

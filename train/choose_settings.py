@@ -37,7 +37,7 @@ from roadtorch.evaluation.metrics import (
 )
 from roadtorch.exposure import Exposure, brightened
 from roadtorch.fusion import Exponents, RoadPlace, SegmentRoadSettings, segment_road
-from roadtorch.layout.classes import HORIZONTAL
+from roadtorch.layout.classes import CLASSES, HORIZONTAL
 from roadtorch.layout.labeller import ColumnOrder, LabellerSettings, PlacePrior, segment_layout
 from roadtorch.seed_area import SeedArea
 from roadtorch.seed_distance import distance_likelihood, seed_distance
@@ -105,7 +105,7 @@ def measure_frame(image: Tensor, truth: Truth, drive: str) -> Frame:
         drive,
         segments,
         segment_histogram(road, labels, count, 2, valid),
-        segment_histogram(kinds.clamp(max=3), labels, count, 4)[:, :3],
+        segment_histogram(kinds.clamp(max=CLASSES), labels, count, CLASSES + 1)[:, :CLASSES],
         uniformity_likelihood(values, texture.even),
         seed_distance(segments, SeedArea()),
         segment_layout(segments, LabellerSettings())[:, HORIZONTAL],
@@ -114,9 +114,9 @@ def measure_frame(image: Tensor, truth: Truth, drive: str) -> Frame:
 
 def layout_recalls(frames: list[Frame], settings: LabellerSettings) -> dict[str, list[float]]:
     """Recall of sky, vertical and horizontal by drive."""
-    confusions = {frame.drive: torch.zeros(3, 3) for frame in frames}
+    confusions = {frame.drive: torch.zeros(CLASSES, CLASSES) for frame in frames}
     for frame in frames:
-        decision = one_hot(segment_layout(frame.segments, settings).argmax(1), 3)
+        decision = one_hot(segment_layout(frame.segments, settings).argmax(1), CLASSES)
         confusions[frame.drive] += frame.kinds.T @ decision.to(frame.kinds)
     return {drive: class_recalls(confusion).tolist() for drive, confusion in confusions.items()}
 

@@ -59,7 +59,7 @@ def mean_recall(groups: list[Tensor], weights: list[Tensor]) -> Tensor:
 def drive_recall(counts: Tensor, weights: Tensor) -> Tensor:
     """Mean class recall of one drive's pictures (n,4,4) under weights (draws,n)."""
     flat = weights.to(torch.float64) @ counts.flatten(1).to(torch.float64)
-    return metrics.mean_class_recall(flat.reshape(-1, 4, 4))
+    return metrics.mean_class_recall(flat.reshape(-1, *counts.shape[1:]))
 
 
 def measured(groups: dict[str, Tensor]) -> Replicated:

@@ -48,7 +48,7 @@ def train(
     from roadtorch.cli.config import merge
     from roadtorch.settings import parse_assignments, read_settings_file
     from roadtorch.train.config import build_training
-    from roadtorch.train.run import Order
+    from roadtorch.train.run import Request
     from roadtorch.train.run import train as run
 
     if threads:
@@ -56,7 +56,7 @@ def train(
     leads = os.environ.get("RANK", "0") == "0"  # torchrun numbers its processes
     values = merge(read_settings_file(config), parse_assignments(assignments))
     training = build_training(values)
-    outcome = run(training, Order(images, out, resume, prepared, quiet))
+    outcome = run(training, Request(images, out, resume, prepared, quiet))
     if outcome.interrupted:
         if leads:
             text = f"roadtorch: stopped by {outcome.interrupted.name}; go on with --resume"

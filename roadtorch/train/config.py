@@ -1,6 +1,7 @@
 """What a training run is told: one TOML file, one kind of network."""
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -78,7 +79,9 @@ class Sites(Settings):
 class Beginning(Settings):
     """Where every training begins."""
 
-    seed: int = Field(default=0, ge=0, le=2**31, description="of everything that is drawn")
+    renamed: ClassVar[Mapping[str, str]] = {"seed": "random_seed"}
+
+    random_seed: int = Field(default=0, ge=0, le=2**31, description="of everything that is drawn")
     start: str = Field(
         default="", description="weight file of the same network to start from; none: new weights"
     )
@@ -232,6 +235,16 @@ def _check_jitter(jitter: Jitter) -> None:
 def read_training(path: Path) -> Training:
     """The settings of a TOML file; InputError or ConfigError when it cannot be used."""
     return build_training(read_settings_file(path))
+
+
+def with_current_names(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings that an older version wrote down, under the present names of their first level.
+
+    For records of runs alone, where a new name means what the old one did; a config that
+    somebody gives is refused with the new name.
+    """
+    kind = KINDS.get(values.get("kind", PatchTraining.name), PatchTraining)
+    return {kind.renamed.get(key, key): value for key, value in values.items()}
 
 
 def as_values(settings: Training) -> dict[str, Any]:

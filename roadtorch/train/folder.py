@@ -1,7 +1,5 @@
 """The folder of a run: what it was told, how far it is, what came out."""
 
-import csv
-import io
 import json
 import pickle
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,10 +11,10 @@ from typing import Any
 import torch
 
 from roadtorch.errors import ConfigError, InputError, WeightsError
-from roadtorch.files import atomic, make_folder, write_text
+from roadtorch.files import atomic, csv_text, make_folder, write_text
 from roadtorch.sources.pictures import Picture
-from roadtorch.train.config import as_values, build_training
-from roadtorch.train.prepared import Prepared, bytes_of, name_of
+from roadtorch.train.config import as_values, build_training, with_current_names
+from roadtorch.train.prepared import PreparedPicture, bytes_of, name_of
 
 FORMAT = 1
 """Of checkpoints; raised when older code could not go on with them."""
@@ -125,14 +123,14 @@ class RunFolder:
 
     # --- what came out ----------------------------------------------------------------------
 
-    def write_pictures(self, prepared: Iterable[Prepared]) -> None:
+    def write_pictures(self, prepared: Iterable[PreparedPicture]) -> None:
         """List every picture and, where it was skipped, why."""
         rows = ({"file": item.name, "status": item.problem or "used"} for item in prepared)
-        write_table(self.path / PICTURES, ["file", "status"], rows)
+        write_text(self.path / PICTURES, csv_text(["file", "status"], rows))
 
     def write_log(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Write the epochs as CSV."""
-        write_table(self.path / LOG, list(rows[0]), rows)
+        write_text(self.path / LOG, csv_text(list(rows[0]), rows))
 
     def write_curve(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Draw the error of the epochs, one line a round."""
@@ -151,15 +149,6 @@ class RunFolder:
             figure.savefig(temporary, format="png", dpi=120)
 
 
-def write_table(path: Path, names: list[str], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Write rows as CSV, whole or not at all."""
-    text = io.StringIO(newline="")
-    table = csv.DictWriter(text, names, lineterminator="\n")
-    table.writeheader()
-    table.writerows(rows)
-    write_text(path, text.getvalue())
-
-
 def _refuse_other(path: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     """ConfigError naming the first setting that differs from those of the run."""
     one, two = flat(_completed(before)), flat(now)
@@ -170,11 +159,12 @@ def _refuse_other(path: Path, before: Mapping[str, Any], now: Mapping[str, Any])
 
 
 def _completed(values: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Settings of a run that older code began, with those that are new at their defaults."""
+    """Settings of a run that older code began: names of today, new ones at their defaults."""
+    renamed = with_current_names(values)
     try:
-        return as_values(build_training(dict(values)))
+        return as_values(build_training(renamed))
     except ConfigError:  # it had some that are gone
-        return values
+        return renamed
 
 
 def _told(values: Mapping[str, Any], key: str) -> str:

@@ -13,16 +13,16 @@ from tqdm import tqdm
 
 from roadtorch.errors import ConfigError
 from roadtorch.signals import Stop
+from roadtorch.train.batches import Batch, ErrorFunction, Samples
 from roadtorch.train.config import Descent, Stopping
 from roadtorch.train.folder import RunFolder
-from roadtorch.train.samples import Batch, ErrorOf, Samples
-from roadtorch.train.team import Team
+from roadtorch.train.processes import Processes
 
 SAVE_EVERY = 60.0  # seconds of work that a power cut may cost
 
 
 @dataclass
-class Progress:
+class TrainingProgress:
     """How far a run is; with the weights and the optimiser's state all there is to know.
 
     error, count: sums over the part of the epoch that is done. rows: the finished epochs.
@@ -43,21 +43,21 @@ class Progress:
         self.error, self.count, self.seconds, self.finished = 0.0, 0, 0.0, False
 
 
-class Task(NamedTuple):
+class TrainingSetup(NamedTuple):
     """What a round trains, and how."""
 
     network: nn.Module
     optimiser: torch.optim.Optimizer
     samples: Samples
-    error_of: ErrorOf
+    error_function: ErrorFunction
     descent: Descent
     stopping: Stopping
 
 
-class Surroundings(NamedTuple):
-    """Where a run happens: the processes, the folder, who may interrupt it."""
+class RunContext(NamedTuple):
+    """Where a run happens: its processes, its folder, who may interrupt or watch it."""
 
-    team: Team
+    processes: Processes
     folder: RunFolder
     stop: Stop
     quiet: bool = False
@@ -73,66 +73,68 @@ def make_optimiser(network: nn.Module, descent: Descent) -> torch.optim.Optimize
     )
 
 
-def train_round(task: Task, progress: Progress, around: Surroundings) -> None:
+def train_round(setup: TrainingSetup, progress: TrainingProgress, context: RunContext) -> None:
     """Train from where ``progress`` is until the round's end, or until asked to stop.
 
     Saves a checkpoint at the end of each epoch, now and then between, and before it returns.
     Raises ConfigError when the error is no longer a number.
     """
-    task.network.train()
-    while not progress.finished and not _stop_asked(around):
-        for _ in _chunks(task, progress, around):
-            if _stop_asked(around):
+    setup.network.train()
+    while not progress.finished and not _stop_asked(context):
+        for _ in _chunks(setup, progress, context):
+            if _stop_asked(context):
                 break
-        if progress.chunk == task.samples.chunks:
-            _end_epoch(task, progress, around)
-        save(task, progress, around)
+        if progress.chunk == setup.samples.chunks:
+            _end_epoch(setup, progress, context)
+        save(setup, progress, context)
 
 
-def save(task: Task, progress: Progress, around: Surroundings) -> None:
-    """Write the checkpoint, once for the whole team."""
-    if around.team.leads:
-        around.folder.write_checkpoint(
+def save(setup: TrainingSetup, progress: TrainingProgress, context: RunContext) -> None:
+    """Write the checkpoint, once for all processes."""
+    if context.processes.leads:
+        context.folder.write_checkpoint(
             {
-                "network": task.network.state_dict(),
-                "optimiser": task.optimiser.state_dict(),
+                "network": setup.network.state_dict(),
+                "optimiser": setup.optimiser.state_dict(),
                 "progress": asdict(progress),
             }
         )
 
 
-def _stop_asked(around: Surroundings) -> bool:
-    return around.team.any(around.stop.asked)
+def _stop_asked(context: RunContext) -> bool:
+    return context.processes.any(context.stop.asked)
 
 
-def _chunks(task: Task, progress: Progress, around: Surroundings) -> Iterator[None]:
+def _chunks(
+    setup: TrainingSetup, progress: TrainingProgress, context: RunContext
+) -> Iterator[None]:
     """Work through the rest of an epoch; yields after each chunk."""
     title = f"epoch {progress.epoch + 1}"
-    hidden = around.team.hides_bar(around.quiet)
-    total, saved = task.samples.chunks, time.monotonic()
+    hidden = context.processes.hides_bar(context.quiet)
+    total, saved = setup.samples.chunks, time.monotonic()
     with tqdm(
         total=total, desc=title, initial=progress.chunk, disable=hidden, file=sys.stderr
     ) as bar:
         while progress.chunk < total:
             start = time.monotonic()
-            _train_chunk(task, progress, around.team)
+            _train_chunk(setup, progress, context.processes)
             progress.seconds += time.monotonic() - start
             bar.update()
             bar.set_postfix(error=f"{progress.error / max(1, progress.count):.4f}")
             if time.monotonic() - saved > SAVE_EVERY:
-                save(task, progress, around)
+                save(setup, progress, context)
                 saved = time.monotonic()
             yield
 
 
-def _train_chunk(task: Task, progress: Progress, team: Team) -> None:
-    share = progress.epoch + progress.chunk / task.samples.chunks
-    rate = task.descent.rate_at(share / task.stopping.epochs)
-    for group in task.optimiser.param_groups:
+def _train_chunk(setup: TrainingSetup, progress: TrainingProgress, processes: Processes) -> None:
+    share = progress.epoch + progress.chunk / setup.samples.chunks
+    rate = setup.descent.rate_at(share / setup.stopping.epochs)
+    for group in setup.optimiser.param_groups:
         group["lr"] = rate
     error = 0.0
-    for batch in task.samples.batches(progress.epoch, progress.chunk):
-        error += step(task, batch, team)
+    for batch in setup.samples.batches(progress.epoch, progress.chunk):
+        error += step(setup, batch, processes)
         progress.count += batch.count
     if not math.isfinite(error):
         raise ConfigError("descent.rate", "the error is no longer a number", "give a lower rate")
@@ -140,32 +142,32 @@ def _train_chunk(task: Task, progress: Progress, team: Team) -> None:
     progress.chunk += 1
 
 
-def step(task: Task, batch: Batch, team: Team) -> float:
-    """One step on one batch; returns the summed error of the whole team's batch.
+def step(setup: TrainingSetup, batch: Batch, processes: Processes) -> float:
+    """One step on one batch; returns the error summed over the batch of all processes.
 
-    Gradients are summed over the team, so that any number of processes makes the same step
-    up to rounding.
+    Gradients are summed over the processes, so that any number of them makes the same step up
+    to rounding.
     """
-    task.optimiser.zero_grad(set_to_none=False)
+    setup.optimiser.zero_grad(set_to_none=False)
     error = torch.zeros(())
     if len(batch.inputs):
-        error = task.error_of(task.network, batch)
+        error = setup.error_function(setup.network, batch)
         (error / batch.count).backward()
-    error = _add_gradients(task.network, error.detach(), team)
-    task.optimiser.step()
+    error = _add_gradients(setup.network, error.detach(), processes)
+    setup.optimiser.step()
     return float(error)
 
 
-def _add_gradients(network: nn.Module, error: Tensor, team: Team) -> Tensor:
-    """Replace the gradients and the error by their sums over the team, in one exchange."""
+def _add_gradients(network: nn.Module, error: Tensor, processes: Processes) -> Tensor:
+    """Replace the gradients and the error by their sums over the processes, in one exchange."""
     weights = list(network.parameters())
     for weight in weights:
         if weight.grad is None:  # this process had no sample yet
             weight.grad = torch.zeros_like(weight)
-    if team.size == 1:
+    if processes.size == 1:
         return error
     gradients = [weight.grad for weight in weights if weight.grad is not None]
-    flat = team.add(torch.cat([error.reshape(1), *(value.reshape(-1) for value in gradients)]))
+    flat = processes.add(torch.cat([error.reshape(1), *(value.reshape(-1) for value in gradients)]))
     at = 1
     for value in gradients:
         value.copy_(flat[at : at + value.numel()].reshape(value.shape))
@@ -173,7 +175,7 @@ def _add_gradients(network: nn.Module, error: Tensor, team: Team) -> Tensor:
     return flat[0]
 
 
-def _end_epoch(task: Task, progress: Progress, around: Surroundings) -> None:
+def _end_epoch(setup: TrainingSetup, progress: TrainingProgress, context: RunContext) -> None:
     """Close the books of an epoch and decide whether it was the last."""
     error = progress.error / max(1, progress.count)
     own = [row["error"] for row in progress.rows if row["round"] == progress.round + 1]
@@ -183,17 +185,17 @@ def _end_epoch(task: Task, progress: Progress, around: Surroundings) -> None:
         "epoch": progress.epoch + 1,
         "error": error,
         "samples": progress.count,
-        "rate": task.optimiser.param_groups[0]["lr"],
+        "rate": setup.optimiser.param_groups[0]["lr"],
         "seconds": round(progress.seconds, 1),
     }
     progress.rows.append(row)
     progress.epoch += 1
     progress.chunk, progress.error, progress.count, progress.seconds = 0, 0.0, 0, 0.0
-    fallen = task.stopping.rule == "fall" and fall <= task.stopping.fall
-    progress.finished = fallen or progress.epoch >= task.stopping.epochs
-    if around.team.leads:
-        around.folder.write_log(progress.rows)
-        if not around.quiet:
+    fallen = setup.stopping.rule == "fall" and fall <= setup.stopping.fall
+    progress.finished = fallen or progress.epoch >= setup.stopping.epochs
+    if context.processes.leads:
+        context.folder.write_log(progress.rows)
+        if not context.quiet:
             tqdm.write(_told(row, fall), file=sys.stderr)
 
 

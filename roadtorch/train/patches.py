@@ -1,97 +1,20 @@
-"""Patches with machine labels, varied; all patches of a picture are cut in one pass.
+"""Varied patches; all patches of a picture are cut in one pass.
 
-P2, section 3.1 and 6.1: at the centroid of each superpixel and around it, at a random scale
-and angle, with Gaussian noise; squared error to the label; no hard examples.
+P2, section 6.1: at a random scale and angle, with Gaussian noise.
 """
 
 import math
-from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional as F
 
-from roadtorch.errors import InputError
-from roadtorch.layout.classes import CLASSES, UNLABELLED
-from roadtorch.layout.labeller import label_layout
-from roadtorch.layout.normalisation import normalise
-from roadtorch.segment_statistics import segment_mean
-from roadtorch.train.config import Jitter, PatchTraining, Sites
-from roadtorch.train.draws import generator_at, uniform
-from roadtorch.train.prepared import Arrays, from_bytes, read_arrays, to_bytes
-from roadtorch.train.samples import Batch
-from roadtorch.train.team import Team
-from roadtorch.working_size import at_work
-
-ORDER, SITES, JITTER = range(3)
-"""What is drawn: each has its own generators."""
+from roadtorch.train.config import Jitter
+from roadtorch.train.generators import uniform
 
 NOISES = 256
 """Patches of noise drawn for a chunk; each of its patches takes one, times its own deviation."""
-
-BLOCK = 128
-"""Patches cut at a time: what is made on the way stays in the cache."""
-
-
-# --- from pictures to sites -----------------------------------------------------------------
-
-
-def prepare_patches(image: Tensor, training: PatchTraining) -> Arrays:
-    """What patches need of an image (3,H,W): it at working size, sites and their classes.
-
-    image: uint8 (3,h,w); sites: int16 (n,2), row and column; classes: uint8 (n,), 0, 1, 2.
-    Sites that the labeller leaves in doubt are not there.
-    """
-    working = training.network.working
-    small = at_work(image, working)
-    labels = label_layout(small, training.labeller, working, training.superpixels).labels
-    sites = find_sites(training.superpixels.cut(small), training.sites)
-    classes = labels[sites[:, 0], sites[:, 1]]
-    known = classes != UNLABELLED
-    return {
-        "image": to_bytes(small),
-        "sites": sites[known].to(torch.int16),
-        "classes": classes[known].to(torch.uint8),
-    }
-
-
-def find_sites(segments: Tensor, sites: Sites) -> Tensor:
-    """Rows and columns int64 (n,2) of the centroids of segments (H,W) and places around them.
-
-    ``sites.around`` places at equal angles, the first below the centroid, kept inside the
-    picture.
-    """
-    height, width = segments.shape
-    places = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-    count = int(segments.max()) + 1
-    centroid = segment_mean(torch.stack(places).to(torch.float32), segments, count).T
-    turns = torch.arange(sites.around) * (2 * math.pi / max(1, sites.around))
-    around = torch.stack([turns.cos(), turns.sin()], 1) * sites.distance
-    moves = torch.cat([torch.zeros(1, 2), around])
-    found = (centroid[:, None] + moves).reshape(-1, 2).round().to(torch.int64)
-    return found.clamp_min(0).minimum(torch.tensor([height - 1, width - 1]))
-
-
-def class_weights(files: Sequence[Path], training: PatchTraining) -> Tensor:
-    """Weight of each class, (3,): all 1, or such that all classes weigh the same.
-
-    Raises InputError when no picture has a site with a label.
-    """
-    counts = torch.zeros(CLASSES)
-    for file in files:
-        classes = read_arrays(file, "classes")["classes"]
-        counts += torch.bincount(classes.long(), minlength=CLASSES)
-    if not counts.sum():
-        what = "have no superpixel whose label is certain"
-        raise InputError("the pictures", what, "lower labeller.margin, or give street pictures")
-    if training.balance == "none":
-        return torch.ones(CLASSES)
-    return counts.sum() / (CLASSES * counts.clamp_min(1))
-
-
-# --- patches --------------------------------------------------------------------------------
 
 
 class Draw(NamedTuple):
@@ -162,89 +85,3 @@ def add_noise(
     """Patches (n,3,P,P) with their noise; gain: what one level of [0,1] has become."""
     deviation = (draw.noise * (gain / 255))[:, None, None, None]
     return torch.addcmul(patches, noises.index_select(0, draw.which), deviation, out=out)
-
-
-# --- samples --------------------------------------------------------------------------------
-
-
-class PatchSamples:
-    """The patches of prepared pictures, shuffled over ``mix`` pictures at a time.
-
-    One chunk holds the patches of ``mix`` pictures, at each visit another part of them: about
-    ``mix`` / ``passes`` pictures' worth of memory, however many pictures there are.
-    """
-
-    def __init__(self, files: Sequence[Path], training: PatchTraining, team: Team) -> None:
-        self._files = files
-        self._training = training
-        self._team = team
-        self._weights = class_weights(files, training)
-        self._groups = -(-len(files) // training.mix)
-        patch = training.network.topology.patch
-        self._room = torch.empty(0, 3, patch, patch)  # kept: fresh memory costs as much as cutting
-
-    @property
-    def chunks(self) -> int:
-        """Chunks of one epoch: groups of pictures, each visited ``passes`` times."""
-        return self._groups * self._training.passes
-
-    def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
-        """This process's patches of a chunk, in batches that are nearly the same size."""
-        training = self._training
-        visit, group = divmod(chunk, self._groups)
-        order = self._shuffled(len(self._files), ORDER, epoch, visit)
-        members = order[group * training.mix :][: training.mix].tolist()
-        sites = [self._sites_of(member, epoch, visit) for member in members]
-        generator = generator_at(training.seed, JITTER, epoch, chunk)
-        centres, classes = (torch.cat(parts) for parts in zip(*sites, strict=True))
-        draw = draw_jitter(centres, training.jitter, generator)
-        noises = draw_noise(training.network.topology.patch, generator)
-        shuffled = torch.randperm(len(classes), generator=generator)
-        steps = shuffled.tensor_split(max(1, round(len(classes) / training.descent.batch)))
-        picture = torch.arange(len(members)).repeat_interleave(
-            torch.tensor([len(part) for _, part in sites])
-        )
-        mine = torch.cat([self._mine(step) for step in steps])
-        by_picture = picture[mine].argsort(stable=True)
-        self._cut(members, picture[mine[by_picture]], draw.at(mine[by_picture]), noises)
-        place, at = by_picture.argsort(), 0
-        for step in steps:
-            count = len(self._mine(step))
-            targets = classes[mine[at : at + count]].long()
-            part = self._room.index_select(0, place[at : at + count])
-            if len(step):
-                yield Batch(part, targets, self._weights[targets], len(step))
-            at += count
-
-    def _cut(self, members: list[int], picture: Tensor, draw: Draw, noises: Tensor) -> None:
-        """Fill the first n rooms with the patches of ``draw``; picture: (n,), ascending."""
-        network = self._training.network
-        patch = network.topology.patch
-        if len(self._room) < len(picture):
-            self._room = torch.empty(len(picture), 3, patch, patch)
-        for number, member in enumerate(members):
-            image = from_bytes(read_arrays(self._files[member], "image")["image"])
-            pixels, gain = normalise(image, network.normalisation)
-            for index in (picture == number).nonzero()[:, 0].split(BLOCK):
-                if len(index):
-                    own, room = draw.at(index), self._room[index[0] : index[-1] + 1]
-                    add_noise(cut_patches(pixels, own, patch), own, noises, gain, room)
-
-    def _sites_of(self, member: int, epoch: int, visit: int) -> tuple[Tensor, Tensor]:
-        """Centres (n,2) and classes (n,) of one picture at one visit in an epoch."""
-        arrays = read_arrays(self._files[member], "sites", "classes")
-        order = self._shuffled(len(arrays["classes"]), SITES, epoch, member)
-        order = order[visit :: self._training.passes]
-        return arrays["sites"][order], arrays["classes"][order]
-
-    def _mine(self, step: Tensor) -> Tensor:
-        return step[self._team.rank :: self._team.size]
-
-    def _shuffled(self, count: int, *place: int) -> Tensor:
-        return torch.randperm(count, generator=generator_at(self._training.seed, *place))
-
-
-def squared_error(network: nn.Module, batch: Batch) -> Tensor:
-    """Sum over patches of |potentials - one-hot|², each patch times its weight. P2, section 3.1."""
-    wanted = F.one_hot(batch.targets, CLASSES).to(batch.inputs)
-    return ((network(batch.inputs) - wanted).square().sum(1) * batch.weights).sum()

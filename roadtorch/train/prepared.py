@@ -2,33 +2,30 @@
 
 import json
 import sys
-import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 from tqdm import tqdm
 
 from roadtorch.detector import checked_image
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
-from roadtorch.files import atomic, make_folder, write_text
+from roadtorch.files import make_folder, write_text
 from roadtorch.image import read_image
 from roadtorch.signals import Stop
 from roadtorch.sources.pictures import Picture
-from roadtorch.train.team import Team
+from roadtorch.train.arrays import Arrays, read_arrays, write_arrays
+from roadtorch.train.processes import Processes
 
 SETTINGS = "settings.json"
 SOURCE = "source"  # the array that holds the picture's size in bytes
 
-Arrays = dict[str, Tensor]
-
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedPicture:
     """A picture and the file with what training needs of it; no file where it failed."""
 
     name: str
@@ -37,42 +34,41 @@ class Prepared:
 
 
 @dataclass(frozen=True)
-class Workshop:
-    """How pictures are made ready: where, in which run, by whom, watched by whom."""
+class PreparedFolder:
+    """The folder of prepared pictures: who fills it, and who may interrupt or watch that."""
 
-    folder: Path
-    run: Path
-    team: Team
+    path: Path
+    processes: Processes
     stop: Stop
     quiet: bool = False
 
     def claim(self, settings: Mapping[str, Any]) -> None:
         """Take the folder for these settings; ConfigError when it was used with others."""
-        path = self.folder / SETTINGS
+        path = self.path / SETTINGS
         text = json.dumps(settings, indent=1, sort_keys=True) + "\n"
         if path.exists():
             if path.read_text(encoding="utf-8") != text:
                 what = "holds pictures prepared with other settings"
-                raise ConfigError(self.folder, what, "give another folder")
+                raise ConfigError(self.path, what, "give another folder")
             return
-        if self.team.leads:
-            make_folder(self.folder)
+        if self.processes.leads:
+            make_folder(self.path)
             write_text(path, text)
 
     def prepare(
         self, pictures: Sequence[Picture], make: Callable[[Tensor], Arrays], title: str
-    ) -> list[Prepared]:
+    ) -> list[PreparedPicture]:
         """Make every picture ready that is not yet; what fails is told and skipped.
 
         ``make`` turns an image (3,H,W) in [0,1] into named arrays. Returns one item a
-        picture, in their order, in every process of the team. Stops early when asked to:
+        picture, in their order, in every process. Stops early when asked to:
         then only what is ready comes back.
         """
-        mine = self.team.share(pictures)
-        hidden = self.team.hides_bar(self.quiet)
+        mine = self.processes.share(pictures)
+        hidden = self.processes.hides_bar(self.quiet)
         shown = tqdm(mine, title, unit="image", disable=hidden, file=sys.stderr)
         made = [self._one(picture, make) for picture in self._until_stopped(shown)]
-        everyone = self.team.gather(made)
+        everyone = self.processes.gather(made)
         found = {item.name: item for items in everyone for item in items}
         return [found[name] for name in map(name_of, pictures) if name in found]
 
@@ -82,11 +78,11 @@ class Workshop:
                 return
             yield picture
 
-    def _one(self, picture: Picture, make: Callable[[Tensor], Arrays]) -> Prepared:
+    def _one(self, picture: Picture, make: Callable[[Tensor], Arrays]) -> PreparedPicture:
         name = name_of(picture)
-        file = self.folder / f"{name}.npz"
+        file = self.path / f"{name}.npz"
         if _is_of(file, picture):
-            return Prepared(name, file)
+            return PreparedPicture(name, file)
         try:
             arrays = make(checked_image(read_image(picture.path)))
         except InputError as problem:
@@ -99,12 +95,12 @@ class Workshop:
             return _skipped(name, " ".join(text.split()))
         make_folder(file.parent)
         write_arrays(file, arrays | {SOURCE: torch.tensor(bytes_of(picture))})
-        return Prepared(name, file)
+        return PreparedPicture(name, file)
 
 
-def _skipped(name: str, why: str) -> Prepared:
+def _skipped(name: str, why: str) -> PreparedPicture:
     tqdm.write(f"roadtorch: skipped: {why}", file=sys.stderr)
-    return Prepared(name, None, why)
+    return PreparedPicture(name, None, why)
 
 
 def _is_of(file: Path, picture: Picture) -> bool:
@@ -129,29 +125,3 @@ def _about(picture: Picture, problem: RoadtorchError) -> RoadtorchError:
     """The same problem, told of the file."""
     where = picture.path if problem.where == "image" else problem.where
     return InputError(where, problem.what, problem.remedy)
-
-
-def write_arrays(path: Path, arrays: Arrays) -> None:
-    """Write named tensors as compressed NumPy archive, whole or not at all."""
-    with atomic(path) as temporary, temporary.open("wb") as file:
-        named = {name: value.numpy() for name, value in arrays.items()}
-        np.savez_compressed(file, allow_pickle=False, **named)
-
-
-def read_arrays(path: Path, *names: str) -> Arrays:
-    """The named tensors of an archive, all where none is named; InputError for a damaged one."""
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            return {name: torch.from_numpy(archive[name]) for name in names or archive.files}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        raise InputError(path, "is damaged", "remove it; it will be made again") from None
-
-
-def to_bytes(values: Tensor) -> Tensor:
-    """Values in [0,1] as bytes: round(255 x)."""
-    return values.mul(255).round_().to(torch.uint8)
-
-
-def from_bytes(values: Tensor) -> Tensor:
-    """Bytes as float32 in [0,1]."""
-    return values.to(torch.float32).div_(255)

@@ -1,29 +1,25 @@
 """What a kind of network brings to its training; the run itself is the same for all."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-import torch
 from torch import Tensor
 
 from roadtorch.errors import WeightsError
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import LayoutNetwork, load_network
+from roadtorch.train.arrays import Arrays
+from roadtorch.train.batches import ErrorFunction, Samples
 from roadtorch.train.config import Descent, PatchTraining, PictureTraining, Stopping, Training
-from roadtorch.train.draws import generator_at
-from roadtorch.train.patches import PatchSamples, prepare_patches, squared_error
-from roadtorch.train.pictures import (
-    PictureError,
-    PictureSamples,
-    label_again,
-    load_teachers,
-    prepare_picture,
-)
-from roadtorch.train.prepared import Arrays, Workshop
-from roadtorch.train.samples import ErrorOf, Samples
+from roadtorch.train.generators import seeded
+from roadtorch.train.loop import RunContext
+from roadtorch.train.patch_samples import PatchSamples, squared_error
+from roadtorch.train.picture_samples import PictureSamples
+from roadtorch.train.sites import prepare_patches
+from roadtorch.train.targets import PictureError
+from roadtorch.train.teachers import label_with_network, load_teachers, prepare_picture
 
 
 class Recipe(Protocol):
@@ -35,7 +31,7 @@ class Recipe(Protocol):
     stopping: Stopping
 
     @property
-    def error_of(self) -> ErrorOf:
+    def error_function(self) -> ErrorFunction:
         """The summed error of a network over a batch."""
         ...
 
@@ -55,7 +51,7 @@ class Recipe(Protocol):
         ...
 
     def samples(
-        self, files: Sequence[Path], number: int, last: LayoutNetwork | None, workshop: Workshop
+        self, files: Sequence[Path], number: int, last: LayoutNetwork | None, context: RunContext
     ) -> Samples:
         """The samples of round ``number``."""
         ...
@@ -65,7 +61,7 @@ class PatchRecipe:
     """CNN-7 and its family on patches; one round."""
 
     rounds = 1
-    error_of = staticmethod(squared_error)
+    error_function = staticmethod(squared_error)
 
     def __init__(self, training: PatchTraining) -> None:
         self._training = training
@@ -90,14 +86,14 @@ class PatchRecipe:
         """A new patch network, or the one to start from."""
         if last is not None:
             return last
-        with seeded(self._training.seed, number):
+        with seeded(self._training.random_seed, number):
             return PatchNetwork(self._training.network)
 
     def samples(
-        self, files: Sequence[Path], number: int, last: LayoutNetwork | None, workshop: Workshop
+        self, files: Sequence[Path], number: int, last: LayoutNetwork | None, context: RunContext
     ) -> PatchSamples:
         """The varied patches of the pictures."""
-        return PatchSamples(files, self._training, workshop.team)
+        return PatchSamples(files, self._training, context.processes)
 
 
 class PictureRecipe:
@@ -108,7 +104,7 @@ class PictureRecipe:
         self.rounds = training.rounds.count
         self.start = load_start(training.start, PictureNetwork(training.network))
         self.descent, self.stopping = training.descent, training.stopping
-        self.error_of = PictureError(training)
+        self.error_function = PictureError(training)
         self._teachers = load_teachers(training.teacher)
 
     def preparation(self) -> dict[str, Any]:
@@ -130,18 +126,18 @@ class PictureRecipe:
         """A new network, or the last one where rounds continue."""
         if isinstance(last, PictureNetwork) and self._training.rounds.start == "continued":
             return last
-        with seeded(self._training.seed, number):
+        with seeded(self._training.random_seed, number):
             return PictureNetwork(self._training.network)
 
     def samples(
-        self, files: Sequence[Path], number: int, last: LayoutNetwork | None, workshop: Workshop
+        self, files: Sequence[Path], number: int, last: LayoutNetwork | None, context: RunContext
     ) -> PictureSamples:
         """Varied pictures; from round 2 on with what the last network says of them."""
-        again: list[Path] = []
+        labels: list[Path] = []
         if isinstance(last, PictureNetwork):
-            folder = workshop.run / f"labels-{number + 1}"
-            again = label_again(files, folder, last.eval(), workshop)
-        return PictureSamples(files, again, number, self._training, workshop.team)
+            folder = context.folder.path / f"labels-{number + 1}"
+            labels = label_with_network(files, folder, last.eval(), context)
+        return PictureSamples(files, labels, number, self._training, context.processes)
 
 
 def load_start(path: str, like: LayoutNetwork) -> LayoutNetwork | None:
@@ -153,14 +149,6 @@ def load_start(path: str, like: LayoutNetwork) -> LayoutNetwork | None:
         what = "holds a network with other settings than this training"
         raise WeightsError(path, what, "give the same [network] settings, or leave start out")
     return network
-
-
-@contextmanager
-def seeded(seed: int, *place: int) -> Iterator[None]:
-    """Within the block, torch's own randomness is that of this seed and place."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(generator_at(seed, *place).initial_seed())
-        yield
 
 
 def recipe_of(training: Training) -> Recipe:

@@ -14,24 +14,26 @@ from roadtorch.layout.weights import LayoutNetwork, fill, load_network, save_net
 from roadtorch.signals import stop_on_signals
 from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.train.config import Training, as_values
-from roadtorch.train.folder import (
-    CHECKPOINT,
-    WEIGHTS,
-    RunFolder,
-    config_hash,
+from roadtorch.train.folder import CHECKPOINT, WEIGHTS, RunFolder, config_hash
+from roadtorch.train.loop import (
+    RunContext,
+    TrainingProgress,
+    TrainingSetup,
+    make_optimiser,
+    save,
+    train_round,
 )
-from roadtorch.train.loop import Progress, Surroundings, Task, make_optimiser, save, train_round
-from roadtorch.train.prepared import Prepared, Workshop
+from roadtorch.train.prepared import PreparedFolder, PreparedPicture
+from roadtorch.train.processes import join_processes
 from roadtorch.train.recipe import Recipe, recipe_of
-from roadtorch.train.team import join_team
 from roadtorch.version import __version__
 
 PREPARED = "prepared"
 
 
 @dataclass(frozen=True)
-class Order:
-    """What was asked for on the command line.
+class Request:
+    """What a run is asked for.
 
     images: a folder, a file or a quoted glob. prepared: where pictures made ready are kept;
     None for a folder inside ``out``.
@@ -53,46 +55,46 @@ class Outcome:
     skipped: int
 
 
-def train(training: Training, order: Order) -> Outcome:
+def train(training: Training, request: Request) -> Outcome:
     """Train a network on machine labels of pictures, or go on with it.
 
     Raises InputError when there is no picture to learn from, ConfigError and WeightsError
     when the folder holds something else than this run.
     """
-    pictures = find_images([order.images], apart=order.out)
-    with stop_on_signals() as stop, join_team() as team:
-        folder = RunFolder(order.out)
-        around = Surroundings(team, folder, stop, order.quiet)
+    pictures = find_images([request.images], apart=request.out)
+    with stop_on_signals() as stop, join_processes() as processes:
+        folder = RunFolder(request.out)
+        context = RunContext(processes, folder, stop, request.quiet)
         config = as_values(training)
         recipe = recipe_of(training)
-        folder.begin(config, pictures, order.resume)
+        folder.begin(config, pictures, request.resume)
         state = folder.read_checkpoint()
-        team.gather(None)  # all have looked before the first one writes
-        if team.leads:
+        processes.gather(None)  # all have looked before the first one writes
+        if processes.leads:
             folder.claim(config, pictures, __version__)
-        return _Run(recipe, order, around, config).go(pictures, state)
+        return _Run(recipe, request, context, config).go(pictures, state)
 
 
 @dataclass(frozen=True)
 class _Run:
     recipe: Recipe
-    order: Order
-    around: Surroundings
+    request: Request
+    context: RunContext
     config: dict[str, Any]
 
     def go(self, pictures: Sequence[Picture], state: dict[str, Any] | None) -> Outcome:
-        team, folder, stop, quiet = self.around
-        kept = self.order.prepared or folder.path / PREPARED
-        workshop = Workshop(kept, folder.path, team, stop, quiet)
-        workshop.claim(self.recipe.preparation())
-        prepared = workshop.prepare(pictures, self.recipe.make, "labels")
+        processes, folder, stop, quiet = self.context
+        path = self.request.prepared or folder.path / PREPARED
+        small = PreparedFolder(path, processes, stop, quiet)
+        small.claim(self.recipe.preparation())
+        prepared = small.prepare(pictures, self.recipe.make, "labels")
         skipped = sum(item.file is None for item in prepared)
-        if team.any(stop.asked):
+        if processes.any(stop.asked):
             return Outcome(None, stop.signal or SIGTERM, skipped)
         files = self._usable(prepared)
-        progress = Progress(**state["progress"]) if state else Progress()
+        progress = TrainingProgress(**state["progress"]) if state else TrainingProgress()
         while True:
-            self._round(files, progress, state, workshop)
+            self._round(files, progress, state)
             state = None
             if not progress.finished:
                 return Outcome(None, stop.signal or SIGTERM, skipped)
@@ -100,56 +102,52 @@ class _Run:
                 return Outcome(folder.path / WEIGHTS, None, skipped)
             progress.begin_round(progress.round + 1)
 
-    def _usable(self, prepared: Sequence[Prepared]) -> list[Path]:
-        if self.around.team.leads:
-            self.around.folder.write_pictures(prepared)
+    def _usable(self, prepared: Sequence[PreparedPicture]) -> list[Path]:
+        if self.context.processes.leads:
+            self.context.folder.write_pictures(prepared)
         files = [item.file for item in prepared if item.file is not None]
         if not files:
-            raise InputError(self.order.images, "holds no picture that can be used", "see above")
-        if len(files) == 1 and self.around.team.leads and not self.order.quiet:
+            raise InputError(self.request.images, "holds no picture that can be used", "see above")
+        if len(files) == 1 and self.context.processes.leads and not self.request.quiet:
             text = "roadtorch: one picture only: the network will know that one and no other"
             tqdm.write(text, file=sys.stderr)
         return files
 
     def _round(
-        self,
-        files: Sequence[Path],
-        progress: Progress,
-        state: dict[str, Any] | None,
-        workshop: Workshop,
+        self, files: Sequence[Path], progress: TrainingProgress, state: dict[str, Any] | None
     ) -> None:
         """Train one round, or what is left of it, and write its weights."""
-        number, folder = progress.round, self.around.folder
+        number, folder = progress.round, self.context.folder
         last = self.recipe.start
         if number:
             last = load_network(folder.path / _weights_of(number - 1))
-        samples = self.recipe.samples(files, number, last, workshop)
+        samples = self.recipe.samples(files, number, last, self.context)
         network = self.recipe.network(number, last)
         optimiser = make_optimiser(network, self.recipe.descent)
         if state:
             fill(network, state["network"], folder.path / CHECKPOINT)
             optimiser.load_state_dict(state["optimiser"])
-        task = Task(
+        setup = TrainingSetup(
             network,
             optimiser,
             samples,
-            self.recipe.error_of,
+            self.recipe.error_function,
             self.recipe.descent,
             self.recipe.stopping,
         )
         if not state:
-            save(task, progress, self.around)
-        train_round(task, progress, self.around)
+            save(setup, progress, self.context)
+        train_round(setup, progress, self.context)
         self._write(network.eval(), progress, len(files))
-        self.around.team.gather(None)  # the next round reads what the first one writes
+        self.context.processes.gather(None)  # the next round reads what the first one writes
 
-    def _write(self, network: LayoutNetwork, progress: Progress, used: int) -> None:
+    def _write(self, network: LayoutNetwork, progress: TrainingProgress, used: int) -> None:
         """The weights as they are, finished or not, and the curve so far."""
-        if not self.around.team.leads:
+        if not self.context.processes.leads:
             return
         if progress.round and not progress.finished:
             return  # the weights of the last round are better than half of this one
-        folder = self.around.folder
+        folder = self.context.folder
         origin = {
             "roadtorch": __version__,
             "config": self.config,

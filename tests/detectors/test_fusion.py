@@ -14,7 +14,7 @@ from roadtorch.fusion import log_odds
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import label_layout
 from roadtorch.layout.weights import load_network, shipped_weights
-from tests.detectors.streets import lost_highlights
+from tests.streets import lost_highlights
 
 CUES = {
     "layout",

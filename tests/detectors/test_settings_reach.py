@@ -18,7 +18,7 @@ from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import save_network
 from roadtorch.oneclass import CLASSIFIERS
 from roadtorch.settings import Settings, build_settings
-from tests.detectors.streets import lost_highlights
+from tests.streets import lost_highlights
 
 
 @cache

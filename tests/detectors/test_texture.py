@@ -18,7 +18,7 @@ from roadtorch.texture import (
     unsaturated_uniformity,
     value_range,
 )
-from tests.detectors.streets import lost_highlights
+from tests.streets import lost_highlights
 
 
 @cache

@@ -9,7 +9,7 @@ from roadtorch.layout.picture_network import (
     place_planes,
     potentials_of,
 )
-from roadtorch.scenes import render_scene
+from tests.streets import scene
 
 SMALL = PictureNetworkSettings(height=48, width=64, narrow=8, wide=16)
 
@@ -20,7 +20,7 @@ def test_it_has_at_most_a_few_hundred_thousand_weights() -> None:
 
 @pytest.mark.parametrize("size", [(16, 16), (100, 333)])
 def test_cues_have_the_size_of_the_picture(size: tuple[int, int]) -> None:
-    image = torch.nn.functional.interpolate(render_scene(1).image[None], size=size)[0]
+    image = torch.nn.functional.interpolate(scene(1).image[None], size=size)[0]
 
     cues = PictureNetwork(SMALL).cues(image)
 

@@ -1,17 +1,19 @@
 """What the tests of all classifiers have in common: classifiers, readings, samples."""
 
 from collections.abc import Iterator
+from functools import cache
 from typing import Any, get_args
 
 import pytest
 import torch
 from torch import Tensor
 
-from roadtorch.oneclass import CLASSIFIERS, axes_of
+from roadtorch.oneclass import CLASSIFIERS, Fitted, axes_of, fit
+from roadtorch.oneclass.base import Classifier
 
 RGB = axes_of(("R", "G", "B"))
 HS = axes_of(("H", "S"))
-HISTOGRAMS = {"hist64_s", "hist64_sn", "hist100_s", "hist100_sn"}
+HISTOGRAMS = {name for name in CLASSIFIERS if name.startswith("hist")}
 SPREAD = 0.02
 
 
@@ -24,13 +26,25 @@ def words_of(annotation: Any) -> Iterator[str]:
             yield from words_of(part)
 
 
-READINGS = [
-    pytest.param(classifier, {name: word}, id=f"{classifier.name}-{name}={word}")
-    for classifier in CLASSIFIERS.values()
-    for name, field in classifier.settings.model_fields.items()
-    for word in words_of(field.annotation)
-]
-"""Every classifier with every reading of the paper that it can be told, one at a time."""
+@cache
+def of_asphalt(classifier: Classifier) -> Fitted:
+    """A classifier as it comes, fitted to ``asphalt()`` once: not to be changed."""
+    return fit(classifier, asphalt(), RGB)
+
+
+def readings(*left_out: str) -> list[Any]:
+    """Every classifier with every other reading of the paper that it can be told, one at a time.
+
+    left_out: names of settings that do not matter. Defaults are what all other tests look at.
+    """
+    return [
+        pytest.param(classifier, {name: word}, id=f"{classifier.name}-{name}={word}")
+        for classifier in CLASSIFIERS.values()
+        for name, field in classifier.settings.model_fields.items()
+        for word in words_of(field.annotation)
+        if word != field.default and name not in left_out
+    ]
+
 
 every_classifier = pytest.mark.parametrize(
     "classifier", CLASSIFIERS.values(), ids=CLASSIFIERS.keys()

@@ -8,7 +8,7 @@ import torch
 from roadtorch.errors import WeightsError
 from roadtorch.oneclass import CLASSIFIERS, fit, load, restored, save
 from roadtorch.oneclass.base import Classifier
-from tests.oneclass.cases import HS, READINGS, RGB, around_red, asphalt, colours, every_classifier
+from tests.oneclass.cases import HS, RGB, around_red, asphalt, colours, every_classifier, readings
 
 
 @every_classifier
@@ -33,7 +33,7 @@ def test_a_fitted_one_takes_over_another_state_of_its_kind(classifier: Classifie
     assert torch.equal(small.likelihood(colours()), large.likelihood(colours()))
 
 
-@pytest.mark.parametrize(("classifier", "reading"), READINGS)
+@pytest.mark.parametrize(("classifier", "reading"), readings())
 def test_it_takes_over_a_state_of_its_kind_whatever_the_settings(
     classifier: Classifier, reading: dict[str, str]
 ) -> None:

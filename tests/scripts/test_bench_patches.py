@@ -6,8 +6,8 @@ from pathlib import Path
 
 import torch
 
-from roadtorch.train.patches import PatchSamples
-from roadtorch.train.team import Team
+from roadtorch.train.patch_samples import PatchSamples
+from roadtorch.train.processes import Processes
 from scripts import bench_patches
 
 
@@ -15,7 +15,7 @@ def test_both_sides_make_patches_of_the_same_sites(tmp_path: Path) -> None:
     files = bench_patches.prepare(None, 1, tmp_path)
 
     plain = bench_patches.PatchByPatch(files)
-    samples = PatchSamples(files, bench_patches.TRAINING, Team())
+    samples = PatchSamples(files, bench_patches.TRAINING, Processes())
 
     batches = list(samples.batches(0, 0))
     assert sum(len(batch.inputs) for batch in batches) == len(plain)

@@ -8,10 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from roadtorch.cli.config import merge
-from roadtorch.scenes import render_scene, write_picture
+from roadtorch.scenes import write_picture
 from roadtorch.settings import parse_assignments, read_settings_file
 from roadtorch.train.config import Training, build_training
-from roadtorch.train.run import Order
+from roadtorch.train.run import Request
+from tests.streets import scene
 
 PATCHES = """
 kind = "patches"
@@ -68,7 +69,7 @@ CONFIGS = {"patches": PATCHES, "pictures": PICTURES}
 def write_streets(folder: Path, count: int) -> Path:
     """A folder with pictures of rendered streets."""
     for seed in range(count):
-        write_picture(folder / f"street_{seed}.png", render_scene(seed, 60, 80))
+        write_picture(folder / f"street_{seed}.png", scene(seed, 60, 80))
     return folder
 
 
@@ -104,8 +105,8 @@ def training_of(kind: str, folder: Path, *changes: str) -> Training:
     return build_training(merge(values, parse_assignments(changes)))
 
 
-def order_of(streets: Path, kept: Path, out: Path, kind: str, resume: bool = False) -> Order:
-    return Order(str(streets), out, resume, kept / kind, quiet=True)
+def request_of(streets: Path, kept: Path, out: Path, kind: str, resume: bool = False) -> Request:
+    return Request(str(streets), out, resume, kept / kind, quiet=True)
 
 
 def rows_of(out: Path) -> list[dict[str, str]]:

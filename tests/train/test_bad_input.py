@@ -2,7 +2,9 @@
 
 import csv
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -10,14 +12,8 @@ import torch
 from roadtorch.cli import main
 from roadtorch.errors import ConfigError, InputError, WeightsError
 from roadtorch.train.config import Training, build_training
-from roadtorch.train.run import Order, train
-from tests.train.runs import (
-    PATCHES,
-    order_of,
-    training_of,
-    write_config,
-    write_streets,
-)
+from roadtorch.train.run import Request, train
+from tests.train.runs import PATCHES, write_config, write_streets
 
 
 def test_broken_pictures_are_skipped_and_listed(
@@ -51,7 +47,7 @@ def test_a_folder_without_pictures_is_told(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
 
     with pytest.raises(InputError, match="holds no pictures"):
-        train(build_training({}), Order(str(tmp_path / "empty"), tmp_path / "run"))
+        train(build_training({}), Request(str(tmp_path / "empty"), tmp_path / "run"))
 
     assert not (tmp_path / "run").exists()
 
@@ -61,46 +57,35 @@ def test_a_folder_with_broken_pictures_only_is_told(tmp_path: Path) -> None:
     (tmp_path / "bad" / "one.png").write_bytes(b"")
 
     with pytest.raises(InputError, match="holds no picture that can be used"):
-        train(build_training({}), Order(str(tmp_path / "bad"), tmp_path / "run", quiet=True))
+        train(build_training({}), Request(str(tmp_path / "bad"), tmp_path / "run", quiet=True))
 
 
-@pytest.fixture(scope="module")
-def finished(
-    streets: Path, kept: Path, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Training, Order]:
-    folder = tmp_path_factory.mktemp("finished")
-    training = training_of("patches", folder)
-    order = order_of(streets, kept, folder / "run", "patches")
-    train(training, order)
-    return training, order
-
-
-def again(order: Order, **changes: object) -> Order:
-    return Order(**{**order.__dict__, "resume": True, **changes})  # type: ignore[arg-type]
+def changed(request: Request, **changes: object) -> Request:
+    return Request(**{**request.__dict__, **changes})  # type: ignore[arg-type]
 
 
 def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
-def test_a_folder_with_a_run_is_not_overwritten(finished: tuple[Training, Order]) -> None:
-    training, order = finished
-    before = contents(order.out)
+def test_a_folder_with_a_run_is_not_overwritten(finished: tuple[Training, Request]) -> None:
+    training, request = finished
+    before = contents(request.out)
 
     with pytest.raises(ConfigError, match="holds a run already"):
-        train(training, order)
+        train(training, changed(request, resume=False))
 
-    assert contents(order.out) == before
+    assert contents(request.out) == before
 
 
-def test_a_finished_run_stays_as_it_is(finished: tuple[Training, Order]) -> None:
-    training, order = finished
-    before = (order.out / "weights.safetensors").read_bytes()
+def test_a_finished_run_stays_as_it_is(finished: tuple[Training, Request]) -> None:
+    training, request = finished
+    before = (request.out / "weights.safetensors").read_bytes()
 
-    outcome = train(training, again(order))
+    outcome = train(training, request)
 
-    assert outcome.weights == order.out / "weights.safetensors"
-    assert (order.out / "weights.safetensors").read_bytes() == before
+    assert outcome.weights == request.out / "weights.safetensors"
+    assert (request.out / "weights.safetensors").read_bytes() == before
 
 
 @pytest.mark.parametrize(
@@ -111,40 +96,40 @@ def test_a_finished_run_stays_as_it_is(finished: tuple[Training, Order]) -> None
     ],
 )
 def test_the_config_of_another_network_is_told(
-    values: dict[str, object], what: str, finished: tuple[Training, Order]
+    values: dict[str, object], what: str, finished: tuple[Training, Request]
 ) -> None:
-    training, order = finished
-    changed = {**training.model_dump(), **values} if "mix" in values else values
-    before = contents(order.out)
+    training, request = finished
+    given = {**training.model_dump(), **values} if "mix" in values else values
+    before = contents(request.out)
 
     with pytest.raises(ConfigError, match=what):
-        train(build_training(changed), again(order))
+        train(build_training(given), request)
 
-    assert contents(order.out) == before
+    assert contents(request.out) == before
 
 
-def test_other_pictures_are_told(finished: tuple[Training, Order], tmp_path: Path) -> None:
-    training, order = finished
+def test_other_pictures_are_told(finished: tuple[Training, Request], tmp_path: Path) -> None:
+    training, request = finished
 
     with pytest.raises(ConfigError, match="holds a run on other pictures"):
-        train(training, again(order, images=str(write_streets(tmp_path, 2))))
+        train(training, changed(request, images=str(write_streets(tmp_path, 2))))
 
 
 def test_labelled_pictures_of_other_settings_are_told(
-    finished: tuple[Training, Order], tmp_path: Path
+    finished: tuple[Training, Request], tmp_path: Path
 ) -> None:
-    training, order = finished
-    changed = build_training({**training.model_dump(), "sites": {"around": 1}})
+    training, request = finished
+    other = build_training({**training.model_dump(), "sites": {"around": 1}})
 
     with pytest.raises(ConfigError, match="holds pictures prepared with other settings"):
-        train(changed, again(order, out=tmp_path / "new"))
+        train(other, changed(request, out=tmp_path / "new"))
 
 
 def test_files_of_somebody_else_are_not_overwritten(streets: Path, tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("mine")
 
     with pytest.raises(ConfigError, match=r"holds log.csv, which is not of a run"):
-        train(build_training({}), Order(str(streets), tmp_path))
+        train(build_training({}), Request(str(streets), tmp_path))
 
     assert (tmp_path / "log.csv").read_text() == "mine"
 
@@ -158,33 +143,70 @@ def test_files_of_somebody_else_are_not_overwritten(streets: Path, tmp_path: Pat
     ],
 )
 def test_checkpoints_that_cannot_be_used_are_told(
-    state: object, what: str, streets: Path, kept: Path, tmp_path: Path
+    state: object, what: str, finished: tuple[Training, Request]
 ) -> None:
-    training = training_of("patches", tmp_path)
-    order = order_of(streets, kept, tmp_path / "run", "patches")
-    train(training, order)
-    path = order.out / "checkpoint.pt"
+    training, request = finished
+    path = request.out / "checkpoint.pt"
     path.write_bytes(state) if isinstance(state, bytes) else torch.save(state, path)
-    before = contents(order.out)
+    before = contents(request.out)
 
     with pytest.raises(WeightsError, match=what):
-        train(training, again(order))
+        train(training, request)
 
-    assert contents(order.out) == before
+    assert contents(request.out) == before
+
+
+# --- runs of older versions ------------------------------------------------------------------
+
+
+def rewrite_config(out: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change what run.json says of the settings of a run."""
+    record = json.loads((out / "run.json").read_text())
+    change(record["config"])
+    (out / "run.json").write_text(json.dumps(record))
 
 
 def test_a_run_of_older_code_goes_on_with_settings_that_are_new(
-    streets: Path, kept: Path, tmp_path: Path
+    finished: tuple[Training, Request],
 ) -> None:
-    training = training_of("patches", tmp_path)
-    order = order_of(streets, kept, tmp_path / "run", "patches")
-    train(training, order)
-    path = order.out / "run.json"
-    record = json.loads(path.read_text())
-    del record["config"]["balance"]
-    path.write_text(json.dumps(record))
+    training, request = finished
+    rewrite_config(request.out, lambda config: config.pop("balance"))
 
-    assert train(training, again(order)).weights
+    assert train(training, request).weights
+
+
+def test_a_run_of_older_code_goes_on_with_settings_that_had_other_names(
+    finished: tuple[Training, Request],
+) -> None:
+    training, request = finished
+    rewrite_config(request.out, lambda config: config.update(seed=config.pop("random_seed")))
+
+    assert train(training, request).weights
+    assert "seed" not in json.loads((request.out / "run.json").read_text())["config"]
+
+
+def test_another_seed_than_that_of_older_code_is_told_under_its_present_name(
+    finished: tuple[Training, Request],
+) -> None:
+    training, request = finished
+    rewrite_config(request.out, lambda config: config.update(seed=config.pop("random_seed") + 1))
+    before = contents(request.out)
+
+    with pytest.raises(ConfigError, match="random_seed: is 0, and 1 in the run"):
+        train(training, request)
+
+    assert contents(request.out) == before
+
+
+def test_a_run_with_settings_that_are_gone_is_told(finished: tuple[Training, Request]) -> None:
+    training, request = finished
+    rewrite_config(request.out, lambda config: config.update(fold=3))
+
+    with pytest.raises(ConfigError, match="fold: is not there, and 3 in the run"):
+        train(training, request)
+
+
+# --- configs -----------------------------------------------------------------------------------
 
 
 def test_mistakes_in_the_config_are_one_line(

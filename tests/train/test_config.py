@@ -31,7 +31,7 @@ def test_the_defaults_are_p2s() -> None:
 
 @pytest.mark.parametrize("kind", ["patches", "pictures"])
 def test_settings_survive_the_way_to_nested_values_and_back(kind: str) -> None:
-    training = build_training({"kind": kind, "seed": 5})
+    training = build_training({"kind": kind, "random_seed": 5})
 
     assert build_training(as_values(training)) == training
 
@@ -47,6 +47,8 @@ def test_configs_that_ship_can_be_read(path: Path) -> None:
         ({"kind": "patch"}, r"patch: unknown kind of training \(did you mean patches\?\)"),
         ({"kind": "pictures", "mix": 3}, "mix: unknown setting"),
         ({"network": {"height": 120}}, "network.height: unknown setting"),
+        ({"seed": 0}, r"seed: has another name now \(write random_seed\)"),
+        ({"kind": "pictures", "seed": 0}, r"seed: has another name now \(write random_seed\)"),
         ({"jitter": {"smallest": 2.0}}, "jitter.smallest: 2 was given, and jitter.largest is 1.4"),
         ({"descent": {"rate": 0.0}}, "descent.rate: 0.0 was given"),
         ({"network": {"topology": {"size1": 9}}}, "topology: .* cannot halve"),

@@ -1,7 +1,6 @@
-"""Patches: sites, jitter, noise, batches; the same for any number of processes."""
+"""Patches: jitter, noise, all of a picture in one pass."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,83 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from roadtorch.errors import InputError
-from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, reflected
-from roadtorch.scenes import render_scene
-from roadtorch.train.config import Jitter, PatchTraining, Sites, build_training
-from roadtorch.train.patches import (
-    Draw,
-    PatchSamples,
-    add_noise,
-    class_weights,
-    cut_patches,
-    draw_jitter,
-    draw_noise,
-    find_sites,
-    prepare_patches,
-    squared_error,
-)
-from roadtorch.train.prepared import write_arrays
-from roadtorch.train.samples import Batch
-from roadtorch.train.team import Team
+from roadtorch.layout.patch_network import reflected
+from roadtorch.train.config import Jitter
+from roadtorch.train.patches import Draw, add_noise, cut_patches, draw_jitter, draw_noise
 from tests.reference import network as reference
-
-
-def training_of(**values: object) -> PatchTraining:
-    found = build_training({"mix": 2, "passes": 2, **values})
-    assert isinstance(found, PatchTraining)
-    return found
 
 
 def drawn(centre: Tensor, scale: float = 1.0, turn: float = 0.0, noise: float = 0.0) -> Draw:
     each = torch.ones(len(centre))
     return Draw(centre.float(), each * scale, each * turn, each * noise, torch.arange(len(centre)))
-
-
-# --- sites -----------------------------------------------------------------------------------
-
-
-def test_sites_are_centroids_and_places_around_them() -> None:
-    segments = torch.zeros(9, 20, dtype=torch.int64)
-    segments[:, 11:] = 1  # centroids (4, 5) and (4, 15)
-
-    sites = find_sites(segments, Sites(around=4, distance=2))
-
-    wanted = [[4, 5], [6, 5], [4, 7], [2, 5], [4, 3], [4, 15], [6, 15], [4, 17], [2, 15], [4, 13]]
-    assert sites.tolist() == wanted
-
-
-def test_sites_stay_inside_the_picture() -> None:
-    sites = find_sites(torch.zeros(4, 6, dtype=torch.int64), Sites(around=8, distance=50))
-
-    assert sites.amin(0).tolist() == [0, 0]
-    assert sites.amax(0).tolist() == [3, 5]
-
-
-def test_a_street_gives_sites_with_the_labels_of_what_is_there() -> None:
-    scene = render_scene(4)
-
-    arrays = prepare_patches(scene.image, training_of())
-
-    rows, columns = arrays["sites"].long().T
-    truth = scene.layout[rows, columns]
-    assert arrays["image"].shape == (3, 240, 320)
-    assert arrays["image"].dtype == torch.uint8
-    assert len(rows) > 600
-    assert set(arrays["classes"].tolist()) == {0, 1, 2}
-    assert (truth == arrays["classes"]).float().mean() > 0.85
-
-
-def test_certain_labels_are_fewer_than_those_of_largest_support() -> None:
-    image = render_scene(4, 60, 80).image
-
-    def count(support: str) -> int:
-        return len(prepare_patches(image, training_of(labeller={"support": support}))["classes"])
-
-    assert 0 < count("margin") < count("maximum")
-
-
-# --- patches ---------------------------------------------------------------------------------
 
 
 def test_without_jitter_a_patch_is_what_the_network_sees_at_that_pixel() -> None:
@@ -146,92 +77,3 @@ def test_noise_is_in_grey_levels_of_255_whatever_the_gain() -> None:
     assert float(noise.std()) * 255 / 4 == pytest.approx(0.8, rel=0.01)
     assert abs(float(noise.mean())) < 1e-3
     assert not torch.equal(noise[0], noise[1])
-
-
-# --- samples ---------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def files(tmp_path: Path) -> list[Path]:
-    """Three prepared pictures with 7, 40 and 0 sites; a site's class is its row modulo 3."""
-    generator = torch.Generator().manual_seed(9)
-    paths = []
-    for number, count in enumerate((7, 40, 0)):
-        image = torch.randint(256, (3, 30, 40), generator=generator).to(torch.uint8)
-        sites = torch.randint(30, (count, 2), generator=generator).to(torch.int16)
-        classes = (sites[:, 0] % 3).to(torch.uint8)
-        paths.append(tmp_path / f"{number}.npz")
-        write_arrays(paths[-1], {"image": image, "sites": sites, "classes": classes})
-    return paths
-
-
-def all_batches(files: list[Path], training: PatchTraining, team: Team, epoch: int) -> list[Batch]:
-    samples = PatchSamples(files, training, team)
-    return [b for chunk in range(samples.chunks) for b in samples.batches(epoch, chunk)]
-
-
-def test_an_epoch_has_every_site_once(files: list[Path]) -> None:
-    training = training_of(descent={"batch": 8})
-
-    batches = all_batches(files, training, Team(), epoch=0)
-
-    targets = torch.cat([batch.targets for batch in batches])
-    assert sum(batch.count for batch in batches) == len(targets) == 47
-    assert all(len(batch.inputs) == batch.count for batch in batches)
-    assert max(batch.count for batch in batches) <= 12
-    assert {tuple(batch.inputs.shape[1:]) for batch in batches} == {(3, 32, 32)}
-
-
-def test_epochs_differ_and_each_is_the_same_again(files: list[Path]) -> None:
-    training = training_of()
-
-    one, again, two = (all_batches(files, training, Team(), epoch) for epoch in (0, 0, 1))
-
-    assert all(torch.equal(a.inputs, b.inputs) for a, b in zip(one, again, strict=True))
-    assert not torch.equal(one[0].inputs[:3], two[0].inputs[:3])
-
-
-@pytest.mark.parametrize("size", [2, 3])
-def test_the_shares_of_a_team_are_the_batches_of_one(files: list[Path], size: int) -> None:
-    training = training_of(descent={"batch": 8})
-
-    alone = all_batches(files, training, Team(), epoch=2)
-    shares = [all_batches(files, training, Team(rank, size), 2) for rank in range(size)]
-
-    for whole, *parts in zip(alone, *shares, strict=True):
-        assert all(part.count == whole.count for part in parts)
-        for rank, part in enumerate(parts):
-            torch.testing.assert_close(part.inputs, whole.inputs[rank::size])
-            assert part.targets.tolist() == whole.targets[rank::size].tolist()
-
-
-def test_classes_weigh_the_same_where_asked(files: list[Path]) -> None:
-    training = training_of(balance="classes")
-
-    batches = all_batches(files, training, Team(), epoch=0)
-
-    targets = torch.cat([batch.targets for batch in batches])
-    weights = torch.cat([batch.weights for batch in batches])
-    sums = torch.bincount(targets, weights=weights, minlength=3)
-    torch.testing.assert_close(sums, torch.full((3,), 47 / 3))
-    assert class_weights(files, training_of()).tolist() == [1, 1, 1]
-
-
-def test_pictures_without_a_certain_label_are_told(files: list[Path]) -> None:
-    with pytest.raises(InputError, match=r"no superpixel whose label is certain"):
-        PatchSamples(files[2:], training_of(), Team())
-
-
-def test_the_error_is_the_sum_of_squares_to_one_hot() -> None:
-    network = PatchNetwork(PatchNetworkSettings())
-    inputs = torch.randn(4, 3, 32, 32, generator=torch.Generator().manual_seed(3))
-    targets, weights = torch.tensor([0, 2, 1, 1]), torch.tensor([1.0, 2.0, 1.0, 0.5])
-
-    error = squared_error(network, Batch(inputs, targets, weights, 4))
-
-    found = network(inputs).detach().numpy()
-    wanted = sum(
-        float(w) * sum((found[i, k] - (k == t)) ** 2 for k in range(3))
-        for i, (t, w) in enumerate(zip(targets.tolist(), weights.tolist(), strict=True))
-    )
-    assert error.item() == pytest.approx(wanted, rel=1e-5)

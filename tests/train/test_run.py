@@ -1,4 +1,4 @@
-"""Whole runs: made, cut short, gone on with; by one process and by two."""
+"""Whole runs: made, cut short, gone on with."""
 
 import json
 import math
@@ -11,33 +11,26 @@ from pathlib import Path
 import pytest
 import torch
 
+from roadtorch.cli import main
 from roadtorch.errors import ConfigError, WeightsError
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import load_network, read_origin, save_network
 from roadtorch.train import loop
-from roadtorch.train.run import Outcome, train
-from tests.train.runs import (
-    PATCHES,
-    command,
-    order_of,
-    rows_of,
-    run,
-    torchrun,
-    training_of,
-    write_config,
-)
+from roadtorch.train.config import Training
+from roadtorch.train.run import Outcome, Request, train
+from tests.train.runs import PATCHES, command, request_of, rows_of, training_of, write_config
 
 # --- whole runs ------------------------------------------------------------------------------
 
 
 def test_a_run_leaves_weights_a_log_a_curve_and_a_list(
-    streets: Path, kept: Path, tmp_path: Path
+    finished: tuple[Training, Request],
 ) -> None:
-    training = training_of("patches", tmp_path)
+    training, request = finished
 
-    outcome = train(training, order_of(streets, kept, tmp_path / "run", "patches"))
+    outcome = train(training, request)  # there is nothing left to do
 
-    out = tmp_path / "run"
+    out = request.out
     assert outcome == Outcome(out / "weights.safetensors", None, 0)
     network = load_network(out / "weights.safetensors")
     assert network.settings == training.network
@@ -56,7 +49,7 @@ def test_rounds_begin_with_the_labels_of_the_last_network(
     streets: Path, kept: Path, tmp_path: Path
 ) -> None:
     outcome = train(
-        training_of("pictures", tmp_path), order_of(streets, kept, tmp_path / "run", "pictures")
+        training_of("pictures", tmp_path), request_of(streets, kept, tmp_path / "run", "pictures")
     )
 
     out = tmp_path / "run"
@@ -75,7 +68,7 @@ def test_training_stops_when_the_error_falls_by_no_more(
     rules = ("stopping.rule=fall", "stopping.epochs=4", f"stopping.fall={fall}")
     training = training_of("patches", tmp_path, *rules)
 
-    train(training, order_of(streets, kept, tmp_path / "run", "patches"))
+    train(training, request_of(streets, kept, tmp_path / "run", "patches"))
 
     assert len(rows_of(tmp_path / "run")) == epochs
 
@@ -87,7 +80,7 @@ def test_an_error_that_is_no_number_is_told(
 
     with pytest.raises(ConfigError, match=r"descent.rate: the error is no longer a number"):
         train(
-            training_of("patches", tmp_path), order_of(streets, kept, tmp_path / "run", "patches")
+            training_of("patches", tmp_path), request_of(streets, kept, tmp_path / "run", "patches")
         )
 
 
@@ -99,11 +92,11 @@ def test_a_run_can_start_from_the_weights_of_another(
     kind: str, streets: Path, kept: Path, tmp_path: Path
 ) -> None:
     first = tmp_path / "first" / "weights.safetensors"
-    train(training_of(kind, tmp_path), order_of(streets, kept, first.parent, kind))
+    train(training_of(kind, tmp_path), request_of(streets, kept, first.parent, kind))
     changes = [f"start={json.dumps(str(first))}", "descent.rate=1e-9"]
     changes += ["rounds.count=1", "rounds.start=continued"] if kind == "pictures" else []
 
-    train(training_of(kind, tmp_path, *changes), order_of(streets, kept, tmp_path / "run", kind))
+    train(training_of(kind, tmp_path, *changes), request_of(streets, kept, tmp_path / "run", kind))
 
     # With next to no rate the weights stay where they started.
     one, two = (load_network(path) for path in (first, tmp_path / "run" / "weights.safetensors"))
@@ -118,7 +111,7 @@ def test_weights_of_another_network_are_no_start(streets: Path, kept: Path, tmp_
     training = training_of("patches", tmp_path, f"start={json.dumps(str(other))}")
 
     with pytest.raises(WeightsError, match="holds a network with other settings"):
-        train(training, order_of(streets, kept, tmp_path / "run", "patches"))
+        train(training, request_of(streets, kept, tmp_path / "run", "patches"))
 
     assert not (tmp_path / "run").exists()
 
@@ -146,15 +139,15 @@ def test_a_run_in_pieces_ends_with_the_bits_of_a_whole_one(
     momentum = ["descent.momentum=0.9"] if kind == "patches" else []
     training = training_of(kind, tmp_path, *momentum)
     whole, pieces = tmp_path / "whole", tmp_path / "pieces"
-    train(training, order_of(streets, kept, whole, kind))
+    train(training, request_of(streets, kept, whole, kind))
 
     cuts = 0
     for cut in (1, 2, 3, 4):
         with monkeypatch.context() as patch:
             interrupt_after(cut, signal.SIGTERM, patch)
-            outcome = train(training, order_of(streets, kept, pieces, kind, resume=True))
+            outcome = train(training, request_of(streets, kept, pieces, kind, resume=True))
         cuts += outcome.interrupted == signal.SIGTERM
-    train(training, order_of(streets, kept, pieces, kind, resume=True))
+    train(training, request_of(streets, kept, pieces, kind, resume=True))
 
     assert cuts >= 3
     names = [path.name for path in whole.glob("*.safetensors")]
@@ -170,7 +163,7 @@ def test_an_interrupted_run_leaves_weights_that_work(
     interrupt_after(1, signal.SIGINT, monkeypatch)
 
     outcome = train(
-        training_of("patches", tmp_path), order_of(streets, kept, tmp_path / "run", "patches")
+        training_of("patches", tmp_path), request_of(streets, kept, tmp_path / "run", "patches")
     )
 
     assert outcome.weights is None
@@ -184,14 +177,15 @@ def test_the_last_rounds_weights_outlive_an_interruption_of_the_next(
 ) -> None:
     interrupt_after(5, signal.SIGTERM, monkeypatch)  # a round has 2 epochs of 2 batches
 
-    train(training_of("pictures", tmp_path), order_of(streets, kept, tmp_path / "run", "pictures"))
+    train(
+        training_of("pictures", tmp_path), request_of(streets, kept, tmp_path / "run", "pictures")
+    )
 
     assert read_origin(tmp_path / "run" / "weights.safetensors")["round"] == 1
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_signals_end_the_command_with_a_checkpoint(
-    number: signal.Signals, code: int, streets: Path, kept: Path, tmp_path: Path
+def test_a_signal_ends_the_command_with_a_checkpoint(
+    streets: Path, kept: Path, tmp_path: Path
 ) -> None:
     config = write_config(tmp_path / "c.toml", PATCHES.replace("epochs = 2", "epochs = 100000"))
     words = command(
@@ -203,37 +197,29 @@ def test_signals_end_the_command_with_a_checkpoint(
         deadline = time.monotonic() + 60
         while not (tmp_path / "run" / "log.csv").exists() and time.monotonic() < deadline:
             time.sleep(0.05)
-        process.send_signal(number)
+        process.send_signal(signal.SIGINT)
         told = process.communicate(timeout=60)[1]
 
-    assert process.returncode == code
-    assert told.endswith(f"roadtorch: stopped by {number.name}; go on with --resume\n")
+    assert process.returncode == 130
+    assert told.endswith("roadtorch: stopped by SIGINT; go on with --resume\n")
     assert load_network(tmp_path / "run" / "weights.safetensors")
     assert (tmp_path / "run" / "checkpoint.pt").exists()
 
 
-# --- two processes ---------------------------------------------------------------------------
-
-TOLERANCE = 1e-4  # of the weights after a few dozen steps: sums in another order
-
-
-@pytest.mark.parametrize("kind", ["patches", "pictures"])
-def test_two_processes_give_the_weights_of_one(
-    kind: str, streets: Path, kept: Path, tmp_path: Path
+def test_the_status_of_the_command_names_the_signal(
+    streets: Path,
+    kept: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    training = training_of(kind, tmp_path, "descent.method=sgd", "descent.rate=0.05")
-    train(training, order_of(streets, kept, tmp_path / "one", kind))
-    arguments = ["--config", tmp_path / f"{kind}.toml", "--images", streets, "--out", "two"]
-    arguments += ["--set", "descent.method=sgd", "--set", "descent.rate=0.05"]
+    config, out = write_config(tmp_path / "c.toml", PATCHES), tmp_path / "run"
+    interrupt_after(1, signal.SIGTERM, monkeypatch)
+    words = ["--config", config, "--images", streets, "--out", out, "--prepared", kept / "patches"]
 
-    done = run([*torchrun(2), "-m", "roadtorch.train", *arguments], tmp_path)
+    with pytest.raises(SystemExit) as left:
+        main(["train", *map(str, words)])
 
-    assert done.returncode == 0, done.stderr
-    one, two = (load_network(tmp_path / n / "weights.safetensors") for n in ("one", "two"))
-    for name, weight in one.state_dict().items():
-        torch.testing.assert_close(two.state_dict()[name], weight, atol=TOLERANCE, rtol=0)
-    assert len(list((tmp_path / "two" / "prepared").glob("*.npz"))) == 5
-    assert (tmp_path / "two" / "pictures.csv").read_text().count("used") == 5
-    assert [row["epoch"] for row in rows_of(tmp_path / "two")] == [
-        row["epoch"] for row in rows_of(tmp_path / "one")
-    ]
+    assert left.value.code == 143
+    assert capsys.readouterr().err.endswith("stopped by SIGTERM; go on with --resume\n")
+    assert (out / "checkpoint.pt").exists()

@@ -1,5 +1,6 @@
 """Every stage against the authors' program, from the stored input of that stage, in float64."""
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,21 +20,33 @@ def close(found: Tensor, stored: Tensor, atol: float = STORED) -> None:
     torch.testing.assert_close(found.double(), stored.double(), rtol=0, atol=atol)
 
 
+@cache
 def equalised(golden: Any, dtype: torch.dtype = torch.float64) -> Tensor:
     """From the picture: what is stored of this stage is rounded, and normalising magnifies that."""
     return preprocess.equalised(golden.image.to(dtype), preprocess.Smoothing())
 
 
+@cache
 def white(golden: Any, dtype: torch.dtype = torch.float64) -> Tensor:
     even = equalised(golden, dtype)
     return features.white_patches(even, features.DictionarySettings())
 
 
+@cache
+def dictionary(golden: Any, dtype: torch.dtype = torch.float64) -> Tensor:
+    """After the ten updates, from the stored start."""
+    start = golden.patches("centroids_init").to(dtype)
+    *_, last = features.updates(white(golden, dtype), start, 10)
+    return last.dictionary
+
+
+@cache
 def found_tree(golden: Any) -> hierarchy.Tree:
     steps = hierarchy.thresholds(16, "included")
     return hierarchy.build_tree(hierarchy.threshold_regions(golden["mean_map"], steps), 50)
 
 
+@cache
 def selected(golden: Any) -> maps.FeatureMaps:
     dictionary = golden.patches("centroids_final")
     return maps.select_maps(white(golden), dictionary, MAP, maps.MapSettings())
@@ -98,9 +111,7 @@ def test_each_of_the_ten_updates_from_the_stored_one_before(golden: Any) -> None
 
 
 def test_the_ten_updates_one_after_the_other(golden: Any) -> None:
-    *_, last = features.updates(white(golden), golden.patches("centroids_init"), 10)
-
-    close(last.dictionary, golden.patches("centroids_final"))
+    close(dictionary(golden), golden.patches("centroids_final"))
 
 
 def test_scores_order_and_selected_maps(golden: Any) -> None:
@@ -197,9 +208,9 @@ def test_both_rounds_from_the_stored_mean_map(golden: Any) -> None:
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
 def test_from_the_picture_and_the_stored_start_to_the_mask(golden: Any, dtype: torch.dtype) -> None:
-    patches = white(golden, dtype)
-    *_, last = features.updates(patches, golden.patches("centroids_init").to(dtype), 10)
-    found = maps.select_maps(patches, last.dictionary, MAP, maps.MapSettings())
+    found = maps.select_maps(
+        white(golden, dtype), dictionary(golden, dtype), MAP, maps.MapSettings()
+    )
     mean = maps.mean_map(found.maps, "maximum")
     regions = hierarchy.threshold_regions(mean, hierarchy.thresholds(16, "included"))
     rounds = road.find_road(

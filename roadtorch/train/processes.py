@@ -13,8 +13,8 @@ Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
-class Team:
-    """Which of how many processes this one is. The first (rank 0) writes the files."""
+class Processes:
+    """The processes of a run, seen from one of them. The first (rank 0) writes the files."""
 
     rank: int = 0
     size: int = 1
@@ -52,10 +52,10 @@ class Team:
 
 
 @contextmanager
-def join_team() -> Iterator[Team]:
-    """The team that the environment describes as torchrun does; alone where it does not."""
+def join_processes() -> Iterator[Processes]:
+    """The processes that the environment describes as torchrun does; alone where it does not."""
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:
-        yield Team()
+        yield Processes()
         return
     # It has the group that is there when it is imported as default arguments: imported later, as
     # optimisers do, it would keep gloo's threads alive until they crash the ending interpreter.
@@ -63,6 +63,6 @@ def join_team() -> Iterator[Team]:
 
     distributed.init_process_group("gloo")
     try:
-        yield Team(distributed.get_rank(), distributed.get_world_size())
+        yield Processes(distributed.get_rank(), distributed.get_world_size())
     finally:
         distributed.destroy_process_group()

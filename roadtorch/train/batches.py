@@ -36,5 +36,5 @@ class Samples(Protocol):
         ...
 
 
-ErrorOf = Callable[[nn.Module, Batch], Tensor]
+ErrorFunction = Callable[[nn.Module, Batch], Tensor]
 """The summed error of a network over one process's part of a batch: a scalar."""

@@ -1,0 +1,102 @@
+"""Processes that train together: what they add up, gather, learn and leave behind."""
+
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from roadtorch.layout.weights import load_network
+from roadtorch.train.processes import Processes, join_processes
+from roadtorch.train.run import train
+from tests.train.runs import CONFIGS, request_of, rows_of, run, torchrun, training_of, write_config
+
+TOLERANCE = 1e-4  # of the weights after a few dozen steps: sums in another order
+
+DESCENT = ("descent.method=sgd", "descent.rate=0.05")
+
+MEMBER = """
+import os, runpy, sys, torch
+from roadtorch.train.processes import join_processes
+
+
+def gloo_threads():
+    tasks = os.listdir("/proc/self/task")
+    names = [open(f"/proc/self/task/{task}/comm").read().strip() for task in tasks]
+    return [name for name in names if "gloo" in name]
+
+
+with join_processes() as processes:
+    weight = torch.nn.Parameter(torch.ones(3))
+    optimiser = torch.optim.SGD([weight], 0.1)
+    (weight * (processes.rank + 1)).sum().backward()
+    added, ranks = processes.add(weight.grad).tolist(), processes.gather(processes.rank)
+    asked = processes.any(processes.rank == 1)
+    optimiser.step()
+file = open(f"member{processes.rank}", "w")
+print(added, ranks, asked, processes.share(list("abc")), sep="; ", file=file)
+print(gloo_threads(), file=file)
+port = int(os.environ["MASTER_PORT"])
+os.environ["TORCHELASTIC_USE_AGENT_STORE"] = "False"  # torchrun's own serves one group
+for number, words in enumerate(sys.argv[1:], 1):
+    os.environ["MASTER_PORT"] = str(port + number)
+    sys.argv = ["roadtorch.train", *words.split()]
+    try:
+        runpy.run_module("roadtorch.train", run_name="__main__")
+    except SystemExit as left:
+        print(left.code, file=file)
+print(gloo_threads(), file=file, flush=True)
+"""
+
+
+def test_alone_there_is_nothing_to_add(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("WORLD_SIZE", raising=False)
+
+    with join_processes() as processes:
+        assert processes == Processes(0, 1)
+        assert processes.leads
+        assert processes.gather("a") == ["a"]
+        assert list(processes.share("abc")) == ["a", "b", "c"]
+
+
+@pytest.fixture(scope="module")
+def two(streets: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What two processes left that ran ``MEMBER`` and a training of each kind."""
+    folder = tmp_path_factory.mktemp("two")
+    (folder / "member.py").write_text(MEMBER)
+    changes = " ".join(f"--set {change}" for change in DESCENT)
+    lines = []
+    for kind, text in CONFIGS.items():
+        write_config(folder / f"{kind}.toml", text)
+        lines.append(f"--config {kind}.toml --images {streets} --out {kind} {changes}")
+    done = run([*torchrun(2), "member.py", *lines], folder)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="threads are read from /proc")
+def test_two_add_gather_and_leave_no_thread_behind(two: Path) -> None:
+    """Threads of gloo that outlive the group crash one run in thirty as it ends."""
+    told = [(two / f"member{rank}").read_text().splitlines() for rank in range(2)]
+
+    assert told == [
+        ["[3.0, 3.0, 3.0]; [0, 1]; True; ['a', 'c']", "[]", "0", "0", "[]"],
+        ["[3.0, 3.0, 3.0]; [0, 1]; True; ['b']", "[]", "0", "0", "[]"],
+    ]
+
+
+@pytest.mark.parametrize("kind", CONFIGS)
+def test_two_processes_give_the_weights_of_one(
+    kind: str, two: Path, streets: Path, kept: Path, tmp_path: Path
+) -> None:
+    training = training_of(kind, tmp_path, *DESCENT)
+
+    train(training, request_of(streets, kept, tmp_path / "one", kind))
+
+    outs = (tmp_path / "one", two / kind)
+    one, both = (load_network(out / "weights.safetensors") for out in outs)
+    for name, weight in one.state_dict().items():
+        torch.testing.assert_close(both.state_dict()[name], weight, atol=TOLERANCE, rtol=0)
+    assert len(list((two / kind / "prepared").glob("*.npz"))) == 5
+    assert (two / kind / "pictures.csv").read_text().count("used") == 5
+    assert [row["epoch"] for row in rows_of(outs[1])] == [row["epoch"] for row in rows_of(outs[0])]
