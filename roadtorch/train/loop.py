@@ -86,10 +86,10 @@ def train_round(setup: TrainingSetup, progress: TrainingProgress, context: RunCo
                 break
         if progress.chunk == setup.samples.chunks:
             _end_epoch(setup, progress, context)
-        save(setup, progress, context)
+        save_checkpoint(setup, progress, context)
 
 
-def save(setup: TrainingSetup, progress: TrainingProgress, context: RunContext) -> None:
+def save_checkpoint(setup: TrainingSetup, progress: TrainingProgress, context: RunContext) -> None:
     """Write the checkpoint, once for all processes."""
     if context.processes.leads:
         context.folder.write_checkpoint(
@@ -122,7 +122,7 @@ def _chunks(
             bar.update()
             bar.set_postfix(error=f"{progress.error / max(1, progress.count):.4f}")
             if time.monotonic() - saved > SAVE_EVERY:
-                save(setup, progress, context)
+                save_checkpoint(setup, progress, context)
                 saved = time.monotonic()
             yield
 

@@ -20,7 +20,7 @@ from roadtorch.train.loop import (
     TrainingProgress,
     TrainingSetup,
     make_optimiser,
-    save,
+    save_checkpoint,
     train_round,
 )
 from roadtorch.train.prepared import PreparedFolder, PreparedPicture
@@ -136,7 +136,7 @@ class _Run:
             self.recipe.stopping,
         )
         if not state:
-            save(setup, progress, self.context)
+            save_checkpoint(setup, progress, self.context)
         train_round(setup, progress, self.context)
         self._write(network.eval(), progress, len(files))
         self.context.processes.gather(None)  # the next round reads what the first one writes

@@ -14,7 +14,6 @@ from roadtorch.layout.patch_network import (
     Topology,
     fitting_topologies,
     reflected,
-    sparse_potentials,
 )
 from roadtorch.settings import build_settings
 from tests.reference import network as reference
@@ -144,19 +143,6 @@ def test_the_frame_is_a_reflection_as_often_as_it_takes(height: int, width: int)
         x = int(reference.bounce(column - 16, width))
         assert framed[0, row, column] == picture[0, y, x]
     assert framed.shape == (1, height + 31, width + 31)
-
-
-@pytest.mark.parametrize("topology", [SHAPES[0], SHAPES[3]], ids=str)
-@pytest.mark.parametrize("size", [(24, 32), (21, 19)])
-def test_sparse_equals_dense_where_it_computes(topology: Topology, size: tuple[int, int]) -> None:
-    network, picture, step = network_of(topology), pixels(*size), topology.stride
-
-    sparse, dense = sparse_potentials(network, picture), network.dense(picture)
-
-    assert sparse.shape == dense.shape
-    torch.testing.assert_close(sparse[:, ::step, ::step], dense[:, ::step, ::step])
-    between = (sparse[:, 0, 0] + sparse[:, 0, step]) / 2
-    torch.testing.assert_close(sparse[:, 0, step // 2], between)
 
 
 # --- pictures --------------------------------------------------------------------------------
