@@ -89,6 +89,7 @@ class Entry:
     build: makes the analysis from the settings. An analysis that is an ``nn.Module``
         becomes part of the detector, so that its weights are saved with it.
     grid: where it is one of many.
+    floor: whether it is a floor, a detector that never looks at the picture.
     """
 
     name: str
@@ -96,6 +97,7 @@ class Entry:
     settings: type[Settings]
     build: Callable[[Any], Analysis]
     grid: Grid | None = None
+    floor: bool = False
 
 
 class Detector(nn.Module):

@@ -22,12 +22,13 @@ def _prior(make: Callable[[int, int], Tensor]) -> Callable[[PriorSettings], Anal
 
 
 ENTRIES = (
-    Entry("prior:uniform", "0.5 everywhere", PriorSettings, _prior(prior_uniform)),
-    Entry("prior:rows", "row / height", PriorSettings, _prior(prior_rows)),
+    Entry("prior:uniform", "0.5 everywhere", PriorSettings, _prior(prior_uniform), floor=True),
+    Entry("prior:rows", "row / height", PriorSettings, _prior(prior_rows), floor=True),
     Entry(
         "prior:triangle",
         "a triangle ahead of the car",
         PriorSettings,
         _prior(prior_triangle),
+        floor=True,
     ),
 )
