@@ -27,9 +27,11 @@ import torch
 
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset
-from roadtorch.evaluation import comparison, summary
-from roadtorch.evaluation.progress import Progress
-from roadtorch.evaluation.runner import Plan, run
+from roadtorch.evaluation.comparison import resample
+from roadtorch.evaluation.contenders import named_detector
+from roadtorch.evaluation.saved_tallies import SavedTallies
+from roadtorch.evaluation.scoring import score
+from roadtorch.evaluation.summary import summarise
 from roadtorch.scenes import render_scene, write_picture
 
 DETECTORS = ("prior:rows", "prior:triangle", "prior:uniform")
@@ -51,21 +53,22 @@ def street(root: Path, many: int) -> Dataset:
 def measure(many: int) -> dict[str, float]:
     """Milliseconds of counting a picture and detector, seconds of the summary, peak memory."""
     with TemporaryDirectory() as folder:
-        plan = Plan(street(Path(folder), many), {name: {} for name in DETECTORS})
-        progress = Progress(None, "bench")
+        dataset = street(Path(folder), many)
+        contenders = [named_detector(name, {}) for name in DETECTORS]
+        saved = SavedTallies(None, "bench")
         reading = time.perf_counter()
-        for item in plan.dataset.items[: min(many, 20)]:
-            plan.dataset.read(item)
+        for item in dataset.items[: min(many, 20)]:
+            dataset.read(item)
         reading = (time.perf_counter() - reading) / min(many, 20)
         start = time.perf_counter()
-        for result in run(plan):
-            progress.add(result)
+        for result in score(dataset, contenders):
+            saved.add(result)
         whole = (time.perf_counter() - start) / many - reading
-        detect = sum(tally.milliseconds() for tally in progress.tallies.values()) / 1000
+        detect = sum(float(tally.kept().seconds.median()) for tally in saved.tallies.values())
         start = time.perf_counter()
-        for tally in progress.tallies.values():
-            figures = summary.summarise(tally, 0.5)
-            comparison.resample(tally.rows, summary.thresholds_of(figures), figures)
+        for one in contenders:
+            tally = saved.tallies[one.name]
+            resample(tally, summarise(one, tally))
         return {
             "ms": 1000 * (whole - detect) / len(DETECTORS),
             "summary_s": (time.perf_counter() - start) / len(DETECTORS),

@@ -1,104 +1,143 @@
-"""Runs with made-up numbers, as `roadtorch evaluate` hands them to its report."""
+"""Runs with made-up numbers, as `evaluate` hands them to the report."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
+from roadtorch.data.dataset import Dataset, Item
+from roadtorch.data.folder import FOLDER_LABELS
+from roadtorch.evaluation.contenders import Contender, Look
+from roadtorch.evaluation.drive_curves import DetectorCurves, RunCurves
+from roadtorch.evaluation.measures import MEASURES, Figures
+from roadtorch.evaluation.pictures import PictureRow
+from roadtorch.evaluation.result import (
+    Comparison,
+    DetectorFigures,
+    Difference,
+    Evaluation,
+    Failure,
+)
+from roadtorch.evaluation.uncertainty import Interval
+from roadtorch.layout.classes import NAMES as CLASSES
+
 DRIVES = ("0001TP", "0006R0", "0016E5")
 NAMES = ("fusion", "labeller", "prior:mean", "cpf:v2", "prior:rows")
-CLASSES = ("sky", "vertical", "horizontal")
+COMMAND = "roadtorch evaluate camvid data --detector 'cpf*'"
+SETTINGS = {"seed": {"height": 30}}
 
 
 def made_run(
     names: Sequence[str] = NAMES, drives: Sequence[str] = DRIVES
-) -> tuple[dict[str, Any], dict[str, Any], list[dict[str, Any]]]:
-    """(document, curves, rows): the first detector is the best, each next one a little worse."""
+) -> tuple[Evaluation, RunCurves, list[PictureRow]]:
+    """(evaluation, curves, rows): the first is the best, each next one a little worse.
+
+    Names that begin with "prior:" are those of floors.
+    """
     quality = {name: 0.95 - 0.3 * place / len(names) for place, name in enumerate(names)}
-    document = {
-        "roadtorch": "0.1.0",
-        "dataset": "camvid",
-        "split": "dev",
-        "images": 30,
-        "void": "ignored",
-        "command": "roadtorch evaluate camvid data --detector 'cpf*'",
-        "levels": 65536,
-        "view": "the picture",
-        "failed": [{"image": "0001TP_9", "reason": "is not a picture"}],
-        "detectors": {name: made_figures(score, drives) for name, score in quality.items()},
-        "paired": made_pairs(quality),
-    }
+    items = [made_item(f"{drive}_{i}", drive) for drive in drives or [None] for i in range(10)]
+    failed = Failure(f"{DRIVES[0]}_99", DRIVES[0], "is not a picture")
+    dataset = Dataset(
+        "camvid", Path("data"), "dev", (*items, made_item(failed.image, failed.group)),
+        FOLDER_LABELS,
+    )  # fmt: skip
+    evaluation = Evaluation(
+        dataset,
+        {name: made_figures(name, score, drives) for name, score in quality.items()},
+        made_pairs(quality),
+        [failed],
+    )
     curves = {name: made_curves(score, drives) for name, score in quality.items()}
     rows = [
-        {"image": f"{drive}_{i}", "group": drive, "detector": name, "f": score - 0.02 * i}
+        made_row(name, drive, f=score - 0.02 * i)
         for name, score in quality.items()
         for drive in drives or ("all",)
         for i in range(10)
     ]
-    return document, curves, rows
+    return evaluation, curves, rows
 
 
-def made_figures(score: float, drives: Sequence[str]) -> dict[str, Any]:
+def scored(scores: Mapping[str, float | None]) -> Evaluation:
+    """A run of detectors with a MaxF each and nothing else; None: not even that."""
+    dataset = Dataset("folder", Path("data"), "all", (), FOLDER_LABELS)
+    return Evaluation(
+        dataset,
+        {
+            name: DetectorFigures(made_contender(name), {} if score is None else {"maxf": score})
+            for name, score in scores.items()
+        },
+        Comparison(next(iter(scores)), {}),
+    )
+
+
+def made_item(name: str, drive: str | None) -> Item:
+    return Item(name, Path(f"{name}.png"), Path(f"{name}_label.png"), drive)
+
+
+def made_row(detector: str, drive: str, f: float) -> PictureRow:
+    return PictureRow("picture", drive, detector, 0.9, f, 0.5, f, f, f, 12.0)
+
+
+def made_contender(name: str, settings: Mapping[str, Any] | None = None) -> Contender:
+    """One that nobody asks to look; a floor by its name."""
+
+    def prepare(_: Dataset) -> Look:
+        raise AssertionError("nobody looks")
+
+    return Contender(name, prepare, settings or {}, is_floor=name.startswith("prior:"))
+
+
+def made_figures(name: str, score: float, drives: Sequence[str]) -> DetectorFigures:
     """Figures of one detector; a drive has a hundredth more than the one before."""
-    parts = {drive: made_part(score + 0.01 * (i - 1)) for i, drive in enumerate(drives)}
-    figures = {
-        **made_part(score),
-        "ci95": {"maxf": [score - 0.015, score + 0.0125]},
-        "threshold_from": "the other drives",
-        "settings": {"seed": {"height": 30}},
+    return DetectorFigures(
+        made_contender(name, SETTINGS),
+        made_part(score),
+        {drive: made_part(score + 0.01 * (i - 1)) for i, drive in enumerate(drives)},
+        made_part(score) if drives else {},
+        threshold_from="the other drives",
+        intervals={"maxf": Interval(score - 0.015, score + 0.0125)},
+    )
+
+
+def made_part(score: float) -> Figures:
+    """A number for every measure; those that the tests look for are told apart."""
+    confusion = {
+        f"layout/confusion/{truth}/{decided}": 0.9 if truth == decided else 0.05
+        for truth in CLASSES
+        for decided in CLASSES
     }
-    return {**figures, "groups": parts, "pooled": made_part(score)} if drives else figures
-
-
-def made_part(score: float) -> dict[str, Any]:
-    confusion = {truth: dict.fromkeys(CLASSES, 0.05) | {truth: 0.9} for truth in CLASSES}
     return {
+        **{one.key: score - 0.001 * place for place, one in enumerate(MEASURES)},
         "images": 10,
         "maxf": score,
-        "auc_pooled": 0.5 + score / 2,
-        "auc_mean": 0.51 + score / 2.1,
-        "ap": score - 0.011,
-        "iou": score - 0.1,
-        "f": score - 0.021,
-        "precision": score - 0.005,
-        "recall": score - 0.031,
-        "iou_mask": score - 0.12,
-        "threshold": 0.4375,
-        "eer": 1 - score,
-        "brier": (1 - score) / 2,
-        "ece": (1 - score) / 3,
-        "boundary_f": {"0.005": score / 3, "0.0025": score / 4},
-        "working_point": {"precision": score, "recall": score, "fpr": 0.03, "fnr": 1 - score},
+        "boundary_f/0.005": score / 3,
+        "boundary_f/0.0025": score / 4,
         "ms_per_image": 12.34,
-        "layout": {
-            **dict.fromkeys(CLASSES, score),
-            "mean": score,
-            "accuracy": score - 0.01,
-            "void_as_vertical": {"mean": score - 0.02},
-            "confusion": confusion,
-        },
+        **confusion,
     }
 
 
-def made_pairs(quality: dict[str, float]) -> dict[str, Any]:
+def made_pairs(quality: Mapping[str, float]) -> Comparison:
     """Everybody less the first, with intervals that reach 0.03 to both sides."""
     against = next(iter(quality))
     changes = {name: score - quality[against] for name, score in quality.items()}
-    return {
-        "against": against,
-        "detectors": {
-            name: {
-                key: {"difference": change, "ci95": [change - 0.03, change + 0.03]}
-                for key in ("maxf", "auc_pooled", "iou")
-            }
+    return Comparison(
+        against,
+        {
+            name: dict.fromkeys(
+                ("maxf", "auc_pooled", "iou"),
+                Difference(change, Interval(change - 0.03, change + 0.03)),
+            )
             for name, change in changes.items()
             if name != against
         },
-    }
+    )
 
 
-def made_curves(score: float, drives: Sequence[str]) -> dict[str, Any]:
+def made_curves(score: float, drives: Sequence[str]) -> DetectorCurves:
     x = np.linspace(0, 1, 50)
     one = {
         "roc": [x.tolist(), (x ** (1 - score)).tolist()],
@@ -112,3 +151,9 @@ def made_sheet(kind: str = ".png", width: int = 64, height: int = 24) -> bytes:
     """A sheet of pictures, encoded."""
     ramp = np.tile(np.arange(width, dtype=np.uint8)[None, :, None], (height, 1, 3))
     return cv2.imencode(kind, ramp)[1].tobytes()
+
+
+def changed(evaluation: Evaluation, name: str, **fields: Any) -> Evaluation:
+    """The same run with other fields of one detector's figures."""
+    other = replace(evaluation.detectors[name], **fields)
+    return replace(evaluation, detectors={**evaluation.detectors, name: other})

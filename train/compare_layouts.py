@@ -17,9 +17,8 @@ from torch import Tensor
 from tqdm import tqdm
 
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import Dataset
+from roadtorch.data.dataset import Dataset, every_kth
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.runner import every_kth
 from roadtorch.evaluation.uncertainty import (
     Replicated,
     difference,

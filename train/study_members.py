@@ -22,14 +22,15 @@ from torch import Tensor
 from tqdm import tqdm
 
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import Dataset, Item, Truth
+from roadtorch.data.dataset import Dataset, Item, Truth, every_kth
 from roadtorch.detector import Detector
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation import boundary, comparison, metrics
+from roadtorch.evaluation.contenders import named_detector
 from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.runner import every_kth
-from roadtorch.evaluation.summary import shared_threshold, summarise, thresholds_of
+from roadtorch.evaluation.summary import summarise
 from roadtorch.evaluation.tally import Score, Tally
+from roadtorch.evaluation.thresholds import shared_threshold
 from roadtorch.fusion import fused_log_odds
 from roadtorch.image import read_image, write_npy
 from roadtorch.image_cache import image_cache
@@ -163,17 +164,16 @@ def compare(title: str, tallies: Mapping[str, Tally], thresholds: Mapping[str, f
     """
     print(f"\n{title}")
     base, resampled = next(iter(tallies)), {}
+    contender = named_detector(base, {"threshold": 0.5})
     for name, each in tallies.items():
-        figures = summarise(each, 0.5, thresholds.get(name))
-        resampled[name] = comparison.resample(each.rows, thresholds_of(figures), figures)
-        drives = [figures["groups"][drive]["maxf"] for drive in figures.get("groups", {})]
-        shown = "  ".join(f"{value:.3f}" for value in drives)
-        means = "  ".join(f"{key} {figures[key]:.4f}" for key in SHOWN)
+        figures = summarise(contender, each, thresholds.get(name))
+        resampled[name] = comparison.resample(each, figures)
+        shown = "  ".join(f"{drive['maxf']:.3f}" for drive in figures.drives.values())
+        means = "  ".join(f"{key} {figures.headline[key]:.4f}" for key in SHOWN)
         print(f"{name:32s} {shown}  {means}")
-    for name, changes in comparison.paired(resampled, base)["detectors"].items():
+    for name, changes in comparison.compare(resampled, base).differences.items():
         for key in SHOWN:
-            low, high = changes[key]["ci95"]
-            change = changes[key]["difference"]
+            change, (low, high) = changes[key].value, changes[key].interval
             print(f"  {name} less {base}, {key}: {change:+.4f} ({low:+.4f} to {high:+.4f})")
 
 

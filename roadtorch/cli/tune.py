@@ -31,30 +31,37 @@ def tune(
     """
     from roadtorch.cli.batch import make_writable
     from roadtorch.cli.config import as_toml
-    from roadtorch.cli.evaluate import command_line, run_pass
+    from roadtorch.cli.labelled import command_line, tell_failures, watched
     from roadtorch.data.catalogue import open_dataset
-    from roadtorch.evaluation import tuning
-    from roadtorch.evaluation.plan import described, make_plan
-    from roadtorch.evaluation.progress import Progress, fingerprint
+    from roadtorch.evaluation.evaluate import evaluate
+    from roadtorch.evaluation.saved_tallies import forget
+    from roadtorch.evaluation.tuning import choose_threshold
     from roadtorch.files import write_text
+    from roadtorch.report.choices import choice_table, provenance
+    from roadtorch.settings import parse_assignments
 
     make_writable(out)
-    opened = open_dataset(dataset, root, split)
-    plan = make_plan(opened, names, assignments, limit=limit)
-    progress = Progress(out, fingerprint(plan.dataset, described(plan)))
-    failures = run_pass(plan, jobs, progress)
+    settings = parse_assignments(assignments)
+    evaluation = evaluate(
+        open_dataset(dataset, root, split),
+        names,
+        settings=settings,
+        limit=limit,
+        jobs=jobs,
+        keep_in=out,
+        watch=watched,
+    )
     choices = [
-        tuning.choose(name, plan, progress.tallies[name])
-        for name in plan.detectors
-        if not name.startswith("prior:")
+        choose_threshold(evaluation, name, settings)
+        for name, one in evaluation.detectors.items()
+        if not one.is_floor
     ]
-    command = command_line(context)
     for choice in choices:
         path = out / f"{choice.detector.replace(':', '-')}.toml"
-        comment = "".join(f"# {line}\n" for line in tuning.provenance(choice, opened, command))
+        lines = provenance(choice, evaluation, command_line(context))
+        comment = "".join(f"# {line}\n" for line in lines)
         write_text(path, f"{comment}\n{as_toml(choice.detector, choice.settings)}\n")
-    click.echo(tuning.table(choices))
-    for failure in failures:
-        click.echo(f"failed: {failure.item.name}: {failure.failure}", err=True)
-    progress.finish()
-    context.exit(1 if failures else 0)
+    click.echo(choice_table(choices))
+    tell_failures(evaluation)
+    forget(out)
+    context.exit(1 if evaluation.failures else 0)

@@ -49,6 +49,19 @@ def open_dataset(name: str, root: Path, split: str | None = None) -> Dataset:
     return dataset
 
 
+def open_named(text: str) -> Dataset:
+    """Open ``NAME:ROOT``; names (``camvid32:literal``) and roots may have colons themselves.
+
+    Raises ConfigError for anything else, DatasetError for an incomplete set.
+    """
+    known = sorted(list_datasets(), key=len, reverse=True)
+    name = next((name for name in known if text.startswith(f"{name}:")), None)
+    if name is None:
+        what = "does not begin with a data set and a colon"
+        raise ConfigError(text, what, "write NAME:ROOT, for example camvid:data/camvid")
+    return open_dataset(name, Path(text.removeprefix(f"{name}:")))
+
+
 def list_datasets() -> list[str]:
     """The names of all sets, sorted; those of other packages among them."""
     return sorted(_catalogue())

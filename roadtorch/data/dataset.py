@@ -6,7 +6,7 @@ over any number of items.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -97,6 +97,14 @@ class Dataset:
             what = f"is {columns} by {rows} pixels, its picture {width} by {height}"
             raise DatasetError(item.label, what, "labels must have the size of the picture")
         return image, truth
+
+
+def every_kth(dataset: Dataset, limit: int | None) -> Dataset:
+    """At most ``limit`` items of a set, spread evenly over it."""
+    if limit is None or limit >= len(dataset.items):
+        return dataset
+    step = len(dataset.items) / limit
+    return replace(dataset, items=tuple(dataset.items[int(index * step)] for index in range(limit)))
 
 
 @dataclass(frozen=True)

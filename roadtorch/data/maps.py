@@ -15,16 +15,22 @@ ENDINGS = (".png", ".likelihood.png", ".npy", ".likelihood.npy")
 THRESHOLD = 0.5  # of the masks; an 8-bit map is road from 128 up
 
 
-def parse_maps(text: str) -> tuple[str, Path]:
-    """``NAME=DIR`` or ``DIR``, whose own name is then taken: (``maps:NAME``, folder).
+def parse_maps(texts: Sequence[str]) -> dict[str, Path]:
+    """Folders by name, of texts ``NAME=DIR`` or ``DIR``, whose own name is then taken.
 
-    Raises ConfigError for a folder that does not exist.
+    Raises ConfigError for a folder that does not exist, and for two of one name.
     """
-    name, equals, folder = text.rpartition("=")
-    path = Path(folder)
-    if not path.is_dir():
-        raise ConfigError(folder, "is not a folder", "give the folder that holds the maps")
-    return f"maps:{name if equals else path.resolve().name}", path
+    found: dict[str, Path] = {}
+    for text in texts:
+        name, equals, folder = text.rpartition("=")
+        path = Path(folder)
+        if not path.is_dir():
+            raise ConfigError(folder, "is not a folder", "give the folder that holds the maps")
+        name = name if equals else path.resolve().name
+        if name in found:
+            raise ConfigError("--maps", "gives two folders one name", "write NAME=DIR")
+        found[name] = path
+    return found
 
 
 def find_map(folder: Path, names: Sequence[str]) -> Path:

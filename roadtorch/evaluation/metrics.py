@@ -21,12 +21,11 @@ import torch
 from torch import Tensor
 
 from roadtorch.errors import InputError
+from roadtorch.layout.classes import CLASSES
 
 LEVELS = 65_536
 TINY = 1e-10  # KITTI adds it to its denominators
 RECALL_STEPS = 11  # KITTI's average precision looks at recalls 0, 0.1, …, 1
-LAYOUT_CLASSES = ("sky", "vertical", "horizontal")
-UNLABELLED = 255  # in layout labels: no decision; in layout truth: void
 
 
 # --- counts -----------------------------------------------------------------------------
@@ -303,10 +302,9 @@ def count_layout(labels: Tensor, truth: Tensor) -> Tensor:
     unlabelled in the decision. ``labels`` and ``truth`` are integer (H,W) with values
     0, 1, 2 and 255.
     """
-    three = len(LAYOUT_CLASSES)
-    rows, columns = (part.to(torch.int64).clamp(max=three) for part in (truth, labels))
-    pairs = (rows * (three + 1) + columns).flatten()
-    return torch.bincount(pairs, minlength=(three + 1) ** 2).reshape(three + 1, three + 1)
+    rows, columns = (part.to(torch.int64).clamp(max=CLASSES) for part in (truth, labels))
+    pairs = (rows * (CLASSES + 1) + columns).flatten()
+    return torch.bincount(pairs, minlength=(CLASSES + 1) ** 2).reshape(CLASSES + 1, CLASSES + 1)
 
 
 # The figures leave out void and unlabelled pixels and take any leading dimensions.

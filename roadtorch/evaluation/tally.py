@@ -1,12 +1,11 @@
-"""What is kept of a pass: sums by drive, a few numbers of each picture; saved and loaded.
+"""What is kept of a pass: sums by drive, a few numbers of each picture; to tensors and back.
 
 Sums have one size whatever the number of pictures. Of each picture its 8-bit histograms
 stay (2 kB), for distributions, intervals and comparisons.
 """
 
 import math
-import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -37,18 +36,18 @@ class Score:
 
 
 @dataclass(frozen=True)
-class ImageRow:
-    """What is kept of each picture."""
+class Pictures:
+    """What is kept of n pictures: a row of every tensor is one of them."""
 
-    name: str
-    group: str
-    road: RoadCounts  # COARSE levels, int32
-    auc: float
-    max_f: float
-    mask: Decisions
-    boundary: Tensor  # int64 (tolerances,4)
-    layout: Tensor | None  # int64 (4,4)
-    seconds: float
+    names: Sequence[str]
+    groups: Sequence[str]
+    road: RoadCounts  # int32 (n,COARSE)
+    mask: Decisions  # int64 (n,)
+    boundary: Tensor  # int64 (n,tolerances,4)
+    layout: Tensor | None  # int64 (n,4,4)
+    auc: Tensor  # float64 (n,), NaN without road or background
+    max_f: Tensor  # float64 (n,), NaN without road
+    seconds: Tensor  # float64 (n,)
 
 
 @dataclass
@@ -100,23 +99,23 @@ class Tally:
             column[len(self.pictures)] = value
             self.columns[key] = column
 
-    @property
-    def rows(self) -> list[ImageRow]:
-        """A row for each picture, in the order in which they were counted."""
-        return [self._row(index, *about) for index, about in enumerate(self.pictures)]
-
-    def _row(self, index: int, name: str, group: str) -> ImageRow:
-        columns = self.columns
-        area, best, seconds = columns["numbers"][index].tolist()
-        return ImageRow(
-            name,
-            group,
-            _unstacked("road", columns["road"][index]),
-            area,
-            best,
-            _unstacked("mask", columns["mask"][index]),
-            columns["boundary"][index],
-            columns["layout"][index] if "layout" in columns else None,
+    def kept(self, groups: Iterable[str] | None = None) -> Pictures:
+        """What is kept of some drives' pictures, drive by drive, or of all in their order."""
+        places = range(len(self.pictures))
+        if groups is not None:
+            places = [i for group in groups for i in places if self.pictures[i][1] == group]
+        chosen = torch.tensor(list(places), dtype=torch.int64)
+        columns = {key: column[chosen] for key, column in self.columns.items()}
+        auc, max_f, seconds = columns["numbers"].unbind(1)
+        return Pictures(
+            [self.pictures[i][0] for i in places],
+            [self.pictures[i][1] for i in places],
+            RoadCounts(*columns["road"].unbind(1)),
+            Decisions(*columns["mask"].unbind(1)),
+            columns["boundary"],
+            columns.get("layout"),
+            auc,
+            max_f,
             seconds,
         )
 
@@ -126,14 +125,6 @@ class Tally:
         order = sorted(range(len(self.pictures)), key=lambda i: place[self.pictures[i][0]])
         self.pictures = [self.pictures[index] for index in order]
         self.columns = {key: column[order] for key, column in self.columns.items()}
-
-    def milliseconds(self, group: str | None = None) -> float:
-        """The median time of detect, over one drive or all pictures."""
-        seconds = self.columns["numbers"][: len(self.pictures), -1].tolist()
-        kept = [
-            one for one, (_, of) in zip(seconds, self.pictures, strict=True) if group in (None, of)
-        ]
-        return 1000 * statistics.median(kept)
 
 
 def _add(sums: dict[str, Counts], group: str, part: Counts) -> None:

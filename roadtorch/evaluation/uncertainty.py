@@ -8,8 +8,10 @@ of two detectors cancels in their difference.
 Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 13 (percentiles).
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,6 +19,18 @@ from torch import Tensor
 REPLICATES = 1000
 Figure = Callable[[list[Tensor]], Tensor]
 """One weight tensor int64 (replicates,images) per group → the figure, float64 (replicates,)."""
+
+
+class Interval(NamedTuple):
+    """Both ends of a 95 % interval; NaN where no draw has a value."""
+
+    low: float = math.nan
+    high: float = math.nan
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it has two ends."""
+        return not math.isnan(self.low) and not math.isnan(self.high)
 
 
 @dataclass(frozen=True)
@@ -47,16 +61,13 @@ def replicate(figure: Figure, weights: Sequence[Tensor]) -> Replicated:
     return Replicated(float(figure(once)), figure(list(weights)))
 
 
-def interval(figure: Replicated) -> tuple[float, float]:
-    """The 95 % percentile interval of a figure; draws without a value are left out.
-
-    (NaN, NaN) when no draw has a value.
-    """
+def interval(figure: Replicated) -> Interval:
+    """The 95 % percentile interval of a figure; draws without a value are left out."""
     values = figure.draws[~figure.draws.isnan()]
     if not len(values):
-        return float("nan"), float("nan")
+        return Interval()
     low, high = torch.quantile(values, torch.tensor([0.025, 0.975], dtype=values.dtype))
-    return float(low), float(high)
+    return Interval(float(low), float(high))
 
 
 def difference(one: Replicated, other: Replicated) -> Replicated:
@@ -78,6 +89,6 @@ def bootstrap_interval(
     figure: Figure,
     generator: torch.Generator,
     replicates: int = REPLICATES,
-) -> tuple[float, float]:
+) -> Interval:
     """The 95 % interval of one figure over images drawn anew inside each group."""
     return interval(replicate(figure, group_weights(group_sizes, generator, replicates)))

@@ -9,8 +9,9 @@ SKY, VERTICAL, HORIZONTAL = range(3)
 
 UNLABELLED = 255
 
-CLASSES = 3
-"""Sky, vertical, horizontal."""
+NAMES = ("sky", "vertical", "horizontal")
+
+CLASSES = len(NAMES)
 
 LAYOUT_COLOURS = (SKY_BLUE, (213, 94, 0), (0, 158, 115))  # sky, vertical, horizontal
 

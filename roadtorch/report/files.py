@@ -1,136 +1,87 @@
-"""What a run leaves behind: metrics.json and the rows of single pictures."""
+"""What a run leaves behind in a folder: figures, curves, rows, sheets of pictures, the page."""
 
 import csv
 import io
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
-from roadtorch.data.dataset import Dataset
-from roadtorch.errors import ConfigError, InputError
-from roadtorch.evaluation import metrics
-from roadtorch.evaluation.runner import Result
-from roadtorch.evaluation.summary import image_f, thresholds_of
-from roadtorch.evaluation.tally import Tally
+from roadtorch.evaluation.document import defined, document
+from roadtorch.evaluation.drive_curves import RunCurves, drive_curves
+from roadtorch.evaluation.pictures import PictureRow, picture_rows
+from roadtorch.evaluation.result import Evaluation, Failure
 from roadtorch.files import write_text
+from roadtorch.oneclass import CLASSIFIERS
+from roadtorch.report.montage import write_montages
+from roadtorch.report.page.html import write_page
+from roadtorch.report.page.roc_families import write_roc_families
+from roadtorch.report.table3 import FAMILY, HALVES, table_csv, table_html, table_text
 
-IMAGE_COLUMNS = (
-    *("image", "group", "detector", "auc", "maxf", "threshold"),
-    *("f", "f_mask", "iou_mask", "ms", "status"),
-)
+SHEETS = 4  # pictures of a sheet, if nobody says
 
-# --- metrics.json -----------------------------------------------------------------------
-
-
-def metrics_document(
-    dataset: Dataset,
-    detectors: Mapping[str, Mapping[str, Any]],
-    failures: Sequence[Result],
-    version: str,
-    command: str,
-) -> dict[str, Any]:
-    """The content of metrics.json: the run, then every detector's figures."""
-    return {
-        "roadtorch": version,
-        "dataset": dataset.name,
-        "split": dataset.split,
-        "images": len(dataset.items) - len(failures),
-        "void": "ignored",
-        "command": command,
-        "levels": dataset.levels,
-        "view": "the picture" if dataset.view is None else dataset.view.name,
-        "failed": [{"image": r.item.name, "reason": r.failure} for r in failures],
-        "detectors": detectors,
-    }
+COLUMNS = (*(each.name for each in fields(PictureRow)), "status")
 
 
-def write_metrics(path: Path, document: Mapping[str, Any]) -> None:
-    """Write metrics.json; figures that are not defined become null."""
-    text = json.dumps(_nulls(document), indent=2, ensure_ascii=False, allow_nan=False)
+def write(evaluation: Evaluation, out: Path, command: str = "", pictures: int = SHEETS) -> None:
+    """Write everything that stays of a run; the folder has to be there.
+
+    command: what made it, for the record. pictures: how many the sheets of the best, median
+    and worst show; none for 0.
+    """
+    curves = {name: drive_curves(tally) for name, tally in evaluation.tallies.items()}
+    rows = [
+        row
+        for name, tally in evaluation.tallies.items()
+        for row in picture_rows(name, tally, evaluation.detectors[name])
+    ]
+    write_json(out / "metrics.json", document(evaluation, command))
+    write_json(out / "curves.json", curves)
+    write_text(out / "images.csv", rows_csv(rows, evaluation.failures))
+    write_table3(out, evaluation, curves)
+    sheets = write_montages(out, evaluation, pictures) if pictures else {}
+    write_page(out / "report.html", evaluation, curves, rows, sheets, command)
+
+
+def write_table3(out: Path, evaluation: Evaluation, curves: RunCurves) -> None:
+    """Write table3.txt, .csv and .html, and the ROC curves as P3's Figs. 8 and 9 have them.
+
+    Nothing is written where no one-class detector ran.
+    """
+    text = table_text(evaluation)
+    if not text:
+        return
+    write_text(out / "table3.txt", text + "\n")
+    write_text(out / "table3.csv", table_csv(evaluation))
+    write_text(out / "table3.html", table_html(evaluation))
+    histograms = [name for name in CLASSIFIERS if name.startswith("hist")]
+    others = [name for name in CLASSIFIERS if name not in histograms]
+    for file, names in {"fig8.svg": histograms, "fig9.svg": others}.items():
+        write_roc_families(out / file, curves, FAMILY, names, HALVES)
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a JSON file; numbers that are not defined become null."""
+    text = json.dumps(defined(content), indent=2, ensure_ascii=False, allow_nan=False)
     write_text(path, text + "\n")
 
 
-def _nulls(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _nulls(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_nulls(part) for part in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
-
-
-def read_thresholds(path: Path) -> dict[str, tuple[float, dict[str, Any]]]:
-    """Detector → (threshold chosen on all drives, settings) from an earlier metrics.json."""
-    try:
-        detectors = json.loads(path.read_text(encoding="utf-8"))["detectors"]
-        return {
-            name: (float(figures["maxf_threshold"]), dict(figures.get("settings", {})))
-            for name, figures in detectors.items()
-            if figures["maxf_threshold"] is not None
-        }
-    except (OSError, UnicodeDecodeError) as problem:
-        raise InputError(path, f"cannot be read: {problem}", "give a metrics.json") from None
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(path, "is not a metrics.json", "give one that evaluate wrote") from None
-
-
-def earlier_threshold(
-    path: Path,
-    earlier: Mapping[str, tuple[float, dict[str, Any]]],
-    name: str,
-    settings: Mapping[str, Any],
-) -> float:
-    """The threshold of the earlier run for a detector with the same settings.
-
-    Raises ConfigError when the run has no such detector, or it had other settings: a
-    threshold means nothing for another detector.
-    """
-    if name not in earlier:
-        remedy = f"it has {', '.join(sorted(earlier))}"
-        raise ConfigError(path, f"has no threshold for {name}", remedy)
-    threshold, others = earlier[name]
-    if others != settings:
-        what = f"chose the threshold of {name} with other settings"
-        raise ConfigError(path, what, "run both with the same --set")
-    return threshold
-
-
-# --- per-image rows ---------------------------------------------------------------------
-
-
-def image_rows(
-    tallies: Mapping[str, Tally], figures: Mapping[str, Mapping[str, Any]]
-) -> list[dict[str, Any]]:
-    """The figures of each picture and detector, under ``IMAGE_COLUMNS``; None for undefined."""
-    rows = []
-    for name, tally in tallies.items():
-        thresholds = thresholds_of(figures[name])
-        for row in tally.rows:
-            threshold = thresholds[row.group]
-            values = {
-                "auc": row.auc,
-                "maxf": row.max_f,
-                "threshold": threshold,
-                "f": image_f(row, threshold),
-                "f_mask": float(metrics.f_measure(row.mask)),
-                "iou_mask": float(metrics.iou(row.mask)),
-            }
-            known = {key: None if math.isnan(value) else value for key, value in values.items()}
-            about = {"image": row.name, "group": row.group, "detector": name}
-            rows.append({**about, **known, "ms": 1000 * row.seconds, "status": "ok"})
-    return rows
-
-
-def rows_csv(rows: Sequence[Mapping[str, Any]], failures: Sequence[Result]) -> str:
+def rows_csv(rows: Sequence[PictureRow], failures: Sequence[Failure]) -> str:
     """CSV text: a line for each picture and detector, then one for each picture that failed."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, IMAGE_COLUMNS, lineterminator="\n")
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()
     for row in rows:
-        cells = {k: f"{v:.6f}" if isinstance(v, float) else v for k, v in row.items()}
-        writer.writerow({**cells, "ms": f"{row['ms']:.2f}"})
-    for result in failures:
-        cells = {"image": result.item.name, "group": result.item.group or ""}
-        writer.writerow({**cells, "status": result.failure})
+        cells = {key: _cell(value) for key, value in asdict(row).items()}
+        writer.writerow({**cells, "ms": f"{row.ms:.2f}", "status": "ok"})
+    for one in failures:
+        writer.writerow({"image": one.image, "group": one.group or "", "status": one.reason})
     return text.getvalue()
+
+
+def _cell(value: str | float) -> str:
+    if isinstance(value, str):
+        return value
+    return "" if math.isnan(value) else f"{value:.6f}"

@@ -1,10 +1,8 @@
 """Sheets of pictures to look at: what a detector saw, and what it made of it."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -13,9 +11,11 @@ from torch import Tensor
 
 from roadtorch.data.dataset import Dataset, Item, Truth
 from roadtorch.detector import Detection
-from roadtorch.evaluation.runner import Look, Plan, Scene, looks, seen_truth
-from roadtorch.evaluation.summary import chosen_pictures, thresholds_of
-from roadtorch.evaluation.tally import WHOLE, Tally
+from roadtorch.evaluation.contenders import Look
+from roadtorch.evaluation.pictures import chosen_pictures
+from roadtorch.evaluation.result import Evaluation
+from roadtorch.evaluation.scoring import Scene, seen_truth
+from roadtorch.evaluation.tally import WHOLE
 from roadtorch.image import to_pixels, write_jpeg
 from roadtorch.layout.classes import layout_colours
 
@@ -28,35 +28,25 @@ CAPTION = 18  # pixels of height
 BLUE, VERMILLION, WHITE = (0, 114, 178), (213, 94, 0), (255, 255, 255)  # Okabe and Ito
 
 
-def write_montages(
-    out: Path,
-    plan: Plan,
-    tallies: Mapping[str, Tally],
-    figures: Mapping[str, Mapping[str, Any]],
-    count: int,
-) -> dict[str, dict[str, bytes]]:
+def write_montages(out: Path, evaluation: Evaluation, count: int) -> dict[str, dict[str, bytes]]:
     """Write ``montage.NAME.best.jpg``, ``.median`` and ``.worst`` for the best detectors.
 
     Floors get none, and of many detectors only the ``MOST`` with the highest MaxF do.
     Returns the files' content by detector and part.
     """
-    found = looks(plan)
-    shown = [name for name in found if not name.startswith("prior:")]
-    shown.sort(key=lambda name: -_known(figures[name]["maxf"]))
+    detectors = evaluation.detectors
+    shown = [name for name in evaluation.ranked() if not detectors[name].is_floor]
     sheets: dict[str, dict[str, bytes]] = {}
     for name in shown[:MOST]:
-        thresholds = thresholds_of(figures[name])
-        chosen = chosen_pictures(tallies[name].rows, thresholds, count)
-        for part, pictures in chosen.items():
-            if pictures:
+        thresholds = detectors[name].thresholds
+        look = detectors[name].contender.prepare(evaluation.dataset)
+        chosen = chosen_pictures(evaluation.tallies[name].kept(), thresholds, count)
+        for part in ("best", "median", "worst"):
+            if pictures := getattr(chosen, part):
                 path = out / f"montage.{name.replace(':', '-')}.{part}.jpg"
-                write_jpeg(path, sheet(plan.dataset, found[name], pictures, thresholds))
+                write_jpeg(path, sheet(evaluation.dataset, look, pictures, thresholds))
                 sheets.setdefault(name, {})[part] = path.read_bytes()
     return sheets
-
-
-def _known(value: float) -> float:
-    return -1.0 if math.isnan(value) else value
 
 
 def sheet(

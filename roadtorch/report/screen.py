@@ -2,120 +2,97 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
-from roadtorch.evaluation import metrics
+from roadtorch.evaluation.measures import MAXF, Figures
+from roadtorch.evaluation.result import DetectorFigures, Difference, Evaluation
 
-# --- table ------------------------------------------------------------------------------
-
+NONE = "-"
 
 MOST_SHOWN = 40
 """Detectors on the screen, besides the floors; a grid of 310 fills no screen well."""
 
 
-def screen(document: Mapping[str, Any]) -> str:
+def screen(evaluation: Evaluation) -> str:
     """The tables of a run: road, layout if somebody labels it, and detectors in pairs."""
-    detectors, paired = shortlist(document["detectors"]), document["paired"]
-    shown = {name: changes for name, changes in paired["detectors"].items() if name in detectors}
-    tables = [score_table(detectors), layout_table(detectors)]
-    tables.append(paired_table({**paired, "detectors": shown}))
-    if more := len(document["detectors"]) - len(detectors):
+    detectors = shortlist(evaluation)
+    tables = [
+        road_table(evaluation, detectors),
+        layout_table(evaluation, detectors),
+        pair_table(evaluation, detectors),
+    ]
+    if more := len(evaluation.detectors) - len(detectors):
         tables.append(f"{more} more detectors, with lower MaxF, are in metrics.json (--out DIR)")
     return "\n\n".join(filter(None, tables))
 
 
-def shortlist(detectors: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+def shortlist(evaluation: Evaluation) -> dict[str, DetectorFigures]:
     """The floors and the best of the others by MaxF, in the order in which they stand."""
-    order = sorted(detectors, key=lambda name: -_number(detectors[name]["maxf"]))
-    best = [name for name in order if not name.startswith("prior:")][:MOST_SHOWN]
-    chosen = {name for name in detectors if name.startswith("prior:")} | set(best)
-    return {name: figures for name, figures in detectors.items() if name in chosen}
+    detectors = evaluation.detectors
+    best = [name for name in _best_first(detectors) if not detectors[name].is_floor][:MOST_SHOWN]
+    return {name: one for name, one in detectors.items() if one.is_floor or name in best}
 
 
-SCORES = {
-    "AUC": "auc_pooled",
-    "AUC/image": "auc_mean",
-    "AP": "ap",
-    "IoU": "iou",
-    "EER": "eer",
-    "Brier": "brier",
-}
-"""Columns of the table and their figures."""
+def _best_first(detectors: Mapping[str, DetectorFigures]) -> list[str]:
+    """Names by MaxF, equal ones as they stand, those without one last."""
+    scores = {name: MAXF.of(one.headline) for name, one in detectors.items()}
+    return sorted(scores, key=lambda name: math.inf if math.isnan(scores[name]) else -scores[name])
 
 
-def score_table(detectors: Mapping[str, Mapping[str, Any]]) -> str:
+def road_table(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]) -> str:
     """Detector by MaxF (by drive and mean) and the other headline figures, best MaxF first."""
-    groups = _group_names(detectors)
-    by_drive = [f"MaxF {group}" for group in groups]
-    pooled = ["pooled"] if groups else []
-    header = ["detector", *by_drive, "MaxF", "95 %", *pooled, *SCORES, "ms/image"]
-    order = sorted(detectors.items(), key=lambda pair: -_number(pair[1]["maxf"]))
-    rows = [
-        [
+    drives, measures = evaluation.drives, evaluation.shown_in("screen")
+    pooled = ["pooled"] if drives else []
+    by_drive = [f"MaxF {drive}" for drive in drives]
+    header = ["detector", *by_drive, "MaxF", "95 %", *pooled, *(one.line for one in measures)]
+    rows = [header]
+    for name in _best_first(detectors):
+        one = detectors[name]
+        low, high = one.interval
+        rows.append([
             name,
-            *(_share(figures["groups"][group]["maxf"]) for group in groups),
-            _share(figures["maxf"]),
-            _range(figures["ci95"]["maxf"]),
-            *(_share(figures[part]["maxf"]) for part in pooled),
-            *(_share(figures[key]) for key in SCORES.values()),
-            f"{figures['ms_per_image']:.1f}",
-        ]
-        for name, figures in order
-    ]
-    return align([header, *rows])
+            *(MAXF.text(MAXF.of(one.drive(drive)), NONE) for drive in drives),
+            MAXF.text(MAXF.of(one.headline), NONE),
+            f"{MAXF.text(low, NONE)}–{MAXF.text(high, NONE)}",
+            *(MAXF.text(MAXF.of(one.pooled), NONE) for _ in pooled),
+            *(measure.text(measure.of(one.headline), NONE) for measure in measures),
+        ])  # fmt: skip
+    return align(rows)
 
 
-COMPARED = {"MaxF": "maxf", "AUC": "auc_pooled", "IoU": "iou"}
-
-
-def paired_table(paired: Mapping[str, Any]) -> str:
-    """Each detector less the one it is compared with, with 95 % intervals; empty for one."""
-    header = [f"less {paired['against']}"]
-    header += [text for name in COMPARED for text in (name, "95 %")]
-    rows = [
-        [name, *(text for key in COMPARED.values() for text in _change(changes[key]))]
-        for name, changes in paired["detectors"].items()
-    ]
-    return align([header, *rows]) if rows else ""
-
-
-def _change(change: Mapping[str, Any]) -> tuple[str, str]:
-    value, (low, high) = change["difference"], change["ci95"]
-    signed = ["-" if math.isnan(part) else f"{part:+.3f}" for part in (value, low, high)]
-    return signed[0], f"{signed[1]} to {signed[2]}"
-
-
-def _range(bounds: Sequence[float]) -> str:
-    return "–".join(_share(bound) for bound in bounds)
-
-
-def layout_table(detectors: Mapping[str, Mapping[str, Any]]) -> str:
+def layout_table(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]) -> str:
     """Class recalls of the detectors that label the layout, by drive; empty if none does."""
-    groups = _group_names(detectors)
-    header = ["layout", "drive", *metrics.LAYOUT_CLASSES, "mean"]
-    header += ["mean, void vertical", "mean, labelled", "labelled share"]
-    rows = []
-    for name, figures in detectors.items():
-        if "layout" in figures:
-            parts = [(group, figures["groups"][group]["layout"]) for group in groups]
-            rows += [_layout_row(name, *part) for part in (*parts, ("mean", figures["layout"]))]
+    measures = evaluation.shown_in("screen layout")
+    header = ["layout", "drive", *(one.line for one in measures)]
+    rows = [
+        [name, drive, *(measure.text(measure.of(figures), NONE) for measure in measures)]
+        for name, one in detectors.items()
+        for drive, figures in _with_mean(one).items()
+        if any(measure.key in figures for measure in measures)
+    ]
     return align([header, *rows]) if rows else ""
 
 
-def _layout_row(name: str, group: str, figures: Mapping[str, Any]) -> list[str]:
-    return [
-        name,
-        group,
-        *(_share(figures[key]) for key in (*metrics.LAYOUT_CLASSES, "mean")),
-        _share(figures["void_as_vertical"]["mean"]),
-        _share(figures["labelled"]["mean"]) if "labelled" in figures else "-",
-        _share(figures["labelled_share"]) if "labelled" in figures else "-",
+def _with_mean(one: DetectorFigures) -> dict[str, Figures]:
+    return {**dict(sorted(one.drives.items())), "mean": one.headline}
+
+
+def pair_table(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]) -> str:
+    """Each detector less the one it is compared with, with 95 % intervals; empty for one."""
+    comparison, measures = evaluation.comparison, evaluation.shown_in("screen pairs")
+    header = [f"less {comparison.against}"]
+    header += [text for one in measures for text in (one.line, "95 %")]
+    rows = [
+        [name, *(text for one in measures for text in _change(changes[one.key]))]
+        for name, changes in comparison.differences.items()
+        if name in detectors
     ]
+    return align([header, *rows]) if rows else ""
 
 
-def _group_names(detectors: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    first = next(iter(detectors.values()))
-    return sorted(first.get("groups", {}))
+def _change(change: Difference) -> tuple[str, str]:
+    ends = change.interval
+    signed = [NONE if math.isnan(part) else f"{part:+.3f}" for part in (change.value, *ends)]
+    return signed[0], f"{signed[1]} to {signed[2]}"
 
 
 def align(rows: Sequence[Sequence[str]]) -> str:
@@ -129,11 +106,3 @@ def align(rows: Sequence[Sequence[str]]) -> str:
         )
         lines.append("  ".join([first, *rest]).rstrip())
     return "\n".join(lines)
-
-
-def _share(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.3f}"
-
-
-def _number(value: float) -> float:
-    return -1.0 if math.isnan(value) else value

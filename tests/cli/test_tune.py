@@ -1,6 +1,7 @@
 """roadtorch tune: thresholds chosen on labelled pictures, into configs that infer reads."""
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,14 +10,14 @@ from pydantic import Field
 from torch import nn
 
 from roadtorch.cli.config import chosen_detector
-from roadtorch.data.catalogue import open_dataset
 from roadtorch.detector import DetectorSettings, Entry
 from roadtorch.detectors.catalogue import list_detectors, load_detector, register
-from roadtorch.evaluation import tuning
 from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.runner import Plan
 from roadtorch.evaluation.tally import Tally
+from roadtorch.evaluation.thresholds import shared_threshold
+from roadtorch.evaluation.tuning import choose_threshold
 from roadtorch.scenes import render_scene, write_camvid
+from tests.reports import changed, scored
 
 DRIVES = ("0001TP", "0006R0", "0016E5")
 
@@ -82,17 +83,23 @@ def test_every_detector_gets_its_own_file_and_floors_none(call, camvid, tmp_path
     assert tomllib.loads((out / "cpf-squares.toml").read_text())["detector"] == "cpf:squares"
 
 
-def test_the_choice_is_the_best_threshold_averaged_over_drives(camvid):
-    plan = Plan(open_dataset("camvid", camvid), {"test-brightness": {}})
-
+def test_the_choice_is_the_best_threshold_averaged_over_drives():
     def at(road: int, other: int) -> RoadCounts:
         levels = torch.zeros(2, 11, dtype=torch.int64)
         levels[0, road] = levels[1, other] = 10
         return RoadCounts(levels[0], levels[1])
 
-    found = tuning.choose("test-brightness", plan, Tally({"a": at(5, 4), "b": at(8, 4)}))
+    counts = {"a": at(5, 4), "b": at(8, 4)}
+    run = changed(
+        scored({"test-brightness": None}),
+        "test-brightness",
+        best_threshold=shared_threshold(counts),
+    )
+    run = replace(run, tallies={"test-brightness": Tally(counts)})
 
-    assert found.settings.model_dump()["threshold"] == 0.5
+    found = choose_threshold(run, "test-brightness", {"gain": 0.5})
+
+    assert found.settings.model_dump() == {"threshold": 0.5, "gain": 0.5}
     assert (found.f, found.iou) == (1, 1)
     # Drive a at the threshold of b (0.5 or more up to 0.8, the lowest: 0.5), b at that of a.
     assert found.f_held_out == 1

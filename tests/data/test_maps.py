@@ -1,5 +1,7 @@
 """Maps made elsewhere: found, read, checked, each mistake with its file."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -57,9 +59,12 @@ def test_colour_and_missing_and_empty_files(tmp_path):
 
 
 def test_a_folder_may_have_a_name_of_its_own(tmp_path):
-    (tmp_path / "theirs").mkdir()
+    for name in ("theirs", "other/theirs"):
+        (tmp_path / name).mkdir(parents=True)
+    one, two = str(tmp_path / "theirs"), str(tmp_path / "other/theirs")
 
-    assert parse_maps(str(tmp_path / "theirs")) == ("maps:theirs", tmp_path / "theirs")
-    assert parse_maps(f"net={tmp_path / 'theirs'}") == ("maps:net", tmp_path / "theirs")
+    assert parse_maps([one, f"net={two}"]) == {"theirs": Path(one), "net": Path(two)}
     with pytest.raises(ConfigError, match="nothing: is not a folder"):
-        parse_maps("net=nothing")
+        parse_maps(["net=nothing"])
+    with pytest.raises(ConfigError, match="two folders one name"):
+        parse_maps([one, two])

@@ -8,10 +8,13 @@ import torch
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.detector import Detection
 from roadtorch.errors import ConfigError
-from roadtorch.evaluation import comparison, summary
-from roadtorch.evaluation.runner import Plan, score_item
+from roadtorch.evaluation import comparison
+from roadtorch.evaluation.contenders import Contender
+from roadtorch.evaluation.measures import MEASURES
+from roadtorch.evaluation.result import DetectorFigures
+from roadtorch.evaluation.scoring import score_item
+from roadtorch.evaluation.summary import summarise
 from roadtorch.evaluation.tally import Tally
-from roadtorch.evaluation.uncertainty import Replicated
 from roadtorch.scenes import render_scene, write_camvid
 
 DRIVES = ("0001TP", "0006R0")
@@ -25,7 +28,7 @@ def dataset(tmp_path_factory):
     return open_dataset("camvid", root, "train")
 
 
-def measured(dataset, noise: float) -> tuple[dict, dict[str, Replicated]]:
+def measured(dataset, noise: float) -> tuple[DetectorFigures, comparison.Draws]:
     """Figures and draws of a detector whose road is that much blurred by noise."""
 
     def look(image, item):
@@ -38,9 +41,9 @@ def measured(dataset, noise: float) -> tuple[dict, dict[str, Replicated]]:
 
     tally = Tally()
     for item in dataset.items:
-        tally.add(item, score_item(Plan(dataset, {}), {"it": look}, item).scores["it"])
-    figures = summary.summarise(tally, 0.5)
-    return figures, comparison.resample(tally.rows, summary.thresholds_of(figures), figures)
+        tally.add(item, score_item(dataset, {"it": look}, item).scores["it"])
+    figures = summarise(Contender("it", lambda _: look), tally)
+    return figures, comparison.resample(tally, figures)
 
 
 def test_every_headline_figure_has_an_interval_around_it(dataset):
@@ -48,10 +51,10 @@ def test_every_headline_figure_has_an_interval_around_it(dataset):
 
     found = comparison.intervals(draws)
 
-    names = ("maxf", "auc_pooled", "auc_mean", "ap", "eer", "brier", "iou", "f", "layout_mean")
-    assert set(found) == set(names)
+    names = ("maxf", "auc_pooled", "auc_mean", "ap", "eer", "brier", "iou", "f", "layout/mean")
+    assert set(found) == set(names) == {one.key for one in MEASURES if one.interval}
     for name, (low, high) in found.items():
-        assert low <= comparison.headline(figures, name) <= high
+        assert low <= figures.headline[name] <= high
         assert 0 <= high - low < 0.2
     assert found["maxf"][1] > found["maxf"][0]
 
@@ -59,34 +62,42 @@ def test_every_headline_figure_has_an_interval_around_it(dataset):
 def test_a_detector_is_no_better_than_itself_and_pairs_are_signed(dataset):
     good, poor = (measured(dataset, noise)[1] for noise in (0.72, 0.75))
 
-    found = comparison.paired({"good": good, "poor": poor, "again": good}, "good")["detectors"]
-    other = comparison.paired({"poor": poor, "good": good}, "poor")["detectors"]
+    found = comparison.compare({"good": good, "poor": poor, "again": good}, "good").differences
+    other = comparison.compare({"poor": poor, "good": good}, "poor").differences
 
-    assert found["again"]["maxf"] == {"difference": 0, "ci95": [0, 0]}
-    assert found["poor"]["maxf"]["ci95"][1] < 0  # worse on every picture
-    assert found["poor"]["brier"]["ci95"][0] > 0
-    low, high = found["poor"]["maxf"]["ci95"]
-    assert other["good"]["maxf"]["ci95"] == pytest.approx([-high, -low])
+    assert found["again"]["maxf"].value == 0
+    assert found["again"]["maxf"].interval == (0, 0)
+    assert found["poor"]["maxf"].interval.high < 0  # worse on every picture
+    assert found["poor"]["brier"].interval.low > 0
+    low, high = found["poor"]["maxf"].interval
+    assert other["good"]["maxf"].interval == pytest.approx((-high, -low))
     # Paired, the interval is far narrower than those of the two figures.
     alone = comparison.intervals(poor)["maxf"]
-    assert high - low < 0.7 * (alone[1] - alone[0])
+    assert high - low < 0.7 * (alone.high - alone.low)
 
 
 def test_pairs_share_the_figures_that_both_have(dataset):
-    full, roadless = measured(dataset, 0.6)[1], measured(dataset, 0.7)[1]
-    del roadless["layout_mean"]
+    full, roadless = measured(dataset, 0.6)[1], dict(measured(dataset, 0.7)[1])
+    del roadless["layout/mean"]
 
-    found = comparison.paired({"a": full, "b": roadless}, "a")["detectors"]["b"]
+    found = comparison.compare({"a": full, "b": roadless}, "a").differences["b"]
 
-    assert "layout_mean" not in found
+    assert "layout/mean" not in found
     assert "maxf" in found
 
 
 def test_the_others_are_compared_with_the_best_unless_somebody_is_named():
-    figures = {"a": {"maxf": 0.5}, "b": {"maxf": 0.9}, "c": {"maxf": math.nan}}
+    figures = {
+        name: DetectorFigures(Contender(name, lambda _: no_look), {"maxf": score})
+        for name, score in {"a": 0.5, "b": 0.9, "c": math.nan}.items()
+    }
 
     assert comparison.best_of(figures) == "b"
     assert comparison.best_of({"c": figures["c"]}) == "c"
     comparison.check_against(["a", "b"], "b")
     with pytest.raises(ConfigError, match=r"fusoin.*fusion"):
         comparison.check_against(["fusion", "b"], "fusoin")
+
+
+def no_look(image, item):
+    raise AssertionError("nobody looks")

@@ -8,8 +8,10 @@ import torch
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset
 from roadtorch.detector import Detection
-from roadtorch.evaluation import metrics, summary
-from roadtorch.evaluation.runner import Plan, looks, score_item
+from roadtorch.evaluation import metrics
+from roadtorch.evaluation.contenders import named_detector
+from roadtorch.evaluation.scoring import prepared, score_item
+from roadtorch.evaluation.summary import summarise
 from roadtorch.evaluation.tally import Tally, tally_from, tally_tensors
 from roadtorch.scenes import render_scene, write_camvid
 
@@ -28,7 +30,7 @@ def counted(dataset: Dataset, layout: bool) -> Tally:
 
     tally = Tally()
     for item in dataset.items:
-        tally.add(item, score_item(Plan(dataset, {}), {"it": look}, item).scores["it"])
+        tally.add(item, score_item(dataset, {"it": look}, item).scores["it"])
     return tally
 
 
@@ -39,13 +41,14 @@ def test_a_tally_survives_being_taken_apart(tmp_path):
 
         again = tally_from(tally_tensors(tally), tally.pictures)
 
-        before, after = (summary.summarise(one, 0.5) for one in (tally, again))
-        assert before == after
-        assert ("layout" in before) == layout
-        for one, other in zip(tally.rows, again.rows, strict=True):
-            assert torch.equal(one.road.road, other.road.road)
-            assert torch.equal(one.boundary, other.boundary)
-            assert one.seconds == other.seconds
+        before, after = (summarise(named_detector("cpf", {}), one) for one in (tally, again))
+        assert before.drives == after.drives
+        assert before.pooled == after.pooled
+        assert ("layout/mean" in before.headline) == layout
+        one, other = tally.kept(), again.kept()
+        assert torch.equal(one.road.road, other.road.road)
+        assert torch.equal(one.boundary, other.boundary)
+        assert torch.equal(one.seconds, other.seconds)
 
 
 def test_one_picture_more_costs_little_memory(tmp_path):
@@ -53,27 +56,35 @@ def test_one_picture_more_costs_little_memory(tmp_path):
     tally = counted(dataset, True)
     size = sum(tensor.nbytes for key, tensor in tally_tensors(tally).items() if "rows/" in key)
 
-    assert size / len(tally.rows) < 2500  # bytes: 256 levels of road and of background, 4 each
+    assert size / len(tally.pictures) < 2500  # bytes: 256 levels of road and of background, 4 each
 
 
 def test_rows_outlive_the_room_there_was_for_them_and_can_be_sorted(tmp_path):
     dataset, _ = scenes_dataset(tmp_path)
     few, many = counted(dataset, True), Tally()
-    look_at = score_item(Plan(dataset, {"prior:rows": {}}), looks_of(dataset), dataset.items[0])
+    looks = prepared(dataset, [named_detector("prior:rows", {})])
+    look_at = score_item(dataset, looks, dataset.items[0])
     names = [f"picture {index}" for index in range(150)]
     for name in reversed(names):
         many.add(replace(dataset.items[0], name=name), look_at.scores["prior:rows"])
 
     many.sort(names)
 
-    assert [row.name for row in many.rows] == names
-    first = many.rows[0].road.road
-    assert all(torch.equal(row.road.road, first) for row in many.rows)
-    assert int(first.sum()) == int(few.rows[0].road.road.sum())
+    kept = many.kept()
+    assert list(kept.names) == names
+    assert (kept.road.road == kept.road.road[0]).all()
+    assert int(kept.road.road[0].sum()) == int(few.kept().road.road[0].sum())
 
 
-def looks_of(dataset: Dataset):
-    return looks(Plan(dataset, {"prior:rows": {}}))
+def test_pictures_come_drive_by_drive_when_drives_are_asked_for(tmp_path):
+    dataset, _ = scenes_dataset(tmp_path)
+    tally = counted(dataset, True)
+
+    found = tally.kept(["b" * 6, "a" * 6])
+
+    assert list(found.groups) == ["b" * 6, "a" * 6]
+    assert torch.equal(found.road.road, tally.kept().road.road.flip(0))
+    assert tally.kept(["b" * 6]).names == found.names[:1]
 
 
 def test_counts_go_between_processes_whole_and_small() -> None:

@@ -2,14 +2,18 @@
 
 import csv
 import io
+import math
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import pytest
 from defusedxml.ElementTree import fromstring
 from scipy.stats import spearmanr
 
 from roadtorch.color import REPRESENTATIONS
+from roadtorch.evaluation.drive_curves import DetectorCurves, RunCurves
 from roadtorch.oneclass import CLASSIFIERS
+from roadtorch.report.files import write_table3
 from roadtorch.report.page.roc_families import looks, mean_line, roc_families
 from roadtorch.report.table3 import (
     best_cells,
@@ -19,9 +23,8 @@ from roadtorch.report.table3 import (
     table_csv,
     table_html,
     table_text,
-    write_table3,
 )
-from tests.reports import made_run
+from tests.reports import changed, made_run
 
 ROC = {"roc_vertical": [[0, 0, 0.5, 1], [0, 0.4, 0.8, 1]]}
 NAMES = ("oneclass:gaussian:RGB", "oneclass:nn:RGB", "oneclass:nn:S", "fusion", "prior:rows")
@@ -43,14 +46,15 @@ def test_p3s_table_has_all_its_values() -> None:
 
 
 def test_cells_are_the_mean_areas_in_percent_of_a_run_and_of_its_drives() -> None:
-    document, _, _ = made_run(NAMES)
-    figures = document["detectors"]["oneclass:nn:S"]
-    figures["groups"]["0001TP"]["auc_mean"] = float("nan")
+    evaluation, _, _ = made_run(NAMES)
+    figures = evaluation.detectors["oneclass:nn:S"]
+    drives = {**figures.drives, "0001TP": {**figures.drives["0001TP"], "auc_mean": math.nan}}
+    evaluation = changed(evaluation, "oneclass:nn:S", drives=drives)
 
-    whole, drive = (measured_table(document["detectors"], name) for name in (None, "0001TP"))
+    whole, drive = (measured_table(evaluation, name) for name in (None, "0001TP"))
 
     assert list(whole) == [("nn", "S"), ("nn", "RGB"), ("gaussian", "RGB")]
-    assert whole["nn", "S"] == pytest.approx(100 * figures["auc_mean"])
+    assert whole["nn", "S"] == pytest.approx(100 * figures.headline["auc_mean"])
     assert list(drive) == [("nn", "RGB"), ("gaussian", "RGB")]  # an undefined one is left out
 
 
@@ -93,9 +97,9 @@ def test_cells_that_p3_left_empty_are_not_ranked() -> None:
 
 
 def test_text_has_the_layout_the_floors_and_the_best() -> None:
-    document, _, _ = made_run(NAMES)
+    evaluation, _, _ = made_run(NAMES)
 
-    text = table_text(document)
+    text = table_text(evaluation)
 
     lines = text.splitlines()
     assert "30 pictures of camvid dev, mean over 0001TP, 0006R0, 0016E5; floors: prior:rows" in text
@@ -105,7 +109,7 @@ def test_text_has_the_layout_the_floors_and_the_best() -> None:
     ]
     best, other = (next(line for line in lines[6:] if line.startswith(name)).split()[1]
                    for name in ("gaussian", "nn"))  # fmt: skip
-    ours = 100 * document["detectors"]["oneclass:gaussian:RGB"]["auc_mean"]
+    ours = 100 * evaluation.detectors["oneclass:gaussian:RGB"].headline["auc_mean"]
     assert best == f"*{ours:.1f}/90.9"
     assert other.endswith("/83.1")
     assert not other.startswith("*")
@@ -114,41 +118,41 @@ def test_text_has_the_layout_the_floors_and_the_best() -> None:
 
 
 def test_a_run_without_the_family_has_no_table(tmp_path) -> None:
-    document, curves, _ = made_run()
+    evaluation, curves, _ = made_run()
 
-    write_table3(tmp_path, document, curves)
+    write_table3(tmp_path, evaluation, curves)
 
-    assert table_text(document) == ""
+    assert table_text(evaluation) == ""
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("drives", [("0001TP", "0016E5"), ()], ids=["drives", "whole"])
 def test_csv_has_p3s_value_and_the_drives(drives) -> None:
-    document, _, _ = made_run(NAMES, drives)
+    evaluation, _, _ = made_run(NAMES, drives)
 
-    rows = list(csv.DictReader(io.StringIO(table_csv(document))))
+    rows = list(csv.DictReader(io.StringIO(table_csv(evaluation))))
 
     assert [(row["classifier"], row["representation"]) for row in rows] == [
         ("nn", "S"),
         ("nn", "RGB"),
         ("gaussian", "RGB"),
     ]
-    last, figures = rows[-1], document["detectors"]["oneclass:gaussian:RGB"]
+    last, figures = rows[-1], evaluation.detectors["oneclass:gaussian:RGB"]
     assert last["paper"] == "90.9"
-    assert float(last["auc"]) == pytest.approx(100 * figures["auc_mean"], abs=0.005)
+    assert float(last["auc"]) == pytest.approx(100 * figures.headline["auc_mean"], abs=0.005)
     for drive in drives:
         assert float(last[drive]) == pytest.approx(
-            100 * figures["groups"][drive]["auc_mean"], abs=0.005
+            100 * figures.drives[drive]["auc_mean"], abs=0.005
         )
 
 
 def test_html_marks_the_best_and_says_p3s_values_small() -> None:
-    document, _, _ = made_run(NAMES)
-    document["dataset"] = "<b>"
+    evaluation, _, _ = made_run(NAMES)
+    evaluation = replace(evaluation, dataset=replace(evaluation.dataset, name="<b>"))
 
-    page = table_html(document)
+    page = table_html(evaluation)
 
-    ours = 100 * document["detectors"]["oneclass:gaussian:RGB"]["auc_mean"]
+    ours = 100 * evaluation.detectors["oneclass:gaussian:RGB"].headline["auc_mean"]
     assert f"<td><b>{ours:.1f}</b> <small>90.9</small></td>" in page
     assert "&lt;b&gt; dev" in page
     captions = [part.split("<")[0] for part in page.split("<caption>")[1:]]
@@ -157,10 +161,10 @@ def test_html_marks_the_best_and_says_p3s_values_small() -> None:
 
 
 def test_files_of_a_run(tmp_path) -> None:
-    document, _, _ = made_run(NAMES)
-    curves = {name: {"mean": {}, "groups": {"a": ROC, "b": ROC}} for name in NAMES}
+    evaluation, _, _ = made_run(NAMES)
+    curves: RunCurves = {name: {"mean": {}, "groups": {"a": ROC, "b": ROC}} for name in NAMES}
 
-    write_table3(tmp_path, document, curves)
+    write_table3(tmp_path, evaluation, curves)
 
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"table3.txt", "table3.csv", "table3.html", "fig9.svg"}  # no histogram ran
@@ -173,11 +177,11 @@ def test_files_of_a_run(tmp_path) -> None:
 
 
 def test_a_line_is_the_mean_over_drives_or_the_sets_own() -> None:
-    by_drive = {"mean": {}, "groups": {
+    by_drive: DetectorCurves = {"mean": {}, "groups": {
         "a": {"roc_vertical": [[0, 0.5, 1], [0, 0.5, 1]]},
         "b": {"roc_vertical": [[0, 0.5, 1], [0, 0.9, 1]]},
     }}  # fmt: skip
-    whole = {"mean": {"roc_vertical": [[0, 1], [0.5, 1]]}, "groups": {}}
+    whole: DetectorCurves = {"mean": {"roc_vertical": [[0, 1], [0.5, 1]]}, "groups": {}}
 
     line, own = mean_line(by_drive), mean_line(whole)
 
@@ -186,7 +190,7 @@ def test_a_line_is_the_mean_over_drives_or_the_sets_own() -> None:
     assert line[0].tolist() == [0, 0.5, 1]
     assert line[1].tolist() == pytest.approx([0, 0.7, 1])
     assert own.tolist() == [[0, 1], [0.5, 1]]
-    assert mean_line({}) is None
+    assert mean_line(None) is None
 
 
 def test_lines_differ_in_colour_or_dash() -> None:
@@ -197,7 +201,7 @@ def test_lines_differ_in_colour_or_dash() -> None:
 
 
 def test_every_classifier_has_a_row_of_panels_with_its_lines() -> None:
-    curves = {name: {"mean": ROC, "groups": {}} for name in NAMES}
+    curves: RunCurves = {name: {"mean": ROC, "groups": {}} for name in NAMES}
     halves = {"left": ("S",), "right": ("RGB",)}
 
     def texts(*classifiers: str) -> list[str]:

@@ -1,7 +1,7 @@
 """Charts of a run: scores, curves, and the single pictures, each as SVG text (`svg.to_svg`)."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+import math
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,6 +10,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter
 
+from roadtorch.evaluation.drive_curves import Curves, DetectorCurves, RunCurves
+from roadtorch.evaluation.measures import MAXF
+from roadtorch.evaluation.pictures import PictureRow
+from roadtorch.evaluation.result import Comparison, DetectorFigures, Evaluation
+from roadtorch.evaluation.uncertainty import Interval
 from roadtorch.report.page.svg import (
     BAND,
     FLOOR,
@@ -17,8 +22,6 @@ from roadtorch.report.page.svg import (
     INK,
     PAPER,
     Series,
-    bounds,
-    number,
     short,
     to_svg,
 )
@@ -29,17 +32,15 @@ MOST_DRIVES = len(MARKERS)  # told apart in a chart
 
 MOST_TICKS = 300  # pictures of one drive and detector in a chart
 
-Curves = Mapping[str, Mapping[str, Any]]
-"""By detector: ``mean`` and ``groups``, see `roadtorch.evaluation.outlines`."""
-
 # --- scores -----------------------------------------------------------------------------
 
 
-def maxf_chart(series: Sequence[Series], detectors: Mapping[str, Mapping[str, Any]]) -> str:
+def maxf_chart(series: Sequence[Series], evaluation: Evaluation) -> str:
     """MaxF of every detector with its 95 % interval, drives as small marks; empty without any."""
-    shown = [one for one in series if number(detectors[one.name].get("maxf")) is not None]
-    drives = sorted({drive for one in shown for drive in detectors[one.name].get("groups", {})})
-    floors = [detectors[one.name]["maxf"] for one in shown if one.is_floor]
+    scores = {one.name: MAXF.of(evaluation.detectors[one.name].headline) for one in series}
+    shown = [one for one in series if not math.isnan(scores[one.name])]
+    drives = evaluation.drives
+    floors = [scores[one.name] for one in shown if one.is_floor]
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
@@ -50,7 +51,7 @@ def maxf_chart(series: Sequence[Series], detectors: Mapping[str, Mapping[str, An
                           xycoords=("data", "axes fraction"), textcoords="offset points",
                           ha="center", va="bottom", color=FLOOR, fontsize=9)  # fmt: skip
         for row, one in enumerate(shown):
-            _maxf_row(axes, row, one, detectors[one.name], drives)
+            _maxf_row(axes, row, one, evaluation.detectors[one.name], drives)
         axes.set_xlabel("MaxF (mean over drives)" if drives else "MaxF")
         if 1 < len(drives) <= MOST_DRIVES:
             marks = [_mark(MARKERS[i], name) for i, name in enumerate(drives)]
@@ -60,42 +61,43 @@ def maxf_chart(series: Sequence[Series], detectors: Mapping[str, Mapping[str, An
 
 
 def _maxf_row(
-    axes: Axes, row: int, one: Series, figures: Mapping[str, Any], drives: Sequence[str]
+    axes: Axes, row: int, one: Series, figures: DetectorFigures, drives: Sequence[str]
 ) -> None:
-    ends = bounds((figures.get("ci95") or {}).get("maxf"))
-    if ends:
-        axes.plot(ends, [row, row], color=one.colour, linewidth=2.6, alpha=0.65)
+    value = MAXF.of(figures.headline)
+    _dot_with_interval(axes, row, one, value, figures.interval)
     for place, drive in enumerate(drives):
-        value = number(figures.get("groups", {}).get(drive, {}).get("maxf"))
         marker = MARKERS[place] if len(drives) <= MOST_DRIVES else "|"
-        if value is not None:
-            axes.plot(value, row, marker, color=INK, mfc="none", markersize=4.5, mew=0.8, alpha=0.7)
-    face = PAPER if one.is_floor else one.colour
-    axes.plot(figures["maxf"], row, "o", color=one.colour, mfc=face, markersize=7.5, mew=1.4)
-    axes.annotate(f"{figures['maxf']:.3f}", (1, row), (4, 0), xycoords=("axes fraction", "data"),
+        of_drive = MAXF.of(figures.drive(drive))
+        axes.plot(of_drive, row, marker, color=INK, mfc="none", markersize=4.5, mew=0.8, alpha=0.7)
+    axes.annotate(f"{value:.3f}", (1, row), (4, 0), xycoords=("axes fraction", "data"),
                   textcoords="offset points", va="center", annotation_clip=False)  # fmt: skip
 
 
-def difference_chart(series: Sequence[Series], paired: Mapping[str, Any], key: str) -> str:
-    """Differences in one figure to the detector ``against`` with 95 % intervals."""
-    changes = {name: one.get(key) or {} for name, one in paired.get("detectors", {}).items()}
-    shown = [
-        one for one in series if number(changes.get(one.name, {}).get("difference")) is not None
-    ]
+def _dot_with_interval(axes: Axes, row: int, one: Series, value: float, ends: Interval) -> None:
+    if ends.is_known:
+        axes.plot(ends, [row, row], color=one.colour, linewidth=2.6, alpha=0.65)
+    face = PAPER if one.is_floor else one.colour
+    axes.plot(value, row, "o", color=one.colour, mfc=face, markersize=7.5, mew=1.4, zorder=3)
+
+
+def difference_chart(series: Sequence[Series], comparison: Comparison) -> str:
+    """Differences in MaxF to the detector ``against`` with 95 % intervals."""
+    changes = {
+        name: found[MAXF.key]
+        for name, found in comparison.differences.items()
+        if MAXF.key in found and not math.isnan(found[MAXF.key].value)
+    }
+    shown = [one for one in series if one.name in changes]
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
         _name_rows(axes, shown)
         axes.axvline(0, color=INK, linewidth=1)
         for row, one in enumerate(shown):
-            value = changes[one.name]["difference"]
-            ends = bounds(changes[one.name].get("ci95"))
-            if ends:
-                axes.plot(ends, [row, row], color=one.colour, linewidth=2.6, alpha=0.65)
-            face = PAPER if one.is_floor else one.colour
-            axes.plot(value, row, "o", color=one.colour, mfc=face, markersize=7.5, mew=1.4)
+            change = changes[one.name]
+            _dot_with_interval(axes, row, one, change.value, change.interval)
         axes.xaxis.set_major_formatter(FuncFormatter(_difference))
-        axes.set_xlabel(f"MaxF less that of {short(paired['against'])}")
+        axes.set_xlabel(f"MaxF less that of {short(comparison.against)}")
         axes.margins(x=0.08)
 
     label = "Paired differences in MaxF with 95 % intervals"
@@ -127,7 +129,7 @@ def _mark(marker: str, label: str) -> Line2D:
 # --- curves -----------------------------------------------------------------------------
 
 
-def roc_chart(series: Sequence[Series], curves: Curves) -> str:
+def roc_chart(series: Sequence[Series], curves: RunCurves) -> str:
     """ROC curves, and their corner at few false positives once more, larger."""
 
     def draw(figure: Figure) -> None:
@@ -142,7 +144,7 @@ def roc_chart(series: Sequence[Series], curves: Curves) -> str:
     return to_svg("roc", "ROC curves", 440, draw) if _has(series, curves, "roc") else ""
 
 
-def precision_chart(series: Sequence[Series], curves: Curves) -> str:
+def precision_chart(series: Sequence[Series], curves: RunCurves) -> str:
     """Precision over recall, lines of equal F, and the corner near (1,1) once more, larger."""
 
     def draw(figure: Figure) -> None:
@@ -157,11 +159,15 @@ def precision_chart(series: Sequence[Series], curves: Curves) -> str:
     return to_svg("pr", "Precision and recall", 440, draw) if _has(series, curves, "pr") else ""
 
 
-def _has(series: Sequence[Series], curves: Curves, kind: str) -> bool:
-    return any(list(_lines(curves.get(one.name, {}).get("mean", {}), kind)) for one in series)
+def _has(series: Sequence[Series], curves: RunCurves, kind: str) -> bool:
+    return any(list(_lines(_of(curves, one)["mean"], kind)) for one in series)
 
 
-def _lines(found: Mapping[str, Any], kind: str) -> Iterator[np.ndarray]:
+def _of(curves: RunCurves, one: Series) -> DetectorCurves:
+    return curves.get(one.name, {"mean": {}, "groups": {}})
+
+
+def _lines(found: Curves, kind: str) -> Iterator[np.ndarray]:
     """The coordinates of one curve, float64 (coordinates,points), where they are known."""
     lists = found.get(kind)
     if lists and all(lists):
@@ -171,15 +177,15 @@ def _lines(found: Mapping[str, Any], kind: str) -> Iterator[np.ndarray]:
             yield points
 
 
-def _draw_curves(axes: Axes, series: Sequence[Series], curves: Curves, kind: str) -> None:
+def _draw_curves(axes: Axes, series: Sequence[Series], curves: RunCurves, kind: str) -> None:
     """The means of all, best on top; thin lines for the drives of the best detector."""
     best = next((one for one in series if not one.is_floor), None)
     for depth, one in enumerate(series):
-        own = curves.get(one.name, {})
-        for x, y, *_ in _lines(own.get("mean", {}), kind):
+        own = _of(curves, one)
+        for x, y, *_ in _lines(own["mean"], kind):
             width = 1.2 if one.is_floor else 2
             axes.plot(x, y, **one.line(width), zorder=4 - depth / 100)
-        for drive in own.get("groups", {}).values() if one is best else ():
+        for drive in own["groups"].values() if one is best else ():
             for x, y, *_ in _lines(drive, kind):
                 axes.plot(x, y, color=one.colour, linewidth=0.7, alpha=0.75, zorder=3)
 
@@ -208,14 +214,14 @@ def _finish_inset(axes: Axes, inset: Axes) -> None:
     axes.add_patch(frame)
 
 
-def reliability_chart(series: Sequence[Series], curves: Curves) -> str:
+def reliability_chart(series: Sequence[Series], curves: RunCurves) -> str:
     """The share of road among pixels of each likelihood; below, how many pixels have it."""
 
     def draw(figure: Figure) -> None:
         upper, lower = figure.subplots(2, sharex=True, height_ratios=(3, 1))
         upper.plot([0, 1], [0, 1], color=FLOOR, linewidth=1)
         for depth, one in enumerate(series):
-            for found in _lines(curves.get(one.name, {}).get("mean", {}), "reliability"):
+            for found in _lines(_of(curves, one)["mean"], "reliability"):
                 look = {**one.line(1.1 if one.is_floor else 1.8), "zorder": 4 - depth / 100}
                 upper.plot(found[0], found[1], marker="" if one.is_floor else ".", **look)
                 if len(found) > 2:
@@ -232,16 +238,15 @@ def reliability_chart(series: Sequence[Series], curves: Curves) -> str:
 # --- pictures ---------------------------------------------------------------------------
 
 
-def distribution_chart(series: Sequence[Series], rows: Sequence[Mapping[str, Any]]) -> str:
+def distribution_chart(series: Sequence[Series], rows: Sequence[PictureRow]) -> str:
     """F of the single pictures by detector and drive: a tick each, quartiles and deciles."""
     names = {one.name for one in series}
     values: dict[str, dict[str, list[float]]] = {}
-    drives = sorted({str(row.get("group") or "") for row in rows})
+    drives = sorted({row.group for row in rows})
     for row in rows:
-        value = number(row.get("f"))
-        if row.get("detector") in names and value is not None:
-            group = str(row.get("group") or "") if len(drives) <= MOST_DRIVES else ""
-            values.setdefault(row["detector"], {}).setdefault(group, []).append(value)
+        if row.detector in names and not math.isnan(row.f):
+            group = row.group if len(drives) <= MOST_DRIVES else ""
+            values.setdefault(row.detector, {}).setdefault(group, []).append(row.f)
     shown = [one for one in series if one.name in values]
     lanes = drives if 1 < len(drives) <= MOST_DRIVES else [""]
 

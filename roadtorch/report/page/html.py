@@ -1,24 +1,25 @@
 """report.html: what a run found, in one file that a person can read without anything else."""
 
 import base64
-import hashlib
 import json
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import cv2
-import jinja2
 import numpy as np
 from markupsafe import Markup
 
 from roadtorch.errors import InputError
+from roadtorch.evaluation.drive_curves import RunCurves
+from roadtorch.evaluation.pictures import PictureRow
+from roadtorch.evaluation.result import Evaluation
 from roadtorch.files import write_text
 from roadtorch.report.page import charts, tables
-from roadtorch.report.page.charts import Curves
 from roadtorch.report.page.outcome import outcome
-from roadtorch.report.page.svg import MOST, Series, choose_series, is_floor, ranked_names
+from roadtorch.report.page.svg import MOST, Series, choose_series
+from roadtorch.report.templates import template
+from roadtorch.version import __version__
 
 WIDEST = 1200  # pixels of a sheet; ours: as wide as the page shows it
 
@@ -32,79 +33,73 @@ Sheets = Mapping[str, Mapping[str, bytes]]
 """By detector: the pictures ``best``, ``median`` and ``worst``, as JPEG or PNG."""
 
 
-def write_report(
+def write_page(
     path: Path,
-    document: Mapping[str, Any],
-    curves: Curves,
-    rows: Sequence[Mapping[str, Any]],
+    evaluation: Evaluation,
+    curves: RunCurves,
+    rows: Sequence[PictureRow],
     sheets: Sheets,
+    command: str = "",
 ) -> None:
-    """Write the report of a run; see `render_report`."""
-    write_text(path, render_report(document, curves, rows, sheets))
+    """Write the report of a run; see `render_page`."""
+    write_text(path, render_page(evaluation, curves, rows, sheets, command))
 
 
-def render_report(
-    document: Mapping[str, Any],
-    curves: Curves,
-    rows: Sequence[Mapping[str, Any]],
+def render_page(
+    evaluation: Evaluation,
+    curves: RunCurves,
+    rows: Sequence[PictureRow],
     sheets: Sheets,
+    command: str = "",
 ) -> str:
     """The page: text that needs no other file and asks for none.
 
-    document: the content of metrics.json. curves: see `roadtorch.evaluation.outlines`. rows:
-    the figures of single pictures, with ``group``, ``detector`` and ``f``. sheets: pictures to
-    look at. What is missing in any of them is left out; what is undefined is a dash.
+    rows: the figures of single pictures. sheets: pictures to look at. command: what made
+    the run, for the record. What is missing in any of them is left out; what is undefined is
+    a dash.
 
     Raises InputError for a sheet that is no picture.
     """
-    detectors = document["detectors"]
-    series = choose_series(detectors)
-    page = _environment().from_string(
-        files("roadtorch.report.page").joinpath("report.html").read_text(encoding="utf-8")
-    )
-    text = page.render(
-        document=document,
+    detectors, dataset = evaluation.detectors, evaluation.dataset
+    series = choose_series(evaluation)
+    text = template("page/report.html").render(
+        evaluation=evaluation,
+        dataset=dataset,
+        view="the picture" if dataset.view is None else dataset.view.name,
+        version=__version__,
+        command=command,
         series=series,
-        drives=_drives(detectors),
+        drives=_drives(evaluation),
+        floors={name for name, one in detectors.items() if one.is_floor},
         left_out=len(detectors) - len(series),
-        outcome=outcome(document),
-        tables=tables.all_tables(document, series),
-        layouts=tables.layouts(detectors, series),
-        measures=tables.measures_shown(detectors),
-        charts={name: Markup(svg) for name, svg in _charts(document, series, curves, rows).items()},
-        sheets=list(_sheets(sheets, detectors)),
+        outcome=outcome(evaluation),
+        tables=tables.all_tables(evaluation, series),
+        layouts=tables.layouts(evaluation, series),
+        measures=tables.measures_shown(evaluation),
+        charts={
+            name: Markup(svg) for name, svg in _charts(evaluation, series, curves, rows).items()
+        },
+        sheets=list(_sheets(sheets, evaluation)),
         sheets_left_out=max(len(sheets) - MOST, 0),
-        failures=document.get("failed", [])[:MOST_FAILURES],
-        failures_left_out=max(len(document.get("failed", [])) - MOST_FAILURES, 0),
-        settings=_settings(detectors, series),
-        sources=sorted({str(one.get("threshold_from") or "") for one in detectors.values()} - {""}),
+        failures=evaluation.failures[:MOST_FAILURES],
+        failures_left_out=max(len(evaluation.failures) - MOST_FAILURES, 0),
+        settings=_settings(evaluation, series),
+        sources=sorted({one.threshold_from for one in detectors.values()} - {""}),
     )
     # A file name may hold bytes that are no text.
     return text.encode("utf-8", "backslashreplace").decode()
 
 
-def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["sha256"] = _sha256
-    environment.tests["floor"] = is_floor
-    return environment
-
-
-def _sha256(script: str) -> str:
-    """The name by which a content security policy allows one script and no other."""
-    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-
-
 def _charts(
-    document: Mapping[str, Any],
+    evaluation: Evaluation,
     series: Sequence[Series],
-    curves: Curves,
-    rows: Sequence[Mapping[str, Any]],
+    curves: RunCurves,
+    rows: Sequence[PictureRow],
 ) -> dict[str, str]:
     """SVG by name; empty where there is nothing to draw."""
     return {
-        "maxf": charts.maxf_chart(series, document["detectors"]),
-        "paired": charts.difference_chart(series, document.get("paired") or {}, "maxf"),
+        "maxf": charts.maxf_chart(series, evaluation),
+        "paired": charts.difference_chart(series, evaluation.comparison),
         "roc": charts.roc_chart(series, curves),
         "pr": charts.precision_chart(series, curves),
         "reliability": charts.reliability_chart(series, curves),
@@ -112,34 +107,29 @@ def _charts(
     }
 
 
-def _drives(detectors: Mapping[str, Mapping[str, Any]]) -> dict[str, int | None]:
-    """How many pictures each drive has, where that is known."""
-    return {
-        drive: next((part["images"] for part in parts if "images" in part), None)
-        for drive in tables.drive_names(detectors)
-        for parts in [[one.get("groups", {}).get(drive, {}) for one in detectors.values()]]
-    }
+def _drives(evaluation: Evaluation) -> dict[str, int]:
+    """How many pictures were scored of each drive."""
+    items = Counter(item.group for item in evaluation.dataset.items)
+    failed = Counter(one.group for one in evaluation.failures)
+    return {drive: items[drive] - failed[drive] for drive in evaluation.drives}
 
 
-def _settings(
-    detectors: Mapping[str, Mapping[str, Any]], series: Sequence[Series]
-) -> dict[str, str]:
+def _settings(evaluation: Evaluation, series: Sequence[Series]) -> dict[str, str]:
     """Settings as text, of the detectors that charts show and that have any."""
+    given = {one.name: evaluation.detectors[one.name].contender.settings for one in series}
     return {
-        one.name: json.dumps(detectors[one.name]["settings"], indent=2, ensure_ascii=False)
-        for one in series
-        if detectors[one.name].get("settings")
+        name: json.dumps(settings, indent=2, ensure_ascii=False)
+        for name, settings in given.items()
+        if settings
     }
 
 
 # --- pictures ---------------------------------------------------------------------------
 
 
-def _sheets(
-    sheets: Sheets, detectors: Mapping[str, Mapping[str, Any]]
-) -> Iterator[tuple[str, list[dict[str, str]]]]:
+def _sheets(sheets: Sheets, evaluation: Evaluation) -> Iterator[tuple[str, list[dict[str, str]]]]:
     """(detector, its sheets) of the best detectors that have some."""
-    names = [name for name in ranked_names(detectors) if sheets.get(name)]
+    names = [name for name in evaluation.ranked() if sheets.get(name)]
     for name in names[:MOST]:
         yield (
             name,

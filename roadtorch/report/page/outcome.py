@@ -1,35 +1,39 @@
 """What a run found, in sentences made from its numbers."""
 
+import math
 from collections.abc import Mapping
-from typing import Any
 
-from roadtorch.report.page.svg import bounds, is_floor, number, ranked_names
+from roadtorch.evaluation.measures import IOU, MAXF, F
+from roadtorch.evaluation.result import DetectorFigures, Evaluation
+from roadtorch.evaluation.uncertainty import Interval
 from roadtorch.report.page.tables import best_floor, share, signed
 
-Figures = Mapping[str, Any]
 
-
-def outcome(document: Mapping[str, Any]) -> list[str]:
+def outcome(evaluation: Evaluation) -> list[str]:
     """The best detector against the best floor; how far the drives differ; how sure it is."""
-    detectors = document["detectors"]
-    scores = {name: number(detectors[name].get("maxf")) for name in ranked_names(detectors)}
-    floor = best_floor(scores)
-    best = next((n for n, v in scores.items() if v is not None and not is_floor(n)), None)
-    if best is None:
+    detectors = evaluation.detectors
+    scores = {name: MAXF.of(detectors[name].headline) for name in evaluation.ranked()}
+    floor = best_floor(evaluation, scores)
+    scored = [n for n, v in scores.items() if not math.isnan(v) and not detectors[n].is_floor]
+    if not scored:
         return ["No detector has a score." if floor is None else _floor_alone(*floor)]
-    score = scores[best] or 0.0
-    sentences = [_first(best, score, detectors[best], floor)]
-    sentences += _pair(best, floor, document) + _drives(best, detectors)
-    return sentences + _next(best, scores, document) + _decided(best, detectors[best])
+    best = scored[0]
+    sentences = [_first(best, scores[best], detectors[best], floor)]
+    sentences += _pair(best, floor, evaluation) + _drives(best, evaluation)
+    if len(scored) > 1:
+        sentences.append(_next(best, scored[1], scores, evaluation))
+    return sentences + _decided(best, detectors[best])
 
 
 def _floor_alone(name: str, score: float) -> str:
     return f"Only floors were scored; the best is {name} with a MaxF of {share(score)}."
 
 
-def _first(name: str, score: float, figures: Figures, floor: tuple[str, float] | None) -> str:
-    ends = bounds((figures.get("ci95") or {}).get("maxf"))
-    interval = f" (95 % interval {share(ends[0])} to {share(ends[1])})" if ends else ""
+def _first(
+    name: str, score: float, figures: DetectorFigures, floor: tuple[str, float] | None
+) -> str:
+    ends = figures.interval
+    interval = f" (95 % interval {share(ends.low)} to {share(ends.high)})" if ends.is_known else ""
     text = f"{name} is best: MaxF {share(score)}{interval}"
     if floor is None:
         return f"{text}. No floor was scored beside it."
@@ -40,16 +44,16 @@ def _first(name: str, score: float, figures: Figures, floor: tuple[str, float] |
     return f"{text}, {share(distance)} above the best floor, {floor[0]} ({share(floor[1])})."
 
 
-def _drives(name: str, detectors: Mapping[str, Figures]) -> list[str]:
+def _drives(name: str, evaluation: Evaluation) -> list[str]:
     """The worst and the best drive, and on how many the detector is above the floors."""
-    groups = detectors[name].get("groups", {})
-    known = {drive: number(part.get("maxf")) for drive, part in groups.items()}
-    scores = {drive: value for drive, value in known.items() if value is not None}
+    drives = evaluation.detectors[name].drives
+    known = {drive: MAXF.of(figures) for drive, figures in drives.items()}
+    scores = {drive: value for drive, value in known.items() if not math.isnan(value)}
     if len(scores) < 2:
         return []
     low, high = min(scores, key=scores.__getitem__), max(scores, key=scores.__getitem__)
     text = f"By drive from {share(scores[low])} ({low}) to {share(scores[high])} ({high})"
-    floors = {drive: _floor_of_drive(drive, detectors) for drive in scores}
+    floors = {drive: _floor_of_drive(drive, evaluation) for drive in scores}
     compared = {drive: value for drive, value in floors.items() if value is not None}
     if not compared:
         return [f"{text}."]
@@ -57,41 +61,33 @@ def _drives(name: str, detectors: Mapping[str, Figures]) -> list[str]:
     return [f"{text}; above every floor on {above} of {len(compared)} drives."]
 
 
-def _floor_of_drive(drive: str, detectors: Mapping[str, Figures]) -> float | None:
-    parts = {name: one.get("groups", {}).get(drive, {}) for name, one in detectors.items()}
-    found = best_floor({name: number(part.get("maxf")) for name, part in parts.items()})
+def _floor_of_drive(drive: str, evaluation: Evaluation) -> float | None:
+    scores = {name: MAXF.of(one.drive(drive)) for name, one in evaluation.detectors.items()}
+    found = best_floor(evaluation, scores)
     return found[1] if found else None
 
 
-def paired_interval(
-    document: Mapping[str, Any], one: str, other: str
-) -> tuple[float, float] | None:
+def paired_interval(evaluation: Evaluation, one: str, other: str) -> Interval | None:
     """The interval of one detector's MaxF less that of another, if the run compared them."""
-    paired = document.get("paired") or {}
+    comparison = evaluation.comparison
     for name, against, sign in ((one, other, 1), (other, one, -1)):
-        change = paired.get("detectors", {}).get(name, {}).get("maxf") or {}
-        ends = bounds(change.get("ci95"))
-        if paired.get("against") == against and ends:
-            low, high = sorted(sign * end for end in ends)
-            return low, high
+        change = comparison.differences.get(name, {}).get(MAXF.key)
+        if comparison.against == against and change and change.interval.is_known:
+            return Interval(*sorted(sign * end for end in change.interval))
     return None
 
 
-def _pair(best: str, floor: tuple[str, float] | None, document: Mapping[str, Any]) -> list[str]:
+def _pair(best: str, floor: tuple[str, float] | None, evaluation: Evaluation) -> list[str]:
     """How sure the distance to the floor is."""
-    ends = paired_interval(document, best, floor[0]) if floor else None
+    ends = paired_interval(evaluation, best, floor[0]) if floor else None
     return [f"The 95 % interval of that distance is {_range(*ends)}."] if ends else []
 
 
-def _next(best: str, scores: Mapping[str, float | None], document: Mapping[str, Any]) -> list[str]:
+def _next(best: str, second: str, scores: Mapping[str, float], evaluation: Evaluation) -> str:
     """The detector that comes second."""
-    others = [n for n, v in scores.items() if v is not None and n != best and not is_floor(n)]
-    if not others:
-        return []
-    distance = (scores[best] or 0.0) - (scores[others[0]] or 0.0)
-    ends = paired_interval(document, best, others[0])
+    ends = paired_interval(evaluation, best, second)
     interval = f" (95 % interval {_range(*ends)})" if ends else ""
-    return [f"Next is {others[0]}, {share(distance)} behind{interval}."]
+    return f"Next is {second}, {share(scores[best] - scores[second])} behind{interval}."
 
 
 def _range(low: float, high: float) -> str:
@@ -100,12 +96,12 @@ def _range(low: float, high: float) -> str:
     return f"{signed(low)} to {signed(high)}{apart}"
 
 
-def _decided(name: str, figures: Figures) -> list[str]:
+def _decided(name: str, figures: DetectorFigures) -> list[str]:
     """MaxF flatters; what is left of it when the threshold comes from elsewhere."""
-    f, overlap = number(figures.get("f")), number(figures.get("iou"))
-    if f is None or overlap is None:
+    f, overlap = F.of(figures.headline), IOU.of(figures.headline)
+    if math.isnan(f) or math.isnan(overlap):
         return []
-    source = figures.get("threshold_from")
+    source = figures.threshold_from
     origin = f", from {source}," if source else ""
     return [
         f"MaxF picks its threshold on the labels it is scored on; at the chosen threshold{origin} "

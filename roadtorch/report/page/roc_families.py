@@ -3,12 +3,12 @@
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from roadtorch.evaluation.drive_curves import DetectorCurves, RunCurves
 from roadtorch.files import write_text
 from roadtorch.report.page.svg import COLOURS, DASHES, GRID, INK, Series, to_svg
 
@@ -20,19 +20,17 @@ Halves = Mapping[str, Sequence[str]]
 """What is on the left and on the right: by title, the planes that have a line there."""
 
 
-def roc_families(
-    curves: Mapping[str, Any], family: str, classifiers: Sequence[str], halves: Halves
-) -> str:
+def roc_families(curves: RunCurves, family: str, classifiers: Sequence[str], halves: Halves) -> str:
     """One row a classifier, one column a half, one line a representation; "" without curves.
 
-    curves: the content of curves.json, its P3 averages over the pictures (``roc_vertical``), of
-    which the mean over drives is drawn. Names are ``family`` + ``classifier:planes``.
+    Drawn are P3's averages over the pictures (``roc_vertical``), and of them the mean over
+    drives. Names are ``family`` + ``classifier:planes``.
     """
     lines = {
         (name, planes): line
         for name in classifiers
         for planes in (plane for half in halves.values() for plane in half)
-        if (line := mean_line(curves.get(f"{family}{name}:{planes}", {}))) is not None
+        if (line := mean_line(curves.get(f"{family}{name}:{planes}"))) is not None
     }
     shown = [name for name in classifiers if any(key[0] == name for key in lines)]
 
@@ -54,10 +52,10 @@ def roc_families(
     return to_svg(label, label, KEY + ROW * len(shown), draw) if shown else ""
 
 
-def mean_line(own: Mapping[str, Any]) -> np.ndarray | None:
+def mean_line(own: DetectorCurves | None) -> np.ndarray | None:
     """FPR and TPR (2,points), averaged over drives at equal FPR; None where they are not known."""
-    parts = [own.get("mean", {}), *own.get("groups", {}).values()]
-    found = [np.array(part["roc_vertical"]) for part in parts if part.get("roc_vertical")]
+    parts = [own["mean"], *own["groups"].values()] if own else []
+    found = [np.array(line) for part in parts if (line := part.get("roc_vertical"))]
     return np.mean(found, axis=0) if found else None
 
 
@@ -81,7 +79,7 @@ def _panel(axes: Axes, title: str, lines: Sequence[tuple[Series, np.ndarray | No
 
 
 def write_roc_families(
-    path: Path, curves: Mapping[str, Any], family: str, classifiers: Sequence[str], halves: Halves
+    path: Path, curves: RunCurves, family: str, classifiers: Sequence[str], halves: Halves
 ) -> None:
     """Write the figure, if there is any curve, as an SVG file for any viewer."""
     if svg := roc_families(curves, family, classifiers, halves):

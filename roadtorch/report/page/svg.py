@@ -7,16 +7,17 @@ no scripts, no fonts.
 """
 
 import io
-import math
 import re
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from html import escape
 from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
+
+from roadtorch.evaluation.result import Evaluation
 
 MOST = 8  # detectors in a chart, best first
 
@@ -97,32 +98,11 @@ class Series:
         return VARIABLES[self.colour]
 
 
-def is_floor(name: str) -> bool:
-    """Whether a detector is one that never looks at the picture."""
-    return name.startswith("prior:")
-
-
-def number(value: Any) -> float | None:
-    """A figure as a number; None for what is not defined or not there."""
-    known = isinstance(value, int | float) and not isinstance(value, bool)
-    return float(value) if known and math.isfinite(value) else None
-
-
-def ranked_names(detectors: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Names by MaxF, highest first; those without one last."""
-
-    def place(name: str) -> tuple[float, str]:
-        value = number(detectors[name].get("maxf"))
-        return (math.inf if value is None else -value), name
-
-    return sorted(detectors, key=place)
-
-
-def choose_series(detectors: Mapping[str, Mapping[str, Any]]) -> list[Series]:
+def choose_series(evaluation: Evaluation) -> list[Series]:
     """The detectors that charts show, by rank: the eight best, and the four best floors."""
-    ranked = ranked_names(detectors)
-    best = [name for name in ranked if not is_floor(name)][:MOST]
-    floors = [name for name in ranked if is_floor(name)][:MOST_FLOORS]
+    ranked, detectors = evaluation.ranked(), evaluation.detectors
+    best = [name for name in ranked if not detectors[name].is_floor][:MOST]
+    floors = [name for name in ranked if detectors[name].is_floor][:MOST_FLOORS]
     looks = dict(zip(best, zip(COLOURS, DASHES, strict=True), strict=False))
     found = [Series(name, *looks[name]) for name in best]
     found += [
@@ -130,14 +110,6 @@ def choose_series(detectors: Mapping[str, Mapping[str, Any]]) -> list[Series]:
         for name, dash in zip(floors, FLOOR_DASHES, strict=False)
     ]
     return sorted(found, key=lambda one: ranked.index(one.name))
-
-
-def bounds(interval: Any) -> tuple[float, float] | None:
-    """Both ends of an interval; None where one is missing or undefined."""
-    if not isinstance(interval, list | tuple) or len(interval) != 2:
-        return None
-    low, high = number(interval[0]), number(interval[1])
-    return None if low is None or high is None else (low, high)
 
 
 # --- to text ----------------------------------------------------------------------------

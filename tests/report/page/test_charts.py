@@ -10,8 +10,9 @@ import matplotlib
 import numpy as np
 import pytest
 
+from roadtorch.evaluation.drive_curves import RunCurves
 from roadtorch.report.page import charts, svg
-from tests.reports import DRIVES, made_run
+from tests.reports import DRIVES, made_row, made_run, scored
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -23,11 +24,11 @@ def run():
 
 @pytest.fixture(scope="module")
 def drawn(run) -> dict[str, str]:
-    document, curves, rows = run
-    series = svg.choose_series(document["detectors"])
+    evaluation, curves, rows = run
+    series = svg.choose_series(evaluation)
     return {
-        "maxf": charts.maxf_chart(series, document["detectors"]),
-        "paired": charts.difference_chart(series, document["paired"], "maxf"),
+        "maxf": charts.maxf_chart(series, evaluation),
+        "paired": charts.difference_chart(series, evaluation.comparison),
         "roc": charts.roc_chart(series, curves),
         "pr": charts.precision_chart(series, curves),
         "reliability": charts.reliability_chart(series, curves),
@@ -62,9 +63,9 @@ def assert_proportional(shown: np.ndarray, given: np.ndarray) -> None:
 
 def test_the_eight_best_and_the_four_best_floors_are_shown_by_rank():
     names = [f"d{i}" for i in range(12)] + [f"prior:{i}" for i in range(6)]
-    detectors = {name: {"maxf": 1 - i / 20} for i, name in enumerate(names)}
+    scores = {name: 1 - i / 20 for i, name in enumerate(names)}
 
-    found = svg.choose_series(dict(reversed(detectors.items())))
+    found = svg.choose_series(scored(dict(reversed(scores.items()))))
 
     assert [one.name for one in found] == names[:8] + names[12:16]
     assert len({(one.colour, one.dash) for one in found}) == 12
@@ -72,41 +73,41 @@ def test_the_eight_best_and_the_four_best_floors_are_shown_by_rank():
 
 
 def test_detectors_without_a_score_come_last():
-    detectors = {"a": {"maxf": None}, "b": {}, "c": {"maxf": 0.1}, "d": {"maxf": math.nan}}
+    evaluation = scored({"d": math.nan, "a": math.nan, "c": 0.1, "b": None})
 
-    assert svg.ranked_names(detectors) == ["c", "a", "b", "d"]
+    assert evaluation.ranked() == ["c", "a", "b", "d"]
 
 
 # --- what is drawn -------------------------------------------------------------------------------
 
 
 def test_intervals_of_maxf_are_where_they_belong(run, drawn):
-    detectors = run[0]["detectors"]
-    colours = {one.name: one.colour for one in svg.choose_series(detectors) if not one.is_floor}
+    detectors = run[0].detectors
+    colours = {one.name: one.colour for one in svg.choose_series(run[0]) if not one.is_floor}
 
     ends = [lines(drawn["maxf"], colours[name], 2.6)[0][:, 0] for name in colours]
 
-    given = [detectors[name]["ci95"]["maxf"] for name in colours]
+    given = [detectors[name].interval for name in colours]
     assert_proportional(np.concatenate(ends), np.concatenate(given))
 
 
 def test_maxf_is_written_beside_every_row_and_floors_stand_among_them(run, drawn):
     found = texts(drawn["maxf"])
 
-    for name, figures in run[0]["detectors"].items():
+    for name, figures in run[0].detectors.items():
         assert name in found
-        assert f"{figures['maxf']:.3f}" in found
-    best_floor = run[0]["detectors"]["prior:mean"]["maxf"]
+        assert f"{figures.headline['maxf']:.3f}" in found
+    best_floor = run[0].detectors["prior:mean"].headline["maxf"]
     assert f"best floor {best_floor:.3f}" in found
     assert set(DRIVES) <= set(found)
 
 
 def test_differences_are_where_they_belong(run, drawn):
-    changes = run[0]["paired"]["detectors"]
+    changes = run[0].comparison.differences
 
     ends = lines(drawn["paired"], svg.COLOURS[1], 2.6) + lines(drawn["paired"], svg.FLOOR, 2.6)
 
-    given = [changes[name]["maxf"]["ci95"] for name in ("labeller", "prior:mean", "prior:rows")]
+    given = [changes[name]["maxf"].interval for name in ("labeller", "prior:mean", "prior:rows")]
     assert_proportional(np.concatenate(ends)[:, 0], np.concatenate(given))
     assert "fusion" not in texts(drawn["paired"])
 
@@ -133,10 +134,10 @@ def test_drives_are_thin_lines_of_the_best_detector_alone(drawn):
 
 
 def test_undefined_points_are_left_out():
-    bins = [[0.1, None, 0.9], [0.2, math.nan, 0.8], [0.5, 0, 0.5]]
+    bins = [[0.1, math.nan, 0.9], [0.2, math.nan, 0.8], [0.5, 0, 0.5]]
     series = [svg.Series("it", svg.COLOURS[0], ())]
 
-    chart = charts.reliability_chart(series, {"it": {"mean": {"reliability": bins}}})
+    chart = charts.reliability_chart(series, {"it": {"mean": {"reliability": bins}, "groups": {}}})
 
     assert all(np.isfinite(line).all() for line in lines(chart, svg.COLOURS[0], 1.8))
     assert "nan" not in chart
@@ -144,13 +145,11 @@ def test_undefined_points_are_left_out():
 
 def test_every_picture_is_a_tick_and_thousands_are_thinned():
     series = [svg.Series("it", svg.COLOURS[0], ())]
-    rows = [{"detector": "it", "group": "", "f": i / 10} for i in range(11)] + [
-        {"detector": "it", "group": "", "f": None},
-        {"detector": "other", "group": "", "f": 0.3},
-    ]
+    rows = [made_row("it", "", i / 10) for i in range(11)]
+    rows += [made_row("it", "", math.nan), made_row("other", "", 0.3)]
 
     few = lines(charts.distribution_chart(series, rows), svg.COLOURS[0], 0.6)[0]
-    many = charts.distribution_chart(series, [{**rows[0], "f": i / 9999} for i in range(9999)])
+    many = charts.distribution_chart(series, [made_row("it", "", i / 9999) for i in range(9999)])
 
     assert len(few) == 2 * 11
     assert_proportional(few[::2, 0], np.arange(11) / 10)
@@ -159,21 +158,25 @@ def test_every_picture_is_a_tick_and_thousands_are_thinned():
 
 def test_many_drives_are_not_told_apart():
     drives = [f"drive {i}" for i in range(40)]
-    document, _, rows = made_run(["it"], drives)
-    series = svg.choose_series(document["detectors"])
+    evaluation, _, rows = made_run(["it"], drives)
+    series = svg.choose_series(evaluation)
 
     assert not set(drives) & set(texts(charts.distribution_chart(series, rows)))
-    assert not set(drives) & set(texts(charts.maxf_chart(series, document["detectors"])))
+    assert not set(drives) & set(texts(charts.maxf_chart(series, evaluation)))
 
 
 def test_nothing_to_draw_is_no_chart():
     series = [svg.Series("it", svg.COLOURS[0], ())]
+    nothing = scored({"it": math.nan})
 
-    assert charts.maxf_chart(series, {"it": {"maxf": None}}) == ""
-    assert charts.difference_chart(series, {}, "maxf") == ""
+    def curves(kind: str, lines: list | None) -> RunCurves:
+        return {"it": {"mean": {kind: lines}, "groups": {}}}
+
+    assert charts.maxf_chart(series, nothing) == ""
+    assert charts.difference_chart(series, nothing.comparison) == ""
     assert charts.roc_chart(series, {}) == ""
-    assert charts.precision_chart(series, {"it": {"mean": {"pr": [[], []]}}}) == ""
-    assert charts.reliability_chart(series, {"it": {"mean": {"reliability": None}}}) == ""
+    assert charts.precision_chart(series, curves("pr", [[], []])) == ""
+    assert charts.reliability_chart(series, curves("reliability", None)) == ""
     assert charts.distribution_chart(series, []) == ""
 
 
@@ -184,7 +187,7 @@ def test_names_are_text_and_only_text():
     name = "<b>$x_1$ 道 \x01"
     series = [svg.Series(name, svg.COLOURS[0], ())]
 
-    chart = charts.maxf_chart(series, {name: {"maxf": 0.5}})
+    chart = charts.maxf_chart(series, scored({name: 0.5}))
 
     assert "<b>$x_1$ 道 ?" in texts(chart)
     assert "<b>" not in chart
@@ -221,10 +224,10 @@ def test_every_colour_is_one_that_the_page_may_change(drawn):
 
 
 def test_the_same_numbers_give_the_same_text_whatever_the_user_prefers(run, drawn):
-    series = svg.choose_series(run[0]["detectors"])
+    series = svg.choose_series(run[0])
 
     with matplotlib.rc_context({"font.size": 30, "axes.facecolor": "red"}):
-        again = charts.maxf_chart(series, run[0]["detectors"])
+        again = charts.maxf_chart(series, run[0])
         assert matplotlib.rcParams["font.size"] == 30
 
     assert again == drawn["maxf"]

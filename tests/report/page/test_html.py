@@ -1,7 +1,6 @@
 """The report: its numbers, what it leaves out, and that it needs and asks for nothing else."""
 
 import base64
-import copy
 import hashlib
 import html as entities
 import json
@@ -10,7 +9,7 @@ import re
 import shutil
 import subprocess
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -18,9 +17,23 @@ import cv2
 import numpy as np
 import pytest
 
+from roadtorch import __version__
 from roadtorch.errors import InputError
+from roadtorch.evaluation.drive_curves import DetectorCurves
+from roadtorch.evaluation.measures import MEASURES, Figures
+from roadtorch.evaluation.result import Comparison, Difference, Evaluation, Failure
+from roadtorch.evaluation.uncertainty import Interval
 from roadtorch.report.page import html
-from tests.reports import DRIVES, NAMES, made_run, made_sheet
+from tests.reports import (
+    COMMAND,
+    DRIVES,
+    NAMES,
+    changed,
+    made_contender,
+    made_run,
+    made_sheet,
+    scored,
+)
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
 HOSTILE = '"><script>alert(1)</script><img src="http://example.org/x.png">'
@@ -76,8 +89,8 @@ class Page(HTMLParser):
         return [values["aria-label"] for values in self.named("svg") if values.get("role") == "img"]
 
 
-def render(document, curves=None, rows=(), sheets=None) -> Page:
-    return Page(html.render_report(document, curves or {}, rows, sheets or {}))
+def render(evaluation, curves=None, rows=(), sheets=None) -> Page:
+    return Page(html.render_page(evaluation, curves or {}, rows, sheets or {}, COMMAND))
 
 
 @pytest.fixture(scope="module")
@@ -102,33 +115,35 @@ def column(page: Page, section: str, header: str, table: int = 0) -> dict[str, s
      ("Brier", "brier")],
 )  # fmt: skip
 def test_the_scores_are_those_of_the_document(page, header, key):
-    detectors = made_run()[0]["detectors"]
+    detectors = made_run()[0].detectors
 
-    assert column(page, "scores", header) == {name: f"{detectors[name][key]:.3f}" for name in NAMES}
+    assert column(page, "scores", header) == {
+        name: f"{detectors[name].headline[key]:.3f}" for name in NAMES
+    }
 
 
 def test_drives_intervals_and_times_are_in_the_table(page):
-    detectors = made_run()[0]["detectors"]
+    detectors = made_run()[0].detectors
 
     for drive in DRIVES:
         found = column(page, "scores", f"MaxF {drive}")
         for name in NAMES:
-            assert found[name] == f"{detectors[name]['groups'][drive]['maxf']:.3f}"
-    low, high = detectors["cpf:v2"]["ci95"]["maxf"]
+            assert found[name] == f"{detectors[name].drives[drive]['maxf']:.3f}"
+    low, high = detectors["cpf:v2"].interval
     assert column(page, "scores", "95 %")["cpf:v2"] == f"{low:.3f}–{high:.3f}"
-    assert set(column(page, "scores", "ms").values()) == {"12.3"}
+    assert set(column(page, "scores", "ms /image").values()) == {"12.3"}
 
 
 def test_the_best_is_first_and_floors_are_marked(page):
-    document = made_run()[0]
-    shuffled = {**document, "detectors": dict(sorted(document["detectors"].items()))}
+    evaluation = made_run()[0]
+    shuffled = replace(evaluation, detectors=dict(sorted(evaluation.detectors.items())))
 
     assert list(column(render(shuffled), "scores", "AP")) == list(NAMES)
     assert {*page.rows_of_floors} == {"prior:mean", "prior:rows"}
 
 
 def test_the_distance_to_the_best_floor_stands_beside_every_score(page):
-    scores = {name: one["maxf"] for name, one in made_run()[0]["detectors"].items()}
+    scores = {name: one.headline["maxf"] for name, one in made_run()[0].detectors.items()}
 
     found = column(page, "scores", "above floor")
 
@@ -139,23 +154,23 @@ def test_the_distance_to_the_best_floor_stands_beside_every_score(page):
 
 
 def test_tables_by_drive_have_the_drives_figures(page):
-    detectors = made_run()[0]["detectors"]
+    detectors = made_run()[0].detectors
 
     for place, drive in enumerate(DRIVES):
         assert column(page, "drives", "IoU", place)["labeller"] == (
-            f"{detectors['labeller']['groups'][drive]['iou']:.3f}"
+            f"{detectors['labeller'].drives[drive]['iou']:.3f}"
         )
         assert "PRE" in page.tables["drives"][place][0]
     assert len(page.tables["drives"]) == len(DRIVES) + 1  # and all pooled
 
 
 def test_differences_have_their_intervals(page):
-    change = made_run()[0]["paired"]["detectors"]["labeller"]["maxf"]
+    change = made_run()[0].comparison.differences["labeller"]["maxf"]
 
     text = column(page, "pairs", "MaxF")["labeller"].replace("\N{MINUS SIGN}", "-")
 
-    low, high = change["ci95"]
-    assert text == f"{change['difference']:+.3f}{low:+.3f} to {high:+.3f}"
+    low, high = change.interval
+    assert text == f"{change.value:+.3f}{low:+.3f} to {high:+.3f}"
     assert "fusion" not in column(page, "pairs", "MaxF")
 
 
@@ -164,14 +179,8 @@ def test_borders_are_named_by_their_tolerance(page):
     assert column(page, "further", "border F 0.5 %")["fusion"] == f"{0.95 / 3:.3f}"
 
 
-@pytest.mark.parametrize("form", ["names", "lists"])
-def test_confusions_are_tables(form):
-    document = made_run(["it"])[0]
-    layout = document["detectors"]["it"]["layout"]
-    if form == "lists":
-        layout["confusion"] = [list(row.values()) for row in layout["confusion"].values()]
-
-    heat, recalls = render(document).tables["layout"]
+def test_confusions_are_tables():
+    heat, recalls = render(made_run(["it"])[0]).tables["layout"]
 
     assert heat[0] == ["truth", "sky", "vertical", "horizontal"]
     assert heat[2] == ["vertical", "0.050", "0.900", "0.050"]
@@ -179,15 +188,13 @@ def test_confusions_are_tables(form):
 
 
 def test_detectors_that_share_a_layout_share_its_tables():
-    document = made_run(["a", "b", "c"])[0]
-    for part in (document["detectors"]["b"], document["detectors"]["c"]):
-        part["layout"] = document["detectors"]["a"]["layout"]
-        part["groups"] = document["detectors"]["a"]["groups"]
-    document["detectors"]["c"]["layout"] = made_run(["c"])[0]["detectors"]["c"]["layout"] | {
-        "sky": 0.1
-    }
+    evaluation = made_run(["a", "b", "c"])[0]
+    a = evaluation.detectors["a"]
+    evaluation = changed(evaluation, "b", headline=a.headline, drives=a.drives)
+    other = {**a.headline, "layout/sky": 0.1}
+    evaluation = changed(evaluation, "c", headline=other, drives=a.drives)
 
-    page = render(document)
+    page = render(evaluation)
 
     assert len(page.tables["layout"]) == 4
     assert "a, b" in page.text["layout"]
@@ -197,10 +204,10 @@ def test_the_run_is_told(page):
     text = page.text["made"]
 
     assert "roadtorch evaluate camvid data --detector 'cpf*'" in text
-    assert "roadtorch 0.1.0" in text
+    assert f"roadtorch {__version__}" in text
     assert "thresholds from the other drives" in text
     assert '"height": 30' in text
-    assert "0001TP_9" in page.text["failures"]
+    assert "0001TP_99" in page.text["failures"]
     assert "is not a picture" in page.text["failures"]
     assert "MaxF" in page.text["reading"]
 
@@ -253,10 +260,9 @@ def test_a_sheet_that_is_no_picture_is_named(data):
 
 
 def test_many_failures_are_counted():
-    document = made_run(["it"])[0]
-    document["failed"] = [{"image": f"picture {i}", "reason": "broken"} for i in range(250)]
+    failures = [Failure(f"picture {i}", None, "broken") for i in range(250)]
 
-    page = render(document)
+    page = render(replace(made_run(["it"])[0], failures=failures))
 
     assert len(page.tables["failures"][0]) == 1 + html.MOST_FAILURES
     assert "50 more are in metrics.json" in page.text["failures"]
@@ -266,22 +272,11 @@ def test_many_failures_are_counted():
 
 
 def test_a_run_with_nothing_but_names():
-    page = render({"dataset": "folder", "detectors": {"it": {}, "prior:rows": {}}})
+    page = render(scored({"it": None, "prior:rows": None}))
 
     assert "No detector has a score." in page.text["head"]
     assert page.charts() == []
     assert {"curves", "pairs", "layout", "looked-at", "failures", "drives"}.isdisjoint(page.tables)
-
-
-def parts_of(document):
-    """Ways to every mapping inside a document, but settings."""
-    detector = document["detectors"]["fusion"]
-    yield from ((key,) for key in document if key not in ("detectors", "dataset"))
-    yield from (("detectors", "fusion", key) for key in detector)
-    yield from (("detectors", "fusion", "groups", "0006R0", key) for key in detector["layout"])
-    yield from (("detectors", "fusion", "layout", key) for key in detector["layout"])
-    yield ("paired", "detectors", "labeller", "maxf")
-    yield ("paired", "detectors", "labeller", "maxf", "ci95")
 
 
 @pytest.fixture
@@ -290,34 +285,51 @@ def _no_charts(monkeypatch):
         ("maxf", "paired", "roc", "pr", "reliability", "pictures"), ""))  # fmt: skip
 
 
+def ways_to_miss() -> dict[str, Evaluation]:
+    """Runs that lack something: a measure in the headline and a drive, or all of a kind."""
+    whole = made_run()[0]
+    one = whole.detectors["fusion"]
+    found = {}
+    for measure in MEASURES:
+        headline = {key: value for key, value in one.headline.items() if key != measure.key}
+        drives = {**one.drives, "0006R0": {}}
+        found[measure.key] = changed(whole, "fusion", headline=headline, drives=drives)
+    fields = {"drives": {}, "pooled": {}, "intervals": {}, "threshold_from": ""}
+    found |= {name: changed(whole, "fusion", **{name: value}) for name, value in fields.items()}
+    undefined = {"labeller": {"maxf": Difference(math.nan, Interval())}, "cpf:v2": {}}
+    found["differences"] = replace(whole, comparison=Comparison("fusion", undefined))
+    return found
+
+
 @pytest.mark.usefixtures("_no_charts")
-@pytest.mark.parametrize("way", list(parts_of(made_run()[0])), ids="/".join)
-def test_whatever_is_missing_is_left_out(way):
-    document = copy.deepcopy(made_run()[0])
-    inner = document
-    for key in way[:-1]:
-        inner = inner[key]
-    inner.pop(way[-1], None)
+def test_whatever_is_missing_is_left_out():
+    for way, evaluation in ways_to_miss().items():
+        page = render(evaluation)
 
-    page = render(document)
-
-    assert {*column(page, "scores", "AP")} == {*NAMES}
-    assert "None" not in "".join(page.text.values())
+        assert {*column(page, "scores", "AP")} == {*NAMES}, way
+        assert not re.search(r"\bnan\b|None", "".join(page.text.values())), way
 
 
-def undefined(value, nothing):
-    if isinstance(value, dict):
-        return {key: undefined(part, nothing) for key, part in value.items()}
-    if isinstance(value, list):
-        return [undefined(part, nothing) for part in value]
-    return nothing if isinstance(value, float) else value
+def undefined(figures: Figures) -> Figures:
+    return dict.fromkeys(figures, math.nan)
 
 
-@pytest.mark.parametrize("nothing", [None, math.nan])
-def test_undefined_figures_are_dashes(nothing):
-    document, curves, rows = undefined(list(made_run()), nothing)
+def test_undefined_figures_are_dashes():
+    evaluation, curves, rows = made_run()
+    for name, one in evaluation.detectors.items():
+        evaluation = changed(
+            evaluation, name, headline=undefined(one.headline), pooled=undefined(one.pooled),
+            drives={drive: undefined(figures) for drive, figures in one.drives.items()},
+            intervals={"maxf": Interval()},
+        )  # fmt: skip
+    nothing = Difference(math.nan, Interval())
+    differences = {name: {"maxf": nothing} for name in evaluation.comparison.differences}
+    evaluation = replace(evaluation, comparison=Comparison("fusion", differences))
+    nowhere = [[math.nan] * 3] * 3
+    kinds = {"roc": nowhere, "pr": nowhere, "reliability": nowhere}
+    curves = {name: DetectorCurves(mean=kinds, groups={}) for name in curves}
 
-    page = render(document, curves, rows)
+    page = render(evaluation, curves, [replace(row, f=math.nan) for row in rows])
 
     assert set(column(page, "scores", "MaxF mean").values()) == {"–"}
     assert set(column(page, "scores", "95 %").values()) == {"–"}
@@ -375,13 +387,19 @@ def test_the_policy_allows_one_script_and_no_connection(page):
 
 
 def test_names_are_text_wherever_they_stand():
-    document, curves, rows = made_run([HOSTILE, "prior:" + HOSTILE], [HOSTILE, "b"])
-    document |= {key: HOSTILE for key in ("dataset", "split", "command", "view", "void")}
-    document["failed"] = [{"image": HOSTILE, "reason": HOSTILE}]
-    document["detectors"][HOSTILE]["settings"] = {HOSTILE: HOSTILE}
-    document["detectors"][HOSTILE]["threshold_from"] = HOSTILE
+    evaluation, curves, rows = made_run([HOSTILE, "prior:" + HOSTILE], [HOSTILE, "b"])
+    evaluation = replace(
+        changed(
+            evaluation, HOSTILE, threshold_from=HOSTILE,
+            contender=made_contender(HOSTILE, {HOSTILE: HOSTILE}),
+        ),
+        dataset=replace(evaluation.dataset, name=HOSTILE, split=HOSTILE),
+        failures=[Failure(HOSTILE, HOSTILE, HOSTILE)],
+    )  # fmt: skip
 
-    page = render(document, curves, rows, {HOSTILE: {"best": made_sheet()}})
+    page = Page(html.render_page(
+        evaluation, curves, rows, {HOSTILE: {"best": made_sheet()}}, HOSTILE
+    ))  # fmt: skip
 
     assert len(page.named("script")) == 1
     assert [one["src"][:5] for one in page.named("img")] == ["data:"]
@@ -391,19 +409,19 @@ def test_names_are_text_wherever_they_stand():
 
 
 def test_a_file_name_that_is_no_text_can_be_written(tmp_path: Path):
-    document = made_run(["it"])[0]
-    document["failed"] = [{"image": "road\udcff", "reason": "is not a picture"}]
+    failures = [Failure("road\udcff", None, "is not a picture")]
+    evaluation = replace(made_run(["it"])[0], failures=failures)
 
-    html.write_report(tmp_path / "report.html", document, {}, [], {})
+    html.write_page(tmp_path / "report.html", evaluation, {}, [], {})
 
     assert "road\\udcff" in (tmp_path / "report.html").read_text(encoding="utf-8")
     assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
 
 
 def test_the_same_run_gives_the_same_bytes():
-    document, curves, rows = made_run(["it", "prior:rows"])
+    evaluation, curves, rows = made_run(["it", "prior:rows"])
 
-    first, second = (html.render_report(document, curves, rows, {}) for _ in range(2))
+    first, second = (html.render_page(evaluation, curves, rows, {}) for _ in range(2))
 
     assert first == second
 
@@ -430,9 +448,9 @@ def browse(page: Path, folder: Path) -> tuple[str, set[str]]:
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
 def test_a_browser_shows_it_and_asks_for_nothing(tmp_path: Path):
-    document, curves, rows = made_run([*NAMES, HOSTILE])
+    evaluation, curves, rows = made_run([*NAMES, HOSTILE])
     report = tmp_path / "report.html"
-    html.write_report(report, document, curves, rows, {"fusion": {"best": made_sheet()}})
+    html.write_page(report, evaluation, curves, rows, {"fusion": {"best": made_sheet()}})
     control = tmp_path / "control.html"
     control.write_text('<img src="http://example.org/x.png">', encoding="utf-8")
 

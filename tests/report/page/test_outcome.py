@@ -1,24 +1,26 @@
 """What a run found, in words: each sentence follows from the numbers."""
 
+import math
+from dataclasses import replace
+
 import pytest
 
+from roadtorch.evaluation.result import Comparison, Difference, Evaluation
+from roadtorch.evaluation.uncertainty import Interval
 from roadtorch.report.page.outcome import outcome
+from tests.reports import changed, scored
 
 
-def scored(**scores: float | None) -> dict:
-    """A document of detectors with a MaxF; p_x stands for the floor prior:x."""
-    return {
-        "detectors": {
-            name.replace("p_", "prior:"): {"maxf": score} for name, score in scores.items()
-        }
-    }
+def named(**scores: float | None) -> Evaluation:
+    """Detectors with a MaxF; p_x stands for the floor prior:x."""
+    return scored({name.replace("p_", "prior:"): score for name, score in scores.items()})
 
 
 def test_the_best_detector_and_its_distance_to_the_best_floor():
-    document = scored(a=0.8, b=0.9, p_rows=0.85, p_mean=0.7)
-    document["detectors"]["b"]["ci95"] = {"maxf": [0.88, 0.915]}
+    evaluation = named(a=0.8, b=0.9, p_rows=0.85, p_mean=0.7)
+    evaluation = changed(evaluation, "b", intervals={"maxf": Interval(0.88, 0.915)})
 
-    first, second = outcome(document)
+    first, second = outcome(evaluation)
 
     assert first == (
         "b is best: MaxF 0.900 (95 % interval 0.880 to 0.915), 0.050 above the best floor, "
@@ -29,36 +31,36 @@ def test_the_best_detector_and_its_distance_to_the_best_floor():
 
 @pytest.mark.parametrize(("floor", "below"), [(0.95, "0.050"), (0.9, "0.000"), (0.8999, "0.000")])
 def test_a_detector_below_the_floors_or_level_with_them_is_not_praised(floor, below):
-    first = outcome(scored(a=0.9, p_rows=floor))[0]
+    first = outcome(named(a=0.9, p_rows=floor))[0]
 
     assert first.startswith("No detector is above the floors: a has a MaxF of 0.900, ")
     assert below in first
 
 
 @pytest.mark.parametrize(
-    ("document", "text"),
+    ("evaluation", "text"),
     [
-        (scored(a=0.9), "a is best: MaxF 0.900. No floor was scored beside it."),
-        (scored(a=None), "No detector has a score."),
-        (scored(p_rows=0.8), "Only floors were scored; the best is prior:rows with a MaxF of"),
-        ({"detectors": {"a": {}}}, "No detector has a score."),
+        (named(a=0.9), "a is best: MaxF 0.900. No floor was scored beside it."),
+        (named(a=None), "No detector has a score."),
+        (named(p_rows=0.8), "Only floors were scored; the best is prior:rows with a MaxF of"),
+        (named(a=math.nan), "No detector has a score."),
     ],
 )
-def test_runs_with_one_side_alone(document, text):
-    assert outcome(document)[0].startswith(text)
+def test_runs_with_one_side_alone(evaluation, text):
+    assert outcome(evaluation)[0].startswith(text)
 
 
 def test_drives_are_compared_with_their_own_best_floor():
-    document = scored(a=0.9, p_rows=0.8, p_mean=0.8)
+    evaluation = named(a=0.9, p_rows=0.8, p_mean=0.8)
     for name, drives in {
-        "a": {"x": 0.85, "y": 0.95, "z": None},
+        "a": {"x": 0.85, "y": 0.95, "z": math.nan},
         "prior:rows": {"x": 0.86, "y": 0.7, "z": 0.5},
         "prior:mean": {"x": 0.5, "y": 0.9, "z": 0.5},
     }.items():
-        groups = {drive: {"maxf": score} for drive, score in drives.items()}
-        document["detectors"][name]["groups"] = groups
+        found = {drive: {"maxf": score} for drive, score in drives.items()}
+        evaluation = changed(evaluation, name, drives=found)
 
-    assert outcome(document)[1] == (
+    assert outcome(evaluation)[1] == (
         "By drive from 0.850 (x) to 0.950 (y); above every floor on 1 of 2 drives."
     )
 
@@ -69,16 +71,15 @@ def test_drives_are_compared_with_their_own_best_floor():
         ("a", "prior:rows", [-0.07, -0.03], "that distance is +0.030 to +0.070."),
         ("prior:rows", "a", [0.03, 0.07], "that distance is +0.030 to +0.070."),
         ("prior:rows", "a", [-0.01, 0.07], "+0.070, which these pictures do not tell from 0."),
-        ("prior:rows", "a", [None, 0.07], None),
+        ("prior:rows", "a", [math.nan, 0.07], None),
         ("b", "prior:rows", [0.03, 0.07], None),
     ],
 )
 def test_the_interval_of_the_distance_has_the_right_sign(against, other, ends, text):
-    document = scored(a=0.9, p_rows=0.85)
-    change = {"difference": 0.05, "ci95": ends}
-    document["paired"] = {"against": against, "detectors": {other: {"maxf": change}}}
+    change = Difference(0.05, Interval(*ends))
+    comparison = Comparison(against, {other: {"maxf": change}})
 
-    sentences = outcome(document)
+    sentences = outcome(replace(named(a=0.9, p_rows=0.85), comparison=comparison))
 
     minus = "\N{MINUS SIGN}"
     assert len(sentences) == (2 if text else 1)
@@ -86,10 +87,10 @@ def test_the_interval_of_the_distance_has_the_right_sign(against, other, ends, t
 
 
 def test_the_flattery_of_maxf_is_told():
-    document = scored(a=0.9)
-    document["detectors"]["a"] |= {"f": 0.8, "iou": 0.7, "threshold_from": "the other drives"}
+    decided = {"maxf": 0.9, "f": 0.8, "iou": 0.7}
+    evaluation = changed(named(a=0.9), "a", headline=decided, threshold_from="the other drives")
 
-    assert outcome(document)[-1] == (
+    assert outcome(evaluation)[-1] == (
         "MaxF picks its threshold on the labels it is scored on; at the chosen threshold, from "
         "the other drives, a has an F of 0.800 and an IoU of 0.700."
     )

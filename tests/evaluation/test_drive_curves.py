@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from roadtorch.evaluation import curves, metrics
+from roadtorch.evaluation.drive_curves import mean_precision, mean_roc
 from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.outlines import mean_precision, mean_roc
 
 
 def noisy(seed: int, gain: float, pixels: int = 4000) -> RoadCounts:

@@ -6,8 +6,6 @@ from torch.nn import functional
 
 from roadtorch.data.dataset import Dataset
 
-MEAN = "prior:mean"
-
 
 def road_shares(dataset: Dataset) -> dict[str, Tensor]:
     """How often each pixel is road, by drive: float64 (H,W) in [0,1] ("" without drives).

@@ -5,7 +5,6 @@ import json
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -13,7 +12,8 @@ from safetensors.torch import save_file
 
 from roadtorch.data.dataset import Dataset
 from roadtorch.errors import ConfigError
-from roadtorch.evaluation.runner import Result
+from roadtorch.evaluation.contenders import Contender
+from roadtorch.evaluation.scoring import Result
 from roadtorch.evaluation.tally import Tally, tally_from, tally_tensors
 from roadtorch.files import atomic
 
@@ -23,17 +23,15 @@ SAVING = 0.05  # the share of the time that saving may take: hundreds of detecto
 REMEDY = "run it as before, or give another --out, or remove that file"
 
 
-def fingerprint(dataset: Dataset, detectors: Mapping[str, Any]) -> str:
-    """What makes two runs the same: pictures, labels, detectors with settings, and our code.
-
-    detectors: by name, whatever describes them, as JSON can hold it.
-    """
+def fingerprint(dataset: Dataset, contenders: Sequence[Contender]) -> str:
+    """What makes two runs the same: pictures, labels, detectors with settings, and our code."""
     files = [
         (item.name, item.group, *(_stamp(path) for path in (item.image, item.label)))
         for item in dataset.items
     ]
     code = sorted(Path(__file__).parents[1].rglob("*.py"))
-    parts = [dataset.name, dataset.split, files, detectors, [_stamp(path) for path in code]]
+    about = [(one.name, one.settings, one.threshold) for one in contenders]
+    parts = [dataset.name, dataset.split, files, about, [_stamp(path) for path in code]]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
@@ -42,7 +40,7 @@ def _stamp(path: Path) -> tuple[str, int, int]:
     return str(path), found.st_size if found else -1, found.st_mtime_ns if found else -1
 
 
-class Progress:
+class SavedTallies:
     """The tallies of a run, saved now and then if there is a folder to save in."""
 
     def __init__(self, folder: Path | None, run: str) -> None:
@@ -88,10 +86,10 @@ class Progress:
         self._saved = time.monotonic()
         self._pause = max(SAVE_EVERY, (self._saved - start) / SAVING)
 
-    def finish(self) -> None:
-        """Remove the file: the results are written, and a new run starts anew."""
-        if self.path:
-            self.path.unlink(missing_ok=True)
+
+def forget(folder: Path) -> None:
+    """Remove what a run saved in a folder: its results are safe, and a new run starts anew."""
+    (folder / FILE).unlink(missing_ok=True)
 
 
 def _load(path: Path, run: str) -> dict[str, Tally]:

@@ -3,41 +3,19 @@
 import multiprocessing
 import pickle
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, replace
-from pathlib import Path, PurePath
-from typing import Any
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from roadtorch.data import maps
 from roadtorch.data.dataset import Dataset, Item, Truth
-from roadtorch.detector import Detection
-from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import RoadtorchError
 from roadtorch.evaluation import boundary, metrics
-from roadtorch.evaluation.floors import MEAN, resize
+from roadtorch.evaluation.contenders import Contender, Look
 from roadtorch.evaluation.tally import Score
 from roadtorch.image_cache import ImageCache, image_cache
-
-MEAN_THRESHOLD = 0.5  # road at this place in at least half of the pictures
-
-Look = Callable[[Tensor, Item], Detection]
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What to run: a set and, by name, detectors with their settings and folders of maps.
-
-    mean_masks: by drive, the masks of the floor ``prior:mean``; without any it stays out.
-    """
-
-    dataset: Dataset
-    detectors: Mapping[str, Mapping[str, Any]]
-    mean_masks: Mapping[str, Tensor] = field(default_factory=dict)
-    maps: Mapping[str, Path] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -49,58 +27,7 @@ class Result:
     failure: str = ""
 
 
-def every_kth(dataset: Dataset, limit: int | None) -> Dataset:
-    """At most ``limit`` items of a set, spread evenly over it."""
-    if limit is None or limit >= len(dataset.items):
-        return dataset
-    step = len(dataset.items) / limit
-    return replace(dataset, items=tuple(dataset.items[int(index * step)] for index in range(limit)))
-
-
-# --- looking ----------------------------------------------------------------------------
-
-
-def looks(plan: Plan) -> dict[str, Look]:
-    """The detectors of a plan, ready to look; ``prior:mean`` among them if it has masks."""
-    found = {name: _look(name, settings) for name, settings in plan.detectors.items()}
-    found |= {name: _map_look(folder, plan.dataset) for name, folder in plan.maps.items()}
-    if plan.mean_masks:
-        found[MEAN] = lambda image, item: mean_detection(image, item, plan.mean_masks)
-    return found
-
-
-def _look(name: str, settings: Mapping[str, Any]) -> Look:
-    detector = load_detector(name, **settings)
-    return lambda image, item: detector.detect(image)
-
-
-def _map_look(folder: Path, dataset: Dataset) -> Look:
-    def look(image: Tensor, item: Item) -> Detection:
-        own = (image.shape[-2], image.shape[-1])
-        # What infer makes is named like the picture, what KITTI's server takes like the label.
-        like_picture = str(PurePath(item.name).with_name(item.image.stem))
-        names = list(dict.fromkeys([item.name, like_picture, item.label.stem]))
-        likelihood = maps.map_likelihood(folder, names, [own, *_view_size(dataset, item, own)])
-        return Detection(likelihood, likelihood >= maps.THRESHOLD, {})
-
-    return look
-
-
-def _view_size(dataset: Dataset, item: Item, size: tuple[int, int]) -> list[tuple[int, int]]:
-    if dataset.view is None:
-        return []
-    height, width = dataset.view(item, torch.zeros(size)).shape
-    return [(height, width)]
-
-
-def mean_detection(image: Tensor, item: Item, masks: Mapping[str, Tensor]) -> Detection:
-    """The floor ``prior:mean``: what the mask of the item's drive says, at the image's size."""
-    mask = masks[item.group or ""]
-    likelihood = resize(mask, image.shape[1:]).to(torch.float32).clamp(0, 1)
-    return Detection(likelihood, likelihood >= MEAN_THRESHOLD, {})
-
-
-# --- scoring ----------------------------------------------------------------------------
+# --- one picture ------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -157,7 +84,7 @@ def _count_layout(labels: Tensor, scene: Scene) -> Tensor | None:
     return None if truth is None else metrics.count_layout(scene.seen(labels), truth)
 
 
-def score_item(plan: Plan, found: Mapping[str, Look], item: Item) -> Result:
+def score_item(dataset: Dataset, looks: Mapping[str, Look], item: Item) -> Result:
     """Read one item once and score every detector on it.
 
     Whatever goes wrong becomes the result's failure, and the picture then counts for no
@@ -165,10 +92,10 @@ def score_item(plan: Plan, found: Mapping[str, Look], item: Item) -> Result:
     """
     who = ""
     try:
-        scene = read_scene(plan.dataset, item)
+        scene = read_scene(dataset, item)
         scores = {}
         with image_cache() as shared:
-            for who, look in found.items():
+            for who, look in looks.items():
                 scores[who] = score_scene(look, scene, shared)
         return Result(item, scores)
     except RoadtorchError as problem:
@@ -180,32 +107,39 @@ def score_item(plan: Plan, found: Mapping[str, Look], item: Item) -> Result:
 # --- one process or several -------------------------------------------------------------
 
 
-def run(plan: Plan, jobs: int = 1, done: Collection[str] = ()) -> Iterator[Result]:
+def prepared(dataset: Dataset, contenders: Sequence[Contender]) -> dict[str, Look]:
+    """The contenders by name, ready to look."""
+    return {one.name: one.prepare(dataset) for one in contenders}
+
+
+def score(
+    dataset: Dataset, contenders: Sequence[Contender], jobs: int = 1, done: Collection[str] = ()
+) -> Iterator[Result]:
     """Yield a result for every item that is not done, in the set's order, whatever ``jobs`` is.
 
     done: names of items. With several processes each runs with this process's number of
     threads, so that the results are the same to the bit.
     """
-    items = [item for item in plan.dataset.items if item.name not in done]
-    found = looks(plan)  # mistakes in names and settings show here, before processes start
+    items = [item for item in dataset.items if item.name not in done]
+    looks = prepared(dataset, contenders)  # mistakes show here, before processes start
     if jobs == 1:
-        yield from (score_item(plan, found, item) for item in items)
+        yield from (score_item(dataset, looks, item) for item in items)
         return
     context = multiprocessing.get_context("spawn")
     # Bytes, because torch would share tensors between processes through sockets.
-    message = pickle.dumps((plan, torch.get_num_threads()))
+    message = pickle.dumps((dataset, contenders, torch.get_num_threads()))
     with ProcessPoolExecutor(jobs, context, _prepare, (message,)) as pool:
         yield from map(pickle.loads, pool.map(_score_one, items))
 
 
-_prepared: list[Callable[[Item], Result]] = []  # a worker process's own plan, set once
+_prepared: list[Callable[[Item], Result]] = []  # a worker process's own pass, set once
 
 
 def _prepare(message: bytes) -> None:
-    plan, threads = pickle.loads(message)
+    dataset, contenders, threads = pickle.loads(message)
     torch.set_num_threads(threads)
-    found = looks(plan)
-    _prepared.append(lambda item: score_item(plan, found, item))
+    looks = prepared(dataset, contenders)
+    _prepared.append(lambda item: score_item(dataset, looks, item))
 
 
 def _score_one(item: Item) -> bytes:

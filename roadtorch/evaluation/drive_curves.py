@@ -1,8 +1,8 @@
-"""The curves of a run as numbers for a file: by drive, and their mean over the drives."""
+"""The curves of a run as lists of numbers: by drive, and their mean over the drives."""
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, TypedDict
 
 import torch
 from torch import Tensor
@@ -10,46 +10,59 @@ from torch import Tensor
 from roadtorch.evaluation import calibration, curves
 from roadtorch.evaluation.curves import Curve
 from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.summary import drive, vertical_curve
+from roadtorch.evaluation.parts import counted
 from roadtorch.evaluation.tally import WHOLE, Tally
 
 STEPS = 200  # of FPR and of recall, in the mean over drives
 MOST = 400  # points of a curve
 DIGITS = 6
 
+Curves = Mapping[str, Sequence[Sequence[float]] | None]
+"""Lists of coordinates by kind of curve; None where a curve is not defined.
 
-def outlines(tally: Tally) -> dict[str, Any]:
-    """Curves of one detector: ``mean`` over the drives, and ``groups`` by drive.
+``roc`` (FPR, TPR) and ``pr`` (recall, precision) of pooled counts, ``reliability`` (predicted,
+observed, share of pixels); of drives also P3's averages over pictures, ``roc_vertical`` and
+``roc_threshold``.
+"""
 
-    Each has ``roc`` (FPR, TPR) and ``pr`` (recall, precision) of the pooled counts,
-    ``reliability`` (predicted, observed, share of pixels), and P3's averages over pictures
-    ``roc_vertical`` and ``roc_threshold``; all as lists of coordinates.
-    """
-    groups = {group: _drive_curves(tally, group) for group in tally.road}
+
+class DetectorCurves(TypedDict):
+    """The curves of one detector, as curves.json has them."""
+
+    mean: Curves
+    groups: Mapping[str, Curves]
+
+
+RunCurves = Mapping[str, DetectorCurves]
+"""By detector."""
+
+
+def drive_curves(tally: Tally) -> DetectorCurves:
+    """Curves of one detector: ``mean`` over the drives, and ``groups`` by drive."""
+    groups = {group: _curves_of(tally, group) for group in tally.road}
     if list(groups) == [WHOLE]:
         return {"mean": groups[WHOLE], "groups": {}}
-    mean = {
-        "roc": _lists(mean_roc(list(tally.road.values()))),
-        "pr": _lists(mean_precision(list(tally.road.values()))),
-        "reliability": _mean_reliability([group["reliability"] for group in groups.values()]),
+    drives = list(tally.road.values())
+    bins = torch.tensor([group["reliability"] for group in groups.values()], dtype=torch.float64)
+    mean: Curves = {
+        "roc": _lists(mean_roc(drives)),
+        "pr": _lists(mean_precision(drives)),
+        "reliability": _rounded(bins.nanmean(0)),
     }
     return {"mean": mean, "groups": groups}
 
 
-def _drive_curves(tally: Tally, group: str) -> dict[str, Any]:
-    counts = tally.road[group]
-    part = drive(tally, group, math.nan)
-    vertical = vertical_curve(part)
-    images = RoadCounts(
-        torch.stack([row.road.road for row in part.rows]),
-        torch.stack([row.road.other for row in part.rows]),
-    )
+def _curves_of(tally: Tally, group: str) -> Curves:
+    counts, vertical = tally.road[group], counted(tally, {group: math.nan}).roc
+    bins = calibration.reliability(counts)
     return {
         "roc": _lists(curves.thin(curves.roc(counts), MOST)),
         "pr": _lists(curves.thin(curves.precision_recall(counts), MOST)),
-        "reliability": _reliability(counts),
+        "reliability": [_rounded(each) for each in (bins.predicted, bins.observed, bins.share)],
         "roc_vertical": None if vertical is None else _lists(vertical),
-        "roc_threshold": _lists(curves.thin(curves.threshold_average(images), MOST)),
+        "roc_threshold": _lists(
+            curves.thin(curves.threshold_average(tally.kept([group]).road), MOST)
+        ),
     }
 
 
@@ -72,15 +85,6 @@ def _precision_at(curve: Curve, recalls: Tensor) -> Tensor:
     return best[torch.searchsorted(curve.x, recalls).clamp(max=len(best) - 1)].where(
         ~curve.x[-1].isnan(), torch.nan
     )
-
-
-def _reliability(counts: RoadCounts) -> list[list[float]]:
-    found = calibration.reliability(counts)
-    return [_rounded(values) for values in (found.predicted, found.observed, found.share)]
-
-
-def _mean_reliability(drives: Sequence[Sequence[Sequence[float]]]) -> list[list[float]]:
-    return _rounded(torch.tensor(drives, dtype=torch.float64).nanmean(0))
 
 
 def _lists(curve: Curve) -> list[list[float]]:

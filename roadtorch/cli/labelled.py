@@ -1,0 +1,47 @@
+"""What ``evaluate`` and ``tune`` share: a pass over labelled pictures that somebody watches."""
+
+import shlex
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from roadtorch.evaluation.result import Evaluation
+    from roadtorch.evaluation.scoring import Result
+
+
+def watched(results: "Iterator[Result]", done: int, total: int) -> "Iterator[Result]":
+    """The same results under a progress bar; KeyboardInterrupt after the one in hand."""
+    from tqdm import tqdm
+
+    from roadtorch.signals import stop_on_signals
+
+    if done:
+        click.echo(f"roadtorch: going on after {done} of {total} pictures", err=True)
+    with stop_on_signals() as stop:
+        for result in tqdm(results, initial=done, total=total, unit="image", disable=None):
+            yield result
+            if stop.asked:
+                raise KeyboardInterrupt
+
+
+def tell_failures(evaluation: "Evaluation") -> None:
+    """One line on stderr for each picture that could not be scored."""
+    for one in evaluation.failures:
+        click.echo(f"failed: {one.image}: {one.reason}", err=True)
+
+
+def command_line(context: click.Context) -> str:
+    """The command that gives this run: arguments, then the options that are not default."""
+    words, options = ["roadtorch", context.info_name or ""], []
+    for parameter in context.command.params:
+        value = context.params.get(parameter.name or "")
+        if isinstance(parameter, click.Argument):
+            words.append(str(value))
+        elif value is True:
+            options.append(parameter.opts[0])
+        elif value not in (None, (), False, parameter.default):
+            values = value if isinstance(value, tuple) else (value,)
+            options += [word for part in values for word in (parameter.opts[0], str(part))]
+    return shlex.join([*words, *options])

@@ -1,0 +1,101 @@
+"""Score detectors on a labelled set: every picture once, then figures and comparisons."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from roadtorch.data.dataset import Dataset, every_kth
+from roadtorch.errors import DatasetError
+from roadtorch.evaluation import comparison
+from roadtorch.evaluation.contenders import Contender, contenders_for
+from roadtorch.evaluation.document import earlier_thresholds
+from roadtorch.evaluation.measures import MEASURES, Measure
+from roadtorch.evaluation.result import Evaluation, Failure
+from roadtorch.evaluation.saved_tallies import SavedTallies, fingerprint
+from roadtorch.evaluation.scoring import Result, score
+from roadtorch.evaluation.summary import summarise
+from roadtorch.evaluation.tally import Tally
+
+Watch = Callable[[Iterator[Result], int, int], Iterable[Result]]
+"""Results as they come, how many pictures were done before, of how many → the same results."""
+
+
+def unwatched(results: Iterator[Result], done: int, total: int) -> Iterable[Result]:
+    """Nobody looks on."""
+    return results
+
+
+def evaluate(
+    dataset: Dataset,
+    detectors: Sequence[str] = ("fusion",),
+    *,
+    settings: Mapping[str, Any] | None = None,
+    maps: Mapping[str, Path] | None = None,
+    limit: int | None = None,
+    mean_from: Dataset | None = None,
+    threshold_from: Path | None = None,
+    against: str | None = None,
+    measures: Sequence[Measure] = MEASURES,
+    jobs: int = 1,
+    keep_in: Path | None = None,
+    watch: Watch = unwatched,
+) -> Evaluation:
+    """Score detectors beside the floors ``prior:rows``, ``prior:triangle`` and ``prior:mean``.
+
+    detectors: names, with wildcards. settings: nested values for those that are named.
+    maps: by name, folders of likelihood maps made elsewhere.
+    limit: look at so many pictures only, evenly spread. mean_from: the set that teaches
+    ``prior:mean`` where the drives of this one cannot. threshold_from: the metrics.json of
+    an earlier run whose thresholds are taken. against: the detector that all are compared
+    with, the best one if not given. measures: what is measured. jobs: processes; the figures
+    do not depend on it.
+    keep_in: a folder that keeps what is counted, so that an interrupted run goes on when it
+    is started again; ``forget`` it when the result is safe. watch: sees the results pass,
+    and may raise to interrupt.
+
+    Raises ConfigError for what can be refused before the run, DatasetError when no picture
+    could be scored.
+    """
+    contenders = contenders_for(dataset, detectors, settings or {}, maps or {}, mean_from)
+    given = earlier_thresholds(threshold_from, contenders) if threshold_from else {}
+    names = [one.name for one in contenders]
+    comparison.check_against(names, against)
+    pictures = every_kth(dataset, limit)
+    tallies, failures = count_all(pictures, contenders, jobs, keep_in, watch)
+    found = {
+        one.name: summarise(one, tallies[one.name], given.get(one.name), measures)
+        for one in contenders
+    }
+    draws = {name: comparison.resample(tallies[name], found[name], measures) for name in names}
+    return Evaluation(
+        pictures,
+        {name: replace(found[name], intervals=comparison.intervals(draws[name])) for name in names},
+        comparison.compare(draws, against or comparison.best_of(found), measures),
+        failures,
+        tallies,
+        measures,
+    )
+
+
+def count_all(
+    dataset: Dataset, contenders: Sequence[Contender], jobs: int, keep_in: Path | None, watch: Watch
+) -> tuple[Mapping[str, Tally], list[Failure]]:
+    """Run what is left of the pass; the tallies are saved whatever ends it."""
+    saved = SavedTallies(keep_in, fingerprint(dataset, contenders))
+    failures: list[Failure] = []
+    done, total = saved.done, len(dataset.items)
+    try:
+        for result in watch(score(dataset, contenders, jobs, done), len(done), total):
+            if result.failure:
+                item = result.item
+                failures.append(Failure(item.name, item.group, result.failure))
+            saved.add(result)
+    except BaseException:
+        saved.save()
+        raise
+    saved.sort([item.name for item in dataset.items])
+    if not saved.tallies:
+        what = f"none of its {total} pictures could be scored; the first: {failures[0].reason}"
+        raise DatasetError(dataset.root, what, "mend that first")
+    return saved.tallies, failures

@@ -1,0 +1,460 @@
+"""The measures of a run: one object each, in one list that everything else reads.
+
+The list decides what metrics.json holds and in which order, which figures have intervals and
+are compared, and which columns the tables on the screen and on the page have. A new measure is
+one entry of it, or is given to `evaluate` beside it.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from roadtorch.evaluation import boundary, calibration, curves, metrics
+from roadtorch.evaluation.metrics import Decisions, RoadCounts
+from roadtorch.evaluation.parts import Part
+from roadtorch.layout.classes import NAMES
+
+Figures = Mapping[str, float]
+"""Numbers by the key of their measure: NaN where undefined, without those that are not there."""
+
+Formula = Callable[[Part], Tensor | float | None]
+"""A part's figure, or (draws,) of one that is many draws; None where it has no such figure."""
+
+Table = Literal["screen", "screen pairs", "screen layout", "scores", "further", "pairs", "layout"]
+"""On the screen; on the page: its first table, its second one, differences, layout.
+
+``pairs`` are in metrics.json, too."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A number that says how good a detector is.
+
+    key: its name in metrics.json, with "/" between levels. name: at the head of a column, where
+    line breaks are allowed. meaning: a sentence for who has to read it.
+    better: which of two values is; None where neither is. digits: decimals that are shown.
+    over_drives: what stands above the figures of the drives: their mean, the figure of all
+    pictures together, or nothing.
+    interval: whether it is taken of pictures drawn anew, too; then the formula needs no field
+    of the part that draws do not have. shown: the tables that have it as a column.
+    """
+
+    key: str
+    name: str
+    meaning: str
+    formula: Formula
+    better: Literal["higher", "lower"] | None = "higher"
+    digits: int = 3
+    over_drives: Literal["mean", "whole", "nothing"] = "mean"
+    interval: bool = False
+    shown: tuple[Table, ...] = ()
+
+    @property
+    def line(self) -> str:
+        """The name on one line."""
+        return self.name.replace("\n/", "/").replace("\n", " ")
+
+    @property
+    def flat_key(self) -> str:
+        """The key where metrics.json has no levels: among intervals and differences."""
+        return self.key.replace("/", "_")
+
+    def of(self, figures: Figures) -> float:
+        """The number among a part's figures; NaN where it is undefined or not there."""
+        return figures.get(self.key, math.nan)
+
+    def best(self, values: Iterable[float]) -> float | None:
+        """The best of several values; None without any, and where none is better."""
+        known = [value for value in values if not math.isnan(value)]
+        if not known or self.better is None:
+            return None
+        return max(known) if self.better == "higher" else min(known)
+
+    def text(self, value: float, nothing: str) -> str:
+        """A value as it is shown."""
+        return nothing if math.isnan(value) else f"{value:.{self.digits}f}"
+
+
+# --- what formulas are made of ----------------------------------------------------------
+
+
+def _of_road(figure: Callable[[RoadCounts], Tensor]) -> Formula:
+    return lambda part: figure(part.road)
+
+
+def _of_chosen(figure: Callable[[Decisions], Tensor]) -> Formula:
+    """At the chosen threshold; NaN where there is none."""
+
+    def formula(part: Part) -> Tensor:
+        if part.chosen is not None:
+            return figure(part.chosen)
+        return torch.full(part.road.road.shape[:-1], math.nan, dtype=torch.float64)
+
+    return formula
+
+
+def _of_mask(figure: Callable[[Decisions], Tensor]) -> Formula:
+    return lambda part: figure(part.mask)
+
+
+def _of_roc(figure: Callable[[curves.Curve], Tensor]) -> Formula:
+    """Of the average curve of the pictures; NaN without a picture that has one."""
+    return lambda part: math.nan if part.roc is None else figure(part.roc)
+
+
+def _eer(counts: RoadCounts) -> Tensor:
+    return curves.equal_error_rate(curves.operating_points(counts))
+
+
+# --- the road ---------------------------------------------------------------------------
+
+MAXF = Measure(
+    "maxf",
+    "MaxF",
+    "Highest F of all thresholds, on pooled pixels. F is the harmonic mean of precision and "
+    "recall. The threshold is picked on the labels that score it.",
+    _of_road(lambda counts: metrics.max_f(counts)[0]),
+    interval=True,
+    shown=("screen pairs", "pairs"),  # in the tables of scores it has columns of its own
+)
+
+AUC_MEAN = Measure(
+    "auc_mean",
+    "AUC\n/image",
+    "Mean of the AUCs of single pictures.",
+    lambda part: part.image_auc,
+    interval=True,
+    shown=("screen", "further", "pairs"),
+)
+
+IOU = Measure(
+    "iou",
+    "IoU",
+    "Overlap of decided and true road, at the chosen threshold.",
+    _of_chosen(metrics.iou),
+    interval=True,
+    shown=("screen", "screen pairs", "scores", "pairs"),
+)
+
+F = Measure(
+    "f",
+    "F",
+    "F at the chosen threshold.",
+    _of_chosen(metrics.f_measure),
+    interval=True,
+    shown=("further",),
+)
+
+SCORES = (
+    Measure(
+        "images",
+        "pictures",
+        "Pictures that were scored.",
+        lambda part: part.images,
+        better=None,
+        digits=0,
+        over_drives="whole",
+    ),
+    MAXF,
+    Measure(
+        "maxf_threshold",
+        "threshold\nof MaxF",
+        "Lowest threshold that reaches MaxF.",
+        _of_road(lambda counts: metrics.max_f(counts)[1]),
+        better=None,
+        over_drives="nothing",
+    ),
+    Measure(
+        "auc_pooled",
+        "AUC",
+        "Share of pairs (road pixel, other pixel) that the likelihood puts in the right order.",
+        _of_road(metrics.auc),
+        interval=True,
+        shown=("screen", "screen pairs", "scores", "pairs"),
+    ),
+    AUC_MEAN,
+    Measure(
+        "auc_images_skipped",
+        "skipped",
+        "Pictures without road or without background, which have no AUC.",
+        lambda part: part.skipped,
+        better=None,
+        digits=0,
+        over_drives="whole",
+    ),
+    Measure(
+        "auc_vertical",
+        "AUC,\nvertical",
+        "Area under the mean of the single pictures' ROC curves, at equal false positive rates.",
+        _of_roc(curves.area),
+    ),
+    Measure(
+        "ap",
+        "AP",
+        "Best precision at recall 0, 0.1, … 1 or above, averaged (KITTI).",
+        _of_road(metrics.average_precision),
+        interval=True,
+        shown=("screen", "scores", "pairs"),
+    ),
+    IOU,
+    Measure(
+        "eer",
+        "EER",
+        "Error rate where false positives and misses are as many.",
+        _of_road(_eer),
+        better="lower",
+        interval=True,
+        shown=("screen", "scores"),
+    ),
+    Measure(
+        "eer_vertical",
+        "EER,\nvertical",
+        "Error rate of the mean of the single pictures' ROC curves.",
+        _of_roc(curves.equal_error_rate),
+        better="lower",
+    ),
+    Measure(
+        "brier",
+        "Brier",
+        "Mean squared distance of likelihood and truth.",
+        _of_road(calibration.brier),
+        better="lower",
+        interval=True,
+        shown=("screen", "scores", "pairs"),
+    ),
+    Measure(
+        "ms_per_image",
+        "ms\n/image",
+        "Median time of one picture, detector alone.",
+        lambda part: part.milliseconds,
+        better=None,
+        digits=1,
+        over_drives="whole",
+        shown=("screen", "scores"),
+    ),
+    Measure(
+        "ece",
+        "ECE",
+        "Mean distance of the likelihood and the share of road that really has it.",
+        _of_road(calibration.expected_error),
+        better="lower",
+        shown=("further",),
+    ),
+)
+
+# --- decisions --------------------------------------------------------------------------
+
+DECISIONS = (
+    Measure(
+        "threshold",
+        "threshold",
+        "Likelihood from which a pixel is decided to be road.",
+        lambda part: part.threshold,
+        better=None,
+        over_drives="nothing",
+        shown=("further",),
+    ),
+    F,
+    Measure(
+        "precision",
+        "precision",
+        "Share of true road in what is decided to be road.",
+        _of_chosen(metrics.precision),
+        shown=("further",),
+    ),
+    Measure(
+        "recall",
+        "recall",
+        "Share of the true road that is found.",
+        _of_chosen(metrics.recall),
+        shown=("further",),
+    ),
+    Measure(
+        "iou_mask",
+        "IoU\nof mask",
+        "Overlap of the detector's own mask, as it ships.",
+        _of_mask(metrics.iou),
+        shown=("further",),
+    ),
+    Measure("f_mask", "F\nof mask", "F of that mask.", _of_mask(metrics.f_measure)),
+    Measure(
+        "precision_mask",
+        "precision\nof mask",
+        "Precision of that mask.",
+        _of_mask(metrics.precision),
+    ),
+    Measure("recall_mask", "recall\nof mask", "Recall of that mask.", _of_mask(metrics.recall)),
+)
+
+
+def _border(place: int, share: float) -> Measure:
+    return Measure(
+        f"boundary_f/{share:g}",
+        f"border F\n{100 * share:g} %",
+        "F of borders: decided and true ones count as met within this share of the diagonal.",
+        lambda part: boundary.boundary_f(part.boundary[..., place, :]),
+        shown=("further",),
+    )
+
+
+BORDERS = tuple(_border(*pair) for pair in enumerate(boundary.TOLERANCES))
+
+
+def _at_max_f(
+    key: str,
+    name: str,
+    meaning: str,
+    better: Literal["higher", "lower"] | None = "higher",
+    shown: tuple[Table, ...] = (),
+) -> Measure:
+    return Measure(
+        f"working_point/{key}",
+        name,
+        meaning,
+        lambda part: part.working_point[key],
+        better,
+        over_drives="nothing",
+        shown=shown,
+    )
+
+
+WORKING_POINT = (
+    _at_max_f("level", "level", "Level of likelihood where F is highest (KITTI).", None),
+    _at_max_f("precision", "PRE", "Precision where F is highest (KITTI).", shown=("further",)),
+    _at_max_f("recall", "REC", "Recall there.", shown=("further",)),
+    _at_max_f("fpr", "FPR", "False positive rate there.", "lower", ("further",)),
+    _at_max_f("fnr", "FNR", "False negative rate there.", "lower", ("further",)),
+    _at_max_f("accuracy", "accuracy", "Share of pixels that are right there."),
+    _at_max_f("quality", "quality", "Overlap of decided and true road there."),
+)
+
+
+# --- layout -----------------------------------------------------------------------------
+
+
+Confusion = Callable[[Part], Tensor | None]
+"""Which confusion of a part is meant; None where it has none."""
+
+
+def _layout(part: Part) -> Tensor | None:
+    return part.layout
+
+
+def _labels(part: Part) -> Tensor | None:
+    return part.labels
+
+
+def _void_as_vertical(of: Confusion) -> Confusion:
+    """The same under P2's literal reading of void."""
+
+    def read(part: Part) -> Tensor | None:
+        confusion = of(part)
+        return None if confusion is None else metrics.void_as_vertical(confusion)
+
+    return read
+
+
+def _of(confusion: Confusion, figure: Callable[[Tensor], Tensor]) -> Formula:
+    def formula(part: Part) -> Tensor | None:
+        found = confusion(part)
+        return None if found is None else figure(found)
+
+    return formula
+
+
+def _recall_of(place: int) -> Callable[[Tensor], Tensor]:
+    return lambda confusion: metrics.class_recalls(confusion)[..., place]
+
+
+def _share_of(truth: int, decided: int) -> Callable[[Tensor], Tensor]:
+    return lambda confusion: metrics.normalised_confusion(confusion)[..., truth, decided]
+
+
+def _recalls(
+    under: str, of: Confusion, words: str = "", shown: tuple[Table, ...] = ()
+) -> tuple[Measure, ...]:
+    """The recall of each class."""
+    return tuple(
+        Measure(
+            f"{under}/{name}",
+            name,
+            f"Share of {name} that is found{words}.",
+            _of(of, _recall_of(place)),
+            shown=shown,
+        )
+        for place, name in enumerate(NAMES)
+    )
+
+
+BOTH: tuple[Table, ...] = ("screen layout", "layout")
+VOID = ", void counted as vertical"
+LABELLED = ", where the labeller does not abstain"
+
+LAYOUT_MEAN = Measure(
+    "layout/mean",
+    "mean",
+    "Mean of the three.",
+    _of(_layout, metrics.mean_class_recall),
+    interval=True,
+    shown=(*BOTH, "pairs"),
+)
+
+LAYOUT = (
+    *_recalls("layout", _layout, shown=BOTH),
+    LAYOUT_MEAN,
+    Measure(
+        "layout/accuracy",
+        "accuracy",
+        "Share of all pixels that are right.",
+        _of(_layout, metrics.layout_accuracy),
+        shown=("layout",),
+    ),
+    *(
+        Measure(
+            f"layout/confusion/{truth}/{decided}",
+            f"{truth} as\n{decided}",
+            f"Share of {truth} that is decided to be {decided}.",
+            _of(_layout, _share_of(row, column)),
+            better=None,
+        )
+        for row, truth in enumerate(NAMES)
+        for column, decided in enumerate(NAMES)
+    ),
+    *_recalls("layout/void_as_vertical", _void_as_vertical(_layout), VOID),
+    Measure(
+        "layout/void_as_vertical/mean",
+        "mean, void\nvertical",
+        f"Mean of the three{VOID}.",
+        _of(_void_as_vertical(_layout), metrics.mean_class_recall),
+        shown=BOTH,
+    ),
+    *_recalls("layout/labelled", _labels, LABELLED),
+    Measure(
+        "layout/labelled/mean",
+        "mean,\nlabelled",
+        f"Mean of the three{LABELLED}.",
+        _of(_labels, metrics.mean_class_recall),
+        shown=BOTH,
+    ),
+    *_recalls("layout/labelled/void_as_vertical", _void_as_vertical(_labels), LABELLED + VOID),
+    Measure(
+        "layout/labelled/void_as_vertical/mean",
+        "mean,\nlabelled, void\nvertical",
+        f"Mean of the three{LABELLED}{VOID}.",
+        _of(_void_as_vertical(_labels), metrics.mean_class_recall),
+    ),
+    Measure(
+        "layout/labelled_share",
+        "labelled\nshare",
+        "Share of pixels with a label.",
+        _of(_labels, metrics.labelled_share),
+        shown=BOTH,
+    ),
+)
+
+MEASURES: tuple[Measure, ...] = (*SCORES, *DECISIONS, *BORDERS, *WORKING_POINT, *LAYOUT)
+"""All measures, in the order in which files and tables have them."""

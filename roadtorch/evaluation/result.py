@@ -1,0 +1,125 @@
+"""What an evaluation found: figures by detector and drive, their intervals, differences."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from roadtorch.data.dataset import Dataset
+from roadtorch.evaluation.contenders import Contender
+from roadtorch.evaluation.measures import MAXF, MEASURES, Figures, Measure, Table
+from roadtorch.evaluation.tally import Tally
+from roadtorch.evaluation.uncertainty import Interval
+
+
+@dataclass(frozen=True)
+class PicturesByF:
+    """F of the single pictures at their drive's threshold.
+
+    quantiles: by share of the pictures, empty without any. best, median, worst: some
+    pictures as (F, name).
+    """
+
+    quantiles: Mapping[float, float] = field(default_factory=dict)
+    best: Sequence[tuple[float, str]] = ()
+    median: Sequence[tuple[float, str]] = ()
+    worst: Sequence[tuple[float, str]] = ()
+
+
+@dataclass(frozen=True)
+class DetectorFigures:
+    """The figures of one detector.
+
+    headline: means over the drives, or the figures of a set that knows none. pooled: of all
+    drives' counts together; without drives it and ``drives`` are empty.
+    thresholds: the chosen one of each drive (of ``WHOLE`` without drives); threshold_from:
+    where they come from, in words. best_threshold: that of the highest F, averaged over the
+    drives. intervals: by the key of the measure.
+    """
+
+    contender: Contender
+    headline: Figures
+    drives: Mapping[str, Figures] = field(default_factory=dict)
+    pooled: Figures = field(default_factory=dict)
+    thresholds: Mapping[str, float] = field(default_factory=dict)
+    threshold_from: str = ""
+    best_threshold: float = math.nan
+    intervals: Mapping[str, Interval] = field(default_factory=dict)
+    pictures_by_f: PicturesByF = field(default_factory=PicturesByF)
+
+    @property
+    def interval(self) -> Interval:
+        """That of MaxF."""
+        return self.intervals.get(MAXF.key, Interval())
+
+    @property
+    def is_floor(self) -> bool:
+        """Whether the detector never looks at the picture."""
+        return self.contender.is_floor
+
+    def drive(self, name: str) -> Figures:
+        """The figures of one drive; none where it is not known."""
+        return self.drives.get(name, {})
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How much larger a figure is than that of another detector, with its 95 % interval."""
+
+    value: float
+    interval: Interval
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All detectors less the one called ``against``: differences by detector and measure's key."""
+
+    against: str
+    differences: Mapping[str, Mapping[str, Difference]]
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A picture that could not be scored, and so counts for no detector."""
+
+    image: str
+    group: str | None
+    reason: str
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A run: the set, what was asked, and what was found.
+
+    tallies: by detector, the counts that the figures are made of. measures: those that the
+    figures have, in the order in which they are shown.
+    """
+
+    dataset: Dataset
+    detectors: Mapping[str, DetectorFigures]
+    comparison: Comparison
+    failures: Sequence[Failure] = ()
+    tallies: Mapping[str, Tally] = field(default_factory=dict, repr=False)
+    measures: Sequence[Measure] = field(default=MEASURES, repr=False)
+
+    @property
+    def images(self) -> int:
+        """How many pictures were scored."""
+        return len(self.dataset.items) - len(self.failures)
+
+    @property
+    def drives(self) -> list[str]:
+        """The drives that any detector has figures of, sorted."""
+        return sorted({drive for one in self.detectors.values() for drive in one.drives})
+
+    def ranked(self) -> list[str]:
+        """The detectors by MaxF, highest first; those without one last, then by name."""
+
+        def place(name: str) -> tuple[float, str]:
+            value = MAXF.of(self.detectors[name].headline)
+            return (math.inf if math.isnan(value) else -value), name
+
+        return sorted(self.detectors, key=place)
+
+    def shown_in(self, *tables: Table) -> list[Measure]:
+        """The measures that are columns of one of these tables."""
+        return [one for one in self.measures if set(tables) & set(one.shown)]

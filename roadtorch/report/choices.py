@@ -1,0 +1,40 @@
+"""Thresholds that were chosen: a table for the screen, and the record in a config."""
+
+import math
+from collections.abc import Sequence
+
+from roadtorch.evaluation.result import Evaluation
+from roadtorch.evaluation.tuning import DIGITS, ThresholdChoice
+from roadtorch.report.screen import NONE, align
+
+
+def choice_table(choices: Sequence[ThresholdChoice]) -> str:
+    """Detector, chosen threshold, the default until now, F and IoU, chosen here and held out."""
+    header = ["detector", "threshold", "default", "F", "IoU", "F held out", "IoU held out"]
+    rows = [
+        [
+            one.detector,
+            f"{one.threshold:.{DIGITS}f}",
+            f"{one.default:.{DIGITS}f}",
+            *(
+                NONE if math.isnan(value) else f"{value:.3f}"
+                for value in (one.f, one.iou, one.f_held_out, one.iou_held_out)
+            ),
+        ]
+        for one in choices
+    ]
+    return align([header, *rows])
+
+
+def provenance(choice: ThresholdChoice, evaluation: Evaluation, command: str) -> list[str]:
+    """Where a threshold comes from and what it is worth, as lines for its config."""
+    dataset = evaluation.dataset
+    lines = [
+        f"The threshold is chosen on {dataset.name} {dataset.split}, {choice.images} pictures, by",
+        f"  {command}",
+        f"On these pictures: F {choice.f:.3f}, IoU {choice.iou:.3f} (mean over the drives).",
+    ]
+    if math.isnan(choice.f_held_out):
+        return lines
+    held_out = f"F {choice.f_held_out:.3f}, IoU {choice.iou_held_out:.3f}"
+    return [*lines, f"Each drive at the threshold of the others: {held_out}."]

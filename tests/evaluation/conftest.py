@@ -1,0 +1,61 @@
+"""Rendered streets of three drives as a labelled set, and detectors that know the answers."""
+
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Tensor
+
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Dataset
+from roadtorch.detector import Detection
+from roadtorch.evaluation.contenders import Contender, Look
+from roadtorch.evaluation.result import DetectorFigures
+from roadtorch.evaluation.scoring import score_item
+from roadtorch.evaluation.summary import summarise
+from roadtorch.evaluation.tally import Tally
+from roadtorch.scenes import RenderedScene, render_scene, write_camvid
+
+DRIVES = ("0001TP", "0006R0", "0016E5")
+
+Answer = Callable[[str], Tensor]
+"""What a detector says about the picture of that name."""
+
+
+@pytest.fixture(scope="module")
+def scenes() -> dict[str, RenderedScene]:
+    return {f"{DRIVES[i % 3]}_{i}": render_scene(i, 48, 64) for i in range(6)}
+
+
+@pytest.fixture(scope="module")
+def dataset(scenes, tmp_path_factory) -> Dataset:
+    root = tmp_path_factory.mktemp("camvid")
+    write_camvid(root, "train", scenes)
+    return open_dataset("camvid", root, "train")
+
+
+def looking(likelihood: Answer, **cues: Answer) -> Look:
+    """A detector that answers with a function of the item's name."""
+
+    def look(image, item):
+        values = likelihood(item.name).to(torch.float32)
+        return Detection(values, values >= 0.5, {k: v(item.name) for k, v in cues.items()})
+
+    return look
+
+
+def counted(dataset: Dataset, look: Look) -> Tally:
+    """What is counted of one detector on every picture of a set."""
+    total = Tally()
+    for item in dataset.items:
+        result = score_item(dataset, {"it": look}, item)
+        assert not result.failure
+        total.add(item, result.scores["it"])
+    return total
+
+
+def summarised(tally: Tally, threshold: float = 0.5) -> DetectorFigures:
+    """The figures of a detector with this default threshold."""
+    return summarise(
+        Contender("it", lambda _: looking(lambda name: torch.zeros(1)), threshold=threshold), tally
+    )

@@ -1,0 +1,199 @@
+"""`evaluate` from Python: who is scored, by which thresholds, on which pictures."""
+
+import json
+from pathlib import Path
+
+import cv2
+import pytest
+import torch
+
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Dataset
+from roadtorch.errors import ConfigError, DatasetError, InputError
+from roadtorch.evaluation import scoring
+from roadtorch.evaluation.contenders import expand_names
+from roadtorch.evaluation.document import document
+from roadtorch.evaluation.evaluate import evaluate
+from roadtorch.evaluation.result import Evaluation
+from roadtorch.evaluation.saved_tallies import FILE, forget
+from roadtorch.evaluation.tally import WHOLE
+from roadtorch.report.files import write_json
+from roadtorch.scenes import write_picture
+from tests.oracle import DRIVES, ORACLE, SCENES, know_oracle, write_set
+
+
+@pytest.fixture(scope="module")
+def camvid(tmp_path_factory) -> Dataset:
+    know_oracle()
+    return open_dataset("camvid", write_set(tmp_path_factory.mktemp("set") / "camvid"))
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory) -> Dataset:
+    """The same scenes as a folder of images and masks, without drives."""
+    root = tmp_path_factory.mktemp("set") / "folder"
+    (root / "masks").mkdir(parents=True)
+    for name, scene in SCENES.items():
+        write_picture(root / "images" / f"{name}.png", scene)
+        mask = torch.where(scene.void, 127, 255 * scene.road).to(torch.uint8)
+        cv2.imwrite(str(root / "masks" / f"{name}.png"), mask.numpy())
+    return open_dataset("folder", root)
+
+
+@pytest.fixture(scope="module")
+def found(camvid) -> Evaluation:
+    return evaluate(camvid, [ORACLE], settings={"doubt": 0.2})
+
+
+def test_the_floors_stand_beside_and_say_that_they_are_floors(found):
+    floors = {name: one.is_floor for name, one in found.detectors.items()}
+
+    assert floors == {
+        ORACLE: False, "prior:rows": True, "prior:triangle": True, "prior:mean": True
+    }  # fmt: skip
+    assert found.ranked()[0] == ORACLE
+    assert (found.images, found.drives) == (6, list(DRIVES))
+    assert found.detectors[ORACLE].contender.settings["doubt"] == 0.2
+    assert found.detectors["prior:rows"].contender.settings == {}
+
+
+def test_metrics_json_has_every_figure_under_its_key(found):
+    content = document(found, "the command")
+
+    one, figures = content["detectors"][ORACLE], found.detectors[ORACLE]
+    assert json.loads(json.dumps(content, allow_nan=False)) == content
+    assert content["command"] == "the command"
+    assert one["maxf"] == figures.headline["maxf"]
+    assert one["layout"]["void_as_vertical"]["mean"] <= 1
+    assert one["groups"]["0001TP"]["working_point"]["level"] > 0
+    assert one["pooled"]["boundary_f"].keys() == {"0.0025", "0.005", "0.0075"}
+    assert one["ci95"]["layout_mean"] == [1, 1]
+    assert one["maxf_threshold"] == figures.best_threshold
+    assert {name: each["floor"] for name, each in content["detectors"].items()} == {
+        name: each.is_floor for name, each in found.detectors.items()
+    }
+    assert content["paired"]["against"] == ORACLE
+    assert content["paired"]["detectors"]["prior:rows"]["maxf"]
+
+
+def test_sets_without_drives_use_the_default_or_an_earlier_threshold(
+    found, camvid, plain, tmp_path
+):
+    write_json(tmp_path / "metrics.json", document(found, ""))
+    settings = {"doubt": 0.2}
+
+    own = evaluate(plain, [ORACLE], settings=settings).detectors
+    given = evaluate(
+        plain, [ORACLE], settings=settings, mean_from=camvid,
+        threshold_from=tmp_path / "metrics.json",
+    ).detectors  # fmt: skip
+
+    assert own[ORACLE].drives == own[ORACLE].pooled == {}
+    assert own[ORACLE].thresholds == {WHOLE: 0.5}
+    assert "prior:mean" not in own
+    assert given[ORACLE].threshold_from == "an earlier run"
+    for name in (ORACLE, "prior:mean", "prior:rows"):
+        assert given[name].headline["threshold"] == found.detectors[name].best_threshold
+
+
+def test_a_threshold_of_other_settings_is_refused(found, camvid, tmp_path):
+    earlier, other = tmp_path / "metrics.json", tmp_path / "other.json"
+    write_json(earlier, document(found, ""))
+    other.write_text("[1]")
+
+    with pytest.raises(ConfigError, match="other settings"):
+        evaluate(camvid, [ORACLE], threshold_from=earlier)
+    with pytest.raises(ConfigError, match="no threshold for prior:uniform"):
+        evaluate(camvid, ["prior:uniform"], threshold_from=earlier)
+    with pytest.raises(InputError, match=r"other\.json: is not a metrics\.json"):
+        evaluate(camvid, [ORACLE], threshold_from=other)
+    with pytest.raises(InputError, match=r"none\.json: cannot be read"):
+        evaluate(camvid, [ORACLE], threshold_from=tmp_path / "none.json")
+
+
+def test_what_can_be_refused_is_refused_before_the_run(camvid, monkeypatch):
+    monkeypatch.setattr(scoring, "score_item", None)  # must not be reached
+
+    with pytest.raises(ConfigError, match=r"duobt.*doubt"):
+        evaluate(camvid, [ORACLE], settings={"duobt": 1})
+    with pytest.raises(ConfigError, match="drives teach each other"):
+        evaluate(camvid, [ORACLE], mean_from=camvid)
+    with pytest.raises(ConfigError, match="detector of this run"):
+        evaluate(camvid, ["prior:rows"], against=ORACLE)
+
+
+def test_anybodys_maps_are_scored_and_a_missing_one_fails_its_picture_alone(camvid, tmp_path):
+    for name in list(SCENES)[1:]:
+        road = (SCENES[name].road * 255).to(torch.uint8)
+        cv2.imwrite(str(tmp_path / f"{name}.png"), road.numpy())
+
+    theirs = evaluate(camvid, (), maps={"net": tmp_path})
+
+    assert set(theirs.detectors) == {"maps:net", "prior:rows", "prior:triangle", "prior:mean"}
+    assert theirs.detectors["maps:net"].headline["maxf"] == pytest.approx(1)
+    assert theirs.detectors["maps:net"].headline["iou_mask"] == 1
+    missing = next(iter(SCENES))
+    assert [one.image for one in theirs.failures] == [missing]
+    assert f"maps:net: {tmp_path / missing}.png: is missing" in theirs.failures[0].reason
+    assert theirs.images == 5
+
+
+def test_when_every_picture_is_broken_there_is_one_error(tmp_path):
+    root = write_set(tmp_path / "camvid")
+    for path in root.glob("*/*.png"):
+        if "annot" not in path.parent.name:
+            path.write_bytes(b"x")
+
+    with pytest.raises(DatasetError, match="none of its 6 pictures"):
+        evaluate(open_dataset("camvid", root), ["prior:rows"])
+
+
+def test_an_interrupted_run_goes_on_and_ends_like_a_whole_one(camvid, found, tmp_path):
+    def interrupted(results, done, total):
+        for number, result in enumerate(results):
+            if number == 4:
+                raise KeyboardInterrupt
+            yield result
+
+    told: list[tuple[int, int]] = []
+
+    def watched(results, done, total):
+        told.append((done, total))
+        return results
+
+    settings = {"doubt": 0.2}
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(camvid, [ORACLE], settings=settings, keep_in=tmp_path, watch=interrupted)
+    assert (tmp_path / FILE).is_file()
+    again = evaluate(camvid, [ORACLE], settings=settings, keep_in=tmp_path, watch=watched)
+
+    assert told == [(4, 6)]
+    assert without_times(document(again, "")) == without_times(document(found, ""))
+    forget(tmp_path)
+    assert list(Path(tmp_path).iterdir()) == []
+
+
+def without_times(content):
+    if isinstance(content, dict):
+        return {key: without_times(part) for key, part in content.items() if key != "ms_per_image"}
+    return content
+
+
+# --- names ---------------------------------------------------------------------------------------
+
+
+def test_wildcards_and_misspelt_names(camvid):
+    floors = ["prior:triangle", "prior:rows"]
+    assert expand_names(["prior:t*", "prior:rows", "prior:*"])[:2] == floors
+    with pytest.raises(ConfigError, match="unknown detector"):
+        expand_names(["nothing*"])
+    with pytest.raises(ConfigError, match=ORACLE):
+        expand_names(["test-oracel"])
+
+
+def test_a_star_leaves_the_one_class_grid_out_and_its_family_brings_it_in():
+    everything, grid, row = map(expand_names, (["*"], ["oneclass:*:*"], ["oneclass:nn:*", "cpf"]))
+
+    assert {"cpf", "fusion", "prior:rows"} <= set(everything)
+    assert not any(name.startswith("oneclass:") for name in everything)
+    assert (len(grid), len(row)) == (310, 20)

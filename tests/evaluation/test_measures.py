@@ -1,0 +1,89 @@
+"""A measure is one object: whoever adds one finds it everywhere."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.evaluation import metrics
+from roadtorch.evaluation.document import document
+from roadtorch.evaluation.evaluate import evaluate
+from roadtorch.evaluation.measures import MAXF, MEASURES, Measure
+from roadtorch.report.files import write
+from roadtorch.report.screen import screen
+from tests.oracle import DRIVES, ORACLE, know_oracle, write_set
+
+DOCUMENT = Path(__file__).parents[2] / "docs/evaluation.md"
+
+TOY = Measure(
+    "masks/specificity",
+    "TNR",
+    "Share of the background that is left alone.",
+    lambda part: 1 - metrics.false_positive_rate(part.mask),
+    interval=True,
+    shown=("screen", "screen pairs", "scores", "pairs"),
+)
+
+
+def test_a_measure_that_is_added_is_in_the_file_on_the_screen_and_on_the_page(tmp_path):
+    know_oracle()
+    dataset = open_dataset("camvid", write_set(tmp_path / "camvid"))
+
+    found = evaluate(dataset, [ORACLE], measures=(*MEASURES, TOY))
+    write(found, tmp_path, pictures=0)
+
+    one = json.loads((tmp_path / "metrics.json").read_text())["detectors"][ORACLE]
+    assert one["masks"]["specificity"] == 1
+    assert [one["groups"][drive]["masks"]["specificity"] for drive in DRIVES] == [1, 1, 1]
+    assert one["ci95"]["masks_specificity"] == [1, 1]
+    assert "masks_specificity" in document(found, "")["paired"]["detectors"]["prior:rows"]
+    road, _, pairs = screen(found).split("\n\n")
+    assert road.splitlines()[0].split()[-1] == "TNR"
+    assert pairs.splitlines()[0].split()[-3] == "TNR"
+    page = (tmp_path / "report.html").read_text()
+    assert f"<dt>TNR</dt><dd>{TOY.meaning}</dd>" in page
+    assert page.count(f'title="{TOY.meaning}">TNR') == 1 + 4  # scores, drives, pooled
+
+
+def test_a_formula_that_draws_cannot_have_is_named(tmp_path):
+    know_oracle()
+    dataset = open_dataset("camvid", write_set(tmp_path / "camvid"))
+    wrong = Measure("seen", "seen", "Pictures.", lambda part: part.images, interval=True)
+
+    with pytest.raises(TypeError, match="the formula of seen needs what draws do not have"):
+        evaluate(dataset, ["prior:rows"], measures=(MAXF, wrong))
+
+
+def test_keys_are_told_apart_and_directions_are_followed():
+    assert len({one.key for one in MEASURES}) == len(MEASURES)
+    by_key = {one.key: one for one in MEASURES}
+    nan = float("nan")
+    assert by_key["brier"].best([0.2, nan, 0.1]) == 0.1
+    assert MAXF.best([0.2, nan, 0.1]) == 0.2
+    assert MAXF.best([nan]) is by_key["threshold"].best([0.5]) is None
+
+
+def test_the_document_names_every_measure_with_its_words():
+    text = DOCUMENT.read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| `([\w/.]+)` \| (.*?) \|", text, re.MULTILINE))
+    # The other readings of the layout are told in a paragraph, not one by one.
+    readings = re.compile("layout/(confusion|void_as_vertical|labelled)/")
+    told = [one for one in MEASURES if not readings.match(one.key)]
+
+    assert {one.key: one.meaning for one in told if one.meaning not in rows.get(one.key, "")} == {}
+
+
+def test_the_example_in_the_document_runs(tmp_path, monkeypatch, capsys):
+    section = DOCUMENT.read_text(encoding="utf-8").split("## From Python")[1]
+    code = section.split("```python\n")[1].split("```")[0]
+    write_set(tmp_path / "data/camvid")
+    monkeypatch.chdir(tmp_path)
+
+    exec(compile(code, "docs/evaluation.md", "exec"), {})
+
+    told = capsys.readouterr().out
+    assert "prior:mean" in told
+    assert all(drive in told for drive in DRIVES)
+    assert "alarms" in (tmp_path / "results/report.html").read_text()

@@ -1,0 +1,171 @@
+"""From counts to figures: drives, their means, thresholds chosen on other drives."""
+
+import math
+from pathlib import Path
+
+import pytest
+import torch
+
+from roadtorch.data.dataset import Item
+from roadtorch.evaluation import boundary, metrics
+from roadtorch.evaluation.measures import MEASURES
+from roadtorch.evaluation.metrics import RoadCounts
+from roadtorch.evaluation.tally import Score, Tally
+from roadtorch.evaluation.thresholds import (
+    choose_thresholds,
+    held_out_thresholds,
+    shared_threshold,
+)
+from roadtorch.layout.classes import NAMES
+from tests.evaluation.conftest import DRIVES, counted, looking, summarised
+
+
+def counts_of(road_levels: dict[int, int], other_levels: dict[int, int], levels=11) -> RoadCounts:
+    road, other = torch.zeros(levels, dtype=torch.int64), torch.zeros(levels, dtype=torch.int64)
+    for part, chosen in ((road, road_levels), (other, other_levels)):
+        for level, number in chosen.items():
+            part[level] = number
+    return RoadCounts(road, other)
+
+
+# --- figures -------------------------------------------------------------------------------------
+
+
+def test_a_perfect_map_scores_one_and_an_inverted_one_does_not(dataset, scenes):
+    perfect = summarised(counted(dataset, looking(lambda n: scenes[n].road)))
+    inverted = summarised(counted(dataset, looking(lambda n: ~scenes[n].road)))
+
+    for one in MEASURES:
+        if one.key in perfect.headline and not one.key.startswith("layout/"):
+            ideal = {"higher": 1, "lower": 0}.get(one.better or "")
+            assert ideal is None or one.of(perfect.headline) == pytest.approx(ideal, abs=1e-9)
+    assert perfect.pooled["maxf"] == pytest.approx(1, abs=1e-9)
+    assert perfect.drives["0001TP"]["working_point/fpr"] == 0
+    assert inverted.headline["brier"] == 1
+    assert inverted.headline["eer"] == 1
+    assert inverted.headline["auc_pooled"] == 0
+    assert inverted.headline["iou_mask"] == 0
+    assert inverted.headline["maxf"] < 0.75
+
+
+def test_headline_is_the_mean_over_drives_of_pooled_counts(dataset, scenes):
+    generator = torch.Generator().manual_seed(0)
+    noise = {name: torch.rand(48, 64, generator=generator) for name in scenes}
+    found = counted(dataset, looking(lambda n: (0.4 * scenes[n].road + noise[n]) / 1.4))
+
+    figures = summarised(found)
+
+    by_hand = []
+    for drive in DRIVES:
+        counts = [
+            metrics.count_levels(
+                (0.4 * scenes[n].road + noise[n]) / 1.4, scenes[n].road, ~scenes[n].void
+            )
+            for n in scenes
+            if n.startswith(drive)
+        ]
+        by_hand.append(float(metrics.max_f(counts[0] + counts[1])[0]))
+        assert figures.drives[drive]["maxf"] == pytest.approx(by_hand[-1])
+    assert figures.headline["maxf"] == pytest.approx(sum(by_hand) / 3)
+    everything = found.road["0001TP"] + found.road["0006R0"] + found.road["0016E5"]
+    assert figures.pooled["maxf"] == pytest.approx(float(metrics.max_f(everything)[0]))
+    assert figures.pooled["images"] == 6
+
+
+def test_void_is_never_counted(dataset, scenes):
+    wrong_in_void = counted(dataset, looking(lambda n: scenes[n].road | scenes[n].void))
+
+    assert summarised(wrong_in_void).headline["iou"] == 1
+
+
+def test_an_image_without_road_is_skipped_and_counted_in_the_mean_auc():
+    total = Tally()
+    total.add(item("a"), score({5: 3}, {2: 3}, seconds=0.1))
+    total.add(item("b"), score({}, {2: 3}, seconds=0.3))
+
+    figures = summarised(total)
+
+    assert figures.headline["auc_mean"] == 1
+    assert figures.headline["auc_vertical"] == 1
+    assert figures.headline["auc_images_skipped"] == 1
+    assert figures.headline["ms_per_image"] == pytest.approx(200)
+
+
+def item(name: str) -> Item:
+    return Item(name, Path(name), Path(name), "x")
+
+
+def score(road: dict[int, int], other: dict[int, int], seconds: float) -> Score:
+    hits, rest = (torch.tensor(sum(part.values())) for part in (road, other))
+    none = torch.tensor(0)
+    mask = metrics.Decisions(hits, none, none, rest)
+    border = torch.zeros((len(boundary.TOLERANCES), 4), dtype=torch.int64)
+    return Score(counts_of(road, other), mask, border, None, None, seconds)
+
+
+# --- thresholds ----------------------------------------------------------------------------------
+
+
+def test_held_out_thresholds_never_see_their_own_drive():
+    # Two drives part cleanly at level 4, the third at level 8: peeking would move them.
+    low, high = counts_of({4: 10}, {3: 10}), counts_of({8: 10}, {7: 10})
+
+    found = held_out_thresholds({"a": low, "b": low, "c": high})
+
+    assert found["c"] == pytest.approx(0.4)
+    changed = held_out_thresholds({"a": low, "b": low, "c": counts_of({2: 9}, {1: 9})})
+    assert changed["c"] == found["c"]
+    assert changed["a"] != found["a"]
+
+
+def test_drives_weigh_the_same_in_the_choice():
+    # Pooled, the big drive alone would decide; averaged, two small ones outvote it.
+    big, small = counts_of({8: 10_000}, {7: 10_000}), counts_of({4: 10}, {3: 10, 4: 0})
+    small = small + counts_of({5: 10}, {})
+
+    assert shared_threshold({"a": big, "b": small, "c": small}) == pytest.approx(0.4)
+
+
+def test_where_thresholds_come_from():
+    counts = counts_of({4: 10}, {3: 10})
+
+    assert choose_thresholds({"all": counts}, 0.6, None)[1] == {"all": 0.6}
+    assert choose_thresholds({"all": counts}, 0.6, 0.2)[1] == {"all": 0.2}
+    assert choose_thresholds({"a": counts, "b": counts}, 0.6, None)[1]["a"] == 0.4
+
+
+def test_iou_is_taken_at_the_held_out_threshold(dataset, scenes):
+    def likelihood(name):  # one drive's road is paler than the others' background
+        scale = 0.3 if name.startswith("0001TP") else 1.0
+        return scale * (0.4 + 0.6 * scenes[name].road)
+
+    figures = summarised(counted(dataset, looking(likelihood)))
+
+    dusk = figures.drives["0001TP"]
+    assert dusk["maxf"] == pytest.approx(1)
+    assert dusk["threshold"] > 0.3
+    assert dusk["iou"] == 0
+
+
+# --- layout --------------------------------------------------------------------------------------
+
+
+def test_layout_recalls_by_drive_over_all_and_labelled_pixels(dataset, scenes):
+    def potentials(name):  # horizontal is never named: it goes to vertical
+        truth = scenes[name].layout
+        return torch.stack([truth == 0, truth != 0, torch.zeros_like(truth)]).float()
+
+    def labels(name):  # abstain on horizontal instead
+        truth = scenes[name].layout
+        return torch.where(truth == 2, 255, truth)
+
+    road = looking(lambda n: scenes[n].road, layout=potentials, layout_labels=labels)
+    figures = summarised(counted(dataset, road))
+
+    drive = figures.drives["0001TP"]
+    assert [drive[f"layout/{name}"] for name in NAMES] == [1, 1, 0]
+    assert figures.headline["layout/mean"] == pytest.approx(2 / 3)
+    assert math.isnan(drive["layout/labelled/horizontal"])
+    assert drive["layout/labelled/mean"] == 1
+    assert 0.2 < drive["layout/labelled_share"] < 0.8
+    assert figures.headline["layout/confusion/horizontal/vertical"] == 1
