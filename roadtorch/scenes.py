@@ -18,10 +18,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from roadtorch.layout import classes as layout
+
 SKY, BUILDING, ROAD, PAVEMENT, TREE, CAR, VOID = 0, 1, 3, 4, 5, 8, 11
 
-LAYOUT_OF_CLASS = np.full(12, 1, np.uint8)  # vertical unless said otherwise
-LAYOUT_OF_CLASS[[SKY, ROAD, PAVEMENT]] = 0, 2, 2
+LAYOUT_OF_CLASS = np.full(12, layout.VERTICAL, np.uint8)
+LAYOUT_OF_CLASS[[SKY, ROAD, PAVEMENT]] = layout.SKY, layout.HORIZONTAL, layout.HORIZONTAL
 CAMERA_HEIGHT = 1.35  # metres above the road
 FAR = 90.0  # metres: nothing upright stands farther away
 
@@ -373,14 +375,6 @@ def write_picture(path: Path, scene: RenderedScene) -> None:
     rgb = (scene.image * 255).round().to(torch.uint8).permute(1, 2, 0).numpy()
     if not cv2.imwrite(str(path), np.ascontiguousarray(rgb[..., ::-1])):
         raise OSError(f"{path} cannot be written")
-
-
-def write_camvid(root: Path, split: str, scenes: dict[str, RenderedScene]) -> None:
-    """Write scenes by name in CamVid's layout: ROOT/SPLIT/NAME.png, ROOT/SPLITannot/NAME.png."""
-    (root / f"{split}annot").mkdir(parents=True, exist_ok=True)
-    for name, scene in scenes.items():
-        write_picture(root / split / f"{name}.png", scene)
-        cv2.imwrite(str(root / f"{split}annot" / f"{name}.png"), scene.classes.numpy())
 
 
 def write_scenes() -> None:

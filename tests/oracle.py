@@ -8,7 +8,8 @@ from torch import nn
 
 from roadtorch.detector import DetectorSettings, Entry
 from roadtorch.detectors.catalogue import list_detectors, register
-from roadtorch.scenes import render_scene, write_camvid
+from roadtorch.scenes import render_scene
+from tests.streets import write_camvid
 
 ORACLE = "test-oracle"
 DRIVES = ("0001TP", "0006R0", "0016E5")

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from roadtorch.scenes import CAR, ROAD, SKY, VOID, render_scene, write_camvid
+from roadtorch.scenes import CAR, ROAD, SKY, VOID, render_scene
+from tests.streets import write_camvid
 
 
 def test_a_seed_is_one_scene():

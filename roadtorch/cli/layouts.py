@@ -12,14 +12,13 @@ from roadtorch.cli.batch import ELSEWHERE, Job, Row
 from roadtorch.detector import checked_image
 from roadtorch.files import make_folder
 from roadtorch.image import read_image, write_jpeg, write_labels
-from roadtorch.layout.classes import layout_colours
+from roadtorch.layout.classes import HORIZONTAL, layout_colours
 from roadtorch.settings import build_settings, parse_assignments
 
 if TYPE_CHECKING:
     from roadtorch.layout.labeller import LabellerSettings
 
 SUFFIXES = {"labels": ".png", "overlay": ".overlay.jpg"}
-HORIZONTAL = 2
 OVERLAY_SHARE = 0.5  # of the class's colour; the picture keeps the rest
 
 

@@ -23,8 +23,6 @@ from roadtorch.image_cache import cached_per_image
 TOLERANCES = (0.0025, 0.005, 0.0075)
 """1.5, 3 and 4.5 pixels at 480x360: Csurka's figure, and two that ask for more."""
 
-COLUMNS = ("decided_right", "decided", "true_right", "true")
-
 
 def count_boundary(
     mask: Tensor, road: Tensor, valid: Tensor, tolerances: Sequence[float] = TOLERANCES

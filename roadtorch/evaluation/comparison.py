@@ -11,7 +11,8 @@ from torch import Tensor
 
 from roadtorch.errors import unknown_name
 from roadtorch.evaluation import uncertainty
-from roadtorch.evaluation.measures import MAXF, MEASURES, Measure
+from roadtorch.evaluation.measure import Measure
+from roadtorch.evaluation.measures import MAXF, MEASURES
 from roadtorch.evaluation.parts import drawn
 from roadtorch.evaluation.result import Comparison, DetectorFigures, Difference
 from roadtorch.evaluation.tally import Pictures, Tally

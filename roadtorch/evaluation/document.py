@@ -8,7 +8,7 @@ from typing import Any
 
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.evaluation.contenders import Contender
-from roadtorch.evaluation.measures import Figures, Measure
+from roadtorch.evaluation.measure import Figures, Measure
 from roadtorch.evaluation.result import DetectorFigures, Evaluation
 from roadtorch.version import __version__
 

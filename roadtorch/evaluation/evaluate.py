@@ -10,7 +10,8 @@ from roadtorch.errors import DatasetError
 from roadtorch.evaluation import comparison
 from roadtorch.evaluation.contenders import Contender, contenders_for
 from roadtorch.evaluation.document import earlier_thresholds
-from roadtorch.evaluation.measures import MEASURES, Measure
+from roadtorch.evaluation.measure import Measure
+from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.result import Evaluation, Failure
 from roadtorch.evaluation.saved_tallies import SavedTallies, fingerprint
 from roadtorch.evaluation.scoring import Result, score

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 from roadtorch.data.dataset import Dataset
 from roadtorch.evaluation.contenders import Contender
-from roadtorch.evaluation.measures import MAXF, MEASURES, Figures, Measure, Table
+from roadtorch.evaluation.measure import Figures, Measure, Table
+from roadtorch.evaluation.measures import MAXF, MEASURES
 from roadtorch.evaluation.tally import Tally
 from roadtorch.evaluation.uncertainty import Interval
 

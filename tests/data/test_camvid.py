@@ -12,7 +12,8 @@ from roadtorch.data.camvid import CLASSES, COLOURS32, split_of
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.labels import colour_indices, read_colours, read_labels
 from roadtorch.errors import DatasetError
-from roadtorch.scenes import render_scene, write_camvid
+from roadtorch.scenes import render_scene
+from tests.streets import write_camvid
 
 NAMES = [name for _, name, _ in COLOURS32]
 READINGS = ("camvid32", "camvid32:literal", "camvid32:literal-ignore")

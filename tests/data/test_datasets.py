@@ -13,7 +13,8 @@ import roadtorch.plugins
 from roadtorch.data.catalogue import dataset_kind, list_datasets, open_dataset
 from roadtorch.data.dataset import Dataset, Item, Kind, Truth
 from roadtorch.errors import ConfigError, DatasetError
-from roadtorch.scenes import render_scene, write_camvid
+from roadtorch.scenes import render_scene
+from tests.streets import write_camvid
 
 
 @pytest.fixture

@@ -15,7 +15,8 @@ from roadtorch.evaluation.result import DetectorFigures
 from roadtorch.evaluation.scoring import score_item
 from roadtorch.evaluation.summary import summarise
 from roadtorch.evaluation.tally import Tally
-from roadtorch.scenes import render_scene, write_camvid
+from roadtorch.scenes import render_scene
+from tests.streets import write_camvid
 
 DRIVES = ("0001TP", "0006R0")
 SCENES = {f"{DRIVES[i % 2]}_{i}": render_scene(i, 48, 64) for i in range(12)}

@@ -12,8 +12,8 @@ from roadtorch.data.dataset import Item, every_kth
 from roadtorch.evaluation.contenders import mean_floor, named_detector
 from roadtorch.evaluation.mean_mask import means_of_others, road_shares
 from roadtorch.evaluation.scoring import score, score_item
-from roadtorch.scenes import write_camvid
 from tests.evaluation.conftest import counted, looking, summarised
+from tests.streets import write_camvid
 
 ROWS = [named_detector("prior:rows", {})]
 TRIANGLE = named_detector("prior:triangle", {})

@@ -5,7 +5,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from roadtorch.evaluation.measures import MAXF, Figures, Measure
+from roadtorch.evaluation.measure import Figures, Measure
+from roadtorch.evaluation.measures import MAXF
 from roadtorch.evaluation.result import Difference, Evaluation
 from roadtorch.layout.classes import NAMES
 from roadtorch.report.page.svg import Series
@@ -196,26 +197,26 @@ def _change(change: Difference | None) -> Cell:
 
 
 @dataclass(frozen=True)
-class Layout:
+class LayoutTables:
     """The layout figures of one detector: its confusion as rows of shares, and recalls."""
 
     name: str
     confusion: list[tuple[str, list[Cell]]]
     recalls: Table
 
-    def equals(self, other: "Layout") -> bool:
+    def equals(self, other: "LayoutTables") -> bool:
         """Whether both have the same figures: detectors may share one layout."""
         return replace(self, name=other.name) == other
 
 
-def layouts(evaluation: Evaluation, series: Iterable[Series]) -> list[Layout]:
+def layouts(evaluation: Evaluation, series: Iterable[Series]) -> list[LayoutTables]:
     """Confusion and recalls of the detectors in the charts that label the layout."""
-    found: list[Layout] = []
+    found: list[LayoutTables] = []
     for one in series:
         recalls = _recalls(evaluation, one.name)
         if recalls.headers:
             figures = evaluation.detectors[one.name].headline
-            layout = Layout(one.name, _confusion(figures), recalls)
+            layout = LayoutTables(one.name, _confusion(figures), recalls)
             twin = next((i for i, old in enumerate(found) if layout.equals(old)), None)
             if twin is None:
                 found.append(layout)
