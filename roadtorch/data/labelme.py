@@ -20,7 +20,7 @@ from PIL.ExifTags import Base as ExifTag
 from roadtorch.data.annotations import Annotation, Drawing, read_annotation
 from roadtorch.data.dataset import Dataset, Item, Truth
 from roadtorch.data.labels import is_picture
-from roadtorch.data.polygons import OTHER, ROAD, VOID, Agreement, agree, filled
+from roadtorch.data.polygons import OTHER, ROAD, VOID, Agreement, agree, filled_shapes
 from roadtorch.errors import ConfigError, DatasetError
 from roadtorch.image import SUFFIXES
 
@@ -60,7 +60,7 @@ class PolygonLabels:
         size = picture_size(item.image)
         found = [self._read(path, item, size) for path in (item.label, *item.extra)]
         said = {
-            user: filled([(part.shape, self._meaning(part.name)) for part in drawings], size)
+            user: filled_shapes([(part.shape, self._meaning(part.name)) for part in drawings], size)
             for user, drawings in self._listen(_by_user(found), item).items()
         }
         return agree(said, size, self.agreement)

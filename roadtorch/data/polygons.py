@@ -97,7 +97,7 @@ class Stamp:
         target[inside[: target.shape[0], : target.shape[1]]] = value
 
 
-def filled(shapes: Sequence[tuple[Shape, int]], size: tuple[int, int]) -> np.ndarray:
+def filled_shapes(shapes: Sequence[tuple[Shape, int]], size: tuple[int, int]) -> np.ndarray:
     """Paint one person's shapes one over the other: uint8 (H,W), ``OTHER`` where nothing is.
 
     Each shape comes with what it stands for, so that a later object of another class cuts

@@ -6,7 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roadtorch.data.polygons import OTHER, ROAD, VOID, Disc, Polygon, Stamp, agree, filled
+from roadtorch.data.polygons import OTHER, ROAD, VOID, Disc, Polygon, Stamp, agree, filled_shapes
 from tests.reference.polygons import contains, is_on_drawn_border
 
 SIZE = (12, 16)
@@ -14,7 +14,7 @@ corners = st.tuples(st.integers(-8, 24), st.integers(-8, 20))
 
 
 def filled(shape, size=SIZE) -> np.ndarray:
-    return filled([(shape, ROAD)], size) == ROAD
+    return filled_shapes([(shape, ROAD)], size) == ROAD
 
 
 def polygon(*points: tuple[float, float]) -> Polygon:
@@ -94,7 +94,7 @@ def test_a_stamp_leaves_what_its_mask_does_not_cover():
 
 
 def test_later_shapes_cut_holes_and_blobs_are_united():
-    said = filled(
+    said = filled_shapes(
         [
             (box(0, 0, 9, 9), ROAD),
             (box(5, 5, 12, 9), ROAD),  # overlaps: united, not a hole
