@@ -24,6 +24,9 @@ if TYPE_CHECKING:
         RoadtorchError,
         WeightsError,
     )
+    from roadtorch.evaluation.evaluate import evaluate
+    from roadtorch.evaluation.measure import Measure
+    from roadtorch.evaluation.result import Evaluation
     from roadtorch.image import read_image
     from roadtorch.layout.labeller import label_layout
 
@@ -36,13 +39,16 @@ _HOMES = {
     "Detector": "roadtorch.detector",
     "DetectorSettings": "roadtorch.detector",
     "Entry": "roadtorch.detector",
+    "Evaluation": "roadtorch.evaluation.result",
     "InputError": "roadtorch.errors",
     "Item": "roadtorch.data.dataset",
     "Kind": "roadtorch.data.dataset",
+    "Measure": "roadtorch.evaluation.measure",
     "NumberLabels": "roadtorch.data.labels",
     "RoadtorchError": "roadtorch.errors",
     "Truth": "roadtorch.data.dataset",
     "WeightsError": "roadtorch.errors",
+    "evaluate": "roadtorch.evaluation.evaluate",
     "label_layout": "roadtorch.layout.labeller",
     "list_datasets": "roadtorch.data.catalogue",
     "list_detectors": "roadtorch.detectors.catalogue",
@@ -60,14 +66,17 @@ __all__ = [
     "Detector",
     "DetectorSettings",
     "Entry",
+    "Evaluation",
     "InputError",
     "Item",
     "Kind",
+    "Measure",
     "NumberLabels",
     "RoadtorchError",
     "Truth",
     "WeightsError",
     "__version__",
+    "evaluate",
     "label_layout",
     "list_datasets",
     "list_detectors",

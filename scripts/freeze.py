@@ -159,8 +159,8 @@ RENAMED = {
 }
 """Keys of detectors' settings, old and new."""
 
-NEW_FIGURES = ("floor",)
-"""What metrics.json has gained."""
+NEW = re.compile(r"\.floor$|^detectors\.prior:\w+\.settings\.(isolated$|seed_area\.)")
+"""What metrics.json has gained: who is a floor, and settings that every detector has now."""
 
 TIMES = ("ms_per_image", "ms")
 
@@ -205,8 +205,8 @@ def _metrics_that_differ(one: Path, two: Path) -> Iterator[str]:
     before, after = (flat(json.loads(path.read_text())) for path in (one, two))
     before = {renamed(key): value for key, value in before.items()}
     for key in sorted(before.keys() | after.keys()):
-        last = key.rpartition(".")[2]
-        if last in TIMES + NEW_FIGURES or key == "command":
+        is_new = key not in before and NEW.search(key)
+        if is_new or key.rpartition(".")[2] in TIMES or key == "command":
             continue
         if before.get(key) != after.get(key):
             yield f"{one.parent.name}: {key}: {before.get(key)} / {after.get(key)}"

@@ -7,4 +7,4 @@ prepare_venv test
 "$PYTHON" -m ruff format --check .
 "$PYTHON" -m ruff check .
 "$PYTHON" -m basedpyright
-"$PYTHON" -m pytest -q "$@"
+"$PYTHON" -m pytest -q -n 2 "$@"
