@@ -12,7 +12,8 @@ from roadtorch.data.dataset import Dataset, Item
 from roadtorch.data.folder import FOLDER_LABELS
 from roadtorch.evaluation.contenders import Contender, Look
 from roadtorch.evaluation.drive_curves import DetectorCurves, RunCurves
-from roadtorch.evaluation.measures import MEASURES, Figures
+from roadtorch.evaluation.measure import Figures
+from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.pictures import PictureRow
 from roadtorch.evaluation.result import (
     Comparison,

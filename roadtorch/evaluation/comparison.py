@@ -11,14 +11,14 @@ from torch import Tensor
 
 from roadtorch.errors import unknown_name
 from roadtorch.evaluation import uncertainty
-from roadtorch.evaluation.measures import MAXF, MEASURES, Measure
+from roadtorch.evaluation.measure import Measure
+from roadtorch.evaluation.measures import MAXF, MEASURES
 from roadtorch.evaluation.parts import drawn
 from roadtorch.evaluation.result import Comparison, DetectorFigures, Difference
 from roadtorch.evaluation.tally import Pictures, Tally
 from roadtorch.evaluation.uncertainty import Interval, Replicated, group_weights
 
 SEED = 11  # of the draws
-REPLICATES = 1000
 
 Draws = Mapping[str, Replicated]
 """Figures of all pictures and of every draw of them, by the key of the measure."""
@@ -35,7 +35,7 @@ def resample(
     drives = [tally.kept([group]) for group in figures.thresholds]
     thresholds = list(figures.thresholds.values())
     generator = torch.Generator().manual_seed(SEED)
-    weights = group_weights([len(drive.names) for drive in drives], generator, REPLICATES)
+    weights = group_weights([len(drive.names) for drive in drives], generator)
     once = [torch.ones_like(drawing[:1]) for drawing in weights]
     kept = [one for one in measures if one.interval and one.key in figures.headline]
     coarse, draws = (_mean_over_drives(drives, thresholds, each, kept) for each in (once, weights))

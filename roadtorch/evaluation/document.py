@@ -9,7 +9,7 @@ from typing import Any
 from roadtorch import __version__
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.evaluation.contenders import Contender
-from roadtorch.evaluation.measures import Figures, Measure
+from roadtorch.evaluation.measure import Figures, Measure
 from roadtorch.evaluation.result import DetectorFigures, Evaluation
 
 

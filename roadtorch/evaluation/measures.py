@@ -6,78 +6,17 @@ one entry of it, or is given to `evaluate` beside it.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Literal
 
 import torch
 from torch import Tensor
 
 from roadtorch.evaluation import boundary, calibration, curves, metrics
+from roadtorch.evaluation.layout_measures import LAYOUT
+from roadtorch.evaluation.measure import Formula, Measure, Place
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
 from roadtorch.evaluation.parts import Part
-from roadtorch.layout.classes import NAMES
-
-Figures = Mapping[str, float]
-"""Numbers by the key of their measure: NaN where undefined, without those that are not there."""
-
-Formula = Callable[[Part], Tensor | float | None]
-"""A part's figure, or (draws,) of one that is many draws; None where it has no such figure."""
-
-Table = Literal["screen", "screen pairs", "screen layout", "scores", "further", "pairs", "layout"]
-"""On the screen; on the page: its first table, its second one, differences, layout.
-
-``pairs`` are in metrics.json, too."""
-
-
-@dataclass(frozen=True)
-class Measure:
-    """A number that says how good a detector is.
-
-    key: its name in metrics.json, with "/" between levels. name: at the head of a column, where
-    line breaks are allowed. meaning: a sentence for who has to read it.
-    better: which of two values is; None where neither is. digits: decimals that are shown.
-    over_drives: what stands above the figures of the drives: their mean, the figure of all
-    pictures together, or nothing.
-    interval: whether it is taken of pictures drawn anew, too; then the formula needs no field
-    of the part that draws do not have. shown: the tables that have it as a column.
-    """
-
-    key: str
-    name: str
-    meaning: str
-    formula: Formula
-    better: Literal["higher", "lower"] | None = "higher"
-    digits: int = 3
-    over_drives: Literal["mean", "whole", "nothing"] = "mean"
-    interval: bool = False
-    shown: tuple[Table, ...] = ()
-
-    @property
-    def line(self) -> str:
-        """The name on one line."""
-        return self.name.replace("\n/", "/").replace("\n", " ")
-
-    @property
-    def flat_key(self) -> str:
-        """The key where metrics.json has no levels: among intervals and differences."""
-        return self.key.replace("/", "_")
-
-    def of(self, figures: Figures) -> float:
-        """The number among a part's figures; NaN where it is undefined or not there."""
-        return figures.get(self.key, math.nan)
-
-    def best(self, values: Iterable[float]) -> float | None:
-        """The best of several values; None without any, and where none is better."""
-        known = [value for value in values if not math.isnan(value)]
-        if not known or self.better is None:
-            return None
-        return max(known) if self.better == "higher" else min(known)
-
-    def text(self, value: float, nothing: str) -> str:
-        """A value as it is shown."""
-        return nothing if math.isnan(value) else f"{value:.{self.digits}f}"
-
 
 # --- what formulas are made of ----------------------------------------------------------
 
@@ -309,7 +248,7 @@ def _at_max_f(
     name: str,
     meaning: str,
     better: Literal["higher", "lower"] | None = "higher",
-    shown: tuple[Table, ...] = (),
+    shown: tuple[Place, ...] = (),
 ) -> Measure:
     return Measure(
         f"working_point/{key}",
@@ -332,129 +271,6 @@ WORKING_POINT = (
     _at_max_f("quality", "quality", "Overlap of decided and true road there."),
 )
 
-
-# --- layout -----------------------------------------------------------------------------
-
-
-Confusion = Callable[[Part], Tensor | None]
-"""Which confusion of a part is meant; None where it has none."""
-
-
-def _layout(part: Part) -> Tensor | None:
-    return part.layout
-
-
-def _labels(part: Part) -> Tensor | None:
-    return part.labels
-
-
-def _void_as_vertical(of: Confusion) -> Confusion:
-    """The same under P2's literal reading of void."""
-
-    def read(part: Part) -> Tensor | None:
-        confusion = of(part)
-        return None if confusion is None else metrics.void_as_vertical(confusion)
-
-    return read
-
-
-def _of(confusion: Confusion, figure: Callable[[Tensor], Tensor]) -> Formula:
-    def formula(part: Part) -> Tensor | None:
-        found = confusion(part)
-        return None if found is None else figure(found)
-
-    return formula
-
-
-def _recall_of(place: int) -> Callable[[Tensor], Tensor]:
-    return lambda confusion: metrics.class_recalls(confusion)[..., place]
-
-
-def _share_of(truth: int, decided: int) -> Callable[[Tensor], Tensor]:
-    return lambda confusion: metrics.normalised_confusion(confusion)[..., truth, decided]
-
-
-def _recalls(
-    under: str, of: Confusion, words: str = "", shown: tuple[Table, ...] = ()
-) -> tuple[Measure, ...]:
-    """The recall of each class."""
-    return tuple(
-        Measure(
-            f"{under}/{name}",
-            name,
-            f"Share of {name} that is found{words}.",
-            _of(of, _recall_of(place)),
-            shown=shown,
-        )
-        for place, name in enumerate(NAMES)
-    )
-
-
-BOTH: tuple[Table, ...] = ("screen layout", "layout")
-VOID = ", void counted as vertical"
-LABELLED = ", where the labeller does not abstain"
-
-LAYOUT_MEAN = Measure(
-    "layout/mean",
-    "mean",
-    "Mean of the three.",
-    _of(_layout, metrics.mean_class_recall),
-    interval=True,
-    shown=(*BOTH, "pairs"),
-)
-
-LAYOUT = (
-    *_recalls("layout", _layout, shown=BOTH),
-    LAYOUT_MEAN,
-    Measure(
-        "layout/accuracy",
-        "accuracy",
-        "Share of all pixels that are right.",
-        _of(_layout, metrics.layout_accuracy),
-        shown=("layout",),
-    ),
-    *(
-        Measure(
-            f"layout/confusion/{truth}/{decided}",
-            f"{truth} as\n{decided}",
-            f"Share of {truth} that is decided to be {decided}.",
-            _of(_layout, _share_of(row, column)),
-            better=None,
-        )
-        for row, truth in enumerate(NAMES)
-        for column, decided in enumerate(NAMES)
-    ),
-    *_recalls("layout/void_as_vertical", _void_as_vertical(_layout), VOID),
-    Measure(
-        "layout/void_as_vertical/mean",
-        "mean, void\nvertical",
-        f"Mean of the three{VOID}.",
-        _of(_void_as_vertical(_layout), metrics.mean_class_recall),
-        shown=BOTH,
-    ),
-    *_recalls("layout/labelled", _labels, LABELLED),
-    Measure(
-        "layout/labelled/mean",
-        "mean,\nlabelled",
-        f"Mean of the three{LABELLED}.",
-        _of(_labels, metrics.mean_class_recall),
-        shown=BOTH,
-    ),
-    *_recalls("layout/labelled/void_as_vertical", _void_as_vertical(_labels), LABELLED + VOID),
-    Measure(
-        "layout/labelled/void_as_vertical/mean",
-        "mean,\nlabelled, void\nvertical",
-        f"Mean of the three{LABELLED}{VOID}.",
-        _of(_void_as_vertical(_labels), metrics.mean_class_recall),
-    ),
-    Measure(
-        "layout/labelled_share",
-        "labelled\nshare",
-        "Share of pixels with a label.",
-        _of(_labels, metrics.labelled_share),
-        shown=BOTH,
-    ),
-)
 
 MEASURES: tuple[Measure, ...] = (*SCORES, *DECISIONS, *BORDERS, *WORKING_POINT, *LAYOUT)
 """All measures, in the order in which files and tables have them."""

@@ -7,7 +7,8 @@ from dataclasses import replace
 from torch import Tensor
 
 from roadtorch.evaluation.contenders import Contender
-from roadtorch.evaluation.measures import MEASURES, Figures, Measure
+from roadtorch.evaluation.measure import Figures, Measure
+from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.parts import Part, counted, mean
 from roadtorch.evaluation.pictures import SHOWN, chosen_pictures
 from roadtorch.evaluation.result import DetectorFigures

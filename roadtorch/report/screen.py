@@ -3,7 +3,8 @@
 import math
 from collections.abc import Mapping, Sequence
 
-from roadtorch.evaluation.measures import MAXF, Figures
+from roadtorch.evaluation.measure import Figures
+from roadtorch.evaluation.measures import MAXF
 from roadtorch.evaluation.result import DetectorFigures, Difference, Evaluation
 
 NONE = "-"

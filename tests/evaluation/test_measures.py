@@ -10,7 +10,8 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.document import document
 from roadtorch.evaluation.evaluate import evaluate
-from roadtorch.evaluation.measures import MAXF, MEASURES, Measure
+from roadtorch.evaluation.measure import Measure
+from roadtorch.evaluation.measures import MAXF, MEASURES
 from roadtorch.report.files import write
 from roadtorch.report.screen import screen
 from tests.oracle import DRIVES, ORACLE, know_oracle, write_set

@@ -5,7 +5,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from roadtorch.evaluation.measures import MAXF, Figures, Measure
+from roadtorch.evaluation.measure import Figures, Measure
+from roadtorch.evaluation.measures import MAXF
 from roadtorch.evaluation.result import Difference, Evaluation
 from roadtorch.layout.classes import NAMES
 from roadtorch.report.page.svg import Series

@@ -20,7 +20,8 @@ import pytest
 from roadtorch import __version__
 from roadtorch.errors import InputError
 from roadtorch.evaluation.drive_curves import DetectorCurves
-from roadtorch.evaluation.measures import MEASURES, Figures
+from roadtorch.evaluation.measure import Figures
+from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.result import Comparison, Difference, Evaluation, Failure
 from roadtorch.evaluation.uncertainty import Interval
 from roadtorch.report.page import html
