@@ -8,10 +8,10 @@ import click
 
 if TYPE_CHECKING:
     from roadtorch.evaluation.result import Evaluation
-    from roadtorch.evaluation.scoring import Result
+    from roadtorch.evaluation.scoring import Scored
 
 
-def watched(results: "Iterator[Result]", done: int, total: int) -> "Iterator[Result]":
+def watched(results: "Iterator[Scored]", done: int, total: int) -> "Iterator[Scored]":
     """The same results under a progress bar; KeyboardInterrupt after the one in hand."""
     from tqdm import tqdm
 

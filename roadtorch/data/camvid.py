@@ -22,15 +22,15 @@ DRIVE_LETTERS = 6  # CamVid names begin with the drive: 0001TP, 0006R0, 0016E5, 
 
 # --- eleven classes ---------------------------------------------------------------------
 
-CLASSES = (
+CLASSES11 = (
     *("sky", "building", "pole", "road", "pavement", "tree"),
     *("sign", "fence", "car", "pedestrian", "bicyclist", "void"),
 )
 
 CAMVID_LABELS = NumberLabels(
-    road=(CLASSES.index("road"),),
-    void=(CLASSES.index("void"),),
-    values=tuple(range(len(CLASSES))),
+    road=(CLASSES11.index("road"),),
+    void=(CLASSES11.index("void"),),
+    values=tuple(range(len(CLASSES11))),
     layout=(SKY, *(VERTICAL,) * 2, *(HORIZONTAL,) * 2, *(VERTICAL,) * 6, UNLABELLED),
 )
 
@@ -98,7 +98,7 @@ LITERAL_LAYOUT = {"Sky": SKY, "Road": HORIZONTAL, "Sidewalk": HORIZONTAL}
 
 def _through_classes() -> NumberLabels:
     """What the colours mean through the 11 classes; lane markings and shoulders are road."""
-    became = [CLASSES.index(name) for _, _, name in COLOURS32]
+    became = [CLASSES11.index(name) for _, _, name in COLOURS32]
     values = range(len(became))
     return NumberLabels(
         road=tuple(i for i in values if became[i] in CAMVID_LABELS.road),

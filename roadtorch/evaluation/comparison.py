@@ -19,7 +19,6 @@ from roadtorch.evaluation.tally import Pictures, Tally
 from roadtorch.evaluation.uncertainty import Interval, Replicated, group_weights
 
 SEED = 11  # of the draws
-REPLICATES = 1000
 
 Draws = Mapping[str, Replicated]
 """Figures of all pictures and of every draw of them, by the key of the measure."""
@@ -36,7 +35,7 @@ def resample(
     drives = [tally.kept([group]) for group in figures.thresholds]
     thresholds = list(figures.thresholds.values())
     generator = torch.Generator().manual_seed(SEED)
-    weights = group_weights([len(drive.names) for drive in drives], generator, REPLICATES)
+    weights = group_weights([len(drive.names) for drive in drives], generator)
     once = [torch.ones_like(drawing[:1]) for drawing in weights]
     kept = [one for one in measures if one.interval and one.key in figures.headline]
     coarse, draws = (_mean_over_drives(drives, thresholds, each, kept) for each in (once, weights))

@@ -14,15 +14,15 @@ from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.result import Evaluation, Failure
 from roadtorch.evaluation.saved_tallies import SavedTallies, fingerprint
-from roadtorch.evaluation.scoring import Result, score
+from roadtorch.evaluation.scoring import Scored, score
 from roadtorch.evaluation.summary import summarise
 from roadtorch.evaluation.tally import Tally
 
-Watch = Callable[[Iterator[Result], int, int], Iterable[Result]]
+Watch = Callable[[Iterator[Scored], int, int], Iterable[Scored]]
 """Results as they come, how many pictures were done before, of how many → the same results."""
 
 
-def unwatched(results: Iterator[Result], done: int, total: int) -> Iterable[Result]:
+def unwatched(results: Iterator[Scored], done: int, total: int) -> Iterable[Scored]:
     """Nobody looks on."""
     return results
 

@@ -1,11 +1,11 @@
-"""The measures of layout: recalls of its classes under each reading of void, and confusions."""
+"""The measures of layout labels: recalls of the classes under each reading of void, confusions."""
 
 from collections.abc import Callable
 
 from torch import Tensor
 
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.measure import Formula, Measure, Table
+from roadtorch.evaluation.measure import Formula, Measure, Place
 from roadtorch.evaluation.parts import Part
 from roadtorch.layout.classes import NAMES
 
@@ -48,7 +48,7 @@ def _share_of(truth: int, decided: int) -> Callable[[Tensor], Tensor]:
 
 
 def _recalls(
-    under: str, of: Confusion, words: str = "", shown: tuple[Table, ...] = ()
+    under: str, of: Confusion, words: str = "", shown: tuple[Place, ...] = ()
 ) -> tuple[Measure, ...]:
     """The recall of each class."""
     return tuple(
@@ -63,7 +63,7 @@ def _recalls(
     )
 
 
-BOTH: tuple[Table, ...] = ("screen layout", "layout")
+BOTH: tuple[Place, ...] = ("screen layout", "layout")
 VOID = ", void counted as vertical"
 LABELLED = ", where the labeller does not abstain"
 

@@ -1,4 +1,4 @@
-"""What a measure is: a formula with its name, its words, its direction and where it is shown."""
+"""What a measure is: a formula with a name, words, a direction, and the tables it stands in."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping
@@ -15,7 +15,7 @@ Figures = Mapping[str, float]
 Formula = Callable[[Part], Tensor | float | None]
 """A part's figure, or (draws,) of one that is many draws; None where it has no such figure."""
 
-Table = Literal["screen", "screen pairs", "screen layout", "scores", "further", "pairs", "layout"]
+Place = Literal["screen", "screen pairs", "screen layout", "scores", "further", "pairs", "layout"]
 """On the screen; on the page: its first table, its second one, differences, layout.
 
 ``pairs`` are in metrics.json, too."""
@@ -42,7 +42,7 @@ class Measure:
     digits: int = 3
     over_drives: Literal["mean", "whole", "nothing"] = "mean"
     interval: bool = False
-    shown: tuple[Table, ...] = ()
+    shown: tuple[Place, ...] = ()
 
     @property
     def line(self) -> str:

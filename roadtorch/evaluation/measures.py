@@ -14,7 +14,7 @@ from torch import Tensor
 
 from roadtorch.evaluation import boundary, calibration, curves, metrics
 from roadtorch.evaluation.layout_measures import LAYOUT
-from roadtorch.evaluation.measure import Formula, Measure, Table
+from roadtorch.evaluation.measure import Formula, Measure, Place
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
 from roadtorch.evaluation.parts import Part
 
@@ -248,7 +248,7 @@ def _at_max_f(
     name: str,
     meaning: str,
     better: Literal["higher", "lower"] | None = "higher",
-    shown: tuple[Table, ...] = (),
+    shown: tuple[Place, ...] = (),
 ) -> Measure:
     return Measure(
         f"working_point/{key}",
@@ -270,6 +270,7 @@ WORKING_POINT = (
     _at_max_f("accuracy", "accuracy", "Share of pixels that are right there."),
     _at_max_f("quality", "quality", "Overlap of decided and true road there."),
 )
+
 
 MEASURES: tuple[Measure, ...] = (*SCORES, *DECISIONS, *BORDERS, *WORKING_POINT, *LAYOUT)
 """All measures, in the order in which files and tables have them."""

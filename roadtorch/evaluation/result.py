@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from roadtorch.data.dataset import Dataset
 from roadtorch.evaluation.contenders import Contender
-from roadtorch.evaluation.measure import Figures, Measure, Table
+from roadtorch.evaluation.measure import Figures, Measure, Place
 from roadtorch.evaluation.measures import MAXF, MEASURES
 from roadtorch.evaluation.tally import Tally
 from roadtorch.evaluation.uncertainty import Interval
@@ -121,6 +121,6 @@ class Evaluation:
 
         return sorted(self.detectors, key=place)
 
-    def shown_in(self, *tables: Table) -> list[Measure]:
+    def shown_in(self, *tables: Place) -> list[Measure]:
         """The measures that are columns of one of these tables."""
         return [one for one in self.measures if set(tables) & set(one.shown)]

@@ -13,7 +13,7 @@ from safetensors.torch import save_file
 from roadtorch.data.dataset import Dataset
 from roadtorch.errors import ConfigError
 from roadtorch.evaluation.contenders import Contender
-from roadtorch.evaluation.scoring import Result
+from roadtorch.evaluation.scoring import Scored
 from roadtorch.evaluation.tally import Tally, tally_from, tally_tensors
 from roadtorch.files import atomic
 
@@ -51,7 +51,7 @@ class SavedTallies:
         if self.path and self.path.is_file():
             self.tallies = _load(self.path, run)
 
-    def add(self, result: Result) -> None:
+    def add(self, result: Scored) -> None:
         """Count one more picture, if it could be scored; save if the last time is a while ago."""
         for name, score in result.scores.items():
             self.tallies.setdefault(name, Tally()).add(result.item, score)

@@ -19,7 +19,7 @@ from roadtorch.image_cache import ImageCache, image_cache
 
 
 @dataclass(frozen=True)
-class Result:
+class Scored:
     """What came of one picture: a score for every detector, or why there is none."""
 
     item: Item
@@ -31,7 +31,7 @@ class Result:
 
 
 @dataclass(frozen=True)
-class Scene:
+class LabelledPicture:
     """One item as it is scored: its picture, and the truth where it is scored."""
 
     dataset: Dataset
@@ -46,21 +46,21 @@ class Scene:
         return view(self.item, values) if view is not None and in_picture else values
 
 
-def read_scene(dataset: Dataset, item: Item) -> Scene:
+def read_scene(dataset: Dataset, item: Item) -> LabelledPicture:
     """Read one item; RoadtorchError when its files are missing, damaged or do not fit."""
     image, truth = dataset.read(item)
-    scene = Scene(dataset, item, image, truth)
+    scene = LabelledPicture(dataset, item, image, truth)
     return replace(scene, truth=seen_truth(scene))
 
 
-def seen_truth(scene: Scene) -> Truth:
+def seen_truth(scene: LabelledPicture) -> Truth:
     """The truth of a scene in the space in which it is scored."""
     truth = scene.truth
     layout = None if truth.layout is None else scene.seen(truth.layout)
     return Truth(scene.seen(truth.road), scene.seen(truth.valid), layout)
 
 
-def score_scene(look: Look, scene: Scene, shared: ImageCache) -> Score:
+def score_scene(look: Look, scene: LabelledPicture, shared: ImageCache) -> Score:
     """Run one detector on one picture and count."""
     truth, saved = scene.truth, shared.saved
     start = time.perf_counter()
@@ -79,12 +79,12 @@ def score_scene(look: Look, scene: Scene, shared: ImageCache) -> Score:
     )
 
 
-def _count_layout(labels: Tensor, scene: Scene) -> Tensor | None:
+def _count_layout(labels: Tensor, scene: LabelledPicture) -> Tensor | None:
     truth = scene.truth.layout
     return None if truth is None else metrics.count_layout(scene.seen(labels), truth)
 
 
-def score_item(dataset: Dataset, looks: Mapping[str, Look], item: Item) -> Result:
+def score_item(dataset: Dataset, looks: Mapping[str, Look], item: Item) -> Scored:
     """Read one item once and score every detector on it.
 
     Whatever goes wrong becomes the result's failure, and the picture then counts for no
@@ -97,11 +97,11 @@ def score_item(dataset: Dataset, looks: Mapping[str, Look], item: Item) -> Resul
         with image_cache() as shared:
             for who, look in looks.items():
                 scores[who] = score_scene(look, scene, shared)
-        return Result(item, scores)
+        return Scored(item, scores)
     except RoadtorchError as problem:
-        return Result(item, {}, f"{who}: {problem}" if who else str(problem))
+        return Scored(item, {}, f"{who}: {problem}" if who else str(problem))
     except Exception as problem:  # a detector's own mistake must not end a long run
-        return Result(item, {}, f"{who or item.name}: {type(problem).__name__}: {problem}")
+        return Scored(item, {}, f"{who or item.name}: {type(problem).__name__}: {problem}")
 
 
 # --- one process or several -------------------------------------------------------------
@@ -114,7 +114,7 @@ def prepared(dataset: Dataset, contenders: Sequence[Contender]) -> dict[str, Loo
 
 def score(
     dataset: Dataset, contenders: Sequence[Contender], jobs: int = 1, done: Collection[str] = ()
-) -> Iterator[Result]:
+) -> Iterator[Scored]:
     """Yield a result for every item that is not done, in the set's order, whatever ``jobs`` is.
 
     done: names of items. With several processes each runs with this process's number of
@@ -132,7 +132,7 @@ def score(
         yield from map(pickle.loads, pool.map(_score_one, items))
 
 
-_prepared: list[Callable[[Item], Result]] = []  # a worker process's own pass, set once
+_prepared: list[Callable[[Item], Scored]] = []  # a worker process's own pass, set once
 
 
 def _prepare(message: bytes) -> None:

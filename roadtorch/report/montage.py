@@ -14,7 +14,7 @@ from roadtorch.detector import Detection
 from roadtorch.evaluation.contenders import Look
 from roadtorch.evaluation.pictures import chosen_pictures
 from roadtorch.evaluation.result import Evaluation
-from roadtorch.evaluation.scoring import Scene, seen_truth
+from roadtorch.evaluation.scoring import LabelledPicture, seen_truth
 from roadtorch.evaluation.tally import WHOLE
 from roadtorch.image import to_pixels, write_jpeg
 from roadtorch.layout.classes import layout_colours
@@ -75,7 +75,7 @@ def sheet_row(
     """
     image, truth = dataset.read(item)
     detection = look(image, item)
-    scene = Scene(dataset, item, image, truth)
+    scene = LabelledPicture(dataset, item, image, truth)
     if detection.likelihood.shape != truth.road.shape:
         scene = replace(scene, image=scene.seen(image), truth=seen_truth(scene))
     decided = detection.likelihood >= threshold

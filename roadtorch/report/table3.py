@@ -28,12 +28,15 @@ COMBINED = tuple(name for name in REPRESENTATIONS if name not in SINGLE)
 
 HALVES = {"single planes": SINGLE, "combinations": COMBINED}
 
-AucTable = Mapping[tuple[str, str], float]
+Percents = Mapping[tuple[str, str], float]
 """AUC in percent by classifier and representation."""
 
+Pairs = Sequence[tuple[float, float]]
+"""Ours and P3's."""
 
-def printed_table() -> AucTable:
-    """P3's own values, 307 of them: Table III of arXiv 1412.3506, its two halves side by side."""
+
+def printed_table() -> Percents:
+    """P3's own values, 307 of them: Table III of arXiv 1412.3506, both halves side by side."""
     text = files("roadtorch.report").joinpath("table3_printed.csv").read_text(encoding="utf-8")
     return {
         (row["classifier"], planes): float(row[planes])
@@ -46,7 +49,7 @@ def printed_table() -> AucTable:
 # --- figures ----------------------------------------------------------------------------
 
 
-def measured_table(evaluation: Evaluation, drive: str | None = None) -> AucTable:
+def measured_table(evaluation: Evaluation, drive: str | None = None) -> Percents:
     """The cells of a run, of all of it or of one drive; empty where no one-class detector ran.
 
     Cells without an AUC are left out.
@@ -61,7 +64,7 @@ def measured_table(evaluation: Evaluation, drive: str | None = None) -> AucTable
     return {key: value for key, value in found.items() if not math.isnan(value)}
 
 
-def best_cells(table: AucTable, columns: Sequence[str]) -> set[tuple[str, str]]:
+def best_cells(table: Percents, columns: Sequence[str]) -> set[tuple[str, str]]:
     """The best classifiers of each column, to the one decimal that is printed."""
     best = set()
     for planes in columns:
@@ -70,7 +73,7 @@ def best_cells(table: AucTable, columns: Sequence[str]) -> set[tuple[str, str]]:
     return best
 
 
-def rank_correlations(ours: AucTable, paper: AucTable) -> Iterator[tuple[str, int, float]]:
+def rank_correlations(ours: Percents, paper: Percents) -> Iterator[tuple[str, int, float]]:
     """Spearman's coefficient between two tables: what over, how many pairs, the coefficient.
 
     Over the cells that both have, of all and of each half; and over the means of columns and
@@ -84,9 +87,7 @@ def rank_correlations(ours: AucTable, paper: AucTable) -> Iterator[tuple[str, in
             yield name, len(pairs), float(np.corrcoef(ranks)[0, 1])
 
 
-def _compared(
-    ours: AucTable, paper: AucTable
-) -> Iterator[tuple[str, Sequence[tuple[float, float]]]]:
+def _compared(ours: Percents, paper: Percents) -> Iterator[tuple[str, Pairs]]:
     """What ``rank_correlations`` is over, and the pairs of values."""
     both = [key for key in ours if key in paper]
     parts = {"all cells": both}
@@ -132,7 +133,7 @@ def _heading(evaluation: Evaluation) -> str:
     return f"One-class classifiers, {pictures}{over}{beside}"
 
 
-def _lines(ours: AucTable, paper: AucTable, columns: Sequence[str]) -> list[str]:
+def _lines(ours: Percents, paper: Percents, columns: Sequence[str]) -> list[str]:
     best = best_cells(ours, columns)
     rows, columns = _measured(ours, columns)
     lines = ["classifier".ljust(16) + "".join(planes.rjust(12) for planes in columns)] * bool(rows)
@@ -145,14 +146,14 @@ def _lines(ours: AucTable, paper: AucTable, columns: Sequence[str]) -> list[str]
     return lines
 
 
-def _measured(ours: AucTable, columns: Sequence[str]) -> tuple[list[str], list[str]]:
+def _measured(ours: Percents, columns: Sequence[str]) -> tuple[list[str], list[str]]:
     """The classifiers and those of the columns in which there is any value."""
     columns = [planes for planes in columns if any(key[1] == planes for key in ours)]
     rows = [name for name in CLASSIFIERS if any((name, planes) in ours for planes in columns)]
     return rows, columns
 
 
-def _cell(table: AucTable, key: tuple[str, str]) -> str:
+def _cell(table: Percents, key: tuple[str, str]) -> str:
     return f"{table[key]:.1f}" if key in table else "-"
 
 
@@ -195,7 +196,7 @@ def table_html(evaluation: Evaluation) -> str:
     )
 
 
-def _half(title: str, ours: AucTable, paper: AucTable, columns: Sequence[str]) -> Half:
+def _half(title: str, ours: Percents, paper: Percents, columns: Sequence[str]) -> Half:
     best = best_cells(ours, columns)
     names, columns = _measured(ours, columns)
     rows = {

@@ -8,7 +8,7 @@ import pytest
 import torch
 from PIL import Image
 
-from roadtorch.data.camvid import CLASSES, COLOURS32, split_of
+from roadtorch.data.camvid import CLASSES11, COLOURS32, split_of
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.labels import colour_indices, read_colours, read_labels
 from roadtorch.errors import DatasetError
@@ -193,7 +193,7 @@ def test_mistakes_in_the_files(tmp_path):
 @pytest.mark.data
 def test_the_table_is_the_measured_one(data_root):
     with (data_root / "camvid_full/to11.csv").open() as file:
-        measured = {row["name"]: CLASSES[int(row["index11"])] for row in csv.DictReader(file)}
+        measured = {row["name"]: CLASSES11[int(row["index11"])] for row in csv.DictReader(file)}
     with (data_root / "camvid_full/colors32.csv").open() as file:
         colours = {row["name"]: tuple(int(row[c]) for c in "rgb") for row in csv.DictReader(file)}
 
@@ -235,7 +235,7 @@ def test_pixel_counts_of_the_release(data_root):
 )
 def test_full_size_labels_agree_with_those_of_the_release(data_root, first_row, same, road_iou):
     release = {item.name: item for item in open_dataset("camvid", data_root / "camvid").items}
-    became = np.array([CLASSES.index(name) for _, _, name in COLOURS32])
+    became = np.array([CLASSES11.index(name) for _, _, name in COLOURS32])
     colours = tuple(colour for colour, _, _ in COLOURS32)
     full = open_dataset("camvid32", data_root / "camvid_full")
     mine, theirs = [], []
