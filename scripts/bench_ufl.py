@@ -61,7 +61,7 @@ STAGES: Stages = {
     "pictures of the stages": (
         (ufl, "dictionary_picture"),
         (ufl, "mosaic"),
-        (ufl, "paint_nodes"),
+        (ufl, "map_pictures"),
         (ufl, "map_to_image"),
     ),
     "back to full size": ((working_size, "at_picture_size"),),

@@ -100,7 +100,7 @@ def test_the_choice_is_the_best_threshold_averaged_over_drives():
 
     found = choose_threshold(run, "test-brightness", {"gain": 0.5})
 
-    assert found.settings.model_dump() == {"threshold": 0.5, "gain": 0.5}
+    assert found.settings == BrightnessSettings(threshold=0.5, gain=0.5)
     assert (found.f, found.iou) == (1, 1)
     # Drive a at the threshold of b (0.5 or more up to 0.8, the lowest: 0.5), b at that of a.
     assert found.f_held_out == 1
