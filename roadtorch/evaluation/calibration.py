@@ -26,34 +26,11 @@ class Reliability:
     share: Tensor  # of all pixels; never NaN unless nothing was counted
 
 
-@dataclass(frozen=True)
-class BrierParts:
-    """Murphy's parts, float64 (...): Brier score = reliability - resolution + uncertainty."""
-
-    reliability: Tensor  # mean squared distance of likelihood and share of road; less is better
-    resolution: Tensor  # how much the share of road differs between levels; more is better
-    uncertainty: Tensor  # variance of the truth, the score of always saying the share of road
-
-
 def brier(counts: RoadCounts) -> Tensor:
     """Mean squared difference of likelihood and truth, float64 (...); NaN without pixels."""
     likelihood, road, other = _levels(counts)
     wrong = road * (1 - likelihood) ** 2 + other * likelihood**2
     return wrong.sum(-1) / (road + other).sum(-1)
-
-
-def brier_parts(counts: RoadCounts) -> BrierParts:
-    """The Brier score taken apart, every level a group of its own, so that the sum is exact."""
-    likelihood, road, other = _levels(counts)
-    here = road + other
-    total = here.sum(-1)
-    mean = road.sum(-1) / total
-    observed = road / here.clamp(min=1)
-    return BrierParts(
-        (here * (likelihood - observed) ** 2).sum(-1) / total,
-        (here * (observed - mean[..., None]) ** 2).sum(-1) / total,
-        mean * (1 - mean),
-    )
 
 
 def reliability(counts: RoadCounts, bins: int = BINS) -> Reliability:

@@ -82,13 +82,3 @@ def difference(one: Replicated, other: Replicated) -> Replicated:
             "replicate both with the same weights"
         )
     return Replicated(one.value - other.value, one.draws - other.draws)
-
-
-def bootstrap_interval(
-    group_sizes: Sequence[int],
-    figure: Figure,
-    generator: torch.Generator,
-    replicates: int = REPLICATES,
-) -> Interval:
-    """The 95 % interval of one figure over images drawn anew inside each group."""
-    return interval(replicate(figure, group_weights(group_sizes, generator, replicates)))

@@ -47,28 +47,6 @@ def test_default_levels_are_fine_enough_for_any_likelihood():
     assert found == pytest.approx(brier_score_loss(road, scores), abs=1e-6)
 
 
-@settings(max_examples=30, deadline=None)
-@given(st.integers(0, 10_000))
-def test_the_parts_of_the_brier_score_add_up(seed):
-    counts = count(*drawn(seed, levels=21), levels=21)
-
-    parts = calibration.brier_parts(counts)
-
-    total = parts.reliability - parts.resolution + parts.uncertainty
-    assert float(total) == pytest.approx(float(calibration.brier(counts)), abs=1e-12)
-
-
-def test_the_parts_of_the_brier_score_by_hand():
-    # Ten pixels at 0.2 of which 1 is road; ten at 0.8 of which 8 are.
-    counts = count([0.2] * 10 + [0.8] * 10, [1] + [0] * 9 + [1] * 8 + [0] * 2, levels=11)
-
-    parts = calibration.brier_parts(counts)
-
-    assert float(parts.reliability) == pytest.approx((0.1**2 + 0) / 2)
-    assert float(parts.resolution) == pytest.approx(0.35**2)
-    assert float(parts.uncertainty) == pytest.approx(0.45 * 0.55)
-
-
 @pytest.mark.parametrize("bins", [1, 7, 20])
 @pytest.mark.parametrize("seed", range(3))
 def test_reliability_equals_pixels_and_scikit_learn(seed, bins):
@@ -138,4 +116,3 @@ def test_nothing_counted_is_nan():
 
     assert math.isnan(calibration.brier(nothing))
     assert math.isnan(calibration.expected_error(nothing))
-    assert math.isnan(calibration.brier_parts(nothing).uncertainty)

@@ -58,9 +58,8 @@ def test_a_seed_gives_the_same_draws_again():
 def test_interval_of_a_mean_is_the_textbook_one():
     values = normal(200, seed=1)
 
-    low, high = uncertainty.bootstrap_interval(
-        [200], mean_of(values), torch.Generator().manual_seed(2), replicates=4000
-    )
+    weights = uncertainty.group_weights([200], torch.Generator().manual_seed(2), 4000)
+    low, high = uncertainty.interval(uncertainty.replicate(mean_of(values), weights))
 
     error = float(values.std()) / math.sqrt(200)
     assert low == pytest.approx(float(values.mean()) - 1.96 * error, abs=0.1 * error)

@@ -1,0 +1,30 @@
+"""What detectors said when it was last written down: a change of their answers is meant, or a bug."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from scripts import freeze
+
+FROZEN = json.loads((Path(__file__).parent / "frozen.json").read_text(encoding="utf-8"))
+AWAY = 4.0  # 255ths: how far another machine's arithmetic may move a likelihood, on average
+
+
+@pytest.fixture(scope="module")
+def now() -> dict[str, list[list[int]]]:
+    return freeze.thumbnails()
+
+
+@pytest.mark.parametrize("name", FROZEN)
+def test_a_detector_says_what_it_said(name: str, now: dict[str, list[list[int]]]) -> None:
+    """Meant to change? `python scripts/freeze.py thumbnails tests/frozen.json` writes it anew."""
+    before, after = (sum(maps[name], []) for maps in (FROZEN, now))
+
+    assert len(before) == len(after) == 2 * 6 * 8
+    away = sum(abs(one - two) for one, two in zip(before, after, strict=True)) / len(before)
+    assert away <= AWAY
+
+
+def test_every_detector_is_written_down() -> None:
+    assert set(FROZEN) == {*freeze.DETECTORS, *freeze.CELLS}
