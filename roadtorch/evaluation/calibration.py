@@ -3,8 +3,8 @@
 Everything is computed from counts by level, so pixels are scored by the level their
 likelihood was rounded to, at the default 65,536 levels less than a hundred-thousandth away.
 
-Sources: Brier, Monthly Weather Review 1950; Murphy, Journal of Applied Meteorology 1973
-(decomposition); Naeini, Cooper, Hauskrecht, AAAI 2015 (expected calibration error).
+Sources: Brier, Monthly Weather Review 1950; Naeini, Cooper, Hauskrecht, AAAI 2015 (expected
+calibration error).
 """
 
 from dataclasses import dataclass
