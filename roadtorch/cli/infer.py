@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import PATH
+from roadtorch.cli.options import CONFIG, JOBS, ONE_DETECTOR, OVERWRITE, PATH, QUIET, SETTING
 
 KINDS = ("likelihood", "mask", "overlay", "cues", "npy")
 
@@ -24,7 +24,7 @@ def _kinds(_: click.Context, __: click.Parameter, value: str) -> tuple[str, ...]
 
 @click.command()
 @click.argument("inputs", metavar="INPUT...", nargs=-1)
-@click.option("--detector", help="Name of the detector; see roadtorch detectors. [fusion]")
+@ONE_DETECTOR
 @click.option("--out", type=PATH, default=Path("roads"), show_default=True, help="Results.")
 @click.option(
     "--save",
@@ -33,19 +33,13 @@ def _kinds(_: click.Context, __: click.Parameter, value: str) -> tuple[str, ...]
     callback=_kinds,
     help=f"What to write: some of {','.join(KINDS)}.",
 )
-@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="One setting.")
-@click.option("--config", type=PATH, help="TOML file with the detector and its settings.")
+@SETTING
+@CONFIG
 @click.option("--threshold", type=float, help="Likelihood from which a pixel is road.")
 @click.option("--depth", type=click.Choice(["8", "16"]), default="8", show_default=True)
-@click.option(
-    "--jobs",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="Pictures at a time; the results do not depend on it.",
-)
-@click.option("--overwrite", is_flag=True, help="Redo pictures that are done.")
-@click.option("--quiet", is_flag=True, help="No progress, only failures.")
+@JOBS
+@OVERWRITE
+@QUIET
 @click.option("--print-config", is_flag=True, help="Print the effective settings and stop.")
 @click.pass_context
 def infer(

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import PATH
+from roadtorch.cli.options import JOBS, OVERWRITE, PATH, QUIET, SETTING
 
 
 @click.command()
@@ -17,11 +17,11 @@ from roadtorch.cli.options import PATH
     show_default=True,
     help="Leave doubtful segments unlabelled, or give each its likeliest class.",
 )
-@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="One setting.")
+@SETTING
 @click.option("--overlay", is_flag=True, help="Also write NAME.overlay.jpg.")
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
-@click.option("--overwrite", is_flag=True, help="Redo pictures that are done.")
-@click.option("--quiet", is_flag=True, help="No progress, only failures.")
+@JOBS
+@OVERWRITE
+@QUIET
 @click.pass_context
 def label(
     context: click.Context,

@@ -9,6 +9,23 @@ import click
 PATH = click.Path(path_type=Path)
 Command = Callable[..., Any]
 
+ONE_DETECTOR = click.option(
+    "--detector", help="Name of the detector; see roadtorch detectors. [fusion]"
+)
+SETTING = click.option(
+    "--set", "assignments", multiple=True, metavar="KEY=VALUE", help="One setting."
+)
+CONFIG = click.option("--config", type=PATH, help="TOML file with the detector and its settings.")
+JOBS = click.option(
+    "--jobs",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Pictures at a time; the results do not depend on it.",
+)
+OVERWRITE = click.option("--overwrite", is_flag=True, help="Redo pictures that are done.")
+QUIET = click.option("--quiet", is_flag=True, help="No progress, only failures.")
+
 LABELLED_SET = (
     click.argument("dataset"),
     click.argument("root", type=PATH),
@@ -25,7 +42,7 @@ LABELLED_SET = (
         "--set", "assignments", multiple=True, help="Setting of the detectors: key=value."
     ),
     click.option("--limit", type=click.IntRange(min=1), help="Look at this many pictures only."),
-    click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True),
+    JOBS,
 )
 
 

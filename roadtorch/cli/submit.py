@@ -4,24 +4,18 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import PATH
+from roadtorch.cli.options import CONFIG, JOBS, ONE_DETECTOR, OVERWRITE, PATH, QUIET, SETTING
 
 
 @click.command()
 @click.argument("root", metavar="ROOT", type=PATH)
-@click.option("--detector", help="Name of the detector; see roadtorch detectors. [fusion]")
+@ONE_DETECTOR
 @click.option("--out", type=PATH, required=True, help="Folder for the maps and the archive.")
-@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="One setting.")
-@click.option("--config", type=PATH, help="TOML file with the detector and its settings.")
-@click.option(
-    "--jobs",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="Pictures at a time; the results do not depend on it.",
-)
-@click.option("--overwrite", is_flag=True, help="Redo pictures that are done.")
-@click.option("--quiet", is_flag=True, help="No progress, only failures.")
+@SETTING
+@CONFIG
+@JOBS
+@OVERWRITE
+@QUIET
 @click.pass_context
 def submit(
     context: click.Context,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import PATH
+from roadtorch.cli.options import PATH, SETTING
 
 
 @click.command()
@@ -13,7 +13,7 @@ from roadtorch.cli.options import PATH
 @click.option("--images", required=True, help="Folder, file or quoted glob of pictures.")
 @click.option("--out", type=PATH, required=True, help="Folder of this run.")
 @click.option("--resume", is_flag=True, help="Go on with the run in --out.")
-@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="One setting.")
+@SETTING
 @click.option(
     "--prepared",
     type=PATH,
