@@ -1,7 +1,6 @@
 """What ``infer`` and ``label`` share: many pictures, some broken, some already done."""
 
 import csv
-import io
 import sys
 import tempfile
 from collections import deque
@@ -14,7 +13,7 @@ from time import monotonic
 import click
 
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
-from roadtorch.files import make_folder, write_text
+from roadtorch.files import csv_text, make_folder, write_text
 from roadtorch.sources.pictures import Picture, find_images
 
 INDEX = "index.csv"
@@ -213,8 +212,5 @@ def read_index(path: Path) -> dict[str, Row]:
 
 def write_index(path: Path, rows: Iterable[Row]) -> None:
     """Write rows, sorted by file, as index.csv."""
-    text = io.StringIO(newline="")
-    table = csv.DictWriter(text, list(Row.__dataclass_fields__), lineterminator="\n")
-    table.writeheader()
-    table.writerows(asdict(row) for row in sorted(rows, key=lambda row: row.file))
-    write_text(path, text.getvalue())
+    columns = list(Row.__dataclass_fields__)
+    write_text(path, csv_text(columns, map(asdict, sorted(rows, key=lambda row: row.file))))

@@ -1,11 +1,10 @@
 """What a run leaves behind in a folder: figures, curves, rows, sheets of pictures, the page."""
 
-import csv
-import io
 import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from roadtorch.evaluation.document import defined, document
 from roadtorch.evaluation.drive_curves import RunCurves, drive_curves
 from roadtorch.evaluation.pictures import PictureRow, picture_rows
 from roadtorch.evaluation.result import Evaluation, Failure
-from roadtorch.files import write_text
+from roadtorch.files import csv_text, write_text
 from roadtorch.oneclass import CLASSIFIERS
 from roadtorch.report.montage import write_montages
 from roadtorch.report.page.html import write_page
@@ -70,15 +69,15 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 def rows_csv(rows: Sequence[PictureRow], failures: Sequence[Failure]) -> str:
     """CSV text: a line for each picture and detector, then one for each picture that failed."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    for row in rows:
-        cells = {key: _cell(value) for key, value in asdict(row).items()}
-        writer.writerow({**cells, "ms": f"{row.ms:.2f}", "status": "ok"})
-    for one in failures:
-        writer.writerow({"image": one.image, "group": one.group or "", "status": one.reason})
-    return text.getvalue()
+    scored = (
+        {key: _cell(value) for key, value in asdict(row).items()}
+        | {"ms": f"{row.ms:.2f}", "status": "ok"}
+        for row in rows
+    )
+    failed = (
+        {"image": one.image, "group": one.group or "", "status": one.reason} for one in failures
+    )
+    return csv_text(COLUMNS, chain(scored, failed))
 
 
 def _cell(value: str | float) -> str:
