@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from roadtorch.data.dataset import Dataset, Item
-from roadtorch.data.folder import FOLDER_LABELS
+from roadtorch.data.folder import FolderLabels
 from roadtorch.evaluation.contenders import Contender, Look
 from roadtorch.evaluation.drive_curves import DetectorCurves, RunCurves
 from roadtorch.evaluation.measure import Figures
@@ -43,7 +43,7 @@ def made_run(
     failed = Failure(f"{DRIVES[0]}_99", DRIVES[0], "is not a picture")
     dataset = Dataset(
         "camvid", Path("data"), "dev", (*items, made_item(failed.image, failed.group)),
-        FOLDER_LABELS,
+        FolderLabels(),
     )  # fmt: skip
     evaluation = Evaluation(
         dataset,
@@ -63,7 +63,7 @@ def made_run(
 
 def scored(scores: Mapping[str, float | None]) -> Evaluation:
     """A run of detectors with a MaxF each and nothing else; None: not even that."""
-    dataset = Dataset("folder", Path("data"), "all", (), FOLDER_LABELS)
+    dataset = Dataset("folder", Path("data"), "all", (), FolderLabels())
     return Evaluation(
         dataset,
         {

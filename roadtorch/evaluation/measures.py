@@ -88,6 +88,15 @@ F = Measure(
     shown=("further",),
 )
 
+F_MASK = Measure(
+    "f_mask",
+    "F\nof mask",
+    "F of the detector's own mask, at its default threshold: what a user gets.",
+    _of_mask(metrics.f_measure),
+    interval=True,
+    shown=("screen", "scores"),
+)
+
 SCORES = (
     Measure(
         "images",
@@ -219,7 +228,7 @@ DECISIONS = (
         _of_mask(metrics.iou),
         shown=("further",),
     ),
-    Measure("f_mask", "F\nof mask", "F of that mask.", _of_mask(metrics.f_measure)),
+    F_MASK,
     Measure(
         "precision_mask",
         "precision\nof mask",

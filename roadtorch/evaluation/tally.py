@@ -92,11 +92,14 @@ class Tally:
         }
         if score.layout is not None:
             values["layout"] = score.layout
-        for key, value in values.items():
-            column = self.columns.get(key, value.new_zeros((FIRST_ROWS, *value.shape)))
-            if len(column) == len(self.pictures):
+        row = len(self.pictures)
+        for key in values.keys() - self.columns.keys():
+            self.columns[key] = values[key].new_zeros((FIRST_ROWS, *values[key].shape))
+        for key, column in self.columns.items():  # those as well that this picture has not
+            while len(column) <= row:
                 column = torch.cat([column, torch.zeros_like(column)])
-            column[len(self.pictures)] = value
+            if key in values:
+                column[row] = values[key]
             self.columns[key] = column
 
     def kept(self, groups: Iterable[str] | None = None) -> Pictures:

@@ -3,11 +3,14 @@
 import math
 from collections.abc import Mapping, Sequence
 
-from roadtorch.evaluation.measure import Figures
-from roadtorch.evaluation.measures import MAXF
+from roadtorch.evaluation.measure import Figures, Measure
+from roadtorch.evaluation.measures import F_MASK, MAXF
 from roadtorch.evaluation.result import DetectorFigures, Difference, Evaluation
 
 NONE = "-"
+
+WORST = (MAXF, F_MASK)
+"""Of many drives, the worst by these measures has a column."""
 
 MOST_SHOWN = 40
 """Detectors on the screen, besides the floors; a grid of 310 fills no screen well."""
@@ -39,12 +42,23 @@ def _best_first(detectors: Mapping[str, DetectorFigures]) -> list[str]:
     return sorted(scores, key=lambda name: math.inf if math.isnan(scores[name]) else -scores[name])
 
 
+MOST_DRIVES = 6
+"""Drives with a column of their own; of more, the worst is told."""
+
+
 def road_table(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]) -> str:
-    """Detector by MaxF (by drive and mean) and the other headline figures, best MaxF first."""
-    drives, measures = evaluation.drives, evaluation.shown_in("screen")
-    pooled = ["pooled"] if drives else []
+    """Detector by MaxF (by drive and mean) and the other headline figures, best MaxF first.
+
+    Of more than ``MOST_DRIVES`` drives the worst is told, by MaxF and by F of the mask.
+    """
+    measures = evaluation.shown_in("screen")
+    many = len(evaluation.drives) > MOST_DRIVES
+    drives = [] if many else evaluation.drives
+    pooled = ["pooled"] if evaluation.drives else []
     by_drive = [f"MaxF {drive}" for drive in drives]
-    header = ["detector", *by_drive, "MaxF", "95 %", *pooled, *(one.line for one in measures)]
+    worst = [f"worst {one.line}" for one in WORST if many]
+    header = ["detector", *by_drive, "MaxF", "95 %", *worst, *pooled]
+    header += [one.line for one in measures]
     rows = [header]
     for name in _best_first(detectors):
         one = detectors[name]
@@ -54,10 +68,21 @@ def road_table(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures])
             *(MAXF.text(MAXF.of(one.drive(drive)), NONE) for drive in drives),
             MAXF.text(MAXF.of(one.headline), NONE),
             f"{MAXF.text(low, NONE)}–{MAXF.text(high, NONE)}",
+            *(worst_drive(one, measure) for measure in WORST if many),
             *(MAXF.text(MAXF.of(one.pooled), NONE) for _ in pooled),
             *(measure.text(measure.of(one.headline), NONE) for measure in measures),
         ])  # fmt: skip
     return align(rows)
+
+
+def worst_drive(one: DetectorFigures, measure: Measure) -> str:
+    """The lowest value among the drives, and whose it is."""
+    values = {drive: measure.of(figures) for drive, figures in one.drives.items()}
+    known = {drive: value for drive, value in values.items() if not math.isnan(value)}
+    if not known:
+        return NONE
+    drive = min(known, key=lambda name: known[name])
+    return f"{measure.text(known[drive], NONE)} {drive}"
 
 
 def layout_table(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]) -> str:

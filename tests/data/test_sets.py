@@ -41,6 +41,47 @@ def test_folder_masks_in_either_coding(tmp_path, road, void):
     assert truth.layout is None
 
 
+def grouped_set(root: Path) -> Dataset:
+    """Two cameras: one with masks, one with road, void and the layout of one of its pictures."""
+    picture = np.zeros((1, 3, 3), np.uint8)
+    for name in ("near/images/a", "far/images/a", "far/images/b"):
+        write_png(root / f"{name}.png", picture)
+    write_png(root / "near/masks/a.png", np.array([[0, 255, 127]], np.uint8))
+    for name in ("a", "b"):
+        write_png(root / f"far/road/{name}.png", np.array([[0, 1, 255]], np.uint8))
+    write_png(root / "far/layout/a.png", np.array([[0, 2, 255]], np.uint8))
+    (root / "notes").mkdir()
+    return open_dataset("folder", root)
+
+
+def test_folders_of_pictures_and_labels_are_the_groups(tmp_path):
+    found = grouped_set(tmp_path)
+
+    assert [(item.name, item.group) for item in found.items] == [
+        ("far/a", "far"), ("far/b", "far"), ("near/a", "near")
+    ]  # fmt: skip
+    for item in found.items:
+        truth = found.truth(item)
+        assert truth.road[0].tolist() == [False, True, False], item.name
+        assert truth.valid[0].tolist() == [True, True, False], item.name
+    layouts = [found.truth(item).layout for item in found.items]
+    assert layouts[0] is not None
+    assert layouts[0][0].tolist() == [0, 2, 255]
+    assert layouts[1:] == [None, None]
+
+
+def test_a_folder_without_pictures_and_a_layout_of_another_size_are_named(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(DatasetError, match=r"empty: has no folder images, nor folders that have"):
+        open_dataset("folder", tmp_path / "empty")
+
+    found = grouped_set(tmp_path / "set")
+    write_png(tmp_path / "set/far/layout/a.png", np.zeros((2, 3), np.uint8))
+
+    with pytest.raises(DatasetError, match=r"layout/a\.png: is 3 by 2 pixels, unlike a\.png"):
+        found.truth(found.items[0])
+
+
 def test_unknown_values_are_named_and_counted(tmp_path):
     found = folder_set(tmp_path, np.array([[0, 3, 3, 77, 255]], np.uint8))
 

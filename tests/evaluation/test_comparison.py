@@ -52,7 +52,18 @@ def test_every_headline_figure_has_an_interval_around_it(dataset):
 
     found = comparison.intervals(draws)
 
-    names = ("maxf", "auc_pooled", "auc_mean", "ap", "eer", "brier", "iou", "f", "layout/mean")
+    names = (
+        "maxf",
+        "auc_pooled",
+        "auc_mean",
+        "ap",
+        "eer",
+        "brier",
+        "iou",
+        "f",
+        "f_mask",
+        "layout/mean",
+    )
     assert set(found) == set(names) == {one.key for one in MEASURES if one.interval}
     for name, (low, high) in found.items():
         assert low <= figures.headline[name] <= high

@@ -77,6 +77,24 @@ def test_rows_outlive_the_room_there_was_for_them_and_can_be_sorted(tmp_path):
     assert int(kept.road.road[0].sum()) == int(few.kept().road.road[0].sum())
 
 
+def test_pictures_with_and_without_layout_may_be_mixed_in_any_order(tmp_path):
+    dataset, _ = scenes_dataset(tmp_path)
+    item, tally = dataset.items[0], Tally()
+    looks = {"it": lambda image, _: Detection(image.mean(0), image[0] > 0.5, {"layout": image})}
+    shown = score_item(dataset, looks, item).scores["it"]
+    assert shown.layout is not None
+    for index in range(200):  # more than there is room for at first, before and after
+        is_shown = 90 <= index < 100
+        score = shown if is_shown else replace(shown, layout=None)
+        tally.add(replace(item, name=f"{index}"), score)
+
+    layout = tally.kept().layout
+
+    assert layout is not None
+    assert len(layout) == 200
+    assert torch.equal(layout.flatten(1).sum(1) > 0, (torch.arange(200) // 10) == 9)
+
+
 def test_pictures_come_drive_by_drive_when_drives_are_asked_for(tmp_path):
     dataset, _ = scenes_dataset(tmp_path)
     tally = counted(dataset, True)

@@ -33,7 +33,7 @@ def test_the_columns_are_those_of_the_measures_that_ask_for_one() -> None:
     road, layout, pairs = (part.splitlines()[0] for part in screen(evaluation).split("\n\n"))
 
     assert road.split("pooled")[1].split() == [
-        *("AUC", "AUC/image", "AP", "IoU", "EER", "Brier", "ms/image")
+        *("AUC", "AUC/image", "AP", "IoU", "EER", "Brier", "ms/image", "F", "of", "mask")
     ]
     assert layout.split()[:6] == ["layout", "drive", "sky", "vertical", "horizontal", "mean"]
     assert pairs.split()[:3] == ["less", "fusion", "MaxF"]
@@ -41,3 +41,17 @@ def test_the_columns_are_those_of_the_measures_that_ask_for_one() -> None:
 
 def test_columns_line_up() -> None:
     assert align([["a", "b"], ["long", "1.5"]]) == "a       b\nlong  1.5"
+
+
+def test_of_many_drives_the_worst_is_told() -> None:
+    cameras = [f"camera{number}" for number in range(8)]
+    few, _, _ = made_run(["fusion"], cameras[:6])
+    many, _, _ = made_run(["fusion"], cameras)
+
+    assert "MaxF camera5" in screen(few)
+    header, row = screen(many).splitlines()[:2]
+    assert "MaxF camera5" not in header
+    assert "worst MaxF" in header
+    assert "worst F of mask" in header
+    worst = many.detectors["fusion"].drives["camera0"]["maxf"]
+    assert f"{worst:.3f} camera0" in row
