@@ -20,7 +20,7 @@ from roadtorch.segment_statistics import (
     segment_median,
     segment_sum,
 )
-from roadtorch.superpixels import connect, slic
+from roadtorch.superpixels import connect, slic, squares
 from tests.reference import superpixels as reference
 
 
@@ -419,3 +419,23 @@ def test_a_single_segment_has_no_border() -> None:
 
     assert pairs.shape == (2, 0)
     assert means.shape == (0,)
+
+
+def test_squares_are_numbered_by_rows_and_cut_off_at_the_edges():
+    assert squares(3, 5, 2).tolist() == [[0, 0, 1, 1, 2], [0, 0, 1, 1, 2], [3, 3, 4, 4, 5]]
+
+
+@given(st.integers(1, 60), st.integers(1, 60), st.integers(1, 70))
+def test_squares_partition_the_picture(height, width, size):
+    labels = squares(height, width, size)
+
+    counts = torch.bincount(labels.flatten())
+    assert labels.dtype == torch.int64
+    assert counts.min() >= 1
+    assert counts.max() <= size * size
+    assert len(counts) == -(-height // size) * -(-width // size)
+
+
+def test_squares_have_at_least_one_pixel():
+    with pytest.raises(ConfigError, match="size: 0 was given"):
+        squares(4, 4, 0)

@@ -1,0 +1,68 @@
+"""Finding pictures: files, folders, globs."""
+
+from pathlib import Path
+
+import pytest
+
+from roadtorch.errors import InputError
+from roadtorch.sources.pictures import Picture, find_images
+
+
+@pytest.fixture
+def footage(tmp_path: Path) -> Path:
+    root = tmp_path / "footage"
+    for name in ("b.jpg", "a.PNG", "sub/c.webp", "sub/deep/d.tif", ".hidden/e.jpg", "notes.txt"):
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    return root
+
+
+def names(pictures: list[Picture]) -> list[str]:
+    return [picture.name for picture in pictures]
+
+
+def test_a_folder_is_searched_to_the_bottom_in_order(footage: Path) -> None:
+    assert names(find_images([footage])) == ["a", "b", "sub/c", "sub/deep/d"]
+
+
+def test_a_quoted_glob_keeps_what_follows_its_fixed_part(footage: Path) -> None:
+    assert names(find_images([f"{footage}/*.jpg"])) == ["b"]
+    assert names(find_images([f"{footage}/**/*.*"])) == ["a", "b", "sub/c", "sub/deep/d"]
+    assert names(find_images([f"{footage}/s*"])) == ["sub/c", "sub/deep/d"]
+
+
+def test_a_name_with_brackets_that_exists_is_no_glob(footage: Path) -> None:
+    path = footage / "x[1].jpg"
+    path.touch()
+
+    assert find_images([path]) == [Picture(path, "x[1]")]
+
+
+def test_own_results_and_the_output_folder_are_not_looked_at(footage: Path) -> None:
+    for name in ("b.mask.png", "b.overlay.jpg", "b.likelihood.png", "b.cue.layout.png"):
+        (footage / name).touch()
+
+    assert names(find_images([footage], apart=footage / "sub")) == ["a", "b"]
+    assert names(find_images([footage / "b.mask.png"])) == ["b.mask"]  # asked for by name
+
+
+def test_the_same_picture_twice_is_one(footage: Path) -> None:
+    assert names(find_images([footage / "b.jpg", footage / "b.jpg"])) == ["b"]
+
+
+def test_a_missing_file_stays_beside_one_that_exists(footage: Path) -> None:
+    assert names(find_images([footage / "b.jpg", footage / "none.jpg"])) == ["b", "none"]
+
+
+def test_nothing_found_is_an_error_that_names_the_input(footage: Path) -> None:
+    (footage / "bare").mkdir()
+
+    for item, what in [
+        (footage / "bare", "holds no pictures"),
+        (footage / "*.gif", "holds no pictures"),
+        (footage / "none.jpg", "does not exist"),
+    ]:
+        with pytest.raises(InputError) as caught:
+            find_images([item])
+        assert (caught.value.where, caught.value.what) == (str(item), what)

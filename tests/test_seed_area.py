@@ -1,0 +1,113 @@
+"""The seed area, its segments, and the regions that touch it."""
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadtorch.seed_area import SeedArea, remove_isolated, seed_area, seed_segments
+from roadtorch.superpixels import squares
+
+SIDES = st.integers(16, 2000)
+
+
+def test_the_default_seed_area_is_that_of_the_paper():
+    assert seed_area(240, 320) == (slice(210, 240), slice(120, 200))
+
+
+def test_the_seed_area_scales_with_the_image():
+    assert seed_area(720, 960) == (slice(630, 720), slice(360, 600))
+
+
+@given(SIDES, SIDES, st.integers(1, 240), st.integers(1, 320))
+def test_the_seed_area_is_inside_not_empty_central_and_at_the_bottom(height, width, tall, wide):
+    rows, columns = seed_area(height, width, SeedArea(height=tall, width=wide))
+
+    assert 0 <= rows.start < rows.stop == height
+    assert 0 <= columns.start < columns.stop <= width
+    left, right = columns.start, width - columns.stop
+    assert 0 <= right - left <= 1
+
+
+def mask_of(*rows: str) -> torch.Tensor:
+    return torch.tensor([[pixel == "#" for pixel in row] for row in rows])
+
+
+BOTTOM = (slice(3, 4), slice(2, 4))
+
+
+def test_only_regions_that_touch_the_seed_area_stay():
+    mask = mask_of("##....", "....##", "..#..#", "..##..")
+
+    kept = remove_isolated(mask, *BOTTOM)
+
+    assert torch.equal(kept, mask_of("......", "......", "..#...", "..##.."))
+
+
+def test_regions_that_meet_at_a_corner_only_are_two():
+    mask = mask_of("......", "......", ".#....", "..#...")
+
+    assert remove_isolated(mask, *BOTTOM).sum() == 1
+
+
+def test_several_regions_may_touch_the_seed_area():
+    mask = mask_of("......", "......", "......", "..#.##")
+    wide = (slice(3, 4), slice(0, 6))
+
+    assert torch.equal(remove_isolated(mask, *wide), mask)
+
+
+@pytest.mark.parametrize("mask", [mask_of("##", "..", "#."), torch.zeros(3, 2, dtype=torch.bool)])
+def test_without_a_region_at_the_seed_area_the_mask_stays_as_it_is(mask):
+    assert torch.equal(remove_isolated(mask, slice(2, 3), slice(1, 2)), mask)
+
+
+def test_the_mask_handed_in_is_not_changed():
+    mask = mask_of("##....", "......", "......", "..##..")
+    before = mask.clone()
+
+    remove_isolated(mask, *BOTTOM)
+
+    assert torch.equal(mask, before)
+
+
+def test_segments_with_half_of_their_pixels_in_the_seed_area_are_road():
+    labels = squares(240, 320, 30)  # the seed area is rows 210…239 and columns 120…199
+
+    found = seed_segments(labels)
+
+    # Columns 120, 150 lie inside; of column 180, 20 of 30 pixels do.
+    assert found.tolist() == [7 * 11 + 4, 7 * 11 + 5, 7 * 11 + 6]
+    assert found.dtype == torch.int64
+
+
+def test_a_segment_mostly_outside_does_not_belong_to_the_seed_area():
+    labels = torch.zeros(240, 320, dtype=torch.int64)
+    labels[210:, 120:190] = 1
+    labels[100:, 190:] = 2
+
+    assert seed_segments(labels).tolist() == [1]
+
+
+def test_without_a_segment_half_inside_the_one_that_fills_most_of_the_seed_area_is_taken():
+    labels = (torch.arange(320) >= 170).long().expand(240, 320)
+
+    assert seed_segments(labels).tolist() == [0]  # 50 columns of 80
+
+
+@given(
+    st.integers(16, 60),
+    st.integers(16, 60),
+    st.integers(1, 70),
+    st.integers(1, 240),
+    st.integers(1, 320),
+)
+def test_there_is_always_a_seed_segment_and_each_is_in_the_seed_area(
+    height, width, size, tall, wide
+):
+    labels, seed = squares(height, width, size), SeedArea(height=tall, width=wide)
+
+    found = seed_segments(labels, seed)
+
+    assert len(found) >= 1
+    assert set(found.tolist()) <= set(labels[seed_area(height, width, seed)].flatten().tolist())
