@@ -2,7 +2,7 @@
 
 import math
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
@@ -42,10 +42,10 @@ def _first_mistake(kind: type[Settings], problem: pydantic.ValidationError) -> C
     path = [str(part) for part in error["loc"]]
     key = ".".join(path)
     if error["type"] == "extra_forbidden":
-        return _unknown_key(_group_at(kind, path[:-1]), path)
+        return _unknown_key(group_at(kind, path[:-1]), path)
     given = f"{error['input']!r} was given"
     if error["type"] == "model_type":
-        known = ", ".join(_group_at(kind, path).model_fields)
+        known = ", ".join(group_at(kind, path).model_fields)
         return ConfigError(key, f"{given} for a group of settings", f"set one of its keys: {known}")
     told = getattr(error.get("ctx", {}).get("error"), "args", ())
     if told and isinstance(told[0], ConfigError):  # a validator's own words
@@ -62,7 +62,7 @@ def _unknown_key(group: type[Settings], path: list[str]) -> ConfigError:
     return unknown_name("setting", key, known)
 
 
-def _group_at(kind: type[Settings], path: list[str]) -> type[Settings]:
+def group_at(kind: type[Settings], path: Sequence[str]) -> type[Settings]:
     """The group of settings found by following ``path`` from ``kind``."""
     for name in path:
         annotation = kind.model_fields[name].annotation

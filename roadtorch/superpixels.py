@@ -21,6 +21,29 @@ from roadtorch.errors import ConfigError
 from roadtorch.image_cache import cached_per_image
 from roadtorch.settings import Settings
 
+NEIGHBOURS = 9
+"""A pixel can belong to the segment of its own grid cell or of the eight around it."""
+
+LAB_TANGENT = (
+    (0.2127, 0.7153, 0.0722),
+    (0.9540, -1.4613, 0.5072),
+    (0.3361, 1.0445, -1.3806),
+)
+"""Derivative of (L,a,b)/100 by gamma-encoded (R,G,B) at mid grey: Lab without its roots.
+Street pictures are nearly grey, boundary recall stays within 0.01, and it is 6 times faster."""
+
+COARSE = 2
+"""Centres move by every second pixel of every second row: a quarter of the work."""
+
+CHUNK = 1 << 18
+"""Distances held at a time: one megabyte."""
+
+SMALLEST = 0.02
+"""Regions below this share of the mean segment size are merged into a neighbour."""
+
+OUTSIDE = 1e6
+"""The squared distance to a centre beyond the grid: never the smallest."""
+
 
 class Superpixels(Settings):
     """Regions that follow the edges in the picture."""
@@ -52,30 +75,6 @@ def squares(height: int, width: int, size: int) -> Tensor:
     across = -(-width // size)
     rows = torch.arange(height) // size
     return rows[:, None] * across + torch.arange(width) // size
-
-
-NEIGHBOURS = 9
-"""A pixel can belong to the segment of its own grid cell or of the eight around it."""
-
-LAB_TANGENT = (
-    (0.2127, 0.7153, 0.0722),
-    (0.9540, -1.4613, 0.5072),
-    (0.3361, 1.0445, -1.3806),
-)
-"""Derivative of (L,a,b)/100 by gamma-encoded (R,G,B) at mid grey: Lab without its roots.
-Street pictures are nearly grey, boundary recall stays within 0.01, and it is 6 times faster."""
-
-COARSE = 2
-"""Centres move by every second pixel of every second row: a quarter of the work."""
-
-CHUNK = 1 << 18
-"""Distances held at a time: one megabyte."""
-
-SMALLEST = 0.02
-"""Regions below this share of the mean segment size are merged into a neighbour."""
-
-OUTSIDE = 1e6
-"""The squared distance to a centre beyond the grid: never the smallest."""
 
 
 class CellGrid(NamedTuple):

@@ -21,8 +21,8 @@ from roadtorch.detector import Detection, Detector, Entry
 from roadtorch.errors import InputError
 from roadtorch.settings import build_settings
 
-SIZES = ((16, 16), (17, 200), (61, 16), (48, 64), (241, 319))
-"""Heights and widths of pictures: least, long, odd, and beyond the working size."""
+SIZES = ((16, 16), (17, 200), (61, 16), (48, 64), (240, 320), (241, 319))
+"""Heights and widths of pictures: least, long, small, of the working size, and beyond it."""
 
 CLOSE = 1e-3
 """How far a likelihood may be on average from that of the same detector in double precision."""
@@ -35,11 +35,23 @@ class BrokenPromiseError(AssertionError):
 def check_detector(entry: Entry, **settings: Any) -> None:
     """Check a detector against every promise in ``PROMISES``; settings as for ``load_detector``.
 
-    Raises BrokenPromiseError for the first one that it breaks.
+    Raises BrokenPromiseError with what `broken_promises` tells.
     """
-    detector = Detector(entry, build_settings(entry.settings, settings)).eval()
+    if broken := broken_promises(entry, **settings):
+        raise BrokenPromiseError("; ".join(broken))
+
+
+def broken_promises(entry: Entry, **settings: Any) -> list[str]:
+    """How a detector breaks its promises, the first way of each; empty for a proper one."""
+    checked = build_settings(entry.settings, settings)
+    detector, again = (Detector(entry, checked).eval() for _ in range(2))
+    found = []
     for promise in PROMISES:
-        promise(detector)
+        try:
+            promise(detector, again)
+        except BrokenPromiseError as broken:
+            found.append(str(broken))
+    return found
 
 
 def street(height: int, width: int, random_seed: int = 0) -> Tensor:
@@ -57,14 +69,14 @@ def street(height: int, width: int, random_seed: int = 0) -> Tensor:
 # --- promises ---------------------------------------------------------------------------
 
 
-def any_size_gives_maps_of_that_size(detector: Detector) -> None:
+def any_size_gives_maps_of_that_size(detector: Detector, _: Detector) -> None:
     """Any picture from 16×16 up: maps of its size, likelihoods in [0,1], finite cues."""
     for height, width in SIZES:
         detection = detector.detect(street(height, width))
         check_detection(detector, detection, (height, width), f"{width}×{height} pixels")
 
 
-def nothing_to_see_gives_proper_maps(detector: Detector) -> None:
+def nothing_to_see_gives_proper_maps(detector: Detector, _: Detector) -> None:
     """Black, white, flat and grey pictures."""
     pictures = {
         "black": torch.zeros(3, 48, 64),
@@ -76,20 +88,20 @@ def nothing_to_see_gives_proper_maps(detector: Detector) -> None:
         check_detection(detector, detector.detect(image), (48, 64), f"a {kind} picture")
 
 
-def the_same_image_gives_the_same_bytes(detector: Detector) -> None:
-    """Whatever torch's own generator does; and the image is left as it was."""
+def the_same_image_gives_the_same_bytes(detector: Detector, again: Detector) -> None:
+    """Loaded once or twice, whatever torch's own generator does; the image is left as it was."""
     image = street(96, 128)
     before = image.clone()
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(1)
         first = detector.detect(image)
         torch.manual_seed(2)
-        second = detector.detect(image)
+        second = again.detect(image)
     _expect(detector, torch.equal(image, before), "changes the image that it is given")
     _expect(detector, _equal(first, second), "says two things of one image")
 
 
-def a_batch_is_its_images_one_by_one(detector: Detector) -> None:
+def a_batch_is_its_images_one_by_one(detector: Detector, _: Detector) -> None:
     """Calling a detector gives likelihoods (B,H,W), of an empty batch as well."""
     images = torch.stack([street(48, 64, random_seed) for random_seed in range(2)])
     singles = torch.stack([detector.detect(image).likelihood for image in images])
@@ -97,14 +109,14 @@ def a_batch_is_its_images_one_by_one(detector: Detector) -> None:
     _expect(detector, detector(images[:0]).shape == (0, 48, 64), "takes no empty batch")
 
 
-def the_mask_follows_the_threshold(detector: Detector) -> None:
+def the_mask_follows_the_threshold(detector: Detector, _: Detector) -> None:
     """No pixel below the threshold is road."""
     detection = detector.detect(street(96, 128))
     below = detection.likelihood < detector.settings.threshold
     _expect(detector, not detection.mask[below].any(), "calls road what is below the threshold")
 
 
-def copies_say_the_same_and_are_their_own(detector: Detector) -> None:
+def copies_say_the_same_and_are_their_own(detector: Detector, _: Detector) -> None:
     """copy.deepcopy, pickle, torch.save and state_dict; a changed copy changes nothing else."""
     image = street(48, 64)
     said = detector.detect(image)
@@ -120,7 +132,7 @@ def copies_say_the_same_and_are_their_own(detector: Detector) -> None:
             _expect(detector, same, f"shares weights with what {way} made")
 
 
-def another_precision_says_nearly_the_same(detector: Detector) -> None:
+def another_precision_says_nearly_the_same(detector: Detector, _: Detector) -> None:
     """``detector.to(torch.float64)`` takes the same images and gives float32 again."""
     image = street(48, 64)
     precise = copy.deepcopy(detector).to(torch.float64)
@@ -130,14 +142,17 @@ def another_precision_says_nearly_the_same(detector: Detector) -> None:
     _expect(detector, distance < CLOSE, f"moves by {distance:.2g} in double precision")
 
 
-def what_is_no_image_is_refused(detector: Detector) -> None:
+def what_is_no_image_is_refused(detector: Detector, _: Detector) -> None:
     """InputError for values beyond [0,1], wrong shapes and types, too small a picture."""
     wrong: dict[str, Any] = {
         "not a number": torch.full((3, 32, 32), torch.nan),
+        "endless": torch.full((3, 32, 32), torch.inf),
         "too bright": torch.full((3, 32, 32), 1.5),
+        "negative": torch.full((3, 32, 32), -0.5),
         "grey": torch.zeros(1, 32, 32),
         "a batch": torch.zeros(1, 3, 32, 32),
         "15 pixels high": torch.zeros(3, 15, 32),
+        "empty": torch.zeros(3, 32, 0),
         "bytes": torch.zeros(3, 32, 32, dtype=torch.uint8),
         "a list": [[0.5]],
     }
@@ -149,7 +164,7 @@ def what_is_no_image_is_refused(detector: Detector) -> None:
         _expect(detector, False, f"takes an image that is {kind}")
 
 
-PROMISES: tuple[Callable[[Detector], None], ...] = (
+PROMISES: tuple[Callable[[Detector, Detector], None], ...] = (
     any_size_gives_maps_of_that_size,
     nothing_to_see_gives_proper_maps,
     the_same_image_gives_the_same_bytes,
@@ -159,6 +174,7 @@ PROMISES: tuple[Callable[[Detector], None], ...] = (
     another_precision_says_nearly_the_same,
     what_is_no_image_is_refused,
 )
+"""Each looks at a detector, and at the same one loaded again; BrokenPromiseError."""
 
 
 # --- how they are checked ---------------------------------------------------------------

@@ -12,6 +12,9 @@ from roadtorch.scenes import render_scene
 from tests.streets import write_camvid
 
 ORACLE = "test-oracle"
+DECISION = {"isolated": "keep", "seed_area": {"height": 30.0, "width": 80.0}}
+"""What every detector is told beside its threshold, if nobody says."""
+
 DRIVES = ("0001TP", "0006R0", "0016E5")
 SCENES = {f"{DRIVES[i % 3]}_{i}": render_scene(i, 48, 64) for i in range(6)}
 TRUTH = {float(scene.image.double().sum()): scene for scene in SCENES.values()}

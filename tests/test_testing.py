@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from roadtorch.detector import DetectorSettings, Entry
-from roadtorch.testing import BrokenPromiseError, check_detector
+from roadtorch.testing import BrokenPromiseError, broken_promises, check_detector
 
 
 class Answer(nn.Module):
@@ -93,6 +93,21 @@ def test_a_copy_that_uses_the_weights_of_the_first_is_found() -> None:
         check_detector(entry_of(Closure))
 
 
+class DrawnAtLoading(nn.Module):
+    """One that is another detector each time it is loaded."""
+
+    def __init__(self, settings: DetectorSettings) -> None:
+        super().__init__()
+        self.gain = float(torch.rand(()))
+
+    def forward(self, image: Tensor) -> dict[str, Tensor]:
+        return {"likelihood": image.mean(0) * self.gain}
+
+
+def test_a_detector_that_loads_differently_each_time_is_found() -> None:
+    assert broken_promises(entry_of(DrawnAtLoading)) == ["theirs says two things of one image"]
+
+
 def test_settings_reach_the_detector_that_is_checked() -> None:
     seen: list[float] = []
 
@@ -102,4 +117,4 @@ def test_settings_reach_the_detector_that_is_checked() -> None:
 
     check_detector(entry_of(build), threshold=0.25)
 
-    assert seen == [0.25]
+    assert seen == [0.25, 0.25]  # loaded twice

@@ -64,8 +64,8 @@ def open_folder(root: Path, split: str) -> Dataset:
 
 
 def _labelled(folder: Path, group: str | None) -> Iterator[Item]:
-    labels = next((path for path in (folder / "masks", folder / "road") if path.is_dir()), None)
-    for image, label in pairs(folder / "images", labels or folder / "masks"):
+    labels = "road" if not (folder / "masks").is_dir() and (folder / "road").is_dir() else "masks"
+    for image, label in pairs(folder / "images", folder / labels):
         name = f"{group}/{image.stem}" if group else image.stem
         layout = folder / "layout" / label.name
         yield Item(name, image, label, group, (layout,) if layout.is_file() else ())

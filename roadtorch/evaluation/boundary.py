@@ -97,9 +97,3 @@ def boundary_f(counts: Tensor) -> Tensor:
     # Without a single right pixel the mean of P and R is 0, and so is F.
     f = 2 * precision * recall / (precision + recall).where(decided_right + true_right > 0, 1)
     return f.where(decided + true > 0, torch.nan)
-
-
-def boundary_figures(counts: Tensor, tolerances: Sequence[float] = TOLERANCES) -> dict[str, float]:
-    """F by tolerance, counts (tolerances,4); the tolerances as text, "0.0075"."""
-    found = boundary_f(counts).tolist()
-    return {f"{share:g}": value for share, value in zip(tolerances, found, strict=True)}

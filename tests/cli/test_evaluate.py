@@ -17,7 +17,7 @@ from roadtorch.errors import ConfigError, InputError
 from roadtorch.evaluation import scoring
 from roadtorch.evaluation.saved_tallies import FILE
 from roadtorch.image import read_image
-from tests.oracle import DRIVES, ORACLE, SCENES, know_oracle, write_set
+from tests.oracle import DECISION, DRIVES, ORACLE, SCENES, know_oracle, write_set
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def test_table_and_metrics_with_the_floors_beside(whole):
     assert best["ms_per_image"] > 0
     assert best["ci95"]["maxf"] == pytest.approx([1, 1])
     assert best["layout"]["mean"] == 1
-    assert best["settings"]["doubt"] == 0.0
+    assert best["settings"] == DECISION | {"doubt": 0.0}
     assert not (out / FILE).exists()
 
 
@@ -110,7 +110,7 @@ def test_options_reach_the_run(camvid, tmp_path):
     found = metrics(tmp_path)
     own = found["detectors"][ORACLE]
     assert found["images"] == 3
-    assert own["settings"]["doubt"] == 0.4
+    assert own["settings"] == DECISION | {"doubt": 0.4}
     assert own["maxf_threshold"] == pytest.approx(0.2, abs=1e-4)
     assert found["paired"]["against"] == "prior:rows"
     gain = found["paired"]["detectors"][ORACLE]["maxf"]

@@ -156,7 +156,10 @@ def test_set_goes_over_the_file_and_threshold_over_both(call: Call, tmp_path: Pa
     ("options", "line"),
     [
         (["--detector", "prior:row"], "prior:row: unknown detector (did you mean"),
-        (["--set", "treshold=0.1"], "treshold: unknown setting (did you mean threshold"),
+        (
+            ["--set", "treshold=0.1"],
+            "treshold: unknown setting (did you mean threshold, isolated?)",
+        ),
         (["--set", "threshold=high"], "threshold: 'high' was given ("),
         (["--threshold", "1.5"], "threshold: 1.5 was given ("),
         (["--set", "threshold"], "threshold: is not a setting ("),

@@ -13,7 +13,6 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.labels import colour_indices, read_colours, read_labels
 from roadtorch.errors import DatasetError
 from roadtorch.scenes import render_scene
-from tests.streets import write_camvid
 
 NAMES = [name for _, name, _ in COLOURS32]
 READINGS = ("camvid32", "camvid32:literal", "camvid32:literal-ignore")
@@ -36,16 +35,6 @@ def names_where(values: torch.Tensor) -> set[str]:
 
 
 # --- eleven classes --------------------------------------------------------------------------
-
-
-@pytest.fixture
-def camvid(tmp_path) -> Path:
-    scenes = {
-        f"{drive}_{i}": render_scene(i, 24, 32) for i, drive in enumerate(("0001TP", "0006R0"))
-    }
-    write_camvid(tmp_path, "train", scenes)
-    write_camvid(tmp_path, "val", {"0016E5_7": render_scene(7, 24, 32)})
-    return tmp_path
 
 
 def test_camvid_dev_is_train_and_val_by_drive(camvid):

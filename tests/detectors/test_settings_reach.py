@@ -17,7 +17,7 @@ from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import save_network
 from roadtorch.oneclass import CLASSIFIERS
-from roadtorch.settings import Settings, build_settings
+from roadtorch.settings import Settings, build_settings, group_at
 from tests.streets import lost_highlights
 
 
@@ -84,16 +84,6 @@ def merged(*trees: dict) -> dict:
             is_group = isinstance(value, dict)
             found[key] = merged(found.get(key, {}), value) if is_group else value
     return found
-
-
-def group_at(kind: type[Settings], path: tuple[str, ...]) -> type[Settings]:
-    """The group of settings that a path leads to."""
-    for name in path:
-        group = kind.model_fields[name].annotation
-        assert isinstance(group, type)
-        assert issubclass(group, Settings)
-        kind = group
-    return kind
 
 
 def declared_in(kind: type[Settings], path: tuple[str, ...]) -> type:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from roadtorch.evaluation import boundary
+from roadtorch.evaluation.measures import BORDERS
 from tests.reference import boundary as slow
 
 # 12 x 16: the diagonal is exactly 20, so tolerances in pixels are whole twentieths.
@@ -190,6 +191,7 @@ def test_a_mask_equal_to_the_truth_has_f_1_and_counts_add_up():
 
 
 def test_figures_are_named_by_their_tolerance():
-    figures = boundary.boundary_figures(boundary.count_boundary(half(5), half(5), everything()))
+    values = boundary.boundary_f(boundary.count_boundary(half(5), half(5), everything())).tolist()
 
-    assert figures == {"0.0025": 1, "0.005": 1, "0.0075": 1}
+    figures = dict(zip((one.key for one in BORDERS), values, strict=True))
+    assert figures == {"boundary_f/0.0025": 1, "boundary_f/0.005": 1, "boundary_f/0.0075": 1}

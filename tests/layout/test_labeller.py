@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -92,7 +92,6 @@ def assert_like_every_path(scores: Tensor, labels: Tensor, order: ColumnOrder) -
     torch.testing.assert_close(found.double(), torch.from_numpy(wanted), atol=1e-5, rtol=0.0)
 
 
-@settings(max_examples=40)
 @given(
     st.integers(1, 6),
     st.integers(1, 3),
@@ -276,7 +275,7 @@ def test_what_stays_unlabelled_would_be_wrong_more_often() -> None:
     assert torch.cat(doubted).mean() > 2 * torch.cat(sure).mean()
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_mirrored_picture_gives_nearly_the_mirrored_layout(seed: int) -> None:
     mirrored = label_layout(scene(seed, dusk=0.0).image.flip(-1), ALL).labels.flip(-1)
 

@@ -148,7 +148,7 @@ def test_the_frame_is_a_reflection_as_often_as_it_takes(height: int, width: int)
 # --- pictures --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", [(16, 16), (300, 500), (17, 90)])
+@pytest.mark.parametrize("size", [(16, 16), (240, 320), (300, 500), (17, 90)])
 def test_cues_have_the_size_of_the_picture_and_are_potentials(size: tuple[int, int]) -> None:
     image = scene(1).image
     image = torch.nn.functional.interpolate(image[None], size=size)[0]

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import rankdata
 from sklearn.svm import OneClassSVM
@@ -85,7 +85,6 @@ def test_ball_is_as_small_as_a_general_solvers(dimensions, sigma, rejected):
     assert weights @ gram @ weights == pytest.approx(other @ gram @ other, abs=1e-4 * scale)
 
 
-@settings(max_examples=40)
 @given(
     st.integers(1, 60), st.integers(1, 3), st.floats(0, 1), st.sampled_from([0.02, 0.3, 5.0]),
     st.integers(0, 99),
@@ -135,7 +134,6 @@ def test_svdd_is_the_one_class_machine_of_scikit_learn(dimensions, rejected, sig
     assert (accepted == (decision >= 0)).mean() > 0.998
 
 
-@settings(max_examples=40)
 @given(st.floats(0.01, 0.9), st.sampled_from([0.05, 0.3, 5.0]), st.integers(0, 99))
 def test_no_more_than_the_rejected_fraction_is_outside_the_ball(rejected, sigma, seed):
     samples = road(60, 2, seed)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.neighbors import NearestNeighbors
 from torch import Tensor
@@ -102,7 +102,6 @@ def test_a_twin_is_a_neighbour_at_distance_zero():
     assert int(learned.state["points"].shape[0]) == 3
 
 
-@settings(max_examples=40)
 @given(st.integers(1, 3), st.integers(1, 20), st.integers(0, 1000))
 def test_order_and_twins_of_samples_change_no_distance(dimensions, number, seed):
     samples, pixels = some(number, dimensions, seed), some(30, dimensions, seed + 1)
@@ -174,7 +173,6 @@ def test_tree_on_a_line_covers_all_between_its_ends():
     assert (found[inside] == 0).all()
 
 
-@settings(max_examples=40)
 @given(st.integers(1, 3), st.integers(1, 25), st.integers(0, 1000))
 def test_tree_is_never_farther_than_the_nearest_sample(dimensions, number, seed):
     samples, pixels = some(number, dimensions, seed), some(50, dimensions, seed + 1)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from roadtorch.ufl import hierarchy
@@ -37,7 +37,6 @@ def test_thresholds_of_the_program_and_of_the_text() -> None:
     assert hierarchy.thresholds(4, "left_out").tolist() == [0, 0.25, 0.5, 0.75]
 
 
-@settings(max_examples=40)
 @given(st.integers(0, 10**6))
 def test_regions_are_the_components_of_every_level_in_reading_order(seed: int) -> None:
     values = bumpy(seed)
@@ -56,7 +55,6 @@ def test_regions_are_the_components_of_every_level_in_reading_order(seed: int) -
     assert len(found.area) == number + 1
 
 
-@settings(max_examples=40)
 @given(st.integers(0, 10**6), st.integers(1, 12))
 def test_the_chosen_road_is_that_of_the_paper_step_by_step(seed: int, least: int) -> None:
     values = bumpy(seed)
@@ -73,7 +71,6 @@ def test_the_chosen_road_is_that_of_the_paper_step_by_step(seed: int, least: int
         assert float(choice.best[0]) == pytest.approx(total)
 
 
-@settings(max_examples=40)
 @given(st.integers(0, 10**6))
 def test_single_regions_are_worth_at_least_as_much_as_runs(seed: int) -> None:
     """Every first region of a run is among the regions, so their best sum is no smaller."""

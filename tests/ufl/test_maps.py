@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from roadtorch.ufl import maps
@@ -19,7 +19,6 @@ def random(*size: int, seed: int = 0) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("kind", ["base", "patch"])
-@settings(max_examples=40)
 @given(seed=st.integers(0, 10**6), bases=st.integers(1, 40))
 def test_responses_follow_equations_3_and_4(kind: str, seed: int, bases: int) -> None:
     points, dictionary = random(35, 4, seed=seed), random(bases, 4, seed=seed + 1)

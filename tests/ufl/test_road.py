@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from roadtorch.ufl import hierarchy, road
@@ -55,7 +55,6 @@ def test_place_ahead_is_0_on_the_sides_of_its_triangle() -> None:
 
 
 @pytest.mark.parametrize("centring", ["road", "none"])
-@settings(max_examples=40)
 @given(seed=st.integers(0, 10**6), kept=st.floats(0.3, 0.99))
 def test_the_error_is_equation_10(centring: str, seed: int, kept: float) -> None:
     maps = random(5, 9, 12, seed=seed)

@@ -281,3 +281,20 @@ def _draw_lane(
     axes.plot([low, high], [middle, middle], color=INK, linewidth=0.9, zorder=3)
     axes.plot([first, third], [middle, middle], color=INK, linewidth=3.2, zorder=3)
     axes.plot(median, middle, "o", color=INK, mfc=PAPER, markersize=4, mew=1, zorder=4)
+
+
+def all_charts(
+    evaluation: Evaluation,
+    series: Sequence[Series],
+    curves: RunCurves,
+    rows: Sequence[PictureRow],
+) -> dict[str, str]:
+    """SVG by name; empty where there is nothing to draw."""
+    return {
+        "maxf": maxf_chart(series, evaluation),
+        "paired": difference_chart(series, evaluation.comparison),
+        "roc": roc_chart(series, curves),
+        "pr": precision_chart(series, curves),
+        "reliability": reliability_chart(series, curves),
+        "pictures": distribution_chart(series, rows),
+    }

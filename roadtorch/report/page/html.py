@@ -62,6 +62,7 @@ def render_page(
     """
     detectors, dataset = evaluation.detectors, evaluation.dataset
     series = choose_series(evaluation)
+    drawn = charts.all_charts(evaluation, series, curves, rows)
     text = template("page/report.html").render(
         evaluation=evaluation,
         dataset=dataset,
@@ -76,9 +77,7 @@ def render_page(
         tables=tables.all_tables(evaluation, series),
         layouts=tables.layouts(evaluation, series),
         measures=tables.measures_shown(evaluation),
-        charts={
-            name: Markup(svg) for name, svg in _charts(evaluation, series, curves, rows).items()
-        },
+        charts={name: Markup(svg) for name, svg in drawn.items()},
         sheets=list(_sheets(sheets, evaluation)),
         sheets_left_out=max(len(sheets) - MOST, 0),
         failures=evaluation.failures[:MOST_FAILURES],
@@ -88,23 +87,6 @@ def render_page(
     )
     # A file name may hold bytes that are no text.
     return text.encode("utf-8", "backslashreplace").decode()
-
-
-def _charts(
-    evaluation: Evaluation,
-    series: Sequence[Series],
-    curves: RunCurves,
-    rows: Sequence[PictureRow],
-) -> dict[str, str]:
-    """SVG by name; empty where there is nothing to draw."""
-    return {
-        "maxf": charts.maxf_chart(series, evaluation),
-        "paired": charts.difference_chart(series, evaluation.comparison),
-        "roc": charts.roc_chart(series, curves),
-        "pr": charts.precision_chart(series, curves),
-        "reliability": charts.reliability_chart(series, curves),
-        "pictures": charts.distribution_chart(series, rows),
-    }
 
 
 def _drives(evaluation: Evaluation) -> dict[str, int]:

@@ -25,15 +25,7 @@ def run():
 @pytest.fixture(scope="module")
 def drawn(run) -> dict[str, str]:
     evaluation, curves, rows = run
-    series = svg.choose_series(evaluation)
-    return {
-        "maxf": charts.maxf_chart(series, evaluation),
-        "paired": charts.difference_chart(series, evaluation.comparison),
-        "roc": charts.roc_chart(series, curves),
-        "pr": charts.precision_chart(series, curves),
-        "reliability": charts.reliability_chart(series, curves),
-        "pictures": charts.distribution_chart(series, rows),
-    }
+    return charts.all_charts(evaluation, svg.choose_series(evaluation), curves, rows)
 
 
 def texts(chart: str) -> list[str]:

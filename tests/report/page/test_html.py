@@ -24,7 +24,7 @@ from roadtorch.evaluation.measure import Figures
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.result import Comparison, Difference, Evaluation, Failure
 from roadtorch.evaluation.uncertainty import Interval
-from roadtorch.report.page import html
+from roadtorch.report.page import charts, html
 from tests.reports import (
     COMMAND,
     DRIVES,
@@ -282,7 +282,7 @@ def test_a_run_with_nothing_but_names():
 
 @pytest.fixture
 def _no_charts(monkeypatch):
-    monkeypatch.setattr(html, "_charts", lambda *_: dict.fromkeys(
+    monkeypatch.setattr(charts, "all_charts", lambda *_: dict.fromkeys(
         ("maxf", "paired", "roc", "pr", "reliability", "pictures"), ""))  # fmt: skip
 
 

@@ -1,0 +1,18 @@
+"""A small CamVid of rendered streets."""
+
+from pathlib import Path
+
+import pytest
+
+from roadtorch.scenes import render_scene
+from tests.streets import write_camvid
+
+
+@pytest.fixture
+def camvid(tmp_path) -> Path:
+    scenes = {
+        f"{drive}_{i}": render_scene(i, 24, 32) for i, drive in enumerate(("0001TP", "0006R0"))
+    }
+    write_camvid(tmp_path, "train", scenes)
+    write_camvid(tmp_path, "val", {"0016E5_7": render_scene(7, 24, 32)})
+    return tmp_path
