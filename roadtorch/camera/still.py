@@ -74,7 +74,7 @@ def small_size(frames: Sequence[Tensor]) -> tuple[int, int]:
 
 
 def gradients(greys: Iterable[Tensor]) -> Iterator[Tensor]:
-    """Sobel's gradients (2,h,w) of grey levels (h,w), across and down, in levels over two pixels."""
+    """Sobel's gradients (2,h,w) of grey levels (h,w): across and down, levels over two pixels."""
     for grey in greys:
         smooth = cv2.GaussianBlur(grey.numpy(), (0, 0), BLUR)
         across, down = (

@@ -13,17 +13,22 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from roadtorch.camera.still import Stillness, gradients, small_grey, small_size, stillness
-from roadtorch.camera.vanishing_point import VanishingPoint, crossing, vanishing_point
+from roadtorch.camera.vanishing_point import (
+    VanishingPoint,
+    crossing,
+    road_lines,
+    vanishing_point,
+)
 from roadtorch.errors import InputError
 from roadtorch.working_size import at_picture_size
 
-LEAST = 0.3
+LEAST = 0.35
 """Evidence of an edge at which a column neither gains nor loses."""
 
-ENOUGH = 0.12
+ENOUGH = 0.08
 """Evidence above LEAST, mean over all columns, from which there is an ego car."""
 
-STEEPEST, SLOPE = 3, 0.08
+STEEPEST, SLOPE = 3, 0.15
 """Rows by which a path may climb in a column, and what each costs."""
 
 NEXT_EDGE = 0.6
@@ -32,12 +37,33 @@ NEXT_EDGE = 0.6
 REACH = 0.15
 """Share of the height within which an edge above belongs to the same car."""
 
-BELOW_HORIZON = 0.12
-"""Share of the height below the vanishing point where a bonnet may begin at the earliest."""
+APART = 3
+"""Rows between two edges: less is the same edge, blurred."""
+
+EARLIEST, BELOW_HORIZON = 0.6, 0.12
+"""An ego car begins below this share of the height, and this far below the vanishing point."""
+
+LOWEST = 0.02
+"""Share of the height; a strip that is nowhere higher is a border of the picture, or nothing."""
+
+ROAD_LINES = 0.45
+"""Share of slanting edges that aim at the vanishing point, from which a place is road. About
+.1 to .3 on bonnets, .4 to .9 on roads with lanes; chance is .16."""
 
 
-class EgoPath(NamedTuple):
-    """The row (w,) int64 at which the ego car begins in each column, h where none is there.
+class Footage(NamedTuple):
+    """What frames of one camera have in common, all of the size (h,w) at which they are seen.
+
+    lines: (2,h,w), strength of edges that aim at the vanishing point, and of all.
+    """
+
+    still: Stillness
+    point: VanishingPoint
+    lines: Tensor
+
+
+class Path(NamedTuple):
+    """A row (w,) int64 in each column, h where the path is below the picture.
 
     evidence: above LEAST, mean over the columns.
     """
@@ -56,32 +82,54 @@ def still_ego(frames: Sequence[Tensor]) -> Tensor | None:
     if len(frames) < 2:
         raise InputError("footage", f"is {len(frames)} frame(s)", "give 10 or more of one camera")
     size = small_size(frames)
-    found = list(gradients(small_grey(frame, size) for frame in frames))
-    path = ego_path(stillness(found), vanishing_point(found))
-    if path is None:
+    rows = ego_rows(look_through(list(gradients(small_grey(frame, size) for frame in frames))))
+    if rows is None:
         return None
-    below = torch.arange(size[0])[:, None] >= path.rows
+    below = torch.arange(size[0])[:, None] >= rows
     return at_picture_size(below, (frames[0].shape[-2], frames[0].shape[-1]))
 
 
-def ego_path(still: Stillness, point: VanishingPoint) -> EgoPath | None:
-    """The upper edge of the ego car, or None where no path has enough evidence.
+def look_through(found: Sequence[Tensor]) -> Footage:
+    """What the gradients (2,h,w) of two or more frames say together."""
+    point = vanishing_point(found)
+    return Footage(stillness(found), point, road_lines(found, point))
 
-    The best path first; then, as long as there is one nearly as good close above it, that one:
-    a bonnet has several edges, and wipers lie before it.
+
+def ego_rows(footage: Footage) -> Tensor | None:
+    """The row (w,) int64 at which the ego car begins in each column, h for none; None without one.
+
+    The best path of an edge that stays, below which no road goes on; then, as long as there is
+    one nearly as good close above it, that one: a bonnet has several edges, and wipers before it.
     """
-    evidence = edge_evidence(still, point)
-    height = len(evidence)
+    evidence = edge_evidence(footage.still, footage.point)
+    height, row = len(evidence), torch.arange(len(evidence))[:, None]
     best = best_path(evidence)
+    while best.evidence >= ENOUGH and _is_road(footage.lines, row >= best.rows + APART):
+        # A reflection in the windscreen, or the road's own texture: look further down.
+        best = best_path(evidence * (row > best.rows + APART))
     if best.evidence < ENOUGH:
         return None
-    rows, row = best.rows, torch.arange(height)[:, None]
-    while True:
-        close = (row < rows - 3) & (row >= rows - REACH * height)
-        above = best_path(evidence * close)
-        if above.evidence < max(ENOUGH, NEXT_EDGE * best.evidence):
-            return EgoPath(rows, best.evidence)
-        rows = torch.minimum(rows, above.rows)
+    rows = best.rows
+    while (above := _edge_above(footage.lines, evidence, rows, best.evidence)) is not None:
+        rows = above
+    return rows if height - int(rows.min()) >= LOWEST * height else None
+
+
+def _edge_above(lines: Tensor, evidence: Tensor, rows: Tensor, enough: float) -> Tensor | None:
+    """The rows (w,) of an edge close above that is the ego car's too; None where there is none."""
+    height, row = len(evidence), torch.arange(len(evidence))[:, None]
+    close = (row < rows - APART) & (row >= rows - REACH * height)
+    above = best_path(evidence * close)
+    if above.evidence < max(ENOUGH, NEXT_EDGE * enough):
+        return None
+    higher = torch.minimum(rows, above.rows)
+    return None if _is_road(lines, (row >= higher + APART) & (row < rows - APART)) else higher
+
+
+def _is_road(lines: Tensor, where: Tensor) -> bool:
+    """Whether the edges of a place bool (h,w) aim at the vanishing point."""
+    aiming, every = (float(strength[where].sum()) for strength in lines)
+    return aiming > ROAD_LINES * every
 
 
 def edge_evidence(still: Stillness, point: VanishingPoint) -> Tensor:
@@ -89,11 +137,11 @@ def edge_evidence(still: Stillness, point: VanishingPoint) -> Tensor:
     direction = still.direction
     evidence = still.coherence * crossing(direction, point) * direction[1].abs()
     height = len(evidence)
-    evidence[: round(max(0.5, point.row + BELOW_HORIZON) * height)] = 0
+    evidence[: round(max(EARLIEST, point.row + BELOW_HORIZON) * height)] = 0
     return F.max_pool2d(evidence[None, None], (3, 1), 1, (1, 0))[0, 0]
 
 
-def best_path(evidence: Tensor) -> EgoPath:
+def best_path(evidence: Tensor) -> Path:
     """The path across evidence (h,w) that gains most above LEAST; below the picture it is free.
 
     Dynamic programming over the columns.
@@ -112,4 +160,4 @@ def best_path(evidence: Tensor) -> EgoPath:
     rows = [row]
     for back in reversed(came):
         rows.append(row := int(back[row]))
-    return EgoPath(torch.tensor(rows[::-1]), float(total.max()) / width)
+    return Path(torch.tensor(rows[::-1]), float(total.max()) / width)

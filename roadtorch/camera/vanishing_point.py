@@ -12,6 +12,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from roadtorch.camera.still import SOFTNESS
+
+FAINT = 4.0
+"""Grey levels over two pixels below which an edge has no sure direction."""
+
 ROWS = tuple(0.2 + 0.025 * step for step in range(22))
 """Candidates, as shares of the height."""
 
@@ -56,6 +61,37 @@ def vanishing_point(gradients: Iterable[Tensor]) -> VanishingPoint:
     return VanishingPoint(ROWS[best // len(COLUMNS)], COLUMNS[best % len(COLUMNS)])
 
 
+def crossing(direction: Tensor, point: VanishingPoint) -> Tensor:
+    """How far edges are from aiming at the vanishing point: (h,w) in [0,1], 0 along a road's lines.
+
+    direction: unit gradients (2,h,w). The sine of the angle between edge and line of sight,
+    from .15 (9°, still the road's: the point is known to a few pixels) to .35 (20°).
+    """
+    height, width = direction.shape[1:]
+    down = torch.arange(height).view(-1, 1) - point.row * height
+    right = torch.arange(width).view(1, -1) - point.column * width
+    away = (right.square() + down.square()).sqrt().clamp_min(1e-6)
+    sine = (direction[0] * right + direction[1] * down).abs() / away
+    return ((sine - 0.15) / 0.2).clamp(0, 1)
+
+
+def road_lines(gradients: Iterable[Tensor], point: VanishingPoint) -> Tensor:
+    """Strength of slanting edges that aim at the vanishing point, and of all: (2,h,w), summed.
+
+    Lanes, kerbs and rails pass through a place of the ground sooner or later; over a bonnet pass
+    reflections of all directions.
+    """
+    total = torch.zeros(2, 1, 1)
+    for gradient in gradients:
+        strength = gradient.square().sum(0).sqrt()
+        direction = gradient / strength.clamp_min(1e-9)
+        slanting = (strength > FAINT) & (direction[0].abs() > 0.2)
+        weight = strength / (strength + SOFTNESS) * slanting
+        aims = crossing(direction, point) < 0.25
+        total = total + torch.stack([weight * aims, weight])
+    return total
+
+
 def _votes(gradient: Tensor, rows: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
     """Votes (2,k) for k candidates from the left and the right of each, and how many could vote."""
     height, width = gradient.shape[1:]
@@ -80,17 +116,3 @@ def _voters(gradient: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     chosen = chosen[able[chosen] > 0]
     y, x = chosen // strength.shape[1], chosen % strength.shape[1]
     return y, x, gradient[:, y, x] / strength[y, x]
-
-
-def crossing(direction: Tensor, point: VanishingPoint) -> Tensor:
-    """How far edges are from aiming at the vanishing point: (h,w) in [0,1], 0 along a road's lines.
-
-    direction: unit gradients (2,h,w). The sine of the angle between edge and line of sight,
-    from .15 (9°, still the road's: the point is known to a few pixels) to .35 (20°).
-    """
-    height, width = direction.shape[1:]
-    down = torch.arange(height).view(-1, 1) - point.row * height
-    right = torch.arange(width).view(1, -1) - point.column * width
-    away = (right.square() + down.square()).sqrt().clamp_min(1e-6)
-    sine = (direction[0] * right + direction[1] * down).abs() / away
-    return ((sine - 0.15) / 0.2).clamp(0, 1)
