@@ -14,6 +14,7 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
+from roadtorch.ego import Ego, continued, ego_car, is_given, read_ego_mask
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.seed_area import SeedArea, remove_isolated, seed_area
 from roadtorch.settings import Settings
@@ -41,6 +42,9 @@ class DetectorSettings(Settings):
     seed_area: SeedArea = Field(
         default=SeedArea(), description="where road is assumed, and what connected road touches"
     )
+    ego: Ego = Field(
+        default=Ego(), description="the vehicle that carries the camera: never road, never seed"
+    )
 
 
 class WorkingSettings(DetectorSettings):
@@ -54,7 +58,7 @@ class WorkingSettings(DetectorSettings):
 
 
 class Cues(Mapping[str, Tensor]):
-    """What an analysis found beside the likelihood, by name; maps are made when asked for."""
+    """What was found beside the likelihood, by name; maps are made when asked for."""
 
     def __init__(self, found: Mapping[str, Tensor]) -> None:
         self._found = found
@@ -72,6 +76,30 @@ class Cues(Mapping[str, Tensor]):
     def __len__(self) -> int:
         """How many cues there are."""
         return len(self._found) - 1
+
+
+class WithoutEgo(Mapping[str, Tensor]):
+    """What an analysis found, with no likelihood of road on the ego car bool (H,W): a cue too."""
+
+    def __init__(self, found: Mapping[str, Tensor], ego: Tensor) -> None:
+        self._found = found
+        self._ego = ego
+
+    def __getitem__(self, name: str) -> Tensor:
+        """The map of that name, (H,W) or (C,H,W); KeyError where there is none."""
+        if name == "ego":
+            return self._ego
+        found = self._found[name]
+        return found.masked_fill(self._ego, 0) if name == "likelihood" else found
+
+    def __iter__(self) -> Iterator[str]:
+        """The names of all maps, ``ego`` the last."""
+        yield from (name for name in self._found if name != "ego")
+        yield "ego"
+
+    def __len__(self) -> int:
+        """How many maps there are."""
+        return len(self._found) + ("ego" not in self._found)
 
 
 @dataclass(frozen=True)
@@ -138,6 +166,8 @@ class Detector(nn.Module):
         super().__init__()
         self.name = entry.name
         self.settings = settings
+        if settings.ego.mask:
+            read_ego_mask(settings.ego.mask)  # what is wrong with it is told before any work
         analysis = entry.build(settings)
         if not isinstance(analysis, nn.Module):
             what = f"builds {type(analysis).__name__}"
@@ -151,9 +181,14 @@ class Detector(nn.Module):
 
         Raises InputError when the image is anything else.
         """
-        found = self._find(checked_image(image))
-        likelihood = found["likelihood"]
-        return Detection(likelihood, decide(likelihood, self.settings), Cues(found))
+        image = checked_image(image)
+        found = self._find(image)
+        likelihood, ego = found["likelihood"], found.get("ego")
+        if ego is None:
+            return Detection(likelihood, decide(likelihood, self.settings), Cues(found))
+        # Road reaches the seed area through the ground that the ego car hides.
+        mask = decide(continued(likelihood[None], ego)[0], self.settings) & ~ego
+        return Detection(likelihood, mask, Cues(found))
 
     def forward(self, images: Tensor) -> Tensor:
         """Likelihoods (B,H,W) of a batch (B,3,H,W); each equals that of ``detect``."""
@@ -168,7 +203,19 @@ class Detector(nn.Module):
         return torch.stack([self._find(checked_image(image))["likelihood"] for image in images])
 
     def _find(self, image: Tensor) -> Mapping[str, Tensor]:
-        """The likelihood and the cues at the size of the image."""
+        """The likelihood and the cues at the size of the image, with the ego car where one is.
+
+        The ego car is what the settings say, and what the analysis itself finds as its cue ``ego``.
+        """
+        if not is_given(self.settings.ego):
+            found = self._analyse(image)
+            return WithoutEgo(found, found["ego"]) if "ego" in found else found
+        ego = ego_car(image, self.settings.ego)
+        found = self._analyse(continued(image, ego))
+        return WithoutEgo(found, ego | found["ego"] if "ego" in found else ego)
+
+    def _analyse(self, image: Tensor) -> Mapping[str, Tensor]:
+        """What the analysis finds, at the size of the image."""
         if isinstance(self.settings, WorkingSettings):
             return at_working_size(self.analysis, image, self.settings.working)
         return self.analysis(image)

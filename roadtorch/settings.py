@@ -1,5 +1,6 @@
 """Settings: frozen pydantic models whose mistakes read like sentences."""
 
+import json
 import math
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -116,3 +117,21 @@ def read_settings_file(path: Path) -> dict[str, Any]:
         raise InputError(path, "is not UTF-8 text", "give a TOML file") from None
     except tomllib.TOMLDecodeError as problem:
         raise ConfigError(path, f"is not TOML: {problem}", "mend that line") from None
+
+
+def toml_lines(values: Mapping[str, Any], path: str = "") -> list[str]:
+    """The lines of a TOML table: plain values first, groups as tables below. None is left out."""
+    groups = {key: value for key, value in values.items() if isinstance(value, Mapping)}
+    plain = {k: v for k, v in values.items() if k not in groups and v is not None}
+    lines = [f"{key} = {_toml_text(value)}" for key, value in plain.items()]
+    for key, group in groups.items():
+        name = f"{path}.{key}" if path else key
+        lines += ["", f"[{name}]", *toml_lines(group, name)]
+    return lines
+
+
+def _toml_text(value: Any) -> str:
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(_toml_text(item) for item in value)}]"
+    # JSON's numbers, booleans and strings are TOML's as well.
+    return json.dumps(value, ensure_ascii=False)

@@ -60,7 +60,7 @@ ROWS = (
         "steps",
         (
             *("image", "color", "superpixels", "segment_statistics", "working_size", "exposure"),
-            *("segment_features", "seed_area", "priors", "seed_distance", "lbp", "texture"),
+            *("segment_features", "seed_area", "ego", "priors", "seed_distance", "lbp", "texture"),
             "fusion",
         ),
     ),

@@ -55,6 +55,11 @@ class Stillness(NamedTuple):
         return (self.common / (self.length + FAINT)).clamp(0, 1)
 
     @property
+    def share(self) -> float:
+        """Share of all gradients that is common, in [0,1]: about 1 where nothing moves."""
+        return float(self.common.sum() / self.length.sum().clamp_min(1e-9))
+
+    @property
     def direction(self) -> Tensor:
         """Unit vectors (2,h,w) of the mean gradient; 0 where there is none."""
         return self.mean / self.mean.square().sum(0).sqrt().clamp_min(1e-9)
@@ -83,15 +88,18 @@ def gradients(greys: Iterable[Tensor]) -> Iterator[Tensor]:
         yield torch.from_numpy(np.stack([across, down]))
 
 
+def softened(gradient: Tensor) -> Tensor:
+    """A gradient (2,h,w) with a length below 1: divided by its own and 8 grey levels more."""
+    return gradient / (gradient.square().sum(0).sqrt() + SOFTNESS)
+
+
 def stillness(found: Sequence[Tensor]) -> Stillness:
     """How alike the gradients (2,h,w) of two or more frames are."""
     mean, squares = torch.zeros_like(found[0]), torch.zeros_like(found[0])
     length = torch.zeros_like(found[0][0])
-    for gradient in found:
-        strength = gradient.square().sum(0).sqrt()
-        unit = gradient / (strength + SOFTNESS)
+    for unit in map(softened, found):
         mean += unit
         squares += unit.square()
-        length += strength / (strength + SOFTNESS)
+        length += unit.square().sum(0).sqrt()
     n = len(found)
     return Stillness(mean / n, squares / n, length / n, n)

@@ -62,7 +62,7 @@ class Footage(NamedTuple):
     lines: Tensor
 
 
-class Path(NamedTuple):
+class EdgePath(NamedTuple):
     """A row (w,) int64 in each column, h where the path is below the picture.
 
     evidence: above LEAST, mean over the columns.
@@ -141,7 +141,7 @@ def edge_evidence(still: Stillness, point: VanishingPoint) -> Tensor:
     return F.max_pool2d(evidence[None, None], (3, 1), 1, (1, 0))[0, 0]
 
 
-def best_path(evidence: Tensor) -> Path:
+def best_path(evidence: Tensor) -> EdgePath:
     """The path across evidence (h,w) that gains most above LEAST; below the picture it is free.
 
     Dynamic programming over the columns.
@@ -160,4 +160,4 @@ def best_path(evidence: Tensor) -> Path:
     rows = [row]
     for back in reversed(came):
         rows.append(row := int(back[row]))
-    return Path(torch.tensor(rows[::-1]), float(total.max()) / width)
+    return EdgePath(torch.tensor(rows[::-1]), float(total.max()) / width)

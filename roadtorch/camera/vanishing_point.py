@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from roadtorch.camera.still import SOFTNESS
+from roadtorch.camera.still import softened
 
 FAINT = 4.0
 """Grey levels over two pixels below which an edge has no sure direction."""
@@ -23,13 +23,13 @@ ROWS = tuple(0.2 + 0.025 * step for step in range(22))
 COLUMNS = tuple(0.2 + 0.025 * step for step in range(25))
 """Candidates, as shares of the width."""
 
-VOTERS = 600
+VOTERS = 1500
 """The strongest edges of a frame that may vote."""
 
 AIM = 0.05
 """By how much an edge may miss (sine of the angle) until its vote has fallen to 1/e."""
 
-DOUBT = 6
+DOUBT = 15
 """Votes a frame that a candidate must have beyond the others' share, so that few say little."""
 
 PLACE, SPREAD = (0.47, 0.5), 0.12
@@ -86,7 +86,7 @@ def road_lines(gradients: Iterable[Tensor], point: VanishingPoint) -> Tensor:
         strength = gradient.square().sum(0).sqrt()
         direction = gradient / strength.clamp_min(1e-9)
         slanting = (strength > FAINT) & (direction[0].abs() > 0.2)
-        weight = strength / (strength + SOFTNESS) * slanting
+        weight = softened(gradient).square().sum(0).sqrt() * slanting
         aims = crossing(direction, point) < 0.25
         total = total + torch.stack([weight * aims, weight])
     return total

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from roadtorch.errors import ConfigError
-from roadtorch.settings import Settings, parse_assignments, read_settings_file
+from roadtorch.settings import Settings, parse_assignments, read_settings_file, toml_lines
 
 DEFAULT_DETECTOR = "fusion"
 
@@ -44,22 +44,4 @@ def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]
 
 def as_toml(detector: str, settings: Settings) -> str:
     """A file for ``--config`` that gives this detector with these settings."""
-    return "\n".join([f"detector = {json.dumps(detector)}", *_table(settings.model_dump(), "")])
-
-
-def _table(values: Mapping[str, Any], path: str) -> list[str]:
-    """The lines of one table: plain values first, as TOML wants it. None is left out."""
-    groups = {key: value for key, value in values.items() if isinstance(value, Mapping)}
-    plain = {k: v for k, v in values.items() if k not in groups and v is not None}
-    lines = [f"{key} = {_value(value)}" for key, value in plain.items()]
-    for key, group in groups.items():
-        name = f"{path}.{key}" if path else key
-        lines += ["", f"[{name}]", *_table(group, name)]
-    return lines
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, (list, tuple)):
-        return f"[{', '.join(_value(item) for item in value)}]"
-    # JSON's numbers, booleans and strings are TOML's as well.
-    return json.dumps(value, ensure_ascii=False)
+    return "\n".join([f"detector = {json.dumps(detector)}", *toml_lines(settings.model_dump())])
