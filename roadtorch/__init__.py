@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING
 from roadtorch.version import __version__
 
 if TYPE_CHECKING:
+    from roadtorch.camera.camera import Camera
+    from roadtorch.camera.footage import camera_of
+    from roadtorch.camera.still_ego import still_ego
     from roadtorch.data.catalogue import list_datasets, open_dataset
     from roadtorch.data.dataset import Dataset, Item, Kind, Truth
     from roadtorch.data.labels import ColourLabels, NumberLabels
@@ -31,6 +34,7 @@ if TYPE_CHECKING:
     from roadtorch.layout.labeller import label_layout
 
 _HOMES = {
+    "Camera": "roadtorch.camera.camera",
     "ColourLabels": "roadtorch.data.labels",
     "ConfigError": "roadtorch.errors",
     "Dataset": "roadtorch.data.dataset",
@@ -48,6 +52,7 @@ _HOMES = {
     "RoadtorchError": "roadtorch.errors",
     "Truth": "roadtorch.data.dataset",
     "WeightsError": "roadtorch.errors",
+    "camera_of": "roadtorch.camera.footage",
     "evaluate": "roadtorch.evaluation.evaluate",
     "label_layout": "roadtorch.layout.labeller",
     "list_datasets": "roadtorch.data.catalogue",
@@ -55,9 +60,11 @@ _HOMES = {
     "load_detector": "roadtorch.detectors.catalogue",
     "open_dataset": "roadtorch.data.catalogue",
     "read_image": "roadtorch.image",
+    "still_ego": "roadtorch.camera.still_ego",
 }
 
 __all__ = [
+    "Camera",
     "ColourLabels",
     "ConfigError",
     "Dataset",
@@ -76,6 +83,7 @@ __all__ = [
     "Truth",
     "WeightsError",
     "__version__",
+    "camera_of",
     "evaluate",
     "label_layout",
     "list_datasets",
@@ -83,6 +91,7 @@ __all__ = [
     "load_detector",
     "open_dataset",
     "read_image",
+    "still_ego",
 ]
 
 

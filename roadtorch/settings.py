@@ -106,6 +106,16 @@ def _toml_value(text: str) -> Any:
     return text if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested values with changes on top; groups are merged, everything else replaced."""
+    merged = dict(base)
+    for key, value in changes.items():
+        old = merged.get(key)
+        both = isinstance(old, Mapping) and isinstance(value, Mapping)
+        merged[key] = merge(old, value) if both else value  # type: ignore[arg-type]
+    return merged
+
+
 def read_settings_file(path: Path) -> dict[str, Any]:
     """The nested values of a TOML file; InputError when it cannot be read or parsed."""
     try:

@@ -1,12 +1,18 @@
 """A detector and its settings: from options and TOML files, and back to TOML."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from roadtorch.errors import ConfigError
-from roadtorch.settings import Settings, parse_assignments, read_settings_file, toml_lines
+from roadtorch.settings import (
+    Settings,
+    merge,
+    parse_assignments,
+    read_settings_file,
+    toml_lines,
+)
 
 DEFAULT_DETECTOR = "fusion"
 
@@ -30,16 +36,6 @@ def chosen_detector(
     if threshold is not None:
         values["threshold"] = threshold
     return detector or named, values
-
-
-def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Nested values with changes on top; groups are merged, everything else replaced."""
-    merged = dict(base)
-    for key, value in changes.items():
-        old = merged.get(key)
-        both = isinstance(old, Mapping) and isinstance(value, Mapping)
-        merged[key] = merge(old, value) if both else value  # type: ignore[arg-type]
-    return merged
 
 
 def as_toml(detector: str, settings: Settings) -> str:

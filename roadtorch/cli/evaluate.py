@@ -4,11 +4,12 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import PATH, labelled_set
+from roadtorch.cli.options import CAMERA, PATH, labelled_set
 
 
 @click.command()
 @labelled_set
+@CAMERA
 @click.option("--maps", "folders", multiple=True, help="Maps made elsewhere: NAME=DIR or DIR.")
 @click.option("--bev", is_flag=True, help="Score in bird's-eye view (kitti-road).")
 @click.option("--out", type=PATH, help="Folder for metrics.json, report.html, curves and rows.")
@@ -30,6 +31,7 @@ def evaluate(
     split: str | None,
     names: tuple[str, ...],
     assignments: tuple[str, ...],
+    camera: Path | None,
     folders: tuple[str, ...],
     bev: bool,
     out: Path | None,
@@ -47,7 +49,7 @@ def evaluate(
     A run that is interrupted goes on where it was when it is started again.
     """
     from roadtorch.cli.batch import make_writable
-    from roadtorch.cli.labelled import command_line, tell_failures, watched
+    from roadtorch.cli.labelled import camera_settings, command_line, tell_failures, watched
     from roadtorch.data.catalogue import open_dataset, open_named
     from roadtorch.data.kitti import birds_eye
     from roadtorch.data.maps import parse_maps
@@ -55,15 +57,17 @@ def evaluate(
     from roadtorch.evaluation.saved_tallies import forget
     from roadtorch.report.screen import screen
     from roadtorch.report.table3 import table_text
-    from roadtorch.settings import parse_assignments
+    from roadtorch.settings import merge, parse_assignments
 
     if out is not None:
         make_writable(out)  # now rather than after the long run
     opened = open_dataset(dataset, root, split)
+    chosen = _without_default(context, names, folders)
+    values = merge(camera_settings(camera, chosen), parse_assignments(assignments))
     evaluation = score(
         birds_eye(opened) if bev else opened,
-        _without_default(context, names, folders),
-        settings=parse_assignments(assignments),
+        chosen,
+        settings=values,
         maps=parse_maps(folders),
         limit=limit,
         mean_from=None if mean_from is None else open_named(mean_from),

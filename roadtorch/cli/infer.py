@@ -4,7 +4,16 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import CONFIG, JOBS, ONE_DETECTOR, OVERWRITE, PATH, QUIET, SETTING
+from roadtorch.cli.options import (
+    CAMERA,
+    CONFIG,
+    JOBS,
+    ONE_DETECTOR,
+    OVERWRITE,
+    PATH,
+    QUIET,
+    SETTING,
+)
 
 KINDS = ("likelihood", "mask", "overlay", "cues", "npy")
 
@@ -35,6 +44,7 @@ def _kinds(_: click.Context, __: click.Parameter, value: str) -> tuple[str, ...]
 )
 @SETTING
 @CONFIG
+@CAMERA
 @click.option("--threshold", type=float, help="Likelihood from which a pixel is road.")
 @click.option("--depth", type=click.Choice(["8", "16"]), default="8", show_default=True)
 @JOBS
@@ -50,6 +60,7 @@ def infer(
     save: tuple[str, ...],
     assignments: tuple[str, ...],
     config: Path | None,
+    camera: Path | None,
     threshold: float | None,
     depth: str,
     jobs: int,
@@ -73,10 +84,12 @@ def infer(
     if not inputs and not print_config:
         raise click.UsageError("Missing argument 'INPUT...'", context)
 
+    from roadtorch.camera.camera import Camera
     from roadtorch.cli import batch, results
     from roadtorch.detectors.catalogue import load_detector
 
-    loaded = load_detector(name, **values)
+    known = None if camera is None else Camera.read(camera)
+    loaded = load_detector(name, camera=known, **values)
     effective = configuration.as_toml(loaded.name, loaded.settings)
     if print_config:
         click.echo(effective)
@@ -84,5 +97,5 @@ def infer(
     planned = batch.plan(inputs, out, results.suffixes(save))
     batch.make_writable(out)
     results.keep_config(out, effective, overwrite)
-    work = results.Inference(loaded, frozenset(save), 16 if depth == "16" else 8)
+    work = results.Inference(loaded, frozenset(save), 16 if depth == "16" else 8, known)
     context.exit(batch.run_jobs(planned, out, work, batch.Options(jobs, overwrite, quiet)))

@@ -1,8 +1,9 @@
 """What ``evaluate`` and ``tune`` share: a pass over labelled pictures that somebody watches."""
 
 import shlex
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -24,6 +25,24 @@ def watched(results: "Iterator[Scored]", done: int, total: int) -> "Iterator[Sco
             yield result
             if stop.asked:
                 raise KeyboardInterrupt
+
+
+def camera_settings(path: Path | None, names: Sequence[str]) -> dict[str, Any]:
+    """What a camera's file sets for all detectors of those names; nothing without a file.
+
+    Raises as ``Camera.read`` and ``expand_names`` do.
+    """
+    from roadtorch.camera.camera import Camera
+    from roadtorch.detector import DetectorSettings
+    from roadtorch.detectors.catalogue import detector_entry
+    from roadtorch.evaluation.contenders import expand_names
+
+    if path is None:
+        return {}
+    camera = Camera.read(path)
+    kinds = [detector_entry(name).settings for name in expand_names(names)]
+    for_all = [camera.settings_for(kind) for kind in kinds or [DetectorSettings]]
+    return min(for_all, key=len)  # the ego car for each, the horizon where every one has it
 
 
 def tell_failures(evaluation: "Evaluation") -> None:

@@ -16,6 +16,9 @@ SETTING = click.option(
     "--set", "assignments", multiple=True, metavar="KEY=VALUE", help="One setting."
 )
 CONFIG = click.option("--config", type=PATH, help="TOML file with the detector and its settings.")
+CAMERA = click.option(
+    "--camera", type=PATH, help="What roadtorch camera wrote about the camera of the pictures."
+)
 JOBS = click.option(
     "--jobs",
     type=click.IntRange(min=1),

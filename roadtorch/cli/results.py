@@ -9,6 +9,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from roadtorch.camera.camera import Camera
 from roadtorch.cli.batch import ELSEWHERE, INDEX, Job, Row
 from roadtorch.detector import Detection, Detector
 from roadtorch.errors import ConfigError
@@ -59,16 +60,22 @@ def keep_config(out: Path, effective: str, overwrite: bool) -> None:
 
 @dataclass(frozen=True)
 class Inference:
-    """The work on one picture: read, detect, write."""
+    """The work on one picture: read, detect, write.
+
+    camera: the one that its picture has to be of, where it is known.
+    """
 
     detector: Detector
     kinds: frozenset[str]
     depth: Literal[8, 16]
+    camera: Camera | None = None
 
     def __call__(self, job: Job) -> Row:
         """Write the results of one picture; the row for index.csv."""
         start = perf_counter()
         image = read_image(job.picture.path)
+        if self.camera is not None:
+            self.camera.check(image)
         detection = self.detector.detect(image)
         self._write(job, image, detection)
         height, width = detection.mask.shape

@@ -45,8 +45,7 @@ def train(
     """
     import torch
 
-    from roadtorch.cli.config import merge
-    from roadtorch.settings import parse_assignments, read_settings_file
+    from roadtorch.settings import merge, parse_assignments, read_settings_file
     from roadtorch.train.config import build_training
     from roadtorch.train.run import Request
     from roadtorch.train.run import train as run

@@ -9,11 +9,12 @@ from collections.abc import Iterable
 from functools import cache
 from typing import Any
 
+from roadtorch.camera.camera import Camera
 from roadtorch.detector import Detector, DetectorSettings, Entry
 from roadtorch.detectors import fusion, layout, oneclass, priors, texture, ufl
 from roadtorch.errors import ConfigError, unknown_name
 from roadtorch.plugins import load_plugins
-from roadtorch.settings import build_settings
+from roadtorch.settings import build_settings, merge
 
 ENTRY_POINT_GROUP = "roadtorch.detectors"
 
@@ -28,13 +29,17 @@ ENTRIES: tuple[Entry, ...] = (
 """All detectors of this package."""
 
 
-def load_detector(name: str, **settings: Any) -> Detector:
+def load_detector(name: str, *, camera: Camera | None = None, **settings: Any) -> Detector:
     """Make a detector; settings that are not given keep their defaults.
 
     Nested settings are dictionaries: ``load_detector("cpf", texture={"bins": 64})``.
+    camera: the one whose pictures it will see, such as ``Camera.read("camera.toml")``; it sets
+    the ego car and, where the detector has one, the horizon, unless they are given.
     Raises ConfigError for an unknown name or key and for values that are not allowed.
     """
     entry = detector_entry(name)
+    if camera is not None:
+        settings = merge(camera.settings_for(entry.settings), settings)
     return Detector(entry, build_settings(entry.settings, settings)).eval()
 
 

@@ -7,9 +7,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from roadtorch.cli.config import merge
 from roadtorch.scenes import write_picture
-from roadtorch.settings import parse_assignments, read_settings_file
+from roadtorch.settings import merge, parse_assignments, read_settings_file
 from roadtorch.train.config import Training, build_training
 from roadtorch.train.run import Request
 from tests.streets import scene
