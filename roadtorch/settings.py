@@ -44,6 +44,8 @@ def _first_mistake(kind: type[Settings], problem: pydantic.ValidationError) -> C
     key = ".".join(path)
     if error["type"] == "extra_forbidden":
         return _unknown_key(group_at(kind, path[:-1]), path)
+    if error["type"] == "missing":
+        return ConfigError(key, "is missing", "give it a value")
     given = f"{error['input']!r} was given"
     if error["type"] == "model_type":
         known = ", ".join(group_at(kind, path).model_fields)

@@ -4,6 +4,7 @@ from functools import cache
 from pathlib import Path
 
 import cv2
+import torch
 from torch import Tensor
 
 from roadtorch.scenes import RenderedScene, render_scene, write_picture
@@ -34,3 +35,28 @@ def write_camvid(root: Path, split: str, scenes: dict[str, RenderedScene]) -> No
     for name, scene in scenes.items():
         write_picture(root / split / f"{name}.png", scene)
         cv2.imwrite(str(root / f"{split}annot" / f"{name}.png"), scene.classes.numpy())
+
+
+def bonnet(height: int, width: int, rise: float = 0.18) -> Tensor:
+    """An ego car bool (H,W): an arch at the bottom edge, as high as ``rise`` in its middle."""
+    rows = (torch.arange(height) + 0.5) / height
+    columns = (torch.arange(width) + 0.5) / width
+    top = 1 - rise * (1 - ((columns - 0.5) / 0.42).square())
+    return rows[:, None] > top
+
+
+@cache
+def drive(count: int = 12, rise: float = 0.18, height: int = 120, width: int = 160) -> list[Tensor]:
+    """Frames (3,H,W) of one camera that looks at different streets over its bonnet; 0 for none.
+
+    The bonnet is dark blue with a pale edge, and mirrors a little of each sky.
+    """
+    frames = []
+    for seed in range(count):
+        image = scene(seed, height, width, horizon=0.42, dusk=0.0).image.clone()
+        if rise:
+            car, inner = bonnet(height, width, rise), bonnet(height, width, rise - 0.02)
+            paint = torch.tensor([0.1, 0.15, 0.3]).view(3, 1, 1) + 0.1 * image.flip(1)
+            image = torch.where(car, torch.where(inner, paint, 0.8), image)
+        frames.append(image)
+    return frames

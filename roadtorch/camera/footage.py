@@ -8,10 +8,10 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from roadtorch.camera.camera import SAME_SHAPE, Camera
-from roadtorch.camera.look import LEAST, Look, ego_look, gradient_likeness, sure_look
-from roadtorch.camera.still import gradients, small_grey, small_size, softened
+from roadtorch.camera.look import Look, ego_look, gradient_likeness, sure_look
+from roadtorch.camera.still import gradients, small_grey, small_size, softened, stillness
 from roadtorch.camera.still_ego import EARLIEST, Footage, ego_rows, look_through
-from roadtorch.camera.vanishing_point import crossing
+from roadtorch.camera.vanishing_point import VanishingPoint, crossing, road_lines
 from roadtorch.ego import Ego
 from roadtorch.errors import InputError
 
@@ -24,8 +24,9 @@ COLUMNS = 64
 STANDS = 0.85
 """Share of common gradients from which nothing moves. Straight motorways have up to .7."""
 
-FOREIGN = 1 / 3
-"""Share of the frames that may lack the ego car before they are of several cameras."""
+OWN, FOREIGN = 0.8, 0.35
+"""Likeness to the ego car of some frames that four of five others of them have at least, and that
+four of five frames of another camera have at most."""
 
 MIDDLE = slice(COLUMNS * 3 // 8, COLUMNS * 5 // 8)
 """Columns of the outline over which the seed row is taken: those of the seed area."""
@@ -48,9 +49,9 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
     footage = look_through(found)
     if footage.still.share >= STANDS:
         raise InputError(where, "stands still: nothing moves", "give footage of a drive")
+    _check_looks(footage, found, where)
     rows = ego_rows(footage)
     look = Look() if rows is None else sure_look(ego_look(footage.still, rows), found)
-    _check_looks(look, footage, found, where)
     return _camera(footage, rows, look, Counter(sizes).most_common(1)[0][0])
 
 
@@ -104,31 +105,40 @@ def _check_shapes(sizes: Sequence[tuple[int, int]], where: str) -> None:
         raise InputError(where, what, "give the footage of one")
 
 
-def _check_looks(look: Look, footage: Footage, found: list[Tensor], where: str) -> None:
-    """InputError when many frames lack the ego car, or one half has one that the other lacks."""
-    if look.rows:
-        unlike = _unlike(look, found)
-        several = unlike > FOREIGN * len(found)
-    else:
-        halves = [[found[at] for at in half] for half in halved(footage, found)]
-        several = any(_is_foreign(*pair) for pair in (halves, halves[::-1]))
-    if several:
-        what = "is of several cameras: part of the frames shows another ego car, or none"
-        raise InputError(where, what, "give the footage of one")
+def _check_looks(footage: Footage, found: list[Tensor], where: str) -> None:
+    """InputError when one half of the frames shows an ego car that the other lacks."""
+    halves = halved(footage, found)
+    for shown, lacking in (halves, halves[::-1]):
+        if _is_foreign(footage.point, *([found[at] for at in half] for half in (shown, lacking))):
+            some = ", ".join(str(at + 1) for at in lacking[:5])
+            what = (
+                f"is of several cameras: {len(lacking)} of {len(found)} frames do not show "
+                f"the ego car of the others, such as number {some}"
+            )
+            raise InputError(where, what, "give the footage of one")
 
 
-def _unlike(look: Look, found: Iterable[Tensor]) -> int:
-    """How many frames do not have that look."""
-    return sum(gradient_likeness(look, gradient) < LEAST for gradient in found)
-
-
-def _is_foreign(half: list[Tensor], other: list[Tensor]) -> bool:
-    """Whether one half of the frames has an ego car that most of the other lack."""
+def _is_foreign(point: VanishingPoint, half: list[Tensor], other: list[Tensor]) -> bool:
+    """Whether frames have an ego car in common that others lack; gradients (2,h,w) of both."""
     if min(len(half), len(other)) < FEWEST:
         return False
-    footage = look_through(half)
-    rows = ego_rows(footage)
-    return rows is not None and 2 * _unlike(ego_look(footage.still, rows), other) > len(other)
+    still = stillness(half)
+    rows = ego_rows(Footage(still, point, road_lines(half, point)))
+    if rows is None:
+        return False
+    # Each is compared with frames that it is not among.
+    odd, even = (ego_look(stillness(part), rows) for part in (half[::2], half[1::2]))
+    own = [*_likenesses(odd, half[1::2]), *_likenesses(even, half[::2])]
+    strange = _likenesses(ego_look(still, rows), other)
+    return _quantile(own, 0.2) >= OWN and _quantile(strange, 0.8) <= FOREIGN
+
+
+def _likenesses(look: Look, found: Iterable[Tensor]) -> list[float]:
+    return [gradient_likeness(look, gradient) for gradient in found]
+
+
+def _quantile(values: list[float], share: float) -> float:
+    return float(torch.tensor(values).quantile(share))
 
 
 def halved(footage: Footage, found: Sequence[Tensor]) -> tuple[list[int], list[int]]:

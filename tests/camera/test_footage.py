@@ -1,0 +1,173 @@
+"""A camera from its footage: rendered drives over a painted bonnet, and real ones."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from roadtorch.camera.camera import Camera
+from roadtorch.camera.check_picture import check_picture
+from roadtorch.camera.footage import camera_of
+from roadtorch.camera.still_ego import best_path, still_ego
+from roadtorch.detector import DetectorSettings
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.detectors.fusion import FusionSettings
+from roadtorch.ego import ego_car
+from roadtorch.errors import ConfigError, InputError
+from roadtorch.image import read_image
+from roadtorch.working_size import resized
+from tests.streets import bonnet, drive, scene
+
+
+def overlap(one: Tensor, other: Tensor) -> float:
+    return float((one & other).sum() / (one | other).sum())
+
+
+# --- the ego car ----------------------------------------------------------------------------
+
+
+def test_the_bonnet_is_found_where_it_is_painted() -> None:
+    found = still_ego(drive())
+
+    assert found is not None
+    assert overlap(found, bonnet(120, 160)) > 0.85
+
+
+def test_a_camera_without_a_bonnet_gets_none() -> None:
+    assert still_ego(drive(rise=0)) is None
+
+
+def test_one_frame_shows_nothing_that_stays() -> None:
+    with pytest.raises(InputError, match=r"footage: is 1 frame\(s\)"):
+        still_ego(drive()[:1])
+
+
+def test_a_path_follows_its_edge_and_drops_where_there_is_none() -> None:
+    evidence = torch.zeros(30, 40)
+    evidence[20, 5:25] = 1.0
+
+    path = best_path(evidence)
+
+    assert set(path.rows[5:25].tolist()) == {20}
+    assert path.rows[-1] == 30  # below the picture
+    # 20 columns gain .65 each; before them 5 lose .35, behind them 3; ten rows down cost .15 each.
+    assert path.evidence * 40 == pytest.approx(20 * 0.65 - 8 * 0.35 - 10 * 0.15)
+
+
+# --- the camera -----------------------------------------------------------------------------
+
+
+def test_horizon_and_seed_row_are_those_of_the_street() -> None:
+    camera = camera_of(drive())
+
+    assert (camera.width, camera.height, camera.frames) == (160, 120, 12)
+    assert camera.horizon == pytest.approx(0.42, abs=0.06)
+    assert camera.seed_row == pytest.approx(0.82, abs=0.03)
+
+
+def test_a_file_gives_the_same_camera_again(tmp_path: Path) -> None:
+    camera = camera_of(drive())
+    camera.write(tmp_path / "camera.toml")
+
+    assert Camera.read(tmp_path / "camera.toml") == camera
+
+
+def test_pictures_of_the_camera_pass_at_any_size() -> None:
+    camera = camera_of(drive())
+
+    for image in (*drive(), resized(drive()[3], (240, 320)).clamp(0, 1)):
+        camera.check(image)
+
+
+def test_another_ego_car_and_another_shape_are_refused() -> None:
+    camera = camera_of(drive())
+
+    with pytest.raises(InputError, match="image: does not show this camera's ego car"):
+        camera.check(scene(40, 120, 160).image)
+    with pytest.raises(InputError, match="image: is 160×90 pixels, the camera's footage 160×120"):
+        camera.check(scene(40, 90, 160).image)
+
+
+def test_detectors_take_what_they_can_of_it() -> None:
+    camera = camera_of(drive())
+
+    assert set(camera.settings_for(DetectorSettings)) == {"ego"}
+    assert camera.settings_for(FusionSettings)["labeller"]["place"]["horizon"] == camera.horizon
+    detector = load_detector("fusion", camera=camera, labeller={"place": {"horizon": 0.3}})
+    assert detector.settings.ego == camera.ego
+    assert detector.settings.labeller.place.horizon == 0.3  # type: ignore[attr-defined]
+
+
+def test_the_picture_to_check_shows_the_ego_car() -> None:
+    camera = camera_of(drive())
+
+    picture = check_picture(camera, drive())
+
+    assert picture.shape == (3, 480, 1280)
+    car = ego_car(picture[:, :, :640], camera.ego)
+    mean = resized(torch.stack(drive()).mean(0), (480, 640))
+    changed = (picture[:, :, :640] - mean).abs().amax(0) > 0.1
+    assert changed[car].float().mean() > 0.95
+    assert changed[~car].float().mean() < 0.05
+
+
+# --- what is no footage of one camera -------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("frames", "told"),
+    [
+        (drive()[:1], "footage: has one frame"),
+        (drive()[:4], "footage: has 4 frames"),
+        ([drive()[0]] * 12, "footage: stands still"),
+        ([*drive(), *drive(rise=0.1, height=90)], "several cameras: 160×120 and 160×90 pixels"),
+        ([*drive(), *drive(rise=0)], "several cameras: 12 of 24 frames do not show the ego car"),
+    ],
+)
+def test_what_is_not_footage_of_one_camera_is_refused(frames: list[Tensor], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        camera_of(frames)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("detector = 'fusion'", "is no file of a camera: width: is missing"),
+        ("width =", "is not TOML"),
+        ("width = 9\nheight = 9\nframes = 9\nhorizon = 2.0\nseed_row = 1.0", "horizon: 2.0 was"),
+    ],
+)
+def test_a_foreign_file_is_refused(text: str, told: str, tmp_path: Path) -> None:
+    path = tmp_path / "foreign.toml"
+    path.write_text(text)
+
+    with pytest.raises(ConfigError, match=told):
+        Camera.read(path)
+
+
+# --- real cameras ---------------------------------------------------------------------------
+
+
+def frames_of(data_root: Path, prefix: str, most: int = 20) -> list[Tensor]:
+    files = sorted((data_root / "unlabelled").glob(f"{prefix}_*.jpg"))
+    return [read_image(path) for path in files[:most]]
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("prefix", "row"),
+    [("culane", 0.84), ("rusroad", 0.86), ("plain", 0.90), ("dusk", 0.92), ("udhwy", 0.95)],
+)
+def test_real_bonnets_are_found_where_they_were_seen(
+    prefix: str, row: float, data_root: Path
+) -> None:
+    camera = camera_of(frames_of(data_root, prefix))
+
+    assert camera.seed_row == pytest.approx(row, abs=0.025)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("prefix", ["usrural", "forest", "mtroad", "evening", "vntraf", "udlane"])
+def test_real_cameras_without_one_get_none(prefix: str, data_root: Path) -> None:
+    assert camera_of(frames_of(data_root, prefix)).ego.outline == ()
