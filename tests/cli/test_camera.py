@@ -1,0 +1,194 @@
+"""roadtorch camera, and the commands that take its file: real files in, real files out."""
+
+import json
+import tomllib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from roadtorch.camera.camera import Camera
+from roadtorch.ego import ego_car
+from roadtorch.image import read_image, write_colours
+from roadtorch.sources.footage import frame_places, read_frames
+from tests.cli.conftest import Call
+from tests.streets import drive, scene
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a drive over a bonnet, as pictures."""
+    folder = tmp_path_factory.mktemp("drive")
+    for number, frame in enumerate(drive()):
+        write_colours(folder / f"{number:02d}.png", frame)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def known(street: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The camera's file for it."""
+    path = tmp_path_factory.mktemp("camera") / "camera.toml"
+    from roadtorch.camera.footage import camera_of
+
+    camera_of([read_image(file) for file in sorted(street.iterdir())]).write(path)
+    return path
+
+
+def test_it_writes_a_file_and_a_picture_and_tells_three_lines(
+    call: Call, street: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "camera.toml"
+
+    result = call("camera", street, "--out", out)
+
+    assert result.exit_code == 0
+    lines = result.stdout.splitlines()
+    assert lines[0].startswith("ego car: 1")
+    assert lines[1].startswith("horizon: row 0.4")
+    assert lines[2].startswith("12 frames of 160×120 pixels; written: ")
+    assert {path.name for path in tmp_path.iterdir()} == {"camera.toml", "camera.jpg"}
+    found = tomllib.loads(out.read_text())
+    assert list(found) == ["width", "height", "frames", "horizon", "seed_row", "ego", "look"]
+    assert read_image(tmp_path / "camera.jpg").shape == (3, 480, 1280)
+    assert call("camera", street, "--out", out).exit_code == 0  # again, over its own
+
+
+def test_a_video_shows_what_its_frames_show(call: Call, tmp_path: Path) -> None:
+    video = tmp_path / "drive.avi"
+    code = cv2.VideoWriter.fourcc(*"MJPG")
+    writer = cv2.VideoWriter(str(video), code, 10, (160, 120))
+    for frame in drive():
+        for _ in range(2):
+            pixels = (frame.flip(0) * 255).byte().permute(1, 2, 0).numpy()
+            writer.write(np.ascontiguousarray(pixels))
+    writer.release()
+
+    result = call("camera", video, "--frames", 12, "--out", tmp_path / "camera.toml")
+
+    assert result.exit_code == 0, result.output
+    camera = Camera.read(tmp_path / "camera.toml")
+    assert camera.frames == 12
+    assert camera.seed_row == pytest.approx(0.82, abs=0.03)
+    first = next(read_frames(frame_places([str(video)], 12)))
+    assert (first - drive()[0]).abs().mean() < 0.05
+
+
+def test_frames_are_chosen_evenly_over_all_inputs(street: Path) -> None:
+    chosen = frame_places([str(street), str(street / "03.png")], 4)
+
+    assert [place.path.stem for place in chosen] == ["01", "04", "08", "11"]
+
+
+@pytest.mark.parametrize("kind", ["text", "picture"])
+def test_what_is_not_ours_is_not_replaced(
+    kind: str, call: Call, street: Path, tmp_path: Path
+) -> None:
+    other = tmp_path / {"text": "camera.toml", "picture": "camera.jpg"}[kind]
+    other.write_text("x = 1")
+
+    result = call("camera", street, "--out", tmp_path / "camera.toml")
+
+    assert result.exit_code == 2
+    assert f"{other}: is there and" in result.output
+    assert other.read_text() == "x = 1"
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_what_is_no_video_is_told(call: Call, tmp_path: Path) -> None:
+    (tmp_path / "broken.mp4").write_bytes(b"no video")
+
+    result = call("camera", tmp_path / "broken.mp4", "--out", tmp_path / "camera.toml")
+
+    assert result.exit_code == 2
+    assert "broken.mp4: cannot be decoded as video" in result.output
+
+
+# --- what takes its file --------------------------------------------------------------------
+
+
+def test_infer_leaves_the_ego_car_out_and_tells_other_cameras(
+    call: Call, street: Path, known: Path, tmp_path: Path
+) -> None:
+    foreign = tmp_path / "foreign.png"
+    write_colours(foreign, scene(40, 120, 160).image)
+    out = tmp_path / "out"
+
+    result = call(
+        *("infer", street / "00.png", foreign, "--detector", "prior:rows", "--camera", known),
+        *("--out", out, "--save", "mask"),
+    )
+
+    assert result.exit_code == 1
+    assert f"failed: {foreign}: does not show this camera's ego car" in result.stderr
+    mask = read_image(out / "00.mask.png")[0] > 0
+    car = ego_car(torch.zeros(3, 120, 160), Camera.read(known).ego)
+    assert not mask[car].any()
+    assert mask[60:][~car[60:]].all()
+    assert "outline = [" in (out / "config.toml").read_text()
+
+
+def test_by_hand_and_by_the_file_of_settings_are_the_same(
+    call: Call, street: Path, tmp_path: Path
+) -> None:
+    picture = street / "00.png"
+    (tmp_path / "ego.toml").write_text('detector = "prior:rows"\n[ego]\nbottom = 0.2\n')
+
+    for name, options in (
+        ("set", ("--detector", "prior:rows", "--set", "ego.bottom=0.2")),
+        ("file", ("--config", tmp_path / "ego.toml")),
+    ):
+        result = call("infer", picture, *options, "--save", "mask", "--out", tmp_path / name)
+        assert result.exit_code == 0, result.output
+
+    one, other = ((tmp_path / name / "00.mask.png").read_bytes() for name in ("set", "file"))
+    assert one == other
+    assert not read_image(tmp_path / "set" / "00.mask.png")[0, -24:].any()
+
+
+def test_a_mask_of_another_size_fails_the_picture(call: Call, street: Path, tmp_path: Path) -> None:
+    mask = tmp_path / "ego.png"
+    write_colours(mask, torch.zeros(3, 60, 80))
+
+    result = call(
+        *("infer", street / "00.png", "--detector", "prior:rows"),
+        *("--set", f"ego.mask={mask}", "--out", tmp_path / "out"),
+    )
+
+    assert result.exit_code == 1
+    assert f"00.png: is 160×120 pixels, the ego mask {mask} 80×60" in result.stderr
+
+
+def test_a_foreign_file_is_wrong_usage(call: Call, street: Path, tmp_path: Path) -> None:
+    (tmp_path / "foreign.toml").write_text("x = 1")
+
+    result = call("infer", street, "--camera", tmp_path / "foreign.toml", "--out", tmp_path / "o")
+
+    assert result.exit_code == 2
+    assert "foreign.toml: is no file of a camera" in result.output
+
+
+def test_evaluate_takes_it_for_all_detectors(
+    call: Call, street: Path, known: Path, tmp_path: Path
+) -> None:
+    root = tmp_path / "set"
+    (root / "images").mkdir(parents=True)
+    (root / "road").mkdir()
+    car = ego_car(torch.zeros(3, 120, 160), Camera.read(known).ego)
+    for number in range(2):
+        write_colours(root / "images" / f"{number}.png", read_image(street / f"{number:02d}.png"))
+        road = scene(number, 120, 160, horizon=0.42, dusk=0.0).road & ~car
+        write_colours(root / "road" / f"{number}.png", road.expand(3, -1, -1).float())
+
+    result = call(
+        *("evaluate", "folder", root, "--detector", "prior:rows", "--detector", "fusion"),
+        *("--camera", known, "--out", tmp_path / "out"),
+    )
+
+    assert result.exit_code == 0, result.output
+    written = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert "--camera" in written["command"]
+    for name in ("prior:rows", "fusion"):
+        outline = written["detectors"][name]["settings"]["ego"]["outline"]
+        assert tuple(outline) == Camera.read(known).ego.outline
