@@ -12,7 +12,11 @@ from roadtorch.scenes import render_scene
 from tests.streets import write_camvid
 
 ORACLE = "test-oracle"
-DECISION = {"isolated": "keep", "seed_area": {"height": 30.0, "width": 80.0}}
+DECISION = {
+    "isolated": "keep",
+    "seed_area": {"height": 30.0, "width": 80.0},
+    "ego": {"bottom": 0.0, "mask": "", "outline": []},
+}
 """What every detector is told beside its threshold, if nobody says."""
 
 DRIVES = ("0001TP", "0006R0", "0016E5")

@@ -66,7 +66,7 @@ def test_the_config_holds_the_choice_its_command_and_its_worth(call, camvid, tmp
     assert "Each drive at the threshold of the others: F 0." in text
     detector, values = chosen_detector(None, out / "test-brightness.toml", (), None)
     assert (detector, values["gain"]) == ("test-brightness", 0.5)
-    assert load_detector(detector, **values).settings.model_dump() == values
+    assert load_detector(detector, **values).settings.model_dump(mode="json") == values
     assert done.stdout.splitlines()[1].split()[:3] == [
         "test-brightness",
         f"{values['threshold']:.3f}",

@@ -2,6 +2,7 @@
 
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -108,7 +109,7 @@ def test_a_network_that_is_not_trusted_changes_nothing() -> None:
 
 
 def test_what_the_network_has_learned_about_the_road_counts_pixel_by_pixel() -> None:
-    settings = {"learned": {"detail": 0.0}}
+    settings: dict[str, Any] = {"learned": {"detail": 0.0}}
     coarse = load_detector("fusion", **settings).detect(street())
 
     odds = log_odds(coarse.likelihood) + 0.8 * log_odds(coarse.cues["learned_road"])

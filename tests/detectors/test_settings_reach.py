@@ -13,6 +13,7 @@ from torch import Tensor
 
 from roadtorch.detectors.catalogue import detector_entry, list_detectors, load_detector
 from roadtorch.errors import ConfigError
+from roadtorch.image import write_mask
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import save_network
@@ -26,15 +27,24 @@ def street() -> Tensor:
     return lost_highlights(dusk=0.6)
 
 
-WEIGHTS = TemporaryDirectory()
+FILES = TemporaryDirectory()
 
 
 def other_weights(kind: type[PatchNetwork] | type[PictureNetwork]) -> str:
     """A file with weights that nobody trained."""
-    path = Path(WEIGHTS.name) / f"{kind.kind}.safetensors"
+    path = Path(FILES.name) / f"{kind.kind}.safetensors"
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         save_network(path, kind(), {})
+    return str(path)
+
+
+def ego_mask_file() -> str:
+    """A file with an ego car in the lower half of the street."""
+    mask = torch.zeros(street().shape[1:], dtype=torch.bool)
+    mask[len(mask) // 2 :] = True
+    path = Path(FILES.name) / "ego.png"
+    write_mask(path, mask)
     return str(path)
 
 
@@ -97,6 +107,10 @@ def candidates(name: str, path: tuple[str, ...], default: Any) -> Iterator[Any]:
     field = group_at(detector_entry(name).settings, path[:-1]).model_fields[path[-1]]
     if path == ("weights", "file"):
         yield other_weights(type(load_detector(name).analysis.network))  # type: ignore[arg-type]
+    elif path == ("ego", "mask"):
+        yield ego_mask_file()
+    elif path == ("ego", "outline"):
+        yield [0.5, 0.8]
     elif isinstance(default, tuple):
         yield list(default[:2])
     elif isinstance(default, str):

@@ -1,6 +1,7 @@
 """The detectors that rest on texture alone: what they compose, and what their settings reach."""
 
 from functools import cache
+from typing import Any
 
 import pytest
 import torch
@@ -61,7 +62,9 @@ def test_the_cues_are_there_and_the_likelihood_is_one_per_segment(name: str) -> 
 @pytest.mark.parametrize("name", ["cpf", "cpf:v2", "cpf:squares", "grey-uniformity"])
 @pytest.mark.parametrize("even", [0.1, 0.6])
 def test_the_likelihood_is_that_of_the_uniformity(name: str, even: float) -> None:
-    group = {"even": even} if name == "grey-uniformity" else {"texture": {"even": even}}
+    group: dict[str, Any] = (
+        {"even": even} if name == "grey-uniformity" else {"texture": {"even": even}}
+    )
 
     found = load_detector(name, **group).detect(street())
 
