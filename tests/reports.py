@@ -129,7 +129,7 @@ def made_pairs(quality: Mapping[str, float]) -> Comparison:
         against,
         {
             name: dict.fromkeys(
-                ("maxf", "auc_pooled", "iou"),
+                ("f_mask", "maxf", "auc_pooled", "iou"),
                 Difference(change, Interval(change - 0.03, change + 0.03)),
             )
             for name, change in changes.items()

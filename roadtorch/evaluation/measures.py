@@ -58,7 +58,7 @@ MAXF = Measure(
     "recall. The threshold is picked on the labels that score it.",
     _of_road(lambda counts: metrics.max_f(counts)[0]),
     interval=True,
-    shown=("screen pairs", "pairs"),  # in the tables of scores it has columns of its own
+    shown=("headline", "screen pairs", "pairs"),
 )
 
 AUC_MEAN = Measure(
@@ -94,7 +94,16 @@ F_MASK = Measure(
     "F of the detector's own mask, at its default threshold: what a user gets.",
     _of_mask(metrics.f_measure),
     interval=True,
-    shown=("screen", "scores"),
+    shown=("headline", "screen pairs", "pairs"),
+)
+
+IOU_MASK = Measure(
+    "iou_mask",
+    "IoU\nof mask",
+    "Overlap of the detector's own mask, as it ships.",
+    _of_mask(metrics.iou),
+    interval=True,
+    shown=("headline",),
 )
 
 SCORES = (
@@ -107,6 +116,8 @@ SCORES = (
         digits=0,
         over_drives="whole",
     ),
+    F_MASK,
+    IOU_MASK,
     MAXF,
     Measure(
         "maxf_threshold",
@@ -190,7 +201,7 @@ SCORES = (
         "Mean distance of the likelihood and the share of road that really has it.",
         _of_road(calibration.expected_error),
         better="lower",
-        shown=("further",),
+        shown=("screen", "further"),
     ),
 )
 
@@ -221,14 +232,6 @@ DECISIONS = (
         _of_chosen(metrics.recall),
         shown=("further",),
     ),
-    Measure(
-        "iou_mask",
-        "IoU\nof mask",
-        "Overlap of the detector's own mask, as it ships.",
-        _of_mask(metrics.iou),
-        shown=("further",),
-    ),
-    F_MASK,
     Measure(
         "precision_mask",
         "precision\nof mask",

@@ -21,7 +21,7 @@ DIGITS = 3  # of a threshold in a config
 class ThresholdChoice:
     """What was chosen for one detector, and how it does.
 
-    default: the threshold until now.
+    default: the threshold until now. f_default: mean over the drives there.
     f, iou: mean over the drives at the chosen threshold, which these very pictures chose.
     f_held_out, iou_held_out: each drive at the threshold of the others, NaN without drives.
     """
@@ -30,6 +30,7 @@ class ThresholdChoice:
     settings: Settings
     threshold: float
     default: float
+    f_default: float
     images: int
     f: float
     iou: float
@@ -51,12 +52,14 @@ def choose_threshold(
         raise DatasetError(evaluation.dataset.root, "shows no road", "give pictures with road")
     threshold = round(best, DIGITS)
     kind = detector_entry(name).settings
+    default = kind().model_dump()["threshold"]
     held_out = held_out_thresholds(tally.road) if len(tally.road) > 1 else {}
     return ThresholdChoice(
         name,
         build_settings(kind, {**settings, "threshold": threshold}),
         threshold,
-        kind().model_dump()["threshold"],
+        default,
+        _mean_figures(tally, dict.fromkeys(tally.road, default))[0],
         evaluation.images,
         *_mean_figures(tally, dict.fromkeys(tally.road, threshold)),
         *_mean_figures(tally, held_out),

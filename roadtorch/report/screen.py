@@ -9,7 +9,7 @@ from roadtorch.evaluation.result import DetectorFigures, Difference, Evaluation
 
 NONE = "-"
 
-WORST = (MAXF, F_MASK)
+WORST = (F_MASK, MAXF)
 """Of many drives, the worst by these measures has a column."""
 
 MOST_SHOWN = 40
@@ -47,17 +47,18 @@ MOST_DRIVES = 6
 
 
 def road_table(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]) -> str:
-    """Detector by MaxF (by drive and mean) and the other headline figures, best MaxF first.
+    """What a user gets beside MaxF, then the other figures; best MaxF first.
 
-    Of more than ``MOST_DRIVES`` drives the worst is told, by MaxF and by F of the mask.
+    MaxF has a column for each drive; of more than ``MOST_DRIVES`` the worst is told, by MaxF
+    and by F of the mask.
     """
-    measures = evaluation.shown_in("screen")
+    first, measures = evaluation.shown_in("headline"), evaluation.shown_in("screen")
     many = len(evaluation.drives) > MOST_DRIVES
     drives = [] if many else evaluation.drives
     pooled = ["pooled"] if evaluation.drives else []
     by_drive = [f"MaxF {drive}" for drive in drives]
     worst = [f"worst {one.line}" for one in WORST if many]
-    header = ["detector", *by_drive, "MaxF", "95 %", *worst, *pooled]
+    header = ["detector", *by_drive, *(one.line for one in first), "95 %", *worst, *pooled]
     header += [one.line for one in measures]
     rows = [header]
     for name in _best_first(detectors):
@@ -66,7 +67,7 @@ def road_table(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures])
         rows.append([
             name,
             *(MAXF.text(MAXF.of(one.drive(drive)), NONE) for drive in drives),
-            MAXF.text(MAXF.of(one.headline), NONE),
+            *(measure.text(measure.of(one.headline), NONE) for measure in first),
             f"{MAXF.text(low, NONE)}–{MAXF.text(high, NONE)}",
             *(worst_drive(one, measure) for measure in WORST if many),
             *(MAXF.text(MAXF.of(one.pooled), NONE) for _ in pooled),

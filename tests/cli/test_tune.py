@@ -67,11 +67,12 @@ def test_the_config_holds_the_choice_its_command_and_its_worth(call, camvid, tmp
     detector, values = chosen_detector(None, out / "test-brightness.toml", (), None)
     assert (detector, values["gain"]) == ("test-brightness", 0.5)
     assert load_detector(detector, **values).settings.model_dump() == values
-    assert done.stdout.splitlines()[1].split()[:3] == [
-        "test-brightness",
-        f"{values['threshold']:.3f}",
-        "0.500",
-    ]
+    header, row = done.stdout.splitlines()
+    assert header.split()[:5] == ["detector", "default", "F", "at", "default"]
+    name, default, f_default, threshold, f, *_ = row.split()
+    assert (name, default, threshold) == ("test-brightness", "0.500", f"{values['threshold']:.3f}")
+    assert f"At the default threshold 0.500: F {f_default}." in text
+    assert float(f_default) < float(f)
     assert not (out / "progress.safetensors").exists()
 
 
@@ -102,6 +103,8 @@ def test_the_choice_is_the_best_threshold_averaged_over_drives():
 
     assert found.settings == BrightnessSettings(threshold=0.5, gain=0.5)
     assert (found.f, found.iou) == (1, 1)
+    # At the default of 0.5, too, both have all of their road and nothing else.
+    assert found.f_default == 1
     # Drive a at the threshold of b (0.5 or more up to 0.8, the lowest: 0.5), b at that of a.
     assert found.f_held_out == 1
 

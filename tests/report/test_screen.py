@@ -33,10 +33,11 @@ def test_the_columns_are_those_of_the_measures_that_ask_for_one() -> None:
     road, layout, pairs = (part.splitlines()[0] for part in screen(evaluation).split("\n\n"))
 
     assert road.split("pooled")[1].split() == [
-        *("AUC", "AUC/image", "AP", "IoU", "EER", "Brier", "ms/image", "F", "of", "mask")
+        *("AUC", "AUC/image", "AP", "IoU", "EER", "Brier", "ms/image", "ECE")
     ]
+    assert "F of mask  IoU of mask   MaxF " in road
     assert layout.split()[:6] == ["layout", "drive", "sky", "vertical", "horizontal", "mean"]
-    assert pairs.split()[:3] == ["less", "fusion", "MaxF"]
+    assert pairs.split()[:7] == ["less", "fusion", "F", "of", "mask", "95", "%"]
 
 
 def test_columns_line_up() -> None:

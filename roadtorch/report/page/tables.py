@@ -35,7 +35,7 @@ def measures_shown(evaluation: Evaluation) -> list[Measure]:
         for one in evaluation.detectors.values()
         for figures in (one.headline, one.pooled, *one.drives.values())
     ]
-    shown = {one.key for one in evaluation.shown_in("scores", "further")} | {MAXF.key}
+    shown = {one.key for one in evaluation.shown_in("headline", "scores", "further")}
     found: dict[str, Measure] = {}
     for one in evaluation.measures:
         if one.key in shown and any(one.key in figures for figures in every):
@@ -113,7 +113,9 @@ def scores(evaluation: Evaluation, names: Sequence[str]) -> Table:
     parts = {name: detectors[name].headline for name in names}
     for drive in drives if len(drives) <= MOST_COLUMNS else []:
         table.measure(MAXF, [detectors[name].drive(drive) for name in names], f"MaxF\n{drive}")
-    table.measure(MAXF, list(parts.values()), "MaxF\nmean" if drives else "MaxF")
+    for one in evaluation.shown_in("headline"):
+        header = f"{one.name}\nmean" if drives and one is MAXF else one.name
+        table.measure(one, list(parts.values()), header)
     intervals = [_interval(evaluation, name) for name in names]
     table.add("95 %", "Bootstrap interval of MaxF over pictures.", intervals)
     table.add(*_above_floor(evaluation, parts))
@@ -125,7 +127,8 @@ def scores(evaluation: Evaluation, names: Sequence[str]) -> Table:
 def of_part(evaluation: Evaluation, part: Mapping[str, Figures]) -> Table:
     """All figures of one drive, or of a set whose drives are pooled, by detector."""
     table = Table(list(part))
-    table.measure(MAXF, list(part.values()))
+    for one in evaluation.shown_in("headline"):
+        table.measure(one, list(part.values()))
     table.add(*_above_floor(evaluation, part))
     for one in evaluation.shown_in("scores", "further"):
         table.measure(one, list(part.values()))
