@@ -37,12 +37,12 @@ RunCurves = Mapping[str, DetectorCurves]
 """By detector."""
 
 
-def drive_curves(tally: Tally) -> DetectorCurves:
-    """Curves of one detector: ``mean`` over the drives, and ``groups`` by drive."""
-    groups = {group: _curves_of(tally, group) for group in tally.road}
+def drive_curves(tally: Tally, counting: Sequence[str]) -> DetectorCurves:
+    """Curves of one detector: ``mean`` over the drives that count, and ``groups`` by drive."""
+    groups = {group: _curves_of(tally, group) for group in counting}
     if list(groups) == [WHOLE]:
         return {"mean": groups[WHOLE], "groups": {}}
-    drives = list(tally.road.values())
+    drives = [tally.road[group] for group in counting]
     bins = torch.tensor([group["reliability"] for group in groups.values()], dtype=torch.float64)
     mean: Curves = {
         "roc": _lists(mean_roc(drives)),

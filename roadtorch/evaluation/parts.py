@@ -3,7 +3,7 @@
 import math
 import statistics
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from typing import TypeVar
 
@@ -80,6 +80,32 @@ def _total(sums: Mapping[str, Sum], groups: Mapping[str, float]) -> Sum | None:
 
 def _sum(counts: Sequence[Sum]) -> Sum:
     return reduce(lambda one, other: one + other, counts)
+
+
+def taken_together(pictures: Pictures, thresholds: Mapping[str, float]) -> Part:
+    """Pictures of any drives, their counts added up, on 8-bit maps: figures of shape (1,).
+
+    thresholds: those of their drives. Labels that may abstain are not known.
+    """
+    once = torch.ones(1, len(pictures.names), dtype=torch.int64)
+    chosen = {
+        group: metrics.decisions_at(metrics.pool(pictures.road, once * own), threshold)
+        for group, threshold in thresholds.items()
+        if not math.isnan(threshold)
+        and (own := torch.tensor([name == group for name in pictures.groups])).any()
+    }
+    known = ~pictures.auc.isnan()
+    rates = curves.vertical_sample(
+        RoadCounts(pictures.road.road[known], pictures.road.other[known])
+    )
+    return replace(
+        drawn(pictures, math.nan, once),
+        chosen=_total(chosen, thresholds),
+        roc=curves.vertical_average(rates.mean(0)) if known.any() else None,
+        images=len(pictures.names),
+        skipped=int((~known).sum()),
+        milliseconds=1000 * statistics.median(pictures.seconds.tolist()),
+    )
 
 
 def drawn(pictures: Pictures, threshold: float, weights: Tensor) -> Part:

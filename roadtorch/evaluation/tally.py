@@ -5,7 +5,7 @@ stay (2 kB), for distributions, intervals and comparisons.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -107,6 +107,13 @@ class Tally:
         places = range(len(self.pictures))
         if groups is not None:
             places = [i for group in groups for i in places if self.pictures[i][1] == group]
+        return self._rows(places)
+
+    def named(self, names: Container[str]) -> Pictures:
+        """What is kept of the pictures of these names, in their order."""
+        return self._rows([i for i, (name, _) in enumerate(self.pictures) if name in names])
+
+    def _rows(self, places: Sequence[int]) -> Pictures:
         chosen = torch.tensor(list(places), dtype=torch.int64)
         columns = {key: column[chosen] for key, column in self.columns.items()}
         auc, max_f, seconds = columns["numbers"].unbind(1)

@@ -96,6 +96,7 @@ def test_the_choice_is_the_best_threshold_averaged_over_drives():
         scored({"test-brightness": None}),
         "test-brightness",
         best_threshold=shared_threshold(counts),
+        drives={"a": {}, "b": {}},
     )
     run = replace(run, tallies={"test-brightness": Tally(counts)})
 

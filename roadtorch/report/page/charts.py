@@ -296,5 +296,7 @@ def all_charts(
         "roc": roc_chart(series, curves),
         "pr": precision_chart(series, curves),
         "reliability": reliability_chart(series, curves),
-        "pictures": distribution_chart(series, rows),
+        "pictures": distribution_chart(
+            series, [row for row in rows if row.group not in evaluation.left_out]
+        ),
     }
