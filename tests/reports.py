@@ -79,7 +79,7 @@ def made_item(name: str, drive: str | None) -> Item:
 
 
 def made_row(detector: str, drive: str, f: float) -> PictureRow:
-    return PictureRow("picture", drive, detector, 0.9, f, 0.5, f, f, f, 12.0)
+    return PictureRow("picture", drive, detector, 0.9, f, 0.5, f, f, f, f, 12.0)
 
 
 def made_contender(name: str, settings: Mapping[str, Any] | None = None) -> Contender:
@@ -145,7 +145,8 @@ def made_curves(score: float, drives: Sequence[str]) -> DetectorCurves:
         "pr": [x.tolist(), (1 - (1 - score) * x).tolist()],
         "reliability": [[0.1, 0.5, 0.9], [0.1, score / 2, score], [0.7, 0.1, 0.2]],
     }
-    return {"mean": one, "groups": dict.fromkeys(drives, one)}
+    risk = {"risk": [[0.5, 1], [0.1, 1 - score]], "risk_ideal": [[0.5, 1], [0, 1 - score]]}
+    return {"mean": {**one, **risk}, "groups": dict.fromkeys(drives, one)}
 
 
 def made_sheet(kind: str = ".png", width: int = 64, height: int = 24) -> bytes:

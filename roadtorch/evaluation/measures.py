@@ -17,6 +17,7 @@ from roadtorch.evaluation.layout_measures import LAYOUT
 from roadtorch.evaluation.measure import Formula, Measure, Place
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
 from roadtorch.evaluation.parts import Part
+from roadtorch.evaluation.trust_measures import TRUST
 
 # --- what formulas are made of ----------------------------------------------------------
 
@@ -58,7 +59,7 @@ MAXF = Measure(
     "recall. The threshold is picked on the labels that score it.",
     _of_road(lambda counts: metrics.max_f(counts)[0]),
     interval=True,
-    shown=("headline", "screen pairs", "pairs"),
+    shown=("headline", "parts", "screen pairs", "pairs"),
 )
 
 AUC_MEAN = Measure(
@@ -94,7 +95,7 @@ F_MASK = Measure(
     "F of the detector's own mask, at its default threshold: what a user gets.",
     _of_mask(metrics.f_measure),
     interval=True,
-    shown=("headline", "screen pairs", "pairs"),
+    shown=("headline", "parts", "screen pairs", "pairs"),
 )
 
 IOU_MASK = Measure(
@@ -103,7 +104,7 @@ IOU_MASK = Measure(
     "Overlap of the detector's own mask, as it ships.",
     _of_mask(metrics.iou),
     interval=True,
-    shown=("headline",),
+    shown=("headline", "parts"),
 )
 
 SCORES = (
@@ -115,6 +116,7 @@ SCORES = (
         better=None,
         digits=0,
         over_drives="whole",
+        shown=("parts",),
     ),
     F_MASK,
     IOU_MASK,
@@ -201,7 +203,7 @@ SCORES = (
         "Mean distance of the likelihood and the share of road that really has it.",
         _of_road(calibration.expected_error),
         better="lower",
-        shown=("screen", "further"),
+        shown=("screen", "further", "parts"),
     ),
 )
 
@@ -237,8 +239,15 @@ DECISIONS = (
         "precision\nof mask",
         "Precision of that mask.",
         _of_mask(metrics.precision),
+        shown=("parts",),
     ),
-    Measure("recall_mask", "recall\nof mask", "Recall of that mask.", _of_mask(metrics.recall)),
+    Measure(
+        "recall_mask",
+        "recall\nof mask",
+        "Recall of that mask.",
+        _of_mask(metrics.recall),
+        shown=("parts",),
+    ),
 )
 
 
@@ -284,5 +293,12 @@ WORKING_POINT = (
 )
 
 
-MEASURES: tuple[Measure, ...] = (*SCORES, *DECISIONS, *BORDERS, *WORKING_POINT, *LAYOUT)
+MEASURES: tuple[Measure, ...] = (
+    *SCORES,
+    *DECISIONS,
+    *BORDERS,
+    *WORKING_POINT,
+    *TRUST,
+    *LAYOUT,
+)
 """All measures, in the order in which files and tables have them."""

@@ -14,6 +14,7 @@ from roadtorch.evaluation import curves, metrics
 from roadtorch.evaluation.curves import Curve
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
 from roadtorch.evaluation.tally import Pictures, Tally
+from roadtorch.evaluation.trust import Trusted
 
 Sum = TypeVar("Sum", RoadCounts, Decisions, Tensor)
 
@@ -26,7 +27,8 @@ class Part:
     image_auc: the mean of the single pictures' AUC, float64 (…).
     What follows in the list is not known of draws: labels, a confusion as ``layout``, of
     labels that may abstain; roc, the vertical average of the single pictures' curves;
-    threshold, where there is one for all; skipped, the pictures without AUC.
+    threshold, where there is one for all; skipped, the pictures without AUC; trusted, the
+    single pictures that have a trust, None where no picture has.
     """
 
     road: RoadCounts
@@ -41,6 +43,7 @@ class Part:
     images: int = 0
     skipped: int = 0
     milliseconds: float = math.nan
+    trusted: Trusted | None = None
 
     @cached_property
     def working_point(self) -> Mapping[str, Tensor]:
@@ -70,7 +73,18 @@ def counted(tally: Tally, thresholds: Mapping[str, float]) -> Part:
         images=len(pictures.names),
         skipped=len(pictures.names) - len(areas),
         milliseconds=1000 * statistics.median(pictures.seconds.tolist()),
+        trusted=trusted(pictures),
     )
+
+
+def trusted(pictures: Pictures) -> Trusted | None:
+    """The pictures that have a trust and an F of the mask; None where no picture has a trust."""
+    if pictures.trust.isnan().all():
+        return None
+    f = metrics.f_measure(pictures.mask)
+    known = ~(pictures.trust.isnan() | f.isnan())
+    groups = [group for group, kept in zip(pictures.groups, known.tolist(), strict=True) if kept]
+    return Trusted(pictures.trust[known], f[known], groups)
 
 
 def _total(sums: Mapping[str, Sum], groups: Mapping[str, float]) -> Sum | None:
@@ -105,6 +119,7 @@ def taken_together(pictures: Pictures, thresholds: Mapping[str, float]) -> Part:
         images=len(pictures.names),
         skipped=int((~known).sum()),
         milliseconds=1000 * statistics.median(pictures.seconds.tolist()),
+        trusted=trusted(pictures),
     )
 
 

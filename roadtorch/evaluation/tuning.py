@@ -53,7 +53,7 @@ def choose_threshold(
         raise DatasetError(evaluation.dataset.root, "shows no road", "give pictures with road")
     threshold = round(best, DIGITS)
     kind = detector_entry(name).settings
-    default = kind().model_dump()["threshold"]
+    default: float = kind().model_dump()["threshold"]
     held_out = held_out_thresholds(groups) if len(groups) > 1 else {}
     return ThresholdChoice(
         name,

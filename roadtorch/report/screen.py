@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from roadtorch.evaluation.measure import Figures, Measure
 from roadtorch.evaluation.measures import F_MASK, MAXF
 from roadtorch.evaluation.result import DetectorFigures, Difference, Evaluation
+from roadtorch.report.parts import PartRow, condition_rows, drive_rows
 
 NONE = "-"
 
@@ -17,10 +18,13 @@ MOST_SHOWN = 40
 
 
 def screen(evaluation: Evaluation) -> str:
-    """The tables of a run: road, layout if somebody labels it, and detectors in pairs."""
+    """The tables of a run: road, then what there is of drives, conditions, trust, layout, pairs."""
     detectors = shortlist(evaluation)
     tables = [
         road_table(evaluation, detectors),
+        *drive_tables(evaluation, detectors),
+        *condition_tables(evaluation, detectors),
+        trust_table(evaluation, detectors),
         layout_table(evaluation, detectors),
         pair_table(evaluation, detectors),
     ]
@@ -74,6 +78,64 @@ def road_table(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures])
             *(measure.text(measure.of(one.headline), NONE) for measure in measures),
         ])  # fmt: skip
     return align(rows)
+
+
+MOST_TOLD = 3
+"""Detectors that are told by drive and by condition, the best."""
+
+MOST_ROWS = 20
+"""Rows of such a table."""
+
+
+def drive_tables(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]) -> list[str]:
+    """The drives of the best detectors, worst first, where they have no columns or are left out."""
+    if len(evaluation.drives) <= MOST_DRIVES and not evaluation.left_out:
+        return []
+    measures = evaluation.shown_in("parts")
+    rows = {name: drive_rows(evaluation, name) for name in _told(detectors)}
+    return [part_text(f"{name} by drive", rows[name], measures) for name in rows]
+
+
+def condition_tables(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]) -> list[str]:
+    """The conditions of the best detectors, worst first; nothing where none is known."""
+    if not evaluation.conditions:
+        return []
+    measures = evaluation.shown_in("parts")
+    rows = {name: condition_rows(evaluation, name) for name in _told(detectors)}
+    return [part_text(f"{name} by condition", rows[name], measures) for name in rows]
+
+
+def _told(detectors: Mapping[str, DetectorFigures]) -> list[str]:
+    return [name for name in _best_first(detectors) if not detectors[name].is_floor][:MOST_TOLD]
+
+
+def part_text(title: str, rows: Sequence[PartRow], measures: Sequence[Measure]) -> str:
+    """The figures of one detector's drives or conditions; of very many the worst, and the rest."""
+    counting = [row for row in rows if row.counts]
+    shown = [*counting[:MOST_ROWS], *(row for row in rows if not row.counts)]
+    known = [one for one in measures if any(one.key in row.figures for row in rows)]
+    table = [[title, *(one.line for one in known), "MaxF of floor"]]
+    table += [
+        [
+            row.name,
+            *(one.text(one.of(row.figures), NONE) for one in known),
+            MAXF.text(row.floor, NONE),
+        ]
+        for row in shown
+    ]
+    more = len(counting) - MOST_ROWS
+    return align(table) + (f"\n{more} more are in metrics.json (--out DIR)" if more > 0 else "")
+
+
+def trust_table(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]) -> str:
+    """A line for each detector that has trust: how well it tells good masks from bad ones."""
+    measures = evaluation.shown_in("trust")
+    rows = [
+        [name, *(one.text(one.of(detectors[name].headline), NONE) for one in measures)]
+        for name in _best_first(detectors)
+        if any(one.key in detectors[name].headline for one in measures)
+    ]
+    return align([["trust", *(one.line for one in measures)], *rows]) if rows else ""
 
 
 def worst_drive(one: DetectorFigures, measure: Measure) -> str:

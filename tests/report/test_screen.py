@@ -30,12 +30,13 @@ def test_of_a_grid_the_best_are_shown_beside_all_floors() -> None:
 def test_the_columns_are_those_of_the_measures_that_ask_for_one() -> None:
     evaluation, _, _ = made_run()
 
-    road, layout, pairs = (part.splitlines()[0] for part in screen(evaluation).split("\n\n"))
+    road, trust, layout, pairs = (part.splitlines()[0] for part in screen(evaluation).split("\n\n"))
 
     assert road.split("pooled")[1].split() == [
         *("AUC", "AUC/image", "AP", "IoU", "EER", "Brier", "ms/image", "ECE")
     ]
     assert "F of mask  IoU of mask   MaxF " in road
+    assert trust.split()[:5] == ["trust", "rank", "correlation", "within", "drives"]
     assert layout.split()[:6] == ["layout", "drive", "sky", "vertical", "horizontal", "mean"]
     assert pairs.split()[:7] == ["less", "fusion", "F", "of", "mask", "95", "%"]
 

@@ -217,7 +217,7 @@ def test_the_run_is_told(page):
 
 
 def test_all_charts_are_there(page):
-    assert len(page.charts()) == 6
+    assert len(page.charts()) == 8
 
 
 def test_sheets_are_jpeg_inside_the_page_best_first(page):
@@ -283,7 +283,7 @@ def test_a_run_with_nothing_but_names():
 @pytest.fixture
 def _no_charts(monkeypatch):
     monkeypatch.setattr(charts, "all_charts", lambda *_: dict.fromkeys(
-        ("maxf", "paired", "roc", "pr", "reliability", "pictures"), ""))  # fmt: skip
+        ("f_mask", "maxf", "paired", "roc", "pr", "reliability", "risk", "pictures"), ""))  # fmt: skip
 
 
 def ways_to_miss() -> dict[str, Evaluation]:
@@ -345,7 +345,7 @@ def test_one_detector_without_drives():
     assert column(page, "scores", "MaxF") == {"it": "0.950"}
     assert "No floor was scored beside it." in page.text["head"]
     assert "drives" not in page.tables
-    assert len(page.charts()) == 5  # nobody to compare with
+    assert len(page.charts()) == 7  # nobody to compare with
 
 
 def test_a_grid_of_three_hundred_detectors_stays_readable():
@@ -459,7 +459,7 @@ def test_a_browser_shows_it_and_asks_for_nothing(tmp_path: Path):
 
     page = Page(dom)
     assert list(column(page, "scores", "AP")) == [*NAMES, HOSTILE]
-    assert len(page.charts()) == 6
+    assert len(page.charts()) == 8
     assert len(page.named("img")) == 1
     assert page.named("button")  # its own script ran: the headers sort
     assert not asked
