@@ -61,6 +61,20 @@ def made_run(
     return evaluation, curves, rows
 
 
+def with_conditions(evaluation: Evaluation) -> Evaluation:
+    """The same run by day, and one drive by night as well; F of the mask .8 and .3."""
+    first = evaluation.drives[0]
+    items = tuple(
+        replace(item, conditions=("day", "night") if item.group == first else ("day",))
+        for item in evaluation.dataset.items
+    )
+    evaluation = replace(evaluation, dataset=replace(evaluation.dataset, items=items))
+    for name in evaluation.detectors:
+        found = {"day": {"f_mask": 0.8, "maxf": 0.9}, "night": {"f_mask": 0.3, "maxf": 0.5}}
+        evaluation = changed(evaluation, name, conditions=found)
+    return evaluation
+
+
 def scored(scores: Mapping[str, float | None]) -> Evaluation:
     """A run of detectors with a MaxF each and nothing else; None: not even that."""
     dataset = Dataset("folder", Path("data"), "all", (), FolderLabels())

@@ -4,6 +4,7 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import pytest
 import torch
 from pydantic import Field
@@ -122,3 +123,20 @@ def test_pictures_without_road_choose_nothing(call, tmp_path):
 
     assert done.exit_code == 2
     assert "shows no road (give pictures with road)" in done.stderr
+
+
+def test_a_drive_that_is_left_out_chooses_nothing(call, camvid, tmp_path):
+    options = ("--detector", "test-brightness", "--leave-out", DRIVES[0])
+
+    def chosen(*more) -> str:
+        done = call("tune", "camvid", camvid, *options, *more, "--out", tmp_path / "out")
+        assert done.exit_code == 0, done.stderr
+        return done.stdout.splitlines()[1]
+
+    before = chosen()
+    for path in camvid.glob(f"*annot/{DRIVES[0]}*"):  # its labels may say what they like
+        labels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(path), labels[::-1])
+
+    assert chosen() == before
+    assert "4 pictures" in (tmp_path / "out" / "test-brightness.toml").read_text()
