@@ -31,7 +31,7 @@ def _measure(
 TRUST = (
     _measure(
         "rank_correlation",
-        "rank\ncorrelation",
+        "rank corr.\nof trust",
         "Spearman's correlation of trust with the picture's F of the mask, over all pictures.",
         lambda pictures: trust.rank_correlation(pictures.trust, pictures.f),
         shown=("trust", "parts"),
@@ -44,10 +44,17 @@ TRUST = (
     ),
     _measure(
         "auc",
-        f"AUC of\nF < {trust.BAD:g}",
+        f"AUC for\nF < {trust.BAD:g}",
         f"Share of pairs (a picture with F < {trust.BAD:g}, another one) in which the first is "
         "trusted less.",
         lambda pictures: trust.failure_auc(pictures.trust, pictures.f),
+    ),
+    _measure(
+        "error",
+        "mean\nerror",
+        "Mean distance of trust and the picture's F of the mask.",
+        lambda pictures: float((pictures.trust - pictures.f).abs().mean()),
+        "lower",
     ),
     _measure(
         "aurc",

@@ -200,6 +200,9 @@ def test_trust_is_measured_on_all_pictures_together_and_by_drive(dataset, scenes
         float(spearmanr(list(knowing.values()), f).statistic)
     )
     assert figures.headline["trust/aurc_random"] == pytest.approx(1 - sum(f) / 6)
+    assert figures.headline["trust/error"] == pytest.approx(
+        sum(abs(one - other) for one, other in zip(knowing.values(), f, strict=True)) / 6
+    )
     assert figures.drives["0001TP"]["trust/rank_correlation"] == pytest.approx(1)
     assert math.isnan(figures.headline["trust/rank_correlation_within"])  # two pictures a drive
     assert blind.headline["trust/aurc"] == pytest.approx(blind.headline["trust/aurc_random"])

@@ -36,7 +36,7 @@ def test_the_columns_are_those_of_the_measures_that_ask_for_one() -> None:
         *("AUC", "AUC/image", "AP", "IoU", "EER", "Brier", "ms/image", "ECE")
     ]
     assert "F of mask  IoU of mask   MaxF " in road
-    assert trust.split()[:5] == ["trust", "rank", "correlation", "within", "drives"]
+    assert trust.split()[:5] == ["trust", "rank", "corr.", "of", "trust"]
     assert layout.split()[:6] == ["layout", "drive", "sky", "vertical", "horizontal", "mean"]
     assert pairs.split()[:7] == ["less", "fusion", "F", "of", "mask", "95", "%"]
 

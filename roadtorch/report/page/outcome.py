@@ -98,7 +98,9 @@ def paired_interval(evaluation: Evaluation, one: str, other: str) -> Interval | 
 def _pair(best: str, floor: tuple[str, float] | None, evaluation: Evaluation) -> list[str]:
     """How sure the distance to the floor is."""
     ends = paired_interval(evaluation, best, floor[0]) if floor else None
-    return [f"The 95 % interval of that distance is {_range(*ends)}."] if ends else []
+    if floor is None or ends is None:
+        return []
+    return [f"The distance to {floor[0]} has a 95 % interval of {_range(*ends)}."]
 
 
 def _next(best: str, second: str, scores: Mapping[str, float], evaluation: Evaluation) -> str:

@@ -253,7 +253,7 @@ def test_trust_has_a_table_of_the_detectors_that_have_it(page):
 
     assert list(column(page, "trust", "AURC")) == list(NAMES)
     assert list(column(some, "trust", "AURC")) == ["b"]
-    assert "rank correlation" in [one.replace("\n", " ") for one in page.tables["trust"][0][0]]
+    assert "rank corr. of trust" in [one.replace("\n", " ") for one in page.tables["trust"][0][0]]
 
 
 def test_the_run_is_told(page):

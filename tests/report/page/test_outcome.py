@@ -68,8 +68,8 @@ def test_drives_are_compared_with_their_own_best_floor():
 @pytest.mark.parametrize(
     ("against", "other", "ends", "text"),
     [
-        ("a", "prior:rows", [-0.07, -0.03], "that distance is +0.030 to +0.070."),
-        ("prior:rows", "a", [0.03, 0.07], "that distance is +0.030 to +0.070."),
+        ("a", "prior:rows", [-0.07, -0.03], "has a 95 % interval of +0.030 to +0.070."),
+        ("prior:rows", "a", [0.03, 0.07], "has a 95 % interval of +0.030 to +0.070."),
         ("prior:rows", "a", [-0.01, 0.07], "+0.070, which these pictures do not tell from 0."),
         ("prior:rows", "a", [math.nan, 0.07], None),
         ("b", "prior:rows", [0.03, 0.07], None),
