@@ -136,6 +136,7 @@ def test_a_drive_that_is_left_out_chooses_nothing(call, camvid, tmp_path):
     before = chosen()
     for path in camvid.glob(f"*annot/{DRIVES[0]}*"):  # its labels may say what they like
         labels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert labels is not None
         cv2.imwrite(str(path), labels[::-1])
 
     assert chosen() == before

@@ -44,7 +44,7 @@ def test_rank_correlation_equals_scipys_whatever_the_scale():
 
     found = trust.rank_correlation(trusts, f)
 
-    assert found == pytest.approx(float(spearmanr(trusts, f).statistic), abs=1e-12)
+    assert found == pytest.approx(spearmanr(trusts, f)[0], abs=1e-12)
     assert trust.rank_correlation(trusts.exp(), f) == pytest.approx(found, abs=1e-12)
     assert trust.rank_correlation(-trusts, f) == pytest.approx(-found, abs=1e-12)
 
