@@ -109,11 +109,13 @@ class Detection:
     likelihood: float32 (H,W) in [0,1], higher is more road-like.
     mask: bool (H,W), the decision.
     cues: the maps the decision rests on, by name; (H,W) or (C,H,W).
+    trust: the expected F of the mask, in [0,1]; None where the detector does not say.
     """
 
     likelihood: Tensor
     mask: Tensor
     cues: Mapping[str, Tensor]
+    trust: float | None = None
 
 
 @dataclass(frozen=True)

@@ -61,6 +61,20 @@ def made_run(
     return evaluation, curves, rows
 
 
+def with_conditions(evaluation: Evaluation) -> Evaluation:
+    """The same run by day, and one drive by night as well; F of the mask .8 and .3."""
+    first = evaluation.drives[0]
+    items = tuple(
+        replace(item, conditions=("day", "night") if item.group == first else ("day",))
+        for item in evaluation.dataset.items
+    )
+    evaluation = replace(evaluation, dataset=replace(evaluation.dataset, items=items))
+    for name in evaluation.detectors:
+        found = {"day": {"f_mask": 0.8, "maxf": 0.9}, "night": {"f_mask": 0.3, "maxf": 0.5}}
+        evaluation = changed(evaluation, name, conditions=found)
+    return evaluation
+
+
 def scored(scores: Mapping[str, float | None]) -> Evaluation:
     """A run of detectors with a MaxF each and nothing else; None: not even that."""
     dataset = Dataset("folder", Path("data"), "all", (), FolderLabels())
@@ -79,7 +93,7 @@ def made_item(name: str, drive: str | None) -> Item:
 
 
 def made_row(detector: str, drive: str, f: float) -> PictureRow:
-    return PictureRow("picture", drive, detector, 0.9, f, 0.5, f, f, f, 12.0)
+    return PictureRow("picture", drive, detector, 0.9, f, 0.5, f, f, f, f, 12.0)
 
 
 def made_contender(name: str, settings: Mapping[str, Any] | None = None) -> Contender:
@@ -129,7 +143,7 @@ def made_pairs(quality: Mapping[str, float]) -> Comparison:
         against,
         {
             name: dict.fromkeys(
-                ("maxf", "auc_pooled", "iou"),
+                ("f_mask", "maxf", "auc_pooled", "iou"),
                 Difference(change, Interval(change - 0.03, change + 0.03)),
             )
             for name, change in changes.items()
@@ -145,7 +159,8 @@ def made_curves(score: float, drives: Sequence[str]) -> DetectorCurves:
         "pr": [x.tolist(), (1 - (1 - score) * x).tolist()],
         "reliability": [[0.1, 0.5, 0.9], [0.1, score / 2, score], [0.7, 0.1, 0.2]],
     }
-    return {"mean": one, "groups": dict.fromkeys(drives, one)}
+    risk = {"risk": [[0.5, 1], [0.1, 1 - score]], "risk_ideal": [[0.5, 1], [0, 1 - score]]}
+    return {"mean": {**one, **risk}, "groups": dict.fromkeys(drives, one)}
 
 
 def made_sheet(kind: str = ".png", width: int = 64, height: int = 24) -> bytes:

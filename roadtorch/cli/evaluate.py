@@ -12,6 +12,7 @@ from roadtorch.cli.options import CAMERA, PATH, labelled_set
 @CAMERA
 @click.option("--maps", "folders", multiple=True, help="Maps made elsewhere: NAME=DIR or DIR.")
 @click.option("--bev", is_flag=True, help="Score in bird's-eye view (kitti-road).")
+@click.option("--conditions", type=PATH, help="CSV with each picture's conditions, for ROOT's own.")
 @click.option("--out", type=PATH, help="Folder for metrics.json, report.html, curves and rows.")
 @click.option("--mean-from", help="Learn prior:mean on another set: NAME:ROOT.")
 @click.option("--threshold-from", type=PATH, help="Thresholds that an earlier metrics.json chose.")
@@ -34,7 +35,9 @@ def evaluate(
     camera: Path | None,
     folders: tuple[str, ...],
     bev: bool,
+    conditions: Path | None,
     out: Path | None,
+    left_out: tuple[str, ...],
     limit: int | None,
     jobs: int,
     mean_from: str | None,
@@ -51,6 +54,8 @@ def evaluate(
     from roadtorch.cli.batch import make_writable
     from roadtorch.cli.labelled import camera_settings, command_line, tell_failures, watched
     from roadtorch.data.catalogue import open_dataset, open_named
+    from roadtorch.data.conditions import with_conditions
+    from roadtorch.data.dataset import leave_out
     from roadtorch.data.kitti import birds_eye
     from roadtorch.data.maps import parse_maps
     from roadtorch.evaluation.evaluate import evaluate as score
@@ -61,7 +66,9 @@ def evaluate(
 
     if out is not None:
         make_writable(out)  # now rather than after the long run
-    opened = open_dataset(dataset, root, split)
+    opened = leave_out(open_dataset(dataset, root, split), left_out)
+    if conditions is not None:
+        opened = with_conditions(opened, conditions)
     chosen = _without_default(context, names, folders)
     values = merge(camera_settings(camera, chosen), parse_assignments(assignments))
     evaluation = score(

@@ -44,13 +44,20 @@ LABELLED_SET = (
     click.option(
         "--set", "assignments", multiple=True, help="Setting of the detectors: key=value."
     ),
+    click.option(
+        "--leave-out",
+        "left_out",
+        multiple=True,
+        metavar="GROUP",
+        help="Score a drive or folder, but count it in no mean and no choice.",
+    ),
     click.option("--limit", type=click.IntRange(min=1), help="Look at this many pictures only."),
     JOBS,
 )
 
 
 def labelled_set(command: Command) -> Command:
-    """Detectors over a labelled set: DATASET ROOT --split --detector --set --limit --jobs."""
+    """Detectors over a labelled set: DATASET ROOT and what ``LABELLED_SET`` has beside them."""
     for option in reversed(LABELLED_SET):
         command = option(command)
     return command

@@ -19,6 +19,7 @@ def tune(
     names: tuple[str, ...],
     assignments: tuple[str, ...],
     out: Path,
+    left_out: tuple[str, ...],
     limit: int | None,
     jobs: int,
 ) -> None:
@@ -33,6 +34,7 @@ def tune(
     from roadtorch.cli.config import as_toml
     from roadtorch.cli.labelled import command_line, tell_failures, watched
     from roadtorch.data.catalogue import open_dataset
+    from roadtorch.data.dataset import leave_out
     from roadtorch.evaluation.evaluate import evaluate
     from roadtorch.evaluation.saved_tallies import forget
     from roadtorch.evaluation.tuning import choose_threshold
@@ -43,7 +45,7 @@ def tune(
     make_writable(out)
     settings = parse_assignments(assignments)
     evaluation = evaluate(
-        open_dataset(dataset, root, split),
+        leave_out(open_dataset(dataset, root, split), left_out),
         names,
         settings=settings,
         limit=limit,

@@ -5,14 +5,14 @@ the picture itself, a view. Pictures and labels are read one at a time, so memor
 over any number of items.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
 from torch import Tensor
 
-from roadtorch.errors import DatasetError
+from roadtorch.errors import ConfigError, DatasetError, unknown_name
 from roadtorch.image import read_image
 
 
@@ -35,6 +35,7 @@ class Item:
 
     group: the drive (city, category) it is from, if known. extra: further files that its
     truth or view is made of, such as other people's annotations or a calibration.
+    conditions: under which it was taken, in words ("night", "rain").
     """
 
     name: str
@@ -42,6 +43,7 @@ class Item:
     label: Path
     group: str | None = None
     extra: tuple[Path, ...] = ()
+    conditions: tuple[str, ...] = ()
 
 
 class TruthReader(Protocol):
@@ -71,6 +73,7 @@ class Dataset:
 
     levels: how many levels of likelihood are told apart in scoring (KITTI's program: 256).
     view: None for sets that are scored in the picture itself.
+    left_out: groups that are scored, but count in no mean and choose nothing.
     """
 
     name: str
@@ -80,10 +83,17 @@ class Dataset:
     reader: TruthReader = field(repr=False)
     levels: int = 65_536
     view: View | None = field(default=None, repr=False)
+    left_out: frozenset[str] = frozenset()
 
     def groups(self) -> list[str]:
         """The drives, sorted; empty for a set that does not know them."""
         return sorted({item.group for item in self.items if item.group is not None})
+
+    def by_condition(self) -> dict[str, list[Item]]:
+        """The pictures of each condition, sorted by its name; without groups left out."""
+        counting = [item for item in self.items if item.group not in self.left_out]
+        names = sorted({name for item in counting for name in item.conditions})
+        return {name: [item for item in counting if name in item.conditions] for name in names}
 
     def truth(self, item: Item) -> Truth:
         """Read the truth of one item, in the picture's own space."""
@@ -105,6 +115,22 @@ def every_kth(dataset: Dataset, limit: int | None) -> Dataset:
         return dataset
     step = len(dataset.items) / limit
     return replace(dataset, items=tuple(dataset.items[int(index * step)] for index in range(limit)))
+
+
+def leave_out(dataset: Dataset, groups: Iterable[str]) -> Dataset:
+    """The set with some groups left out of means and choices; they are scored all the same.
+
+    Raises ConfigError for a group that it does not have, and when none is left.
+    """
+    left_out, known = frozenset(groups), dataset.groups()
+    if left_out and not known:
+        what = f"is not for {dataset.name} at {dataset.root}, which has no groups"
+        raise ConfigError("--leave-out", what, "leave it out")
+    for name in sorted(left_out - set(known)):
+        raise unknown_name(f"group of {dataset.name}", name, known)
+    if left_out and left_out == set(known):
+        raise ConfigError("--leave-out", "leaves out every group", "keep one at least")
+    return replace(dataset, left_out=left_out)
 
 
 @dataclass(frozen=True)

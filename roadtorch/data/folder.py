@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from roadtorch.data import conditions
 from roadtorch.data.dataset import Dataset, Item, Truth
 from roadtorch.data.labels import NumberLabels, decode_labels, pairs, read_labels
 from roadtorch.errors import DatasetError
@@ -50,7 +51,8 @@ class FolderLabels:
 def open_folder(root: Path, split: str) -> Dataset:
     """ROOT/images with ROOT/masks or ROOT/road; or folders of this kind, which are the groups.
 
-    Pictures of groups are called GROUP/NAME. Raises DatasetError naming what is missing.
+    Pictures of groups are called GROUP/NAME. Conditions come from ROOT/pictures.csv, if it is
+    there. Raises DatasetError naming what is missing, or what is wrong in that table.
     """
     if (root / "images").is_dir():
         items = tuple(_labelled(root, None))
@@ -60,7 +62,9 @@ def open_folder(root: Path, split: str) -> Dataset:
     if not items:
         what = "has no folder images, nor folders that have one"
         raise DatasetError(root, what, "check the folder's layout")
-    return Dataset("folder", root, split, items, FolderLabels())
+    found = Dataset("folder", root, split, items, FolderLabels())
+    table = root / conditions.FILE
+    return conditions.with_conditions(found, table) if table.is_file() else found
 
 
 def _labelled(folder: Path, group: str | None) -> Iterator[Item]:

@@ -32,8 +32,8 @@ def resample(
     Thresholds stay as they were chosen. The draws, which are counted on 8-bit maps, are
     moved by what that changes in the figure of all pictures.
     """
-    drives = [tally.kept([group]) for group in figures.thresholds]
-    thresholds = list(figures.thresholds.values())
+    drives = [tally.kept([group]) for group in figures.counting]
+    thresholds = [figures.thresholds[group] for group in figures.counting]
     generator = torch.Generator().manual_seed(SEED)
     weights = group_weights([len(drive.names) for drive in drives], generator)
     once = [torch.ones_like(drawing[:1]) for drawing in weights]

@@ -136,7 +136,8 @@ def mean_masks(dataset: Dataset, mean_from: Dataset | None) -> dict[str, Tensor]
     """
     groups = dataset.groups()
     if mean_from is None:
-        return means_of_others(road_shares(dataset)) if len(groups) > 1 else {}
+        taught = len(groups) - len(dataset.left_out) > 1
+        return means_of_others(road_shares(dataset), dataset.left_out) if taught else {}
     if len(groups) > 1:
         what = f"is not for {dataset.name}, whose drives teach each other"
         raise ConfigError("--mean-from", what, "leave it out")

@@ -25,6 +25,7 @@ def document(evaluation: Evaluation, command: str) -> dict[str, Any]:
         "command": command,
         "levels": dataset.levels,
         "view": "the picture" if dataset.view is None else dataset.view.name,
+        "left_out": evaluation.left_out,
         "failed": [{"image": one.image, "reason": one.reason} for one in evaluation.failures],
         "detectors": {
             name: _detector(one, measures) for name, one in evaluation.detectors.items()
@@ -51,7 +52,10 @@ def _detector(one: DetectorFigures, measures: Sequence[Measure]) -> dict[str, An
     }  # fmt: skip
     if one.drives:
         found["groups"] = {drive: _levels(figures) for drive, figures in one.drives.items()}
+        found["left_out"] = {drive: _levels(figures) for drive, figures in one.left_out.items()}
         found["pooled"] = _levels(one.pooled)
+    if one.conditions:
+        found["conditions"] = {name: _levels(part) for name, part in one.conditions.items()}
     found["ci95"] = {
         measure.flat_key: one.intervals[measure.key]
         for measure in measures

@@ -10,8 +10,9 @@ from torch import Tensor
 from roadtorch.evaluation import calibration, curves
 from roadtorch.evaluation.curves import Curve
 from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.parts import counted
+from roadtorch.evaluation.parts import counted, trusted
 from roadtorch.evaluation.tally import WHOLE, Tally
+from roadtorch.evaluation.trust import Trusted, ideal_risk_coverage, risk_coverage
 
 STEPS = 200  # of FPR and of recall, in the mean over drives
 MOST = 400  # points of a curve
@@ -22,7 +23,8 @@ Curves = Mapping[str, Sequence[Sequence[float]] | None]
 
 ``roc`` (FPR, TPR) and ``pr`` (recall, precision) of pooled counts, ``reliability`` (predicted,
 observed, share of pixels); of drives also P3's averages over pictures, ``roc_vertical`` and
-``roc_threshold``.
+``roc_threshold``; of all pictures, where the detector has trust, ``risk`` and
+``risk_ideal`` (coverage, mean 1 - F).
 """
 
 
@@ -37,17 +39,19 @@ RunCurves = Mapping[str, DetectorCurves]
 """By detector."""
 
 
-def drive_curves(tally: Tally) -> DetectorCurves:
-    """Curves of one detector: ``mean`` over the drives, and ``groups`` by drive."""
-    groups = {group: _curves_of(tally, group) for group in tally.road}
+def drive_curves(tally: Tally, counting: Sequence[str]) -> DetectorCurves:
+    """Curves of one detector: ``mean`` over the drives that count, and ``groups`` by drive."""
+    groups = {group: _curves_of(tally, group) for group in counting}
+    risk = risk_curves(trusted(tally.kept(counting)))
     if list(groups) == [WHOLE]:
-        return {"mean": groups[WHOLE], "groups": {}}
-    drives = list(tally.road.values())
+        return {"mean": {**groups[WHOLE], **risk}, "groups": {}}
+    drives = [tally.road[group] for group in counting]
     bins = torch.tensor([group["reliability"] for group in groups.values()], dtype=torch.float64)
     mean: Curves = {
         "roc": _lists(mean_roc(drives)),
         "pr": _lists(mean_precision(drives)),
         "reliability": _rounded(bins.nanmean(0)),
+        **risk,
     }
     return {"mean": mean, "groups": groups}
 
@@ -63,6 +67,16 @@ def _curves_of(tally: Tally, group: str) -> Curves:
         "roc_threshold": _lists(
             curves.thin(curves.threshold_average(tally.kept([group]).road), MOST)
         ),
+    }
+
+
+def risk_curves(pictures: Trusted | None) -> Curves:
+    """Risk over coverage as trust orders the pictures, and the ideal one; empty without trust."""
+    if pictures is None:
+        return {}
+    return {
+        "risk": _lists(curves.thin(risk_coverage(pictures.trust, pictures.f), MOST)),
+        "risk_ideal": _lists(curves.thin(ideal_risk_coverage(pictures.f), MOST)),
     }
 
 

@@ -15,7 +15,7 @@ from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.result import Evaluation, Failure
 from roadtorch.evaluation.saved_tallies import SavedTallies, fingerprint
 from roadtorch.evaluation.scoring import Scored, score
-from roadtorch.evaluation.summary import summarise
+from roadtorch.evaluation.summary import add_conditions, summarise
 from roadtorch.evaluation.tally import Tally
 
 Watch = Callable[[Iterator[Scored], int, int], Iterable[Scored]]
@@ -65,7 +65,12 @@ def evaluate(
     pictures = every_kth(dataset, limit)
     tallies, failures = count_all(pictures, contenders, jobs, keep_in, watch)
     found = {
-        one.name: summarise(one, tallies[one.name], given.get(one.name), measures)
+        one.name: add_conditions(
+            summarise(one, tallies[one.name], given.get(one.name), measures, pictures.left_out),
+            tallies[one.name],
+            pictures.by_condition(),
+            measures,
+        )
         for one in contenders
     }
     draws = {name: comparison.resample(tallies[name], found[name], measures) for name in names}
@@ -96,7 +101,9 @@ def count_all(
         saved.save()
         raise
     saved.sort([item.name for item in dataset.items])
-    if not saved.tallies:
-        what = f"none of its {total} pictures could be scored; the first: {failures[0].reason}"
+    counting = {group for tally in saved.tallies.values() for _, group in tally.pictures}
+    if not counting - dataset.left_out:
+        first = failures[0].reason if failures else "all groups are left out"
+        what = f"none of its {total} pictures could be scored; the first: {first}"
         raise DatasetError(dataset.root, what, "mend that first")
     return saved.tallies, failures

@@ -1,5 +1,7 @@
 """The floor that data sets teach: the mean road mask of other drives."""
 
+from collections.abc import Collection
+
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -29,12 +31,16 @@ def mean_of(shares: dict[str, Tensor]) -> Tensor:
     return torch.stack(list(shares.values())).mean(0).clamp(0, 1)
 
 
-def means_of_others(shares: dict[str, Tensor]) -> dict[str, Tensor]:
-    """For every drive the mean of the other ones; empty when there is no other one."""
-    if len(shares) < 2:
+def means_of_others(shares: dict[str, Tensor], left_out: Collection[str] = ()) -> dict[str, Tensor]:
+    """For every drive the mean of the other ones; empty when there is no other one.
+
+    left_out: drives that teach nobody.
+    """
+    teachers = {name: share for name, share in shares.items() if name not in left_out}
+    if len(teachers) < 2:
         return {}
     return {
-        group: mean_of({name: share for name, share in shares.items() if name != group})
+        group: mean_of({name: share for name, share in teachers.items() if name != group})
         for group in shares
     }
 

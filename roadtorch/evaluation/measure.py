@@ -15,8 +15,20 @@ Figures = Mapping[str, float]
 Formula = Callable[[Part], Tensor | float | None]
 """A part's figure, or (draws,) of one that is many draws; None where it has no such figure."""
 
-Place = Literal["screen", "screen pairs", "screen layout", "scores", "further", "pairs", "layout"]
-"""On the screen; on the page: its first table, its second one, differences, layout.
+Place = Literal[
+    "headline",
+    "screen",
+    "screen pairs",
+    "screen layout",
+    "scores",
+    "further",
+    "pairs",
+    "parts",
+    "trust",
+    "layout",
+]
+"""First in every table; on the screen; on the page: its first table, its second one,
+differences; drives and conditions of one detector, trust (both on the screen as well); layout.
 
 ``pairs`` are in metrics.json, too."""
 

@@ -17,6 +17,7 @@ from roadtorch.evaluation.layout_measures import LAYOUT
 from roadtorch.evaluation.measure import Formula, Measure, Place
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
 from roadtorch.evaluation.parts import Part
+from roadtorch.evaluation.trust_measures import TRUST
 
 # --- what formulas are made of ----------------------------------------------------------
 
@@ -58,7 +59,7 @@ MAXF = Measure(
     "recall. The threshold is picked on the labels that score it.",
     _of_road(lambda counts: metrics.max_f(counts)[0]),
     interval=True,
-    shown=("screen pairs", "pairs"),  # in the tables of scores it has columns of its own
+    shown=("headline", "parts", "screen pairs", "pairs"),
 )
 
 AUC_MEAN = Measure(
@@ -94,7 +95,16 @@ F_MASK = Measure(
     "F of the detector's own mask, at its default threshold: what a user gets.",
     _of_mask(metrics.f_measure),
     interval=True,
-    shown=("screen", "scores"),
+    shown=("headline", "parts", "screen pairs", "pairs"),
+)
+
+IOU_MASK = Measure(
+    "iou_mask",
+    "IoU\nof mask",
+    "Overlap of the detector's own mask, as it ships.",
+    _of_mask(metrics.iou),
+    interval=True,
+    shown=("headline", "parts"),
 )
 
 SCORES = (
@@ -106,7 +116,10 @@ SCORES = (
         better=None,
         digits=0,
         over_drives="whole",
+        shown=("parts",),
     ),
+    F_MASK,
+    IOU_MASK,
     MAXF,
     Measure(
         "maxf_threshold",
@@ -190,7 +203,7 @@ SCORES = (
         "Mean distance of the likelihood and the share of road that really has it.",
         _of_road(calibration.expected_error),
         better="lower",
-        shown=("further",),
+        shown=("screen", "further", "parts"),
     ),
 )
 
@@ -222,20 +235,19 @@ DECISIONS = (
         shown=("further",),
     ),
     Measure(
-        "iou_mask",
-        "IoU\nof mask",
-        "Overlap of the detector's own mask, as it ships.",
-        _of_mask(metrics.iou),
-        shown=("further",),
-    ),
-    F_MASK,
-    Measure(
         "precision_mask",
         "precision\nof mask",
         "Precision of that mask.",
         _of_mask(metrics.precision),
+        shown=("parts",),
     ),
-    Measure("recall_mask", "recall\nof mask", "Recall of that mask.", _of_mask(metrics.recall)),
+    Measure(
+        "recall_mask",
+        "recall\nof mask",
+        "Recall of that mask.",
+        _of_mask(metrics.recall),
+        shown=("parts",),
+    ),
 )
 
 
@@ -281,5 +293,12 @@ WORKING_POINT = (
 )
 
 
-MEASURES: tuple[Measure, ...] = (*SCORES, *DECISIONS, *BORDERS, *WORKING_POINT, *LAYOUT)
+MEASURES: tuple[Measure, ...] = (
+    *SCORES,
+    *DECISIONS,
+    *BORDERS,
+    *WORKING_POINT,
+    *TRUST,
+    *LAYOUT,
+)
 """All measures, in the order in which files and tables have them."""

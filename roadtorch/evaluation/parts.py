@@ -3,7 +3,7 @@
 import math
 import statistics
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from typing import TypeVar
 
@@ -14,6 +14,7 @@ from roadtorch.evaluation import curves, metrics
 from roadtorch.evaluation.curves import Curve
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
 from roadtorch.evaluation.tally import Pictures, Tally
+from roadtorch.evaluation.trust import Trusted
 
 Sum = TypeVar("Sum", RoadCounts, Decisions, Tensor)
 
@@ -26,7 +27,8 @@ class Part:
     image_auc: the mean of the single pictures' AUC, float64 (…).
     What follows in the list is not known of draws: labels, a confusion as ``layout``, of
     labels that may abstain; roc, the vertical average of the single pictures' curves;
-    threshold, where there is one for all; skipped, the pictures without AUC.
+    threshold, where there is one for all; skipped, the pictures without AUC; trusted, the
+    single pictures that have a trust, None where no picture has.
     """
 
     road: RoadCounts
@@ -41,6 +43,7 @@ class Part:
     images: int = 0
     skipped: int = 0
     milliseconds: float = math.nan
+    trusted: Trusted | None = None
 
     @cached_property
     def working_point(self) -> Mapping[str, Tensor]:
@@ -70,7 +73,18 @@ def counted(tally: Tally, thresholds: Mapping[str, float]) -> Part:
         images=len(pictures.names),
         skipped=len(pictures.names) - len(areas),
         milliseconds=1000 * statistics.median(pictures.seconds.tolist()),
+        trusted=trusted(pictures),
     )
+
+
+def trusted(pictures: Pictures) -> Trusted | None:
+    """The pictures that have a trust and an F of the mask; None where no picture has a trust."""
+    if pictures.trust.isnan().all():
+        return None
+    f = metrics.f_measure(pictures.mask)
+    known = ~(pictures.trust.isnan() | f.isnan())
+    groups = [group for group, kept in zip(pictures.groups, known.tolist(), strict=True) if kept]
+    return Trusted(pictures.trust[known], f[known], groups)
 
 
 def _total(sums: Mapping[str, Sum], groups: Mapping[str, float]) -> Sum | None:
@@ -80,6 +94,33 @@ def _total(sums: Mapping[str, Sum], groups: Mapping[str, float]) -> Sum | None:
 
 def _sum(counts: Sequence[Sum]) -> Sum:
     return reduce(lambda one, other: one + other, counts)
+
+
+def taken_together(pictures: Pictures, thresholds: Mapping[str, float]) -> Part:
+    """Pictures of any drives, their counts added up, on 8-bit maps: figures of shape (1,).
+
+    thresholds: those of their drives. Labels that may abstain are not known.
+    """
+    once = torch.ones(1, len(pictures.names), dtype=torch.int64)
+    chosen = {
+        group: metrics.decisions_at(metrics.pool(pictures.road, once * own), threshold)
+        for group, threshold in thresholds.items()
+        if not math.isnan(threshold)
+        and (own := torch.tensor([name == group for name in pictures.groups])).any()
+    }
+    known = ~pictures.auc.isnan()
+    rates = curves.vertical_sample(
+        RoadCounts(pictures.road.road[known], pictures.road.other[known])
+    )
+    return replace(
+        drawn(pictures, math.nan, once),
+        chosen=_total(chosen, thresholds),
+        roc=curves.vertical_average(rates.mean(0)) if known.any() else None,
+        images=len(pictures.names),
+        skipped=int((~known).sum()),
+        milliseconds=1000 * statistics.median(pictures.seconds.tolist()),
+        trusted=trusted(pictures),
+    )
 
 
 def drawn(pictures: Pictures, threshold: float, weights: Tensor) -> Part:

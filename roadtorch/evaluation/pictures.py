@@ -22,7 +22,7 @@ class PictureRow:
     """One picture as one detector saw it: a row of images.csv; NaN where undefined.
 
     threshold: of its drive; f: there, of the 8-bit map; f_mask, iou_mask: of the detector's
-    own mask; ms: the time of detect.
+    own mask; trust: its expected F, by the detector; ms: the time of detect.
     """
 
     image: str
@@ -34,6 +34,7 @@ class PictureRow:
     f: float
     f_mask: float
     iou_mask: float
+    trust: float
     ms: float
 
 
@@ -48,6 +49,7 @@ def picture_rows(name: str, tally: Tally, figures: DetectorFigures) -> list[Pict
         image_f(kept, figures.thresholds).tolist(),
         metrics.f_measure(kept.mask).tolist(),
         metrics.iou(kept.mask).tolist(),
+        kept.trust.tolist(),
         (1000 * kept.seconds).tolist(),
     )
     about = zip(kept.names, kept.groups, strict=True)

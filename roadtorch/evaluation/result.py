@@ -8,7 +8,7 @@ from roadtorch.data.dataset import Dataset
 from roadtorch.evaluation.contenders import Contender
 from roadtorch.evaluation.measure import Figures, Measure, Place
 from roadtorch.evaluation.measures import MAXF, MEASURES
-from roadtorch.evaluation.tally import Tally
+from roadtorch.evaluation.tally import WHOLE, Tally
 from roadtorch.evaluation.uncertainty import Interval
 
 
@@ -31,7 +31,9 @@ class DetectorFigures:
     """The figures of one detector.
 
     headline: means over the drives, or the figures of a set that knows none. pooled: of all
-    drives' counts together; without drives it and ``drives`` are empty.
+    drives' counts together; without drives it and ``drives`` are empty. left_out: the drives
+    that count in nothing above. conditions: of the pictures of each condition together,
+    on 8-bit maps.
     thresholds: the chosen one of each drive (of ``WHOLE`` without drives); threshold_from:
     where they come from, in words. best_threshold: that of the highest F, averaged over the
     drives. intervals: by the key of the measure.
@@ -41,6 +43,8 @@ class DetectorFigures:
     headline: Figures
     drives: Mapping[str, Figures] = field(default_factory=dict)
     pooled: Figures = field(default_factory=dict)
+    left_out: Mapping[str, Figures] = field(default_factory=dict)
+    conditions: Mapping[str, Figures] = field(default_factory=dict)
     thresholds: Mapping[str, float] = field(default_factory=dict)
     threshold_from: str = ""
     best_threshold: float = math.nan
@@ -53,13 +57,18 @@ class DetectorFigures:
         return self.intervals.get(MAXF.key, Interval())
 
     @property
+    def counting(self) -> list[str]:
+        """The groups of the tally that count: all drives but those left out."""
+        return list(self.drives) or [WHOLE]
+
+    @property
     def is_floor(self) -> bool:
         """Whether the detector never looks at the picture."""
         return self.contender.is_floor
 
     def drive(self, name: str) -> Figures:
-        """The figures of one drive; none where it is not known."""
-        return self.drives.get(name, {})
+        """The figures of one drive, left out or not; none where it is not known."""
+        return self.drives.get(name, self.left_out.get(name, {}))
 
 
 @dataclass(frozen=True)
@@ -109,8 +118,18 @@ class Evaluation:
 
     @property
     def drives(self) -> list[str]:
-        """The drives that any detector has figures of, sorted."""
+        """The drives that count and that any detector has figures of, sorted."""
         return sorted({drive for one in self.detectors.values() for drive in one.drives})
+
+    @property
+    def conditions(self) -> list[str]:
+        """The conditions that any detector has figures of, sorted."""
+        return sorted({name for one in self.detectors.values() for name in one.conditions})
+
+    @property
+    def left_out(self) -> list[str]:
+        """The drives that have figures but count in no mean, sorted."""
+        return sorted({drive for one in self.detectors.values() for drive in one.left_out})
 
     def ranked(self) -> list[str]:
         """The detectors by MaxF, highest first; those without one last, then by name."""

@@ -1,5 +1,6 @@
 """The pass: every detector over every picture once, picture by picture."""
 
+import math
 import multiprocessing
 import pickle
 import time
@@ -76,6 +77,7 @@ def score_scene(look: Look, scene: LabelledPicture, shared: ImageCache) -> Score
         None if layout is None else _count_layout(layout.argmax(0), scene),
         None if labels is None else _count_layout(labels, scene),
         seconds,
+        math.nan if detection.trust is None else detection.trust,
     )
 
 

@@ -5,7 +5,7 @@ stay (2 kB), for distributions, intervals and comparisons.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -33,6 +33,7 @@ class Score:
     layout: Tensor | None  # confusion (4,4) of the strongest potentials
     labels: Tensor | None  # confusion (4,4) of labels that may abstain
     seconds: float  # for detect alone, as if nothing had been shared
+    trust: float = math.nan  # the expected F of the mask; NaN where the detector does not say
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,7 @@ class Pictures:
     auc: Tensor  # float64 (n,), NaN without road or background
     max_f: Tensor  # float64 (n,), NaN without road
     seconds: Tensor  # float64 (n,)
+    trust: Tensor  # float64 (n,), NaN where the detector does not say
 
 
 @dataclass
@@ -88,7 +90,7 @@ class Tally:
             "road": _stacked("road", metrics.coarsen(score.road, COARSE)).to(torch.int32),
             "mask": _stacked("mask", score.mask),
             "boundary": score.boundary,
-            "numbers": torch.tensor([area, best, score.seconds], dtype=torch.float64),
+            "numbers": torch.tensor([area, best, score.seconds, score.trust], dtype=torch.float64),
         }
         if score.layout is not None:
             values["layout"] = score.layout
@@ -107,9 +109,16 @@ class Tally:
         places = range(len(self.pictures))
         if groups is not None:
             places = [i for group in groups for i in places if self.pictures[i][1] == group]
+        return self._rows(places)
+
+    def named(self, names: Container[str]) -> Pictures:
+        """What is kept of the pictures of these names, in their order."""
+        return self._rows([i for i, (name, _) in enumerate(self.pictures) if name in names])
+
+    def _rows(self, places: Sequence[int]) -> Pictures:
         chosen = torch.tensor(list(places), dtype=torch.int64)
         columns = {key: column[chosen] for key, column in self.columns.items()}
-        auc, max_f, seconds = columns["numbers"].unbind(1)
+        auc, max_f, seconds, trust = columns["numbers"].unbind(1)
         return Pictures(
             [self.pictures[i][0] for i in places],
             [self.pictures[i][1] for i in places],
@@ -120,6 +129,7 @@ class Tally:
             auc,
             max_f,
             seconds,
+            trust,
         )
 
     def sort(self, names: Sequence[str]) -> None:

@@ -1,7 +1,7 @@
 """Thresholds that labels choose: the best on average, and for each drive that of the others."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import torch
 
@@ -27,11 +27,20 @@ def held_out_thresholds(groups: Mapping[str, RoadCounts]) -> dict[str, float]:
 
 
 def choose_thresholds(
-    groups: Mapping[str, RoadCounts], default: float, given: float | None
+    groups: Mapping[str, RoadCounts],
+    default: float,
+    given: float | None,
+    left_out: Collection[str] = (),
 ) -> tuple[str, dict[str, float]]:
-    """Where the thresholds come from, in words, and one for every drive."""
+    """Where the thresholds come from, in words, and one for every drive.
+
+    left_out: drives that choose for nobody.
+    """
     if given is not None:
         return "an earlier run", dict.fromkeys(groups, given)
-    if len(groups) > 1:
-        return "the other drives", held_out_thresholds(groups)
+    choosing = {group: counts for group, counts in groups.items() if group not in left_out}
+    if len(choosing) > 1:
+        found = held_out_thresholds(choosing)
+        shared = shared_threshold(choosing)
+        return "the other drives", {group: found.get(group, shared) for group in groups}
     return "the detector's default", dict.fromkeys(groups, default)

@@ -9,21 +9,24 @@ from roadtorch.report.screen import NONE, align
 
 
 def choice_table(choices: Sequence[ThresholdChoice]) -> str:
-    """Detector, chosen threshold, the default until now, F and IoU, chosen here and held out."""
-    header = ["detector", "threshold", "default", "F", "IoU", "F held out", "IoU held out"]
+    """Detector, chosen threshold, F and IoU there and held out; before them the default's F."""
+    header = ["detector", "default", "F at default", "threshold"]
+    header += ["F", "IoU", "F held out", "IoU held out"]
     rows = [
         [
             one.detector,
-            f"{one.threshold:.{DIGITS}f}",
             f"{one.default:.{DIGITS}f}",
-            *(
-                NONE if math.isnan(value) else f"{value:.3f}"
-                for value in (one.f, one.iou, one.f_held_out, one.iou_held_out)
-            ),
+            _figure(one.f_default),
+            f"{one.threshold:.{DIGITS}f}",
+            *map(_figure, (one.f, one.iou, one.f_held_out, one.iou_held_out)),
         ]
         for one in choices
     ]
     return align([header, *rows])
+
+
+def _figure(value: float) -> str:
+    return NONE if math.isnan(value) else f"{value:.3f}"
 
 
 def provenance(choice: ThresholdChoice, evaluation: Evaluation, command: str) -> list[str]:
@@ -32,6 +35,7 @@ def provenance(choice: ThresholdChoice, evaluation: Evaluation, command: str) ->
     lines = [
         f"The threshold is chosen on {dataset.name} {dataset.split}, {choice.images} pictures, by",
         f"  {command}",
+        f"At the default threshold {choice.default:.{DIGITS}f}: F {choice.f_default:.3f}.",
         f"On these pictures: F {choice.f:.3f}, IoU {choice.iou:.3f} (mean over the drives).",
     ]
     if math.isnan(choice.f_held_out):

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, fields
 from itertools import chain
 from pathlib import Path
@@ -30,7 +30,10 @@ def write(evaluation: Evaluation, out: Path, command: str = "", pictures: int = 
     command: what made it, for the record. pictures: how many the sheets of the best, median
     and worst show; none for 0.
     """
-    curves = {name: drive_curves(tally) for name, tally in evaluation.tallies.items()}
+    curves = {
+        name: drive_curves(tally, evaluation.detectors[name].counting)
+        for name, tally in evaluation.tallies.items()
+    }
     rows = [
         row
         for name, tally in evaluation.tallies.items()
@@ -38,7 +41,7 @@ def write(evaluation: Evaluation, out: Path, command: str = "", pictures: int = 
     ]
     write_json(out / "metrics.json", document(evaluation, command))
     write_json(out / "curves.json", curves)
-    write_text(out / "images.csv", rows_csv(rows, evaluation.failures))
+    write_text(out / "images.csv", rows_csv(rows, evaluation.failures, evaluation.left_out))
     write_table3(out, evaluation, curves)
     sheets = write_montages(out, evaluation, pictures) if pictures else {}
     write_page(out / "report.html", evaluation, curves, rows, sheets, command)
@@ -67,11 +70,16 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     write_text(path, text + "\n")
 
 
-def rows_csv(rows: Sequence[PictureRow], failures: Sequence[Failure]) -> str:
-    """CSV text: a line for each picture and detector, then one for each picture that failed."""
+def rows_csv(
+    rows: Sequence[PictureRow], failures: Sequence[Failure], left_out: Collection[str] = ()
+) -> str:
+    """CSV text: a line for each picture and detector, then one for each picture that failed.
+
+    left_out: groups whose pictures say so, since no mean counts them.
+    """
     scored = (
         {key: _cell(value) for key, value in asdict(row).items()}
-        | {"ms": f"{row.ms:.2f}", "status": "ok"}
+        | {"ms": f"{row.ms:.2f}", "status": "left out" if row.group in left_out else "ok"}
         for row in rows
     )
     failed = (

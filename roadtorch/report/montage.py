@@ -40,7 +40,8 @@ def write_montages(out: Path, evaluation: Evaluation, count: int) -> dict[str, d
     for name in shown[:MOST]:
         thresholds = detectors[name].thresholds
         look = detectors[name].contender.prepare(evaluation.dataset)
-        chosen = chosen_pictures(evaluation.tallies[name].kept(), thresholds, count)
+        counting = evaluation.tallies[name].kept(detectors[name].counting)
+        chosen = chosen_pictures(counting, thresholds, count)
         for part in ("best", "median", "worst"):
             if pictures := getattr(chosen, part):
                 path = out / f"montage.{name.replace(':', '-')}.{part}.jpg"

@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 from roadtorch.evaluation.measure import Figures, Measure
 from roadtorch.evaluation.measures import F_MASK, MAXF
 from roadtorch.evaluation.result import DetectorFigures, Difference, Evaluation
+from roadtorch.report.parts import PartRow, condition_rows, drive_rows
 
 NONE = "-"
 
-WORST = (MAXF, F_MASK)
+WORST = (F_MASK, MAXF)
 """Of many drives, the worst by these measures has a column."""
 
 MOST_SHOWN = 40
@@ -17,10 +18,13 @@ MOST_SHOWN = 40
 
 
 def screen(evaluation: Evaluation) -> str:
-    """The tables of a run: road, layout if somebody labels it, and detectors in pairs."""
+    """The tables of a run: road, then what there is of drives, conditions, trust, layout, pairs."""
     detectors = shortlist(evaluation)
     tables = [
         road_table(evaluation, detectors),
+        *drive_tables(evaluation, detectors),
+        *condition_tables(evaluation, detectors),
+        trust_table(evaluation, detectors),
         layout_table(evaluation, detectors),
         pair_table(evaluation, detectors),
     ]
@@ -47,17 +51,18 @@ MOST_DRIVES = 6
 
 
 def road_table(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]) -> str:
-    """Detector by MaxF (by drive and mean) and the other headline figures, best MaxF first.
+    """What a user gets beside MaxF, then the other figures; best MaxF first.
 
-    Of more than ``MOST_DRIVES`` drives the worst is told, by MaxF and by F of the mask.
+    MaxF has a column for each drive; of more than ``MOST_DRIVES`` the worst is told, by MaxF
+    and by F of the mask.
     """
-    measures = evaluation.shown_in("screen")
+    first, measures = evaluation.shown_in("headline"), evaluation.shown_in("screen")
     many = len(evaluation.drives) > MOST_DRIVES
     drives = [] if many else evaluation.drives
     pooled = ["pooled"] if evaluation.drives else []
     by_drive = [f"MaxF {drive}" for drive in drives]
     worst = [f"worst {one.line}" for one in WORST if many]
-    header = ["detector", *by_drive, "MaxF", "95 %", *worst, *pooled]
+    header = ["detector", *by_drive, *(one.line for one in first), "95 %", *worst, *pooled]
     header += [one.line for one in measures]
     rows = [header]
     for name in _best_first(detectors):
@@ -66,13 +71,71 @@ def road_table(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures])
         rows.append([
             name,
             *(MAXF.text(MAXF.of(one.drive(drive)), NONE) for drive in drives),
-            MAXF.text(MAXF.of(one.headline), NONE),
+            *(measure.text(measure.of(one.headline), NONE) for measure in first),
             f"{MAXF.text(low, NONE)}–{MAXF.text(high, NONE)}",
             *(worst_drive(one, measure) for measure in WORST if many),
             *(MAXF.text(MAXF.of(one.pooled), NONE) for _ in pooled),
             *(measure.text(measure.of(one.headline), NONE) for measure in measures),
         ])  # fmt: skip
     return align(rows)
+
+
+MOST_TOLD = 3
+"""Detectors that are told by drive and by condition, the best."""
+
+MOST_ROWS = 20
+"""Rows of such a table."""
+
+
+def drive_tables(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]) -> list[str]:
+    """The drives of the best detectors, worst first, where they have no columns or are left out."""
+    if len(evaluation.drives) <= MOST_DRIVES and not evaluation.left_out:
+        return []
+    measures = evaluation.shown_in("parts")
+    rows = {name: drive_rows(evaluation, name) for name in _told(detectors)}
+    return [part_text(f"{name} by drive", rows[name], measures) for name in rows]
+
+
+def condition_tables(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]) -> list[str]:
+    """The conditions of the best detectors, worst first; nothing where none is known."""
+    if not evaluation.conditions:
+        return []
+    measures = evaluation.shown_in("parts")
+    rows = {name: condition_rows(evaluation, name) for name in _told(detectors)}
+    return [part_text(f"{name} by condition", rows[name], measures) for name in rows]
+
+
+def _told(detectors: Mapping[str, DetectorFigures]) -> list[str]:
+    return [name for name in _best_first(detectors) if not detectors[name].is_floor][:MOST_TOLD]
+
+
+def part_text(title: str, rows: Sequence[PartRow], measures: Sequence[Measure]) -> str:
+    """The figures of one detector's drives or conditions; of very many the worst, and the rest."""
+    counting = [row for row in rows if row.counts]
+    shown = [*counting[:MOST_ROWS], *(row for row in rows if not row.counts)]
+    known = [one for one in measures if any(one.key in row.figures for row in rows)]
+    table = [[title, *(one.line for one in known), "MaxF of floor"]]
+    table += [
+        [
+            row.name,
+            *(one.text(one.of(row.figures), NONE) for one in known),
+            MAXF.text(row.floor, NONE),
+        ]
+        for row in shown
+    ]
+    more = len(counting) - MOST_ROWS
+    return align(table) + (f"\n{more} more are in metrics.json (--out DIR)" if more > 0 else "")
+
+
+def trust_table(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]) -> str:
+    """A line for each detector that has trust: how well it tells good masks from bad ones."""
+    measures = evaluation.shown_in("trust")
+    rows = [
+        [name, *(one.text(one.of(detectors[name].headline), NONE) for one in measures)]
+        for name in _best_first(detectors)
+        if any(one.key in detectors[name].headline for one in measures)
+    ]
+    return align([["trust", *(one.line for one in measures)], *rows]) if rows else ""
 
 
 def worst_drive(one: DetectorFigures, measure: Measure) -> str:

@@ -13,7 +13,7 @@ from click.testing import CliRunner, Result
 
 from roadtorch.cli.evaluate import evaluate
 from roadtorch.cli.labelled import watched
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.errors import ConfigError, DatasetError, InputError
 from roadtorch.evaluation import scoring
 from roadtorch.evaluation.saved_tallies import FILE
 from roadtorch.image import read_image
@@ -247,3 +247,45 @@ def test_help_does_not_import_torch():
 
     assert done.returncode == 0, done.stderr
     assert "--threshold-from" in done.stdout
+
+
+# --- groups and conditions -----------------------------------------------------------------------
+
+
+def test_groups_left_out_and_conditions_reach_the_screen_and_the_files(camvid, tmp_path):
+    out, table = tmp_path / "out", tmp_path / "weather.csv"
+    rows = [
+        f"{name[:6]},{name}.png,{'rain' if name[:6] == DRIVES[1] else 'day'}" for name in SCENES
+    ]
+    table.write_text("\n".join(["name,file,condition", *rows]))
+    chosen = ("--detector", ORACLE, "--leave-out", DRIVES[0], "--conditions", table)
+
+    result = run("camvid", camvid, *chosen, "--montage", 0, "--out", out)
+
+    assert result.exit_code == 0
+    found = metrics(out)
+    one = found["detectors"][ORACLE]
+    assert (found["left_out"], found["images"], one["images"]) == ([DRIVES[0]], 6, 4)
+    assert set(one["groups"]) == set(DRIVES[1:])
+    assert set(one["left_out"]) == {DRIVES[0]}
+    assert {name: part["images"] for name, part in one["conditions"].items()} == {
+        "day": 2, "rain": 2
+    }  # fmt: skip
+    assert f"--leave-out {DRIVES[0]}" in found["command"]
+    assert f"{DRIVES[0]} (left out)" in result.stdout
+    assert f"{ORACLE} by condition" in result.stdout
+    report = (out / "report.html").read_text()
+    assert "rain (1 drive)" in report
+    assert f"{DRIVES[0]} left out of every mean" in report
+    with (out / "images.csv").open() as file:
+        status = {row["group"]: row["status"] for row in csv.DictReader(file)}
+    assert status == {DRIVES[0]: "left out", DRIVES[1]: "ok", DRIVES[2]: "ok"}
+
+
+def test_a_misspelt_group_or_table_is_refused_before_the_run(camvid, tmp_path, monkeypatch):
+    monkeypatch.setattr(scoring, "score_item", None)  # must not be reached
+
+    with pytest.raises(ConfigError, match=r"0001TB: unknown group of camvid \(did you mean 0001TP"):
+        run("camvid", camvid, "--leave-out", "0001TB")
+    with pytest.raises(DatasetError, match=r"none\.csv: cannot be read"):
+        run("camvid", camvid, "--conditions", tmp_path / "none.csv")

@@ -4,6 +4,7 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import pytest
 import torch
 from pydantic import Field
@@ -67,11 +68,12 @@ def test_the_config_holds_the_choice_its_command_and_its_worth(call, camvid, tmp
     detector, values = chosen_detector(None, out / "test-brightness.toml", (), None)
     assert (detector, values["gain"]) == ("test-brightness", 0.5)
     assert load_detector(detector, **values).settings.model_dump(mode="json") == values
-    assert done.stdout.splitlines()[1].split()[:3] == [
-        "test-brightness",
-        f"{values['threshold']:.3f}",
-        "0.500",
-    ]
+    header, row = done.stdout.splitlines()
+    assert header.split()[:5] == ["detector", "default", "F", "at", "default"]
+    name, default, f_default, threshold, f, *_ = row.split()
+    assert (name, default, threshold) == ("test-brightness", "0.500", f"{values['threshold']:.3f}")
+    assert f"At the default threshold 0.500: F {f_default}." in text
+    assert float(f_default) < float(f)
     assert not (out / "progress.safetensors").exists()
 
 
@@ -95,6 +97,7 @@ def test_the_choice_is_the_best_threshold_averaged_over_drives():
         scored({"test-brightness": None}),
         "test-brightness",
         best_threshold=shared_threshold(counts),
+        drives={"a": {}, "b": {}},
     )
     run = replace(run, tallies={"test-brightness": Tally(counts)})
 
@@ -102,6 +105,8 @@ def test_the_choice_is_the_best_threshold_averaged_over_drives():
 
     assert found.settings == BrightnessSettings(threshold=0.5, gain=0.5)
     assert (found.f, found.iou) == (1, 1)
+    # At the default of 0.5, too, both have all of their road and nothing else.
+    assert found.f_default == 1
     # Drive a at the threshold of b (0.5 or more up to 0.8, the lowest: 0.5), b at that of a.
     assert found.f_held_out == 1
 
@@ -118,3 +123,21 @@ def test_pictures_without_road_choose_nothing(call, tmp_path):
 
     assert done.exit_code == 2
     assert "shows no road (give pictures with road)" in done.stderr
+
+
+def test_a_drive_that_is_left_out_chooses_nothing(call, camvid, tmp_path):
+    options = ("--detector", "test-brightness", "--leave-out", DRIVES[0])
+
+    def chosen(*more) -> str:
+        done = call("tune", "camvid", camvid, *options, *more, "--out", tmp_path / "out")
+        assert done.exit_code == 0, done.stderr
+        return done.stdout.splitlines()[1]
+
+    before = chosen()
+    for path in camvid.glob(f"*annot/{DRIVES[0]}*"):  # its labels may say what they like
+        labels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert labels is not None
+        cv2.imwrite(str(path), labels[::-1])
+
+    assert chosen() == before
+    assert "4 pictures" in (tmp_path / "out" / "test-brightness.toml").read_text()

@@ -62,6 +62,7 @@ def test_every_headline_figure_has_an_interval_around_it(dataset):
         "iou",
         "f",
         "f_mask",
+        "iou_mask",
         "layout/mean",
     )
     assert set(found) == set(names) == {one.key for one in MEASURES if one.interval}

@@ -5,8 +5,9 @@ import pytest
 import torch
 
 from roadtorch.evaluation import curves, metrics
-from roadtorch.evaluation.drive_curves import mean_precision, mean_roc
+from roadtorch.evaluation.drive_curves import mean_precision, mean_roc, risk_curves
 from roadtorch.evaluation.metrics import RoadCounts
+from roadtorch.evaluation.trust import Trusted
 
 
 def noisy(seed: int, gain: float, pixels: int = 4000) -> RoadCounts:
@@ -52,3 +53,14 @@ def test_a_drive_without_road_is_left_out_of_the_means():
 
     assert torch.equal(mean_roc([counts, empty]).y, mean_roc([counts]).y)
     assert torch.equal(mean_precision([counts, empty]).y, mean_precision([counts]).y)
+
+
+def test_risk_is_of_all_pictures_and_stands_beside_the_ideal_one():
+    f = torch.tensor([0.9, 0.1, 0.8], dtype=torch.float64)
+    pictures = Trusted(torch.tensor([0.5, 0.6, 0.7]), f, ["a", "b", "b"])
+
+    found = risk_curves(pictures)
+
+    assert found["risk"] == [[0.333333, 0.666667, 1], [0.2, 0.55, 0.4]]
+    assert found["risk_ideal"] == [[0.333333, 0.666667, 1], [0.1, 0.15, 0.4]]
+    assert risk_curves(None) == {}

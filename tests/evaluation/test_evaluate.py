@@ -1,6 +1,7 @@
 """`evaluate` from Python: who is scored, by which thresholds, on which pictures."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -8,15 +9,17 @@ import pytest
 import torch
 
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import Dataset
+from roadtorch.data.dataset import Dataset, Item, leave_out
+from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError, DatasetError, InputError
-from roadtorch.evaluation import scoring
-from roadtorch.evaluation.contenders import expand_names
+from roadtorch.evaluation import metrics, scoring
+from roadtorch.evaluation.contenders import contenders_for, expand_names
 from roadtorch.evaluation.document import document
 from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.result import Evaluation
-from roadtorch.evaluation.saved_tallies import FILE, forget
+from roadtorch.evaluation.saved_tallies import FILE, fingerprint, forget
 from roadtorch.evaluation.tally import WHOLE
+from roadtorch.image import read_image
 from roadtorch.report.files import write_json
 from roadtorch.scenes import write_picture
 from tests.oracle import DECISION, DRIVES, ORACLE, SCENES, know_oracle, write_set
@@ -197,3 +200,86 @@ def test_a_star_leaves_the_one_class_grid_out_and_its_family_brings_it_in():
     assert {"cpf", "fusion", "prior:rows"} <= set(everything)
     assert not any(name.startswith("oneclass:") for name in everything)
     assert (len(grid), len(row)) == (310, 20)
+
+
+# --- groups left out, conditions -----------------------------------------------------------------
+
+
+def test_a_drive_that_is_left_out_is_scored_and_changes_no_other_figure(camvid):
+    out = DRIVES[2]
+    others = tuple(item for item in camvid.items if item.group != out)
+    whole = evaluate(camvid, [ORACLE, "cpf"])
+
+    found = evaluate(leave_out(camvid, [out]), [ORACLE, "cpf"])
+    alone = evaluate(replace(camvid, items=others), [ORACLE, "cpf"])
+
+    kept, expected = (without_times(document(one, ""))["detectors"] for one in (found, alone))
+    for name, one in kept.items():
+        assert set(one.pop("left_out")) == {out}
+        assert expected[name].pop("left_out") == {}
+        assert one == expected[name]
+    assert (found.drives, found.left_out, found.images) == (list(DRIVES[:2]), [out], 6)
+    # It is scored at the threshold that the others share, and by all that needs none as before.
+    cpf = found.detectors["cpf"]
+    assert cpf.drive(out)["threshold"] == cpf.best_threshold
+    assert cpf.drive(out)["maxf"] == whole.detectors["cpf"].drive(out)["maxf"]
+    assert document(found, "")["left_out"] == [out]
+
+
+def test_the_same_folder_with_other_groups_left_out_is_another_run(camvid):
+    contenders = contenders_for(camvid, ["cpf"], {}, {}, None)
+
+    assert fingerprint(leave_out(camvid, DRIVES[:1]), contenders) != fingerprint(camvid, contenders)
+
+
+def test_a_condition_has_the_figures_of_its_pictures_whatever_their_drive(camvid):
+    rainy = {"0001TP_0": ("rain",), "0006R0_1": ("rain", "dusk"), "0016E5_2": ("dusk",)}
+    items = tuple(replace(one, conditions=rainy.get(one.name, ())) for one in camvid.items)
+    chosen = tuple(item for item in camvid.items if "rain" in rainy.get(item.name, ()))
+
+    found = evaluate(replace(camvid, items=items), ["cpf"]).detectors["cpf"]
+    alone = evaluate(replace(camvid, items=chosen), ["cpf"]).detectors["cpf"].pooled
+
+    rain = found.conditions["rain"]
+    assert set(found.conditions) == {"rain", "dusk"}
+    assert rain["images"] == 2
+    for key in ("f_mask", "iou_mask", "auc_mean", "boundary_f/0.005"):
+        assert rain[key] == pytest.approx(alone[key], abs=1e-12), key
+    for key in ("maxf", "auc_pooled", "ap", "auc_vertical", "brier", "ece"):  # on 8-bit maps
+        assert rain[key] == pytest.approx(alone[key], abs=0.01), key
+    assert {"threshold", "trust/auc"}.isdisjoint(rain)
+    counts = [
+        metrics.decisions_at(
+            metrics.count_levels(look("cpf", item), *truth_of(camvid, item), 256),
+            found.thresholds[item.group or ""],
+        )
+        for item in chosen
+    ]
+    assert rain["f"] == pytest.approx(float(metrics.f_measure(counts[0] + counts[1])))
+
+
+def look(name: str, item: Item) -> torch.Tensor:
+    return load_detector(name).detect(read_image(item.image)).likelihood
+
+
+def truth_of(dataset: Dataset, item: Item) -> tuple[torch.Tensor, torch.Tensor]:
+    truth = dataset.truth(item)
+    return truth.road, truth.valid
+
+
+def test_a_condition_without_a_picture_that_could_be_scored_has_no_figures(camvid, tmp_path):
+    root = write_set(tmp_path / "camvid")
+    first = camvid.items[0]
+    (root / "train" / first.image.name).write_bytes(b"x")
+    broken = open_dataset("camvid", root)
+    items = (replace(broken.items[0], conditions=("fog",)), *broken.items[1:])
+
+    found = evaluate(replace(broken, items=items), ["prior:rows"])
+
+    assert found.conditions == []
+    assert "conditions" not in document(found, "")["detectors"]["prior:rows"]
+
+
+def test_when_all_that_is_looked_at_is_left_out_there_is_one_error(camvid):
+    with pytest.raises(DatasetError, match="all groups are left out"):
+        evaluate(leave_out(camvid, [camvid.items[0].group or ""]), ["prior:rows"], limit=1)

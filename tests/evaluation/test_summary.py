@@ -1,12 +1,16 @@
 """From counts to figures: drives, their means, thresholds chosen on other drives."""
 
 import math
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
+from scipy.stats import spearmanr
 
 from roadtorch.data.dataset import Item
+from roadtorch.detector import Detection
 from roadtorch.evaluation import boundary, metrics
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.metrics import RoadCounts
@@ -169,3 +173,74 @@ def test_layout_recalls_by_drive_over_all_and_labelled_pixels(dataset, scenes):
     assert drive["layout/labelled/mean"] == 1
     assert 0.2 < drive["layout/labelled_share"] < 0.8
     assert figures.headline["layout/confusion/horizontal/vertical"] == 1
+
+
+# --- trust, calibration --------------------------------------------------------------------------
+
+
+def trusting(scenes, trusts: Mapping[str, float | None]):
+    """Finds less and less of the road from picture to picture, and says how much it trusts that."""
+    order = {name: place for place, name in enumerate(scenes)}
+
+    def look(image, item):
+        mask = scenes[item.name].road.clone()
+        mask[: 30 + 2 * order[item.name]] = False
+        return Detection(mask.float(), mask, {}, trusts[item.name])
+
+    return look
+
+
+def test_trust_is_measured_on_all_pictures_together_and_by_drive(dataset, scenes):
+    knowing = {name: 1 - place / 10 for place, name in enumerate(scenes)}
+
+    figures = summarised(counted(dataset, trusting(scenes, knowing)))
+    blind = summarised(counted(dataset, trusting(scenes, dict.fromkeys(scenes, 0.5))))
+
+    f = [metrics_of(dataset, scenes, name) for name in scenes]
+    assert figures.headline["trust/rank_correlation"] == pytest.approx(
+        spearmanr(list(knowing.values()), f)[0]
+    )
+    assert figures.headline["trust/aurc_random"] == pytest.approx(1 - sum(f) / 6)
+    assert figures.headline["trust/error"] == pytest.approx(
+        sum(abs(one - other) for one, other in zip(knowing.values(), f, strict=True)) / 6
+    )
+    assert figures.drives["0001TP"]["trust/rank_correlation"] == pytest.approx(1)
+    assert math.isnan(figures.headline["trust/rank_correlation_within"])  # two pictures a drive
+    assert blind.headline["trust/aurc"] == pytest.approx(blind.headline["trust/aurc_random"])
+    assert math.isnan(blind.headline["trust/rank_correlation"])
+
+
+def metrics_of(dataset, scenes, name: str) -> float:
+    """F of the mask of one picture."""
+    look = trusting(scenes, dict.fromkeys(scenes, None))
+    one = replace(dataset, items=tuple(item for item in dataset.items if item.name == name))
+    return summarised(counted(one, look)).pooled["f_mask"]
+
+
+def test_pictures_without_trust_are_left_out_and_detectors_without_any_have_no_figure(
+    dataset, scenes
+):
+    names = list(scenes)
+    some = {name: None if name == names[0] else 0.9 - place / 10
+            for place, name in enumerate(names)}  # fmt: skip
+
+    partly = summarised(counted(dataset, trusting(scenes, some)))
+    never = summarised(counted(dataset, trusting(scenes, dict.fromkeys(names, None))))
+
+    rest = [metrics_of(dataset, scenes, name) for name in names[1:]]
+    assert partly.headline["trust/aurc_random"] == pytest.approx(1 - sum(rest) / 5)
+    assert not any(key.startswith("trust/") for key in (*never.headline, *never.pooled))
+
+
+def test_calibration_is_told_by_drive_and_its_mean_weighs_drives_the_same(dataset, scenes):
+    def pale(name):  # right everywhere, but less sure of one drive
+        sure = 0.6 if name.startswith("0001TP") else 1.0
+        return scenes[name].road * sure
+
+    figures = summarised(counted(dataset, looking(pale)))
+
+    errors = [figures.drives[drive]["ece"] for drive in DRIVES]
+    assert errors[0] > 0.05
+    assert errors[1:] == [0, 0]
+    assert figures.headline["ece"] == pytest.approx(sum(errors) / 3)
+    assert figures.headline["ece"] != pytest.approx(figures.pooled["ece"], abs=1e-6)

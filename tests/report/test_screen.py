@@ -1,7 +1,7 @@
 """What a run says on the screen."""
 
 from roadtorch.report.screen import MOST_SHOWN, align, screen, shortlist
-from tests.reports import made_run
+from tests.reports import DRIVES, changed, made_run, with_conditions
 
 
 def test_a_few_detectors_are_all_on_the_screen_in_both_tables() -> None:
@@ -30,13 +30,15 @@ def test_of_a_grid_the_best_are_shown_beside_all_floors() -> None:
 def test_the_columns_are_those_of_the_measures_that_ask_for_one() -> None:
     evaluation, _, _ = made_run()
 
-    road, layout, pairs = (part.splitlines()[0] for part in screen(evaluation).split("\n\n"))
+    road, trust, layout, pairs = (part.splitlines()[0] for part in screen(evaluation).split("\n\n"))
 
     assert road.split("pooled")[1].split() == [
-        *("AUC", "AUC/image", "AP", "IoU", "EER", "Brier", "ms/image", "F", "of", "mask")
+        *("AUC", "AUC/image", "AP", "IoU", "EER", "Brier", "ms/image", "ECE")
     ]
+    assert "F of mask  IoU of mask   MaxF " in road
+    assert trust.split()[:5] == ["trust", "rank", "corr.", "of", "trust"]
     assert layout.split()[:6] == ["layout", "drive", "sky", "vertical", "horizontal", "mean"]
-    assert pairs.split()[:3] == ["less", "fusion", "MaxF"]
+    assert pairs.split()[:7] == ["less", "fusion", "F", "of", "mask", "95", "%"]
 
 
 def test_columns_line_up() -> None:
@@ -53,5 +55,60 @@ def test_of_many_drives_the_worst_is_told() -> None:
     assert "MaxF camera5" not in header
     assert "worst MaxF" in header
     assert "worst F of mask" in header
-    worst = many.detectors["fusion"].drives["camera0"]["maxf"]
-    assert f"{worst:.3f} camera0" in row
+    worst = many.detectors["fusion"].drives["camera0"]
+    assert f"{worst['f_mask']:.3f} camera0" in row
+    assert f"{worst['maxf']:.3f} camera0" in row
+
+
+def test_many_drives_have_a_table_with_the_worst_on_top() -> None:
+    many, _, _ = made_run(["fusion", "prior:rows"], [f"camera{number}" for number in range(30)])
+
+    table = next(part for part in screen(many).split("\n\n") if part.startswith("fusion by drive"))
+
+    header, first, *_, last, mean, more = table.splitlines()
+    assert header.startswith("fusion by drive  pictures  F of mask  IoU of mask ")
+    assert header.endswith("MaxF of floor")
+    assert first.split()[:2] == ["camera0", "10"]
+    assert first.split()[-1] == f"{many.detectors['prior:rows'].drives['camera0']['maxf']:.3f}"
+    assert (last.split()[0], mean.split()[0]) == ("camera19", "mean")
+    assert more == "10 more are in metrics.json (--out DIR)"
+
+
+def test_drives_that_are_left_out_are_listed_and_marked() -> None:
+    few, _, _ = made_run(["fusion"])
+    one = few.detectors["fusion"]
+    kept = {drive: one.drives[drive] for drive in DRIVES[1:]}
+    run = changed(few, "fusion", drives=kept, left_out={DRIVES[0]: one.drives[DRIVES[0]]})
+
+    text = screen(run)
+
+    assert f"MaxF {DRIVES[0]}" not in text.splitlines()[0]
+    table = next(part for part in text.split("\n\n") if part.startswith("fusion by drive"))
+    assert [line.split("  ")[0] for line in table.splitlines()[1:]] == [
+        *DRIVES[1:], "mean", f"{DRIVES[0]} (left out)"
+    ]  # fmt: skip
+    assert "by drive" not in screen(few)
+
+
+def test_conditions_have_a_small_table_and_floors_none() -> None:
+    run = with_conditions(made_run(["fusion", "prior:rows"])[0])
+
+    text = screen(run)
+
+    table = next(part for part in text.split("\n\n") if part.startswith("fusion by condition"))
+    assert [line.split() for line in table.splitlines()[1:]] == [
+        ["night", "(1", "drive)", "0.300", "0.500", "0.500"],
+        ["day", "(3", "drives)", "0.800", "0.900", "0.900"],
+    ]
+    assert "prior:rows by condition" not in text
+
+
+def test_only_detectors_with_trust_have_a_line_of_it() -> None:
+    run, _, _ = made_run(["fusion", "cpf"])
+    one = run.detectors["cpf"].headline
+    silent = {key: value for key, value in one.items() if not key.startswith("trust/")}
+
+    text = screen(changed(run, "cpf", headline=silent))
+
+    table = next(part for part in text.split("\n\n") if part.startswith("trust"))
+    assert [line.split()[0] for line in table.splitlines()] == ["trust", "fusion"]

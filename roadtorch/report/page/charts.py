@@ -11,7 +11,8 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter
 
 from roadtorch.evaluation.drive_curves import Curves, DetectorCurves, RunCurves
-from roadtorch.evaluation.measures import MAXF
+from roadtorch.evaluation.measure import Measure
+from roadtorch.evaluation.measures import F_MASK, MAXF
 from roadtorch.evaluation.pictures import PictureRow
 from roadtorch.evaluation.result import Comparison, DetectorFigures, Evaluation
 from roadtorch.evaluation.uncertainty import Interval
@@ -35,9 +36,9 @@ MOST_TICKS = 300  # pictures of one drive and detector in a chart
 # --- scores -----------------------------------------------------------------------------
 
 
-def maxf_chart(series: Sequence[Series], evaluation: Evaluation) -> str:
-    """MaxF of every detector with its 95 % interval, drives as small marks; empty without any."""
-    scores = {one.name: MAXF.of(evaluation.detectors[one.name].headline) for one in series}
+def score_chart(series: Sequence[Series], evaluation: Evaluation, measure: Measure) -> str:
+    """A measure of every detector with its 95 % interval, drives as small marks; empty without."""
+    scores = {one.name: measure.of(evaluation.detectors[one.name].headline) for one in series}
     shown = [one for one in series if not math.isnan(scores[one.name])]
     drives = evaluation.drives
     floors = [scores[one.name] for one in shown if one.is_floor]
@@ -51,23 +52,30 @@ def maxf_chart(series: Sequence[Series], evaluation: Evaluation) -> str:
                           xycoords=("data", "axes fraction"), textcoords="offset points",
                           ha="center", va="bottom", color=FLOOR, fontsize=9)  # fmt: skip
         for row, one in enumerate(shown):
-            _maxf_row(axes, row, one, evaluation.detectors[one.name], drives)
-        axes.set_xlabel("MaxF (mean over drives)" if drives else "MaxF")
+            _score_row(axes, row, one, evaluation.detectors[one.name], measure, drives)
+        axes.set_xlabel(f"{measure.line} (mean over drives)" if drives else measure.line)
         if 1 < len(drives) <= MOST_DRIVES:
             marks = [_mark(MARKERS[i], name) for i, name in enumerate(drives)]
             figure.legend(handles=marks, loc="outside lower left", ncols=3, fontsize=9)
 
-    return to_svg("maxf", "MaxF with 95 % intervals", 78 + 24 * len(shown), draw) if shown else ""
+    label, height = f"{measure.line} with 95 % intervals", 78 + 24 * len(shown)
+    return to_svg(measure.key, label, height, draw) if shown else ""
 
 
-def _maxf_row(
-    axes: Axes, row: int, one: Series, figures: DetectorFigures, drives: Sequence[str]
+def _score_row(
+    axes: Axes,
+    row: int,
+    one: Series,
+    figures: DetectorFigures,
+    measure: Measure,
+    drives: Sequence[str],
 ) -> None:
-    value = MAXF.of(figures.headline)
-    _dot_with_interval(axes, row, one, value, figures.interval)
+    value = measure.of(figures.headline)
+    ends = figures.intervals.get(measure.key, Interval())
+    _dot_with_interval(axes, row, one, value, ends)
     for place, drive in enumerate(drives):
         marker = MARKERS[place] if len(drives) <= MOST_DRIVES else "|"
-        of_drive = MAXF.of(figures.drive(drive))
+        of_drive = measure.of(figures.drive(drive))
         axes.plot(of_drive, row, marker, color=INK, mfc="none", markersize=4.5, mew=0.8, alpha=0.7)
     axes.annotate(f"{value:.3f}", (1, row), (4, 0), xycoords=("axes fraction", "data"),
                   textcoords="offset points", va="center", annotation_clip=False)  # fmt: skip
@@ -235,6 +243,25 @@ def reliability_chart(series: Sequence[Series], curves: RunCurves) -> str:
     return to_svg("reliability", "Reliability of the likelihoods", 440, draw) if known else ""
 
 
+def risk_chart(series: Sequence[Series], curves: RunCurves) -> str:
+    """The mean 1 - F of the most trusted pictures over how many are kept; dotted: the ideal."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        for depth, one in enumerate(series):
+            found = _of(curves, one)["mean"]
+            for x, y, *_ in _lines(found, "risk"):
+                axes.plot(x, y, **one.line(2), zorder=4 - depth / 100)
+                axes.plot([0, 1], [y[-1], y[-1]], color=one.colour, linewidth=0.7, alpha=0.75)
+            for x, y, *_ in _lines(found, "risk_ideal"):
+                axes.plot(x, y, color=one.colour, linewidth=1.1, linestyle=":")
+        axes.set(xlim=(0, 1), xlabel="pictures kept, the most trusted first", ylabel="mean 1 - F")
+        axes.set_ylim(bottom=0)
+
+    label = "Risk over coverage"
+    return to_svg("risk", label, 320, draw) if _has(series, curves, "risk") else ""
+
+
 # --- pictures ---------------------------------------------------------------------------
 
 
@@ -291,10 +318,14 @@ def all_charts(
 ) -> dict[str, str]:
     """SVG by name; empty where there is nothing to draw."""
     return {
-        "maxf": maxf_chart(series, evaluation),
+        "f_mask": score_chart(series, evaluation, F_MASK),
+        "maxf": score_chart(series, evaluation, MAXF),
         "paired": difference_chart(series, evaluation.comparison),
         "roc": roc_chart(series, curves),
         "pr": precision_chart(series, curves),
         "reliability": reliability_chart(series, curves),
-        "pictures": distribution_chart(series, rows),
+        "risk": risk_chart(series, curves),
+        "pictures": distribution_chart(
+            series, [row for row in rows if row.group not in evaluation.left_out]
+        ),
     }

@@ -17,7 +17,9 @@ from roadtorch.evaluation.result import Evaluation
 from roadtorch.files import write_text
 from roadtorch.report.page import charts, tables
 from roadtorch.report.page.outcome import outcome
+from roadtorch.report.page.part_tables import part_tables
 from roadtorch.report.page.svg import MOST, Series, choose_series
+from roadtorch.report.parts import condition_rows, drive_rows
 from roadtorch.report.templates import template
 from roadtorch.version import __version__
 
@@ -76,6 +78,8 @@ def render_page(
         outcome=outcome(evaluation),
         tables=tables.all_tables(evaluation, series),
         layouts=tables.layouts(evaluation, series),
+        by_drive=part_tables(evaluation, series, drive_rows),
+        by_condition=part_tables(evaluation, series, condition_rows),
         measures=tables.measures_shown(evaluation),
         charts={name: Markup(svg) for name, svg in drawn.items()},
         sheets=list(_sheets(sheets, evaluation)),
@@ -93,7 +97,8 @@ def _drives(evaluation: Evaluation) -> dict[str, int]:
     """How many pictures were scored of each drive."""
     items = Counter(item.group for item in evaluation.dataset.items)
     failed = Counter(one.group for one in evaluation.failures)
-    return {drive: items[drive] - failed[drive] for drive in evaluation.drives}
+    drives = sorted([*evaluation.drives, *evaluation.left_out])
+    return {drive: items[drive] - failed[drive] for drive in drives}
 
 
 def _settings(evaluation: Evaluation, series: Sequence[Series]) -> dict[str, str]:

@@ -3,10 +3,11 @@
 import math
 from collections.abc import Mapping
 
-from roadtorch.evaluation.measures import IOU, MAXF, F
+from roadtorch.evaluation.measures import F_MASK, IOU, IOU_MASK, MAXF, F
 from roadtorch.evaluation.result import DetectorFigures, Evaluation
 from roadtorch.evaluation.uncertainty import Interval
-from roadtorch.report.page.tables import best_floor, share, signed
+from roadtorch.report.page.tables import share, signed
+from roadtorch.report.parts import best_floor
 
 
 def outcome(evaluation: Evaluation) -> list[str]:
@@ -19,6 +20,7 @@ def outcome(evaluation: Evaluation) -> list[str]:
         return ["No detector has a score." if floor is None else _floor_alone(*floor)]
     best = scored[0]
     sentences = [_first(best, scores[best], detectors[best], floor)]
+    sentences += _mask(detectors[best])
     sentences += _pair(best, floor, evaluation) + _drives(best, evaluation)
     if len(scored) > 1:
         sentences.append(_next(best, scored[1], scores, evaluation))
@@ -42,6 +44,22 @@ def _first(
         text = f"No detector is above the floors: {name} has a MaxF of {share(score)}{interval}"
         return f"{text}, {share(-distance)} below {floor[0]} ({share(floor[1])})."
     return f"{text}, {share(distance)} above the best floor, {floor[0]} ({share(floor[1])})."
+
+
+def _mask(figures: DetectorFigures) -> list[str]:
+    """What a user gets, with no label to choose a threshold, and where that is worst."""
+    f, overlap = F_MASK.of(figures.headline), IOU_MASK.of(figures.headline)
+    if math.isnan(f) or math.isnan(overlap):
+        return []
+    text = (
+        f"Its mask at the default threshold has an F of {share(f)} and an IoU of {share(overlap)}"
+    )
+    found = {drive: F_MASK.of(part) for drive, part in figures.drives.items()}
+    known = {drive: value for drive, value in found.items() if not math.isnan(value)}
+    if len(known) < 2:
+        return [f"{text}."]
+    low = min(known, key=known.__getitem__)
+    return [f"{text}; on the worst of {len(known)} drives, {low}, an F of {share(known[low])}."]
 
 
 def _drives(name: str, evaluation: Evaluation) -> list[str]:
@@ -80,7 +98,9 @@ def paired_interval(evaluation: Evaluation, one: str, other: str) -> Interval | 
 def _pair(best: str, floor: tuple[str, float] | None, evaluation: Evaluation) -> list[str]:
     """How sure the distance to the floor is."""
     ends = paired_interval(evaluation, best, floor[0]) if floor else None
-    return [f"The 95 % interval of that distance is {_range(*ends)}."] if ends else []
+    if floor is None or ends is None:
+        return []
+    return [f"The distance to {floor[0]} has a 95 % interval of {_range(*ends)}."]
 
 
 def _next(best: str, second: str, scores: Mapping[str, float], evaluation: Evaluation) -> str:

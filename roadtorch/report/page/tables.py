@@ -10,6 +10,7 @@ from roadtorch.evaluation.measures import MAXF
 from roadtorch.evaluation.result import Difference, Evaluation
 from roadtorch.layout.classes import NAMES
 from roadtorch.report.page.svg import Series
+from roadtorch.report.parts import best_floor
 
 NONE = "–"
 
@@ -35,7 +36,9 @@ def measures_shown(evaluation: Evaluation) -> list[Measure]:
         for one in evaluation.detectors.values()
         for figures in (one.headline, one.pooled, *one.drives.values())
     ]
-    shown = {one.key for one in evaluation.shown_in("scores", "further")} | {MAXF.key}
+    shown = {
+        one.key for one in evaluation.shown_in("headline", "scores", "further", "parts", "trust")
+    }
     found: dict[str, Measure] = {}
     for one in evaluation.measures:
         if one.key in shown and any(one.key in figures for figures in every):
@@ -90,17 +93,19 @@ def number_cell(text: str, value: float, strong: bool = False, note: str = "") -
 
 
 def all_tables(evaluation: Evaluation, series: Sequence[Series]) -> dict[str, Any]:
-    """Scores and further measures of all detectors, differences, and the tables by drive."""
+    """Scores, further measures and trust of all detectors, differences, the tables by drive."""
     detectors, names = evaluation.detectors, evaluation.ranked()
     shown = names if len(names) <= MOST_ROWS else [one.name for one in series]
     drives = {
-        drive: {name: detectors[name].drive(drive) for name in shown} for drive in evaluation.drives
+        drive: {name: detectors[name].drive(drive) for name in shown}
+        for drive in (*evaluation.drives, *evaluation.left_out)
     }
     if any(detectors[name].pooled for name in shown):
         drives["all drives, pixels pooled"] = {name: detectors[name].pooled for name in shown}
     return {
         "scores": scores(evaluation, names),
         "further": further(evaluation, names),
+        "trust": trust(evaluation, names),
         "differences": differences(evaluation, names),
         "drives": {drive: of_part(evaluation, part) for drive, part in drives.items()},
         "shown": len(shown),
@@ -113,7 +118,9 @@ def scores(evaluation: Evaluation, names: Sequence[str]) -> Table:
     parts = {name: detectors[name].headline for name in names}
     for drive in drives if len(drives) <= MOST_COLUMNS else []:
         table.measure(MAXF, [detectors[name].drive(drive) for name in names], f"MaxF\n{drive}")
-    table.measure(MAXF, list(parts.values()), "MaxF\nmean" if drives else "MaxF")
+    for one in evaluation.shown_in("headline"):
+        header = f"{one.name}\nmean" if drives and one is MAXF else one.name
+        table.measure(one, list(parts.values()), header)
     intervals = [_interval(evaluation, name) for name in names]
     table.add("95 %", "Bootstrap interval of MaxF over pictures.", intervals)
     table.add(*_above_floor(evaluation, parts))
@@ -125,7 +132,8 @@ def scores(evaluation: Evaluation, names: Sequence[str]) -> Table:
 def of_part(evaluation: Evaluation, part: Mapping[str, Figures]) -> Table:
     """All figures of one drive, or of a set whose drives are pooled, by detector."""
     table = Table(list(part))
-    table.measure(MAXF, list(part.values()))
+    for one in evaluation.shown_in("headline"):
+        table.measure(one, list(part.values()))
     table.add(*_above_floor(evaluation, part))
     for one in evaluation.shown_in("scores", "further"):
         table.measure(one, list(part.values()))
@@ -137,6 +145,16 @@ def further(evaluation: Evaluation, names: Sequence[str]) -> Table:
     table = Table(names)
     for one in evaluation.shown_in("further"):
         table.measure(one, [evaluation.detectors[name].headline for name in names])
+    return table
+
+
+def trust(evaluation: Evaluation, names: Sequence[str]) -> Table:
+    """How well trust tells good masks from bad ones, of the detectors that have it."""
+    measures = evaluation.shown_in("trust")
+    figures = {name: evaluation.detectors[name].headline for name in names}
+    table = Table([name for name in names if any(one.key in figures[name] for one in measures)])
+    for one in measures:
+        table.measure(one, [figures[name] for name in table.names])
     return table
 
 
@@ -154,16 +172,6 @@ def _above_floor(
     above = [value - floor[1] if floor else math.nan for value in values.values()]
     hint = "MaxF less that of the best floor, a detector that never looks at the picture."
     return "above\nfloor", hint, [number_cell(signed(value), value) for value in above]
-
-
-def best_floor(evaluation: Evaluation, values: Mapping[str, float]) -> tuple[str, float] | None:
-    """The floor with the highest of some values."""
-    floors = [
-        (name, value)
-        for name, value in values.items()
-        if evaluation.detectors[name].is_floor and not math.isnan(value)
-    ]
-    return max(floors, key=lambda pair: pair[1]) if floors else None
 
 
 # --- differences ------------------------------------------------------------------------

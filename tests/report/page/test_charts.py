@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from roadtorch.evaluation.drive_curves import RunCurves
+from roadtorch.evaluation.measures import F_MASK, MAXF
 from roadtorch.report.page import charts, svg
 from tests.reports import DRIVES, made_row, made_run, scored
 
@@ -94,6 +95,14 @@ def test_maxf_is_written_beside_every_row_and_floors_stand_among_them(run, drawn
     assert set(DRIVES) <= set(found)
 
 
+def test_f_of_the_mask_has_a_chart_of_its_own(run, drawn):
+    found = texts(drawn["f_mask"])
+
+    for figures in run[0].detectors.values():
+        assert F_MASK.text(F_MASK.of(figures.headline), "") in found
+    assert "F of mask (mean over drives)" in found
+
+
 def test_differences_are_where_they_belong(run, drawn):
     changes = run[0].comparison.differences
 
@@ -115,6 +124,22 @@ def test_curves_pass_through_their_points(name, kind):
     shown = max(lines(chart, svg.COLOURS[0], 2), key=lambda line: np.ptp(line[:, 0]))
     assert_proportional(shown[:, 0], np.array(points[0]))
     assert_proportional(shown[:, 1], np.array(points[1]))
+
+
+def test_risk_is_drawn_beside_the_ideal_one_and_the_mean():
+    risk, ideal = [[0.25, 0.5, 1.0], [0.3, 0.1, 0.4]], [[0.25, 0.5, 1.0], [0.0, 0.05, 0.4]]
+    series = [svg.Series("it", svg.COLOURS[0], ())]
+
+    chart = charts.risk_chart(series, {"it": {"mean": {"risk": risk, "risk_ideal": ideal},
+                                              "groups": {}}})  # fmt: skip
+
+    for width, points in ((2, risk), (1.1, ideal)):
+        shown = lines(chart, svg.COLOURS[0], width)[0]
+        assert_proportional(shown[:, 0], np.array(points[0]))
+        assert_proportional(shown[:, 1], np.array(points[1]))
+    (random,) = lines(chart, svg.COLOURS[0], 0.7)
+    end = lines(chart, svg.COLOURS[0], 2)[0][-1]
+    assert random[:, 1].tolist() == [end[1], end[1]]
 
 
 def test_drives_are_thin_lines_of_the_best_detector_alone(drawn):
@@ -154,7 +179,7 @@ def test_many_drives_are_not_told_apart():
     series = svg.choose_series(evaluation)
 
     assert not set(drives) & set(texts(charts.distribution_chart(series, rows)))
-    assert not set(drives) & set(texts(charts.maxf_chart(series, evaluation)))
+    assert not set(drives) & set(texts(charts.score_chart(series, evaluation, MAXF)))
 
 
 def test_nothing_to_draw_is_no_chart():
@@ -164,11 +189,12 @@ def test_nothing_to_draw_is_no_chart():
     def curves(kind: str, lines: list | None) -> RunCurves:
         return {"it": {"mean": {kind: lines}, "groups": {}}}
 
-    assert charts.maxf_chart(series, nothing) == ""
+    assert charts.score_chart(series, nothing, MAXF) == ""
     assert charts.difference_chart(series, nothing.comparison) == ""
     assert charts.roc_chart(series, {}) == ""
     assert charts.precision_chart(series, curves("pr", [[], []])) == ""
     assert charts.reliability_chart(series, curves("reliability", None)) == ""
+    assert charts.risk_chart(series, curves("roc", [[0, 1], [0, 1]])) == ""
     assert charts.distribution_chart(series, []) == ""
 
 
@@ -179,7 +205,7 @@ def test_names_are_text_and_only_text():
     name = "<b>$x_1$ 道 \x01"
     series = [svg.Series(name, svg.COLOURS[0], ())]
 
-    chart = charts.maxf_chart(series, scored({name: 0.5}))
+    chart = charts.score_chart(series, scored({name: 0.5}), MAXF)
 
     assert "<b>$x_1$ 道 ?" in texts(chart)
     assert "<b>" not in chart
@@ -219,7 +245,7 @@ def test_the_same_numbers_give_the_same_text_whatever_the_user_prefers(run, draw
     series = svg.choose_series(run[0])
 
     with matplotlib.rc_context({"font.size": 30, "axes.facecolor": "red"}):
-        again = charts.maxf_chart(series, run[0])
+        again = charts.score_chart(series, run[0], MAXF)
         assert matplotlib.rcParams["font.size"] == 30
 
     assert again == drawn["maxf"]

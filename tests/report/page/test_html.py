@@ -34,6 +34,7 @@ from tests.reports import (
     made_run,
     made_sheet,
     scored,
+    with_conditions,
 )
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
@@ -201,6 +202,60 @@ def test_detectors_that_share_a_layout_share_its_tables():
     assert "a, b" in page.text["layout"]
 
 
+def test_the_worst_drive_is_on_top_and_its_figures_stand_out():
+    cameras = [f"camera{number}" for number in range(8)]
+    evaluation = without_drive(made_run(["fusion", "prior:rows"], cameras)[0], "camera5")
+
+    page = render(evaluation)
+
+    (table,) = page.tables["worst"]
+    assert [row[0] for row in table[1:]] == [
+        *(one for one in cameras if one != "camera5"), "mean", "camera5 (left out)"
+    ]  # fmt: skip
+    fusion, rows = (evaluation.detectors[name].drives for name in ("fusion", "prior:rows"))
+    assert column(page, "worst", "F of mask") == {
+        **{drive: f"{figures['f_mask']:.3f}" for drive, figures in fusion.items()},
+        "mean": f"{evaluation.detectors['fusion'].headline['f_mask']:.3f}",
+        "camera5 (left out)": f"{evaluation.detectors['fusion'].drive('camera5')['f_mask']:.3f}",
+    }
+    assert column(page, "worst", "MaxF of floor")["camera0"] == f"{rows['camera0']['maxf']:.3f}"
+    assert f"<b>{fusion['camera0']['f_mask']:.3f}</b>" in page.source.split('id="worst"')[1]
+    assert "camera5 left out of every mean and choice" in page.text["head"]
+    assert "camera5 (left out)" in page.text["drives"]
+
+
+def without_drive(evaluation: Evaluation, drive: str) -> Evaluation:
+    """The same run with one drive left out."""
+    for name, one in evaluation.detectors.items():
+        kept = {each: figures for each, figures in one.drives.items() if each != drive}
+        left_out = {drive: one.drives[drive]}
+        evaluation = changed(evaluation, name, drives=kept, left_out=left_out)
+    return evaluation
+
+
+def test_conditions_have_a_table_with_the_number_of_their_drives():
+    page = render(with_conditions(made_run(["fusion", "prior:rows"])[0]))
+
+    assert column(page, "conditions", "F of mask") == {
+        "night (1 drive)": "0.300", "day (3 drives)": "0.800"
+    }  # fmt: skip
+
+
+def test_trust_has_a_table_of_the_detectors_that_have_it(page):
+    evaluation = made_run(["a", "b"])[0]
+    silent = {
+        key: value
+        for key, value in evaluation.detectors["a"].headline.items()
+        if not key.startswith("trust/")
+    }
+
+    some = render(changed(evaluation, "a", headline=silent))
+
+    assert list(column(page, "trust", "AURC")) == list(NAMES)
+    assert list(column(some, "trust", "AURC")) == ["b"]
+    assert "rank corr. of trust" in [one.replace("\n", " ") for one in page.tables["trust"][0][0]]
+
+
 def test_the_run_is_told(page):
     text = page.text["made"]
 
@@ -217,7 +272,7 @@ def test_the_run_is_told(page):
 
 
 def test_all_charts_are_there(page):
-    assert len(page.charts()) == 6
+    assert len(page.charts()) == 8
 
 
 def test_sheets_are_jpeg_inside_the_page_best_first(page):
@@ -283,7 +338,8 @@ def test_a_run_with_nothing_but_names():
 @pytest.fixture
 def _no_charts(monkeypatch):
     monkeypatch.setattr(charts, "all_charts", lambda *_: dict.fromkeys(
-        ("maxf", "paired", "roc", "pr", "reliability", "pictures"), ""))  # fmt: skip
+        ("f_mask", "maxf", "paired", "roc", "pr", "reliability", "risk", "pictures"), ""
+    ))  # fmt: skip
 
 
 def ways_to_miss() -> dict[str, Evaluation]:
@@ -345,7 +401,7 @@ def test_one_detector_without_drives():
     assert column(page, "scores", "MaxF") == {"it": "0.950"}
     assert "No floor was scored beside it." in page.text["head"]
     assert "drives" not in page.tables
-    assert len(page.charts()) == 5  # nobody to compare with
+    assert len(page.charts()) == 7  # nobody to compare with
 
 
 def test_a_grid_of_three_hundred_detectors_stays_readable():
@@ -459,7 +515,7 @@ def test_a_browser_shows_it_and_asks_for_nothing(tmp_path: Path):
 
     page = Page(dom)
     assert list(column(page, "scores", "AP")) == [*NAMES, HOSTILE]
-    assert len(page.charts()) == 6
+    assert len(page.charts()) == 8
     assert len(page.named("img")) == 1
     assert page.named("button")  # its own script ran: the headers sort
     assert not asked

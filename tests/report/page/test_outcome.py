@@ -68,8 +68,8 @@ def test_drives_are_compared_with_their_own_best_floor():
 @pytest.mark.parametrize(
     ("against", "other", "ends", "text"),
     [
-        ("a", "prior:rows", [-0.07, -0.03], "that distance is +0.030 to +0.070."),
-        ("prior:rows", "a", [0.03, 0.07], "that distance is +0.030 to +0.070."),
+        ("a", "prior:rows", [-0.07, -0.03], "has a 95 % interval of +0.030 to +0.070."),
+        ("prior:rows", "a", [0.03, 0.07], "has a 95 % interval of +0.030 to +0.070."),
         ("prior:rows", "a", [-0.01, 0.07], "+0.070, which these pictures do not tell from 0."),
         ("prior:rows", "a", [math.nan, 0.07], None),
         ("b", "prior:rows", [0.03, 0.07], None),
@@ -93,4 +93,16 @@ def test_the_flattery_of_maxf_is_told():
     assert outcome(evaluation)[-1] == (
         "MaxF picks its threshold on the labels it is scored on; at the chosen threshold, from "
         "the other drives, a has an F of 0.800 and an IoU of 0.700."
+    )
+
+
+def test_what_a_user_gets_and_where_it_is_worst_comes_second():
+    figures = {"maxf": 0.9, "f_mask": 0.72, "iou_mask": 0.6}
+    alone = changed(named(a=0.9), "a", headline=figures)
+    drives = {"near": {"f_mask": 0.9}, "far": {"f_mask": 0.002}, "void": {"f_mask": math.nan}}
+
+    text = "Its mask at the default threshold has an F of 0.720 and an IoU of 0.600"
+    assert outcome(alone)[1] == f"{text}."
+    assert outcome(changed(alone, "a", drives=drives))[1] == (
+        f"{text}; on the worst of 2 drives, far, an F of 0.002."
     )

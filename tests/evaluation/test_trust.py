@@ -1,0 +1,127 @@
+"""Measures of trust against pairs, orders and SciPy."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import spearmanr
+from sklearn.metrics import roc_auc_score
+
+from roadtorch.evaluation import trust
+from roadtorch.evaluation.trust import Trusted
+from tests.reference import trust as slow
+
+TENTHS = st.integers(0, 10).map(lambda tenths: tenths / 10)  # few values: many are equal
+
+
+def pictures(most: int):
+    return st.lists(st.tuples(TENTHS, TENTHS), min_size=1, max_size=most)
+
+
+def columns(pairs: list[tuple[float, float]]) -> tuple[torch.Tensor, torch.Tensor]:
+    trusts, f = torch.tensor(pairs, dtype=torch.float64).unbind(1)
+    return trusts, f
+
+
+@settings(deadline=None)
+@given(pictures(40))
+def test_rank_correlation_equals_the_obvious_one(pairs):
+    trusts, f = columns(pairs)
+
+    found = trust.rank_correlation(trusts, f)
+
+    assert found == pytest.approx(
+        slow.rank_correlation(trusts.tolist(), f.tolist()), abs=1e-9, nan_ok=True
+    )
+
+
+def test_rank_correlation_equals_scipys_whatever_the_scale():
+    generator = torch.Generator().manual_seed(0)
+    f = torch.rand(179, generator=generator, dtype=torch.float64)
+    trusts = (f + torch.rand(179, generator=generator)).mul(20).round()
+
+    found = trust.rank_correlation(trusts, f)
+
+    assert found == pytest.approx(spearmanr(trusts, f)[0], abs=1e-12)
+    assert trust.rank_correlation(trusts.exp(), f) == pytest.approx(found, abs=1e-12)
+    assert trust.rank_correlation(-trusts, f) == pytest.approx(-found, abs=1e-12)
+
+
+@settings(deadline=None)
+@given(pictures(30))
+def test_the_area_for_failures_is_the_share_of_pairs(pairs):
+    trusts, f = columns(pairs)
+
+    found = trust.failure_auc(trusts, f, 0.6)
+
+    expected = slow.failure_auc(trusts.tolist(), f.tolist(), 0.6)
+    assert found == pytest.approx(expected, abs=1e-12, nan_ok=True)
+    if not math.isnan(found):
+        assert found == pytest.approx(float(roc_auc_score(f < 0.6, -trusts)), abs=1e-12)
+
+
+@settings(deadline=None, max_examples=40)
+@given(pictures(6))
+def test_the_risk_of_equals_is_the_mean_over_their_orders(pairs):
+    trusts, f = columns(pairs)
+
+    curve = trust.risk_coverage(trusts, f)
+
+    assert curve.y.tolist() == pytest.approx(slow.risks(trusts.tolist(), f.tolist()), abs=1e-9)
+    assert curve.x.tolist() == pytest.approx([(k + 1) / len(f) for k in range(len(f))])
+
+
+@settings(deadline=None)
+@given(pictures(30))
+def test_every_curve_ends_at_the_mean_and_none_is_below_the_ideal_one(pairs):
+    trusts, f = columns(pairs)
+
+    curve, ideal = trust.risk_coverage(trusts, f), trust.ideal_risk_coverage(f)
+    blind = trust.risk_coverage(torch.zeros_like(f), f)
+
+    assert float(curve.y[-1]) == pytest.approx(float((1 - f).mean()), abs=1e-12)
+    assert bool((curve.y >= ideal.y - 1e-12).all())
+    assert trust.risk_area(blind) == pytest.approx(float((1 - f).mean()), abs=1e-12)
+
+
+def test_leaving_out_the_least_trusted_lowers_the_risk_by_what_they_cost():
+    f = torch.tensor([0.9, 0.0, 0.8, 0.5], dtype=torch.float64)
+
+    curve = trust.risk_coverage(torch.tensor([0.8, 0.1, 0.9, 0.3]), f)
+
+    assert curve.x.tolist() == [0.25, 0.5, 0.75, 1]
+    assert curve.y.tolist() == pytest.approx([0.2, 0.15, 0.8 / 3, 0.45])
+    assert trust.risk_area(curve) == pytest.approx((0.2 + 0.15 + 0.8 / 3 + 0.45) / 4)
+
+
+def test_within_groups_what_differs_between_them_counts_for_nothing():
+    # In each group trust has the wrong order; the groups' levels give the right one over all.
+    trusts = torch.tensor([0.1, 0.2, 0.3, 0.4, 0.6, 0.7, 0.8, 0.9], dtype=torch.float64)
+    f = torch.tensor([0.4, 0.3, 0.2, 0.1, 0.9, 0.8, 0.7, 0.6], dtype=torch.float64)
+    both = Trusted(trusts, f, ["a"] * 4 + ["b"] * 4)
+
+    assert trust.rank_correlation(both.trust, both.f) > 0.5
+    assert trust.correlation_within(both) == pytest.approx(-1)
+
+
+def test_a_group_of_three_has_no_correlation_of_its_own():
+    f = torch.tensor([0.1, 0.2, 0.3, 0.4, 0.9, 0.8, 0.7])
+    groups = ["a"] * 4 + ["b"] * 3
+
+    found = trust.correlation_within(Trusted(f.sort().values, f, groups))
+
+    assert found == pytest.approx(1)
+    assert math.isnan(trust.correlation_within(Trusted(f[4:], f[4:], groups[4:])))
+
+
+def test_nothing_to_tell_apart_is_nan():
+    same, f = torch.full((5,), 0.5), torch.linspace(0.1, 0.5, 5)
+    nothing = torch.zeros(0)
+
+    assert math.isnan(trust.rank_correlation(same, f))
+    assert math.isnan(trust.failure_auc(same, f, 0.6))
+    assert math.isnan(trust.rank_correlation(nothing, nothing))
+    assert math.isnan(trust.failure_auc(nothing, nothing, 0.6))
+    assert math.isnan(trust.risk_area(trust.risk_coverage(nothing, nothing)))
