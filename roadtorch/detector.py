@@ -8,7 +8,15 @@ is ``Detector``, here, once; it knows none of them.
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, Literal
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    NamedTuple,
+    Protocol,
+    runtime_checkable,
+)
 
 import torch
 from pydantic import Field
@@ -16,9 +24,10 @@ from torch import Tensor, nn
 
 from roadtorch.ego import Ego, continued, ego_car, is_given, read_ego_mask
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.seed_area import SeedArea, remove_isolated, seed_area
+from roadtorch.seed_area import SeedArea, remove_isolated, seed_rectangle
 from roadtorch.settings import Settings
-from roadtorch.working_size import WorkingSize, at_working_size
+from roadtorch.trust import Judgement
+from roadtorch.working_size import FullSize, WorkingSize, at_picture_size, at_work
 
 SMALLEST_SIDE = 16  # pixels; below it, superpixels and the seed area have no meaning
 
@@ -79,7 +88,7 @@ class Cues(Mapping[str, Tensor]):
 
 
 class WithoutEgo(Mapping[str, Tensor]):
-    """What an analysis found, with no likelihood of road on the ego car bool (H,W): a cue too."""
+    """What an analysis found, with neither road nor seed on the ego car bool (H,W): a cue too."""
 
     def __init__(self, found: Mapping[str, Tensor], ego: Tensor) -> None:
         self._found = found
@@ -90,7 +99,7 @@ class WithoutEgo(Mapping[str, Tensor]):
         if name == "ego":
             return self._ego
         found = self._found[name]
-        return found.masked_fill(self._ego, 0) if name == "likelihood" else found
+        return found.masked_fill(self._ego, 0) if name in ("likelihood", "seed_area") else found
 
     def __iter__(self) -> Iterator[str]:
         """The names of all maps, ``ego`` the last."""
@@ -110,12 +119,30 @@ class Detection:
     mask: bool (H,W), the decision.
     cues: the maps the decision rests on, by name; (H,W) or (C,H,W).
     trust: the expected F of the mask, in [0,1]; None where the detector does not say.
+    doubt: why the mask should be looked at before it is used, in words; empty where it need not.
     """
 
     likelihood: Tensor
     mask: Tensor
     cues: Mapping[str, Tensor]
     trust: float | None = None
+    doubt: str = ""
+
+
+@runtime_checkable
+class Judge(Protocol):
+    """An analysis that says how far a mask made of its likelihood can be trusted."""
+
+    def judge(self, mask: Tensor, found: Mapping[str, Tensor]) -> Judgement:
+        """mask: bool (H,W), at the size of what was found; ``ego`` is in it."""
+        ...
+
+
+class Found(NamedTuple):
+    """What an analysis found, as it came, and at the size of the image without the ego car."""
+
+    analysed: Mapping[str, Tensor]
+    maps: Mapping[str, Tensor]
 
 
 @dataclass(frozen=True)
@@ -183,14 +210,26 @@ class Detector(nn.Module):
 
         Raises InputError when the image is anything else.
         """
-        image = checked_image(image)
-        found = self._find(image)
-        likelihood, ego = found["likelihood"], found.get("ego")
-        if ego is None:
-            return Detection(likelihood, decide(likelihood, self.settings), Cues(found))
-        # Road reaches the seed area through the ground that the ego car hides.
-        mask = decide(continued(likelihood[None], ego)[0], self.settings) & ~ego
-        return Detection(likelihood, mask, Cues(found))
+        analysed, maps = self._find(checked_image(image))
+        likelihood, ego, seed = maps["likelihood"], maps.get("ego"), analysed.get("seed_area")
+        if seed is not None:
+            seed = at_picture_size(seed, (image.shape[-2], image.shape[-1]))
+        if ego is None or not ego.any():
+            mask = decide(likelihood, self.settings, seed)
+        else:
+            mask = decide_beside(likelihood, ego, self.settings, seed)
+        return Detection(likelihood, mask, Cues(maps), *self._judge(mask, ego, analysed))
+
+    def _judge(
+        self, mask: Tensor, ego: Tensor | None, analysed: Mapping[str, Tensor]
+    ) -> tuple[float | None, str]:
+        """Trust and doubt of a mask; None and nothing where the analysis does not judge."""
+        if not isinstance(self.analysis, Judge):
+            return None, ""
+        size = (analysed["likelihood"].shape[-2], analysed["likelihood"].shape[-1])
+        ego = torch.zeros_like(mask) if ego is None else ego
+        found = {**analysed, "ego": at_picture_size(ego, size)}
+        return self.analysis.judge(at_picture_size(mask, size), found)
 
     def forward(self, images: Tensor) -> Tensor:
         """Likelihoods (B,H,W) of a batch (B,3,H,W); each equals that of ``detect``."""
@@ -202,25 +241,29 @@ class Detector(nn.Module):
             )
         if not len(images):
             return images.new_empty((0, *images.shape[-2:]), dtype=torch.float32)
-        return torch.stack([self._find(checked_image(image))["likelihood"] for image in images])
+        return torch.stack(
+            [self._find(checked_image(image)).maps["likelihood"] for image in images]
+        )
 
-    def _find(self, image: Tensor) -> Mapping[str, Tensor]:
-        """The likelihood and the cues at the size of the image, with the ego car where one is.
+    def _find(self, image: Tensor) -> Found:
+        """The likelihood and the cues, with the ego car where one is.
 
         The ego car is what the settings say, and what the analysis itself finds as its cue ``ego``.
         """
-        if not is_given(self.settings.ego):
-            found = self._analyse(image)
-            return WithoutEgo(found, found["ego"]) if "ego" in found else found
-        ego = ego_car(image, self.settings.ego)
-        found = self._analyse(continued(image, ego))
-        return WithoutEgo(found, ego | found["ego"] if "ego" in found else ego)
+        given = ego_car(image, self.settings.ego) if is_given(self.settings.ego) else None
+        analysed, maps = self._analyse(image if given is None else continued(image, given))
+        cars = [car for car in (given, maps.get("ego")) if car is not None]
+        if not cars:
+            return Found(analysed, maps)
+        return Found(analysed, WithoutEgo(maps, torch.stack(cars).any(0)))
 
-    def _analyse(self, image: Tensor) -> Mapping[str, Tensor]:
-        """What the analysis finds, at the size of the image."""
-        if isinstance(self.settings, WorkingSettings):
-            return at_working_size(self.analysis, image, self.settings.working)
-        return self.analysis(image)
+    def _analyse(self, image: Tensor) -> Found:
+        """What the analysis finds, as it comes and at the size of the image."""
+        if not isinstance(self.settings, WorkingSettings):
+            analysed = self.analysis(image)
+            return Found(analysed, analysed)
+        analysed = self.analysis(at_work(image, self.settings.working))
+        return Found(analysed, FullSize(analysed, (image.shape[-2], image.shape[-1])))
 
     def extra_repr(self) -> str:
         """The name and settings, for ``print(detector)``."""
@@ -252,9 +295,26 @@ def checked_image(image: Tensor) -> Tensor:
     return image.to(torch.float32)
 
 
-def decide(likelihood: Tensor, settings: DetectorSettings) -> Tensor:
-    """The mask bool (H,W): likelihood ≥ threshold, isolated regions dropped if asked for."""
+def decide(likelihood: Tensor, settings: DetectorSettings, seed: Tensor | None = None) -> Tensor:
+    """The mask bool (H,W): likelihood ≥ threshold, isolated regions dropped if asked for.
+
+    seed: the seed area bool (H,W), where a detector has found it; else its rectangle.
+    """
     mask = likelihood >= settings.threshold
     if settings.isolated == "keep":
         return mask
-    return remove_isolated(mask, *seed_area(mask.shape[0], mask.shape[1], settings.seed_area))
+    if seed is None:
+        seed = seed_rectangle(mask.shape, settings.seed_area)
+    return remove_isolated(mask, seed)
+
+
+def decide_beside(
+    likelihood: Tensor, ego: Tensor, settings: DetectorSettings, seed: Tensor | None = None
+) -> Tensor:
+    """The mask bool (H,W) beside an ego car bool (H,W).
+
+    Road reaches the seed area through the ground that the ego car hides. Where only hidden ground
+    does, that says nothing about which region is the road, and no region is dropped.
+    """
+    mask = decide(continued(likelihood, ego), settings, seed) & ~ego
+    return mask if mask.any() else (likelihood >= settings.threshold) & ~ego

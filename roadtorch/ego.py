@@ -23,6 +23,14 @@ LEAST_FREE = 0.1
 STRIP = 0.08
 """Share of the picture's side that is mirrored at most: near ground, never the sky above it."""
 
+CONFIDENT, LARGER = 0.6, 0.8
+"""Mean potential from which an ego car is one, and what is added for its share of the picture:
+lines near the lower edge are half believed, bonnets mostly not, and more ground lost by mistake
+needs more certainty."""
+
+SOLID = 0.6
+"""Share of the pixels below that must be ego car."""
+
 REMEDY = f"leave at least {LEAST_FREE:.0%} of the picture free"
 
 Row = Annotated[float, Field(ge=0, le=1)]
@@ -106,25 +114,49 @@ def outline_rows(outline: tuple[float, ...], width: int) -> Tensor:
     return values[left].lerp(values[right], at - left)
 
 
+# --- found in the picture ---------------------------------------------------------------
+
+
+def ego_found(potential: Tensor) -> Tensor:
+    """The ego car bool (H,W) by its potential (H,W) in [0,1]: what goes down to the lower edge.
+
+    In each column it begins at the first row from which on at least ``SOLID`` of all pixels
+    are likelier ego car than not: light on a bonnet leaves no hole in it, and a car ahead
+    is none. Nor is there one where next to nothing would be left free, or where it is
+    only half believed.
+    """
+    height = potential.shape[0]
+    ego = potential > 0.5
+    below = ego.flip(0).cumsum(0).flip(0)
+    left = torch.arange(height, 0, -1, device=ego.device)[:, None]
+    car = (ego & (below >= SOLID * left)).cummax(0).values
+    share = float(car.double().mean())
+    needed = CONFIDENT + LARGER * share
+    is_one = share <= 1 - LEAST_FREE and float(potential[car].mean()) >= needed
+    return car if is_one else torch.zeros_like(car)
+
+
 # --- ground in its place ----------------------------------------------------------------
 
 
 @cached_per_image
 def continued(maps: Tensor, ego: Tensor) -> Tensor:
-    """Maps (C,H,W) with the ego car bool (H,W) replaced by what lies above it; a new tensor.
+    """Maps (…,H,W) with the ego car bool (H,W) replaced by what lies above it; a new tensor.
 
     Column by column, a strip just above the ego car is mirrored downwards, again and again.
     What has nothing above (a mirror hung at the top) is continued from below, and columns
     that are all ego car from beside. At least one pixel must be free.
     """
-    left = ego
+    found, left = maps.reshape(-1, *ego.shape), ego
     for flipped, turned in ((False, False), (True, False), (False, True), (True, True)):
-        maps, left = (part.mT if turned else part for part in (maps, left))
-        maps, left = (part.flip(-2) if flipped else part for part in (maps, left))
-        maps, left = _continued_down(maps, left)
-        maps, left = (part.flip(-2) if flipped else part for part in (maps, left))
-        maps, left = (part.mT if turned else part for part in (maps, left))
-    return maps.contiguous()
+        if not left.any():
+            break
+        found, left = (part.mT if turned else part for part in (found, left))
+        found, left = (part.flip(-2) if flipped else part for part in (found, left))
+        found, left = _continued_down(found, left)
+        found, left = (part.flip(-2) if flipped else part for part in (found, left))
+        found, left = (part.mT if turned else part for part in (found, left))
+    return found.reshape(maps.shape).contiguous()
 
 
 def _continued_down(maps: Tensor, ego: Tensor) -> tuple[Tensor, Tensor]:

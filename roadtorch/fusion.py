@@ -84,18 +84,13 @@ def log_odds(likelihood: Tensor) -> Tensor:
 
 
 def fused_log_odds(likelihoods: Sequence[Tensor], weights: Sequence[float]) -> Tensor:
-    """Σ W · log(L / (1-L)) of likelihoods of one shape, in [0,1]; 0.5 says nothing."""
+    """Σ W · log(L / (1-L)) of likelihoods of one shape, in [0,1]; 0.5 says nothing.
+
+    Naive Bayes: its sigmoid is Π Lᵂ, normalised against Π (1-L)ᵂ. Summed as log odds: no
+    product of small numbers underflows.
+    """
     odds = [weight * log_odds(each) for each, weight in zip(likelihoods, weights, strict=True)]
     return torch.stack(odds).sum(0)
-
-
-def naive_bayes(prior: Tensor, likelihoods: Sequence[Tensor], weights: Sequence[float]) -> Tensor:
-    """p(road | cues) ∝ prior · Π Lᵂ, normalised against p(background), in [0,1].
-
-    P2 eq. 4 with all weights 1. Summed as log odds: no product of small numbers underflows.
-    All maps of one shape, in [0,1].
-    """
-    return fused_log_odds([prior, *likelihoods], [1.0, *weights]).sigmoid()
 
 
 def road_place(row: Tensor, column: Tensor, place: RoadPlace) -> Tensor:

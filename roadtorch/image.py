@@ -196,13 +196,23 @@ def write_colours(path: str | os.PathLike[str], image: Tensor) -> None:
     _write_encoded(path, ".png", to_pixels(image)[..., ::-1])
 
 
-def write_overlay(path: str | os.PathLike[str], image: Tensor, mask: Tensor) -> None:
+def write_overlay(
+    path: str | os.PathLike[str],
+    image: Tensor,
+    mask: Tensor,
+    ego: Tensor | None = None,
+    caption: str = "",
+) -> None:
     """Write the image (3,H,W) with its mask bool (H,W) as JPEG: a tint and an outline.
 
     Inside is tinted sky blue, the border is drawn orange on a dark rim, so that it
-    shows on pale and on dark road, in colour and in grey print.
+    shows on pale and on dark road, in colour and in grey print. The ego car bool (H,W) is
+    darkened; a caption stands in the upper left corner.
     """
-    pixels = tint_mask(to_pixels(image), mask.cpu().numpy())
+    pixels = to_pixels(image)
+    if ego is not None:
+        pixels[ego.cpu().numpy()] //= 2
+    pixels = with_caption(tint_mask(pixels, mask.cpu().numpy()), caption)
     _write_encoded(path, ".jpg", pixels[..., ::-1], *JPEG_OPTIONS)
 
 
@@ -229,6 +239,19 @@ def tint_mask(pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:
     result = cv2.copyTo(tinted, inside, pixels.copy())
     result[mask & (wide == 0)] = 0
     result[mask & (thin == 0)] = ORANGE
+    return result
+
+
+def with_caption(pixels: np.ndarray, caption: str) -> np.ndarray:
+    """Pixels uint8 (H,W,3) with a line of white text on a dark rim, sized with the picture."""
+    if not caption:
+        return pixels
+    scale = max(0.3, min(pixels.shape[:2]) / 600)
+    at = (round(10 * scale), round(30 * scale))
+    result = np.ascontiguousarray(pixels)
+    for colour, width in (((0, 0, 0), 6), ((255, 255, 255), 2)):
+        line = max(1, round(width * scale))
+        cv2.putText(result, caption, at, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, line, cv2.LINE_AA)
     return result
 
 

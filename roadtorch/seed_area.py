@@ -1,5 +1,7 @@
 """The seed area: where road is assumed, to learn its look from, and what touches it."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 import torch
@@ -11,9 +13,19 @@ from roadtorch.settings import Settings
 FRAME = (240, 320)
 """Height and width in pixels of the frame in which a seed area is described."""
 
+NEARNESS = 4.0
+"""Log odds that a place at the bottom of the picture has before one at the top, as a seed."""
+
+FAR = 100.0
+"""Log odds that keep the upper half out, unless there is nothing else."""
+
 
 class SeedArea(Settings):
-    """The rectangle at the middle of the bottom edge that is taken to be road."""
+    """The rectangle at the middle of the bottom edge that is taken to be road.
+
+    A detector that looks for the road itself takes an area of its size from where road most
+    likely is.
+    """
 
     height: float = Field(
         default=30, ge=1, le=FRAME[0], description="rows, of a frame of 240; scaled with the image"
@@ -21,6 +33,11 @@ class SeedArea(Settings):
     width: float = Field(
         default=80, ge=1, le=FRAME[1], description="columns, of a frame of 320; scaled likewise"
     )
+
+    @property
+    def share(self) -> float:
+        """Of the picture's pixels, from 0 to 1."""
+        return self.height * self.width / (FRAME[0] * FRAME[1])
 
 
 def seed_area(
@@ -39,8 +56,31 @@ def seed_area(
     return slice(height - rows, height), slice(left, left + columns)
 
 
-def remove_isolated(mask: Tensor, rows: slice, columns: slice) -> Tensor:
-    """Keep the 4-connected regions of a mask (H,W) that touch the rectangle rows × columns.
+def seed_rectangle(shape: Sequence[int], seed: SeedArea | None = None) -> Tensor:
+    """The same for maps of a shape (…,H,W), as a map bool (H,W)."""
+    area = torch.zeros(shape[-2], shape[-1], dtype=torch.bool)
+    area[seed_area(shape[-2], shape[-1], seed)] = True
+    return area
+
+
+def likely_seed(evidence: Tensor, row: Tensor, size: Tensor, share: float) -> Tensor:
+    """Which of n segments are the seed area: bool (n,), those where road most likely is.
+
+    evidence: log odds of road (n,); row: centroids (n,) from 0 at the top to 1; size: shares of
+    the picture (n,). From the lower half, the best come first until they fill ``share`` of the
+    picture; one at least, several pieces if need be. What is near is seen best, and counts by
+    ``NEARNESS`` more. Ours: the bottom of a picture may be a bonnet, grass or a car ahead.
+    """
+    score = evidence + NEARNESS * row - FAR * (row < 0.5)
+    order = score.argsort(descending=True, stable=True)
+    before = size[order].cumsum(0) - size[order]
+    chosen = torch.zeros_like(row, dtype=torch.bool)
+    chosen[order[before < share]] = True
+    return chosen
+
+
+def remove_isolated(mask: Tensor, seed: Tensor) -> Tensor:
+    """Keep the 4-connected regions of a mask (H,W) that touch the seed area bool (H,W).
 
     Where none does, the mask comes back unchanged: then it says nothing about which
     region is the road. P2, section 6.2 (isolated areas are discarded).
@@ -49,20 +89,19 @@ def remove_isolated(mask: Tensor, rows: slice, columns: slice) -> Tensor:
     count, found = cv2.connectedComponents(pixels, connectivity=4)
     regions = np.asarray(found, dtype=np.int32)
     kept = np.zeros(count, dtype=bool)
-    kept[regions[rows, columns]] = True
+    kept[regions[seed.cpu().numpy()]] = True
     kept[0] = False  # the background
     if not kept.any():
         return mask
     return torch.from_numpy(kept.take(regions)).to(mask.device)
 
 
-def seed_segments(labels: Tensor, seed: SeedArea | None = None) -> Tensor:
-    """Numbers of the segments of labels (H,W) that lie in the seed area: int64 (k,), k ≥ 1.
+def seed_segments(labels: Tensor, seed: Tensor) -> Tensor:
+    """Numbers of the segments of labels (H,W) in the seed area bool (H,W): int64 (k,), k ≥ 1.
 
     Those that have half of their pixels in it, and always the one that fills most of it.
     """
-    rows, columns = seed_area(labels.shape[0], labels.shape[1], seed)
     count = int(labels.max()) + 1
-    inside = torch.bincount(labels[rows, columns].reshape(-1), minlength=count)
+    inside = torch.bincount(labels[seed], minlength=count)
     size = torch.bincount(labels.reshape(-1), minlength=count)
     return ((2 * inside >= size.clamp_min(1)) | (inside == inside.max())).nonzero()[:, 0]

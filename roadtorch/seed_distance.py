@@ -10,15 +10,14 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
-from roadtorch.seed_area import SeedArea, seed_segments
 from roadtorch.segment_features import Segments
 
 FAINTEST = 0.0034
 """Added to the contrast of a faint border (Lab/100): in a clean picture less is no edge either."""
 
 
-def seed_distance(segments: Segments, seed: SeedArea) -> Tensor:
-    """Distance (n,) of each segment from those of the seed area, along the picture.
+def seed_distance(segments: Segments, sources: Tensor) -> Tensor:
+    """Distance (n,) of each segment from the sources, numbers (k,) of segments, along the picture.
 
     The least sum of the contrasts of the borders crossed on the way: a kerb or a painted line
     must be crossed somewhere even where both sides have the same colour. The unit is a faint
@@ -28,7 +27,6 @@ def seed_distance(segments: Segments, seed: SeedArea) -> Tensor:
     steps = segments.contrast_between
     if len(steps):
         steps = steps / (steps.quantile(0.25) + FAINTEST)
-    sources = seed_segments(segments.labels, seed)
     return distances(segments.pairs, steps, sources, len(segments.size))
 
 

@@ -202,6 +202,11 @@ def check_detection(
     if "layout" in cues:
         fits = cues["layout"].shape == (3, *size)
         _expect(detector, fits, f"gives a layout of {tuple(cues['layout'].shape)} for {what}")
+    trusted = detection.trust is None or 0 <= detection.trust <= 1
+    _expect(detector, trusted, f"gives the trust {detection.trust} for {what}")
+    if "ego" in cues:
+        free = not mask[cues["ego"]].any() and not likelihood[cues["ego"]].any()
+        _expect(detector, free, f"calls the ego car road for {what}")
 
 
 def _copies(detector: Detector) -> Iterator[tuple[str, Detector]]:

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from roadtorch.color import PLANES, planes
 from roadtorch.errors import unknown_name
-from roadtorch.seed_area import SeedArea, seed_area
 from roadtorch.segment_statistics import segment_histogram
 from roadtorch.settings import Settings
 
@@ -151,19 +150,18 @@ def segment_histograms(levels: Tensor, labels: Tensor, bins: int, usable: Tensor
 
 
 def fused_uniformity(
-    image: Tensor, labels: Tensor, usable: Tensor, seed: SeedArea, settings: TextureSettings
+    image: Tensor, labels: Tensor, usable: Tensor, seed: Tensor, settings: TextureSettings
 ) -> tuple[Tensor, Tensor]:
     """P2 section 4 step by step: weights from the seed area, fused plane, U of each segment.
 
-    image: (3,H,W); labels: int64 (H,W), n segments; usable: bool (H,W), the pixels that count,
-    for the weights as for the histograms (where the seed area has too few, all of its pixels
-    give the weights). Returns the fused plane (H,W) and U (n,).
+    image: (3,H,W); labels: int64 (H,W), n segments; seed: bool (H,W), the seed area; usable:
+    bool (H,W), the pixels that count, for the weights as for the histograms (where the seed
+    area has too few, all of its pixels give the weights). Returns the fused plane (H,W) and U (n,).
     """
     stack = planes(image, settings.planes)
-    area = seed_area(labels.shape[-2], labels.shape[-1], seed)
-    samples = stack[:, *area][:, usable[area]]
+    samples = stack[:, seed & usable]
     if samples.shape[1] <= len(stack):
-        samples = stack[:, *area].flatten(1)
+        samples = stack[:, seed]
     fused = fused_plane(stack, minimum_variance_weights(samples.T, settings.ridge))
     low, high = value_range(fused, usable, settings.tail)
     levels = quantise(fused, settings.bins, low, high)
@@ -173,7 +171,7 @@ def fused_uniformity(
 def unsaturated_uniformity(
     image: Tensor,
     labels: Tensor,
-    seed: SeedArea,
+    seed: Tensor,
     settings: TextureSettings,
     saturation: Saturation,
 ) -> tuple[Tensor, Tensor, Tensor]:

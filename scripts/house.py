@@ -61,7 +61,7 @@ ROWS = (
         (
             *("image", "color", "superpixels", "segment_statistics", "working_size", "exposure"),
             *("segment_features", "seed_area", "ego", "priors", "seed_distance", "lbp", "texture"),
-            "fusion",
+            *("otsu", "trust", "fusion"),
         ),
     ),
     Row("papers", ("layout", "oneclass", "ufl")),

@@ -12,7 +12,8 @@ from roadtorch.train.config import read_training
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 THRESHOLDS = sorted((CONFIGS / "thresholds").glob("*.toml"))
 TRAINING = sorted(CONFIGS.glob("*.toml"))
-OWN = ("ufl", "ufl:original")  # their 0.5 is exactly the mask that the method chooses
+OWN = ("ufl", "ufl:original", "fusion")
+"""Their 0.5 has a meaning: the mask that the method chooses, or as likely road as not anywhere."""
 
 
 @pytest.mark.parametrize("path", TRAINING, ids=lambda path: path.stem)

@@ -154,7 +154,7 @@ def test_no_pixel_of_the_ego_car_changes_anything(name: str) -> None:
     one, other = (detector.detect(torch.where(car, paint, image)) for paint in (0.0, 1.0))
 
     assert one.likelihood.equal(other.likelihood)
-    assert one.cues["ego"].equal(car)
+    assert one.cues["ego"][car].all()  # a detector may see more of it
     assert not one.mask[car].any()
     assert not one.likelihood[car].any()
     assert one.mask.any()

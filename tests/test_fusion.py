@@ -1,5 +1,6 @@
 """Naive Bayes over cues, and the road of whole pictures."""
 
+from collections.abc import Sequence
 from functools import cache
 
 import pytest
@@ -22,15 +23,14 @@ from roadtorch.fusion import (
     Exponents,
     RoadPlace,
     SegmentRoadSettings,
+    fused_log_odds,
     log_odds,
-    naive_bayes,
     neighbour_mean,
     road_place,
     segment_road,
 )
 from roadtorch.priors import prior_rows
 from roadtorch.scenes import RenderedScene, render_scene
-from roadtorch.seed_area import SeedArea
 from roadtorch.seed_distance import FAINTEST, distance_likelihood, seed_distance
 from roadtorch.segment_features import Segments, likeness, measure_segments
 from roadtorch.superpixels import slic
@@ -40,6 +40,10 @@ LIKELIHOODS = st.floats(0, 1)
 WEIGHTS = st.floats(0, 4)
 
 # --- naive Bayes --------------------------------------------------------------------------
+
+
+def naive_bayes(prior: Tensor, likelihoods: Sequence[Tensor], weights: Sequence[float]) -> Tensor:
+    return fused_log_odds([prior, *likelihoods], [1.0, *weights]).sigmoid()
 
 
 def as_map(value: float) -> Tensor:
@@ -166,7 +170,7 @@ def test_the_distance_adds_up_along_the_way_even_to_what_looks_the_same() -> Non
     contrast = segments.contrast_between  # of the pairs (0, 1), (1, 2), (2, 3), (3, 4)
     step = contrast / (contrast.quantile(0.25) + FAINTEST)  # in faint borders of this picture
 
-    distance = seed_distance(segments, SeedArea(width=60))
+    distance = seed_distance(segments, torch.tensor([2]))
 
     assert distance[2] == 0
     assert distance[1] == pytest.approx(float(step[1]), rel=1e-5)
@@ -329,7 +333,8 @@ def rows(seed: int) -> RoadCounts:
 def test_the_road_of_a_rendered_street_ranks_far_above_the_rest(seed: int) -> None:
     best, _ = max_f(counted(detected(seed).likelihood, seed))
 
-    # Measured over seeds 0-7: 0.944 to 0.986; row / height has 0.858 to 0.946.
+    # Measured over seeds 0-7: 0.94 to 0.99, but for seed 7 (0.85, the near ground behind a hard
+    # shadow is taken for the ego car); row / height has 0.858 to 0.946.
     assert best > 0.92
     assert best > max_f(rows(seed))[0] + 0.02
 
@@ -367,6 +372,8 @@ def test_the_mask_beats_row_over_height_behind_hard_shadows_too() -> None:
 def test_a_picture_of_one_segment_is_at_no_distance() -> None:
     labels = torch.zeros(16, 16, dtype=torch.int64)
 
-    distance = seed_distance(measure_segments(torch.full((3, 16, 16), 0.5), labels), SeedArea())
+    distance = seed_distance(
+        measure_segments(torch.full((3, 16, 16), 0.5), labels), torch.tensor([0])
+    )
 
     assert distance.tolist() == [0.0]

@@ -22,6 +22,7 @@ from roadtorch.layout.classes import CLASSES, UNLABELLED
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import save_network
 from roadtorch.train.arrays import to_bytes, write_arrays
+from roadtorch.train.average import AverageWeights
 from roadtorch.train.config import PatchTraining, read_training
 from roadtorch.train.generators import seeded
 from roadtorch.train.loop import TrainingSetup, make_optimiser, step
@@ -50,8 +51,9 @@ def train(files: list[Path], training: PatchTraining, epochs: int) -> PatchNetwo
         network = PatchNetwork(training.network)
         samples = PatchSamples(files, training, processes)
         optimiser = make_optimiser(network, training.descent)
+        average = AverageWeights(network, training.descent.average)
         setup = TrainingSetup(
-            network, optimiser, samples, squared_error, training.descent, training.stopping
+            network, average, optimiser, samples, squared_error, training.descent, training.stopping
         )
         for epoch in range(epochs):
             error = count = 0.0

@@ -39,7 +39,7 @@ from roadtorch.exposure import Exposure, brightened
 from roadtorch.fusion import Exponents, RoadPlace, SegmentRoadSettings, segment_road
 from roadtorch.layout.classes import CLASSES, HORIZONTAL
 from roadtorch.layout.labeller import ColumnOrder, LabellerSettings, PlacePrior, segment_layout
-from roadtorch.seed_area import SeedArea
+from roadtorch.seed_area import seed_rectangle, seed_segments
 from roadtorch.seed_distance import distance_likelihood, seed_distance
 from roadtorch.segment_features import Bandwidths, Segments, measure_segments
 from roadtorch.segment_statistics import segment_histogram
@@ -100,14 +100,15 @@ def measure_frame(image: Tensor, truth: Truth, drive: str) -> Frame:
         at_picture_size(part, size).long() for part in (truth.valid, truth.road, truth.layout)
     )
     texture = TextureSettings()
-    _, values, _ = unsaturated_uniformity(small, labels, SeedArea(), texture, Saturation())
+    seed = seed_rectangle(labels.shape)
+    _, values, _ = unsaturated_uniformity(small, labels, seed, texture, Saturation())
     return Frame(
         drive,
         segments,
         segment_histogram(road, labels, count, 2, valid),
         segment_histogram(kinds.clamp(max=CLASSES), labels, count, CLASSES + 1)[:, :CLASSES],
         uniformity_likelihood(values, texture.even),
-        seed_distance(segments, SeedArea()),
+        seed_distance(segments, seed_segments(labels, seed)),
         segment_layout(segments, LabellerSettings())[:, HORIZONTAL],
     )
 

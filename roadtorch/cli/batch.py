@@ -17,21 +17,35 @@ from roadtorch.files import csv_text, make_folder, write_text
 from roadtorch.sources.pictures import Picture, find_images
 
 INDEX = "index.csv"
-DONE = "done"
+DONE, DOUBTFUL, FAILED = "done", "doubtful", "failed"
+"""What the status of a row begins with; after a colon it says why."""
+
+LEAST_TRUSTED = 5
+"""Pictures that are named at the end of a run, to be looked at first."""
+
 ELSEWHERE = "give another --out"
 SAVE_EVERY = 5.0  # seconds of work that a power cut may cost
 
 
 @dataclass(frozen=True)
 class Row:
-    """One line of index.csv. ``ms`` is the time from reading to the last file written."""
+    """One line of index.csv. ``ms`` is the time from reading to the last file written.
+
+    trust: the expected F of the mask, empty where the detector does not say.
+    """
 
     file: str
     width: str = ""
     height: str = ""
     ms: str = ""
     road_share: str = ""
+    trust: str = ""
     status: str = DONE
+
+    @property
+    def failed(self) -> bool:
+        """Whether there is no result."""
+        return self.status.startswith(FAILED)
 
 
 @dataclass(frozen=True)
@@ -111,11 +125,12 @@ def run_jobs(jobs: Sequence[Job], out: Path, work: Work, options: "Options") -> 
     """
     rows = read_index(out / INDEX)
     todo = [job for job in jobs if options.overwrite or not _is_done(job, rows)]
-    failed = 0
+    failed, found = 0, []
     saved = monotonic()
     try:
         for row in _show_progress(_in_order(todo, work, options.jobs), len(todo), options.quiet):
-            failed += row.status != DONE
+            failed += row.failed
+            found.append(row)
             rows[row.file] = row
             if monotonic() - saved > SAVE_EVERY:
                 write_index(out / INDEX, rows.values())
@@ -124,6 +139,8 @@ def run_jobs(jobs: Sequence[Job], out: Path, work: Work, options: "Options") -> 
         write_index(out / INDEX, rows.values())
     if not options.quiet or failed:
         click.echo(_summary(len(todo) - failed, len(jobs) - len(todo), failed, out), err=True)
+        for line in least_trusted(found):
+            click.echo(line)
     return 1 if failed else 0
 
 
@@ -138,7 +155,7 @@ class Options:
 
 def _is_done(job: Job, rows: Mapping[str, Row]) -> bool:
     row = rows.get(job.file)
-    return row is not None and row.status == DONE and all(path.exists() for path in job.outputs)
+    return row is not None and not row.failed and all(path.exists() for path in job.outputs)
 
 
 def _in_order(jobs: Sequence[Job], work: Work, threads: int) -> Iterator[Row]:
@@ -175,7 +192,7 @@ def _attempt(job: Job, work: Work) -> Row:
     except Exception as problem:
         # One picture that trips a detector must not cost the night's run.
         what = f"{job.picture.path}: {type(problem).__name__}: {problem} (report it)"
-    return Row(job.file, status=f"failed: {' '.join(what.split())}")
+    return Row(job.file, status=f"{FAILED}: {' '.join(what.split())}")
 
 
 def _show_progress(rows: Iterable[Row], total: int, quiet: bool) -> Iterator[Row]:
@@ -185,7 +202,7 @@ def _show_progress(rows: Iterable[Row], total: int, quiet: bool) -> Iterator[Row
     hidden = True if quiet else None  # None: hidden unless stderr is a terminal
     with tqdm(rows, total=total, unit="image", disable=hidden, file=sys.stderr) as bar:
         for row in bar:
-            if row.status != DONE:
+            if row.failed:
                 bar.write(f"roadtorch: {row.status}", file=sys.stderr)
             yield row
 
@@ -194,6 +211,22 @@ def _summary(done: int, skipped: int, failed: int, out: Path) -> str:
     parts = [f"{done} done", f"{skipped} skipped (done before)" if skipped else ""]
     parts.append(f"{failed} failed" if failed else "")
     return f"roadtorch: {', '.join(filter(None, parts))}; results in {out}"
+
+
+def least_trusted(rows: Iterable[Row]) -> list[str]:
+    """Lines that name the pictures whose masks should be looked at first, the worst on top.
+
+    None where no row has a trust.
+    """
+    judged = sorted((row for row in rows if row.trust), key=lambda row: float(row.trust))
+    if not judged:
+        return []
+    doubtful = sum(row.status.startswith(DOUBTFUL) for row in judged)
+    shown = [
+        f"  {row.trust}  {row.file}{row.status.removeprefix(DONE).removeprefix(DOUBTFUL)}"
+        for row in judged[:LEAST_TRUSTED]
+    ]
+    return [f"roadtorch: {doubtful} doubtful of {len(judged)}; least trusted:", *shown]
 
 
 def read_index(path: Path) -> dict[str, Row]:

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.camera.camera import Camera
-from roadtorch.cli.batch import ELSEWHERE, INDEX, Job, Row
+from roadtorch.cli.batch import DONE, DOUBTFUL, ELSEWHERE, INDEX, Job, Row
 from roadtorch.detector import Detection, Detector
 from roadtorch.errors import ConfigError
 from roadtorch.files import make_folder, write_text
@@ -81,7 +81,9 @@ class Inference:
         height, width = detection.mask.shape
         share = float(detection.mask.to(torch.float64).mean())
         ms = 1000 * (perf_counter() - start)
-        return Row(job.file, str(width), str(height), f"{ms:.0f}", f"{share:.4f}")
+        trust = "" if detection.trust is None else f"{detection.trust:.2f}"
+        status = f"{DOUBTFUL}: {detection.doubt}" if detection.doubt else DONE
+        return Row(job.file, str(width), str(height), f"{ms:.0f}", f"{share:.4f}", trust, status)
 
     def _write(self, job: Job, image: Tensor, detection: Detection) -> None:
         make_folder(job.output("").parent, ELSEWHERE)
@@ -90,7 +92,9 @@ class Inference:
         if "mask" in self.kinds:
             write_mask(job.output(SUFFIXES["mask"]), detection.mask)
         if "overlay" in self.kinds:
-            write_overlay(job.output(SUFFIXES["overlay"]), image, detection.mask)
+            caption = "" if detection.trust is None else f"trust {detection.trust:.2f}"
+            path = job.output(SUFFIXES["overlay"])
+            write_overlay(path, image, detection.mask, detection.cues.get("ego"), caption)
         if "npy" in self.kinds:
             write_npy(job.output(SUFFIXES["npy"]), detection.likelihood)
         for name, cue in detection.cues.items():

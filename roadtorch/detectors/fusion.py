@@ -7,11 +7,12 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings
+from roadtorch.ego import continued, ego_found
 from roadtorch.exposure import brightened
 from roadtorch.fusion import (
     SegmentRoadSettings,
+    fused_log_odds,
     log_odds,
-    naive_bayes,
     road_place,
     segment_road,
 )
@@ -21,6 +22,8 @@ from roadtorch.layout.opinion_pool import Share, pooled
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import WeightsFile, network_of
+from roadtorch.otsu import centred_odds
+from roadtorch.seed_area import likely_seed, seed_rectangle, seed_segments
 from roadtorch.seed_distance import distance_likelihood, seed_distance
 from roadtorch.segment_features import Segments, measure_segments
 from roadtorch.segment_statistics import paint, segment_mean
@@ -33,6 +36,7 @@ from roadtorch.texture import (
     uniformity_likelihood,
     unsaturated_uniformity,
 )
+from roadtorch.trust import Judgement, TrustSettings, judgement, signs_of
 
 
 class LearnedRoad(Settings):
@@ -40,6 +44,19 @@ class LearnedRoad(Settings):
 
     weight: float = Field(default=1.0, ge=0, le=10, description="in the mean of each superpixel")
     detail: float = Field(default=0.5, ge=0, le=10, description="pixel by pixel, at the end")
+
+
+class RoadCalibration(Settings):
+    """What makes 0.5 mean as likely road as not on any camera, in log odds.
+
+    See ``centred_odds``.
+    """
+
+    centre: float = Field(default=-0.73, ge=-20, le=20, description="what parts road in most")
+    own: float = Field(
+        default=0.5, ge=0, le=1, description="share of what parts this very picture (Otsu)"
+    )
+    temperature: float = Field(default=1.0, gt=0, le=100, description="divides the log odds")
 
 
 class UntrainedFusionSettings(WorkingSettings):
@@ -56,10 +73,12 @@ class UntrainedFusionSettings(WorkingSettings):
 class FusionSettings(UntrainedFusionSettings):
     """The fused detector with a network that has seen other streets."""
 
-    threshold: Threshold = Field(default=0.325, description=TUNED)
+    threshold: Threshold = 0.5
     weights: WeightsFile = WeightsFile()
-    share: Share = 0.7
+    share: Share = 0.8
     learned: LearnedRoad = LearnedRoad()
+    calibration: RoadCalibration = RoadCalibration()
+    trust: TrustSettings = TrustSettings()
 
 
 class PaperFusionSettings(WorkingSettings):
@@ -80,20 +99,29 @@ class UntrainedFusion(nn.Module):
 
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
-        street = look_at(image, self.settings)
-        layout = street.layout.T
-        road = street.road(layout[HORIZONTAL], self.settings.road)
-        labels = decide_layout(street.layout, self.settings.labeller)
+        settings = self.settings
+        street = look_at(image, settings)
+        rectangle = seed_rectangle(street.labels.shape, settings.seed_area).to(image.device)
+        sources = seed_segments(street.labels, rectangle)
+        ground = street.layout[:, HORIZONTAL]
+        nearby = seen_from(street, rectangle, sources, settings)
+        road = segment_road(street.segments, ground, nearby.near, nearby.even, settings.road)
+        labels = decide_layout(street.layout, settings.labeller)
         return {
             "likelihood": paint(road, street.labels),
-            "layout": paint(layout, street.labels),
+            "layout": paint(street.layout.T, street.labels),
             "layout_labels": paint(labels, street.labels),
-            **street.cues,
+            "seed_area": rectangle,
+            **nearby.cues,
         }
 
 
 class Fusion(nn.Module):
-    """The same with what a network has learned from other streets: the best we know."""
+    """The same with what a network has learned from other streets: the best we know.
+
+    The network says where the ego car is, and the ground above is continued over it before
+    anything is measured; the seed area is where place, layout and network see road.
+    """
 
     def __init__(self, settings: FusionSettings) -> None:
         super().__init__()
@@ -104,68 +132,115 @@ class Fusion(nn.Module):
         """The cues of an image (3,H,W) in [0,1]."""
         settings = self.settings
         learned = self.network.cues(image)
+        ego = ego_found(learned["ego"])
+        if ego.any():
+            image = continued(image, ego)
+            learned = {name: continued(each, ego) for name, each in learned.items()}
         street = look_at(image, settings)
         labels, count = street.labels, len(street.layout)
         layout = pooled(
             street.layout.T, segment_mean(learned["layout"], labels, count), settings.share
         )
-        known = segment_mean(learned["road"][None], labels, count)[0]
-        further = settings.learned.weight * log_odds(known)
-        road = paint(street.road(layout[HORIZONTAL], settings.road, further), labels)
+        known = log_odds(segment_mean(learned["road"][None], labels, count)[0])
+        sources = seed_found(street.segments, layout[HORIZONTAL], known, settings)
+        seed = sources[labels]
+        nearby = seen_from(street, seed, sources.nonzero()[:, 0], settings)
+        road = segment_road(
+            street.segments,
+            layout[HORIZONTAL],
+            nearby.near,
+            nearby.even,
+            settings.road,
+            settings.learned.weight * known,
+        )
+        odds = fused_log_odds([paint(road, labels), learned["road"]], [1, settings.learned.detail])
         return {
-            "likelihood": naive_bayes(road, [learned["road"]], [settings.learned.detail]),
+            "likelihood": calibrated(odds, settings.calibration),
             "layout": pooled(paint(street.layout.T, labels), learned["layout"], settings.share),
             "layout_labels": paint(decide_layout(layout.T, settings.labeller), labels),
             "learned_road": learned["road"],
-            **street.cues,
+            "seed_area": seed,
+            "ego": ego,
+            **nearby.cues,
         }
+
+    def judge(self, mask: Tensor, found: Mapping[str, Tensor]) -> Judgement:
+        """How far a mask bool (H,W) of what was found can be trusted."""
+        signs = signs_of(found["likelihood"], mask, found)
+        return judgement(signs, bool(mask.any()), self.settings.trust)
+
+
+def seed_found(
+    segments: Segments, ground: Tensor, known: Tensor, settings: FusionSettings
+) -> Tensor:
+    """Which of n segments are the seed area, bool (n,): by ground, place and learned road.
+
+    ground: potentials (n,); known: the learned road's log odds (n,). As large as the settings'
+    rectangle.
+    """
+    place = road_place(segments.row, segments.column, settings.road.place)
+    weights = [settings.road.exponents.layout, settings.road.place.weight]
+    evidence = known + fused_log_odds([ground, place], weights)
+    return likely_seed(evidence, segments.row, segments.size, settings.seed_area.share)
+
+
+def calibrated(odds: Tensor, calibration: RoadCalibration) -> Tensor:
+    """Likelihoods (H,W) in [0,1] of one picture's log odds (H,W), 0.5 where they part road."""
+    centred = centred_odds(odds, calibration.centre, calibration.own)
+    return (centred / calibration.temperature).sigmoid()
 
 
 class Street(NamedTuple):
-    """What one picture shows by itself, at working size; n segments.
+    """One picture's segments at working size and their layout (n,3) by the labeller."""
 
-    layout: (n,3) by the labeller. near, even: likelihoods (n,) by distance and texture.
-    """
-
+    image: Tensor
     segments: Segments
     layout: Tensor
-    near: Tensor
-    even: Tensor
-    cues: Mapping[str, Tensor]
 
     @property
     def labels(self) -> Tensor:
         """int64 (H,W)."""
         return self.segments.labels
 
-    def road(
-        self, ground: Tensor, road: SegmentRoadSettings, further: Tensor | float = 0.0
-    ) -> Tensor:
-        """p(road) of each segment (n,), the layout's ground (n,) and further log odds given."""
-        return segment_road(self.segments, ground, self.near, self.even, road, further)
-
 
 def look_at(image: Tensor, settings: UntrainedFusionSettings) -> Street:
-    """Layout, texture, distance and place of an image (3,H,W) at working size."""
+    """Segments and layout of an image (3,H,W) at working size, brightened where it is dark."""
     image = brightened(image, settings.labeller.exposure)
-    labels = settings.superpixels.cut(image)
-    segments = measure_segments(image, labels)
+    segments = measure_segments(image, settings.superpixels.cut(image))
+    return Street(image, segments, segment_layout(segments, settings.labeller))
+
+
+class Nearby(NamedTuple):
+    """How like the seed area segments are: likelihoods (n,) by distance and by texture."""
+
+    near: Tensor
+    even: Tensor
+    cues: Mapping[str, Tensor]
+
+
+def seen_from(
+    street: Street, seed: Tensor, sources: Tensor, settings: UntrainedFusionSettings
+) -> Nearby:
+    """Texture and distance of a street's segments, seen from its seed area.
+
+    seed: bool (H,W); sources: numbers (k,) of its segments.
+    """
+    segments, labels, road = street.segments, street.labels, settings.road
     fused, uniformity, clipped = unsaturated_uniformity(
-        image, labels, settings.seed_area, settings.texture, settings.saturation
+        street.image, labels, seed, settings.texture, settings.saturation
     )
     even = uniformity_likelihood(uniformity, settings.texture.even)
-    near = distance_likelihood(seed_distance(segments, settings.seed_area), settings.road.reach)
-    place = road_place(segments.row, segments.column, settings.road.place)
+    near = distance_likelihood(seed_distance(segments, sources), road.reach)
     cues = {
         "texture": paint(even, labels),
         "uniformity": paint(uniformity, labels),
         "fused_plane": fused,
         "saturated": clipped,
         "distance": paint(near, labels),
-        "place": paint(place, labels),
+        "place": paint(road_place(segments.row, segments.column, road.place), labels),
         "segments": labels,
     }
-    return Street(segments, segment_layout(segments, settings.labeller), near, even, cues)
+    return Nearby(near, even, cues)
 
 
 class PaperFusion(nn.Module):
@@ -181,9 +256,8 @@ class PaperFusion(nn.Module):
         settings = self.settings
         layout = self.network.potentials(image)
         labels = settings.superpixels.cut(image)
-        fused, values = fused_uniformity(
-            image, labels, labels >= 0, settings.seed_area, settings.texture
-        )
+        seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
+        fused, values = fused_uniformity(image, labels, labels >= 0, seed, settings.texture)
         uniformity = paint(values, labels)
         return {
             # The paper thresholds the product as it is.

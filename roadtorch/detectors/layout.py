@@ -31,11 +31,11 @@ class Cnn7Settings(WorkingSettings):
 class LayoutSettings(WorkingSettings):
     """The layout by a network for whole pictures and by the labeller."""
 
-    threshold: Threshold = Field(default=0.783, description=TUNED)
+    threshold: Threshold = Field(default=0.817, description=TUNED)
     superpixels: Superpixels = Superpixels()
     labeller: LabellerSettings = LabellerSettings()
     weights: WeightsFile = WeightsFile()
-    share: Share = 0.7
+    share: Share = 0.8
 
 
 class Labeller(nn.Module):

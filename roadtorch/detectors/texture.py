@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from roadtorch.color import plane
 from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings
 from roadtorch.lbp import PATTERNS, similarity
-from roadtorch.seed_area import seed_area
+from roadtorch.seed_area import seed_area, seed_rectangle
 from roadtorch.segment_statistics import paint
 from roadtorch.superpixels import Superpixels, squares
 from roadtorch.texture import (
@@ -109,7 +109,11 @@ class CpfV2(nn.Module):
         settings = self.settings
         labels = settings.superpixels.cut(image)
         fused, values, clipped = unsaturated_uniformity(
-            image, labels, settings.seed_area, settings.texture, settings.saturation
+            image,
+            labels,
+            seed_rectangle(labels.shape, settings.seed_area),
+            settings.texture,
+            settings.saturation,
         )
         cues = _texture_cues(labels, fused, values, settings.texture.even)
         return {**cues, "saturated": clipped}
@@ -157,9 +161,8 @@ def _cues_over(
     labels: Tensor, image: Tensor, settings: CpfSettings | CpfSquaresSettings
 ) -> dict[str, Tensor]:
     everywhere = torch.ones_like(labels, dtype=torch.bool)
-    fused, values = fused_uniformity(
-        image, labels, everywhere, settings.seed_area, settings.texture
-    )
+    seed = seed_rectangle(labels.shape, settings.seed_area)
+    fused, values = fused_uniformity(image, labels, everywhere, seed, settings.texture)
     return _texture_cues(labels, fused, values, settings.texture.even)
 
 

@@ -6,7 +6,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from roadtorch.detector import DetectorSettings, Entry, Isolated, Threshold
-from roadtorch.seed_area import remove_isolated, seed_area
+from roadtorch.seed_area import remove_isolated, seed_rectangle
 from roadtorch.ufl.features import DictionarySettings
 from roadtorch.ufl.hierarchy import (
     LEAST,
@@ -123,7 +123,7 @@ def _image_mask(road: Tensor, settings: OriginalUflSettings) -> Tensor:
     mask = mask_to_image(wide, settings.dictionary.side)
     if settings.isolated == "keep":
         return mask
-    return remove_isolated(mask, *seed_area(mask.shape[0], mask.shape[1], settings.seed_area))
+    return remove_isolated(mask, seed_rectangle(mask.shape, settings.seed_area))
 
 
 ENTRIES = (

@@ -18,10 +18,10 @@ FLATTEST = 0.02
 class Normalisation(Settings):
     """What is done to a picture before a network sees it."""
 
-    kind: Literal["fixed", "picture", "brightened"] = Field(
+    kind: Literal["fixed", "picture", "brightened", "brightened picture"] = Field(
         default="fixed",
         description="levels as they are; less the picture's mean colour, over its deviation; "
-        "or brightened as for the labeller",
+        "brightened as for the labeller; or first this, then that",
     )
     exposure: Exposure = Exposure()
 
@@ -35,10 +35,10 @@ class Normalised(NamedTuple):
 
 def normalise(image: Tensor, normalisation: Normalisation) -> Normalised:
     """An image (3,H,W) in [0,1] as the networks want it. Ours; P2 says "RGB pixel values"."""
-    if normalisation.kind == "picture":
+    if normalisation.kind.startswith("brightened"):
+        image = brightened(image, normalisation.exposure)
+    if normalisation.kind.endswith("picture"):
         mean = image.mean((1, 2), keepdim=True)
         gain = float(1 / (image - mean).square().mean().sqrt().clamp_min(FLATTEST))
         return Normalised((image - mean) * gain, gain)
-    if normalisation.kind == "brightened":
-        image = brightened(image, normalisation.exposure)
     return Normalised((image - FIXED_MEAN) * FIXED_GAIN, FIXED_GAIN)

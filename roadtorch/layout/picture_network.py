@@ -1,10 +1,10 @@
-"""A small network that sees the whole picture: layout and road at once. Ours.
+"""A small network that sees the whole picture: layout, road and ego car at once. Ours.
 
 A patch network sees 32 pixels and does not know where they are. This one works on a small
 copy of the whole picture with two more planes, the place: three stages that halve the
-picture, a middle of dilated convolutions that see all of it, and back to an eighth … a half
-of the size with what the early stages kept. One head says sky, vertical, horizontal, the
-other says road.
+picture, a middle of dilated convolutions that see all of it, and back from an eighth to a
+half of the size with what the early stages kept (added, after Lin et al., "Feature Pyramid
+Networks", 2017). One head says sky, vertical, horizontal, the others road and ego car.
 """
 
 from collections.abc import Mapping
@@ -26,7 +26,10 @@ DILATIONS = (1, 2, 4, 8, 1)
 GROUP = 8
 """Channels that are normalised together; widths are multiples of it."""
 
-OUTPUTS = CLASSES + 1
+ROAD, EGO = CLASSES, CLASSES + 1
+"""Places of the further outputs, after the classes of the layout."""
+
+OUTPUTS = CLASSES + 2
 
 
 class PictureNetworkSettings(Settings):
@@ -40,14 +43,16 @@ class PictureNetworkSettings(Settings):
         default=16, ge=8, le=256, multiple_of=GROUP, description="channels of the first stage"
     )
     wide: int = Field(
-        default=48, ge=8, le=512, multiple_of=GROUP, description="channels of the middle"
+        default=96, ge=8, le=512, multiple_of=GROUP, description="channels of the middle"
     )
     normalisation: Normalisation = Normalisation()
 
 
 class PictureNetwork(nn.Module):
-    """Layout and road of whole pictures. Groups of channels are normalised within one picture,
-    so that a batch of any size, cut in any way, gives the same gradients.
+    """Layout, road and ego car of whole pictures.
+
+    Groups of channels are normalised within one picture, so that a batch of any size, cut in
+    any way, gives the same gradients.
     """
 
     kind: ClassVar[str] = "pictures"
@@ -60,31 +65,33 @@ class PictureNetwork(nn.Module):
         self.second = nn.Sequential(_stage(narrow, 2 * narrow, stride=2), Residual(2 * narrow))
         self.third = _stage(2 * narrow, wide, stride=2)
         self.middle = nn.Sequential(*(Residual(wide, dilation) for dilation in DILATIONS))
-        self.to_quarter = _stage(wide + 2 * narrow, 2 * narrow)
-        self.to_half = _stage(2 * narrow + narrow, narrow)
+        self.narrowed_quarter = nn.Conv2d(wide, 2 * narrow, 1)
+        self.to_quarter = _stage(2 * narrow, 2 * narrow)
+        self.narrowed_half = nn.Conv2d(2 * narrow, narrow, 1)
+        self.to_half = _stage(narrow, narrow)
         self.heads = nn.Conv2d(narrow, OUTPUTS, 1)
 
     def forward(self, pixels: Tensor) -> Tensor:
-        """Scores (B,4,H,W) of normalised pictures (B,3,H,W): three classes, then road.
+        """Scores (B,5,H/2,W/2) of normalised pictures (B,3,H,W): three classes, road, ego.
 
         H and W are multiples of 8. ``potentials_of`` turns scores into potentials.
         """
         half = self.first(torch.cat([pixels, place_planes(pixels)], 1))
         quarter = self.second(half)
         deep = self.middle(self.third(quarter))
-        quarter = self.to_quarter(torch.cat([_doubled(deep), quarter], 1))
-        half = self.to_half(torch.cat([_doubled(quarter), half], 1))
-        return _doubled(self.heads(half))
+        quarter = self.to_quarter(quarter + _doubled(self.narrowed_quarter(deep)))
+        half = self.to_half(half + _doubled(self.narrowed_half(quarter)))
+        return self.heads(half)
 
     @torch.no_grad()
     def cues(self, image: Tensor) -> Mapping[str, Tensor]:
-        """``layout`` (3,H,W) and ``road`` (H,W), in [0,1], of an image (3,H,W) in [0,1]."""
+        """Of an image (3,H,W): ``layout`` (3,H,W), ``road`` and ``ego`` (H,W), all in [0,1]."""
         size = (image.shape[-2], image.shape[-1])
         small = resized(image, (self.settings.height, self.settings.width)).clamp(0, 1)
         pixels = normalise(small, self.settings.normalisation).pixels[None]
         scores = self(pixels.to(self.heads.weight)).to(image)
         potentials = resized(potentials_of(scores)[0], size).clamp(0, 1)
-        return {"layout": potentials[:CLASSES], "road": potentials[CLASSES]}
+        return {"layout": potentials[:CLASSES], "road": potentials[ROAD], "ego": potentials[EGO]}
 
 
 class Residual(nn.Module):
@@ -121,5 +128,5 @@ def place_planes(pixels: Tensor) -> Tensor:
 
 
 def potentials_of(scores: Tensor) -> Tensor:
-    """Scores (B,4,H,W) as potentials in [0,1]: three shares that sum to 1, and road."""
+    """Scores (B,5,…) as potentials in [0,1]: three shares that sum to 1, road, ego."""
     return torch.cat([scores[:, :CLASSES].softmax(1), scores[:, CLASSES:].sigmoid()], 1)

@@ -29,6 +29,17 @@ class Descent(Settings):
         default="constant", description="same step length throughout, or down to 0 by a cosine"
     )
     batch: int = Field(default=128, ge=1, le=10**6, description="samples of one step, about")
+    average: float = Field(
+        default=0.0,
+        ge=0,
+        lt=1,
+        description="the weights written are a running mean that keeps this share at each step; "
+        "0 writes the last ones",
+    )
+    precision: Literal["float32", "bfloat16"] = Field(
+        default="float32",
+        description="of convolutions while training; bfloat16 is faster on processors that have it",
+    )
 
     def rate_at(self, progress: float) -> float:
         """The step length when a share ``progress`` (0 to 1) of the epochs is done."""
@@ -138,6 +149,41 @@ class Shift(Settings):
     move: float = Field(
         default=0.1, ge=0, le=1, description="by this share of the size to either side"
     )
+    lower: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        description="share of the pictures of which only a lower part is seen: a road uphill",
+    )
+    cut: float = Field(
+        default=0.5, ge=0, le=0.9, description="share of their height that is cut off at most"
+    )
+
+
+class Surfaces(Settings):
+    """How road and other ground get other colours and grain, each its own: asphalt, gravel, sand.
+
+    On the road that the teacher sees, and on the rest of its ground.
+    """
+
+    share: float = Field(default=0.0, ge=0, le=1, description="of the pictures")
+    gain: float = Field(default=0.45, ge=0, le=3, description="brightness by e^-gain to e^gain")
+    tint: float = Field(default=0.2, ge=0, le=3, description="the same for each colour alone")
+    grain: float = Field(
+        default=0.15, ge=0, le=1, description="deviation of the grain at most, share of the level"
+    )
+
+
+class Shadows(Settings):
+    """How hard shadows fall across pictures: bands with straight edges, below the horizon."""
+
+    share: float = Field(default=0.0, ge=0, le=1, description="of the pictures")
+    darkest: float = Field(
+        default=0.25, gt=0, le=1, description="levels in the shadow, of those in the light"
+    )
+    widest: float = Field(
+        default=0.5, gt=0, le=2, description="half the width of a band, share of the picture"
+    )
 
 
 class Teacher(Settings):
@@ -157,6 +203,13 @@ class Teacher(Settings):
     margin: float = Field(
         default=0.5, ge=0, lt=1, description="lead of the best class from which a pixel counts"
     )
+    centre: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        description="what means as likely road as not, in log odds: from ``road_threshold`` "
+        "everywhere (0) to what parts each picture best by Otsu (1)",
+    )
     road_threshold: float = Field(
         default=0.39, gt=0, lt=1, description="likelihood that means as likely road as not"
     )
@@ -166,6 +219,44 @@ class Teacher(Settings):
     targets: Literal["hard", "soft"] = Field(
         default="hard", description="the best class alone, or the potentials as they are"
     )
+
+
+class Recordings(Settings):
+    """Which pictures are of one camera, and what its footage says of the ego car.
+
+    A recording is all pictures whose names are the same up to the last ``separator`` and whose
+    shapes are alike.
+    """
+
+    separator: str = Field(
+        default="", description="before a frame's number in its name; empty: no recordings"
+    )
+    least: int = Field(default=8, ge=2, le=10**4, description="frames that show what never moves")
+    evenness: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        description="0 visits every picture as often, 1 every recording; between, by a power",
+    )
+
+
+class EgoCars(Settings):
+    """Ego cars that footage shows, cut out and laid over the lower edge of other pictures."""
+
+    share: float = Field(default=0.0, ge=0, le=1, description="of the pictures that get one")
+    tallest: float = Field(
+        default=0.7, ge=0, le=3, description="grown in height by at most e to this"
+    )
+    flattest: float = Field(default=0.3, ge=0, le=3, description="or shrunk by e to this")
+    widest: float = Field(default=0.25, ge=0, le=3, description="grown in width likewise")
+    light: float = Field(default=0.5, ge=0, le=3, description="gamma and gain by e to this")
+
+
+class HeadWeights(Settings):
+    """What the errors of road and ego car weigh against the layout's."""
+
+    road: float = Field(default=1.0, ge=0, le=100, description="of the road's error")
+    ego: float = Field(default=0.5, ge=0, le=100, description="of the ego car's error")
 
 
 class Rounds(Settings):
@@ -186,18 +277,21 @@ class Rounds(Settings):
 
 
 class PictureTraining(Beginning):
-    """A network for whole pictures with two heads, layout and road. Ours."""
+    """A network for whole pictures with heads for layout, road and ego car. Ours."""
 
     name: ClassVar[str] = "pictures"
+    renamed: ClassVar[Mapping[str, str]] = {**Beginning.renamed, "road_weight": "heads.road"}
 
     network: PictureNetworkSettings = PictureNetworkSettings()
     teacher: Teacher = Teacher()
     rounds: Rounds = Rounds()
+    recordings: Recordings = Recordings()
+    ego_cars: EgoCars = EgoCars()
     light: Light = Light()
     shift: Shift = Shift()
-    road_weight: float = Field(
-        default=1.0, ge=0, le=100, description="of the road's error against the layout's"
-    )
+    surfaces: Surfaces = Surfaces()
+    shadows: Shadows = Shadows()
+    heads: HeadWeights = HeadWeights()
     descent: Descent = Descent(method="adam", rate=0.003, schedule="cosine", batch=16)
     stopping: Stopping = Stopping(epochs=15, rule="epochs")
 

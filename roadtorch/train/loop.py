@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from roadtorch.errors import ConfigError
 from roadtorch.signals import Stop
+from roadtorch.train.average import AverageWeights
 from roadtorch.train.batches import Batch, ErrorFunction, Samples
 from roadtorch.train.config import Descent, Stopping
 from roadtorch.train.folder import RunFolder
@@ -31,6 +32,7 @@ class TrainingProgress:
     round: int = 0
     epoch: int = 0
     chunk: int = 0
+    steps: int = 0
     error: float = 0.0
     count: int = 0
     seconds: float = 0.0
@@ -39,14 +41,15 @@ class TrainingProgress:
 
     def begin_round(self, number: int) -> None:
         """Start another round from its first epoch."""
-        self.round, self.epoch, self.chunk = number, 0, 0
+        self.round, self.epoch, self.chunk, self.steps = number, 0, 0, 0
         self.error, self.count, self.seconds, self.finished = 0.0, 0, 0.0, False
 
 
 class TrainingSetup(NamedTuple):
-    """What a round trains, and how."""
+    """What a round trains, and how; average: what becomes of the weights over the steps."""
 
     network: nn.Module
+    average: AverageWeights
     optimiser: torch.optim.Optimizer
     samples: Samples
     error_function: ErrorFunction
@@ -95,6 +98,7 @@ def save_checkpoint(setup: TrainingSetup, progress: TrainingProgress, context: R
         context.folder.write_checkpoint(
             {
                 "network": setup.network.state_dict(),
+                "average": setup.average.network.state_dict(),
                 "optimiser": setup.optimiser.state_dict(),
                 "progress": asdict(progress),
             }
@@ -136,6 +140,8 @@ def _train_chunk(setup: TrainingSetup, progress: TrainingProgress, processes: Pr
     for batch in setup.samples.batches(progress.epoch, progress.chunk):
         error += step(setup, batch, processes)
         progress.count += batch.count
+        progress.steps += 1
+        setup.average.add(setup.network, progress.steps)
     if not math.isfinite(error):
         raise ConfigError("descent.rate", "the error is no longer a number", "give a lower rate")
     progress.error += error
@@ -151,7 +157,8 @@ def step(setup: TrainingSetup, batch: Batch, processes: Processes) -> float:
     setup.optimiser.zero_grad(set_to_none=False)
     error = torch.zeros(())
     if len(batch.inputs):
-        error = setup.error_function(setup.network, batch)
+        with torch.autocast("cpu", torch.bfloat16, setup.descent.precision == "bfloat16"):
+            error = setup.error_function(setup.network, batch)
         (error / batch.count).backward()
     error = _add_gradients(setup.network, error.detach(), processes)
     setup.optimiser.step()

@@ -1,54 +1,60 @@
 """The samples of networks for whole pictures: varied pictures with their targets. Ours."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.normalisation import normalise
-from roadtorch.layout.picture_network import OUTPUTS
 from roadtorch.train.arrays import from_bytes, read_arrays
 from roadtorch.train.batches import Batch
 from roadtorch.train.config import PictureTraining
+from roadtorch.train.ego_cars import laid_over, lent, varied
 from roadtorch.train.generators import PICTURE_ORDER, VARIATION, generator_at
 from roadtorch.train.processes import Processes
-from roadtorch.train.targets import targets_of
-from roadtorch.train.variation import draw_frames, reframed, relit
+from roadtorch.train.targets import PLANES, Targets, targets_of
+from roadtorch.train.variation import draw_frames, reframed, relit, resurfaced, shaded
+
+
+class Prepared(NamedTuple):
+    """The prepared pictures of a run.
+
+    files: image, teacher's maps and ego car of each. labels: the last network's maps, in the
+    same order; none in the first round. shares: how often each is visited, against the others.
+    ego_cars: the files that show an ego car, by recording.
+    """
+
+    files: Sequence[Path]
+    labels: Sequence[Path]
+    shares: Tensor
+    ego_cars: Mapping[str, Sequence[Path]]
 
 
 class PictureSamples:
-    """Prepared pictures in varied batches; a chunk is one batch.
-
-    files: image and teacher's maps. labels: the last network's maps, in the same order; none in
-    the first round.
-    """
+    """Prepared pictures in varied batches; a chunk is one batch."""
 
     def __init__(
-        self,
-        files: Sequence[Path],
-        labels: Sequence[Path],
-        number: int,
-        training: PictureTraining,
-        processes: Processes,
+        self, prepared: Prepared, number: int, training: PictureTraining, processes: Processes
     ) -> None:
-        self._files, self._labels, self._round = files, labels, number
+        self._prepared, self._round = prepared, number
         self._training, self._processes = training, processes
 
     @property
     def chunks(self) -> int:
         """Batches of one epoch."""
-        return max(1, round(len(self._files) / self._training.descent.batch))
+        return max(1, round(len(self._prepared.files) / self._training.descent.batch))
 
     def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
-        """This process's pictures of one batch. Targets are the ``Targets``, six planes.
+        """This process's pictures of one batch. Targets are the ``Targets``, eight planes.
 
         All processes draw the variation of all pictures, and each takes its own.
         """
         training, place = self._training, (self._round, epoch)
-        order = torch.randperm(
-            len(self._files), generator=generator_at(training.random_seed, PICTURE_ORDER, *place)
-        )
+        generator = generator_at(training.random_seed, PICTURE_ORDER, *place)
+        order = visits(self._prepared.shares, generator)
         members = order.tensor_split(self.chunks)[chunk].tolist()
         size = (training.network.height, training.network.width)
         generator = generator_at(training.random_seed, VARIATION, *place, chunk)
@@ -59,19 +65,45 @@ class PictureSamples:
         if parts:
             images, targets = (torch.cat(maps) for maps in zip(*parts, strict=True))
         else:
-            images, targets = torch.empty(0, 3, *size), torch.empty(0, OUTPUTS + 2, *size)
+            images, targets = torch.empty(0, 3, *size), torch.empty(0, sum(PLANES), *size)
         yield Batch(images, targets, torch.ones(len(images)), len(members))
 
     def _one(self, member: int, frame: Tensor, seed: int) -> tuple[Tensor, Tensor]:
-        """One varied picture (1,3,H,W), normalised, and its targets (1,6,H,W)."""
-        training = self._training
-        arrays = read_arrays(self._files[member], "image", "maps")
+        """One varied picture (1,3,H,W), normalised, and its targets (1,8,H,W)."""
+        training, at = self._training, torch.Generator().manual_seed(seed)
+        arrays = read_arrays(self._prepared.files[member], "image", "maps", "ego")
         arrays = {name: from_bytes(values)[None] for name, values in arrays.items()}
         network = None
-        if self._labels:
-            network = from_bytes(read_arrays(self._labels[member], "maps")["maps"])[None]
-        targets = targets_of(arrays["maps"], network, training.teacher, training.rounds)
+        if self._prepared.labels:
+            network = from_bytes(read_arrays(self._prepared.labels[member], "maps")["maps"])[None]
+        targets = targets_of(
+            arrays["maps"], arrays["ego"][None], network, training.teacher, training.rounds
+        )
         seen = reframed(torch.cat(targets, 1), frame, "zeros")
         image = reframed(arrays["image"], frame, "border")
-        image = relit(image, training.light, torch.Generator().manual_seed(seed))
+        if float(torch.rand((), generator=at)) < training.surfaces.share:
+            known = Targets(*seen.split(PLANES, 1))
+            ground = known.layout[:, HORIZONTAL : HORIZONTAL + 1] * (1 - known.road)
+            image = resurfaced(image, known.road, ground, training.surfaces, at)
+        if float(torch.rand((), generator=at)) < training.shadows.share:
+            image = shaded(image, training.shadows, at)
+        cars = self._prepared.ego_cars
+        if cars and float(torch.rand((), generator=at)) < training.ego_cars.share:
+            car = varied(lent(cars, at), training.ego_cars, at)
+            image, seen = laid_over(image, seen, car)
+        image = relit(image, training.light, at)
         return normalise(image[0], training.network.normalisation).pixels[None], seen
+
+
+def visits(shares: Tensor, at: torch.Generator) -> Tensor:
+    """As many members as there are, in a random order, each as often as its share of the sum says.
+
+    shares: (n,), positive. Returns int64 (n,). Systematic sampling: a member whose fair number
+    of visits is 1.6 gets one or two, and with equal shares everyone gets one.
+    """
+    count = len(shares)
+    fair = shares.to(torch.float64).cumsum(0)
+    fair = fair / fair[-1] * count
+    steps = torch.arange(count, dtype=torch.float64) + float(torch.rand((), generator=at)) * 0.999
+    chosen = torch.searchsorted(fair, steps + 5e-4).clamp(max=count - 1)
+    return chosen[torch.randperm(count, generator=at)]

@@ -56,13 +56,13 @@ class PreparedFolder:
             write_text(path, text)
 
     def prepare(
-        self, pictures: Sequence[Picture], make: Callable[[Tensor], Arrays], title: str
+        self, pictures: Sequence[Picture], make: Callable[[Tensor, str], Arrays], title: str
     ) -> list[PreparedPicture]:
         """Make every picture ready that is not yet; what fails is told and skipped.
 
-        ``make`` turns an image (3,H,W) in [0,1] into named arrays. Returns one item a
-        picture, in their order, in every process. Stops early when asked to:
-        then only what is ready comes back.
+        ``make`` turns an image (3,H,W) in [0,1] and the picture's name into named arrays.
+        Returns one item a picture, in their order, in every process. Stops early when asked
+        to: then only what is ready comes back.
         """
         mine = self.processes.share(pictures)
         hidden = self.processes.hides_bar(self.quiet)
@@ -78,13 +78,13 @@ class PreparedFolder:
                 return
             yield picture
 
-    def _one(self, picture: Picture, make: Callable[[Tensor], Arrays]) -> PreparedPicture:
+    def _one(self, picture: Picture, make: Callable[[Tensor, str], Arrays]) -> PreparedPicture:
         name = name_of(picture)
         file = self.path / f"{name}.npz"
         if _is_of(file, picture):
             return PreparedPicture(name, file)
         try:
-            arrays = make(checked_image(read_image(picture.path)))
+            arrays = make(checked_image(read_image(picture.path)), picture.name)
         except InputError as problem:
             return _skipped(name, str(_about(picture, problem)))
         except RoadtorchError:

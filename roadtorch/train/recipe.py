@@ -1,25 +1,37 @@
 """What a kind of network brings to its training; the run itself is the same for all."""
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+import torch
 from torch import Tensor
 
 from roadtorch.errors import WeightsError
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import LayoutNetwork, load_network
+from roadtorch.sources.pictures import Picture
 from roadtorch.train.arrays import Arrays
 from roadtorch.train.batches import ErrorFunction, Samples
 from roadtorch.train.config import Descent, PatchTraining, PictureTraining, Stopping, Training
 from roadtorch.train.generators import seeded
 from roadtorch.train.loop import RunContext
 from roadtorch.train.patch_samples import PatchSamples, squared_error
-from roadtorch.train.picture_samples import PictureSamples
+from roadtorch.train.picture_samples import PictureSamples, Prepared
+from roadtorch.train.recordings import ego_of, find_ego_cars, recording_of
 from roadtorch.train.sites import prepare_patches
 from roadtorch.train.targets import PictureError
-from roadtorch.train.teachers import label_with_network, load_teachers, prepare_picture
+from roadtorch.train.teachers import (
+    label_with_network,
+    lends_ego,
+    load_teachers,
+    prepare_picture,
+)
+
+EGO_CARS = "ego-cars"
+"""The folder, beside the prepared pictures, with what recordings show of the ego car."""
 
 
 class Recipe(Protocol):
@@ -39,8 +51,12 @@ class Recipe(Protocol):
         """The settings on which ``make`` depends."""
         ...
 
-    def make(self, image: Tensor) -> Arrays:
-        """What is kept of an image (3,H,W)."""
+    def survey(self, pictures: Sequence[Picture], folder: Path, context: RunContext) -> None:
+        """Look at the footage as a whole, before its pictures; ``folder`` keeps what is found."""
+        ...
+
+    def make(self, image: Tensor, name: str) -> Arrays:
+        """What is kept of an image (3,H,W), the picture called ``name``."""
         ...
 
     def network(self, number: int, last: LayoutNetwork | None) -> LayoutNetwork:
@@ -78,7 +94,10 @@ class PatchRecipe:
             "sites": training.sites.model_dump(),
         }
 
-    def make(self, image: Tensor) -> Arrays:
+    def survey(self, pictures: Sequence[Picture], folder: Path, context: RunContext) -> None:
+        """Nothing: patches are taken from single pictures."""
+
+    def make(self, image: Tensor, name: str) -> Arrays:
         """The picture at working size, its sites and their classes."""
         return prepare_patches(image, self._training)
 
@@ -106,6 +125,8 @@ class PictureRecipe:
         self.descent, self.stopping = training.descent, training.stopping
         self.error_function = PictureError(training)
         self._teachers = load_teachers(training.teacher)
+        self._recordings: Mapping[str, Path] = {}
+        self._prepared = Path()
 
     def preparation(self) -> dict[str, Any]:
         """Size, and what the teacher's maps depend on."""
@@ -116,11 +137,20 @@ class PictureRecipe:
             "weights": teacher.weights,
             "views": teacher.views,
             "working": teacher.working.model_dump(),
+            "recordings": self._training.recordings.model_dump(include={"separator", "least"}),
         }
 
-    def make(self, image: Tensor) -> Arrays:
-        """The picture at the network's size, with the teacher's maps."""
-        return prepare_picture(image, self._teachers, self._training)
+    def survey(self, pictures: Sequence[Picture], folder: Path, context: RunContext) -> None:
+        """Find the ego cars that recordings show."""
+        self._prepared = folder
+        self._recordings = find_ego_cars(
+            pictures, folder / EGO_CARS, self._training.recordings, context
+        )
+
+    def make(self, image: Tensor, name: str) -> Arrays:
+        """The picture at the network's size, with the teacher's maps and the ego car."""
+        ego = ego_of(self._recordings.get(name), image)
+        return prepare_picture(image, ego, self._teachers, self._training)
 
     def network(self, number: int, last: LayoutNetwork | None) -> PictureNetwork:
         """A new network, or the last one where rounds continue."""
@@ -137,7 +167,22 @@ class PictureRecipe:
         if isinstance(last, PictureNetwork):
             folder = context.folder.path / f"labels-{number + 1}"
             labels = label_with_network(files, folder, last.eval(), context)
-        return PictureSamples(files, labels, number, self._training, context.processes)
+        prepared = Prepared(files, labels, *self._footage(files))
+        return PictureSamples(prepared, number, self._training, context.processes)
+
+    def _footage(self, files: Sequence[Path]) -> tuple[Tensor, dict[str, list[Path]]]:
+        """How often each file is visited, and the files that show an ego car, by recording."""
+        settings = self._training.recordings
+        pictures = [file.relative_to(self._prepared) for file in files]
+        stems = [each.with_suffix("").with_suffix("").as_posix() for each in pictures]
+        names = [recording_of(stem, settings.separator) for stem in stems]
+        sizes = Counter(names)
+        shares = torch.tensor([sizes[name] ** -settings.evenness for name in names])
+        cars: dict[str, list[Path]] = {}
+        for name, file in zip(names, files, strict=True):
+            if lends_ego(file):
+                cars.setdefault(name, []).append(file)
+        return shares, cars
 
 
 def load_start(path: str, like: LayoutNetwork) -> LayoutNetwork | None:

@@ -13,6 +13,7 @@ from roadtorch.errors import InputError
 from roadtorch.layout.weights import LayoutNetwork, fill, load_network, save_network
 from roadtorch.signals import stop_on_signals
 from roadtorch.sources.pictures import Picture, find_images
+from roadtorch.train.average import AverageWeights
 from roadtorch.train.config import Training, as_values
 from roadtorch.train.folder import CHECKPOINT, WEIGHTS, RunFolder, config_hash
 from roadtorch.train.loop import (
@@ -87,6 +88,9 @@ class _Run:
         path = self.request.prepared or folder.path / PREPARED
         small = PreparedFolder(path, processes, stop, quiet)
         small.claim(self.recipe.preparation())
+        self.recipe.survey(pictures, path, self.context)
+        if processes.any(stop.asked):  # nothing is made ready by half a survey
+            return Outcome(None, stop.signal or SIGTERM, 0)
         prepared = small.prepare(pictures, self.recipe.make, "labels")
         skipped = sum(item.file is None for item in prepared)
         if processes.any(stop.asked):
@@ -123,12 +127,16 @@ class _Run:
             last = load_network(folder.path / _weights_of(number - 1))
         samples = self.recipe.samples(files, number, last, self.context)
         network = self.recipe.network(number, last)
+        average = AverageWeights(network, self.recipe.descent.average)
         optimiser = make_optimiser(network, self.recipe.descent)
         if state:
             fill(network, state["network"], folder.path / CHECKPOINT)
+            mean = state.get("average", state["network"])  # older code had none
+            fill(average.network, mean, folder.path / CHECKPOINT)
             optimiser.load_state_dict(state["optimiser"])
         setup = TrainingSetup(
             network,
+            average,
             optimiser,
             samples,
             self.recipe.error_function,
@@ -138,7 +146,7 @@ class _Run:
         if not state:
             save_checkpoint(setup, progress, self.context)
         train_round(setup, progress, self.context)
-        self._write(network.eval(), progress, len(files))
+        self._write(average.network.eval(), progress, len(files))
         self.context.processes.gather(None)  # the next round reads what the first one writes
 
     def _write(self, network: LayoutNetwork, progress: TrainingProgress, used: int) -> None:

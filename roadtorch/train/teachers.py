@@ -11,6 +11,7 @@ from tqdm import tqdm
 
 from roadtorch.detector import Detector
 from roadtorch.detectors.catalogue import load_detector
+from roadtorch.ego import continued
 from roadtorch.errors import ConfigError
 from roadtorch.files import make_folder
 from roadtorch.layout.normalisation import normalise
@@ -20,21 +21,41 @@ from roadtorch.train.config import PictureTraining, Teacher
 from roadtorch.train.loop import RunContext
 from roadtorch.working_size import resized
 
+ACROSS, LEAST_EGO = 0.95, 0.03
+"""Shares of the columns and of the picture that an ego car takes which is cut out."""
+
 
 def prepare_picture(
-    image: Tensor, teachers: Sequence[Detector], training: PictureTraining
+    image: Tensor, ego: Tensor | None, teachers: Sequence[Detector], training: PictureTraining
 ) -> Arrays:
     """What training needs of an image (3,H,W), at the network's size.
 
+    ego: bool (H,W), the ego car that the footage shows; the teachers see the ground continued
+    in its place. None where nothing is known.
+
     image: uint8 (3,h,w). maps: uint8 (4,h,w), what the teacher says: sky, vertical,
-    horizontal, road, as 255ths. Raises ConfigError for a teacher without a layout.
+    horizontal, road, as 255ths. ego: uint8 (h,w): 255 ego, 0 not, 128 unknown. Raises
+    ConfigError for a teacher without a layout.
     """
     size = (training.network.height, training.network.width)
-    maps = teacher_maps(image, teachers, training.teacher.views)
+    seen = image if ego is None else continued(image, ego)
+    maps = teacher_maps(seen, teachers, training.teacher.views)
+    known = torch.full(size, 0.5) if ego is None else resized(ego[None].float(), size)[0]
     return {
         "image": to_bytes(resized(image, size).clamp(0, 1)),
         "maps": to_bytes(resized(maps, size).clamp(0, 1)),
+        "ego": to_bytes(known.clamp(0, 1)),
     }
+
+
+def lends_ego(file: Path) -> bool:
+    """Whether a prepared picture is known to show a whole ego car, from one side to the other.
+
+    A small piece may as well be a lane mark or a reflection that stays.
+    """
+    ego = read_arrays(file, "ego")["ego"] == 255
+    across = float(ego.any(0).double().mean())
+    return across >= ACROSS and float(ego.double().mean()) >= LEAST_EGO
 
 
 def load_teachers(teacher: Teacher) -> list[Detector]:
@@ -93,7 +114,7 @@ def label_with_network(
 
 @torch.no_grad()
 def network_maps(network: PictureNetwork, image: Tensor) -> Tensor:
-    """Potentials (4,h,w) in [0,1] of an image (3,h,w): the mean with its mirror image."""
+    """Potentials (5,h,w) in [0,1] of an image (3,h,w): the mean with its mirror image."""
     pixels = normalise(image, network.settings.normalisation).pixels
     found = potentials_of(network(torch.stack([pixels, pixels.flip(-1)])))
-    return (found[0] + found[1].flip(-1)) / 2
+    return resized((found[0] + found[1].flip(-1)) / 2, (image.shape[-2], image.shape[-1]))

@@ -1,12 +1,13 @@
 """How whole pictures are varied: their frame and their light. Ours."""
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from roadtorch.train.config import Light, Shift
+from roadtorch.train.config import Light, Shadows, Shift, Surfaces
 from roadtorch.train.generators import uniform
 
 DARKEST = 1e-4
@@ -15,6 +16,24 @@ DARKEST = 1e-4
 
 def draw_frames(count: int, size: tuple[int, int], shift: Shift, at: torch.Generator) -> Tensor:
     """Affine maps (n,2,3) from a varied frame to the picture's, both from -1 to 1."""
+    whole = _turned_frames(count, size, shift, at)
+    lower = torch.rand(count, generator=at) < shift.lower
+    return torch.where(lower[:, None, None], _lower_frames(count, shift, at), whole)
+
+
+def _lower_frames(count: int, shift: Shift, at: torch.Generator) -> Tensor:
+    """Frames (n,2,3) of a lower part of the picture, less narrowed than cut."""
+    mirror = torch.randint(2, (count,), generator=at) * 2 - 1
+    cut = uniform(at, count, 0, shift.cut)
+    width = 1 - cut * uniform(at, count, 0.3, 1)
+    aside = (1 - width) * uniform(at, count, -1, 1)
+    none = torch.zeros(count)
+    across = torch.stack([mirror * width, none, aside], 1)
+    return torch.stack([across, torch.stack([none, 1 - cut, cut], 1)], 1)
+
+
+def _turned_frames(count: int, size: tuple[int, int], shift: Shift, at: torch.Generator) -> Tensor:
+    """Frames (n,2,3) of the whole picture: mirrored, nearer, stretched, turned, moved."""
     mirror = torch.randint(2, (count,), generator=at) * 2 - 1
     zoom = torch.exp(uniform(at, count, -shift.scale, shift.scale))
     width = zoom * torch.exp(uniform(at, count, -shift.stretch, shift.stretch))
@@ -46,3 +65,60 @@ def relit(images: Tensor, light: Light, at: torch.Generator) -> Tensor:
     varied = varied * (gain[:, None] * tint)[:, :, None, None]
     grain = torch.randn(images.shape, generator=at) * noise.reshape(each)
     return (varied + grain).clamp(0, 1)
+
+
+COARSE = (4, 12, 40)
+"""Patches across the picture, of which grain is made: stones and ruts, near and far."""
+
+
+def resurfaced(
+    image: Tensor, road: Tensor, ground: Tensor, surfaces: Surfaces, at: torch.Generator
+) -> Tensor:
+    """An image (1,3,H,W) in [0,1] with other surfaces on its road and its ground.
+
+    road, ground: shares (1,1,H,W) in [0,1], of one another's outside. Colours and grain change
+    against one another, shapes stay: what is road does not hang on its being grey.
+    """
+    for share in (road, ground):
+        colour = torch.exp(uniform(at, 3, -surfaces.tint, surfaces.tint)).reshape(1, 3, 1, 1)
+        gain = torch.exp(uniform(at, 1, -surfaces.gain, surfaces.gain))
+        depth = uniform(at, 1, 0, surfaces.grain)
+        new = gain * colour * (1 + depth * grain(image.shape[-2:], at))
+        image = image * (1 + share * (new - 1))
+    return image.clamp(0, 1)
+
+
+def grain(size: Sequence[int], at: torch.Generator) -> Tensor:
+    """Noise (1,1,H,W) of several widths, of about unit deviation."""
+    layers = [
+        F.interpolate(
+            torch.randn(1, 1, max(2, across * size[0] // size[1]), across, generator=at),
+            size=(size[0], size[1]),
+            mode="bilinear",
+        )
+        for across in COARSE
+    ]
+    return torch.stack(layers).sum(0)
+
+
+def shaded(image: Tensor, shadows: Shadows, at: torch.Generator) -> Tensor:
+    """An image (1,3,H,W) in [0,1] with a hard shadow across its lower part.
+
+    A band at any angle: of a bridge or a wall across the road, of a row of houses along it.
+    """
+    height, width = image.shape[-2:]
+    down = torch.linspace(0, 1, height)[:, None]
+    along = torch.linspace(-0.5, 0.5, width)
+    angle, aside, half = (
+        float(uniform(at, 1, *bounds))
+        for bounds in ((0, math.pi), (-0.3, 0.3), (0.05, shadows.widest))
+    )
+    edge, horizon = float(uniform(at, 1, 0.002, 0.03)), float(uniform(at, 1, 0.3, 0.6))
+    off = along * math.cos(angle) + (down - 0.65) * math.sin(angle) - aside
+    inside = ((half - off.abs()) / edge).sigmoid() * ((down - horizon) / EDGE).sigmoid()
+    level = float(uniform(at, 1, shadows.darkest, 0.7))
+    return image * (1 - (1 - level) * inside)
+
+
+EDGE = 0.02
+"""Share of the height over which a shadow ends at the horizon."""

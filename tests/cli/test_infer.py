@@ -9,7 +9,8 @@ from PIL import Image
 
 from roadtorch.cli import batch, results
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.image import read_image
+from roadtorch.image import read_image, write_jpeg
+from roadtorch.scenes import render_scene
 from tests.cli.conftest import Call, save_picture
 
 ROWS = ("--detector", "prior:rows")
@@ -49,8 +50,11 @@ def test_a_folder_gives_three_files_a_picture_and_an_index(
     assert files_in(out) == expected | {"index.csv", "config.toml"}
     rows = rows_of(out)
     assert list(rows) == ["a.jpg", "b.png", "sub/c.png"]
-    assert list(rows["a.jpg"]) == ["file", "width", "height", "ms", "road_share", "status"]
+    assert list(rows["a.jpg"]) == [
+        *("file", "width", "height", "ms", "road_share", "trust", "status")
+    ]
     assert {row["status"] for row in rows.values()} == {"done"}
+    assert {row["trust"] for row in rows.values()} == {""}  # a floor does not say
     assert (rows["a.jpg"]["width"], rows["a.jpg"]["height"]) == ("64", "48")
     assert float(rows["a.jpg"]["road_share"]) == pytest.approx(0.5, abs=0.05)
 
@@ -369,3 +373,37 @@ def test_a_foreign_index_is_not_overwritten(call: Call, footage: Path, tmp_path:
     assert result.exit_code == 2
     assert "index.csv: is not an index of ours" in result.stderr
     assert (tmp_path / "index.csv").read_text() == "name,price\napple,3\n"
+
+
+# --- trust --------------------------------------------------------------------------------
+
+
+def test_the_five_least_trusted_pictures_are_named_the_worst_first(
+    call: Call, tmp_path: Path
+) -> None:
+    for seed in range(6):
+        write_jpeg(tmp_path / f"street-{seed}.jpg", render_scene(seed, 120, 160).image)
+    noise = torch.rand(3, 120, 160, generator=torch.Generator().manual_seed(0))
+    write_jpeg(tmp_path / "noise.jpg", noise)
+
+    result = call("infer", tmp_path, "--out", tmp_path / "out")
+
+    rows = rows_of(tmp_path / "out")
+    first, *lines = result.stdout.splitlines()
+    trusts = [float(line.split()[0]) for line in lines]
+    assert first.endswith("of 7; least trusted:")
+    assert trusts == sorted(float(row["trust"]) for row in rows.values())[:5]
+    assert lines[0].split()[1].startswith("noise.jpg")
+    for row in rows.values():
+        assert row["status"].startswith("doubtful: ") == (float(row["trust"]) < 0.6)
+
+
+def test_a_doubtful_picture_is_done_and_not_done_again(call: Call, tmp_path: Path) -> None:
+    save_picture(tmp_path / "a.jpg")
+    doubtful = ("--set", "trust.least=1")
+    call("infer", tmp_path / "a.jpg", *doubtful, "--out", tmp_path / "out")
+
+    again = call("infer", tmp_path / "a.jpg", *doubtful, "--out", tmp_path / "out")
+
+    assert again.exit_code == 0
+    assert again.stderr.startswith("roadtorch: 0 done, 1 skipped")

@@ -131,7 +131,8 @@ def pictures() -> tuple[Tensor, ...]:
 
 def maps(name: str, number: int, values: dict) -> list[Tensor]:
     found = load_detector(name, **values).detect(pictures()[number])
-    return [found.likelihood, found.mask, *found.cues.values()]
+    doubt = torch.tensor(bool(found.doubt))
+    return [found.likelihood, found.mask, doubt, *found.cues.values()]
 
 
 def need_of(name: str, path: tuple[str, ...]) -> str:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from roadtorch.color import plane
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.seed_area import SeedArea
+from roadtorch.seed_area import SeedArea, seed_rectangle
 from roadtorch.superpixels import squares
 from roadtorch.texture import (
     Saturation,
@@ -62,9 +62,9 @@ def test_the_cues_are_there_and_the_likelihood_is_one_per_segment(name: str) -> 
 @pytest.mark.parametrize("name", ["cpf", "cpf:v2", "cpf:squares", "grey-uniformity"])
 @pytest.mark.parametrize("even", [0.1, 0.6])
 def test_the_likelihood_is_that_of_the_uniformity(name: str, even: float) -> None:
-    group: dict[str, Any] = (
-        {"even": even} if name == "grey-uniformity" else {"texture": {"even": even}}
-    )
+    group: dict[str, Any] = {"even": even}
+    if name != "grey-uniformity":
+        group = {"texture": group}
 
     found = load_detector(name, **group).detect(street())
 
@@ -146,7 +146,7 @@ def test_saturated_pixels_do_not_enter_the_histogram_of_their_segment() -> None:
     spoilt[:, :8, :16] = 1.0  # a quarter of the first segment
 
     fused, values, clipped = unsaturated_uniformity(
-        spoilt, labels, SeedArea(), TextureSettings(), Saturation()
+        spoilt, labels, seed_rectangle((32, 32)), TextureSettings(), Saturation()
     )
 
     assert torch.equal(clipped, (spoilt == 1.0).all(0))
@@ -166,7 +166,7 @@ def test_the_share_a_segment_needs_is_a_setting(least: float, kept: bool) -> Non
     labels = torch.zeros(32, 32, dtype=torch.int64)
 
     _, values, _ = unsaturated_uniformity(
-        image, labels, SeedArea(), TextureSettings(), Saturation(least=least)
+        image, labels, seed_rectangle((32, 32)), TextureSettings(), Saturation(least=least)
     )
 
     assert bool(values[0] > 0) == kept
@@ -197,8 +197,9 @@ def test_a_seed_area_without_enough_usable_pixels_gives_the_weights_with_all_of_
         torch.ones(96, 128, dtype=torch.bool),
     )
     nowhere[80:] = False
+    seed, settings = seed_rectangle((96, 128)), TextureSettings()
 
-    fused, _ = fused_uniformity(image, labels, nowhere, SeedArea(), TextureSettings())
-    usual, _ = fused_uniformity(image, labels, everywhere, SeedArea(), TextureSettings())
+    fused, _ = fused_uniformity(image, labels, nowhere, seed, settings)
+    usual, _ = fused_uniformity(image, labels, everywhere, seed, settings)
 
     torch.testing.assert_close(fused, usual)

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from roadtorch.layout.picture_network import (
+    OUTPUTS,
     PictureNetwork,
     PictureNetworkSettings,
     place_planes,
@@ -15,7 +16,7 @@ SMALL = PictureNetworkSettings(height=48, width=64, narrow=8, wide=16)
 
 
 def test_it_has_at_most_a_few_hundred_thousand_weights() -> None:
-    assert sum(weight.numel() for weight in PictureNetwork().parameters()) < 300_000
+    assert sum(weight.numel() for weight in PictureNetwork().parameters()) < 500_000
 
 
 @pytest.mark.parametrize("size", [(16, 16), (100, 333)])
@@ -25,9 +26,17 @@ def test_cues_have_the_size_of_the_picture(size: tuple[int, int]) -> None:
     cues = PictureNetwork(SMALL).cues(image)
 
     assert cues["layout"].shape == (3, *size)
-    assert cues["road"].shape == size
     torch.testing.assert_close(cues["layout"].sum(0), torch.ones(size))
-    assert 0 <= float(cues["road"].min()) <= float(cues["road"].max()) <= 1
+    for name in ("road", "ego"):
+        assert cues[name].shape == size
+        assert 0 <= float(cues[name].min()) <= float(cues[name].max()) <= 1
+
+
+@pytest.mark.parametrize("size", [(32, 32), (48, 64), (120, 160)])
+def test_scores_are_at_half_the_size_of_the_pixels(size: tuple[int, int]) -> None:
+    scores = PictureNetwork(SMALL)(torch.zeros(2, 3, *size))
+
+    assert scores.shape == (2, OUTPUTS, size[0] // 2, size[1] // 2)
 
 
 def test_a_mirrored_picture_has_the_same_place() -> None:
@@ -54,17 +63,18 @@ def test_every_output_sees_almost_the_whole_picture() -> None:
     network = PictureNetwork(PictureNetworkSettings(narrow=8, wide=16))
     pixels = torch.randn(1, 3, 120, 160, requires_grad=True)
 
-    network(pixels)[0, 0, 60, 80].backward()
+    network(pixels)[0, 0, 30, 40].backward()
 
     assert pixels.grad is not None
     seen = pixels.grad[0].abs().sum(0) > 0
     assert seen.float().mean() > 0.9
 
 
-def test_scores_become_shares_and_a_road() -> None:
-    scores = torch.tensor([1.0, 2.0, 3.0, 0.0]).reshape(1, 4, 1, 1)
+def test_scores_become_shares_a_road_and_an_ego_car() -> None:
+    scores = torch.tensor([1.0, 2.0, 3.0, 0.0, 1.0]).reshape(1, 5, 1, 1)
 
     potentials = potentials_of(scores).flatten()
 
     torch.testing.assert_close(potentials[:3], torch.tensor([1.0, 2.0, 3.0]).softmax(0))
     assert potentials[3] == 0.5
+    assert potentials[4] == torch.tensor(1.0).sigmoid()

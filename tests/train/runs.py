@@ -5,7 +5,11 @@ import os
 import subprocess
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+
+import torch
+from torch import Tensor
 
 from roadtorch.scenes import write_picture
 from roadtorch.settings import merge, parse_assignments, read_settings_file
@@ -51,6 +55,13 @@ working = { pixels = 4800 }
 [rounds]
 count = 2
 
+[recordings]
+separator = "_"
+least = 5
+
+[ego_cars]
+share = 0.5
+
 [descent]
 batch = 2
 method = "adam"
@@ -69,6 +80,23 @@ def write_streets(folder: Path, count: int) -> Path:
     """A folder with pictures of rendered streets."""
     for seed in range(count):
         write_picture(folder / f"street_{seed}.png", scene(seed, 60, 80))
+    return folder
+
+
+def bonnet(height: int, width: int) -> Tensor:
+    """The ego car bool (H,W) that ``write_bonnets`` paints: round, a fifth of the height."""
+    row = (torch.arange(height) + 0.5)[:, None] / height
+    column = (torch.arange(width) + 0.5) / width * 2 - 1
+    return row > 0.8 + 0.08 * column.square()
+
+
+def write_bonnets(folder: Path, count: int) -> Path:
+    """The footage of one camera: rendered streets, below them the same dark bonnet."""
+    paint = torch.tensor([0.25, 0.08, 0.08])[:, None, None]
+    for seed in range(count):
+        street = scene(seed, 60, 80, horizon=0.45)
+        seen = torch.where(bonnet(60, 80), paint, street.image)
+        write_picture(folder / f"bonnet_{seed}.png", replace(street, image=seen))
     return folder
 
 

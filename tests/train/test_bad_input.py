@@ -175,6 +175,20 @@ def test_a_run_of_older_code_goes_on_with_settings_that_are_new(
     assert train(training, request).weights
 
 
+def test_a_run_of_older_code_goes_on_from_a_checkpoint_without_a_mean_of_the_weights(
+    finished: tuple[Training, Request],
+) -> None:
+    training, request = finished
+    path = request.out / "checkpoint.pt"
+    state = torch.load(path, weights_only=True)
+    del state["average"]
+    torch.save(state, path)
+    before = (request.out / "weights.safetensors").read_bytes()
+
+    assert train(training, request).weights
+    assert (request.out / "weights.safetensors").read_bytes() == before
+
+
 def test_a_run_of_older_code_goes_on_with_settings_that_had_other_names(
     finished: tuple[Training, Request],
 ) -> None:

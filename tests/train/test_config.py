@@ -49,6 +49,11 @@ def test_configs_that_ship_can_be_read(path: Path) -> None:
         ({"network": {"height": 120}}, "network.height: unknown setting"),
         ({"seed": 0}, r"seed: has another name now \(write random_seed\)"),
         ({"kind": "pictures", "seed": 0}, r"seed: has another name now \(write random_seed\)"),
+        (
+            {"kind": "pictures", "road_weight": 1.0},
+            r"road_weight: has another name now \(write heads.road\)",
+        ),
+        ({"descent": {"average": 1.0}}, "descent.average: 1.0 was given"),
         ({"jitter": {"smallest": 2.0}}, "jitter.smallest: 2 was given, and jitter.largest is 1.4"),
         ({"descent": {"rate": 0.0}}, "descent.rate: 0.0 was given"),
         ({"network": {"topology": {"size1": 9}}}, "topology: .* cannot halve"),

@@ -15,13 +15,15 @@ from tests.train.runs import write_streets
 
 
 class Maker:
-    """Counts how often it is asked."""
+    """Counts how often it is asked, and of what."""
 
     def __init__(self) -> None:
         self.calls = 0
+        self.names: list[str] = []
 
-    def __call__(self, image: torch.Tensor) -> Arrays:
+    def __call__(self, image: torch.Tensor, name: str) -> Arrays:
         self.calls += 1
+        self.names.append(name)
         return {"mean": image.mean((1, 2))}
 
 
@@ -38,7 +40,7 @@ def test_pictures_are_made_ready_once(tmp_path: Path) -> None:
     first = folder_in(tmp_path).prepare(pictures, make, "labels")
     second = folder_in(tmp_path).prepare(pictures, make, "labels")
 
-    assert make.calls == 3
+    assert make.names == [picture.name for picture in pictures] == [f"street_{i}" for i in range(3)]
     assert first == second
     assert [item.name for item in first] == ["street_0.png", "street_1.png", "street_2.png"]
     assert all(item.file and read_arrays(item.file, "mean")["mean"].shape == (3,) for item in first)
@@ -75,7 +77,7 @@ def test_a_detector_that_trips_costs_one_picture(
     pictures = find_images([str(write_streets(tmp_path / "footage", 2))])
     calls: list[int] = []
 
-    def make(image: torch.Tensor) -> Arrays:
+    def make(image: torch.Tensor, _: str) -> Arrays:
         calls.append(1)
         if len(calls) == 1:
             raise ZeroDivisionError("in a\nhurry")
@@ -90,7 +92,7 @@ def test_a_detector_that_trips_costs_one_picture(
 def test_a_wrong_setting_stops_everything(tmp_path: Path) -> None:
     pictures = find_images([str(write_streets(tmp_path / "footage", 1))])
 
-    def make(_: torch.Tensor) -> Arrays:
+    def make(_: torch.Tensor, __: str) -> Arrays:
         raise ConfigError("teacher.detector", "has no layout", "use another")
 
     with pytest.raises(ConfigError):
@@ -101,7 +103,7 @@ def test_a_request_to_stop_is_heard_between_pictures(tmp_path: Path) -> None:
     pictures = find_images([str(write_streets(tmp_path / "footage", 3))])
     stop = Stop()
 
-    def make(image: torch.Tensor) -> Arrays:
+    def make(image: torch.Tensor, _: str) -> Arrays:
         stop.ask(15)
         return {"mean": image.mean()}
 

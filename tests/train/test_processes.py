@@ -13,7 +13,7 @@ from tests.train.runs import CONFIGS, request_of, rows_of, run, torchrun, traini
 
 TOLERANCE = 1e-4  # of the weights after a few dozen steps: sums in another order
 
-DESCENT = ("descent.method=sgd", "descent.rate=0.05")
+DESCENT = ("descent.method=sgd", "descent.rate=0.05", "descent.average=0.7")
 
 MEMBER = """
 import os, runpy, sys, torch

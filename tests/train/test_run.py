@@ -16,9 +16,19 @@ from roadtorch.errors import ConfigError, WeightsError
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import load_network, read_origin, save_network
 from roadtorch.train import loop
+from roadtorch.train.arrays import read_arrays
 from roadtorch.train.config import Training
+from roadtorch.train.recipe import recipe_of
 from roadtorch.train.run import Outcome, Request, train
-from tests.train.runs import PATCHES, command, request_of, rows_of, training_of, write_config
+from tests.train.runs import (
+    PATCHES,
+    command,
+    request_of,
+    rows_of,
+    training_of,
+    write_bonnets,
+    write_config,
+)
 
 # --- whole runs ------------------------------------------------------------------------------
 
@@ -84,6 +94,43 @@ def test_an_error_that_is_no_number_is_told(
         )
 
 
+def test_the_weights_that_are_written_are_the_mean_over_the_steps(
+    streets: Path, kept: Path, tmp_path: Path
+) -> None:
+    changes = ("rounds.count=1", "stopping.epochs=1", "descent.batch=5", "descent.average=0.9")
+    training = training_of("pictures", tmp_path, *changes)
+
+    train(training, request_of(streets, kept, tmp_path / "run", "pictures"))
+
+    # One step: the mean keeps one eleventh of the weights before it.
+    last = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)["network"]
+    written = load_network(tmp_path / "run" / "weights.safetensors").state_dict()
+    begun = recipe_of(training).network(0, None).state_dict()
+    assert not torch.equal(last["heads.bias"], begun["heads.bias"])
+    for name, weight in written.items():
+        torch.testing.assert_close(weight, (begun[name] + 10 * last[name]) / 11)
+
+
+# --- footage that shows the ego car ------------------------------------------------------------
+
+
+def test_the_ego_car_that_footage_shows_is_in_the_pictures_made_ready(tmp_path: Path) -> None:
+    footage = write_bonnets(tmp_path / "footage", 8)
+    changes = ("ego_cars.share=1.0", "recordings.least=8", "rounds.count=1", "stopping.epochs=1")
+
+    outcome = train(
+        training_of("pictures", tmp_path, *changes),
+        Request(str(footage), tmp_path / "run", quiet=True),
+    )
+
+    assert outcome.weights
+    for number in range(8):
+        ego = read_arrays(tmp_path / "run" / "prepared" / f"bonnet_{number}.png.npz")["ego"]
+        assert (ego[-4:] > 190).all()
+        assert (ego[-4:] == 255).float().mean() > 0.9
+        assert not ego[:20].any()
+
+
 # --- from weights ------------------------------------------------------------------------------
 
 
@@ -132,12 +179,19 @@ def interrupt_after(steps: int, number: signal.Signals, patch: pytest.MonkeyPatc
     patch.setattr(loop, "step", step)
 
 
-@pytest.mark.parametrize("kind", ["patches", "pictures"])
+@pytest.mark.parametrize(
+    ("kind", "change"),
+    [("patches", "descent.momentum=0.9"), ("pictures", "descent.average=0.7")],
+)
 def test_a_run_in_pieces_ends_with_the_bits_of_a_whole_one(
-    kind: str, streets: Path, kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: str,
+    change: str,
+    streets: Path,
+    kept: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    momentum = ["descent.momentum=0.9"] if kind == "patches" else []
-    training = training_of(kind, tmp_path, *momentum)
+    training = training_of(kind, tmp_path, change)
     whole, pieces = tmp_path / "whole", tmp_path / "pieces"
     train(training, request_of(streets, kept, whole, kind))
 

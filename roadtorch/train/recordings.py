@@ -1,0 +1,109 @@
+"""Recordings among the pictures of a run, and the ego car that each of them shows. Ours."""
+
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from roadtorch.camera.still_ego import still_ego
+from roadtorch.errors import InputError
+from roadtorch.files import make_folder, write_text
+from roadtorch.image import read_image
+from roadtorch.sources.pictures import Picture
+from roadtorch.train.arrays import read_arrays, write_arrays
+from roadtorch.train.config import Recordings
+from roadtorch.train.loop import RunContext
+from roadtorch.working_size import WorkingSize, at_picture_size, at_work
+
+DONE = "done"
+"""The file that says that a recording has been looked at."""
+
+MOST = 120
+"""Frames of one recording that are looked at, evenly spread: more show nothing new."""
+
+SEEN = WorkingSize(pixels=640 * 480)
+"""How large frames are kept: all of one recording are in memory at once."""
+
+COLUMNS, JUMP, JUMPS = 160, 0.012, 0.1
+"""Columns in which the edge of an ego car is looked at, the share of the height that is a jump
+from one to the next, and the share of jumps above which it is no line."""
+
+SHAPES = 10
+"""Steps of width / height per unit: frames of one camera are of one shape."""
+
+
+def recording_of(name: str, separator: str) -> str:
+    """A name up to the last separator; all of it where there is none, or no separator is set."""
+    head, found, _ = name.rpartition(separator) if separator else ("", "", "")
+    return head if found else name
+
+
+def find_ego_cars(
+    pictures: Sequence[Picture], folder: Path, settings: Recordings, context: RunContext
+) -> Mapping[str, Path]:
+    """Look in each recording for the ego car; the folder of what was found, by picture name.
+
+    Pictures of small recordings are left out. What was found before is not looked for again.
+    """
+    if not settings.separator:
+        return {}
+    recordings: dict[str, list[Picture]] = {}
+    for picture in pictures:
+        recordings.setdefault(recording_of(picture.name, settings.separator), []).append(picture)
+    long = {name: each for name, each in recordings.items() if len(each) >= settings.least}
+    processes = context.processes
+    hidden = processes.hides_bar(context.quiet)
+    for name in tqdm(processes.share(list(long)), "ego cars", disable=hidden, file=sys.stderr):
+        if context.stop.asked:
+            break
+        _look(long[name], folder / name, settings.least)
+    processes.gather(None)  # nobody reads before all have written
+    return {picture.name: folder / name for name, each in long.items() for picture in each}
+
+
+def _look(recording: Sequence[Picture], folder: Path, least: int) -> None:
+    """Write the ego car of each shape of a recording, once."""
+    done = folder / DONE
+    if done.exists():
+        return
+    shapes: dict[int, list[Tensor]] = {}
+    for picture in recording[:: -(-len(recording) // MOST)]:
+        try:
+            image = at_work(read_image(picture.path), SEEN)
+        except InputError:
+            continue  # told when it is made ready
+        shapes.setdefault(shape_of(image), []).append(image)
+    make_folder(folder)
+    for shape, frames in shapes.items():
+        ego = still_ego(frames) if len(frames) >= least else None
+        if ego is not None and is_line(ego):
+            write_arrays(folder / f"{shape}.npz", {"ego": ego})
+    write_text(done, "")
+
+
+def is_line(ego: Tensor) -> bool:
+    """Whether the upper edge of an ego car bool (H,W) is a line, as a bonnet's is.
+
+    Where few frames of a slow drive are alike, kerbs and lane marks look still as well; a path
+    through them jumps.
+    """
+    height, width = ego.shape
+    first = torch.where(ego.any(0), ego.to(torch.uint8).argmax(0), height) / height
+    edge = first[torch.arange(COLUMNS) * width // COLUMNS]
+    return float((edge.diff().abs() > JUMP).double().mean()) <= JUMPS
+
+
+def shape_of(image: Tensor) -> int:
+    """A number that frames of one camera share: ten times width over height, rounded."""
+    return round(SHAPES * image.shape[-1] / image.shape[-2])
+
+
+def ego_of(folder: Path | None, image: Tensor) -> Tensor | None:
+    """The ego car of an image's recording, bool (H,W) of its size; None where none is known."""
+    path = folder / f"{shape_of(image)}.npz" if folder else None
+    if path is None or not path.exists():
+        return None
+    return at_picture_size(read_arrays(path, "ego")["ego"], (image.shape[-2], image.shape[-1]))

@@ -1,0 +1,163 @@
+"""The fused detector and the ego car that its network sees; with networks that see no more."""
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+import torch
+from torch import Tensor
+
+from roadtorch.detector import Detection, Detector
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.ego import continued
+from tests.networks import write_ego_network
+from tests.streets import scene
+
+BOTTOM = 0.25
+
+CUES = {
+    "layout",
+    "layout_labels",
+    "learned_road",
+    "texture",
+    "uniformity",
+    "fused_plane",
+    "saturated",
+    "distance",
+    "place",
+    "segments",
+    "seed_area",
+    "ego",
+}
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("networks")
+    return write_ego_network(folder / "seeing.safetensors", BOTTOM)
+
+
+def fusion(path: Path, **settings: Any) -> Detector:
+    return load_detector("fusion", weights={"file": str(path)}, **settings)
+
+
+@pytest.fixture(scope="module")
+def seeing(weights: Path) -> Detector:
+    return fusion(weights)
+
+
+@pytest.fixture(scope="module")
+def blind(weights: Path) -> Detector:
+    return fusion(write_ego_network(weights.with_name("blind.safetensors"), 0.0))
+
+
+def street() -> Tensor:
+    return scene(3, 96, 128, shadows=0).image
+
+
+@pytest.fixture(scope="module")
+def detected(seeing: Detector) -> Detection:
+    return seeing.detect(street())
+
+
+def car(height: int, width: int) -> Tensor:
+    """Where the seeing network's ego car is, bool (H,W)."""
+    return ((torch.arange(height) + 0.5) / height > 1 - BOTTOM)[:, None].expand(height, width)
+
+
+def test_the_ego_car_is_where_the_network_sees_it(detected: Detection) -> None:
+    assert torch.equal(detected.cues["ego"], car(96, 128))
+    assert set(detected.cues) == CUES
+
+
+def test_on_the_ego_car_there_is_no_road_and_no_seed(detected: Detection) -> None:
+    ego = car(96, 128)
+
+    assert not detected.likelihood[ego].any()
+    assert not detected.mask[ego].any()
+    assert not detected.cues["seed_area"][ego].any()
+
+
+def test_above_it_there_is_road(detected: Detection) -> None:
+    right = detected.mask & scene(3, 96, 128, shadows=0).road
+
+    assert right.sum() > 0.7 * detected.mask.sum() > 0
+
+
+@pytest.mark.parametrize("seed", [6, 9])
+def test_road_that_does_not_reach_the_ego_car_is_isolated(seed: int, weights: Path) -> None:
+    """These have some; the seed area is in the ground that the ego car hides."""
+    image, last = scene(seed, 96, 128).image, 71  # the row above the ego car
+
+    kept, dropped = (fusion(weights, isolated=what).detect(image).mask for what in ("keep", "drop"))
+
+    assert (dropped & ~kept).sum() == 0
+    regions, found = cv2.connectedComponents(dropped.byte().numpy(), connectivity=4)
+    assert {*found[last].tolist()} >= {*range(1, regions)}
+    assert (kept & ~dropped).any()
+
+
+def test_where_hidden_ground_alone_reaches_the_seed_area_nothing_is_dropped(
+    weights: Path,
+) -> None:
+    image = scene(1, 96, 128).image
+
+    kept, dropped = (fusion(weights, isolated=what).detect(image).mask for what in ("keep", "drop"))
+
+    assert kept.any()
+    assert torch.equal(dropped, kept)
+
+
+def test_what_is_above_is_as_if_the_ground_went_on(
+    seeing: Detector, blind: Detector, detected: Detection
+) -> None:
+    ground = continued(street(), car(96, 128))
+
+    without = blind.detect(ground)
+
+    above = ~car(96, 128)
+    assert not without.cues["ego"].any()
+    assert torch.equal(detected.likelihood[above], without.likelihood[above])
+
+
+@pytest.mark.parametrize("paint", [0.0, 1.0])
+def test_whatever_the_ego_car_looks_like_nothing_changes(
+    paint: float, seeing: Detector, detected: Detection
+) -> None:
+    other = seeing.detect(torch.where(car(96, 128), paint, street()))
+
+    assert torch.equal(other.likelihood, detected.likelihood)
+    assert torch.equal(other.mask, detected.mask)
+    assert torch.equal(other.cues["seed_area"], detected.cues["seed_area"])
+
+
+def test_without_an_ego_car_the_whole_picture_may_be_road(blind: Detector) -> None:
+    found = blind.detect(street())
+
+    assert not found.cues["ego"].any()
+    assert found.mask[-1].any()
+
+
+@pytest.mark.parametrize("size", [(16, 16), (48, 200), (480, 640)])
+def test_it_holds_at_any_size(size: tuple[int, int], seeing: Detector) -> None:
+    image = torch.nn.functional.interpolate(street()[None], size=size, mode="bilinear")[0]
+
+    found = seeing.detect(image.clamp(0, 1))
+
+    ego = found.cues["ego"]
+    assert (ego != car(*size)).float().mean() <= 0.02
+    assert not found.likelihood[ego].any()
+    assert not (found.mask & ego).any()
+    assert not (found.cues["seed_area"] & ego).any()
+
+
+def test_the_ego_car_of_the_settings_counts_as_well(weights: Path) -> None:
+    detector = fusion(weights, ego={"bottom": 0.4})
+
+    found = detector.detect(street())
+
+    told = ((torch.arange(96) + 0.5) / 96 > 0.6)[:, None].expand(96, 128)
+    assert torch.equal(found.cues["ego"], told)
+    assert not found.likelihood[told].any()
+    assert not found.cues["seed_area"][told].any()

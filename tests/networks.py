@@ -1,0 +1,35 @@
+"""Networks whose answers are known without training."""
+
+from pathlib import Path
+
+import torch
+
+from roadtorch.layout.picture_network import EGO, PictureNetwork, PictureNetworkSettings
+from roadtorch.layout.weights import save_network
+
+CRISP = 40.0
+"""Log odds by which the potential of the ego car rises from row to row where it begins."""
+
+
+@torch.no_grad()
+def write_ego_network(path: Path, bottom: float) -> Path:
+    """Weights of a network that calls a share of the height, at the bottom, the ego car.
+
+    ``bottom`` is below 0.45; 0 is no ego car. It sees nothing else: every class of the layout is
+    as likely, and road as likely as not, whatever the picture.
+    """
+    network = PictureNetwork(PictureNetworkSettings(height=48, width=64, narrow=8, wide=8))
+    for name, values in network.named_parameters():
+        if values.ndim == 4 or name.endswith("bias"):  # the normalisation stays
+            values.zero_()
+    weights = dict(network.named_parameters())
+    weights["first.0.weight"][0, 4, 1, 1] = 1  # the second plane of the place: how far down
+    weights["to_half.0.weight"][0, 0, 1, 1] = 1
+    weights["heads.weight"][EGO, 0] = 1
+    depth = network(torch.zeros(1, 3, 48, 64))[0, EGO, :, 0]
+    first = round((1 - bottom) * len(depth))
+    begins = torch.cat([depth, depth[-1:] + 1])[first - 1 : first + 1].mean()
+    weights["heads.weight"][EGO, 0] = CRISP
+    weights["heads.bias"][EGO] = -CRISP * begins
+    save_network(path, network, {})
+    return path
