@@ -179,7 +179,7 @@ class Shadows(Settings):
 
     share: float = Field(default=0.0, ge=0, le=1, description="of the pictures")
     darkest: float = Field(
-        default=0.25, gt=0, le=1, description="levels in the shadow, of those in the light"
+        default=0.25, gt=0, le=0.7, description="levels in the shadow, of those in the light"
     )
     widest: float = Field(
         default=0.5, gt=0, le=2, description="half the width of a band, share of the picture"
@@ -315,6 +315,9 @@ def build_training(values: dict[str, Any]) -> Training:
     settings = build_settings(KINDS[kind], rest)
     if isinstance(settings, PatchTraining):
         _check_jitter(settings.jitter)
+    elif settings.ego_cars.share and not settings.recordings.separator:
+        what = f"is {settings.ego_cars.share:g}, and without recordings no ego car is known"
+        raise ConfigError("ego_cars.share", what, 'set recordings.separator, such as "_"')
     return settings
 
 

@@ -13,6 +13,15 @@ from roadtorch.train.generators import uniform
 DARKEST = 1e-4
 """Pixels count as at least this bright: a power of 0 has no slope."""
 
+COARSE = (4, 12, 40)
+"""Patches across the picture, of which grain is made: stones and ruts, near and far."""
+
+EDGE = 0.02
+"""Share of the height over which a shadow ends at the horizon."""
+
+LIGHTEST = 0.7
+"""Levels in the faintest shadow, of those in the light."""
+
 
 def draw_frames(count: int, size: tuple[int, int], shift: Shift, at: torch.Generator) -> Tensor:
     """Affine maps (n,2,3) from a varied frame to the picture's, both from -1 to 1."""
@@ -67,10 +76,6 @@ def relit(images: Tensor, light: Light, at: torch.Generator) -> Tensor:
     return (varied + grain).clamp(0, 1)
 
 
-COARSE = (4, 12, 40)
-"""Patches across the picture, of which grain is made: stones and ruts, near and far."""
-
-
 def resurfaced(
     image: Tensor, road: Tensor, ground: Tensor, surfaces: Surfaces, at: torch.Generator
 ) -> Tensor:
@@ -116,9 +121,5 @@ def shaded(image: Tensor, shadows: Shadows, at: torch.Generator) -> Tensor:
     edge, horizon = float(uniform(at, 1, 0.002, 0.03)), float(uniform(at, 1, 0.3, 0.6))
     off = along * math.cos(angle) + (down - 0.65) * math.sin(angle) - aside
     inside = ((half - off.abs()) / edge).sigmoid() * ((down - horizon) / EDGE).sigmoid()
-    level = float(uniform(at, 1, shadows.darkest, 0.7))
+    level = float(uniform(at, 1, shadows.darkest, LIGHTEST))
     return image * (1 - (1 - level) * inside)
-
-
-EDGE = 0.02
-"""Share of the height over which a shadow ends at the horizon."""

@@ -11,25 +11,11 @@ from torch import Tensor
 from roadtorch.detector import Detection, Detector
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.ego import continued
+from tests.detectors.test_fusion import CUES
 from tests.networks import write_ego_network
 from tests.streets import scene
 
 BOTTOM = 0.25
-
-CUES = {
-    "layout",
-    "layout_labels",
-    "learned_road",
-    "texture",
-    "uniformity",
-    "fused_plane",
-    "saturated",
-    "distance",
-    "place",
-    "segments",
-    "seed_area",
-    "ego",
-}
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from roadtorch.train.config import Light, Shift
-from roadtorch.train.variation import draw_frames, reframed, relit
+from roadtorch.train.config import Light, Shadows, Shift, Surfaces
+from roadtorch.train.variation import draw_frames, reframed, relit, resurfaced, shaded
 from tests.streets import scene
 
 STILL = Shift(scale=0, stretch=0, rotation=0, move=0)
@@ -55,3 +55,41 @@ def test_light_changes_the_picture_and_stays_in_range() -> None:
     assert (change > 0.01).all()
     none = Light(gamma=0, gain=0, tint=0, saturation=0, noise=0)
     torch.testing.assert_close(relit(images, none, seeded(3)), images, atol=1e-4, rtol=0)
+
+
+def test_of_a_lower_part_the_bottom_stays_and_the_top_goes() -> None:
+    rows = torch.linspace(0, 1, 80)[None, None, :, None].expand(8, 1, 80, 60)
+
+    frames = draw_frames(8, (80, 60), Shift(lower=1.0, cut=0.5), seeded(5))
+    seen = reframed(rows, frames, "border")
+
+    assert torch.allclose(seen[:, 0, -1], torch.ones(8, 60), atol=0.02)
+    assert ((seen[:, 0, 0] >= -0.01) & (seen[:, 0, 0] <= 0.51)).all()
+    assert seen[:, 0, 0].max() > 0.2
+    assert frames[:, 0, 0].abs().max() <= 1  # nothing beside the picture is seen
+
+
+def test_other_surfaces_change_the_ground_and_leave_the_rest() -> None:
+    image = torch.full((1, 3, 40, 60), 0.5)
+    road, ground = torch.zeros(1, 1, 40, 60), torch.zeros(1, 1, 40, 60)
+    road[..., 30:, :], ground[..., 20:30, :] = 1, 1
+
+    changed = resurfaced(image, road, ground, Surfaces(), seeded(6))
+
+    assert torch.equal(changed[..., :20, :], image[..., :20, :])
+    on_road, beside = (changed[0, :, rows].mean((1, 2)) for rows in (slice(30, 40), slice(20, 30)))
+    assert (on_road - 0.5).abs().max() > 0.01
+    assert (on_road - beside).abs().max() > 0.01
+    assert changed.min() >= 0
+    assert changed.max() <= 1
+
+
+def test_a_shadow_darkens_a_band_of_the_lower_part_and_nothing_else() -> None:
+    image = torch.full((1, 3, 80, 60), 0.8)
+
+    found = [shaded(image, Shadows(darkest=0.25), seeded(seed)) for seed in range(20)]
+
+    for one in found:
+        assert torch.allclose(one[..., :12, :], image[..., :12, :], atol=1e-3)
+        assert 0.8 * 0.25 - 1e-3 <= one.min() <= one.max() <= 0.8 + 1e-6
+    assert sum(float(one.min()) < 0.8 * 0.72 for one in found) >= 15  # a band may miss the picture
