@@ -236,3 +236,8 @@ def test_mistakes_in_the_config_are_one_line(
     assert told.startswith("roadtorch: error: network.height: unknown setting (")
     assert told.count("\n") == 1
     assert not (tmp_path / "run").exists()
+
+
+def test_ego_cars_of_footage_whose_recordings_are_not_known_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"ego_cars.share: is 0.5, .*recordings.separator"):
+        build_training({"kind": "pictures", "ego_cars": {"share": 0.5}})

@@ -56,7 +56,13 @@ def prepared(files: list[Path], labels: list[Path], shows_ego: bool = False) -> 
 def training_of(**values: object) -> PictureTraining:
     network = {"height": 32, "width": 40, "narrow": 8, "wide": 8}
     found = build_training(
-        {"kind": "pictures", "network": network, "descent": {"batch": 2}, **values}
+        {
+            "kind": "pictures",
+            "network": network,
+            "descent": {"batch": 2},
+            "recordings": {"separator": "_"},
+            **values,
+        }
     )
     assert isinstance(found, PictureTraining)
     return found
