@@ -27,7 +27,7 @@ from roadtorch.errors import ConfigError, InputError
 from roadtorch.seed_area import SeedArea, remove_isolated, seed_rectangle
 from roadtorch.settings import Settings
 from roadtorch.trust import Judgement
-from roadtorch.working_size import FullSize, WorkingSize, at_picture_size, at_work
+from roadtorch.working_size import WorkingSize, at_picture_size, at_working_size
 
 SMALLEST_SIDE = 16  # pixels; below it, superpixels and the seed area have no meaning
 
@@ -195,8 +195,8 @@ class Detector(nn.Module):
         super().__init__()
         self.name = entry.name
         self.settings = settings
-        if settings.ego.mask:
-            read_ego_mask(settings.ego.mask)  # what is wrong with it is told before any work
+        # Read once, and before any work: what is wrong with it is told now.
+        self._ego_mask = read_ego_mask(settings.ego.mask) if settings.ego.mask else None
         analysis = entry.build(settings)
         if not isinstance(analysis, nn.Module):
             what = f"builds {type(analysis).__name__}"
@@ -250,7 +250,8 @@ class Detector(nn.Module):
 
         The ego car is what the settings say, and what the analysis itself finds as its cue ``ego``.
         """
-        given = ego_car(image, self.settings.ego) if is_given(self.settings.ego) else None
+        told = self.settings.ego
+        given = ego_car(image, told, self._ego_mask) if is_given(told) else None
         analysed, maps = self._analyse(image if given is None else continued(image, given))
         cars = [car for car in (given, maps.get("ego")) if car is not None]
         if not cars:
@@ -262,8 +263,8 @@ class Detector(nn.Module):
         if not isinstance(self.settings, WorkingSettings):
             analysed = self.analysis(image)
             return Found(analysed, analysed)
-        analysed = self.analysis(at_work(image, self.settings.working))
-        return Found(analysed, FullSize(analysed, (image.shape[-2], image.shape[-1])))
+        maps = at_working_size(self.analysis, image, self.settings.working)
+        return Found(maps.analysed, maps)
 
     def extra_repr(self) -> str:
         """The name and settings, for ``print(detector)``."""

@@ -76,10 +76,12 @@ def read_ego_mask(path: str) -> Tensor:
 
 
 @cached_per_image
-def ego_car(image: Tensor, ego: Ego) -> Tensor:
+def ego_car(image: Tensor, ego: Ego, mask: Tensor | None = None) -> Tensor:
     """The ego car bool (H,W) in an image (3,H,W), by all that the settings say.
 
-    Raises InputError when the mask has another size than the image, or when too little is free.
+    mask: what ``read_ego_mask`` gave of the settings' file, for those who see many pictures; it
+    is read where it is not given. Raises InputError when the mask has another size than the
+    image, or when too little is free.
     """
     height, width = image.shape[-2:]
     rows = (torch.arange(height, device=image.device) + 0.5) / height
@@ -87,7 +89,7 @@ def ego_car(image: Tensor, ego: Ego) -> Tensor:
     if ego.outline:
         car = car | (rows[:, None] > outline_rows(ego.outline, width).to(image.device))
     if ego.mask:
-        mask = read_ego_mask(ego.mask)
+        mask = read_ego_mask(ego.mask) if mask is None else mask
         if mask.shape != car.shape:
             what = f"is {width}×{height} pixels, the ego mask {ego.mask} {_size(mask)}"
             raise InputError("image", what, "give a mask of the pictures' size")

@@ -59,23 +59,24 @@ class FullSize(Mapping[str, Tensor]):
     """Cues by name, each brought to the picture's own size when it is asked for.
 
     A large picture has room for the maps that are wanted, not for all that were made.
+    analysed: the cues as they came.
     """
 
-    def __init__(self, cues: Mapping[str, Tensor], size: tuple[int, int]) -> None:
-        self._cues = cues
+    def __init__(self, analysed: Mapping[str, Tensor], size: tuple[int, int]) -> None:
+        self.analysed = analysed
         self._size = size
 
     def __getitem__(self, name: str) -> Tensor:
         """The cue (…,H,W) at full size; KeyError where there is none of that name."""
-        return at_picture_size(self._cues[name], self._size)
+        return at_picture_size(self.analysed[name], self._size)
 
     def __iter__(self) -> Iterator[str]:
         """The names of the cues."""
-        return iter(self._cues)
+        return iter(self.analysed)
 
     def __len__(self) -> int:
         """How many cues there are."""
-        return len(self._cues)
+        return len(self.analysed)
 
 
 def at_working_size(

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 FLOOR = "prior:rows"
-FIGURES = {"F": "f_mask", "MaxF": "maxf", "IoU": "iou_mask"}
 
 
 def groups(path: Path, detector: str) -> dict[str, Any]:
@@ -24,21 +23,24 @@ def table(before: Path, after: Path, detector: str) -> str:
     """Markdown: F of the mask at the default threshold and MaxF, IoU and the floor's MaxF."""
     one, two, floor = groups(before, detector), groups(after, detector), groups(after, FLOOR)
     left_out = json.loads(after.read_text(encoding="utf-8"))["left_out"]
-    counting = [name for name in sorted(two) if name not in left_out]
+    rows = {
+        name: _values(one[name], two[name], floor[name])
+        for name in sorted(two)
+        if name not in left_out
+    }
+    means = [sum(column) / len(rows) for column in zip(*rows.values(), strict=True)]
     lines = [
         f"| group | F before | F | MaxF before | MaxF | IoU | `{FLOOR}` MaxF |",
         "|---|---|---|---|---|---|---|",
+        *(_line(name, values) for name, values in rows.items()),
+        _line(f"**mean of {len(rows)}**", means),
     ]
-    for name in counting:
-        lines.append(_line(name, _values(one[name], two[name], floor[name])))
-    rows = [_values(one[name], two[name], floor[name]) for name in counting]
-    means = [sum(column) / len(rows) for column in zip(*rows, strict=True)]
-    return "\n".join([*lines, _line(f"**mean of {len(rows)}**", means)])
+    return "\n".join(lines)
 
 
 def _values(one: dict[str, Any], two: dict[str, Any], floor: dict[str, Any]) -> list[float]:
-    f, maximum, iou = FIGURES.values()
-    return [one[f], two[f], one[maximum], two[maximum], two[iou], floor[maximum]]
+    before_and_after = [run[key] for key in ("f_mask", "maxf") for run in (one, two)]
+    return [*before_and_after, two["iou_mask"], floor["maxf"]]
 
 
 def _line(name: str, values: list[float]) -> str:

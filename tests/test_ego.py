@@ -75,6 +75,15 @@ def test_a_mask_that_covers_everything_is_refused_when_the_detector_is_made(tmp_
         load_detector("prior:rows", ego={"mask": file})
 
 
+def test_the_mask_is_read_once_for_all_pictures(tmp_path: Path) -> None:
+    file = mask_file(tmp_path / "ego.png", bonnet(30, 40))
+    detector = load_detector("prior:rows", ego={"mask": file})
+    Path(file).unlink()
+
+    for seed in range(2):
+        assert torch.equal(detector.detect(scene(seed, 30, 40).image).cues["ego"], bonnet(30, 40))
+
+
 def test_together_they_must_leave_something_free() -> None:
     with pytest.raises(InputError, match="image: is covered nearly everywhere"):
         ego_car(torch.zeros(3, 50, 50), Ego(bottom=0.85, outline=(0.0, 0.0, 0.0, 1.0, 1.0)))

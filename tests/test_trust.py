@@ -91,7 +91,7 @@ def test_better_signs_are_trusted_more_and_usual_ones_without_a_doubt() -> None:
     usual = judgement(USUAL, True, TrustSettings())
     worst = judgement(Signs(5, 1, 1, 0), True, TrustSettings())
 
-    assert 1 >= best.trust > usual.trust > worst.trust >= 0
+    assert 0 <= worst.trust < usual.trust < best.trust <= 1  # better, and in its range
     assert usual.doubt == ""
     assert worst.doubt in REASONS
 

@@ -2,6 +2,7 @@
 
     python train/choose_many.py calibration DATA
     python train/choose_many.py trust DATA
+    python train/choose_many.py ego DATA     (how often it is found, and what road it takes)
 
 DATA holds ``many/`` and ``camvid/``. A camera is a folder of many/ or a drive of CamVid (every
 fourth frame); each counts the same. What is told of a camera was chosen on the others; IDD has
@@ -15,9 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.stats import rankdata
 from sklearn.linear_model import Ridge
-from sklearn.metrics import roc_auc_score
 from tqdm import tqdm
 
 from roadtorch import Detection, load_detector
@@ -25,6 +24,13 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth
 from roadtorch.detector import Detector
 from roadtorch.evaluation.metrics import count_mask, f_measure
+from roadtorch.evaluation.trust import (
+    BAD,
+    Trusted,
+    correlation_within,
+    failure_auc,
+    rank_correlation,
+)
 from roadtorch.otsu import centred_odds
 from roadtorch.trust import Signs, signs_of
 
@@ -34,8 +40,8 @@ EVERY = 4
 TOO_FEW = ("india_zed",)
 """Folders that the set's own README leaves out of means."""
 
-FAILED = 0.6
-"""F below which a mask has failed."""
+LOST = 0.02
+"""Share of the true road above which an ego car takes some."""
 
 CENTRES = np.arange(-4, 1.01, 0.25)
 OWNS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -82,10 +88,10 @@ def _outcomes(found: Detection, truth: Truth) -> np.ndarray:
     free = ~found.cues["ego"]
     rows = []
     for own in OWNS:
+        centred = centred_odds(odds, 0.0, own)  # Otsu's once; the rest of the centre is its share
         for centre in CENTRES:
-            outcome = count_mask(
-                (centred_odds(odds, float(centre), own) >= 0) & free, truth.road, truth.valid
-            )
+            mask = (centred >= (1 - own) * float(centre)) & free
+            outcome = count_mask(mask, truth.road, truth.valid)
             rows.append([outcome.true_positive, outcome.false_positive, outcome.false_negative])
     return np.array(rows, dtype=float).T.reshape(3, len(OWNS), len(CENTRES))
 
@@ -109,22 +115,18 @@ def choose_trust(root: Path) -> None:
         mine = judged.camera == camera
         expected[mine] = _fit(judged, ~mine).predict(judged.signs[mine])
     many = ~np.isin(judged.camera, ("0001TP", "0006R0", "0016E5"))
-    within = [
-        _rank_correlation(expected[judged.camera == camera], judged.f[judged.camera == camera])
-        for camera in np.unique(judged.camera[many])
-    ]
-    rank = _rank_correlation(expected[many], judged.f[many])
-    failures = roc_auc_score(judged.f[many] < FAILED, -expected[many])
-    error = np.abs(expected.clip(0, 1) - judged.f)[many].mean()
+    held_out, f = torch.from_numpy(expected[many]), torch.from_numpy(judged.f[many])
+    within = correlation_within(Trusted(held_out, f, judged.camera[many].tolist()))
+    error = float((held_out.clamp(0, 1) - f).abs().mean())
     print("on cameras left out, over the pictures of many:")
-    print(f"rank correlation {rank:.3f}, within cameras {np.nanmean(within):.3f},")
-    print(f"ROC of F < {FAILED} {failures:.3f}, mean error {error:.3f}")
+    print(f"rank correlation {rank_correlation(held_out, f):.3f}, within cameras {within:.3f},")
+    print(f"ROC of F < {BAD} {failure_auc(held_out, f):.3f}, mean error {error:.3f}")
     model = _fit(judged, judged.f > -1)
     print("WEIGHTS", [round(float(weight), 2) for weight in model.coef_])
     print("CONSTANT", round(float(model.intercept_), 3))
     print("USUAL", judged.signs.mean(0).round(2).tolist())
     for number, name in enumerate(Signs._fields):
-        alone = _rank_correlation(judged.signs[many, number], judged.f[many])
+        alone = rank_correlation(torch.from_numpy(judged.signs[many, number]), f)
         print(f"{name} alone {alone:+.2f}")
 
 
@@ -139,11 +141,6 @@ def judge_all(root: Path) -> Judged:
     return Judged(np.array(signs), np.array(f), np.array(cameras))
 
 
-def _rank_correlation(one: np.ndarray, other: np.ndarray) -> float:
-    """Spearman's, of (n,) and (n,)."""
-    return float(np.corrcoef(rankdata(one), rankdata(other))[0, 1])
-
-
 def _fit(judged: Judged, chosen: np.ndarray) -> Ridge:
     """F by the signs of the chosen pictures; every camera weighs the square root of its size."""
     cameras = judged.camera[chosen]
@@ -151,13 +148,30 @@ def _fit(judged: Judged, chosen: np.ndarray) -> Ridge:
     return Ridge(alpha=0.05).fit(judged.signs[chosen], judged.f[chosen], sample_weight=weight)
 
 
+# --- ego car ----------------------------------------------------------------------------
+
+
+def count_ego_cars(root: Path) -> None:
+    """Print in how many pictures of each camera an ego car is found, and takes true road."""
+    counts: dict[str, np.ndarray] = {}
+    for camera, found, truth in pictures(root, load_detector("fusion")):
+        ego, road = found.cues["ego"], truth.road & truth.valid
+        lost = int((ego & road).sum()) > LOST * int(road.sum())
+        counts[camera] = counts.get(camera, 0) + np.array([1, bool(ego.any()), lost])
+    for camera, (number, with_ego, lossy) in counts.items():
+        print(f"{camera:16} {with_ego} of {number}, takes more than {LOST:.0%} of road in {lossy}")
+
+
+CHOICES = {"calibration": choose_calibration, "trust": choose_trust, "ego": count_ego_cars}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Choose calibration and trust on many cameras.")
-    parser.add_argument("what", choices=("calibration", "trust"))
+    parser.add_argument("what", choices=tuple(CHOICES))
     parser.add_argument("data", type=Path, help="the folder that holds many/ and camvid/")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    {"calibration": choose_calibration, "trust": choose_trust}[arguments.what](arguments.data)
+    CHOICES[arguments.what](arguments.data)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn import functional as F
 
-from roadtorch.camera.still import WIDTH, Stillness, gradients, small_grey, softened
+from roadtorch.camera.still import Stillness, gradients, small_grey, small_size, softened
 from roadtorch.settings import Settings
 
 POINTS = 160
@@ -78,8 +78,7 @@ def sure_look(look: Look, found: list[Tensor]) -> Look:
 
 def image_likeness(look: Look, image: Tensor) -> float:
     """How alike an image (3,H,W) in [0,1] is to a look, from -1 to 1; .1 for other cameras."""
-    size = max(16, round(WIDTH * image.shape[-2] / image.shape[-1])), WIDTH
-    return gradient_likeness(look, next(gradients([small_grey(image, size)])))
+    return gradient_likeness(look, next(gradients([small_grey(image, small_size([image]))])))
 
 
 def gradient_likeness(look: Look, gradient: Tensor) -> float:

@@ -52,10 +52,15 @@ def evaluate(
     A run that is interrupted goes on where it was when it is started again.
     """
     from roadtorch.cli.batch import make_writable
-    from roadtorch.cli.labelled import camera_settings, command_line, tell_failures, watched
-    from roadtorch.data.catalogue import open_dataset, open_named
+    from roadtorch.cli.labelled import (
+        camera_settings,
+        command_line,
+        opened,
+        tell_failures,
+        watched,
+    )
+    from roadtorch.data.catalogue import open_named
     from roadtorch.data.conditions import with_conditions
-    from roadtorch.data.dataset import leave_out
     from roadtorch.data.kitti import birds_eye
     from roadtorch.data.maps import parse_maps
     from roadtorch.evaluation.evaluate import evaluate as score
@@ -66,13 +71,13 @@ def evaluate(
 
     if out is not None:
         make_writable(out)  # now rather than after the long run
-    opened = leave_out(open_dataset(dataset, root, split), left_out)
+    labelled = opened(dataset, root, split, left_out)
     if conditions is not None:
-        opened = with_conditions(opened, conditions)
+        labelled = with_conditions(labelled, conditions)
     chosen = _without_default(context, names, folders)
     values = merge(camera_settings(camera, chosen), parse_assignments(assignments))
     evaluation = score(
-        birds_eye(opened) if bev else opened,
+        birds_eye(labelled) if bev else labelled,
         chosen,
         settings=values,
         maps=parse_maps(folders),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
+    from roadtorch.data.dataset import Dataset
     from roadtorch.evaluation.result import Evaluation
     from roadtorch.evaluation.scoring import Scored
 
@@ -43,6 +44,17 @@ def camera_settings(path: Path | None, names: Sequence[str]) -> dict[str, Any]:
     kinds = [detector_entry(name).settings for name in expand_names(names)]
     for_all = [camera.settings_for(kind) for kind in kinds or [DetectorSettings]]
     return min(for_all, key=len)  # the ego car for each, the horizon where every one has it
+
+
+def opened(name: str, root: Path, split: str | None, left_out: Sequence[str]) -> "Dataset":
+    """The labelled set that a command is given, with the groups that it leaves out.
+
+    Raises as ``open_dataset`` and ``leave_out`` do.
+    """
+    from roadtorch.data.catalogue import open_dataset
+    from roadtorch.data.dataset import leave_out
+
+    return leave_out(open_dataset(name, root, split), left_out)
 
 
 def tell_failures(evaluation: "Evaluation") -> None:

@@ -32,9 +32,7 @@ def tune(
     """
     from roadtorch.cli.batch import make_writable
     from roadtorch.cli.config import as_toml
-    from roadtorch.cli.labelled import command_line, tell_failures, watched
-    from roadtorch.data.catalogue import open_dataset
-    from roadtorch.data.dataset import leave_out
+    from roadtorch.cli.labelled import command_line, opened, tell_failures, watched
     from roadtorch.evaluation.evaluate import evaluate
     from roadtorch.evaluation.saved_tallies import forget
     from roadtorch.evaluation.tuning import choose_threshold
@@ -45,7 +43,7 @@ def tune(
     make_writable(out)
     settings = parse_assignments(assignments)
     evaluation = evaluate(
-        leave_out(open_dataset(dataset, root, split), left_out),
+        opened(dataset, root, split, left_out),
         names,
         settings=settings,
         limit=limit,

@@ -9,6 +9,7 @@ from torch import Tensor
 from roadtorch.camera.camera import Camera
 from roadtorch.camera.check_picture import check_picture
 from roadtorch.camera.footage import camera_of
+from roadtorch.camera.look import image_likeness
 from roadtorch.camera.still_ego import best_path, still_ego
 from roadtorch.detector import DetectorSettings
 from roadtorch.detectors.catalogue import load_detector
@@ -78,6 +79,7 @@ def test_pictures_of_the_camera_pass_at_any_size() -> None:
 
     for image in (*drive(), resized(drive()[3], (240, 320)).clamp(0, 1)):
         camera.check(image)
+        assert image_likeness(camera.look, image) >= camera.look.least
 
 
 def test_another_ego_car_and_another_shape_are_refused() -> None:
