@@ -28,6 +28,9 @@ from roadtorch.settings import Settings
 from roadtorch.superpixels import Superpixels
 from roadtorch.working_size import WorkingSize, at_working_size
 
+BLUEST = 0.1
+"""The b of Lab, over 100, that is as blue as a sky gets."""
+
 
 class PlacePrior(Settings):
     """Where the classes tend to be: a logistic model of row and column (see ``place_prior``).
@@ -36,30 +39,48 @@ class PlacePrior(Settings):
     """
 
     horizon: float = Field(default=0.5, ge=0, le=1, description="row of the horizon")
-    sky_rise: float = Field(default=0.15, ge=-1, le=1, description="sky is even this far above it")
+    sky_rise: float = Field(default=0.17, ge=-1, le=1, description="sky is even this far above it")
     sky_slope: float = Field(
-        default=0.74, ge=0, le=5, description="and rises by this towards the sides"
+        default=0.65, ge=0, le=5, description="and rises by this towards the sides"
     )
-    sky_softness: float = Field(default=0.3, gt=0, le=5, description="rows over which sky fades")
+    sky_softness: float = Field(default=0.54, gt=0, le=5, description="rows over which sky fades")
     ground_drop: float = Field(
-        default=0.03, ge=-1, le=1, description="ground is even this far below it"
+        default=-0.01, ge=-1, le=1, description="ground is even this far below it"
     )
     ground_slope: float = Field(
-        default=0.28, ge=0, le=5, description="and falls by this towards the sides"
+        default=0.32, ge=0, le=5, description="and falls by this towards the sides"
     )
     ground_softness: float = Field(
-        default=0.18, gt=0, le=5, description="rows over which ground fades"
+        default=0.13, gt=0, le=5, description="rows over which ground fades"
     )
     vertical: float = Field(
-        default=1.37, ge=-10, le=10, description="log weight of vertical everywhere"
+        default=0.98, ge=-10, le=10, description="log weight of vertical everywhere"
     )
+
+
+class SkyLook(Settings):
+    """What sky looks like anywhere: light comes from it, it is even, and at times blue. Ours.
+
+    Each number is the log weight that a segment gains or loses at most for being sky.
+    """
+
+    light: float = Field(default=0.8, ge=0, le=10, description="for being lighter than ``level``")
+    level: float = Field(default=0.62, ge=0, le=1, description="lightness that says nothing")
+    softness: float = Field(
+        default=0.2, gt=0, le=1, description="lightness from there to the whole weight"
+    )
+    even: float = Field(default=1.1, ge=0, le=10, description="for having no gradients")
+    gradient: float = Field(
+        default=0.022, gt=0, le=1, description="mean gradient, L per pixel, that says nothing"
+    )
+    blue: float = Field(default=0.4, ge=0, le=10, description="for being blue, or not yellow")
 
 
 class ColumnOrder(Settings):
     """How strictly a column reads sky, vertical, horizontal from top to bottom."""
 
     weight: float = Field(
-        default=2.0, ge=0, le=10, description="weight of a segment's own evidence"
+        default=2.1, ge=0, le=10, description="weight of a segment's own evidence"
     )
     change: float = Field(
         default=0.03, gt=0, lt=0.5, description="chance of the next class, a step down"
@@ -75,10 +96,11 @@ class LabellerSettings(Settings):
 
     exposure: Exposure = Exposure()
     place: PlacePrior = PlacePrior()
+    sky: SkyLook = SkyLook()
     bandwidths: Bandwidths = Bandwidths()
     order: ColumnOrder = ColumnOrder()
     sharpness: float = Field(
-        default=1.4, gt=0, le=10, description="weight of appearance against place"
+        default=1.17, gt=0, le=10, description="weight of appearance against place"
     )
     rounds: int = Field(default=5, ge=1, le=100, description="rounds of learning and labelling")
     margin: float = Field(
@@ -137,6 +159,8 @@ def segment_layout(segments: Segments, settings: LabellerSettings) -> Tensor:
     expectation maximisation with a prior that does not move.
     """
     prior = place_prior(segments.row, segments.column, settings.place).log()
+    prior[:, SKY] += sky_look(segments, settings.sky)
+    prior = prior.log_softmax(1)
     alike = likeness(segments, settings.bandwidths)
     belief = prior.exp()
     for _ in range(settings.rounds):
@@ -156,6 +180,18 @@ def place_prior(row: Tensor, column: Tensor, place: PlacePrior) -> Tensor:
     ground = row - place.horizon - place.ground_drop - place.ground_slope * side
     vertical = torch.full_like(row, place.vertical)
     return torch.stack([sky, vertical, ground / place.ground_softness], 1).softmax(1)
+
+
+def sky_look(segments: Segments, sky: SkyLook) -> Tensor:
+    """How far each of n segments looks like sky, (n,): log weights, 0 says nothing. Ours.
+
+    Without it, clouds and the pale sky above the horizon are as much like a wall as like the
+    blue above them.
+    """
+    light = ((segments.color[0] - sky.level) / sky.softness).clamp(-1, 1)
+    even = (1 - segments.gradient / sky.gradient).clamp(-1, 1)
+    blue = (-segments.color[2] / BLUEST).clamp(-1, 1)
+    return sky.light * light + sky.even * even + sky.blue * blue
 
 
 def in_order(scores: Tensor, labels: Tensor, order: ColumnOrder) -> Tensor:

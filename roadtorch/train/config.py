@@ -158,6 +158,12 @@ class Shift(Settings):
     cut: float = Field(
         default=0.5, ge=0, le=0.9, description="share of their height that is cut off at most"
     )
+    trim: float = Field(
+        default=0.0,
+        ge=0,
+        le=0.5,
+        description="share of what is left that is cut off below at most: a wide picture",
+    )
 
 
 class Surfaces(Settings):
@@ -184,6 +190,16 @@ class Shadows(Settings):
     widest: float = Field(
         default=0.5, gt=0, le=2, description="half the width of a band, share of the picture"
     )
+
+
+class Nights(Settings):
+    """How day becomes night: dark but for what headlights reach, a few lamps, warmer light."""
+
+    share: float = Field(default=0.0, ge=0, le=1, description="of the pictures")
+    darkest: float = Field(
+        default=0.03, gt=0, le=1, description="levels where no headlight reaches, of those by day"
+    )
+    lamps: int = Field(default=6, ge=0, le=100, description="lamps at most, above the road")
 
 
 class Teacher(Settings):
@@ -291,6 +307,7 @@ class PictureTraining(Beginning):
     shift: Shift = Shift()
     surfaces: Surfaces = Surfaces()
     shadows: Shadows = Shadows()
+    nights: Nights = Nights()
     heads: HeadWeights = HeadWeights()
     descent: Descent = Descent(method="adam", rate=0.003, schedule="cosine", batch=16)
     stopping: Stopping = Stopping(epochs=15, rule="epochs")

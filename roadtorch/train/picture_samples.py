@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from roadtorch.layout.classes import HORIZONTAL
+from roadtorch.layout.classes import HORIZONTAL, SKY
 from roadtorch.layout.normalisation import normalise
 from roadtorch.train.arrays import from_bytes, read_arrays
 from roadtorch.train.batches import Batch
@@ -16,7 +16,7 @@ from roadtorch.train.ego_cars import laid_over, lent, varied
 from roadtorch.train.generators import PICTURE_ORDER, VARIATION, generator_at
 from roadtorch.train.processes import Processes
 from roadtorch.train.targets import PLANES, Targets, targets_of
-from roadtorch.train.variation import draw_frames, reframed, relit, resurfaced, shaded
+from roadtorch.train.variation import at_night, draw_frames, reframed, relit, resurfaced, shaded
 
 
 class Prepared(NamedTuple):
@@ -91,6 +91,10 @@ class PictureSamples:
         if cars and float(torch.rand((), generator=at)) < training.ego_cars.share:
             car = varied(lent(cars, at), training.ego_cars, at)
             image, seen = laid_over(image, seen, car)
+        if float(torch.rand((), generator=at)) < training.nights.share:
+            known = Targets(*seen.split(PLANES, 1))
+            unlit = (known.layout[:, SKY : SKY + 1] + known.ego).clamp_max(1)
+            image = at_night(image, unlit, training.nights, at)
         image = relit(image, training.light, at)
         return normalise(image[0], training.network.normalisation).pixels[None], seen
 

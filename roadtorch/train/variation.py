@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from roadtorch.train.config import Light, Shadows, Shift, Surfaces
+from roadtorch.train.config import Light, Nights, Shadows, Shift, Surfaces
 from roadtorch.train.generators import uniform
 
 DARKEST = 1e-4
@@ -18,6 +18,9 @@ COARSE = (4, 12, 40)
 
 EDGE = 0.02
 """Share of the height over which a shadow ends at the horizon."""
+
+FLASH = 4.0
+"""Peak of the brightest lamp at night, in levels: it outshines what it is seen before."""
 
 LIGHTEST = 0.7
 """Levels in the faintest shadow, of those in the light."""
@@ -34,11 +37,12 @@ def _lower_frames(count: int, shift: Shift, at: torch.Generator) -> Tensor:
     """Frames (n,2,3) of a lower part of the picture, less narrowed than cut."""
     mirror = torch.randint(2, (count,), generator=at) * 2 - 1
     cut = uniform(at, count, 0, shift.cut)
+    trim = (1 - cut) * uniform(at, count, 0, shift.trim)
     width = 1 - cut * uniform(at, count, 0.3, 1)
     aside = (1 - width) * uniform(at, count, -1, 1)
     none = torch.zeros(count)
     across = torch.stack([mirror * width, none, aside], 1)
-    return torch.stack([across, torch.stack([none, 1 - cut, cut], 1)], 1)
+    return torch.stack([across, torch.stack([none, 1 - cut - trim, cut - trim], 1)], 1)
 
 
 def _turned_frames(count: int, size: tuple[int, int], shift: Shift, at: torch.Generator) -> Tensor:
@@ -123,3 +127,41 @@ def shaded(image: Tensor, shadows: Shadows, at: torch.Generator) -> Tensor:
     inside = ((half - off.abs()) / edge).sigmoid() * ((down - horizon) / EDGE).sigmoid()
     level = float(uniform(at, 1, shadows.darkest, LIGHTEST))
     return image * (1 - (1 - level) * inside)
+
+
+def at_night(image: Tensor, unlit: Tensor, nights: Nights, at: torch.Generator) -> Tensor:
+    """An image (1,3,H,W) in [0,1] at night, as headlights and a few lamps show it.
+
+    unlit: shares (1,1,H,W) in [0,1] that the headlights leave dark: the ego car and the sky. The
+    light begins below the horizon, widens towards the camera and is strongest a little way ahead.
+    """
+    height, width = image.shape[-2:]
+    down = torch.linspace(0, 1, height)[:, None]
+    across = torch.linspace(-0.5, 0.5, width)
+    horizon, aside, spread, nearest = (
+        float(uniform(at, 1, *bounds))
+        for bounds in ((0.35, 0.55), (-0.1, 0.1), (0.4, 1.5), (0.15, 0.35))
+    )
+    below = (down - horizon).clamp_min(0)
+    beam = torch.exp(-(((across - aside) / (0.06 + spread * below)) ** 2))
+    reach = (below / nearest) * torch.exp(1 - below / nearest)
+    dark = float(torch.exp(uniform(at, 1, math.log(nights.darkest), math.log(0.3))))
+    light = dark + (1 - dark) * beam * reach * (1 - unlit)
+    warmth = float(uniform(at, 1, 0, 0.3))
+    tint = torch.tensor([1 + warmth, 1, 1 - warmth]).reshape(1, 3, 1, 1)
+    lamps = sum(
+        (lamp(image.shape[-2:], horizon, at) for _ in range(int(uniform(at, 1, 0, nights.lamps)))),
+        torch.zeros(1, 1, height, width),
+    )
+    return (image * light * tint + lamps * tint).clamp(0, 1)
+
+
+def lamp(size: Sequence[int], horizon: float, at: torch.Generator) -> Tensor:
+    """The light (1,1,H,W) of one lamp or of another car's headlights, not below the horizon."""
+    row, column, wide, peak = (
+        float(uniform(at, 1, *bounds))
+        for bounds in ((0.1, horizon + 0.02), (0, 1), (0.003, 0.02), (0.3, FLASH))
+    )
+    down = torch.linspace(0, size[0] / size[1], size[0])[:, None] - row * size[0] / size[1]
+    across = torch.linspace(0, 1, size[1]) - column
+    return (peak * torch.exp(-(down**2 + across**2) / wide**2))[None, None]
