@@ -145,7 +145,7 @@ def test_a_picture_smaller_than_a_step_keeps_the_scores(size: tuple[int, int]) -
     scores = torch.tensor([[1.0, 0, 0], [0, 0, 1.0]])
     labels = torch.arange(2)[:, None].repeat_interleave(8, 0).expand(16, 16)[: size[0], : size[1]]
 
-    belief = in_order(scores, labels, ColumnOrder(step=64))
+    belief = in_order(scores, labels, ColumnOrder(weight=2, step=64))
 
     torch.testing.assert_close(belief, (2 * scores).softmax(1))
 

@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from roadtorch.train.config import Light, Shadows, Shift, Surfaces
-from roadtorch.train.variation import draw_frames, reframed, relit, resurfaced, shaded
+from roadtorch.train.config import Light, Nights, Shadows, Shift, Surfaces
+from roadtorch.train.variation import at_night, draw_frames, reframed, relit, resurfaced, shaded
 from tests.streets import scene
 
 STILL = Shift(scale=0, stretch=0, rotation=0, move=0)
@@ -67,6 +67,45 @@ def test_of_a_lower_part_the_bottom_stays_and_the_top_goes() -> None:
     assert ((seen[:, 0, 0] >= -0.01) & (seen[:, 0, 0] <= 0.51)).all()
     assert seen[:, 0, 0].max() > 0.2
     assert frames[:, 0, 0].abs().max() <= 1  # nothing beside the picture is seen
+
+
+def test_of_a_wide_part_rows_are_missing_above_and_below() -> None:
+    rows = torch.linspace(0, 1, 80)[None, None, :, None].expand(32, 1, 80, 60)
+
+    frames = draw_frames(32, (80, 60), Shift(lower=1.0, cut=0.5, trim=0.5), seeded(5))
+    seen = reframed(rows, frames, "border")
+
+    top, bottom = seen[:, 0, 0].mean(1), seen[:, 0, -1].mean(1)
+    assert (bottom > top).all()
+    assert bottom.min() < 0.8
+    assert bottom.max() > 0.95
+    assert ((1 - bottom) <= 0.5 * (1 - top) + 0.02).all()
+
+
+def test_at_night_the_road_ahead_is_lit_and_what_has_no_light_is_dark() -> None:
+    image = torch.full((1, 3, 80, 60), 0.8)
+    unlit = torch.zeros(1, 1, 80, 60)
+    unlit[..., 70:, :] = 1
+    nights = Nights(darkest=0.05, lamps=0)
+
+    found = [at_night(image, unlit, nights, seeded(seed)) for seed in range(12)]
+
+    for one in found:
+        ahead, above = one[..., 44:66, 24:36].amax(), one[..., :20, :].amax()
+        assert ahead > 2 * above
+        assert one[..., 70:, :].amax() <= 0.8 * 0.3 * 1.3 + 1e-6
+    assert len({float(one.mean()) for one in found}) == len(found)
+
+
+def test_lamps_shine_at_night_and_not_below_the_horizon() -> None:
+    black = torch.zeros(1, 3, 80, 60)
+    unlit = torch.ones(1, 1, 80, 60)
+
+    found = [at_night(black, unlit, Nights(lamps=20), seeded(seed)) for seed in range(6)]
+
+    for one in found:
+        assert one[..., :48, :].amax() > 0.3
+        assert one[..., 60:, :].amax() < 0.05
 
 
 def test_other_surfaces_change_the_ground_and_leave_the_rest() -> None:
