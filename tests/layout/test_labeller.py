@@ -16,14 +16,16 @@ from roadtorch.layout.labeller import (
     LabellerSettings,
     LayoutLabels,
     PlacePrior,
+    SkyLook,
     decide_layout,
     in_order,
     label_layout,
     place_prior,
     segment_layout,
+    sky_look,
 )
 from roadtorch.scenes import RenderedScene
-from roadtorch.segment_features import measure_segments
+from roadtorch.segment_features import Segments, measure_segments
 from roadtorch.superpixels import Superpixels
 from roadtorch.working_size import WorkingSize
 from tests.reference import layout as reference
@@ -77,6 +79,58 @@ def test_buildings_fill_the_sides() -> None:
 
     assert prior[1, VERTICAL] > prior[0, VERTICAL]
     assert prior[1, HORIZONTAL] < prior[0, HORIZONTAL]
+
+
+# --- the look of the sky -------------------------------------------------------------------
+
+
+@pytest.fixture
+def four_quarters() -> Segments:
+    """Four segments, measured: light, dark, light and rough, blue."""
+    rough = torch.rand(3, 20, 20, generator=torch.Generator().manual_seed(0))
+    image = torch.zeros(3, 40, 40)
+    image[:, :20, :20] = 0.9
+    image[:, :20, 20:] = 0.15
+    image[:, 20:, :20] = 0.9 - 0.5 * rough
+    image[:, 20:, 20:] = torch.tensor([0.5, 0.7, 0.95])[:, None, None]
+    labels = torch.tensor([[0, 1], [2, 3]]).repeat_interleave(20, 0).repeat_interleave(20, 1)
+    return measure_segments(image, labels)
+
+
+def test_sky_is_light_even_and_at_times_blue(four_quarters: Segments) -> None:
+    light, dark, rough, blue = sky_look(four_quarters, SkyLook()).tolist()
+
+    assert blue > light > rough
+    assert light > dark
+    assert light > 0
+
+
+@pytest.mark.parametrize("name", ["light", "even", "blue"])
+def test_each_part_of_the_look_of_the_sky_says_at_most_its_weight(
+    name: str, four_quarters: Segments
+) -> None:
+    look = sky_look(four_quarters, SkyLook(**{"light": 0, "even": 0, "blue": 0, name: 0.7}))
+
+    assert 0.1 < look.abs().max() <= 0.7 + 1e-6
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_clouds_below_a_blue_sky_are_sky(seed: int) -> None:
+    """Without the look of the sky, what is not like the top of the picture becomes a wall."""
+    street = scene(seed, dusk=0.0)
+    sky = truth(street) == SKY
+    top = (torch.arange(sky.shape[0])[:, None] < 0.2 * sky.shape[0])[None]
+    blue = torch.tensor([0.25, 0.45, 0.85])[:, None, None]
+    cloudy = torch.where(sky, torch.where(top, blue, torch.tensor(0.85)), street.image)
+
+    blind = LabellerSettings(sky=SkyLook(light=0, even=0, blue=0))
+    found, without = (
+        float((label_layout(cloudy, each).potentials.argmax(0)[sky] == SKY).double().mean())
+        for each in (LabellerSettings(), blind)
+    )
+
+    assert found > 0.95
+    assert found > without + 0.1
 
 
 # --- columns in order ---------------------------------------------------------------------
