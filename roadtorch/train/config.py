@@ -158,12 +158,6 @@ class Shift(Settings):
     cut: float = Field(
         default=0.5, ge=0, le=0.9, description="share of their height that is cut off at most"
     )
-    trim: float = Field(
-        default=0.0,
-        ge=0,
-        le=0.5,
-        description="share of what is left that is cut off below at most: a wide picture",
-    )
 
 
 class Surfaces(Settings):

@@ -37,12 +37,11 @@ def _lower_frames(count: int, shift: Shift, at: torch.Generator) -> Tensor:
     """Frames (n,2,3) of a lower part of the picture, less narrowed than cut."""
     mirror = torch.randint(2, (count,), generator=at) * 2 - 1
     cut = uniform(at, count, 0, shift.cut)
-    trim = (1 - cut) * uniform(at, count, 0, shift.trim)
     width = 1 - cut * uniform(at, count, 0.3, 1)
     aside = (1 - width) * uniform(at, count, -1, 1)
     none = torch.zeros(count)
     across = torch.stack([mirror * width, none, aside], 1)
-    return torch.stack([across, torch.stack([none, 1 - cut - trim, cut - trim], 1)], 1)
+    return torch.stack([across, torch.stack([none, 1 - cut, cut], 1)], 1)
 
 
 def _turned_frames(count: int, size: tuple[int, int], shift: Shift, at: torch.Generator) -> Tensor:

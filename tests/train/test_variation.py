@@ -69,19 +69,6 @@ def test_of_a_lower_part_the_bottom_stays_and_the_top_goes() -> None:
     assert frames[:, 0, 0].abs().max() <= 1  # nothing beside the picture is seen
 
 
-def test_of_a_wide_part_rows_are_missing_above_and_below() -> None:
-    rows = torch.linspace(0, 1, 80)[None, None, :, None].expand(32, 1, 80, 60)
-
-    frames = draw_frames(32, (80, 60), Shift(lower=1.0, cut=0.5, trim=0.5), seeded(5))
-    seen = reframed(rows, frames, "border")
-
-    top, bottom = seen[:, 0, 0].mean(1), seen[:, 0, -1].mean(1)
-    assert (bottom > top).all()
-    assert bottom.min() < 0.8
-    assert bottom.max() > 0.95
-    assert ((1 - bottom) <= 0.5 * (1 - top) + 0.02).all()
-
-
 def test_at_night_the_road_ahead_is_lit_and_what_has_no_light_is_dark() -> None:
     image = torch.full((1, 3, 80, 60), 0.8)
     unlit = torch.zeros(1, 1, 80, 60)
