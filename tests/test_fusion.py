@@ -57,7 +57,7 @@ def combined(prior: float, likelihoods: list[float], weights: list[float]) -> fl
 
 
 @given(LIKELIHOODS, st.lists(st.tuples(LIKELIHOODS, WEIGHTS), max_size=5))
-def test_naive_bayes_is_the_normalised_product_of_the_paper(
+def test_naive_bayes_is_the_product_normalised_against_the_background(
     prior: float, cues: list[tuple[float, float]]
 ) -> None:
     likelihoods, weights = [cue[0] for cue in cues], [cue[1] for cue in cues]
@@ -67,7 +67,7 @@ def test_naive_bayes_is_the_normalised_product_of_the_paper(
     assert found == pytest.approx(reference.naive_bayes(prior, likelihoods, weights), abs=1e-9)
 
 
-def test_equation_four_by_hand() -> None:
+def test_naive_bayes_by_hand() -> None:
     # 0.5·0.8·0.6 = 0.24 for road, 0.5·0.2·0.4 = 0.04 for background
     assert combined(0.5, [0.8, 0.6], [1, 1]) == pytest.approx(0.24 / 0.28)
 
