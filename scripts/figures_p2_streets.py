@@ -24,7 +24,7 @@ from roadtorch.image import write_jpeg
 from roadtorch.report.montage import TILE_WIDTH, captioned
 from roadtorch.report.screen import align
 
-EVERY = 8
+EVERY = 16
 """Figures look at every so-manieth picture."""
 
 

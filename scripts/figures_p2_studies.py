@@ -7,7 +7,6 @@ import torch
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.contenders import Look
 from scripts.figures_p2_streets import (
-    EVERY,
     Counts,
     Found,
     auc,
@@ -24,6 +23,9 @@ RIDGES = (0.0, 1e-6, 3e-3, 3e-2, 1.0)
 INDEPENDENT = ("R", "G", "B", "nr", "ng", "S")
 """P2's planes without those that are linear in R, G and B, and without V, one of them."""
 
+EIGHTH = 8
+"""Where figures differ little, every so-manieth picture is looked at."""
+
 PIXELS = {"P2's, about 1,920": 40, "ours, about 300": 256}
 """4.8 M patches / 500 pictures / 5 patches = 1,920 superpixels; pixels of each at 320×240."""
 
@@ -34,7 +36,7 @@ def ridges(data: Path, out: Path) -> None:
     looks |= {
         f"six planes, ridge {ridge:g}": _cpf(ridge=ridge, planes=INDEPENDENT) for ridge in RIDGES
     }
-    tell(road_rows(found_on(streets(data), looks)), out / "p2-ridge.csv")
+    tell(road_rows(found_on(streets(data, EIGHTH), looks)), out / "p2-ridge.csv")
 
 
 def _cpf(**texture: object) -> Look:
@@ -55,7 +57,7 @@ def priors(data: Path, out: Path) -> None:
 
 def superpixel_counts(data: Path, out: Path) -> None:
     """P2's 1,920 superpixels a picture beside our 300: road, and layout of the labeller."""
-    dataset = streets(data, 2 * EVERY)
+    dataset = streets(data, EIGHTH)
     looks = {
         f"{name}, {text}": look_of(name, {"superpixels": {"pixels": pixels}})
         for name in ("fusion:paper", "cpf", "labeller")

@@ -24,6 +24,7 @@ from roadtorch.fusion import (
     RoadPlace,
     SegmentRoadSettings,
     fused_log_odds,
+    likelihood_product,
     log_odds,
     neighbour_mean,
     road_place,
@@ -65,6 +66,31 @@ def test_naive_bayes_is_the_product_normalised_against_the_background(
     found = combined(prior, likelihoods, weights)
 
     assert found == pytest.approx(reference.naive_bayes(prior, likelihoods, weights), abs=1e-9)
+
+
+def test_equation_four_by_hand() -> None:
+    prior, layout, texture = (torch.tensor([one]) for one in ([0.2, 0.4], [0.8, 0.5], [0.6, 1.0]))
+
+    found = likelihood_product(prior, [layout, texture])
+
+    torch.testing.assert_close(found, torch.tensor([[0.5 * 0.8 * 0.6, 0.5 * 1.0]]))
+
+
+@given(LIKELIHOODS.filter(lambda value: value > 0), LIKELIHOODS)
+def test_a_uniform_prior_changes_nothing_in_equation_four(prior: float, likelihood: float) -> None:
+    one = as_map(likelihood)
+
+    assert torch.equal(likelihood_product(as_map(prior), [one, one]), one * one)
+
+
+def test_odds_can_rank_pixels_the_other_way_round_than_equation_four() -> None:
+    layout, texture = torch.tensor([0.9, 0.6]), torch.tensor([0.3, 0.6])
+
+    product = likelihood_product(torch.ones(2), [layout, texture])
+    odds = fused_log_odds([layout, texture], [1, 1])
+
+    assert product[0] < product[1]
+    assert odds[0] > odds[1]
 
 
 def test_naive_bayes_by_hand() -> None:
