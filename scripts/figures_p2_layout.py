@@ -114,7 +114,7 @@ def layout_sheet(data: Path, out: Path) -> None:
                 "CNN-7: decision": to_pixels(layout_colours(learned.argmax(0))),
             }
         )
-    write_sheet(columns, out / "p2-fig5.jpg")
+    write_sheet(columns, out / "p2-fig5.png")
 
 
 def _decided(detection: Detection) -> Tensor:

@@ -134,7 +134,7 @@ def texture_sheet(data: Path, out: Path) -> None:
                 "U of the fused plane": heat(stretched(fused.detect(image).cues["uniformity"])),
             }
         )
-    write_sheet(columns, out / "p2-fig7.jpg")
+    write_sheet(columns, out / "p2-fig7.png")
 
 
 def stretched(values: torch.Tensor) -> torch.Tensor:
@@ -161,4 +161,4 @@ def road_sheet(data: Path, out: Path) -> None:
                 "both: road": tinted(found.mask.numpy()),
             }
         )
-    write_sheet(columns, out / "p2-fig8.jpg")
+    write_sheet(columns, out / "p2-fig8.png")

@@ -20,7 +20,7 @@ from roadtorch.evaluation.contenders import Look
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
 from roadtorch.evaluation.scoring import score_item
 from roadtorch.files import csv_text, write_text
-from roadtorch.image import write_jpeg
+from roadtorch.image import write_colours
 from roadtorch.report.montage import TILE_WIDTH, captioned
 from roadtorch.report.screen import align
 
@@ -113,7 +113,7 @@ def shown_items(dataset: Dataset, count: int = 5) -> tuple[Item, ...]:
 def write_sheet(
     columns: Sequence[Mapping[str, np.ndarray]], path: Path, tile: int = TILE_WIDTH
 ) -> None:
-    """Write tiles uint8 (H,W,3) by row title, a column for each picture, as a JPEG."""
+    """Write tiles uint8 (H,W,3) by row title, a column for each picture, as a PNG."""
     stacks = []
     for column in columns:
         first = next(iter(column.values()))
@@ -122,5 +122,5 @@ def write_sheet(
             np.concatenate([captioned(one, text, height) for text, one in column.items()])
         )
     sheet = np.concatenate(stacks, axis=1)
-    write_jpeg(path, torch.from_numpy(sheet.transpose(2, 0, 1).astype(np.float32) / 255))
+    write_colours(path, torch.from_numpy(sheet.transpose(2, 0, 1).astype(np.float32) / 255))
     print(path)

@@ -3,8 +3,8 @@
     python train/sweep_topologies.py PICTURES CAMVID --out runs/sweep
 
 About 40 minutes on two cores; started again, it goes on where it was. Every network learns from
-the same machine labels, as --config says but shortened, the same for all: every sixth picture,
-one patch for each superpixel (at its centroid), one epoch in batches of 32. That is some sixty
+the same machine labels, as --config says but shortened, the same for all: every third picture,
+one patch for each superpixel (at its centroid), one epoch in batches of 32. That is about 120
 thousand patches where P2 has 4.8 million: it compares topologies with one another, not with P2.
 
 The score is P2's "global average accuracy" on CamVid's training split, on which P2 validates
@@ -221,7 +221,7 @@ def main() -> None:
     parser.add_argument("camvid", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--config", type=Path, default=Path("configs/cnn7.toml"))
-    parser.add_argument("--every", type=int, default=6, help="learn from every so-manieth picture")
+    parser.add_argument("--every", type=int, default=3, help="learn from every so-manieth picture")
     parser.add_argument("--score-every", type=int, default=4, help="the same for the score")
     parser.add_argument("--rounds", type=int, default=5, help="of the times")
     parser.add_argument("--jobs", type=int, default=2, help="networks trained at a time")
