@@ -46,7 +46,7 @@ from roadtorch.signals import Stop
 from roadtorch.sources.pictures import find_images
 from roadtorch.superpixels import Superpixels
 from roadtorch.train.arrays import Arrays, read_arrays, write_arrays
-from roadtorch.train.config import Descent, PatchTraining, as_values, read_training
+from roadtorch.train.config import PatchTraining, as_values, read_training
 from roadtorch.train.patch_study import train_patches
 from roadtorch.train.prepared import PreparedFolder
 from roadtorch.train.processes import Processes
@@ -80,7 +80,7 @@ class Job(NamedTuple):
 
 def shortened(training: PatchTraining, topology: Topology) -> PatchTraining:
     """A training as it is in this study: the same for all but for the topology."""
-    descent = Descent(**(training.descent.model_dump() | {"batch": BATCH}))
+    descent = training.descent.model_copy(update={"batch": BATCH})
     network = training.network.model_copy(update={"topology": topology})
     sites = training.sites.model_copy(update={"around": SITES_AROUND})
     changes = {"network": network, "sites": sites, "descent": descent, "passes": 1}
@@ -162,14 +162,27 @@ def picture_times(topologies: Mapping[str, Topology], image: Tensor, rounds: int
     return {name: torch.tensor([times[name] for times in by_size]) for name in by_size[0]}
 
 
-def prepared_files(pictures: str, every: int, training: PatchTraining, out: Path) -> list[Path]:
-    """Every so-manieth picture made ready, once for all networks."""
+def kept_times(
+    chosen: argparse.Namespace, topologies: Mapping[str, Topology], image: Tensor
+) -> Arrays:
+    """The times of all networks, measured together, anew where some were not there."""
+    path = chosen.out / "times.npz"
+    if not path.exists() or not topologies.keys() <= read_arrays(path).keys():
+        write_arrays(path, picture_times(topologies, image, chosen.rounds))
+    return read_arrays(path)
+
+
+def prepared_files(chosen: argparse.Namespace, training: PatchTraining) -> list[Path]:
+    """Every so-manieth picture made ready, once for all networks.
+
+    ConfigError for a folder that holds a sweep with other choices.
+    """
     recipe = PatchRecipe(training)
-    folder = PreparedFolder(out, Processes(), Stop())
-    config = as_values(training)
-    folder.claim({"preparation": recipe.preparation(), "training": config, "every": every})
-    chosen = find_images([pictures], apart=out)[::every]
-    made = folder.prepare(chosen, recipe.make, "labels")
+    folder = PreparedFolder(chosen.out / "prepared", Processes(), Stop())
+    every = {"every": chosen.every, "score_every": chosen.score_every}
+    folder.claim({"training": as_values(training), **every})
+    pictures = find_images([chosen.pictures], apart=chosen.out)[:: chosen.every]
+    made = folder.prepare(pictures, recipe.make, "labels")
     return [item.file for item in made if item.file is not None]
 
 
@@ -193,8 +206,7 @@ def sweep(chosen: argparse.Namespace) -> None:
     split = open_dataset("camvid", chosen.camvid, "train")
     dataset = every_kth(split, len(split.items) // chosen.score_every)
     topologies = family(chosen.only or tuple(P2_TOPOLOGIES))
-    plain = shortened(base, Topology())
-    files = prepared_files(chosen.pictures, chosen.every, plain, chosen.out / "prepared")
+    files = prepared_files(chosen, shortened(base, Topology()))
     jobs = [
         Job(name, shortened(base, topology), files, dataset, chosen.out)
         for name, topology in topologies.items()
@@ -206,11 +218,7 @@ def sweep(chosen: argparse.Namespace) -> None:
     if not teacher.exists():
         found = confusions(dataset, lambda image: label_layout(image, base.labeller).potentials)
         write_arrays(teacher, found)
-    clock = chosen.out / "times.npz"
-    if not clock.exists():
-        image = read_image(dataset.items[0].image)
-        write_arrays(clock, picture_times(topologies, image, chosen.rounds))
-    times = read_arrays(clock)
+    times = kept_times(chosen, topologies, read_image(dataset.items[0].image))
     rows = {job.name: studied(job, times) for job in jobs}
     write_table(rows, (read_arrays(teacher), times[LABELLER]), chosen.out)
 

@@ -143,6 +143,7 @@ class PatchNetwork(nn.Module):
     """
 
     kind: ClassVar[str] = "patches"
+    table: Tensor
 
     def __init__(self, settings: PatchNetworkSettings | None = None) -> None:
         super().__init__()
