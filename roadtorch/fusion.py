@@ -1,8 +1,11 @@
 """Naive Bayes: what was learned off line and what this picture shows, in one probability.
 
-P2, section 5. Every cue is a likelihood in [0,1], read as p(road | cue) under even odds, so
-that cues multiply as odds. Over segments one more cue is learned from the others: what the
-road of this very picture looks like (ours).
+``likelihood_product`` is P2's eq. 4: prior times likelihoods, no model of the background. The
+rest is ours, after it: every cue is a likelihood in [0,1], read as p(road | cue) under even
+odds, so that cues multiply as odds, L / (1-L): what speaks for the background speaks too. The
+two can rank pixels the other way round: 0.9 and 0.3 have the product 0.27 and the odds 3.9,
+0.6 and 0.6 the product 0.36 and the odds 2.3. Over segments one more cue is learned from the
+others: what the road of this very picture looks like (ours).
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,7 +45,7 @@ class RoadPlace(Settings):
 
 
 class Exponents(Settings):
-    """How much each cue is trusted: exponents of the likelihoods; 1 each is eq. 4 of P2."""
+    """How much each cue is trusted: exponents of the odds L / (1-L); ours (see the module)."""
 
     layout: float = Field(default=0.44, ge=0, le=10, description="the ground of the scene layout")
     distance: float = Field(default=1.0, ge=0, le=10, description="the distance from the seed area")
@@ -78,6 +81,19 @@ class SegmentRoadSettings(Settings):
     )
 
 
+def likelihood_product(prior: Tensor, likelihoods: Sequence[Tensor]) -> Tensor:
+    """p(R | cues) up to a constant: p(R) · Π L, P2 eq. 4. All (H,W) in [0,1].
+
+    "Only considerations about the road are taken into account" (P2, section 5): nothing is
+    said of the background, so the result is no probability, and is compared with a threshold.
+    A prior counts relative to its largest value: a uniform one changes nothing.
+    """
+    found = prior / prior.max()
+    for likelihood in likelihoods:
+        found = found * likelihood
+    return found
+
+
 def log_odds(likelihood: Tensor) -> Tensor:
     """log(L / (1-L)) of likelihoods in [0,1], kept finite (see ``SUREST``)."""
     return torch.logit(likelihood, eps=SUREST)
@@ -86,8 +102,9 @@ def log_odds(likelihood: Tensor) -> Tensor:
 def fused_log_odds(likelihoods: Sequence[Tensor], weights: Sequence[float]) -> Tensor:
     """Σ W · log(L / (1-L)) of likelihoods of one shape, in [0,1]; 0.5 says nothing.
 
-    Naive Bayes: its sigmoid is Π Lᵂ, normalised against Π (1-L)ᵂ. Summed as log odds: no
-    product of small numbers underflows.
+    Naive Bayes with a model of the background: its sigmoid is Π Lᵂ / (Π Lᵂ + Π (1-L)ᵂ). With
+    weights 1 that is not P2's eq. 4, which leaves the background out (``likelihood_product``).
+    Summed as log odds: no product of small numbers underflows.
     """
     odds = [weight * log_odds(each) for each, weight in zip(likelihoods, weights, strict=True)]
     return torch.stack(odds).sum(0)

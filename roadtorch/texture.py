@@ -25,10 +25,12 @@ order 1, and a flat picture would look rough."""
 def minimum_variance_weights(samples: Tensor, ridge: float) -> Tensor:
     """Weights (N,), summing to 1, whose combination of planes varies least over samples (K,N).
 
-    w = Σ⁻¹1 / (1ᵀΣ⁻¹1), P2 eq. 3. Planes that are linear in one another (O1 and O2 in R, G
-    and B) make Σ singular; ``ridge`` ≥ 0 times the mean variance is added to its diagonal:
-    0 is P2's formula, large values give the plain mean of the planes. Solved in float64,
-    returned in the samples' dtype.
+    w = Σ⁻¹1 / (1ᵀΣ⁻¹1), P2 eq. 3. P2's nine planes are linear in one another (R - G - √2·O1 = 0,
+    R + G - 2B - √6·O2 = 0), so its Σ has no inverse, and (R - G - √2·O1) / -√2, whose weights sum
+    to 1, is 0 in every picture: the least variance that there is, and no texture. So ``ridge`` ≥ 0
+    times the mean variance is added to the diagonal. 0 leaves ``VARIANCE_FLOOR`` alone, which is
+    P2's formula as far as numbers go, and collapses (docs/p2.md); large values give the plain
+    mean of the planes. Solved in float64, returned in the samples' dtype.
     """
     centred = samples.to(torch.float64)
     centred = centred - centred.mean(0)

@@ -21,7 +21,7 @@ class WorkingSize(Settings):
         default=320 * 240,
         ge=SHORTEST**2,
         le=10**9,
-        description="pixels at most; P2 works at 320x240",
+        description="pixels at most: 320x240, which P2 names for its times alone",
     )
 
 

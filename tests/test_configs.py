@@ -6,8 +6,9 @@ import pytest
 
 from roadtorch.cli.config import chosen_detector
 from roadtorch.detectors.catalogue import detector_entry
+from roadtorch.layout.patch_network import Topology
 from roadtorch.settings import build_settings
-from roadtorch.train.config import read_training
+from roadtorch.train.config import PatchTraining, read_training
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 THRESHOLDS = sorted((CONFIGS / "thresholds").glob("*.toml"))
@@ -19,6 +20,19 @@ OWN = ("ufl", "ufl:original", "fusion")
 @pytest.mark.parametrize("path", TRAINING, ids=lambda path: path.stem)
 def test_every_training_config_is_one(path: Path) -> None:
     assert read_training(path).descent.rate > 0
+
+
+def test_the_papers_config_is_to_the_letter_where_the_paper_says() -> None:
+    paper = read_training(CONFIGS / "cnn7-paper.toml")
+
+    assert isinstance(paper, PatchTraining)
+    assert paper.network.topology == Topology()
+    assert paper.network.normalisation.kind == "fixed"
+    assert paper.labeller.support == "maximum"
+    assert (paper.descent.method, paper.descent.momentum, paper.descent.decay) == ("sgd", 0, 0)
+    assert (paper.sites.around, paper.balance) == (4, "none")
+    assert (paper.stopping.rule, paper.stopping.fall) == ("fall", 0.001)
+    assert 320 * 240 / paper.superpixels.pixels == 4.8e6 / 500 / 5
 
 
 @pytest.mark.parametrize("path", THRESHOLDS, ids=lambda path: path.stem)

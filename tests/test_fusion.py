@@ -24,6 +24,7 @@ from roadtorch.fusion import (
     RoadPlace,
     SegmentRoadSettings,
     fused_log_odds,
+    likelihood_product,
     log_odds,
     neighbour_mean,
     road_place,
@@ -57,7 +58,7 @@ def combined(prior: float, likelihoods: list[float], weights: list[float]) -> fl
 
 
 @given(LIKELIHOODS, st.lists(st.tuples(LIKELIHOODS, WEIGHTS), max_size=5))
-def test_naive_bayes_is_the_normalised_product_of_the_paper(
+def test_naive_bayes_is_the_product_normalised_against_the_background(
     prior: float, cues: list[tuple[float, float]]
 ) -> None:
     likelihoods, weights = [cue[0] for cue in cues], [cue[1] for cue in cues]
@@ -68,6 +69,31 @@ def test_naive_bayes_is_the_normalised_product_of_the_paper(
 
 
 def test_equation_four_by_hand() -> None:
+    prior, layout, texture = (torch.tensor([one]) for one in ([0.2, 0.4], [0.8, 0.5], [0.6, 1.0]))
+
+    found = likelihood_product(prior, [layout, texture])
+
+    torch.testing.assert_close(found, torch.tensor([[0.5 * 0.8 * 0.6, 0.5 * 1.0]]))
+
+
+@given(LIKELIHOODS.filter(lambda value: value > 0), LIKELIHOODS)
+def test_a_uniform_prior_changes_nothing_in_equation_four(prior: float, likelihood: float) -> None:
+    one = as_map(likelihood)
+
+    assert torch.equal(likelihood_product(as_map(prior), [one, one]), one * one)
+
+
+def test_odds_can_rank_pixels_the_other_way_round_than_equation_four() -> None:
+    layout, texture = torch.tensor([0.9, 0.6]), torch.tensor([0.3, 0.6])
+
+    product = likelihood_product(torch.ones(2), [layout, texture])
+    odds = fused_log_odds([layout, texture], [1, 1])
+
+    assert product[0] < product[1]
+    assert odds[0] > odds[1]
+
+
+def test_naive_bayes_by_hand() -> None:
     # 0.5·0.8·0.6 = 0.24 for road, 0.5·0.2·0.4 = 0.04 for background
     assert combined(0.5, [0.8, 0.6], [1, 1]) == pytest.approx(0.24 / 0.28)
 

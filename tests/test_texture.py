@@ -6,7 +6,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from roadtorch.color import planes
 from roadtorch.texture import (
+    TextureSettings,
     fused_plane,
     minimum_variance_weights,
     quantise,
@@ -46,6 +48,20 @@ def test_independent_planes_weigh_by_the_inverse_of_their_variance():
     weights = minimum_variance_weights(samples, ridge=0)
 
     assert weights.tolist() == pytest.approx([16 / 21, 4 / 21, 1 / 21])
+
+
+def test_without_a_ridge_the_nine_planes_of_the_paper_fuse_to_nothing():
+    image = random(3, 24, 32, dtype=torch.float32)
+    stack = planes(image, TextureSettings().planes)
+    samples = stack[:, 16:].flatten(1).T
+
+    collapsed, kept = (
+        fused_plane(stack, minimum_variance_weights(samples, ridge)) for ridge in (0.0, 3e-3)
+    )
+
+    # (R - G - √2·O1) / -√2 has weights that sum to 1, and is 0 in every picture.
+    assert collapsed.std() < 1e-3
+    assert kept.std() > 10 * collapsed.std()
 
 
 @pytest.mark.parametrize("ridge", [0, 1e-8, 1e-3, 1, 1e6])

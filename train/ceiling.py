@@ -22,12 +22,8 @@ from roadtorch.layout.classes import CLASSES, UNLABELLED
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import save_network
 from roadtorch.train.arrays import to_bytes, write_arrays
-from roadtorch.train.average import AverageWeights
 from roadtorch.train.config import PatchTraining, read_training
-from roadtorch.train.generators import seeded
-from roadtorch.train.loop import TrainingSetup, make_optimiser, step
-from roadtorch.train.patch_samples import PatchSamples, squared_error
-from roadtorch.train.processes import join_processes
+from roadtorch.train.patch_study import train_patches
 from roadtorch.train.sites import find_sites
 from roadtorch.working_size import at_work
 
@@ -43,26 +39,6 @@ def prepare(dataset: Dataset, item: Item, training: PatchTraining, path: Path) -
     known = classes != UNLABELLED
     arrays = {"image": to_bytes(small), "sites": sites[known].to(torch.int16)}
     write_arrays(path, {**arrays, "classes": classes[known].to(torch.uint8)})
-
-
-def train(files: list[Path], training: PatchTraining, epochs: int) -> PatchNetwork:
-    """A network trained on prepared pictures for that many epochs, the rate falling to 0."""
-    with join_processes() as processes, seeded(training.random_seed, 0):
-        network = PatchNetwork(training.network)
-        samples = PatchSamples(files, training, processes)
-        optimiser = make_optimiser(network, training.descent)
-        average = AverageWeights(network, training.descent.average)
-        setup = TrainingSetup(
-            network, average, optimiser, samples, squared_error, training.descent, training.stopping
-        )
-        for epoch in range(epochs):
-            error = count = 0.0
-            for chunk in tqdm(range(samples.chunks), f"epoch {epoch + 1}", disable=None):
-                for batch in samples.batches(epoch, chunk):
-                    error += step(setup, batch, processes)
-                    count += batch.count
-            print(f"epoch {epoch + 1}: error {error / count:.4f}", flush=True)
-    return network.eval()
 
 
 def recalls(network: PatchNetwork, dataset: Dataset, items: list[Item]) -> Tensor:
@@ -95,7 +71,9 @@ def main() -> None:
     means = []
     for drive in dataset.groups():
         others = [file for item, file in files.items() if item.group != drive]
-        network = train(others, training, chosen.epochs)
+        network, errors, _ = train_patches(others, training, chosen.epochs)
+        for epoch, error in enumerate(errors, 1):
+            print(f"epoch {epoch}: error {error:.4f}", flush=True)
         save_network(chosen.out / f"{drive}.safetensors", network, {"trained on": "true labels"})
         held = [item for item in dataset.items if item.group == drive][:: chosen.every]
         found = recalls(network, dataset, held)

@@ -32,7 +32,7 @@ QUIET = click.option("--quiet", is_flag=True, help="No progress, only failures."
 LABELLED_SET = (
     click.argument("dataset"),
     click.argument("root", type=PATH),
-    click.option("--split", help="Part of the data set; camvid: dev (default), train, val."),
+    click.option("--split", help="Part of the data set; camvid: dev (default), train, val, test."),
     click.option(
         "--detector",
         "names",

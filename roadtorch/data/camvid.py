@@ -34,11 +34,20 @@ CAMVID_LABELS = NumberLabels(
     layout=(SKY, *(VERTICAL,) * 2, *(HORIZONTAL,) * 2, *(VERTICAL,) * 6, UNLABELLED),
 )
 
-CAMVID_SPLITS = {"dev": ("train", "val"), "train": ("train",), "val": ("val",)}
+CAMVID_SPLITS = {
+    "dev": ("train", "val"),
+    "train": ("train",),
+    "val": ("val",),
+    "test": ("test",),
+}
 
 
 def open_camvid(root: Path, split: str) -> Dataset:
-    """CamVid in the 11-class layout: ROOT/train, ROOT/trainannot, ROOT/val, ROOT/valannot."""
+    """CamVid in the 11-class layout: ROOT/train and ROOT/trainannot, the same for val and test.
+
+    The test split, which P2's Figs. 4 and 6 are about, is read where a user has it; ``dev`` has
+    no part in it.
+    """
     items = tuple(
         _item(image, label)
         for part in CAMVID_SPLITS[split]

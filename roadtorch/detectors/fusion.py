@@ -1,7 +1,7 @@
 """The fused detectors: naive Bayes over layout, texture and, in ours, more (P2 section 5)."""
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Literal, NamedTuple
 
 from pydantic import Field
 from torch import Tensor, nn
@@ -12,6 +12,7 @@ from roadtorch.exposure import brightened
 from roadtorch.fusion import (
     SegmentRoadSettings,
     fused_log_odds,
+    likelihood_product,
     log_odds,
     road_place,
     segment_road,
@@ -23,6 +24,7 @@ from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import WeightsFile, network_of
 from roadtorch.otsu import centred_odds
+from roadtorch.priors import prior_rows, prior_triangle, prior_uniform
 from roadtorch.seed_area import likely_seed, seed_rectangle, seed_segments
 from roadtorch.seed_distance import distance_likelihood, seed_distance
 from roadtorch.segment_features import Segments, measure_segments
@@ -82,12 +84,30 @@ class FusionSettings(UntrainedFusionSettings):
 
 
 class PaperFusionSettings(WorkingSettings):
-    """P2 as it is written: CNN-7, colour plane fusion over superpixels, a uniform prior."""
+    """P2 as it is written: CNN-7, colour plane fusion over superpixels, a uniform prior.
+
+    P2 combines CNN-7 with CPF, and shows CPFv2 beside it (Fig. 6a); it names the prior of eq. 4
+    and tests a uniform one alone. The other two priors are our floors.
+    """
 
     threshold: Threshold = Field(default=0.258, description=TUNED)
     superpixels: Superpixels = Superpixels()
     weights: WeightsFile = WeightsFile()
     texture: TextureSettings = TextureSettings()
+    descriptor: Literal["cpf", "cpf:v2"] = Field(
+        default="cpf", description="colour plane fusion, or the same without saturated pixels"
+    )
+    saturation: Saturation = Saturation()
+    prior: Literal["uniform", "rows", "triangle"] = Field(
+        default="uniform", description="where road is likely before the picture is seen (eq. 4)"
+    )
+
+
+PRIORS: Mapping[str, Callable[[int, int], Tensor]] = {
+    "uniform": prior_uniform,
+    "rows": prior_rows,
+    "triangle": prior_triangle,
+}
 
 
 class UntrainedFusion(nn.Module):
@@ -244,7 +264,7 @@ def seen_from(
 
 
 class PaperFusion(nn.Module):
-    """Layout of CNN-7 times uniformity, P2 eq. 4 with a uniform prior."""
+    """Prior times layout of CNN-7 times uniformity, P2 eq. 4."""
 
     def __init__(self, settings: PaperFusionSettings) -> None:
         super().__init__()
@@ -257,17 +277,27 @@ class PaperFusion(nn.Module):
         layout = self.network.potentials(image)
         labels = settings.superpixels.cut(image)
         seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
-        fused, values = fused_uniformity(image, labels, labels >= 0, seed, settings.texture)
+        fused, values = described(image, labels, seed, settings)
         uniformity = paint(values, labels)
+        prior = PRIORS[settings.prior](*labels.shape).to(image)
         return {
             # The paper thresholds the product as it is.
-            "likelihood": layout[HORIZONTAL] * uniformity,
+            "likelihood": likelihood_product(prior, [layout[HORIZONTAL], uniformity]),
             "layout": layout,
             "texture": uniformity_likelihood(uniformity, settings.texture.even),
             "uniformity": uniformity,
             "fused_plane": fused,
             "segments": labels,
         }
+
+
+def described(
+    image: Tensor, labels: Tensor, seed: Tensor, settings: PaperFusionSettings
+) -> tuple[Tensor, Tensor]:
+    """The fused plane (H,W) and U (n,) of segments (H,W), by the descriptor of the settings."""
+    if settings.descriptor == "cpf":
+        return fused_uniformity(image, labels, labels >= 0, seed, settings.texture)
+    return unsaturated_uniformity(image, labels, seed, settings.texture, settings.saturation)[:2]
 
 
 ENTRIES = (

@@ -319,7 +319,7 @@ def void_as_vertical(confusion: Tensor) -> Tensor:
 
 
 def normalised_confusion(confusion: Tensor) -> Tensor:
-    """Shares of each true class by decision, (...,4,4) → float64 (...,3,3) (P2, Table 1).
+    """Shares of each true class by decision, (...,4,4) → float64 (...,3,3) (P2, Fig. 4b).
 
     Rows sum to 1, or are NaN for a class without pixels. P2 prints vertical, horizontal,
     sky; here the order is sky, vertical, horizontal.

@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from roadtorch.color import plane
 from roadtorch.errors import ConfigError
 from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.normalisation import Normalisation, normalise
@@ -36,9 +37,18 @@ class Topology(Settings):
     """
 
     patch: Literal[32, 48, 64] = Field(default=32, description="pixels of the patch's side")
+    input: Literal["colour", "grey"] = Field(
+        default="colour", description="three planes, or their luma alone (P2, section 6.1)"
+    )
     k1: int = Field(default=4, ge=1, le=64, description="kernels of the first layer; P2: 4 or 6")
     k2: int = Field(
         default=16, ge=1, le=256, description="kernels of the second layer; P2: 10 to 130"
+    )
+    connections: int = Field(
+        default=0,
+        ge=0,
+        le=64,
+        description="maps of the first layer that each second kernel sees; 0: all",
     )
     size1: int = Field(
         default=7, ge=LEAST_KERNEL, le=LARGEST_KERNEL, description="side of the first kernels"
@@ -64,6 +74,9 @@ class Topology(Settings):
         sizes = (self.patch, self.size1, self.size2, self.size3, self.subsamplings)
         if _last_side(*sizes) != 1:
             raise ConfigError("topology", _ending(*sizes), f"nearest that do: {_nearest(*sizes)}")
+        if self.connections > self.k1:
+            what = f"is {self.connections}, and the first layer has {self.k1} kernels"
+            raise ConfigError("topology.connections", what, f"give 0 to {self.k1}")
         return self
 
     @property
@@ -130,14 +143,19 @@ class PatchNetwork(nn.Module):
     """
 
     kind: ClassVar[str] = "patches"
+    table: Tensor
 
     def __init__(self, settings: PatchNetworkSettings | None = None) -> None:
         super().__init__()
         self.settings = settings or PatchNetworkSettings()
         shape = self.settings.topology
-        self.first = nn.Conv2d(3, shape.k1, shape.size1)
+        self.first = nn.Conv2d(3 if shape.input == "colour" else 1, shape.k1, shape.size1)
         self.second = nn.Conv2d(shape.k1, shape.k2, shape.size2)
         self.last = nn.Conv2d(shape.k2, CLASSES, shape.size3)
+        table = connection_table(shape.k1, shape.k2, shape.connections)
+        self.register_buffer("table", table[:, :, None, None].float(), persistent=False)
+        with torch.no_grad():  # as strong a start as a kernel has that sees all maps
+            self.second.weight.mul_((shape.k1 / table.sum(1)).sqrt()[:, None, None, None])
 
     def forward(self, patches: Tensor) -> Tensor:
         """Potentials (n,3) in [0,1] of normalised patches (n,3,P,P)."""
@@ -147,8 +165,8 @@ class PatchNetwork(nn.Module):
         """Potentials (B,3,h,w) at every ``stride``-th place of pictures (B,3,H,W), unpadded."""
         shape = self.settings.topology
         pool = F.avg_pool2d if shape.pooling == "mean" else F.max_pool2d
-        maps = pool(self.first(pixels).tanh(), 2)
-        maps = self.second(maps).tanh()
+        maps = pool(self.first(self._seen(pixels)).tanh(), 2)
+        maps = F.conv2d(maps, self.second.weight * self.table, self.second.bias).tanh()
         if shape.subsamplings == 2:
             maps = pool(maps, 2)
         return self._squashed(self.last(maps))
@@ -162,9 +180,10 @@ class PatchNetwork(nn.Module):
         Networks", ICIP 2013, in its dilated form). Past the border the picture is reflected.
         """
         shape = self.settings.topology
-        maps = reflected(pixels, shape.patch)[None]
+        maps = self._seen(reflected(pixels, shape.patch)[None])
         maps = _pooled_everywhere(self.first(maps).tanh(), 1, shape.pooling)
-        maps = F.conv2d(maps, self.second.weight, self.second.bias, dilation=2).tanh_()
+        weight = self.second.weight * self.table
+        maps = F.conv2d(maps, weight, self.second.bias, dilation=2).tanh_()
         if shape.subsamplings == 2:
             maps = _pooled_everywhere(maps, 2, shape.pooling)
         maps = F.conv2d(maps, self.last.weight, self.last.bias, dilation=shape.stride)
@@ -182,10 +201,27 @@ class PatchNetwork(nn.Module):
         pixels = normalise(image, self.settings.normalisation).pixels
         return self.dense(pixels.to(self.first.weight)).to(image)
 
+    def _seen(self, pixels: Tensor) -> Tensor:
+        """What the first layer is given of pixels (B,3,H,W): (B,3,H,W) or (B,1,H,W)."""
+        if self.settings.topology.input == "colour":
+            return pixels
+        return plane(pixels, "grey").unsqueeze(-3)
+
     def _squashed(self, scores: Tensor) -> Tensor:
         if self.settings.topology.potentials == "softmax":
             return scores.softmax(1)
         return scores.sigmoid()
+
+
+def connection_table(k1: int, k2: int, connections: int) -> Tensor:
+    """Which of k1 maps each of k2 second kernels sees, bool (k2,k1); 0 connections: all.
+
+    P2, Fig. 2, speaks of "the number of kernel combinations between layers" and prints no
+    table. Ours: kernel i sees the maps i, i+1, … modulo k1, so that every map is seen as often
+    as any other, or once more.
+    """
+    apart = (torch.arange(k1) - torch.arange(k2)[:, None]).remainder(k1)
+    return apart < (connections or k1)
 
 
 def reflected(pixels: Tensor, patch: int) -> Tensor:

@@ -13,6 +13,7 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.labels import colour_indices, read_colours, read_labels
 from roadtorch.errors import DatasetError
 from roadtorch.scenes import render_scene
+from tests.streets import write_camvid
 
 NAMES = [name for _, name, _ in COLOURS32]
 READINGS = ("camvid32", "camvid32:literal", "camvid32:literal-ignore")
@@ -44,6 +45,17 @@ def test_camvid_dev_is_train_and_val_by_drive(camvid):
     assert [item.name for item in found.items] == ["0001TP_0", "0006R0_1", "0016E5_7"]
     assert found.groups() == ["0001TP", "0006R0", "0016E5"]
     assert len(open_dataset("camvid", camvid, "val").items) == 1
+
+
+def test_camvid_test_is_read_where_it_is_and_is_no_part_of_dev(camvid):
+    with pytest.raises(DatasetError, match="test"):
+        open_dataset("camvid", camvid, "test")
+    write_camvid(camvid, "test", {"Seq05VD_1": render_scene(3, 24, 32)})
+
+    found = open_dataset("camvid", camvid, "test")
+
+    assert [(item.name, item.group) for item in found.items] == [("Seq05VD_1", "Seq05V")]
+    assert "Seq05V" not in open_dataset("camvid", camvid).groups()
 
 
 def test_camvid_truth_is_the_scenes_truth(camvid):

@@ -14,6 +14,7 @@ from roadtorch.fusion import log_odds
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import label_layout
 from roadtorch.layout.weights import load_network, shipped_weights
+from roadtorch.priors import prior_rows
 from tests.networks import write_ego_network
 from tests.streets import lost_highlights
 
@@ -127,6 +128,20 @@ def test_the_paper_multiplies_layout_and_uniformity() -> None:
         cues["layout"], load_detector("layout:cnn-7").detect(street()).cues["layout"]
     )
     assert torch.equal(cues["uniformity"], load_detector("cpf").detect(street()).cues["uniformity"])
+
+
+def test_the_paper_takes_another_descriptor_and_a_prior_where_told() -> None:
+    usual = load_detector("fusion:paper").detect(street())
+
+    other = load_detector("fusion:paper", descriptor="cpf:v2").detect(street())
+    placed = load_detector("fusion:paper", prior="rows").detect(street())
+
+    v2 = load_detector("cpf:v2").detect(street())
+    assert torch.equal(other.cues["uniformity"], v2.cues["uniformity"])
+    assert not torch.equal(other.cues["uniformity"], usual.cues["uniformity"])
+    rows = prior_rows(*street().shape[1:])
+    wanted = usual.likelihood * rows / rows.max()
+    torch.testing.assert_close(placed.likelihood, wanted, atol=1e-6, rtol=0.0)
 
 
 def test_the_layout_is_a_pool_of_two_opinions() -> None:

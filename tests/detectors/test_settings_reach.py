@@ -56,7 +56,10 @@ def one_of_each() -> list[str]:
 
 
 QUICK: dict[str, dict] = {"working": {"rows": 48}, "dictionary": {"bases": 20, "rounds": 3}}
-USUAL = {"ufl": QUICK, "ufl:original": QUICK, "oneclass:mog_opt:HS": {}, "oneclass:dlp:HS": {}}
+USUAL = {
+    **{"ufl": QUICK, "ufl:original": QUICK, "oneclass:mog_opt:HS": {}, "oneclass:dlp:HS": {}},
+    "fusion:paper": {},
+}
 """What is set throughout, to be quick."""
 NEEDS: dict[str, dict] = {
     "seed_area": {"isolated": "drop"},
@@ -64,6 +67,7 @@ NEEDS: dict[str, dict] = {
     "road.apex": {"road": {"place": "ahead"}},
     "road.base": {"road": {"place": "ahead"}},
     "road.whole": {"tree": {"nodes": "runs", "least": 1000}},
+    "saturation": {"descriptor": "cpf:v2"},
     "classifier.restarts": {"classifier": {"select": "aic"}},
     "classifier.threshold": {"classifier": {"rejected": 0.3}},
 }

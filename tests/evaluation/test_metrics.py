@@ -431,7 +431,7 @@ def test_normalised_confusion_its_mean_diagonal_and_accuracy_by_hand():
     assert float(metrics.layout_accuracy(CONFUSION)) == pytest.approx(23 / 30)
 
 
-# P2, Table 1: the diagonals of its two methods (vertical, horizontal, sky) and the printed mean.
+# P2, Fig. 4b and 4c: the diagonals (vertical, horizontal, sky) and the printed mean.
 @pytest.mark.parametrize(
     ("diagonal", "printed"), [((0.870, 0.958, 0.915), 0.915), ((0.983, 0.902, 0.655), 0.847)]
 )

@@ -6,12 +6,14 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from roadtorch.color import plane
 from roadtorch.errors import ConfigError
 from roadtorch.layout.normalisation import Normalisation, normalise
 from roadtorch.layout.patch_network import (
     PatchNetwork,
     PatchNetworkSettings,
     Topology,
+    connection_table,
     fitting_topologies,
     reflected,
 )
@@ -25,6 +27,8 @@ SHAPES = [
     Topology(size2=9, size3=5, k1=6, k2=10),
     Topology(patch=48, size1=5, size2=13, size3=5, subsamplings=2),
     Topology(patch=64, size1=13, size2=9, size3=9, subsamplings=2, pooling="max"),
+    Topology(k1=6, connections=2),
+    Topology(input="grey"),
 ]
 
 
@@ -88,6 +92,51 @@ def test_what_is_proposed_instead_is_accepted() -> None:
     for proposal in proposals:
         pairs = (part.split("=") for part in proposal.split())
         build_settings(Topology, {key: int(value) for key, value in pairs})
+
+
+def test_a_partial_table_gives_each_kernel_its_maps_and_each_map_its_share() -> None:
+    table = connection_table(6, 60, 3)
+
+    assert table.sum(1).unique().tolist() == [3]
+    assert table.sum(0).tolist() == [30] * 6
+    assert table[5].nonzero()[:, 0].tolist() == [0, 1, 5]
+    assert bool(connection_table(4, 16, 0).all())
+
+
+def test_maps_without_connection_have_no_say_and_learn_nothing() -> None:
+    network = network_of(Topology(k1=6, connections=2))
+    patches = torch.randn(3, 3, 32, 32, generator=torch.Generator().manual_seed(0))
+    away = network.get_buffer("table").expand_as(network.second.weight) == 0
+
+    before = network(patches)
+    before.square().sum().backward()
+    gradient = network.second.weight.grad
+    with torch.no_grad():
+        network.second.weight[away] = 100.0
+
+    assert torch.equal(network(patches), before)
+    assert gradient is not None
+    assert gradient[away].abs().max() == 0
+    assert gradient[~away].abs().max() > 0
+
+
+def test_the_table_is_no_weight_of_the_file() -> None:
+    assert "table" not in network_of(Topology(connections=2)).state_dict()
+
+
+def test_a_grey_network_sees_luma_alone() -> None:
+    network = network_of(Topology(input="grey"))
+    colourful = torch.randn(2, 3, 32, 32, generator=torch.Generator().manual_seed(0))
+
+    found = network(plane(colourful, "grey").unsqueeze(1).expand(-1, 3, -1, -1))
+
+    assert tuple(network.first.weight.shape) == (4, 1, 7, 7)
+    torch.testing.assert_close(network(colourful), found, atol=1e-5, rtol=0)
+
+
+def test_more_connections_than_maps_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"connections: is 5, .* 4 kernels"):
+        build_settings(PatchNetworkSettings, {"topology": {"connections": 5}})
 
 
 # --- one patch and every pixel ---------------------------------------------------------------

@@ -10,7 +10,7 @@ def kept(likelihood: float) -> float:
 
 
 def naive_bayes(prior: float, likelihoods: Sequence[float], weights: Sequence[float]) -> float:
-    """P2 eq. 4, p(R)·ΠLᵂ, over its sum with the same product for the background."""
+    """p(R)·ΠLᵂ over its sum with the same product for the background; P2 eq. 4 has no second."""
     road, background = kept(prior), 1 - kept(prior)
     for likelihood, weight in zip(likelihoods, weights, strict=True):
         road *= kept(likelihood) ** weight
