@@ -162,6 +162,15 @@ def test_every_recording_has_its_source_and_terms() -> None:
     assert all(row["source"] and row["terms"] and row["use"] for row in told.values())
 
 
+def test_the_document_counts_the_terms_as_the_tables_do() -> None:
+    told = read_rows(MANIFEST.with_name(RECORDINGS), "recording").values()
+    text = DOCUMENT.read_text(encoding="utf-8")
+
+    for use in {row["use"] for row in told}:
+        pictures = [int(row["pictures"]) for row in told if row["use"] == use]
+        assert f"| {use} | {len(pictures)} | {sum(pictures)} |" in text
+
+
 @pytest.mark.data
 def test_the_pictures_at_hand_are_those_of_the_manifest(data_root: Path) -> None:
     pictures = find_images([data_root / "unlabelled"])
