@@ -1,0 +1,178 @@
+"""The manifest of the training pictures: written, checked, and that of the shipped weights."""
+
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+
+import pytest
+
+from roadtorch.image import write_jpeg
+from roadtorch.layout.weights import read_origin, shipped_weights
+from roadtorch.scenes import render_scene
+from roadtorch.sources.pictures import find_images
+from train.manifest import (
+    COLUMNS,
+    MANIFEST,
+    RECORDINGS,
+    Differences,
+    differences,
+    main,
+    read_rows,
+)
+
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "training_data.md"
+
+
+@dataclass(frozen=True)
+class Street:
+    """A folder of three pictures of two recordings, and where its manifest goes."""
+
+    folder: Path
+    manifest: Path
+
+
+@pytest.fixture
+def street(tmp_path: Path) -> Street:
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    for number, name in enumerate(("one_0001", "one_0002", "two_town_0001")):
+        write_jpeg(folder / f"{name}.jpg", render_scene(number, 48, 64).image)
+    (tmp_path / RECORDINGS).write_text("recording,terms\none,CC0\ntwo_town,unknown\n")
+    return Street(folder, tmp_path / "told.csv")
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, Street], int]:
+    """The command on a street; its exit status."""
+
+    def command(name: str, street: Street) -> int:
+        told = ["manifest.py", name, str(street.folder), "--manifest", str(street.manifest)]
+        monkeypatch.setattr(sys, "argv", told)
+        with pytest.raises(SystemExit) as end:
+            main()
+        return int(end.value.code or 0)
+
+    return command
+
+
+def test_a_written_manifest_tells_name_size_bytes_and_recording(
+    street: Street, run: Callable[[str, Street], int]
+) -> None:
+    assert run("write", street) == 0
+
+    rows = list(read_rows(street.manifest, "file").values())
+    assert tuple(rows[0]) == COLUMNS
+    assert [row["recording"] for row in rows] == ["one", "one", "two_town"]
+    data = (street.folder / "two_town_0001.jpg").read_bytes()
+    told = [rows[2][key] for key in ("file", "bytes", "sha256", "width", "height")]
+    assert told == ["two_town_0001.jpg", str(len(data)), sha256(data).hexdigest(), "64", "48"]
+
+
+def test_the_same_folder_passes_and_every_difference_is_told(
+    street: Street, run: Callable[[str, Street], int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    run("write", street)
+    assert run("check", street) == 0
+    (street.folder / "one_0001.jpg").unlink()
+    same_size = bytearray((street.folder / "one_0002.jpg").read_bytes())
+    same_size[-3] ^= 1
+    (street.folder / "one_0002.jpg").write_bytes(same_size)
+    write_jpeg(street.folder / "new_0001.jpg", render_scene(7, 48, 64).image)
+    capsys.readouterr()
+
+    assert run("check", street) == 1
+
+    assert capsys.readouterr().out.splitlines() == [
+        "missing one_0001.jpg",
+        "changed one_0002.jpg",
+        "extra new_0001.jpg",
+        "1 of 3 pictures are the same; 1 missing, 1 changed, 1 extra",
+    ]
+
+
+def test_a_recording_without_terms_is_refused(
+    street: Street, run: Callable[[str, Street], int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    street.manifest.with_name(RECORDINGS).write_text("recording,terms\none,CC0\n")
+
+    assert run("write", street) == 2
+
+    assert not street.manifest.exists()
+    assert "has no row for the recording two_town (add" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("wrong", ["missing", "not csv"])
+def test_a_manifest_that_cannot_be_used_is_one_line(
+    wrong: str,
+    street: Street,
+    run: Callable[[str, Street], int],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    if wrong == "not csv":
+        street.manifest.write_text("hello\nthere\n")
+
+    assert run("check", street) == 2
+
+    told = capsys.readouterr().err
+    assert told.startswith(f"roadtorch: error: {street.manifest}: ")
+    assert len(told.splitlines()) == 1
+
+
+def test_the_command_stands_alone(street: Street) -> None:
+    script = Path(sys.modules[main.__module__].__file__ or "")
+    done = subprocess.run(
+        [sys.executable, str(script), "write", str(street.folder / "none")],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+    assert done.returncode == 2
+    assert done.stderr == (
+        f"roadtorch: error: {street.folder / 'none'}: does not exist (check the name)\n"
+    )
+
+
+# --- the shipped one --------------------------------------------------------------------
+
+
+def test_every_shipped_network_saw_as_many_pictures_as_the_manifest_has() -> None:
+    rows = read_rows(MANIFEST, "file")
+
+    for name in ("cnn-7", "layout"):
+        assert read_origin(shipped_weights(name))["pictures"] == len(rows)
+
+
+def test_the_manifest_is_that_of_the_run_that_made_the_layout_network() -> None:
+    rows = read_rows(MANIFEST, "file").values()
+    lines = "".join(f"{row['file']} {row['bytes']}\n" for row in rows)
+
+    assert f"`{sha256(lines.encode()).hexdigest()}`" in DOCUMENT.read_text(encoding="utf-8")
+
+
+def test_every_recording_has_its_source_and_terms() -> None:
+    counted = Counter(row["recording"] for row in read_rows(MANIFEST, "file").values())
+    told = read_rows(MANIFEST.with_name(RECORDINGS), "recording")
+
+    assert {name: int(row["pictures"]) for name, row in told.items()} == counted
+    assert all(row["source"] and row["terms"] and row["use"] for row in told.values())
+
+
+def test_the_document_counts_the_terms_as_the_tables_do() -> None:
+    told = read_rows(MANIFEST.with_name(RECORDINGS), "recording").values()
+    text = DOCUMENT.read_text(encoding="utf-8")
+
+    for use in {row["use"] for row in told}:
+        pictures = [int(row["pictures"]) for row in told if row["use"] == use]
+        assert f"| {use} | {len(pictures)} | {sum(pictures)} |" in text
+
+
+@pytest.mark.data
+def test_the_pictures_at_hand_are_those_of_the_manifest(data_root: Path) -> None:
+    pictures = find_images([data_root / "unlabelled"])
+
+    assert differences(read_rows(MANIFEST, "file"), pictures) == Differences((), (), ())
