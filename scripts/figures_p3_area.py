@@ -103,27 +103,32 @@ def _learned(panel: Panel, title: str, image: Tensor, window: Window) -> None:
     found = likelihood_map(fit(CLASSIFIERS[name], samples, axes_of(PLANES)), window)
     panel.set_title(title)
     panel.imshow(found, origin="lower", extent=window, cmap="Greys", vmin=0, vmax=1, aspect="auto")
-    panel.contour(found, [0.5], origin="lower", extent=window, colors="#d55e00", linewidths=0.8)
+    panel.contour(found, [0.5], origin="lower", extent=window, colors="#d55e00", linewidths=1.4)
     panel.plot(*_some(samples.T).numpy(), ".", markersize=1, color="#0072b2")
 
 
 def draw_fig3(path: Path, image: Tensor, road: Tensor, valid: Tensor) -> None:
-    """Panels b to j of one picture; road blue, the rest orange, the boundary at 0.5 orange."""
+    """Panels b to j of one picture: road blue, the rest orange; from d on, the training area near.
+
+    Darker is likelier; the line is the boundary, at 0.5.
+    """
     values = planes(image, PLANES)
     every = road_samples(image, PLANES, AllSampleSettings()).T
-    window = window_of(values.flatten(1))
+    wide, near = window_of(values.flatten(1)), window_of(every)
     with chart(path, 6.4, 5.4) as figure:
-        panels = figure.subplots(3, 3, sharex=True, sharey=True)
+        panels = figure.subplots(3, 3)
         both = [(values[:, valid & ~road], "#e69f00"), (values[:, road], "#0072b2")]
         _scatter(panels[0, 0], "b) road and background", both)
         _scatter(panels[0, 1], "c) training area", [(every, "#0072b2")])
         panels[0, 2].set_title("d) its joint histogram")
-        panels[0, 2].hist2d(*every.numpy(), bins=48, range=(window[:2], window[2:]), cmap="Greys")
+        panels[0, 2].hist2d(*every.numpy(), bins=48, range=(near[:2], near[2:]), cmap="Greys")
         for panel, title in zip(panels[1:].flat, LEARNED, strict=True):
-            _learned(panel, title, image, window)
-        for panel in panels.flat:
+            _learned(panel, title, image, near)
+        for place, panel in enumerate(panels.flat):
+            window = wide if place < 2 else near
             panel.set(xlim=window[:2], ylim=window[2:])
-            panel.label_outer()
+            panel.grid(visible=place < 2)
+            panel.locator_params(nbins=4)
         panels[2, 1].set_xlabel("nr")
         panels[1, 0].set_ylabel("ng")
 

@@ -20,7 +20,7 @@ from roadtorch.oneclass.axes import circular_mean, unrolled
 from roadtorch.report.page.svg import STYLE
 
 DOTS = 110  # per inch
-COLOURS = 64  # of a chart's file: lines and their soft edges need no more
+COLOURS = 256  # of a chart's file: lines and their soft edges need no more
 FOLDERS = {"camvid": "camvid", "idd-lite": "idd_lite", "folder": "many"}
 """Where each set lies below the folder DATA."""
 
@@ -31,7 +31,7 @@ def open_sets(data: Path, *names: str) -> list[Dataset]:
 
 
 @contextmanager
-def chart(path: Path, width: float, height: float) -> Iterator[Figure]:
+def chart(path: Path, width: float, height: float, dots: int = DOTS) -> Iterator[Figure]:
     """A figure of so many inches to draw on, in the report's style; written as PNG at the end."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
@@ -42,7 +42,7 @@ def chart(path: Path, width: float, height: float) -> Iterator[Figure]:
         figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
         yield figure
         drawn = io.BytesIO()
-        figure.savefig(drawn, dpi=DOTS)
+        figure.savefig(drawn, dpi=dots)
     few = Image.open(drawn).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
     with atomic(path) as temporary:
         few.save(temporary, format="PNG", optimize=True)

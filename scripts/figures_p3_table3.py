@@ -9,6 +9,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -16,17 +17,17 @@ from roadtorch.data.dataset import Dataset, every_kth
 from roadtorch.detector import Detector
 from roadtorch.detectors.catalogue import list_detectors, load_detector
 from roadtorch.evaluation.curves import vertical_average, vertical_sample
-from roadtorch.evaluation.drive_curves import RunCurves
 from roadtorch.evaluation.metrics import auc, count_levels
 from roadtorch.files import csv_text, write_text
 from roadtorch.image_cache import image_cache
 from roadtorch.oneclass import CLASSIFIERS
-from roadtorch.report.page.roc_families import write_roc_families
+from roadtorch.report.page.roc_families import KEY, ROW, draw_families
+from roadtorch.report.page.svg import WIDTH
 from roadtorch.report.table3 import FAMILY, HALVES, Percents, printed_table, table_lines
-from scripts.figures_p3_chart import open_sets
+from scripts.figures_p3_chart import chart, open_sets
 
 PICTURES = 24
-POINTS = 24  # of a drawn curve: the file stays small
+DOTS = 80  # per inch: the file stays small
 HISTOGRAMS = tuple(name for name in CLASSIFIERS if name.startswith("hist"))
 REPRESENTATIVE = ("nn", "gaussian", "robust_gaussian", "mog2", "svdd", "pca", "kmeans")
 """Of the other thirteen; P3, too, shows representative ones, and does not say which."""
@@ -77,22 +78,15 @@ def percents(cells: Mapping[str, Drives]) -> Percents:
     return found
 
 
-def run_curves(cells: Mapping[str, Drives]) -> RunCurves:
-    """P3's average curves by drive, of few points, as a run keeps them."""
-    return {
-        name: {
-            "mean": {},
-            "groups": {drive: {"roc_vertical": _few(one)} for drive, one in drives.items()},
-        }
-        for name, drives in cells.items()
-    }
-
-
-def _few(cell: Cell) -> list[list[float]]:
-    """Points at the same FPRs for all drives, closer where curves bend."""
-    line = vertical_average(cell.rates.mean(0))
-    places = (torch.linspace(0, 1, POINTS).square() * (len(line.x) - 1)).round().long().unique()
-    return [line.x[places].tolist(), line.y[places].tolist()]
+def mean_lines(cells: Mapping[str, Drives]) -> dict[tuple[str, str], np.ndarray]:
+    """P3's average ROC curve, mean over drives: FPR and TPR (2,points) of each cell."""
+    found = {}
+    for name, drives in cells.items():
+        _, classifier, planes = name.split(":")
+        rates = torch.stack([one.rates.mean(0) for one in drives.values()]).mean(0)
+        line = vertical_average(rates)
+        found[classifier, planes] = torch.stack([line.x, line.y]).numpy()
+    return found
 
 
 def cells_of(dataset: Dataset, classifiers: Sequence[str]) -> dict[str, Drives]:
@@ -131,7 +125,10 @@ def _families(data: Path, out: Path, name: str, classifiers: Sequence[str]) -> N
     (camvid,) = open_sets(data, "camvid")
     cells = cells_of(every_kth(camvid, PICTURES), classifiers)
     print_table(percents(cells))
-    write_roc_families(out / f"{name}.svg", run_curves(cells), FAMILY, classifiers, HALVES)
+    with chart(
+        out / f"{name}.png", WIDTH / 72, (KEY + ROW * len(classifiers)) / 72, DOTS
+    ) as figure:
+        draw_families(figure, mean_lines(cells), classifiers, HALVES)
 
 
 def fig8(data: Path, out: Path) -> None:
