@@ -19,8 +19,8 @@ from roadtorch.files import atomic, csv_text, write_text
 from roadtorch.oneclass.axes import circular_mean, unrolled
 from roadtorch.report.page.svg import STYLE
 
-DOTS = 110  # per inch
-COLOURS = 256  # of a chart's file: lines and their soft edges need no more
+DOTS = 100  # per inch
+COLOURS = 128  # of a chart's file: lines and their soft edges need no more
 FOLDERS = {"camvid": "camvid", "idd-lite": "idd_lite", "folder": "many"}
 """Where each set lies below the folder DATA."""
 

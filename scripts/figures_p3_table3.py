@@ -29,8 +29,11 @@ from scripts.figures_p3_chart import chart, open_sets
 PICTURES = 24
 DOTS = 80  # per inch: the file stays small
 HISTOGRAMS = tuple(name for name in CLASSIFIERS if name.startswith("hist"))
-REPRESENTATIVE = ("nn", "gaussian", "robust_gaussian", "mog2", "svdd", "pca", "kmeans")
-"""Of the other thirteen; P3, too, shows representative ones, and does not say which."""
+REPRESENTATIVE = {
+    "a": ("nn", "gaussian", "robust_gaussian", "mog2"),
+    "b": ("svdd", "pca", "kmeans"),
+}
+"""Of the other thirteen, by picture; P3, too, shows representative ones, and names none."""
 
 HUBER = {"classifier": {"method": "huber"}}
 """The robust Gaussian as P3's text has it; the default weighs by a power of ours."""
@@ -121,24 +124,25 @@ def print_table(table: Percents) -> None:
 # --- the figures ------------------------------------------------------------------------
 
 
-def _families(data: Path, out: Path, name: str, classifiers: Sequence[str]) -> None:
+def _families(data: Path, parts: Mapping[Path, Sequence[str]]) -> None:
+    """Print the cells of the classifiers, and draw the curves of each part to its file."""
     (camvid,) = open_sets(data, "camvid")
-    cells = cells_of(every_kth(camvid, PICTURES), classifiers)
+    cells = cells_of(every_kth(camvid, PICTURES), [one for part in parts.values() for one in part])
     print_table(percents(cells))
-    with chart(
-        out / f"{name}.png", WIDTH / 72, (KEY + ROW * len(classifiers)) / 72, DOTS
-    ) as figure:
-        draw_families(figure, mean_lines(cells), classifiers, HALVES)
+    lines = mean_lines(cells)
+    for path, classifiers in parts.items():
+        with chart(path, WIDTH / 72, (KEY + ROW * len(classifiers)) / 72, DOTS) as figure:
+            draw_families(figure, lines, classifiers, HALVES)
 
 
 def fig8(data: Path, out: Path) -> None:
     """P3, Fig. 8: ROC curves of the four histograms, in planes and in combinations."""
-    _families(data, out, "p3-fig8", HISTOGRAMS)
+    _families(data, {out / "p3-fig8.png": HISTOGRAMS})
 
 
 def fig9(data: Path, out: Path) -> None:
     """P3, Fig. 9: ROC curves of representative classifiers, in planes and in combinations."""
-    _families(data, out, "p3-fig9", REPRESENTATIVE)
+    _families(data, {out / f"p3-fig9{name}.png": part for name, part in REPRESENTATIVE.items()})
 
 
 def table3(data: Path, out: Path) -> None:
