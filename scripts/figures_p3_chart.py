@@ -4,6 +4,7 @@ import io
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
@@ -35,7 +36,8 @@ def chart(path: Path, width: float, height: float, dots: int = DOTS) -> Iterator
     """A figure of so many inches to draw on, in the report's style; written as PNG at the end."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
-        matplotlib.rcParams.update({**STYLE, "font.size": 8, "axes.titlesize": 8})
+        matplotlib.rcParams.update(dict[Any, Any](STYLE))
+        matplotlib.rcParams.update({"font.size": 8, "axes.titlesize": 8})
         matplotlib.rcParams.update(
             {"axes.labelsize": 8, "xtick.labelsize": 7, "ytick.labelsize": 7}
         )
@@ -87,7 +89,7 @@ def spread(values: Tensor, name: str) -> float:
 # --- of detectors -----------------------------------------------------------------------
 
 
-def area_of(name: str, image: Tensor, road: Tensor, valid: Tensor, **settings: object) -> float:
+def area_of(name: str, image: Tensor, road: Tensor, valid: Tensor, **settings: Any) -> float:
     """AUC of a detector's likelihood in one picture; NaN without road or background."""
     return float(
         auc(count_levels(load_detector(name, **settings).detect(image).likelihood, road, valid))

@@ -49,6 +49,9 @@ class Pair(NamedTuple):
     there: Tensor
 
 
+Row = Mapping[str, object]
+"""A property and, by plane, its measure."""
+
 Change = Callable[[int], Pair]
 """A pair of pictures of the scene with a seed."""
 
@@ -192,7 +195,7 @@ def read_drive(dataset: Dataset, group: str) -> Drive:
     return drive
 
 
-def drive_rows(drives: Mapping[str, Drive]) -> Iterator[dict[str, object]]:
+def drive_rows(drives: Mapping[str, Drive]) -> Iterator[Row]:
     """How far the road moves between the drives, inside of them and from near to far."""
     unit = {name: fmean(one.all[name] for one in drives.values()) for name in NAMES}
     centres = {
@@ -225,7 +228,7 @@ def printed_sign(name: str, of: str) -> str:
     return signs[PRINTED.index("ab" if name in "ab" else name)]
 
 
-def agreement(rows: Sequence[Mapping[str, object]]) -> tuple[int, int]:
+def agreement(rows: Sequence[Row]) -> tuple[int, int]:
     """In how many cells the measured sign is P3's, of how many."""
     same = [
         (float(str(row[name])) >= TELLING) == (printed_sign(name, of) == "+")
@@ -237,7 +240,7 @@ def agreement(rows: Sequence[Mapping[str, object]]) -> tuple[int, int]:
     return sum(same), len(same)
 
 
-def sign_rows(rows: Sequence[Mapping[str, object]]) -> Iterator[dict[str, object]]:
+def sign_rows(rows: Sequence[Row]) -> Iterator[Row]:
     """Each row followed by P3's signs."""
     for row in rows:
         yield dict(row)
@@ -245,11 +248,11 @@ def sign_rows(rows: Sequence[Mapping[str, object]]) -> Iterator[dict[str, object
         yield {"property": "  P3", **signs}
 
 
-def measured_rows(dataset: Dataset, seeds: Sequence[int]) -> list[dict[str, object]]:
+def measured_rows(dataset: Dataset, seeds: Sequence[int]) -> list[Row]:
     """The rows of Table II on rendered scenes; discriminative power on the set as well."""
     scenes = [clear_scene(seed) for seed in seeds]
     read = [dataset.read(item) for item in dataset.items]
-    rows: list[dict[str, object]] = [
+    rows: list[Row] = [
         {"property": name, **moves(change, seeds)} for name, change in CHANGES.items()
     ]
     shown = [(one.image, one.road, ~one.void) for one in scenes]
@@ -258,7 +261,7 @@ def measured_rows(dataset: Dataset, seeds: Sequence[int]) -> list[dict[str, obje
     return [*rows, {"property": "discriminative power (AUC, CamVid)", **telling(seen)}]
 
 
-def draw_moves(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
+def draw_moves(path: Path, rows: Sequence[Row]) -> None:
     """A row of squares a property, the darker the farther the road moves."""
     values = [[float(str(row[name])) for name in NAMES] for row in rows]
     with chart(path, 6.4, 0.5 + 0.21 * len(rows)) as figure:

@@ -7,7 +7,7 @@ k-th picture of CamVid is enough to see the figures in minutes.
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -35,7 +35,7 @@ REPRESENTATIVE = {
 }
 """Of the other thirteen, by picture; P3, too, shows representative ones, and names none."""
 
-HUBER = {"classifier": {"method": "huber"}}
+HUBER: Mapping[str, Any] = {"classifier": {"method": "huber"}}
 """The robust Gaussian as P3's text has it; the default weighs by a power of ours."""
 
 
