@@ -137,9 +137,9 @@ class RobustSettings(GaussianSettings):
 
     method: Literal["reweighted", "huber", "trim", "mcd", "tyler", "tyler-vtv"] = Field(
         default="reweighted",
-        description="how far samples lose weight: by their distance to the power of 1.5, or of 1 "
-        "(huber); trim and mcd leave the farthest out; tyler is what the toolbox "
-        "dd_tools has, tyler-vtv with its mistake in more than one plane",
+        description="how far samples lose weight: by their distance to the power of 1.5 (ours), or "
+        "of 1 (huber, the reading of P3's text); trim and mcd leave the farthest out; tyler is "
+        "what the toolbox dd_tools has, tyler-vtv with its mistake in more than one plane",
     )
 
 
@@ -150,9 +150,10 @@ def reweighted(
 
     P3: samples "weighted according to their proximity to the mean", "rejecting 2.5 %"; so
     c is where a Gaussian has 2.5 % outside. D is the Mahalanobis distance, the covariance has
-    weights w². Power 1 is Huber's: far samples never lose all of their pull on the covariance,
-    and 10 % of them are too many in three planes. Power 1.5 (ours) lets go of them, and of
-    clean samples it says what the plain Gaussian says. Starts at the median with the median
+    weights w². Power 1 is Huber's, the plainest reading of both sentences (``huber``): far samples
+    never lose all of their pull on the covariance, and 10 % of them are too many in three planes.
+    Power 1.5 (``reweighted``, ours, the default) lets go of them, and of clean samples it says what
+    the plain Gaussian says: what it gains is not P3's. Starts at the median with the median
     absolute deviations, which few outliers change.
     """
     reach = chi_quantile(1 - min(max(settings.rejected, 1e-6), 1 - 1e-6), len(axes))
@@ -264,7 +265,7 @@ GAUSSIAN = Classifier(
 )
 ROBUST_GAUSSIAN = Classifier(
     "robust_gaussian",
-    "Mahalanobis distance with outliers weighed down",
+    "Mahalanobis distance, outliers weighed down by a power of ours",
     RobustSettings,
     _fit_robust,
     gaussian_distance,

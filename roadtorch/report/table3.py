@@ -28,6 +28,14 @@ COMBINED = tuple(name for name in REPRESENTATIONS if name not in SINGLE)
 
 HALVES = {"single planes": SINGLE, "combinations": COMBINED}
 
+ROBUST = "robust_gaussian"
+
+WEIGHTS = {
+    "reweighted": "a weight of ours; P3's text is classifier.method=huber",
+    "huber": "the weight of P3's text",
+}
+"""Whose the method of the robust Gaussian is."""
+
 Percents = Mapping[tuple[str, str], float]
 """AUC in percent by classifier and representation."""
 
@@ -114,8 +122,10 @@ def table_text(evaluation: Evaluation) -> str:
         return ""
     parts = [_heading(evaluation)]
     for half, columns in HALVES.items():
-        if lines := _lines(ours, paper, columns):
+        if lines := table_lines(ours, paper, columns):
             parts.append("\n".join([f"{half}: ours/P3, * best of the column", *lines]))
+    if note := robust_note(evaluation):
+        parts.append(note)
     ranks = [f"  {name} ({n}): {value:+.2f}" for name, n, value in rank_correlations(ours, paper)]
     return "\n\n".join([*parts, "\n".join(["Spearman's rank correlation with P3", *ranks])])
 
@@ -133,7 +143,17 @@ def _heading(evaluation: Evaluation) -> str:
     return f"One-class classifiers, {pictures}{over}{beside}"
 
 
-def _lines(ours: Percents, paper: Percents, columns: Sequence[str]) -> list[str]:
+def robust_note(evaluation: Evaluation) -> str:
+    """Whose weight the robust Gaussian of a run has, for the default is not P3's; "" without it."""
+    for name, one in evaluation.detectors.items():
+        if name.startswith(f"{FAMILY}{ROBUST}:") and "classifier" in one.contender.settings:
+            method = one.contender.settings["classifier"]["method"]
+            return f"{ROBUST}, {method}: {WEIGHTS.get(method, 'another reading')}"
+    return ""
+
+
+def table_lines(ours: Percents, paper: Percents, columns: Sequence[str]) -> list[str]:
+    """The classifiers that have a value in one of the columns, a line each, under the names."""
     best = best_cells(ours, columns)
     rows, columns = _measured(ours, columns)
     lines = ["classifier".ljust(16) + "".join(planes.rjust(12) for planes in columns)] * bool(rows)
@@ -192,6 +212,7 @@ def table_html(evaluation: Evaluation) -> str:
     return template("table3.html").render(
         heading=_heading(evaluation),
         halves=[half for half in halves if half.rows],
+        note=robust_note(evaluation),
         ranks=list(rank_correlations(tables["all"], paper)),
     )
 

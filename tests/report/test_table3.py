@@ -126,6 +126,24 @@ def test_a_run_without_the_family_has_no_table(tmp_path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("method", "words"),
+    [("reweighted", "a weight of ours"), ("huber", "P3's text"), ("mcd", "another reading")],
+)
+def test_a_table_says_whose_the_robust_weight_is(method, words) -> None:
+    name = "oneclass:robust_gaussian:RGB"
+    evaluation, _, _ = made_run((*NAMES, name))
+    contender = evaluation.detectors[name].contender
+    told = replace(contender, settings={"classifier": {"method": method}})
+    evaluation = changed(evaluation, name, contender=told)
+
+    (line,) = [one for one in table_text(evaluation).splitlines() if f", {method}: " in one]
+
+    assert words in line
+    assert f"robust_gaussian, {method}" in table_html(evaluation)
+    assert "robust_gaussian," not in table_text(made_run(NAMES)[0])
+
+
 @pytest.mark.parametrize("drives", [("0001TP", "0016E5"), ()], ids=["drives", "whole"])
 def test_csv_has_p3s_value_and_the_drives(drives) -> None:
     evaluation, _, _ = made_run(NAMES, drives)

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,9 @@ KEY = 60  # points, for the names of the lines
 Halves = Mapping[str, Sequence[str]]
 """What is on the left and on the right: by title, the planes that have a line there."""
 
+Lines = Mapping[tuple[str, str], np.ndarray]
+"""FPR and TPR (2,points) by classifier and representation."""
+
 
 def roc_families(curves: RunCurves, family: str, classifiers: Sequence[str], halves: Halves) -> str:
     """One row a classifier, one column a half, one line a representation; "" without curves.
@@ -33,23 +37,24 @@ def roc_families(curves: RunCurves, family: str, classifiers: Sequence[str], hal
         if (line := mean_line(curves.get(f"{family}{name}:{planes}"))) is not None
     }
     shown = [name for name in classifiers if any(key[0] == name for key in lines)]
-
-    def draw(figure: Figure) -> None:
-        panels = figure.subplots(len(shown), len(halves), sharex=True, sharey=True, squeeze=False)
-        for row, name in zip(panels, shown, strict=True):
-            for axes, (title, planes) in zip(row, halves.items(), strict=True):
-                _panel(axes, f"{name}, {title}", [(one, lines.get((name, one.name)))
-                                                  for one in looks(planes)])  # fmt: skip
-        for axes, planes in zip(panels[-1], halves.values(), strict=True):
-            axes.set_xlabel("false positive rate")
-            handles = [
-                axes.plot([], [], label=one.name, **one.line(1.4))[0] for one in looks(planes)
-            ]
-            axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.28),
-                        ncols=4, fontsize=8, handlelength=2.2, columnspacing=1)  # fmt: skip
-
     label = f"ROC curves of {', '.join(shown)}"
-    return to_svg(label, label, KEY + ROW * len(shown), draw) if shown else ""
+    height = KEY + ROW * len(shown)
+    draw = partial(draw_families, lines=lines, classifiers=shown, halves=halves)
+    return to_svg(label, label, height, draw) if shown else ""
+
+
+def draw_families(figure: Figure, lines: Lines, classifiers: Sequence[str], halves: Halves) -> None:
+    """Draw the rows of panels and, below them, the names of the lines."""
+    panels = figure.subplots(len(classifiers), len(halves), sharex=True, sharey=True, squeeze=False)
+    for row, name in zip(panels, classifiers, strict=True):
+        for axes, (title, planes) in zip(row, halves.items(), strict=True):
+            found = [(one, lines.get((name, one.name))) for one in looks(planes)]
+            _panel(axes, f"{name}, {title}", found)
+    for axes, planes in zip(panels[-1], halves.values(), strict=True):
+        axes.set_xlabel("false positive rate")
+        handles = [axes.plot([], [], label=one.name, **one.line(1.4))[0] for one in looks(planes)]
+        axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.28),
+                    ncols=4, fontsize=8, handlelength=2.2, columnspacing=1)  # fmt: skip
 
 
 def mean_line(own: DetectorCurves | None) -> np.ndarray | None:
