@@ -93,7 +93,7 @@ def figure4a(data: Path, out: Path) -> None:
         panel.remove()
     put(axes[0], "mean map", mean)
     for panel, level in zip(axes[1:], LEVELS, strict=False):
-        panel.imshow(kept_regions(tree, level), cmap="tab20", interpolation="nearest")
+        panel.imshow(kept_regions(tree, level).numpy(), cmap="tab20", interpolation="nearest")
         panel.set_title(f"regions at {level}/16 and more", fontsize=9)
     draw_tree(figure.add_subplot(2, 1, 2), tree, rounds[-1])
     save(figure, out / "p1-fig4a.png")

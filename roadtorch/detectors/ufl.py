@@ -110,7 +110,8 @@ class Ufl(nn.Module):
         learned = learn_features(small, settings.smoothing, settings.dictionary, settings.maps)
         cues = road_cues(learned, settings)
         likelihood = enlarged_likelihood(cues["likelihood"], (height, width))
-        return ChainMap({"likelihood": likelihood}, FullSize(cues, (height, width)))
+        others = FullSize(cues, (height, width))
+        return ChainMap({"likelihood": likelihood}, others)  # type: ignore[arg-type]  # read only
 
 
 def road_cues(learned: LearnedFeatures, settings: OriginalUflSettings) -> dict[str, Tensor]:

@@ -1,4 +1,4 @@
-"""The two borders of the road, rays from the vanishing point (Kong et al., 2010, section IV).
+"""The two borders of the road, rays from the vanishing point (Kong et al., 2010).
 
 A border is a ray along which texture runs, with different colours on its two sides. Angles as in
 ``orientation``; rays point down, between 0 (right) and 180 (left).
@@ -81,7 +81,7 @@ def colour_difference(image: Tensor, point: Tensor, settings: BorderSettings) ->
     """How far the colours on the two sides of each ray differ, (29,) ≥ 0.
 
     |difference of means| / sqrt(sum of variances), of the channel in which it is greatest (Kong
-    et al., eq. 5). image: (3,H,W). 0 where a side has no pixels.
+    et al.). image: (3,H,W). 0 where a side has no pixels.
     """
     angle = angles_from(point, (image.shape[1], image.shape[2])).reshape(-1)
     below = (angle >= 0) & (angle < 180)
@@ -94,12 +94,12 @@ def colour_difference(image: Tensor, point: Tensor, settings: BorderSettings) ->
     ray = (CANDIDATES // BIN).to(image.device)
     low, high = (ray - settings.side).clamp_min(0), (ray + settings.side).clamp_max(180 // BIN)
     one, two = total[:, ray] - total[:, low], total[:, high] - total[:, ray]
-    (mean_one, spread_one), (mean_two, spread_two) = moments(one), moments(two)
+    (mean_one, spread_one), (mean_two, spread_two) = side_moments(one), side_moments(two)
     far = (mean_one - mean_two).abs() / (spread_one + spread_two + 1e-6).sqrt()
     return far.amax(0).where((one[0] > 0) & (two[0] > 0), 0)
 
 
-def moments(sums: Tensor) -> tuple[Tensor, Tensor]:
+def side_moments(sums: Tensor) -> tuple[Tensor, Tensor]:
     """Means and variances (3,k) of counts, sums and sums of squares (7,k)."""
     count = sums[0].clamp_min(1)
     mean = sums[1:4] / count
@@ -111,7 +111,7 @@ def border_strength(
 ) -> Tensor:
     """How much each ray from a point (2,) is a border, (29,) ≥ 0.
 
-    Colour difference times the OCR of the ray and its two neighbours together (eq. 6).
+    Colour difference times the OCR of the ray and its two neighbours together.
     """
     runs = consistency(point[None], orientation, settings)[0]
     three = torch.nn.functional.avg_pool1d(runs[None], 3, 1, 1, count_include_pad=True)[0] * 3

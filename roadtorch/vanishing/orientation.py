@@ -41,7 +41,7 @@ class GaborBank(Settings):
 def filter_spectrum(size: tuple[int, int], angle: float, frequency: float) -> Tensor:
     """The Fourier transform (H,W) of the Gabor filter whose waves run at an angle in degrees.
 
-    Kong et al., eq. 1: w/(sqrt(2 pi) c) exp(-w²(4a² + b²)/(8c²)) (exp(iwa) - exp(-c²/2)), with a
+    Kong et al.: w/(sqrt(2 pi) c) exp(-w²(4a² + b²)/(8c²)) (exp(iwa) - exp(-c²/2)), with a
     along the waves and b across; it is real, and 0 where the frequency is 0.
     """
     down = 2 * math.pi * torch.fft.fftfreq(size[0])[:, None]
@@ -80,7 +80,7 @@ def gabor_responses(grey: Tensor, bank: GaborBank) -> Tensor:
 def dominant_orientation(responses: Tensor) -> tuple[Tensor, Tensor]:
     """The orientation (H,W) in degrees of the greatest response, and its confidence in [0,1].
 
-    Confidence: 1 - mean(r5 … r15)/r1 of the responses by falling size (Kong et al., eq. 3),
+    Confidence: 1 - mean(r5 … r15)/r1 of the responses by falling size (Kong et al.),
     scaled so that it spans [0,1] in the picture; 0 throughout where there is no texture.
     """
     falling = responses.sort(0, descending=True).values

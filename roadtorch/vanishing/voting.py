@@ -47,7 +47,7 @@ class Voters:
 def soft_votes(points: Tensor, voters: Voters, settings: VotingSettings) -> Tensor:
     """The votes (k,) ≥ 0 that points (k,2), rows and columns in pixels, get.
 
-    Kong et al., eq. 4: a voter below a point and within the radius gives 1/(1 + (g·d)²), with g
+    Kong et al.: a voter below a point and within the radius gives 1/(1 + (g·d)²), with g
     the degrees by which it misses the point and d their distance in diagonals, if g is at most
     5/(1 + 2d).
     """

@@ -58,7 +58,8 @@ def one_of_each() -> list[str]:
 QUICK: dict[str, dict] = {"working": {"rows": 48}, "dictionary": {"bases": 20, "rounds": 3}}
 USUAL = {
     **dict.fromkeys(("ufl", "ufl:kitti", "ufl:original", "kmeans-road"), QUICK),
-    **dict.fromkeys(("oneclass:mog_opt:HS", "oneclass:dlp:HS"), {}),
+    "oneclass:mog_opt:HS": {},
+    "oneclass:dlp:HS": {},
 }
 """What is set throughout, to be quick."""
 NEEDS: dict[str, dict] = {

@@ -32,16 +32,19 @@ def street(height: int = 120, width: int = 160) -> tuple[Tensor, Truth]:
 def test_pictures_and_labels_come_to_the_papers_size(
     height: int, width: int, size: tuple[int, int]
 ) -> None:
-    image, truth = small(*street(height, width))
+    road = torch.zeros(height, width, dtype=torch.bool)
+
+    image, truth = small(torch.rand(3, height, width), Truth(road, ~road))
 
     assert image.shape == (3, *size)
     assert truth.road.shape == truth.valid.shape == size
 
 
 def test_labels_are_those_of_the_nearest_pixel() -> None:
-    image, truth = street(360, 480)
+    road = torch.rand(360, 480, generator=torch.Generator().manual_seed(0)) > 0.5
+    truth = Truth(road, torch.ones_like(road))
 
-    assert torch.equal(small(image, truth)[1].road, truth.road[1::3, 1::3])
+    assert torch.equal(small(torch.zeros(3, 360, 480), truth)[1].road, truth.road[1::3, 1::3])
 
 
 def test_counts_are_pooled_over_pictures() -> None:
@@ -168,7 +171,7 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return root
 
 
-@pytest.mark.parametrize("name", [name for name in figures_p1.FIGURES if "table2" not in name])
+@pytest.mark.parametrize("name", [name for name in figures_p1.FIGURES if "table" not in name])
 def test_every_figure_is_drawn(name: str, data: Path, tmp_path: Path) -> None:
     figures_p1.FIGURES[name](data, tmp_path)
 
@@ -180,7 +183,7 @@ def test_every_figure_is_drawn(name: str, data: Path, tmp_path: Path) -> None:
 def test_table_1_has_a_row_for_each_method(data: Path, tmp_path: Path) -> None:
     figures_p1.table1(data, tmp_path)
 
-    rows = list(csv.DictReader((tmp_path / "p1-table1.csv").open()))
+    rows = list(csv.DictReader((tmp_path / "p1-table1.csv").read_text().splitlines()))
     assert [row["method"] for row in rows] == list(figures_p1.TABLE)
     for row in rows:
         p, r, f = (float(row[key]) for key in "PRF")

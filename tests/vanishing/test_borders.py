@@ -12,8 +12,8 @@ from roadtorch.vanishing.borders import (
     colour_difference,
     consistency,
     find_borders,
-    moments,
     road_between,
+    side_moments,
 )
 
 SIZE = (90, 120)
@@ -65,7 +65,7 @@ def test_moments_are_means_and_variances() -> None:
     values = torch.rand(3, 50, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
     sums = torch.cat([torch.ones(1, 50), values, values.square()]).sum(1, keepdim=True)
 
-    mean, variance = moments(sums)
+    mean, variance = side_moments(sums)
 
     torch.testing.assert_close(mean[:, 0], values.mean(1))
     torch.testing.assert_close(variance[:, 0], values.var(1, correction=0))

@@ -35,7 +35,7 @@ def test_stripes_run_the_way_they_run(angle: float) -> None:
 
 
 def test_the_spectrum_is_that_of_the_filter_as_it_is_written() -> None:
-    # Kong et al., eq. 1, pixel by pixel, and its discrete Fourier transform.
+    # Kong et al., pixel by pixel, and its discrete Fourier transform.
     size, angle, frequency = 96, 30.0, 0.7
     place = np.arange(size) - size // 2
     y, x = np.meshgrid(place, place, indexing="ij")

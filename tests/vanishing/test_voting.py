@@ -29,7 +29,7 @@ def test_angles_are_between_lines_without_a_sense(one: int, other: int, degrees:
     assert float(angle_between(torch.tensor(one), torch.tensor(other))) == degrees
 
 
-def test_a_voter_gives_what_equation_4_says() -> None:
+def test_a_voter_gives_the_less_the_more_and_the_farther_it_misses() -> None:
     # 40 pixels straight below the point, its texture 3 degrees off; the diagonal is 200.
     voters = Voters(torch.tensor([[60.0, 50.0]]), torch.tensor([93.0]), 200.0)
 
