@@ -38,9 +38,10 @@ class BorderSettings(Settings):
     length: float = Field(
         default=1 / 3, ge=0, le=1, description="of a border in the picture at least, in heights"
     )
-    best: int = Field(
-        default=8, ge=1, le=29, description="rays by whose sum the vanishing point is moved"
-    )
+
+
+BEST = 8
+"""Rays by the sum of whose OCRs the vanishing point is moved."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,7 @@ def find_borders(
         (points[:, 0] < image.shape[1]) & (points[:, 1] >= 0) & (points[:, 1] < image.shape[2])
     ]
     runs = consistency(points, orientation, settings)[:, far]
-    moved = points[int(runs.topk(min(settings.best, runs.shape[1])).values.sum(1).argmax())]
+    moved = points[int(runs.topk(BEST).values.sum(1).argmax())]
     strength = border_strength(image, orientation, moved, settings)
     second = CANDIDATES[far][int(strength[far].argmax())]
     return Borders(moved, int(first), int(second))

@@ -74,6 +74,10 @@ NEEDS: dict[str, dict] = {
 """What else has to be set for a setting to matter, in the detectors of ``USUAL``."""
 
 
+WITHOUT = {"vanishing-point": ("isolated", "seed_area")}
+"""Settings that cannot matter: its road is one region, of which nothing is isolated."""
+
+
 def leaves(tree: dict, path: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], object]]:
     """The values of nested settings with their paths."""
     found: list[tuple[tuple[str, ...], object]] = []
@@ -208,6 +212,8 @@ def claims() -> dict[str, list[Claim]]:
         kind = detector_entry(name).settings
         groups: dict[type, Claim] = {}
         for path, default in leaves(kind().model_dump()):
+            if path[0] in WITHOUT.get(name, ()):
+                continue
             if name == SHOWS_ALL or "oneclass" not in name or path[0] == "classifier":
                 groups.setdefault(declared_in(kind, path), {})[path] = default
         found[name] = []
