@@ -104,13 +104,13 @@ class KmeansRoad(nn.Module):
 ENTRIES = (
     Entry(
         "kmeans-road",
-        "clusters of K-means features parted by a graph cut (Xia et al., P1's baseline)",
+        "K-means features in clusters, parted by a graph cut (Xia et al.)",
         KmeansRoadSettings,
         KmeansRoad,
     ),
     Entry(
         "vanishing-point",
-        "between borders that meet in a voted vanishing point (Kong et al., P1's baseline)",
+        "between borders from a voted vanishing point (Kong et al.)",
         VanishingPointSettings,
         VanishingPointRoad,
     ),
