@@ -24,7 +24,7 @@ from torch import Tensor
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the rendered scenes
 
-from roadtorch import detector, working_size
+from roadtorch import detector
 from roadtorch.detectors import ufl
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import RoadtorchError
@@ -64,7 +64,7 @@ STAGES: Stages = {
         (ufl, "map_pictures"),
         (ufl, "map_to_image"),
     ),
-    "back to full size": ((working_size, "at_picture_size"),),
+    "back to full size": ((ufl, "enlarged_likelihood"),),
     "decide": ((detector, "decide"),),
 }
 """The functions that make up each stage, by the module in which ``ufl`` looks them up."""

@@ -1,6 +1,88 @@
-"""Figures and tables of P1. See scripts/figures.py."""
+"""Figures and tables of P1. See scripts/figures.py; Fig. 6 is drawn by train/study_ufl.py.
 
-from collections.abc import Callable, Mapping
+P1's own sets (After-Rain, Sunny-Shadows, Nanjing, Kitti-Layout) are not public any more or not
+here: Table I is its protocol on CamVid, IDD and KITTI road, of which few pictures are taken so
+that a command ends within minutes.
+"""
+
+import csv
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-FIGURES: Mapping[str, Callable[[Path, Path], None]] = {}
+from torch import Tensor
+
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Truth
+from roadtorch.data.kitti import birds_eye
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.evaluation.evaluate import Evaluation, evaluate
+from roadtorch.evaluation.metrics import Decisions, count_mask, f_measure, precision, recall
+from scripts import figures_p1_overlay, figures_p1_regions, figures_p1_stages
+from scripts.figures_p1_pictures import METHODS, sample_sets, small
+
+TABLE = (*METHODS, "prior:triangle")
+"""The methods, and a floor."""
+
+BENCHMARK = ("ufl:kitti", "ufl:original", "ufl", "kmeans-road", "vanishing-point")
+
+
+def pooled(
+    pictures: Sequence[tuple[Tensor, Truth]], methods: Sequence[str]
+) -> Mapping[str, Decisions]:
+    """Counts of each method's masks, pooled over pictures and their truth (P1, eq. 11)."""
+    found: dict[str, Decisions] = {}
+    for name in methods:
+        detector = load_detector(name)
+        for image, truth in pictures:
+            counts = count_mask(detector.detect(image).mask, truth.road, truth.valid)
+            found[name] = found[name] + counts if name in found else counts
+    return found
+
+
+def table1(data: Path, out: Path) -> None:
+    """P, R and F at P1's size, pooled (eq. 11), of P1, its two rivals and a floor."""
+    rows: list[Sequence[str | int]] = [("set", "pictures", "method", "P", "R", "F")]
+    for dataset in sample_sets(data):
+        pictures = [small(*dataset.read(item)) for item in dataset.items]
+        for name, counts in pooled(pictures, TABLE).items():
+            figures = (precision(counts), recall(counts), f_measure(counts))
+            percent = [f"{100 * float(figure):.2f}" for figure in figures]
+            rows.append((dataset.name, len(pictures), name, *percent))
+    show(rows, out / "p1-table1.csv")
+
+
+def table2(data: Path, out: Path) -> None:
+    """MaxF and AP in bird's-eye view by category: evaluate kitti-road --bev."""
+    evaluation = evaluate(birds_eye(open_dataset("kitti-road", data / "kitti_road")), BENCHMARK)
+    for failure in evaluation.failures:
+        print(f"left out: {failure.image}: {failure.reason}")
+    show(list(benchmark_rows(evaluation)), out / "p1-table2.csv")
+
+
+def benchmark_rows(evaluation: Evaluation) -> Iterator[Sequence[str]]:
+    """The columns of Table II: MaxF and AP of each category, and of all pictures pooled."""
+    groups = evaluation.drives
+    head = [f"{group} {name}" for group in (*groups, "total") for name in ("MaxF", "AP")]
+    yield ("method", *head)
+    for name in evaluation.ranked():
+        figures = evaluation.detectors[name]
+        parts = [*(figures.drive(group) for group in groups), figures.pooled]
+        yield (name, *(f"{100 * float(part[key]):.2f}" for part in parts for key in ("maxf", "ap")))
+
+
+def show(rows: Sequence[Sequence[str | int]], path: Path) -> None:
+    """Print a table and write it as CSV."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows(rows)
+    for row in rows:
+        print("  ".join(f"{cell!s:16}" for cell in row).rstrip())
+    print(path)
+
+
+FIGURES: Mapping[str, Callable[[Path, Path], None]] = {
+    "p1-table1": table1,
+    "p1-table2": table2,
+    **figures_p1_stages.FIGURES,
+    **figures_p1_regions.FIGURES,
+    **figures_p1_overlay.FIGURES,
+}

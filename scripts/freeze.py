@@ -27,7 +27,8 @@ from typing import Any
 DETECTORS = (
     *("cpf", "cpf:squares", "cpf:v2", "fusion", "fusion:paper", "fusion:untrained"),
     *("grey-uniformity", "labeller", "layout", "layout:cnn-7", "lbp"),
-    *("prior:rows", "prior:triangle", "prior:uniform", "ufl", "ufl:original"),
+    *("prior:rows", "prior:triangle", "prior:uniform", "ufl", "ufl:kitti", "ufl:original"),
+    *("kmeans-road", "vanishing-point"),
 )
 CELLS = (
     *("oneclass:nn:RGB", "oneclass:hist64_s:HS", "oneclass:gaussian:Lab"),

@@ -64,7 +64,7 @@ ROWS = (
             *("otsu", "trust", "fusion"),
         ),
     ),
-    Row("papers", ("layout", "oneclass", "ufl")),
+    Row("papers", ("layout", "oneclass", "ufl", "vanishing")),
     Row("camera", ("camera",)),
     Row("what a detector is", ("detector",)),
     Row("detectors", ("detectors",)),

@@ -11,7 +11,7 @@ from typing import Any
 
 from roadtorch.camera.camera import Camera
 from roadtorch.detector import Detector, DetectorSettings, Entry
-from roadtorch.detectors import fusion, layout, oneclass, priors, texture, ufl
+from roadtorch.detectors import baselines, fusion, layout, oneclass, priors, texture, ufl
 from roadtorch.errors import ConfigError, unknown_name
 from roadtorch.plugins import load_plugins
 from roadtorch.settings import build_settings, merge
@@ -23,6 +23,7 @@ ENTRIES: tuple[Entry, ...] = (
     *layout.ENTRIES,
     *texture.ENTRIES,
     *ufl.ENTRIES,
+    *baselines.ENTRIES,
     *oneclass.ENTRIES,
     *priors.ENTRIES,
 )

@@ -1,5 +1,6 @@
 """Detectors that learn their features in the picture itself (P1)."""
 
+from collections import ChainMap
 from collections.abc import Mapping
 
 from pydantic import Field
@@ -20,13 +21,14 @@ from roadtorch.ufl.hierarchy import (
 from roadtorch.ufl.learned import LearnedFeatures, learn_features
 from roadtorch.ufl.maps import MapSettings, mean_map
 from roadtorch.ufl.pictures import dictionary_picture, map_pictures, mosaic
-from roadtorch.ufl.preprocess import TARGET, Smoothing, WorkingShape, bicubic
+from roadtorch.ufl.preprocess import SIGMA, TARGET, Smoothing, WorkingShape, bicubic
 from roadtorch.ufl.road import (
     DILATION,
     PLACE,
     WEIGHT,
     Place,
     StabilitySettings,
+    enlarged_likelihood,
     find_road,
     map_to_image,
     mask_to_image,
@@ -49,6 +51,18 @@ class OriginalUflSettings(DetectorSettings):
     maps: MapSettings = MapSettings()
     tree: RegionTreeSettings = RegionTreeSettings()
     road: StabilitySettings = StabilitySettings()
+
+
+class KittiSmoothing(Smoothing):
+    """The blur of P1's Table II."""
+
+    sigma: float = Field(default=2.5, gt=0, le=50, description=SIGMA)
+
+
+class KittiUflSettings(OriginalUflSettings):
+    """P1 as its text has it for the KITTI road benchmark: a wider blur, the rest unchanged."""
+
+    smoothing: KittiSmoothing = KittiSmoothing()
 
 
 class BestSmoothing(Smoothing):
@@ -94,7 +108,10 @@ class Ufl(nn.Module):
         settings = self.settings
         small = bicubic(image, settings.working.size(height, width))
         learned = learn_features(small, settings.smoothing, settings.dictionary, settings.maps)
-        return FullSize(road_cues(learned, settings), (height, width))
+        cues = road_cues(learned, settings)
+        likelihood = enlarged_likelihood(cues["likelihood"], (height, width))
+        others = FullSize(cues, (height, width))
+        return ChainMap({"likelihood": likelihood}, others)  # type: ignore[arg-type]  # read only
 
 
 def road_cues(learned: LearnedFeatures, settings: OriginalUflSettings) -> dict[str, Tensor]:
@@ -128,5 +145,6 @@ def _image_mask(road: Tensor, settings: OriginalUflSettings) -> Tensor:
 
 ENTRIES = (
     Entry("ufl", "features learned from the picture, regions chosen (P1)", UflSettings, Ufl),
+    Entry("ufl:kitti", "ufl:original with the blur of P1's Table II", KittiUflSettings, Ufl),
     Entry("ufl:original", "the same as the authors' program has it", OriginalUflSettings, Ufl),
 )

@@ -1,5 +1,9 @@
 """What is done to a picture before its features are learned (P1, section II.A)."""
 
+import math
+from collections.abc import Mapping
+from typing import ClassVar
+
 import torch
 from pydantic import Field
 from torch import Tensor
@@ -12,6 +16,8 @@ GREY_WEIGHTS = (0.298936021, 0.587043074, 0.114020904)
 
 BLACK = 1e-6
 """The least brightness, of 1: where it is 0, eq. 2 has no value. Below what 8 bits can tell."""
+
+SIGMA = "blur of the picture, pixels; 2.5 for KITTI road"
 
 TARGET = "brightness after equalisation; 1 in the text"
 
@@ -38,15 +44,29 @@ class WorkingShape(Settings):
 class Smoothing(Settings):
     """Blurring and brightness equalisation (eqs. 1 and 2)."""
 
-    sigma: float = Field(
-        default=1.5, gt=0, le=50, description="blur of the picture, pixels; 2.5 for KITTI road"
+    renamed: ClassVar[Mapping[str, str]] = {"reach": "window"}
+
+    sigma: float = Field(default=1.5, gt=0, le=50, description=SIGMA)
+    window: float = Field(
+        default=2.0,
+        ge=0,
+        le=10,
+        description="the blur's window on each side, in sigmas; rounded up",
     )
-    reach: int = Field(default=3, ge=0, le=50, description="the blur's window on each side, pixels")
     light_sigma: float = Field(
         default=0.5, gt=0, le=50, description="blur of the brightness map, pixels"
     )
     light_reach: int = Field(default=2, ge=0, le=50, description="its window on each side, pixels")
     target: float = Field(default=0.5, gt=0, le=10, description=TARGET)
+
+    @property
+    def reach(self) -> int:
+        """The blur's window on each side, pixels: 3 for sigma 1.5 (program), 5 for 2.5.
+
+        Ours: the program has 3 for its one sigma, and no setting for the text's 2.5. In a window
+        of 3, weights of sigma 2.5 have a standard deviation of 1.76; in one of 5 of 2.29.
+        """
+        return math.ceil(self.window * self.sigma)
 
 
 def bicubic(image: Tensor, size: tuple[int, int]) -> Tensor:

@@ -18,6 +18,7 @@ from roadtorch.ufl.hierarchy import (
     select_nodes,
     selected_area,
 )
+from roadtorch.working_size import at_picture_size
 
 Centring = Literal["road", "none", "basis"]
 Place = Literal["symmetric", "from_one", "ahead"]
@@ -31,6 +32,9 @@ DILATION = "pixels by which the road is widened at the end"
 
 SHARPNESS = 2.0
 """How fast the likelihood rises with the stability of a pixel, around 0."""
+
+AS_CHOSEN = 0.5
+"""The threshold at which a likelihood is exactly the mask."""
 
 NARROWEST = 0.03
 """Least width of the triangle ahead, in widths of the map: none at its apex would divide by 0."""
@@ -231,7 +235,20 @@ def stable_pixels(last: Round, mean_map: Tensor) -> Tensor:
 def road_likelihood(mask: Tensor, pixels: Tensor) -> Tensor:
     """(H,W) in [0,1]: the mask first, the stability of pixels in [0,1) inside and outside of it.
 
-    At 0.5 it separates road from the rest exactly as the mask does. Ours: of twelve candidates
-    the one with the best MaxF on the development drives (``train/study_ufl.py likelihoods``).
+    At ``AS_CHOSEN`` it separates road from the rest exactly as the mask does. Ours: of twelve
+    candidates the best by MaxF on the development drives (``train/study_ufl.py likelihoods``).
     """
     return (mask + pixels) / 2
+
+
+def enlarged_likelihood(likelihood: Tensor, size: tuple[int, int]) -> Tensor:
+    """A likelihood of ``road_likelihood`` (h,w) at another size (H,W), the mask still exact in it.
+
+    The mask is enlarged as every mask is, pixel by pixel; the stability inside and outside of it
+    smoothly. To enlarge their sum smoothly would move the mask's border, inwards, for inside of
+    it likelihoods begin at 0.5 and outside end well below.
+    """
+    mask = likelihood >= AS_CHOSEN
+    return road_likelihood(
+        at_picture_size(mask, size), at_picture_size(2 * likelihood - mask.to(likelihood), size)
+    )

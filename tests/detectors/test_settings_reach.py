@@ -57,7 +57,9 @@ def one_of_each() -> list[str]:
 
 QUICK: dict[str, dict] = {"working": {"rows": 48}, "dictionary": {"bases": 20, "rounds": 3}}
 USUAL = {
-    **{"ufl": QUICK, "ufl:original": QUICK, "oneclass:mog_opt:HS": {}, "oneclass:dlp:HS": {}},
+    **dict.fromkeys(("ufl", "ufl:kitti", "ufl:original", "kmeans-road"), QUICK),
+    "oneclass:mog_opt:HS": {},
+    "oneclass:dlp:HS": {},
     "fusion:paper": {},
 }
 """What is set throughout, to be quick."""
@@ -72,6 +74,10 @@ NEEDS: dict[str, dict] = {
     "classifier.threshold": {"classifier": {"rejected": 0.3}},
 }
 """What else has to be set for a setting to matter, in the detectors of ``USUAL``."""
+
+
+WITHOUT = {"vanishing-point": ("isolated", "seed_area")}
+"""Settings that cannot matter: its road is one region, of which nothing is isolated."""
 
 
 def leaves(tree: dict, path: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], object]]:
@@ -208,6 +214,8 @@ def claims() -> dict[str, list[Claim]]:
         kind = detector_entry(name).settings
         groups: dict[type, Claim] = {}
         for path, default in leaves(kind().model_dump()):
+            if path[0] in WITHOUT.get(name, ()):
+                continue
             if name == SHOWS_ALL or "oneclass" not in name or path[0] == "classifier":
                 groups.setdefault(declared_in(kind, path), {})[path] = default
         found[name] = []

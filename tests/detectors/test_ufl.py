@@ -1,4 +1,4 @@
-"""The detectors ``ufl`` and ``ufl:original``: what they compose, and awkward pictures."""
+"""The detectors of ``ufl``: what they compose, sizes, settings, and awkward pictures."""
 
 from functools import cache
 from typing import Any
@@ -13,6 +13,9 @@ from roadtorch.errors import ConfigError
 from roadtorch.scenes import render_scene
 from roadtorch.settings import build_settings
 from roadtorch.ufl.pictures import dictionary_picture, mosaic
+from roadtorch.ufl.preprocess import Smoothing
+from roadtorch.ufl.road import AS_CHOSEN
+from roadtorch.working_size import resized
 
 BY_NAME = {entry.name: entry for entry in ENTRIES}
 QUICK = {"working": {"rows": 48}, "dictionary": {"bases": 30, "rounds": 3}}
@@ -66,6 +69,35 @@ def test_at_the_working_size_the_decision_is_that_of_the_second_iteration(name: 
 
     assert result.mask.any()
     assert torch.equal(result.mask, result.cues["iteration_2"])
+
+
+@pytest.mark.parametrize("size", [(96, 128), (241, 319), (480, 640), (120, 397)])
+@pytest.mark.parametrize("name", BY_NAME)
+def test_at_a_half_the_likelihood_is_exactly_the_regions_at_any_size(
+    name: str, size: tuple[int, int]
+) -> None:
+    image = resized(render_scene(4, 120, 160).image, size).clamp(0, 1)
+
+    cues = detector(name).analysis(image)
+
+    assert cues["iteration_2"].any()
+    assert torch.equal(cues["likelihood"] >= AS_CHOSEN, cues["iteration_2"])
+
+
+def test_the_mask_at_full_size_is_the_enlarged_regions() -> None:
+    image = resized(render_scene(4, 120, 160).image, (480, 640)).clamp(0, 1)
+
+    found = detector("ufl:original").detect(image)
+
+    assert torch.equal(found.mask, found.cues["iteration_2"])
+
+
+def test_for_kitti_the_blur_is_wider_and_so_is_its_window() -> None:
+    kitti, plain = (detector(name).settings.model_dump() for name in ("ufl:kitti", "ufl:original"))
+
+    assert kitti.pop("smoothing") == {**plain.pop("smoothing"), "sigma": 2.5}
+    assert kitti == plain
+    assert (Smoothing(sigma=1.5).reach, Smoothing(sigma=2.5).reach) == (3, 5)
 
 
 def test_the_best_settings_find_the_road_of_a_plain_street() -> None:

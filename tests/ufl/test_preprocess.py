@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from roadtorch.errors import ConfigError
+from roadtorch.settings import build_settings
 from roadtorch.ufl import preprocess
 from tests.reference import ufl as reference
 
@@ -33,6 +35,38 @@ def test_blur_is_the_gaussian_of_equation_1() -> None:
 
     expected = np.stack([reference.blurred(plane, 1.5, 3) for plane in image.numpy()])
     np.testing.assert_allclose(found.numpy(), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(("sigma", "reach"), [(1.5, 3), (2.5, 5), (0.4, 1), (1.6, 4)])
+def test_the_blurs_window_follows_sigma(sigma: float, reach: int) -> None:
+    smoothing = preprocess.Smoothing(sigma=sigma)
+    dot = torch.zeros(3, 21, 21, dtype=torch.float64)
+    dot[:, 10, 10] = 1
+
+    found = preprocess.blur(dot, smoothing.sigma, smoothing.reach)[0] > 0
+
+    assert smoothing.reach == reach
+    assert found.sum() == (2 * reach + 1) ** 2
+
+
+@pytest.mark.parametrize(
+    ("sigma", "reach", "effective"), [(1.5, 3, 1.41), (2.5, 3, 1.76), (2.5, 5, 2.29)]
+)
+def test_a_window_makes_the_blur_narrower_than_its_sigma(
+    sigma: float, reach: int, effective: float
+) -> None:
+    dot = torch.zeros(1, 21, 21, dtype=torch.float64)
+    dot[:, 10, 10] = 1
+
+    rows = preprocess.blur(dot, sigma, reach)[0].sum(1)
+
+    spread = (rows * (torch.arange(21) - 10) ** 2).sum().sqrt()
+    assert float(spread) == pytest.approx(effective, abs=0.005)
+
+
+def test_the_old_name_of_the_window_is_refused_with_the_new_one() -> None:
+    with pytest.raises(ConfigError, match=r"reach: has another name now \(write window\)"):
+        build_settings(preprocess.Smoothing, {"reach": 3})
 
 
 def test_equalisation_gives_grey_pictures_the_target_everywhere_but_at_edges() -> None:

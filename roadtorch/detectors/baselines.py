@@ -1,0 +1,117 @@
+"""The two detectors with which P1 compares its own: floors worth having."""
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor, nn
+
+from roadtorch.color import plane
+from roadtorch.detector import DetectorSettings, Entry, Isolated, WorkingSettings
+from roadtorch.seed_area import seed_rectangle
+from roadtorch.ufl.density_peaks import PeakSettings, cluster_pixels
+from roadtorch.ufl.features import DictionarySettings, assign, learn_dictionary, white_patches
+from roadtorch.ufl.maps import MapSettings, select_maps
+from roadtorch.ufl.preprocess import Smoothing, WorkingShape, bicubic, equalised
+from roadtorch.ufl.region_cut import CutSettings, connected_regions, cut_road
+from roadtorch.ufl.road import map_to_image, mask_to_image
+from roadtorch.vanishing.borders import BorderSettings, find_borders, road_between
+from roadtorch.vanishing.orientation import GaborBank, dominant_orientation, gabor_responses
+from roadtorch.vanishing.voting import VotingSettings, vote_vanishing_point
+from roadtorch.working_size import FullSize, WorkingSize
+
+KONG_PIXELS = 240 * 180
+"""Kong et al. look at pictures of 240x180 pixels."""
+
+
+class VanishingPointSettings(WorkingSettings):
+    """Kong et al.'s road between two borders that meet in the vanishing point."""
+
+    isolated: Isolated = "keep"
+    working: WorkingSize = WorkingSize(pixels=KONG_PIXELS)
+    gabor: GaborBank = GaborBank()
+    voting: VotingSettings = VotingSettings()
+    borders: BorderSettings = BorderSettings()
+
+
+class VanishingPointRoad(nn.Module):
+    """Gabor filters vote for a vanishing point, from which two borders run (Kong et al. 2010)."""
+
+    def __init__(self, settings: VanishingPointSettings) -> None:
+        super().__init__()
+        self.settings = settings
+
+    def forward(self, image: Tensor) -> dict[str, Tensor]:
+        """The cues of an image (3,H,W) in [0,1]; no road where no texture votes.
+
+        ``likelihood`` is 1 between the borders and 0 elsewhere.
+        """
+        settings = self.settings
+        responses = gabor_responses(plane(image, "grey"), settings.gabor)
+        orientation, confidence = dominant_orientation(responses)
+        point = vote_vanishing_point(orientation, confidence, settings.voting)
+        likelihood = torch.zeros_like(confidence)
+        if point is not None:
+            borders = find_borders(image, orientation, point, settings.borders)
+            likelihood = road_between(borders, (image.shape[1], image.shape[2])).to(image)
+        return {
+            "likelihood": likelihood,
+            "orientation": orientation / 180,
+            "confidence": confidence,
+        }
+
+
+class KmeansRoadSettings(DetectorSettings):
+    """Xia et al.'s features, clusters and graph cut."""
+
+    working: WorkingShape = WorkingShape()
+    smoothing: Smoothing = Smoothing()
+    dictionary: DictionarySettings = DictionarySettings()
+    peaks: PeakSettings = PeakSettings()
+    cut: CutSettings = CutSettings()
+
+
+ALL_MAPS = MapSettings(encoder="patch", share=1.0)
+"""Eq. 3 of P1, and every map: what Xia et al. did before P1's eqs. 4 and 5."""
+
+
+class KmeansRoad(nn.Module):
+    """Features of K-means, clusters of pixels, regions parted by a graph cut (Xia et al. 2015)."""
+
+    def __init__(self, settings: KmeansRoadSettings) -> None:
+        super().__init__()
+        self.settings = settings
+
+    def forward(self, image: Tensor) -> Mapping[str, Tensor]:
+        """The cues of an image (3,H,W) in [0,1]; ``likelihood`` is 1 on the road, else 0."""
+        settings = self.settings
+        height, width = image.shape[-2:]
+        even = equalised(bicubic(image, settings.working.size(height, width)), settings.smoothing)
+        side = settings.dictionary.side
+        patches = white_patches(even, settings.dictionary)
+        bases = learn_dictionary(patches, settings.dictionary)
+        size = (even.shape[1] - side + 1, even.shape[2] - side + 1)
+        features = select_maps(patches, bases, size, ALL_MAPS).maps
+        clusters = cluster_pixels(features, settings.peaks)
+        regions, words = connected_regions(clusters), assign(patches, bases).view(size)
+        seed = seed_rectangle(size, settings.seed_area)
+        road = mask_to_image(cut_road(regions, words, len(bases), seed, settings.cut), side)
+        shown = clusters / max(1, settings.peaks.clusters - 1)
+        cues = {"road": road, "clusters": map_to_image(shown.to(image), side)}
+        full = FullSize(cues, (height, width))
+        return {"likelihood": full["road"].to(image), "clusters": full["clusters"]}
+
+
+ENTRIES = (
+    Entry(
+        "kmeans-road",
+        "K-means features in clusters, parted by a graph cut (Xia et al.)",
+        KmeansRoadSettings,
+        KmeansRoad,
+    ),
+    Entry(
+        "vanishing-point",
+        "between borders from a voted vanishing point (Kong et al.)",
+        VanishingPointSettings,
+        VanishingPointRoad,
+    ),
+)
