@@ -1,9 +1,9 @@
 """How far a mask can be trusted: the F it is expected to have, from what the detector knows. Ours.
 
-A good mask has a sharp border in likelihood, is road throughout to the network as well, and
-begins at a seed area that is. The weights are a ridge regression of F on these signs over
-labelled pictures of many cameras (``train/choose_many.py trust``, which tells what they are
-worth on a camera that had no part).
+A good mask is the same at any threshold, is road throughout to the network as well, begins at a
+seed area that is, and goes on beyond it. The weights are a ridge regression of F on these
+signs over labelled pictures of many cameras (``train/choose_many.py trust``, which tells what they
+are worth on a camera that had no part).
 """
 
 import math
@@ -18,34 +18,36 @@ from roadtorch.settings import Settings
 
 
 class Signs(NamedTuple):
-    """What tells a good mask from a bad one."""
+    """What tells a good mask from a bad one; each from 0 to 1."""
 
-    undecided: float
-    """Pixels that are neither road nor not (``UNSURE``) per pixel of the mask, to ``MOST``."""
+    steady: float
+    """Overlap (IoU) of what is road at a low and at a high threshold (``LOW_AND_HIGH``)."""
     patchy: float
-    """Twice the deviation of the network's road inside the mask, from 0 to 1."""
-    unclear: float
-    """Mean entropy of the ground's potential, in bits."""
+    """Twice the deviation of the network's road inside the mask."""
     seed: float
-    """Mean of the network's road in the seed area, from 0 to 1."""
+    """Mean of the network's road in the seed area."""
+    vague: float
+    """Mean entropy of the likelihood, in bits."""
+    near: float
+    """Mean likelihood by distance from the seed area inside the mask: 1 is next to it."""
 
 
-UNSURE = (0.1, 0.9)
-MOST = 5.0
+LOW_AND_HIGH = (0.2, 0.8)
 
-WEIGHTS = Signs(-0.17, -0.31, -0.3, 0.34)
+WEIGHTS = Signs(0.37, -0.13, 0.42, -0.38, -0.28)
 """Of the signs; ``CONSTANT`` is added."""
 
-CONSTANT = 0.753
+CONSTANT = 0.388
 
-USUAL = Signs(0.45, 0.3, 0.19, 0.95)
+USUAL = Signs(0.78, 0.3, 0.97, 0.15, 0.48)
 """The mean signs over the pictures on which the weights were chosen."""
 
 REASONS = (
-    "much around the mask is neither road nor not",
+    "another threshold gives another mask",
     "part of the mask does not look like road",
-    "ground and what stands on it are hard to tell apart",
     "the seed area looks like a vehicle, a wall or grass",
+    "much of the picture is neither road nor not",
+    "only what lies next to the seed area was found",
 )
 """What is said when a sign is worse than usual, in the order of the signs."""
 
@@ -68,17 +70,17 @@ class Judgement(NamedTuple):
 def signs_of(likelihood: Tensor, mask: Tensor, found: Mapping[str, Tensor]) -> Signs:
     """The signs of a mask bool (H,W) made of a likelihood (H,W) in [0,1].
 
-    found: the cues ``learned_road`` (H,W), ``layout`` (3,H,W), its last class the ground,
-    ``seed_area`` and ``ego``.
+    found: the cues ``learned_road``, ``distance``, ``seed_area`` and ``ego``, all (H,W).
     """
     free, learned, seed = ~found["ego"], found["learned_road"], found["seed_area"]
     inside = mask & free
-    between = (likelihood > UNSURE[0]) & (likelihood < UNSURE[1]) & free
+    low, high = (int(((likelihood > level) & free).sum()) for level in LOW_AND_HIGH)
     values = (
-        (between.sum() / inside.sum().clamp_min(1)).clamp_max(MOST),
-        learned[inside].std(correction=0) * 2 if inside.any() else torch.ones(()),
-        entropy(found["layout"][-1].clamp(0, 1)).mean(),
-        learned[seed].mean() if seed.any() else torch.zeros(()),
+        high / max(low, 1),
+        learned[inside].std(correction=0) * 2 if inside.any() else 1.0,
+        learned[seed].mean() if seed.any() else 0.0,
+        entropy(likelihood)[free].mean(),
+        found["distance"][inside].mean() if inside.any() else 1.0,
     )
     return Signs(*(float(value) for value in values))
 

@@ -13,8 +13,9 @@ from roadtorch.train.config import PatchTraining, read_training
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 THRESHOLDS = sorted((CONFIGS / "thresholds").glob("*.toml"))
 TRAINING = sorted(CONFIGS.glob("*.toml"))
-OWN = ("ufl", "ufl:original", "fusion")
-"""Their 0.5 has a meaning: the mask that the method chooses, or as likely road as not anywhere."""
+OWN = ("ufl", "ufl:kitti", "ufl:original", "fusion", "fusion:untrained", "layout", "labeller")
+"""Their default is not CamVid's: it is the mask that the method chooses (ufl), or serves seventeen
+cameras (``train/choose_many.py``)."""
 
 
 @pytest.mark.parametrize("path", TRAINING, ids=lambda path: path.stem)

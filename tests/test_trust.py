@@ -28,20 +28,23 @@ def road(value: float = 1.0) -> torch.Tensor:
 
 
 def seen(learned: torch.Tensor, ego: torch.Tensor = NOWHERE) -> dict[str, torch.Tensor]:
-    """Cues of a picture whose ground is the road itself."""
-    layout = torch.stack([torch.zeros(20, 20), 1 - road(), road()])
-    return {"learned_road": learned, "layout": layout, "seed_area": SEED, "ego": ego}
+    """Cues of a picture; the distance from the seed area falls from the bottom to the top."""
+    distance = torch.linspace(0, 1, 20)[:, None].expand(20, 20)
+    return {"learned_road": learned, "distance": distance, "seed_area": SEED, "ego": ego}
 
 
 def test_a_sharp_road_that_the_network_sees_as_well_has_the_best_signs() -> None:
-    assert signs_of(road(), road() > 0.5, seen(road())) == Signs(0, 0, 0, 1)
+    found = signs_of(road(), road() > 0.5, seen(road()))
+
+    wanted = Signs(steady=1, patchy=0, seed=1, vague=0, near=0.5)
+    assert found == pytest.approx(wanted, abs=1e-6)
 
 
-def test_undecided_pixels_are_counted_per_pixel_of_the_mask() -> None:
+def test_a_mask_that_another_threshold_would_change_is_not_steady() -> None:
     likelihood = road()
-    likelihood[:5] = 0.5  # a hundred pixels, half as many as the mask has
+    likelihood[:5] = 0.5  # a hundred pixels at the low threshold, of three hundred there
 
-    assert signs_of(likelihood, road() > 0.5, seen(road())).undecided == pytest.approx(0.5)
+    assert signs_of(likelihood, road() > 0.5, seen(road())).steady == pytest.approx(150 / 250)
 
 
 def test_a_mask_that_is_half_road_by_the_network_is_patchy() -> None:
@@ -50,11 +53,18 @@ def test_a_mask_that_is_half_road_by_the_network_is_patchy() -> None:
     assert signs.patchy == pytest.approx(1)
 
 
-def test_ground_that_may_as_well_be_a_wall_is_unclear() -> None:
-    cues = seen(road())
-    cues["layout"] = torch.full((3, 20, 20), 0.5)
+def test_a_likelihood_that_decides_nothing_is_vague() -> None:
+    likelihood = road()
+    likelihood[:5] = 0.5  # a quarter of the picture
 
-    assert signs_of(road(), road() > 0.5, cues).unclear == pytest.approx(1)
+    assert signs_of(likelihood, road() > 0.5, seen(road())).vague == pytest.approx(0.25)
+
+
+def test_a_mask_next_to_the_seed_area_is_near() -> None:
+    lower = NOWHERE.clone()
+    lower[18:, :10] = True
+
+    assert signs_of(road(), lower, seen(road())).near == pytest.approx((18 / 19 + 1) / 2)
 
 
 def test_a_seed_area_that_is_no_road_to_the_network_is_told() -> None:
@@ -83,13 +93,13 @@ def test_entropy_is_one_bit_at_one_half_and_nothing_at_the_ends() -> None:
 
 
 def test_a_mask_without_road_has_no_trust_and_says_so() -> None:
-    assert judgement(Signs(0, 0, 0, 1), False, TrustSettings()) == (0.0, "no road found")
+    assert judgement(Signs(1, 0, 1, 0, 0.5), False, TrustSettings()) == (0.0, "no road found")
 
 
 def test_better_signs_are_trusted_more_and_usual_ones_without_a_doubt() -> None:
-    best = judgement(Signs(0, 0, 0, 1), True, TrustSettings())
+    best = judgement(Signs(1, 0, 1, 0, 0), True, TrustSettings())
     usual = judgement(USUAL, True, TrustSettings())
-    worst = judgement(Signs(5, 1, 1, 0), True, TrustSettings())
+    worst = judgement(Signs(0, 1, 0, 1, 1), True, TrustSettings())
 
     assert 0 <= worst.trust < usual.trust < best.trust <= 1  # better, and in its range
     assert usual.doubt == ""

@@ -1,6 +1,7 @@
-"""Choose calibration and trust of fusion on many cameras, and tell what the choice is worth.
+"""Choose what many cameras share, and tell what the choice is worth.
 
     python train/choose_many.py calibration DATA
+    python train/choose_many.py thresholds DATA
     python train/choose_many.py trust DATA
     python train/choose_many.py ego DATA     (how often it is found, and what road it takes)
 
@@ -23,7 +24,13 @@ from roadtorch import Detection, load_detector
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth
 from roadtorch.detector import Detector
-from roadtorch.evaluation.metrics import count_mask, f_measure
+from roadtorch.evaluation.metrics import (
+    RoadCounts,
+    count_levels,
+    count_mask,
+    decisions_at,
+    f_measure,
+)
 from roadtorch.evaluation.trust import (
     BAD,
     Trusted,
@@ -42,6 +49,12 @@ TOO_FEW = ("india_zed",)
 
 LOST = 0.02
 """Share of the true road above which an ego car takes some."""
+
+DRIVES = ("0001TP", "0006R0", "0016E5")
+"""CamVid's, beside the folders of many/."""
+
+UNCALIBRATED = ("layout", "fusion:untrained", "labeller")
+THRESHOLDS = (0.2, 0.3, 0.39, 0.5, 0.7, 0.82, 0.92, 0.97, 0.99)
 
 CENTRES = np.arange(-4, 1.01, 0.25)
 OWNS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -96,6 +109,25 @@ def _outcomes(found: Detection, truth: Truth) -> np.ndarray:
     return np.array(rows, dtype=float).T.reshape(3, len(OWNS), len(CENTRES))
 
 
+# --- thresholds -------------------------------------------------------------------------
+
+
+def choose_thresholds(root: Path) -> None:
+    """Print the mean F of those without a calibration, by threshold: all cameras, CamVid alone."""
+    for name in UNCALIBRATED:
+        levels: dict[str, RoadCounts] = {}
+        for camera, found, truth in pictures(root, load_detector(name)):
+            counts = count_levels(found.likelihood, truth.road, truth.valid)
+            levels[camera] = levels[camera] + counts if camera in levels else counts
+        for threshold in THRESHOLDS:
+            f = {
+                camera: float(f_measure(decisions_at(counts, threshold)))
+                for camera, counts in levels.items()
+            }
+            drives = np.mean([f[camera] for camera in DRIVES])
+            print(f"{name} at {threshold}: {np.mean(list(f.values())):.3f}, CamVid {drives:.3f}")
+
+
 # --- trust ------------------------------------------------------------------------------
 
 
@@ -114,7 +146,7 @@ def choose_trust(root: Path) -> None:
     for camera in np.unique(judged.camera):
         mine = judged.camera == camera
         expected[mine] = _fit(judged, ~mine).predict(judged.signs[mine])
-    many = ~np.isin(judged.camera, ("0001TP", "0006R0", "0016E5"))
+    many = ~np.isin(judged.camera, DRIVES)
     held_out, f = torch.from_numpy(expected[many]), torch.from_numpy(judged.f[many])
     within = correlation_within(Trusted(held_out, f, judged.camera[many].tolist()))
     error = float((held_out.clamp(0, 1) - f).abs().mean())
@@ -162,11 +194,16 @@ def count_ego_cars(root: Path) -> None:
         print(f"{camera:16} {with_ego} of {number}, takes more than {LOST:.0%} of road in {lossy}")
 
 
-CHOICES = {"calibration": choose_calibration, "trust": choose_trust, "ego": count_ego_cars}
+CHOICES = {
+    "calibration": choose_calibration,
+    "thresholds": choose_thresholds,
+    "trust": choose_trust,
+    "ego": count_ego_cars,
+}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Choose calibration and trust on many cameras.")
+    parser = argparse.ArgumentParser(description="Choose what many cameras share.")
     parser.add_argument("what", choices=tuple(CHOICES))
     parser.add_argument("data", type=Path, help="the folder that holds many/ and camvid/")
     arguments = parser.parse_args()

@@ -54,9 +54,9 @@ class RoadCalibration(Settings):
     See ``centred_odds``.
     """
 
-    centre: float = Field(default=-0.73, ge=-20, le=20, description="what parts road in most")
+    centre: float = Field(default=-0.75, ge=-20, le=20, description="what parts road in most")
     own: float = Field(
-        default=0.5, ge=0, le=1, description="share of what parts this very picture (Otsu)"
+        default=0.25, ge=0, le=1, description="share of what parts this very picture (Otsu)"
     )
     temperature: float = Field(default=1.0, gt=0, le=100, description="divides the log odds")
 
