@@ -41,7 +41,13 @@ from roadtorch.evaluation.metrics import (
 from roadtorch.exposure import Exposure, brightened
 from roadtorch.fusion import Exponents, RoadPlace, SegmentRoadSettings, segment_road
 from roadtorch.layout.classes import CLASSES, HORIZONTAL
-from roadtorch.layout.labeller import ColumnOrder, LabellerSettings, PlacePrior, segment_layout
+from roadtorch.layout.labeller import (
+    ColumnOrder,
+    LabellerSettings,
+    PlacePrior,
+    SkyLook,
+    segment_layout,
+)
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import WeightsFile, network_of
 from roadtorch.seed_area import seed_rectangle, seed_segments
@@ -113,7 +119,8 @@ def measure_frame(image: Tensor, truth: Truth, camera: str, network: PictureNetw
     labels = Superpixels().cut(small)
     segments = measure_segments(small, labels)
     count = len(segments.size)
-    layout = torch.full_like(truth.road, CLASSES) if truth.layout is None else truth.layout
+    unknown = torch.full(truth.road.shape, CLASSES)
+    layout = unknown if truth.layout is None else truth.layout
     valid, road, kinds = (
         at_picture_size(part, size).long() for part in (truth.valid & ~ego, truth.road, layout)
     )
@@ -203,6 +210,7 @@ NEUTRAL = {
         place=PlacePrior(
             sky_rise=0.1, sky_slope=0.5, sky_softness=0.2, ground_slope=0.5, vertical=1.0
         ),
+        sky=SkyLook(light=1.0, level=0.5, even=1.0, blue=1.0),
         bandwidths=NEUTRAL_WIDTHS,
         order=ColumnOrder(weight=1.0),
         sharpness=1.0,

@@ -75,7 +75,8 @@ def test_rounds_begin_with_the_labels_of_the_last_network(
 def test_training_stops_when_the_error_falls_by_no_more(
     fall: str, epochs: int, streets: Path, kept: Path, tmp_path: Path
 ) -> None:
-    rules = ("stopping.rule=fall", "stopping.epochs=4", f"stopping.fall={fall}")
+    slow = "descent.rate=0.02"  # so slow that the error falls at each of four epochs
+    rules = ("stopping.rule=fall", "stopping.epochs=4", f"stopping.fall={fall}", slow)
     training = training_of("patches", tmp_path, *rules)
 
     train(training, request_of(streets, kept, tmp_path / "run", "patches"))
