@@ -142,6 +142,7 @@ def _in_colour(one: Studied) -> bool:
 def draw(rows: Sequence[Studied], labeller: float, path: Path) -> None:
     """P2, Fig. 3, as accuracy over time: a panel for each patch size, and the best of each."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import NullFormatter
 
     figure = Figure(figsize=(11, 7.5), layout="constrained")
     grid = figure.subplots(2, 2, sharex=True, sharey=True)
@@ -160,7 +161,7 @@ def draw(rows: Sequence[Studied], labeller: float, path: Path) -> None:
             axes.annotate(one.name, at, (4, 4), textcoords="offset points", fontsize=8)
         axes.set(title=title, xscale="log")
         axes.xaxis.set_major_formatter("{x:g}")
-        axes.xaxis.set_minor_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
         axes.grid(alpha=0.3)
     figure.supxlabel("seconds a picture of 320×240, one core")
     figure.supylabel("global average accuracy on CamVid's training split")
