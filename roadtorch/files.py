@@ -1,14 +1,26 @@
 """Files that are never half-written, and the folders they go to."""
 
 import csv
+import errno
 import io
 import os
+import re
 import secrets
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from roadtorch.errors import InputError
+
+LEFTOVER = re.compile(r"\..+\.[0-9a-f]{8}\.part")
+"""The names of temporary files, those of earlier versions among them."""
+
+REMEDIES = {
+    errno.ENAMETOOLONG: "give it a shorter name",
+    errno.ENOSPC: "make room, or choose a folder with room",
+    errno.EDQUOT: "make room, or choose a folder with room",
+}
+"""What helps when a file cannot be written, by the number of the error."""
 
 # --- out --------------------------------------------------------------------------------
 
@@ -26,21 +38,32 @@ def make_folder(path: Path, remedy: str = "give another folder") -> None:
 def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path in the folder of ``path``; rename it at the end, if all went well.
 
-    Whatever happens, ``path`` holds its old content or all of the new one, and no
-    temporary file stays. Raises InputError when the folder cannot be written.
+    Whatever happens, ``path`` holds its old content or all of the new one, and no temporary
+    file stays; ``remove_leftovers`` takes those of a process that was killed. The temporary
+    name is short, whatever the name of ``path``. Raises InputError when it cannot be written.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+    temporary = path.with_name(f".roadtorch.{secrets.token_hex(4)}.part")
     try:
         yield temporary
         os.replace(temporary, path)
     except OSError as problem:
         what = f"cannot be written: {problem.strerror or problem}"
-        raise InputError(path, what, "choose a folder with room that you may write to") from None
+        remedy = REMEDIES.get(problem.errno or 0, "choose a folder that you may write to")
+        raise InputError(path, what, remedy) from None
     finally:
         # Where even looking for the file fails there is none to remove.
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def remove_leftovers(folders: Iterable[Path]) -> None:
+    """Remove what killed processes left in the folders; no process may be writing there now."""
+    for folder in folders:
+        with suppress(OSError):
+            for path in folder.iterdir():
+                if LEFTOVER.fullmatch(path.name):
+                    path.unlink(missing_ok=True)
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
