@@ -77,8 +77,11 @@ def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> st
 
     A column that a row lacks stays empty; ValueError for a row with a key that is no column.
     """
-    text = io.StringIO(newline="")
-    table = csv.DictWriter(text, columns, lineterminator="\n")
-    table.writeheader()
-    table.writerows(rows)
-    return text.getvalue()
+    # The csv module quotes only the line ends that it is told to write: told of both, it quotes
+    # a carriage return in a name, which readers would take for the end of a row.
+    lines: list[str] = []
+    for row in ({name: name for name in columns}, *rows):
+        text = io.StringIO(newline="")
+        csv.DictWriter(text, columns, lineterminator="\r\n").writerow(row)
+        lines.append(text.getvalue().removesuffix("\r\n") + "\n")
+    return "".join(lines)

@@ -22,6 +22,15 @@ def test_csv_comes_back_as_it_was_written() -> None:
     assert "\r" not in text
 
 
+@pytest.mark.parametrize("name", ["a\rb", "a\nb", "a\r\nb", "\r", "a,\"b\r", "x\ty"])
+def test_a_line_end_in_a_name_makes_no_row(name: str) -> None:
+    rows = [{"file": name, "status": "done"}, {"file": "z", "status": name}]
+
+    text = csv_text(["file", "status"], rows)
+
+    assert list(csv.DictReader(io.StringIO(text, newline=""))) == rows
+
+
 def test_csv_has_the_columns_that_are_named_in_their_order() -> None:
     assert csv_text(["b", "a"], [{"a": 1, "b": 2.5}, {"b": None}]) == "b,a\n2.5,1\n,\n"
     assert csv_text(["a"], []) == "a\n"
