@@ -2,13 +2,15 @@
 
 import csv
 import errno
+import hashlib
 import io
 import os
 import re
 import secrets
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from roadtorch.errors import InputError
 
@@ -21,6 +23,20 @@ REMEDIES = {
     errno.EDQUOT: "make room, or choose a folder with room",
 }
 """What helps when a file cannot be written, by the number of the error."""
+
+# --- in ---------------------------------------------------------------------------------
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file's bytes; empty where it is no regular file that can be read."""
+    try:
+        if path.is_file():
+            with path.open("rb") as file:
+                return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        pass
+    return ""
+
 
 # --- out --------------------------------------------------------------------------------
 
@@ -64,6 +80,49 @@ def remove_leftovers(folders: Iterable[Path]) -> None:
             for path in folder.iterdir():
                 if LEFTOVER.fullmatch(path.name):
                     path.unlink(missing_ok=True)
+
+
+@contextmanager
+def locked(folder: Path, remedy: str = "wait for it, or give another folder") -> Iterator[None]:
+    """Keep other runs out of a folder during the block; InputError where one is in it already.
+
+    The lock is on the folder itself (flock): no file is made for it, and it ends with the
+    process, however that ends. Where a system or a disk has no such locks, nobody is kept out.
+    """
+    try:
+        import fcntl
+    except ImportError:  # not a Unix
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        raise InputError(folder, "another run is writing here", remedy) from None
+    except OSError:
+        pass  # a disk without locks
+    try:
+        yield
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def reserved(folder: Path, size: int) -> Iterator[Callable[[], None]]:
+    """Hold room for so many bytes on the disk of a folder; what is yielded lets go of it.
+
+    The file that holds it has no name, so that none stays when the process is killed.
+    Raises InputError when there is no such room.
+    """
+    with TemporaryFile(dir=folder) as file:
+        try:
+            file.write(bytes(size))
+            file.flush()
+        except OSError as problem:
+            what = f"has no room for {size} bytes: {problem.strerror}"
+            raise InputError(folder, what, "make room, or choose a folder with room") from None
+        yield file.close
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
