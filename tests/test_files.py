@@ -22,7 +22,7 @@ def test_csv_comes_back_as_it_was_written() -> None:
     assert "\r" not in text
 
 
-@pytest.mark.parametrize("name", ["a\rb", "a\nb", "a\r\nb", "\r", "a,\"b\r", "x\ty"])
+@pytest.mark.parametrize("name", ["a\rb", "a\nb", "a\r\nb", "\r", 'a,"b\r', "x\ty"])
 def test_a_line_end_in_a_name_makes_no_row(name: str) -> None:
     rows = [{"file": name, "status": "done"}, {"file": "z", "status": name}]
 
