@@ -24,6 +24,7 @@ from roadtorch.image import (
     write_overlay,
 )
 from roadtorch.layout.classes import LAYOUT_COLOURS, layout_colours
+from roadtorch.layout.weights import tensors_hash
 
 CONFIG = "config.toml"
 SUFFIXES = {
@@ -66,12 +67,9 @@ def detector_method(
 
     effective: its settings as TOML. parts: what else decides on the results.
     """
-    weights = [
-        f"{name} {value.dtype} {tuple(value.shape)}".encode() + value.cpu().numpy().tobytes()
-        for name, value in sorted(detector.state_dict().items())
-    ]
+    weights = tensors_hash(detector.state_dict()).encode()
     files = [digest_of(Path(text)).encode() for text in _texts(detector.settings.model_dump())]
-    return method_of(kinds, effective, *parts, *files, *weights)
+    return method_of(kinds, effective, *parts, *files, weights)
 
 
 def _texts(values: object) -> Iterator[str]:
