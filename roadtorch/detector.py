@@ -208,7 +208,8 @@ class Detector(nn.Module):
     def detect(self, image: Tensor) -> Detection:
         """Find the road in one image (3,H,W), floating point in [0,1], from 16×16 up.
 
-        Raises InputError when the image is anything else.
+        Raises InputError when the image is anything else, and when what the detector makes of
+        it is not finite: there is no decision on NaN.
         """
         analysed, maps = self._find(checked_image(image))
         likelihood, ego, seed = maps["likelihood"], maps.get("ego"), analysed.get("seed_area")
@@ -253,6 +254,9 @@ class Detector(nn.Module):
         told = self.settings.ego
         given = ego_car(image, told, self._ego_mask) if is_given(told) else None
         analysed, maps = self._analyse(image if given is None else continued(image, given))
+        if not analysed["likelihood"].isfinite().all():
+            what = f"gives {self.name} a likelihood that is not finite"
+            raise InputError("image", what, "check the weights and the settings; else report it")
         cars = [car for car in (given, maps.get("ego")) if car is not None]
         if not cars:
             return Found(analysed, maps)

@@ -1,14 +1,42 @@
 """Files that are never half-written, and the folders they go to."""
 
 import csv
+import errno
+import hashlib
 import io
 import os
+import re
 import secrets
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from roadtorch.errors import InputError
+
+LEFTOVER = re.compile(r"\..+\.[0-9a-f]{8}\.part")
+"""The names of temporary files, those of earlier versions among them."""
+
+REMEDIES = {
+    errno.ENAMETOOLONG: "give it a shorter name",
+    errno.ENOSPC: "make room, or choose a folder with room",
+    errno.EDQUOT: "make room, or choose a folder with room",
+}
+"""What helps when a file cannot be written, by the number of the error."""
+
+# --- in ---------------------------------------------------------------------------------
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file's bytes; empty where it is no regular file that can be read."""
+    try:
+        if path.is_file():
+            with path.open("rb") as file:
+                return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        pass
+    return ""
+
 
 # --- out --------------------------------------------------------------------------------
 
@@ -26,21 +54,75 @@ def make_folder(path: Path, remedy: str = "give another folder") -> None:
 def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path in the folder of ``path``; rename it at the end, if all went well.
 
-    Whatever happens, ``path`` holds its old content or all of the new one, and no
-    temporary file stays. Raises InputError when the folder cannot be written.
+    Whatever happens, ``path`` holds its old content or all of the new one, and no temporary
+    file stays; ``remove_leftovers`` takes those of a process that was killed. The temporary
+    name is short, whatever the name of ``path``. Raises InputError when it cannot be written.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+    temporary = path.with_name(f".roadtorch.{secrets.token_hex(4)}.part")
     try:
         yield temporary
         os.replace(temporary, path)
     except OSError as problem:
         what = f"cannot be written: {problem.strerror or problem}"
-        raise InputError(path, what, "choose a folder with room that you may write to") from None
+        remedy = REMEDIES.get(problem.errno or 0, "choose a folder that you may write to")
+        raise InputError(path, what, remedy) from None
     finally:
         # Where even looking for the file fails there is none to remove.
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def remove_leftovers(folders: Iterable[Path]) -> None:
+    """Remove what killed processes left in the folders; no process may be writing there now."""
+    for folder in folders:
+        with suppress(OSError):
+            for path in folder.iterdir():
+                if LEFTOVER.fullmatch(path.name):
+                    path.unlink(missing_ok=True)
+
+
+@contextmanager
+def locked(folder: Path, remedy: str = "wait for it, or give another folder") -> Iterator[None]:
+    """Keep other runs out of a folder during the block; InputError where one is in it already.
+
+    The lock is on the folder itself (flock): no file is made for it, and it ends with the
+    process, however that ends. Where a system or a disk has no such locks, nobody is kept out.
+    """
+    try:
+        import fcntl
+    except ImportError:  # not a Unix
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        raise InputError(folder, "another run is writing here", remedy) from None
+    except OSError:
+        pass  # a disk without locks
+    try:
+        yield
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def reserved(folder: Path, size: int) -> Iterator[Callable[[], None]]:
+    """Hold room for so many bytes on the disk of a folder; what is yielded lets go of it.
+
+    The file that holds it has no name, so that none stays when the process is killed.
+    Raises InputError when there is no such room.
+    """
+    with TemporaryFile(dir=folder) as file:
+        try:
+            file.write(bytes(size))
+            file.flush()
+        except OSError as problem:
+            what = f"has no room for {size} bytes: {problem.strerror}"
+            raise InputError(folder, what, "make room, or choose a folder with room") from None
+        yield file.close
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
@@ -54,8 +136,11 @@ def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> st
 
     A column that a row lacks stays empty; ValueError for a row with a key that is no column.
     """
-    text = io.StringIO(newline="")
-    table = csv.DictWriter(text, columns, lineterminator="\n")
-    table.writeheader()
-    table.writerows(rows)
-    return text.getvalue()
+    # The csv module quotes only the line ends that it is told to write: told of both, it quotes
+    # a carriage return in a name, which readers would take for the end of a row.
+    lines: list[str] = []
+    for row in ({name: name for name in columns}, *rows):
+        text = io.StringIO(newline="")
+        csv.DictWriter(text, columns, lineterminator="\r\n").writerow(row)
+        lines.append(text.getvalue().removesuffix("\r\n") + "\n")
+    return "".join(lines)

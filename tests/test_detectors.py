@@ -14,6 +14,7 @@ from roadtorch.detector import (
     DetectorGrid,
     DetectorSettings,
     Entry,
+    WorkingSettings,
     checked_image,
     decide,
 )
@@ -320,3 +321,32 @@ def test_the_likelihood_is_no_cue() -> None:
     assert len(detection.cues) == len(list(detection.cues)) > 0
     with pytest.raises(KeyError, match="likelihood"):
         detection.cues["likelihood"]
+
+
+# --- a likelihood that is none ------------------------------------------------------------
+
+
+class Broken(nn.Module):
+    """A detector that says the same of every pixel, but for one."""
+
+    def __init__(self, value: float) -> None:
+        super().__init__()
+        self.value = value
+
+    def forward(self, image: Tensor) -> dict[str, Tensor]:
+        likelihood = image.mean(0)
+        likelihood[3, 4] = self.value
+        return {"likelihood": likelihood}
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
+@pytest.mark.parametrize("settings", [DetectorSettings, WorkingSettings])
+def test_a_likelihood_that_is_not_finite_is_refused(
+    value: float, settings: type[DetectorSettings]
+) -> None:
+    detector = Detector(Entry("theirs", "", settings, lambda _: Broken(value)), settings())
+
+    with pytest.raises(InputError, match="gives theirs a likelihood that is not finite"):
+        detector.detect(street(32, 32))
+    with pytest.raises(InputError, match="not finite"):
+        detector(street(32, 32)[None])

@@ -1,19 +1,22 @@
 """What ``infer`` and ``label`` share: many pictures, some broken, some already done."""
 
 import csv
+import hashlib
 import sys
-import tempfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from time import monotonic
 
 import click
 
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
-from roadtorch.files import csv_text, make_folder, write_text
+from roadtorch.files import csv_text, digest_of, remove_leftovers, reserved, write_text
+from roadtorch.signals import stop_on_signals
 from roadtorch.sources.pictures import Picture, find_images
 
 INDEX = "index.csv"
@@ -23,8 +26,9 @@ DONE, DOUBTFUL, FAILED = "done", "doubtful", "failed"
 LEAST_TRUSTED = 5
 """Pictures that are named at the end of a run, to be looked at first."""
 
-ELSEWHERE = "give another --out"
-SAVE_EVERY = 5.0  # seconds of work that a power cut may cost
+SAVE_EVERY = 5.0  # seconds of work that a power cut may cost, at most
+SAVING = 0.05  # the share of the time that saving may take: a long index is saved less often
+ROOM, ROOM_PER_ROW = 2**16, 2**9  # bytes held for index.csv, should the disk become full
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,8 @@ class Row:
     """One line of index.csv. ``ms`` is the time from reading to the last file written.
 
     trust: the expected F of the mask, empty where the detector does not say.
+    saved: the kinds of results that were written; method: what they were made with, see
+    ``Method``; sha256: of the bytes of the picture.
     """
 
     file: str
@@ -41,11 +47,49 @@ class Row:
     road_share: str = ""
     trust: str = ""
     status: str = DONE
+    saved: str = ""
+    method: str = ""
+    sha256: str = ""
 
     @property
     def failed(self) -> bool:
         """Whether there is no result."""
         return self.status.startswith(FAILED)
+
+
+@dataclass(frozen=True)
+class Method:
+    """What results are made with: two runs of one method give the same bytes.
+
+    digest: of everything that the results depend on but the picture, see ``method_of``.
+    kinds: what is written.
+    """
+
+    digest: str
+    kinds: tuple[str, ...]
+
+    def finished(self, row: Row, job: "Job") -> Row:
+        """The row of a job with what it was made with and of; failed rows stay as they are."""
+        if row.failed:
+            return row
+        digest = digest_of(job.picture.path)
+        return replace(row, saved=" ".join(self.kinds), method=self.digest, sha256=digest)
+
+    def covers(self, row: Row | None, job: "Job") -> bool:
+        """Whether a row says that this job is done, with this method, for the picture of now."""
+        if row is None or row.failed or row.method != self.digest:
+            return False
+        if not set(self.kinds) <= set(row.saved.split()) or not job.is_complete:
+            return False
+        return row.sha256 == digest_of(job.picture.path) != ""
+
+
+def method_of(kinds: Iterable[str], settings: str, *parts: bytes) -> Method:
+    """The method of settings as TOML and of whatever else decides on the results."""
+    digest = hashlib.sha256()
+    for part in (settings.encode("utf-8", "surrogateescape"), *parts):
+        digest.update(hashlib.sha256(part).digest())
+    return Method(digest.hexdigest()[:16], tuple(kinds))
 
 
 @dataclass(frozen=True)
@@ -64,6 +108,11 @@ class Job:
     def outputs(self) -> list[Path]:
         """All files whose names are known beforehand."""
         return [self.output(suffix) for suffix in self.suffixes.values()]
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all of these files exist."""
+        return all(path.is_file() for path in self.outputs)
 
     @property
     def file(self) -> str:
@@ -87,16 +136,6 @@ def plan(inputs: Sequence[str], out: Path, suffixes: Mapping[str, str]) -> list[
     return jobs
 
 
-def make_writable(path: Path) -> None:
-    """Make a folder and try to write in it: InputError before the work, not after it."""
-    make_folder(path, ELSEWHERE)
-    try:
-        tempfile.TemporaryFile(dir=path).close()
-    except OSError as problem:
-        what = f"cannot be written: {problem.strerror}"
-        raise InputError(path, what, ELSEWHERE) from None
-
-
 def _refuse_shared(jobs: Sequence[Job]) -> None:
     owners: dict[str, Job] = {}
     for job in jobs:
@@ -117,31 +156,99 @@ def _refuse_replacing(jobs: Sequence[Job]) -> None:
                 raise ConfigError(output, "is one of the pictures", "give another --out")
 
 
-def run_jobs(jobs: Sequence[Job], out: Path, work: Work, options: "Options") -> int:
+def run_jobs(jobs: Sequence[Job], out: Path, work: Work, method: Method, options: "Options") -> int:
     """Do the jobs that are not done yet; returns the exit code.
 
-    A picture is done when index.csv says so and its files exist. A picture that fails
-    becomes a failed row, and the others go on.
+    A picture is done when index.csv says so, of this method and of the bytes that the picture
+    has now, and its files exist. A picture that fails becomes a failed row, and the others go
+    on. At the first SIGINT or SIGTERM the picture in hand is finished, and all that is done is
+    kept: KeyboardInterrupt.
     """
     rows = read_index(out / INDEX)
-    todo = [job for job in jobs if options.overwrite or not _is_done(job, rows)]
-    failed, found = 0, []
-    saved = monotonic()
-    try:
-        for row in _show_progress(_in_order(todo, work, options.jobs), len(todo), options.quiet):
-            failed += row.failed
-            found.append(row)
-            rows[row.file] = row
-            if monotonic() - saved > SAVE_EVERY:
-                write_index(out / INDEX, rows.values())
-                saved = monotonic()
-    finally:
-        write_index(out / INDEX, rows.values())
-    if not options.quiet or failed:
-        click.echo(_summary(len(todo) - failed, len(jobs) - len(todo), failed, out), err=True)
+    remove_leftovers(_folders(jobs, rows, out))
+    todo = [job for job in jobs if options.overwrite or not method.covers(rows.get(job.file), job)]
+    again = 0 if options.overwrite else sum(job.file in rows and job.is_complete for job in todo)
+    found: list[Row] = []
+    room = ROOM + ROOM_PER_ROW * (len(rows) + len(todo))
+    with stop_on_signals() as stop, reserved(out, room) as let_go:
+        index = SavedIndex(out / INDEX, rows)
+        try:
+            results = _in_order(todo, partial(_attempt, work=work, method=method), options.jobs)
+            for row in _show_progress(results, len(todo), options.quiet):
+                found.append(row)
+                index.add(row)
+                if stop.asked:
+                    break
+            else:
+                index.update(_removed(jobs, rows))
+        finally:
+            index.finish(let_go)
+    stop.interrupt()
+    failed = [rows[job.file].failed for job in jobs]
+    if not options.quiet or any(failed):
+        click.echo(_summary(len(found), len(jobs), again, sum(failed), out), err=True)
         for line in least_trusted(found):
             click.echo(line)
-    return 1 if failed else 0
+    return 1 if any(failed) else 0
+
+
+def _folders(jobs: Iterable[Job], rows: Iterable[str], out: Path) -> set[Path]:
+    """The folders in which this run will write, or an earlier one wrote, by its rows' files."""
+    return {*(job.output("").parent for job in jobs), *((out / file).parent for file in rows)}
+
+
+def _removed(jobs: Iterable[Job], rows: Mapping[str, Row]) -> list[Row]:
+    """Failed rows for jobs that are done but whose files somebody has removed meanwhile."""
+    what = "results were removed while the run went on (run it again)"
+    return [
+        Row(job.file, status=f"{FAILED}: {job.picture.path}: {what}")
+        for job in jobs
+        if not rows[job.file].failed and not job.is_complete
+    ]
+
+
+def _with_earlier(earlier: Row | None, row: Row) -> Row:
+    """A row, with the kinds of results that the same method gave of the same bytes before."""
+    if earlier is None or (earlier.method, earlier.sha256) != (row.method, row.sha256):
+        return row
+    kinds = dict.fromkeys([*earlier.saved.split(), *row.saved.split()])
+    return replace(row, saved=" ".join(kinds))
+
+
+class SavedIndex:
+    """index.csv as a run goes on: saved after every row, or as often as is worth it."""
+
+    def __init__(self, path: Path, rows: dict[str, Row]) -> None:
+        self.path, self.rows = path, rows
+        self._due = 0.0
+
+    def add(self, row: Row) -> None:
+        """Keep one more row; on a full disk the index stays as it was until the end."""
+        self.rows[row.file] = _with_earlier(self.rows.get(row.file), row)
+        start = monotonic()
+        if start < self._due:
+            return
+        with suppress(InputError):
+            write_index(self.path, self.rows.values())
+        took = monotonic() - start
+        self._due = start + took + min(took / SAVING, SAVE_EVERY)
+
+    def update(self, rows: Iterable[Row]) -> None:
+        """Replace rows, and tell each that failed."""
+        for row in rows:
+            self.rows[row.file] = row
+            click.echo(f"roadtorch: {row.status}", err=True)
+
+    def finish(self, let_go: Callable[[], None]) -> None:
+        """Write all rows, in the room that was held for them if the disk is full.
+
+        Raises InputError when even that is not possible.
+        """
+        try:
+            write_index(self.path, self.rows.values())
+        except InputError:
+            let_go()
+            write_index(self.path, self.rows.values())
 
 
 @dataclass(frozen=True)
@@ -153,11 +260,6 @@ class Options:
     quiet: bool = False
 
 
-def _is_done(job: Job, rows: Mapping[str, Row]) -> bool:
-    row = rows.get(job.file)
-    return row is not None and not row.failed and all(path.exists() for path in job.outputs)
-
-
 def _in_order(jobs: Sequence[Job], work: Work, threads: int) -> Iterator[Row]:
     """The rows of all jobs in their order, a few jobs ahead at most.
 
@@ -165,13 +267,13 @@ def _in_order(jobs: Sequence[Job], work: Work, threads: int) -> Iterator[Row]:
     loaded twice, and the thread count inside torch, hence every byte, stays the same.
     """
     if threads == 1:
-        yield from (_attempt(job, work) for job in jobs)
+        yield from map(work, jobs)
         return
     with ThreadPoolExecutor(threads) as pool:
         waiting: deque[Future[Row]] = deque()
         try:
             for job in jobs:
-                waiting.append(pool.submit(_attempt, job, work))
+                waiting.append(pool.submit(work, job))
                 if len(waiting) > threads:
                     yield waiting.popleft().result()
             while waiting:
@@ -181,10 +283,10 @@ def _in_order(jobs: Sequence[Job], work: Work, threads: int) -> Iterator[Row]:
                 future.cancel()
 
 
-def _attempt(job: Job, work: Work) -> Row:
+def _attempt(job: Job, work: Work, method: Method) -> Row:
     """The row of one job; whatever goes wrong inside stays inside."""
     try:
-        return work(job)
+        return method.finished(work(job), job)
     except RoadtorchError as problem:
         # Detectors cannot know the file and speak of "image".
         where = job.picture.path if problem.where == "image" else problem.where
@@ -207,8 +309,12 @@ def _show_progress(rows: Iterable[Row], total: int, quiet: bool) -> Iterator[Row
             yield row
 
 
-def _summary(done: int, skipped: int, failed: int, out: Path) -> str:
-    parts = [f"{done} done", f"{skipped} skipped (done before)" if skipped else ""]
+def _summary(tried: int, total: int, again: int, failed: int, out: Path) -> str:
+    """The last line: ``again`` of those tried had been done before, in another way."""
+    done = f"{max(tried - failed, 0)} done"
+    if again:
+        done += f" ({again} anew)"
+    parts = [done, f"{total - tried} skipped (done before)" if total > tried else ""]
     parts.append(f"{failed} failed" if failed else "")
     return f"roadtorch: {', '.join(filter(None, parts))}; results in {out}"
 

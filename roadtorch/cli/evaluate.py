@@ -51,7 +51,7 @@ def evaluate(
     prior:triangle and, where other drives can teach it, prior:mean stand beside them.
     A run that is interrupted goes on where it was when it is started again.
     """
-    from roadtorch.cli.batch import make_writable
+    from roadtorch.cli.claim import claimed
     from roadtorch.cli.labelled import (
         camera_settings,
         command_line,
@@ -70,7 +70,7 @@ def evaluate(
     from roadtorch.settings import merge, parse_assignments
 
     if out is not None:
-        make_writable(out)  # now rather than after the long run
+        context.with_resource(claimed(out))  # now rather than after the long run
     labelled = opened(dataset, root, split, left_out)
     if conditions is not None:
         labelled = with_conditions(labelled, conditions)

@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 import click
 
 from roadtorch.errors import RoadtorchError
+from roadtorch.signals import Terminated, terminated_in_words
 from roadtorch.version import __version__
 
 # name: (module:attribute, summary). The summary is here so that help imports no command.
@@ -27,7 +28,8 @@ COMMANDS = {
     "tune": ("roadtorch.cli.tune:tune", "Choose a detector's threshold on labelled pictures."),
 }
 
-FAILED, WRONG_USAGE, INTERRUPTED = 1, 2, 130  # exit codes; 130 is what shells use for Ctrl-C
+FAILED, WRONG_USAGE = 1, 2  # exit codes
+INTERRUPTED, TERMINATED = 130, 143  # those that shells use for SIGINT (Ctrl-C) and SIGTERM
 
 
 class CommandGroup(click.Group):
@@ -85,11 +87,14 @@ class CommandGroup(click.Group):
         # wait, which costs many times the work wherever the cores have other work too.
         os.environ.setdefault("OMP_WAIT_POLICY", "passive")
         extra |= {"prog_name": "roadtorch", "standalone_mode": False}
+        open_streams()
         try:
-            code = super().main(args, **extra)
-        except (click.Abort, KeyboardInterrupt):
+            with terminated_in_words():
+                code = super().main(args, **extra)
+        except (click.Abort, KeyboardInterrupt) as problem:
             click.echo("roadtorch: interrupted; what was finished is kept", err=True)
-            code = INTERRUPTED
+            cause = problem.__cause__ or problem  # click makes an Abort of KeyboardInterrupt
+            code = TERMINATED if isinstance(cause, Terminated) else INTERRUPTED
         except click.exceptions.NoArgsIsHelpError as problem:
             problem.show()
             code = WRONG_USAGE
@@ -141,6 +146,22 @@ def _debug_option() -> click.Option:
         callback=remember,
         help="Show the traceback of an error.",
     )
+
+
+def open_streams() -> None:
+    """Send what is written to a closed stdout or stderr nowhere, and read nothing from stdin.
+
+    Where one is closed (``2>&-``) Python has None in its place, and the next file that is
+    opened gets its number: libraries would write their messages into a picture.
+    """
+    handle = os.open(os.devnull, os.O_RDWR)
+    while handle <= 2:
+        os.set_inheritable(handle, True)
+        handle = os.open(os.devnull, os.O_RDWR)
+    os.close(handle)
+    sys.stdin = sys.stdin or open(0, closefd=False)  # noqa: SIM115
+    sys.stdout = sys.stdout or open(1, "w", closefd=False)  # noqa: SIM115
+    sys.stderr = sys.stderr or open(2, "w", closefd=False)  # noqa: SIM115
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any) -> None:

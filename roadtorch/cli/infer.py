@@ -86,6 +86,7 @@ def infer(
 
     from roadtorch.camera.camera import Camera
     from roadtorch.cli import batch, results
+    from roadtorch.cli.claim import claimed
     from roadtorch.detectors.catalogue import load_detector
 
     known = None if camera is None else Camera.read(camera)
@@ -95,7 +96,9 @@ def infer(
         click.echo(effective)
         return
     planned = batch.plan(inputs, out, results.suffixes(save))
-    batch.make_writable(out)
+    context.with_resource(claimed(out))
     results.keep_config(out, effective, overwrite)
     work = results.Inference(loaded, frozenset(save), 16 if depth == "16" else 8, known)
-    context.exit(batch.run_jobs(planned, out, work, batch.Options(jobs, overwrite, quiet)))
+    method = results.detector_method(loaded, effective, save, depth.encode())
+    options = batch.Options(jobs, overwrite, quiet)
+    context.exit(batch.run_jobs(planned, out, work, method, options))

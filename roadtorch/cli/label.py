@@ -39,11 +39,15 @@ def label(
     Each picture gives NAME.png in the folder --out. No weights and no labels are needed.
     """
     from roadtorch.cli import batch, config, layouts, results
+    from roadtorch.cli.claim import claimed
 
     settings = layouts.labeller_settings(support, assignments)
     suffixes = layouts.SUFFIXES if overlay else {"labels": layouts.SUFFIXES["labels"]}
     planned = batch.plan(inputs, out, suffixes)
-    batch.make_writable(out)
-    results.keep_config(out, config.as_toml("labeller", settings), overwrite)
+    effective = config.as_toml("labeller", settings)
+    context.with_resource(claimed(out))
+    results.keep_config(out, effective, overwrite)
+    method = batch.method_of(suffixes, effective)
     options = batch.Options(jobs, overwrite, quiet)
-    context.exit(batch.run_jobs(planned, out, layouts.Labelling(settings, overlay), options))
+    work = layouts.Labelling(settings, overlay)
+    context.exit(batch.run_jobs(planned, out, work, method, options))

@@ -24,8 +24,7 @@ def watched(results: "Iterator[Scored]", done: int, total: int) -> "Iterator[Sco
     with stop_on_signals() as stop:
         for result in tqdm(results, initial=done, total=total, unit="image", disable=None):
             yield result
-            if stop.asked:
-                raise KeyboardInterrupt
+            stop.interrupt()
 
 
 def camera_settings(path: Path | None, names: Sequence[str]) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """What ``infer`` writes for one picture, and for a folder of them."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -10,10 +10,11 @@ import torch
 from torch import Tensor
 
 from roadtorch.camera.camera import Camera
-from roadtorch.cli.batch import DONE, DOUBTFUL, ELSEWHERE, INDEX, Job, Row
+from roadtorch.cli.batch import DONE, DOUBTFUL, INDEX, Job, Method, Row, method_of
+from roadtorch.cli.claim import ELSEWHERE
 from roadtorch.detector import Detection, Detector
 from roadtorch.errors import ConfigError
-from roadtorch.files import make_folder, write_text
+from roadtorch.files import digest_of, make_folder, write_text
 from roadtorch.image import (
     read_image,
     write_colours,
@@ -23,6 +24,7 @@ from roadtorch.image import (
     write_overlay,
 )
 from roadtorch.layout.classes import LAYOUT_COLOURS, layout_colours
+from roadtorch.layout.weights import tensors_hash
 
 CONFIG = "config.toml"
 SUFFIXES = {
@@ -56,6 +58,27 @@ def keep_config(out: Path, effective: str, overwrite: bool) -> None:
             "give another --out, or --overwrite",
         )
     write_text(path, effective)
+
+
+def detector_method(
+    detector: Detector, effective: str, kinds: Iterable[str], *parts: bytes
+) -> Method:
+    """The method of a detector: settings, weights, and the files that its settings name.
+
+    effective: its settings as TOML. parts: what else decides on the results.
+    """
+    weights = tensors_hash(detector.state_dict()).encode()
+    files = [digest_of(Path(text)).encode() for text in _texts(detector.settings.model_dump())]
+    return method_of(kinds, effective, *parts, *files, weights)
+
+
+def _texts(values: object) -> Iterator[str]:
+    """The texts in nested settings that may name files."""
+    if isinstance(values, Mapping):
+        for value in values.values():
+            yield from _texts(value)
+    elif isinstance(values, str):
+        yield values
 
 
 @dataclass(frozen=True)

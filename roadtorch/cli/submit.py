@@ -40,6 +40,7 @@ def submit(
     name, values = configuration.chosen_detector(detector, config, assignments, None)
 
     from roadtorch.cli import batch, results, submission
+    from roadtorch.cli.claim import claimed
     from roadtorch.data.kitti import base_folder, calib_folder
     from roadtorch.detectors.catalogue import load_detector
 
@@ -47,9 +48,11 @@ def submit(
     folder = base_folder(root, "testing")
     work = submission.Submission(loaded, calib_folder(folder))
     planned = submission.plan_maps(folder / "image_2", out)
-    batch.make_writable(out)
-    results.keep_config(out, configuration.as_toml(loaded.name, loaded.settings), overwrite)
-    failed = batch.run_jobs(planned, out, work, batch.Options(jobs, overwrite, quiet))
+    effective = configuration.as_toml(loaded.name, loaded.settings)
+    context.with_resource(claimed(out))
+    results.keep_config(out, effective, overwrite)
+    method = results.detector_method(loaded, effective, ["map"])
+    failed = batch.run_jobs(planned, out, work, method, batch.Options(jobs, overwrite, quiet))
     archive = out / submission.ARCHIVE
     if failed:
         click.echo(f"roadtorch: {archive} not written, as maps are missing", err=True)

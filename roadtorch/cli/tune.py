@@ -30,7 +30,7 @@ def tune(
     What such a choice is worth is shown beside it: F and IoU of each drive at the
     threshold that the other drives choose.
     """
-    from roadtorch.cli.batch import make_writable
+    from roadtorch.cli.claim import claimed
     from roadtorch.cli.config import as_toml
     from roadtorch.cli.labelled import command_line, opened, tell_failures, watched
     from roadtorch.evaluation.evaluate import evaluate
@@ -40,7 +40,7 @@ def tune(
     from roadtorch.report.choices import choice_table, provenance
     from roadtorch.settings import parse_assignments
 
-    make_writable(out)
+    context.with_resource(claimed(out))
     settings = parse_assignments(assignments)
     evaluation = evaluate(
         opened(dataset, root, split, left_out),

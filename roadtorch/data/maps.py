@@ -7,12 +7,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from roadtorch.detector import DetectorSettings, decide
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.image import read_image
+from roadtorch.settings import build_settings, read_settings_file
 
 ENDINGS = (".png", ".likelihood.png", ".npy", ".likelihood.npy")
 
-THRESHOLD = 0.5  # of the masks; an 8-bit map is road from 128 up
+CONFIG, MASK = "config.toml", ".mask.png"
+"""What ``infer`` writes beside its maps: its settings, and how its own decisions end."""
+
+DECIDING = ("threshold", "isolated", "seed_area")
+"""The settings by which a likelihood becomes a mask."""
 
 
 def parse_maps(texts: Sequence[str]) -> dict[str, Path]:
@@ -64,6 +70,46 @@ def read_map(path: Path) -> Tensor:
         what = f"holds {values.dtype} of shape {values.shape}"
         raise InputError(path, what, "give floating-point numbers (height, width)")
     return torch.from_numpy(values.astype(np.float32))
+
+
+def is_of_infer(folder: Path) -> bool:
+    """Whether the maps of a folder are the results of ``infer``: its settings are beside them."""
+    return (folder / CONFIG).is_file()
+
+
+def deciding_settings(folder: Path) -> DetectorSettings:
+    """How the likelihoods of a folder become masks: as config.toml says, else road from 0.5 on.
+
+    Raises InputError or ConfigError, which name the file, when it cannot be used.
+    """
+    if not is_of_infer(folder):
+        return DetectorSettings()
+    values = read_settings_file(folder / CONFIG)
+    try:
+        told = {key: values[key] for key in DECIDING if key in values}
+        return build_settings(DetectorSettings, told)
+    except ConfigError as problem:
+        what = f"{problem.where}: {problem.what}"
+        raise ConfigError(folder / CONFIG, what, problem.remedy) from None
+
+
+def map_mask(
+    folder: Path, names: Sequence[str], likelihood: Tensor, settings: DetectorSettings
+) -> Tensor:
+    """The decision bool (H,W) on a map: that of ``infer`` where it is beside it, else by settings.
+
+    The detector may have known more than the map says: where the ego car is, and the road's seed.
+    Raises InputError for a mask that cannot be read or is not of the map's size.
+    """
+    paths = [folder / f"{name}{MASK}" for name in names] if is_of_infer(folder) else []
+    for path in paths:
+        if path.is_file():
+            mask = read_map(path) >= 0.5
+            if mask.shape != likelihood.shape:
+                remedy = "make mask and likelihood in one run"
+                raise InputError(path, "is not of the size of its likelihood", remedy)
+            return mask
+    return decide(likelihood, settings)
 
 
 def map_likelihood(

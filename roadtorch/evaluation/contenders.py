@@ -11,7 +11,7 @@ from torch import Tensor
 
 from roadtorch.data import maps
 from roadtorch.data.dataset import Dataset, Item
-from roadtorch.detector import Detection
+from roadtorch.detector import Detection, DetectorSettings
 from roadtorch.detectors.catalogue import (
     detector_entry,
     is_pattern,
@@ -102,19 +102,26 @@ def _load(name: str, values: Mapping[str, Any], _: Dataset) -> Look:
 
 
 def maps_from(name: str, folder: Path) -> Contender:
-    """Likelihood maps in a folder, as ``maps:NAME``."""
-    settings = {"folder": str(folder)}
-    return Contender(f"maps:{name}", partial(_read_maps, folder), settings, maps.THRESHOLD)
+    """Likelihood maps in a folder, as ``maps:NAME``, judged as config.toml beside them says.
+
+    Raises ConfigError or InputError for a config.toml that cannot be used.
+    """
+    deciding = maps.deciding_settings(folder)
+    settings: dict[str, Any] = {"folder": str(folder)}
+    if maps.is_of_infer(folder):
+        settings["isolated"] = deciding.isolated
+    prepare = partial(_read_maps, folder, deciding)
+    return Contender(f"maps:{name}", prepare, settings, deciding.threshold)
 
 
-def _read_maps(folder: Path, dataset: Dataset) -> Look:
+def _read_maps(folder: Path, deciding: DetectorSettings, dataset: Dataset) -> Look:
     def look(image: Tensor, item: Item) -> Detection:
         own = (image.shape[-2], image.shape[-1])
         # What infer makes is named like the picture, what KITTI's server takes like the label.
         like_picture = str(PurePath(item.name).with_name(item.image.stem))
         names = list(dict.fromkeys([item.name, like_picture, item.label.stem]))
         likelihood = maps.map_likelihood(folder, names, [own, *_view_size(dataset, item, own)])
-        return Detection(likelihood, likelihood >= maps.THRESHOLD, {})
+        return Detection(likelihood, maps.map_mask(folder, names, likelihood, deciding), {})
 
     return look
 

@@ -2,17 +2,20 @@
 
 import json
 import os
+import re
 from collections.abc import Mapping
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, TypeVar
 
+import torch
 from pydantic import Field
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
 from roadtorch.errors import ConfigError, WeightsError
-from roadtorch.files import atomic
+from roadtorch.files import atomic, digest_of
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.settings import Settings, build_settings
@@ -22,6 +25,13 @@ FORMAT = 1
 
 HEADER = "roadtorch"
 """The one key of the metadata: safetensors writes several keys in no settled order."""
+
+LARGEST = 1e6
+"""The largest weight that is believed; ours: those that ship stay below 3, and the convolutions
+of a network a million times larger overflow."""
+
+STATED = re.compile(r"^\|\s*sha256\s*\|\s*`([0-9a-f]{64})`\s*\|", re.MULTILINE)
+"""The row of a card, NAME.md beside NAME.safetensors, that states the hash of the file."""
 
 NETWORKS = {
     PatchNetwork.kind: (PatchNetwork, PatchNetworkSettings),
@@ -39,13 +49,14 @@ def save_network(
     The same network and origin give the same bytes. Raises InputError when the folder
     cannot be written.
     """
+    tensors = {name: value.contiguous() for name, value in network.state_dict().items()}
     header = {
         "format": FORMAT,
         "kind": network.kind,
         "settings": network.settings.model_dump(),
         "origin": dict(origin),
+        "sha256": tensors_hash(tensors),
     }
-    tensors = {name: value.contiguous() for name, value in network.state_dict().items()}
     data = save(tensors, {HEADER: json.dumps(header, sort_keys=True)})
     with atomic(path) as temporary:
         temporary.write_bytes(data)
@@ -54,8 +65,9 @@ def save_network(
 def load_network(path: str | os.PathLike[str]) -> LayoutNetwork:
     """The network of a weight file, ready for use.
 
-    Raises WeightsError for a file that is missing, damaged, foreign, of a newer format, or
-    whose tensors do not fit its settings.
+    Raises WeightsError for a file that is missing, damaged, foreign, of a newer format, whose
+    tensors do not fit its settings or make no sense, and for one that is not what its header
+    or the card beside it states.
     """
     header, tensors = _read(Path(path))
     network_class, settings_class = NETWORKS[header["kind"]]
@@ -79,14 +91,40 @@ def read_origin(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def fill(network: nn.Module, tensors: Mapping[str, Tensor], path: str | os.PathLike[str]) -> None:
-    """Give a network its weights; WeightsError when a name or a shape differs."""
+    """Give a network its weights.
+
+    Raises WeightsError when a name, a shape or a type differs, and for values that are not
+    finite or beyond ``LARGEST``.
+    """
     wanted = {name: tuple(value.shape) for name, value in network.state_dict().items()}
     found = {name: tuple(value.shape) for name, value in tensors.items()}
     if wanted != found:
         name = min(key for key in wanted | found if wanted.get(key) != found.get(key))
         what = f"holds another network: {name} is {_shape(found, name)}, not {_shape(wanted, name)}"
         raise WeightsError(path, what, "use weights of this network")
+    for name, value in network.state_dict().items():
+        _check_values(path, name, tensors[name], value.dtype)
     network.load_state_dict(dict(tensors))
+
+
+def _check_values(
+    path: str | os.PathLike[str], name: str, values: Tensor, wanted: torch.dtype
+) -> None:
+    if values.dtype != wanted:
+        what = f"holds {values.dtype} in {name}, not {wanted}".replace("torch.", "")
+        raise WeightsError(path, what, "use weights of this network")
+    if values.is_floating_point() and not (values.abs() <= LARGEST).all():  # also true of NaN
+        what = f"holds weights in {name} that are not finite, or beyond {LARGEST:g}"
+        raise WeightsError(path, what, "fetch or train it again")
+
+
+def tensors_hash(tensors: Mapping[str, Tensor]) -> str:
+    """SHA-256 of named tensors: names in their order, types, shapes and bytes."""
+    digest = sha256()
+    for name, value in sorted(tensors.items()):
+        digest.update(f"{name} {value.dtype} {tuple(value.shape)}\n".encode())
+        digest.update(value.detach().cpu().contiguous().view(torch.uint8).numpy().tobytes())
+    return digest.hexdigest()
 
 
 def _shape(shapes: Mapping[str, tuple[int, ...]], name: str) -> str:
@@ -100,13 +138,30 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     try:
         with safe_open(path, "pt") as file:
             header = _checked(path, (file.metadata() or {}).get(HEADER))
-            return header, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except SafetensorError as problem:
         what = f"is damaged or no weight file: {problem}"
         raise WeightsError(path, what, "fetch or train it again") from None
     except OSError as problem:
         what = f"cannot be read: {problem.strerror}"
         raise WeightsError(path, what, "check the file") from None
+    _check_hashes(path, header, tensors)
+    return header, tensors
+
+
+def _check_hashes(path: Path, header: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
+    """WeightsError for other bytes than the header states, or the card where there is one."""
+    stated = header.get("sha256")  # files of earlier versions state none
+    if stated is not None and stated != tensors_hash(tensors):
+        what = "is damaged: its weights are not those that its header states"
+        raise WeightsError(path, what, "fetch or train it again")
+    card = path.with_suffix(".md")
+    if not card.is_file():
+        return
+    row = STATED.search(card.read_text(encoding="utf-8", errors="replace"))
+    if row is not None and row[1] != digest_of(path):
+        what = f"is not the file whose SHA-256 {card.name} states"
+        raise WeightsError(path, what, "fetch it again, or remove the card")
 
 
 def _checked(path: Path, text: str | None) -> dict[str, Any]:

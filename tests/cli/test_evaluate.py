@@ -17,7 +17,10 @@ from roadtorch.errors import ConfigError, DatasetError, InputError
 from roadtorch.evaluation import scoring
 from roadtorch.evaluation.saved_tallies import FILE
 from roadtorch.image import read_image
+from roadtorch.scenes import render_scene
+from tests.cli.conftest import Call
 from tests.oracle import DECISION, DRIVES, ORACLE, SCENES, know_oracle, write_set
+from tests.streets import write_camvid
 
 
 @pytest.fixture(scope="module")
@@ -289,3 +292,56 @@ def test_a_misspelt_group_or_table_is_refused_before_the_run(camvid, tmp_path, m
         run("camvid", camvid, "--leave-out", "0001TB")
     with pytest.raises(DatasetError, match=r"none\.csv: cannot be read"):
         run("camvid", camvid, "--conditions", tmp_path / "none.csv")
+
+
+# --- maps of infer --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def streets(tmp_path_factory) -> Path:
+    """Three streets of one drive each, as CamVid, large enough for detectors that look."""
+    root = tmp_path_factory.mktemp("streets")
+    scenes = {f"{drive}_{i}": render_scene(i, 96, 128) for i, drive in enumerate(DRIVES)}
+    write_camvid(root, "train", dict(list(scenes.items())[:2]))
+    write_camvid(root, "val", dict(list(scenes.items())[2:]))
+    return root
+
+
+@pytest.mark.parametrize(
+    ("detector", "kinds"),
+    [
+        ("fusion", "likelihood,mask"),
+        ("cpf", "npy"),
+        ("grey-uniformity", "npy"),
+    ],
+)
+def test_maps_of_infer_score_like_the_detector(
+    streets: Path, tmp_path: Path, call: Call, detector: str, kinds: str
+) -> None:
+    maps, out = tmp_path / "maps", tmp_path / "out"
+    pictures = (streets / "train", streets / "val")
+    call("infer", *pictures, "--detector", detector, "--out", maps, "--save", kinds)
+
+    run("camvid", streets, "--detector", detector, "--maps", maps, "--out", out)
+
+    found = metrics(out)["detectors"]
+    its, own = found["maps:maps"], found[detector]
+    assert its["threshold_default"] == own["threshold_default"]
+    for key in ("iou_mask", "f_mask"):
+        assert its[key] == own[key], key
+
+
+@pytest.mark.parametrize(
+    ("config", "what"),
+    [
+        ("threshold = 2", r"config\.toml: threshold: 2 was given"),
+        ("threshold = ", r"config\.toml: is not TOML"),
+    ],
+)
+def test_a_config_beside_maps_that_cannot_be_used_is_told_before_the_run(
+    streets: Path, tmp_path: Path, config: str, what: str
+) -> None:
+    (tmp_path / "config.toml").write_text(config)
+
+    with pytest.raises(ConfigError, match=what):
+        run("camvid", streets, "--maps", f"theirs={tmp_path}")

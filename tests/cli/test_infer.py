@@ -1,5 +1,6 @@
 import csv
 import tomllib
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -51,8 +52,11 @@ def test_a_folder_gives_three_files_a_picture_and_an_index(
     rows = rows_of(out)
     assert list(rows) == ["a.jpg", "b.png", "sub/c.png"]
     assert list(rows["a.jpg"]) == [
-        *("file", "width", "height", "ms", "road_share", "trust", "status")
+        *("file", "width", "height", "ms", "road_share", "trust", "status"),
+        *("saved", "method", "sha256"),
     ]
+    assert rows["a.jpg"]["sha256"] == sha256((footage / "a.jpg").read_bytes()).hexdigest()
+    assert rows["a.jpg"]["saved"] == "likelihood mask overlay"
     assert {row["status"] for row in rows.values()} == {"done"}
     assert {row["trust"] for row in rows.values()} == {""}  # a floor does not say
     assert (rows["a.jpg"]["width"], rows["a.jpg"]["height"]) == ("64", "48")

@@ -1,6 +1,9 @@
 """Weight files: there and back, and everything that is not one."""
 
 import json
+import math
+from collections.abc import Callable
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -10,7 +13,13 @@ from safetensors.torch import save_file
 from roadtorch.errors import WeightsError
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
-from roadtorch.layout.weights import LayoutNetwork, load_network, read_origin, save_network
+from roadtorch.layout.weights import (
+    LayoutNetwork,
+    load_network,
+    read_origin,
+    save_network,
+    shipped_weights,
+)
 
 NETWORKS = [
     PatchNetwork(PatchNetworkSettings(topology=Topology(k1=6, potentials="softmax"))),
@@ -100,6 +109,68 @@ def test_weights_of_others_are_told(tmp_path: Path) -> None:
 def change_header(path: Path, tensors: dict[str, torch.Tensor], **changes: object) -> None:
     values = {**json.loads(str(header(path)["roadtorch"])), **changes}
     save_file(tensors, path, {"roadtorch": json.dumps(values)})
+
+
+Change = Callable[[torch.Tensor], torch.Tensor]
+
+MAD: dict[str, tuple[Change, str]] = {
+    "nan": (lambda values: values * math.nan, "not finite, or beyond 1e\\+06"),
+    "inf": (lambda values: values + math.inf, "not finite, or beyond"),
+    "1e30": (lambda values: values * 1e30, "not finite, or beyond"),
+    "int32": (lambda values: values.to(torch.int32), "holds int32 in .*, not float32"),
+    "float64": (lambda values: values.double(), "holds float64 in .*, not float32"),
+}
+
+
+@pytest.mark.parametrize("mad", MAD)
+@pytest.mark.parametrize("all_of_them", [True, False])
+def test_weights_that_make_no_sense_are_told(weights: Path, mad: str, all_of_them: bool) -> None:
+    change, what = MAD[mad]
+    tensors = NETWORKS[0].state_dict()
+    first = next(iter(tensors))
+    changed = {k: change(v) if all_of_them or k == first else v for k, v in tensors.items()}
+    change_header(weights, changed, sha256=None)  # as files of earlier versions
+
+    with pytest.raises(WeightsError, match=what) as caught:
+        load_network(weights)
+
+    assert str(weights) in str(caught.value)
+
+
+def test_a_flipped_bit_is_told_wherever_it_is(weights: Path) -> None:
+    data = weights.read_bytes()
+    start = 8 + int.from_bytes(data[:8], "little")
+    for place in range(start, len(data), (len(data) - start) // 20):
+        flipped = bytearray(data)
+        flipped[place] ^= 1
+        weights.write_bytes(flipped)
+        with pytest.raises(WeightsError, match="not those that its header states"):
+            load_network(weights)
+
+
+def test_a_file_that_is_not_what_its_card_states_is_told(weights: Path) -> None:
+    card = weights.with_suffix(".md")
+    own = sha256(weights.read_bytes()).hexdigest()
+    card.write_text(f"| | |\n|---|---|\n| sha256 | `{own}` |\n")
+    load_network(weights)
+
+    card.write_text(f"| | |\n|---|---|\n| sha256 | `{own[::-1]}` |\n")
+    with pytest.raises(WeightsError, match=r"is not the file whose SHA-256 weights\.md states"):
+        load_network(weights)
+
+
+@pytest.mark.parametrize("name", ["cnn-7", "layout"])
+def test_shipped_weights_are_what_their_cards_state(name: str, tmp_path: Path) -> None:
+    path = shipped_weights(name)
+    load_network(path)
+
+    for each in (path, path.with_suffix(".md")):
+        (tmp_path / each.name).write_bytes(each.read_bytes())
+    data = bytearray(path.read_bytes())
+    data[-5] ^= 1
+    (tmp_path / path.name).write_bytes(data)
+    with pytest.raises(WeightsError, match="states"):
+        load_network(tmp_path / path.name)
 
 
 @pytest.mark.parametrize(

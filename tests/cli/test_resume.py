@@ -1,0 +1,308 @@
+"""Runs that are cut short, meet each other, or are started again in another way."""
+
+import fcntl
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import torch
+
+from roadtorch.cli import batch, results
+from roadtorch.errors import InputError
+from roadtorch.files import reserved
+from roadtorch.image import write_mask
+from tests.cli.conftest import Call, save_picture
+from tests.cli.test_infer import ROWS, bytes_in, files_in, rows_of
+
+COMMAND = [sys.executable, "-m", "roadtorch", "infer"]
+Act = Callable[[batch.Job], None]
+
+
+@contextmanager
+def before_each(patch: pytest.MonkeyPatch, act: Act) -> Iterator[None]:
+    """Within the block, ``infer`` acts before each picture."""
+    real = results.Inference.__call__
+
+    def acted(self: results.Inference, job: batch.Job) -> batch.Row:
+        act(job)
+        return real(self, job)
+
+    with patch.context() as inner:
+        inner.setattr(results.Inference, "__call__", acted)
+        yield
+
+
+# --- what is done -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("options", [("--depth", "16"), ("--save", "likelihood,cues")])
+def test_other_options_are_not_done_before(
+    call: Call, footage: Path, tmp_path: Path, options: tuple[str, str]
+) -> None:
+    out, alone = tmp_path / "out", tmp_path / "alone"
+    call("infer", footage, *ROWS, "--out", out)
+
+    again = call("infer", footage, *ROWS, "--out", out, *options)
+    third = call("infer", footage, *ROWS, "--out", out, *options)
+
+    call("infer", footage, *ROWS, "--out", alone, *options)
+    assert again.stderr == f"roadtorch: 3 done (3 anew); results in {out}\n"
+    assert bytes_in(alone).items() <= bytes_in(out).items()
+    assert third.stderr.startswith("roadtorch: 0 done, 3 skipped")
+
+
+def test_fewer_kinds_than_were_saved_are_done(call: Call, footage: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    for kinds in ("likelihood", "mask"):
+        call("infer", footage, *ROWS, "--out", out, "--save", kinds)
+
+    both = call("infer", footage, *ROWS, "--out", out, "--save", "likelihood,mask")
+
+    assert both.stderr.startswith("roadtorch: 0 done, 3 skipped")
+
+
+def test_a_replaced_picture_is_not_done_even_with_the_same_date_and_size(
+    call: Call, tmp_path: Path
+) -> None:
+    path, out = tmp_path / "in" / "x.bmp", tmp_path / "out"
+    save_picture(path, 0)
+    call("infer", path, *ROWS, "--out", out)
+    before = path.stat()
+    save_picture(path, 1)
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+    again = call("infer", path, *ROWS, "--out", out)
+
+    assert path.stat().st_size == before.st_size
+    assert again.stderr.startswith("roadtorch: 1 done (1 anew);")
+
+
+def test_a_config_that_was_removed_does_not_hide_other_settings(
+    call: Call, footage: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    call("infer", footage, *ROWS, "--out", out)
+    (out / "config.toml").unlink()
+
+    again = call("infer", footage, *ROWS, "--threshold", "0.9", "--out", out)
+
+    assert again.stderr.startswith("roadtorch: 3 done (3 anew);")
+
+
+def test_other_bytes_of_a_file_that_the_settings_name_are_other_settings(
+    call: Call, tmp_path: Path
+) -> None:
+    path, out, ego = save_picture(tmp_path / "x.png"), tmp_path / "out", tmp_path / "ego.png"
+    options = (*ROWS, "--set", f"ego.mask={ego}", "--out", out)
+    write_mask(ego, torch.arange(48)[:, None].expand(48, 64) > 40)
+    call("infer", path, *options)
+    write_mask(ego, torch.arange(48)[:, None].expand(48, 64) > 30)
+
+    again = call("infer", path, *options)
+
+    assert again.stderr.startswith("roadtorch: 1 done (1 anew);")
+
+
+def test_rows_of_an_earlier_version_are_done_anew(
+    call: Call, footage: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    call("infer", footage, *ROWS, "--out", out)
+    lines = (out / "index.csv").read_text().splitlines()
+    (out / "index.csv").write_text("".join(line.rsplit(",", 3)[0] + "\n" for line in lines))
+
+    again = call("infer", footage, *ROWS, "--out", out)
+
+    assert again.stderr.startswith("roadtorch: 3 done (3 anew);")
+
+
+# --- one folder -------------------------------------------------------------------------
+
+
+def test_a_second_run_into_the_same_folder_is_refused(
+    call: Call, footage: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    handle = os.open(out, os.O_RDONLY)
+    fcntl.flock(handle, fcntl.LOCK_EX)
+
+    refused = call("infer", footage, *ROWS, "--out", out)
+    os.close(handle)
+    taken = call("infer", footage, *ROWS, "--out", out)
+
+    assert refused.exit_code == 2
+    assert refused.stderr.startswith(f"roadtorch: error: {out}: another run is writing here (")
+    assert taken.exit_code == 0
+
+
+@pytest.mark.parametrize("place", ["a", "sub/c"], ids=["early", "last"])
+def test_a_folder_that_is_removed_meanwhile_is_told(
+    call: Call, footage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str
+) -> None:
+    out, quiet = tmp_path / "out", tmp_path / "quiet"
+    call("infer", footage, *ROWS, "--out", quiet)
+
+    def remove(job: batch.Job) -> None:
+        if job.picture.name == place:
+            shutil.rmtree(out)
+
+    with before_each(monkeypatch, remove):
+        result = call("infer", footage, *ROWS, "--out", out)
+    again = call("infer", footage, *ROWS, "--out", out)
+
+    gone = {"a": 0, "sub/c": 2}[place]
+    assert result.exit_code == (1 if gone else 0)
+    assert result.stderr.count("results were removed while the run went on") == gone
+    assert f"{3 - gone} done" in result.stderr
+    assert again.exit_code == 0
+    assert bytes_in(out) == bytes_in(quiet)
+
+
+def test_names_with_line_ends_are_done_once(call: Call, footage: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    for name in ("a\rb.png", "a\r\nb.png", "\r.png"):
+        save_picture(footage / name)
+
+    first = call("infer", footage, *ROWS, "--out", out)
+    again = call("infer", footage, *ROWS, "--out", out)
+
+    assert first.exit_code == again.exit_code == 0
+    assert again.stderr.startswith("roadtorch: 0 done, 6 skipped")
+    assert len(rows_of(out)) == 6
+
+
+def test_a_long_name_is_done(call: Call, tmp_path: Path) -> None:
+    path = save_picture(tmp_path / ("n" * 230 + ".png"))
+
+    result = call("infer", path, *ROWS, "--out", tmp_path / "out")
+
+    assert result.exit_code == 0
+
+
+# --- killed -----------------------------------------------------------------------------
+
+
+def test_what_a_killed_run_left_is_removed_by_the_next(
+    call: Call, footage: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    call("infer", footage, *ROWS, "--out", out)
+    clean = files_in(out)
+    for name in (".roadtorch.0123abcd.part", "sub/.roadtorch.89ef0123.part"):
+        (out / name).write_bytes(b"half")
+
+    call("infer", footage, *ROWS, "--out", out)
+
+    assert files_in(out) == clean
+
+
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)], ids=["TERM", "INT"]
+)
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_a_signal_ends_the_run_with_index_and_message(
+    call: Call,
+    footage: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    number: signal.Signals,
+    code: int,
+    threads: str,
+) -> None:
+    out = tmp_path / "out"
+
+    def send(job: batch.Job) -> None:
+        if job.picture.name == "a":
+            os.kill(os.getpid(), number)
+
+    with before_each(monkeypatch, send):
+        stopped = call("infer", footage, *ROWS, "--out", out, "--jobs", threads)
+    resumed = call("infer", footage, *ROWS, "--out", out)
+
+    assert stopped.exit_code == code
+    assert "roadtorch: interrupted; what was finished is kept" in stopped.stderr
+    assert resumed.stderr.startswith("roadtorch: 2 done, 1 skipped")
+
+
+def test_a_kill_costs_little_more_than_the_picture_in_hand(footage: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    code = (
+        "import os, signal\n"
+        "from roadtorch.cli import main, results\n"
+        "real = results.Inference.__call__\n"
+        "def act(self, job):\n"
+        "    if job.picture.name == 'b': os.kill(os.getpid(), signal.SIGKILL)\n"
+        "    return real(self, job)\n"
+        "results.Inference.__call__ = act\n"
+        "main()"
+    )
+    words = [sys.executable, "-c", code, "infer", footage, *ROWS, "--out", out]
+
+    subprocess.run(words, timeout=120, check=False)
+
+    assert list(rows_of(out)) == ["a.jpg"]
+
+
+def test_a_signal_before_the_work_is_told(footage: Path, tmp_path: Path) -> None:
+    code = (
+        "import os, signal\n"
+        "from roadtorch.cli import main\n"
+        "from roadtorch.detectors import catalogue\n"
+        "def act(*_, **__): os.kill(os.getpid(), signal.SIGTERM)\n"
+        "catalogue.load_detector = act\n"
+        "main()"
+    )
+    words = [sys.executable, "-c", code, "infer", footage, *ROWS, "--out", tmp_path / "out"]
+
+    ended = subprocess.run(words, timeout=120, check=False, capture_output=True, text=True)
+
+    assert ended.returncode == 143
+    assert ended.stderr.strip() == "roadtorch: interrupted; what was finished is kept"
+
+
+# --- nowhere to write -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("closed", ["2>&-", "1>&-", "0<&-", "0<&- 1>&- 2>&-"])
+def test_closed_streams_cost_nothing(footage: Path, tmp_path: Path, closed: str) -> None:
+    words = " ".join([*COMMAND, "footage", *ROWS, "--out", "out", "--quiet"])
+
+    ended = subprocess.run(
+        ["sh", "-c", f"{words} {closed}"], cwd=tmp_path, timeout=120, check=False
+    )
+
+    assert ended.returncode == 0
+    assert {row["status"] for row in rows_of(tmp_path / "out").values()} == {"done"}
+    assert len(rows_of(tmp_path / "out")) == 3
+
+
+def test_a_full_disk_does_not_cost_the_index(
+    call: Call, footage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, full = tmp_path / "out", []
+    real = batch.write_index
+
+    def write(path: Path, rows: object) -> None:
+        if full:
+            raise InputError(path, "cannot be written: No space left on device", "make room")
+        real(path, rows)  # type: ignore[arg-type]
+
+    @contextmanager
+    def held(folder: Path, size: int) -> Iterator[Callable[[], None]]:
+        with reserved(folder, size) as let_go:
+            yield lambda: (full.clear(), let_go())[0]
+
+    monkeypatch.setattr(batch, "write_index", write)
+    monkeypatch.setattr(batch, "reserved", held)
+    with before_each(monkeypatch, lambda _: full.append(1)):
+        result = call("infer", footage, *ROWS, "--out", out)
+
+    assert result.exit_code == 0
+    assert len(rows_of(out)) == 3
