@@ -72,7 +72,7 @@ def open_picture(data: bytes, formats: Sequence[str] = FORMATS) -> Image.Image:
     for what is none.
     """
     try:
-        with _without_warnings():
+        with without_warnings():
             picture = Image.open(io.BytesIO(data), formats=formats)
     except Image.DecompressionBombError:
         most = min(PILLOWS_MEGAPIXELS, most_megapixels())
@@ -98,8 +98,17 @@ def most_megapixels() -> float:
     return most
 
 
+def reason(problem: Exception) -> str:
+    """Why a decoder could not do it, on one line.
+
+    Foreign bytes make decoders raise anything: IndexError, struct.error, cv2.error, …
+    """
+    lines = str(problem).strip().splitlines()
+    return lines[0] if lines else "it is damaged"
+
+
 @contextmanager
-def _without_warnings() -> Iterator[None]:
+def without_warnings() -> Iterator[None]:
     """Pillow's warnings about metadata are no reason to leave a picture out, even as errors."""
     with _WARNING_FILTERS, warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -190,7 +199,7 @@ def _opencv(data: bytes, mode: int) -> np.ndarray:
 
 def _pillow(picture: Image.Image) -> np.ndarray:
     """Decode 8-bit pictures of every kind with Pillow, upright, as RGB or RGBA."""
-    with _without_warnings():
+    with without_warnings():
         picture.load()
         upright = ImageOps.exif_transpose(picture)
         return np.array(upright.convert("RGBA" if upright.has_transparency_data else "RGB"))
@@ -222,7 +231,7 @@ def _tiff_tag(header: Image.Image, tag: int) -> tuple[int, ...]:
 def _orientation(header: Image.Image) -> int:
     """The EXIF orientation 1…8; 1 when there is none or it makes no sense."""
     exif = Image.Exif()
-    with _without_warnings():
+    with without_warnings():
         try:
             exif.load(header.info.get("exif", b""))
         except Exception:

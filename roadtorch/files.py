@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from roadtorch.errors import InputError
+from roadtorch.outside import printable
 
 # --- out --------------------------------------------------------------------------------
 
@@ -44,9 +45,9 @@ def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write UTF-8 text with the line ends as they are."""
+    """Write UTF-8 text with the line ends as they are; other bytes of names as ``\\xff``."""
     with atomic(path) as temporary:
-        temporary.write_bytes(text.encode())
+        temporary.write_bytes(printable(text).encode())
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> str:

@@ -10,7 +10,7 @@ import torch
 from PIL import UnidentifiedImageError
 from torch import Tensor
 
-from roadtorch.decoding import MEGAPIXELS_VARIABLE, TooLargeError, decode
+from roadtorch.decoding import MEGAPIXELS_VARIABLE, TooLargeError, decode, reason
 from roadtorch.errors import InputError
 from roadtorch.files import atomic
 from roadtorch.outside import read_regular
@@ -56,9 +56,8 @@ def read_image(path: str | os.PathLike[str]) -> Tensor:
         remedy = f"make it smaller, or set {MEGAPIXELS_VARIABLE}"
         raise InputError(path, str(problem), remedy) from None
     except Exception as problem:
-        # Foreign bytes make decoders raise anything: IndexError, struct.error, cv2.error, …
-        what = str(problem).strip().splitlines()[0] if str(problem).strip() else "damaged"
-        raise InputError(path, f"cannot be decoded: {what}", "replace the file") from None
+        what = f"cannot be decoded: {reason(problem)}"
+        raise InputError(path, what, "replace the file") from None
 
 
 def _read_bytes(path: Path) -> bytes:

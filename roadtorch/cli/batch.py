@@ -1,6 +1,7 @@
 """What ``infer`` and ``label`` share: many pictures, some broken, some already done."""
 
 import csv
+import os
 import sys
 import tempfile
 from collections import deque
@@ -14,6 +15,7 @@ import click
 
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.files import csv_text, make_folder, write_text
+from roadtorch.outside import printable
 from roadtorch.sources.pictures import Picture, find_images
 
 INDEX = "index.csv"
@@ -68,7 +70,7 @@ class Job:
     @property
     def file(self) -> str:
         """The name in index.csv: the result's name with the picture's own suffix."""
-        return self.picture.name + self.picture.path.suffix
+        return printable(self.picture.name + self.picture.path.suffix)
 
 
 Work = Callable[[Job], Row]
@@ -110,11 +112,15 @@ def _refuse_shared(jobs: Sequence[Job]) -> None:
 
 
 def _refuse_replacing(jobs: Sequence[Job]) -> None:
-    inputs = {job.picture.path.resolve() for job in jobs}
+    inputs = {_real(job.picture.path) for job in jobs}
     for job in jobs:
         for output in job.outputs:
-            if output.resolve() in inputs:
+            if _real(output) in inputs:
                 raise ConfigError(output, "is one of the pictures", "give another --out")
+
+
+def _real(path: Path) -> str:
+    return os.path.realpath(path)  # Path.resolve raises for a link to itself
 
 
 def run_jobs(jobs: Sequence[Job], out: Path, work: Work, options: "Options") -> int:
@@ -238,7 +244,10 @@ def read_index(path: Path) -> dict[str, Row]:
         return {}
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            return {line["file"]: Row(**line) for line in csv.DictReader(file)}
+            rows = [Row(**line) for line in csv.DictReader(file)]
+        if any(None in vars(row).values() for row in rows):
+            raise TypeError("a row is cut short")
+        return {row.file: row for row in rows}
     except (OSError, UnicodeDecodeError, TypeError, KeyError, csv.Error):
         raise InputError(path, "is not an index of ours", "give another --out") from None
 
