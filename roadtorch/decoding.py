@@ -57,11 +57,11 @@ def decode(data: bytes) -> np.ndarray:
         if header.format == "PNG":
             orientation = _orientation(header)
             header.verify()  # checks every chunk; OpenCV fills what is missing with black
-            return _oriented(_opencv(data, cv2.IMREAD_UNCHANGED), orientation)
+            return _oriented(_opencv_told(data, cv2.IMREAD_UNCHANGED)[0], orientation)
         if header.format == "TIFF":
             _check_tiff(header)
         if header.format == "TIFF" and max(_tiff_tag(header, BITS_PER_SAMPLE)) > 8:
-            return _opencv(data, cv2.IMREAD_UNCHANGED)  # turns TIFFs upright itself
+            return _opencv_told(data, cv2.IMREAD_UNCHANGED)[0]  # turns TIFFs upright itself
         return _pillow(header)
 
 
@@ -115,25 +115,18 @@ def without_warnings() -> Iterator[None]:
         yield
 
 
-# --- JPEG -------------------------------------------------------------------------------
+# --- OpenCV -----------------------------------------------------------------------------
 
 
-def _jpeg(data: bytes) -> np.ndarray:
-    """Decode a JPEG; ValueError where libjpeg met damage, which it tells on stderr alone.
-
-    Some cameras fill up the end with bytes of one value: those are no damage.
-    """
+def _opencv_told(data: bytes, mode: int) -> tuple[np.ndarray, str]:
+    """Decode with OpenCV, as RGB or RGBA, grey stays (H,W); and what its libraries say of it."""
     with _STDERR, _caught_stderr() as told:
-        pixels = _opencv(data, cv2.IMREAD_COLOR)
-    damage = _DAMAGE.search("".join(told))
-    if damage is None:
-        return pixels
-    left_over = _LEFT_OVER.search(damage[0])
-    if left_over:
-        end = data.rfind(b"\xff\xd9")
-        if len(set(data[end - int(left_over[1]) : end])) == 1:
-            return pixels
-    raise ValueError(damage[0])
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), mode)
+    if pixels is None:
+        raise ValueError("the pixels are damaged")
+    if pixels.ndim == 3 and pixels.shape[2] >= 3:
+        pixels[..., :3] = pixels[..., 2::-1].copy()
+    return pixels, "".join(told)
 
 
 @contextmanager
@@ -162,6 +155,26 @@ def _caught_stderr() -> Iterator[list[str]]:
             sys.stderr.write(others)
 
 
+# --- JPEG -------------------------------------------------------------------------------
+
+
+def _jpeg(data: bytes) -> np.ndarray:
+    """Decode a JPEG; ValueError where libjpeg met damage, which it tells on stderr alone.
+
+    Some cameras fill up the end with bytes of one value: those are no damage.
+    """
+    pixels, told = _opencv_told(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    damage = _DAMAGE.search(told)
+    if damage is None:
+        return pixels
+    left_over = _LEFT_OVER.search(damage[0])
+    if left_over:
+        end = data.rfind(b"\xff\xd9")
+        if len(set(data[end - int(left_over[1]) : end])) == 1:
+            return pixels
+    raise ValueError(damage[0])
+
+
 def _check_jpeg_ends(data: bytes) -> None:
     """Raise OSError for a truncated JPEG; libjpeg fills the rest with grey and says nothing.
 
@@ -183,18 +196,6 @@ def _first_scan(data: bytes) -> int:
 
 
 # --- the other formats ------------------------------------------------------------------
-
-
-def _opencv(data: bytes, mode: int) -> np.ndarray:
-    """Decode with OpenCV, as RGB or RGBA, not rotated; grey stays (H,W)."""
-    if mode != cv2.IMREAD_UNCHANGED:
-        mode |= cv2.IMREAD_IGNORE_ORIENTATION
-    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), mode)
-    if pixels is None:
-        raise ValueError("the pixels are damaged")
-    if pixels.ndim == 3 and pixels.shape[2] >= 3:
-        pixels[..., :3] = pixels[..., 2::-1].copy()
-    return pixels
 
 
 def _pillow(picture: Image.Image) -> np.ndarray:
