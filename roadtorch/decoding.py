@@ -6,7 +6,7 @@ import re
 import sys
 import threading
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import cv2
@@ -65,7 +65,7 @@ def decode(data: bytes) -> np.ndarray:
         return _pillow(header)
 
 
-def open_picture(data: bytes, formats: Sequence[str] = FORMATS) -> Image.Image:
+def open_picture(data: bytes, formats: tuple[str, ...] = FORMATS) -> Image.Image:
     """A picture opened by Pillow, not decoded yet, of one of the formats.
 
     Raises TooLargeError for more pixels than allowed, UnidentifiedImageError and others of Pillow's

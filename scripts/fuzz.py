@@ -94,7 +94,7 @@ def break_header(data: bytearray, draw: random.Random) -> None:
 
 def cut(data: bytearray, draw: random.Random) -> None:
     """Leave out everything behind some place."""
-    del data[draw.randrange(1, len(data)) :]
+    del data[max(1, draw.randrange(len(data))) :]
 
 
 def leave_out(data: bytearray, draw: random.Random) -> None:
