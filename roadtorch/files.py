@@ -13,6 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 
 from roadtorch.errors import InputError
+from roadtorch.outside import printable
 
 LEFTOVER = re.compile(r"\..+\.[0-9a-f]{8}\.part")
 """The names of temporary files, those of earlier versions among them."""
@@ -126,9 +127,9 @@ def reserved(folder: Path, size: int) -> Iterator[Callable[[], None]]:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write UTF-8 text with the line ends as they are."""
+    """Write UTF-8 text with the line ends as they are; other bytes of names as ``\\xff``."""
     with atomic(path) as temporary:
-        temporary.write_bytes(text.encode())
+        temporary.write_bytes(printable(text).encode())
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> str:

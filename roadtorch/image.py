@@ -1,6 +1,5 @@
 """Pictures in and out: decoding to RGB tensors, encoding maps, masks and overlays."""
 
-import io
 import os
 from pathlib import Path
 from typing import Literal
@@ -8,18 +7,15 @@ from typing import Literal
 import cv2
 import numpy as np
 import torch
-from PIL import Image, ImageOps, UnidentifiedImageError
-from PIL.ExifTags import Base as ExifTag
+from PIL import UnidentifiedImageError
 from torch import Tensor
 
+from roadtorch.decoding import MEGAPIXELS_VARIABLE, TooLargeError, decode, reason
 from roadtorch.errors import InputError
 from roadtorch.files import atomic
-
-FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "BMP")
+from roadtorch.outside import read_regular
 
 READABLE = "JPEG, PNG, TIFF, WebP or BMP"
-
-BITS_PER_SAMPLE, SAMPLE_FORMAT, FLOATING_POINT = 258, 339, 3  # TIFF 6.0 tags, and a value
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")  # looked for in folders
 
@@ -46,29 +42,31 @@ def read_image(path: str | os.PathLike[str]) -> Tensor:
     frames or pages the first is read. Embedded colour profiles are ignored, as the
     papers' sets have none.
 
-    Raises InputError when the file is missing, a folder, empty, truncated, no picture,
-    or above Pillow's limit against decompression bombs (about 179 megapixels).
+    Raises InputError when the file is missing, a folder, a pipe, empty, truncated, damaged
+    where the decoder can tell, no picture, or has more than 1 GiB or 100 megapixels (the
+    environment's ROADTORCH_MAX_MEGAPIXELS says otherwise, up to Pillow's own 178).
     """
     path = Path(path)
     data = _read_bytes(path)
     try:
-        return _decode(data)
+        return _to_tensor(decode(data))
     except UnidentifiedImageError:
         raise InputError(path, "is not a picture", f"give {READABLE}") from None
-    except Image.DecompressionBombError:
-        raise InputError(path, "has more than 178 megapixels", "make it smaller") from None
-    except (OSError, SyntaxError, ValueError, EOFError, cv2.error) as problem:
-        what = str(problem).strip().splitlines()[0] if str(problem).strip() else "damaged"
-        raise InputError(path, f"cannot be decoded: {what}", "replace the file") from None
+    except TooLargeError as problem:
+        remedy = f"make it smaller, or set {MEGAPIXELS_VARIABLE}"
+        raise InputError(path, str(problem), remedy) from None
+    except Exception as problem:
+        what = f"cannot be decoded: {reason(problem)}"
+        raise InputError(path, what, "replace the file") from None
 
 
 def _read_bytes(path: Path) -> bytes:
-    if path.is_dir():
-        raise InputError(path, "is a folder", "give a picture file")
     try:
-        data = path.read_bytes()
+        data = read_regular(path)
     except FileNotFoundError:
         raise InputError(path, "does not exist", "check the name") from None
+    except IsADirectoryError:
+        raise InputError(path, "is a folder", "give a picture file") from None
     except OSError as problem:
         raise InputError(path, f"cannot be read: {problem.strerror}", "check the file") from None
     if not data:
@@ -76,97 +74,17 @@ def _read_bytes(path: Path) -> bytes:
     return data
 
 
-def _decode(data: bytes) -> Tensor:
-    """Decode by format: OpenCV where it is fast or keeps 16 bits, Pillow for the rest."""
-    with Image.open(io.BytesIO(data), formats=FORMATS) as header:
-        if header.format in ("JPEG", "MPO"):
-            _check_jpeg_ends(data)
-            pixels = _oriented(_opencv(data, cv2.IMREAD_COLOR), _orientation(header))
-        elif header.format == "PNG":
-            orientation = _orientation(header)
-            header.verify()  # checks every chunk; OpenCV fills what is missing with black
-            pixels = _oriented(_opencv(data, cv2.IMREAD_UNCHANGED), orientation)
-        elif header.format == "TIFF" and max(_tiff_tag(header, BITS_PER_SAMPLE)) > 8:
-            if FLOATING_POINT in _tiff_tag(header, SAMPLE_FORMAT):
-                raise ValueError("floating-point TIFF has no agreed white")
-            pixels = _opencv(data, cv2.IMREAD_UNCHANGED)  # turns TIFFs upright itself
-        else:
-            pixels = _pillow(header)
-    return _to_tensor(pixels)
-
-
 def _to_tensor(pixels: np.ndarray) -> Tensor:
     """uint8 or uint16 pixels (H,W), (H,W,3) RGB or (H,W,4) RGBA to float32 (3,H,W)."""
     levels = np.iinfo(pixels.dtype).max
     if pixels.ndim == 2:
         pixels = np.broadcast_to(pixels[..., None], (*pixels.shape, 3))
-    planes = torch.from_numpy(np.ascontiguousarray(pixels.transpose(2, 0, 1)))
+    planes = torch.from_numpy(np.array(pixels.transpose(2, 0, 1), order="C"))
     image = planes[:3].to(torch.float32).div_(levels)
     return image if len(planes) == 3 else image.mul_(planes[3].to(torch.float32).div_(levels))
 
 
-def _opencv(data: bytes, mode: int) -> np.ndarray:
-    """Decode with OpenCV, as RGB or RGBA, not rotated; grey stays (H,W)."""
-    if mode != cv2.IMREAD_UNCHANGED:
-        mode |= cv2.IMREAD_IGNORE_ORIENTATION
-    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), mode)
-    if pixels is None:
-        raise ValueError("the pixels are damaged")
-    if pixels.ndim == 3 and pixels.shape[2] >= 3:
-        pixels[..., :3] = pixels[..., 2::-1].copy()
-    return pixels
-
-
-def _pillow(picture: Image.Image) -> np.ndarray:
-    """Decode 8-bit pictures of every kind with Pillow, upright, as RGB or RGBA."""
-    picture.load()
-    upright = ImageOps.exif_transpose(picture)
-    return np.asarray(upright.convert("RGBA" if upright.has_transparency_data else "RGB"))
-
-
-def _tiff_tag(header: Image.Image, tag: int) -> tuple[int, ...]:
-    """The values of a TIFF tag, one a sample; (1,) when it is absent, as TIFF 6.0 has it."""
-    tags: dict[int, tuple[int, ...]] = getattr(header, "tag_v2", {})
-    return tuple(tags.get(tag, (1,)))
-
-
-def _orientation(header: Image.Image) -> int:
-    """The EXIF orientation 1…8; 1 when there is none or it makes no sense."""
-    exif = Image.Exif()
-    exif.load(header.info.get("exif", b""))
-    value = exif.get(ExifTag.Orientation, 1)
-    return value if value in range(1, 9) else 1
-
-
-def _oriented(pixels: np.ndarray, orientation: int) -> np.ndarray:
-    """Turn pixels (H,W[,C]) upright; EXIF 2.3, tag 274: where row 0 and column 0 are."""
-    if orientation >= 5:
-        pixels = pixels.swapaxes(0, 1)
-    if orientation in (3, 4, 7, 8):
-        pixels = pixels[::-1]
-    if orientation in (2, 3, 6, 7):
-        pixels = pixels[:, ::-1]
-    return pixels
-
-
-def _check_jpeg_ends(data: bytes) -> None:
-    """Raise OSError for a truncated JPEG; libjpeg fills the rest with grey and says nothing.
-
-    Inside compressed data the bytes FF D9 are always the end marker (ITU T.81, B.1.1.2).
-    Files of some cameras lack it though all pixels are there: Pillow decides on those.
-    """
-    if data.find(b"\xff\xd9", _first_scan(data)) < 0:
-        with Image.open(io.BytesIO(data), formats=FORMATS) as picture:
-            picture.load()
-
-
-def _first_scan(data: bytes) -> int:
-    """Where the compressed pixels begin: behind the headers, which may hold a thumbnail."""
-    at = 2
-    while at + 4 <= len(data) and data[at] == 0xFF and data[at + 1] != 0xDA:
-        is_fill = data[at + 1] == 0xFF
-        at += 1 if is_fill else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-    return at
+# --- out --------------------------------------------------------------------------------
 
 
 def write_map(path: str | os.PathLike[str], likelihood: Tensor, depth: Literal[8, 16] = 8) -> None:

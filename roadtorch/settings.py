@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -10,6 +11,18 @@ from typing import Any, ClassVar, TypeVar
 import pydantic
 
 from roadtorch.errors import ConfigError, InputError, unknown_name
+from roadtorch.outside import read_regular
+
+MOST_PARTS = 32
+"""Of a key, and levels of a value: far more than any setting has; deeper ones take minutes."""
+
+MOST_BYTES = 2**20  # of a file of settings; ours: they have thousands
+
+SHOWN = 200  # letters of what was given that a refusal repeats
+
+_LONG_KEY = re.compile(
+    rf"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{MOST_PARTS}}}"""
+)
 
 
 class Settings(pydantic.BaseModel):
@@ -46,15 +59,20 @@ def _first_mistake(kind: type[Settings], problem: pydantic.ValidationError) -> C
         return _unknown_key(group_at(kind, path[:-1]), path)
     if error["type"] == "missing":
         return ConfigError(key, "is missing", "give it a value")
-    given = f"{error['input']!r} was given"
+    given = f"{_shortened(repr(error['input']))} was given"
     if error["type"] == "model_type":
         known = ", ".join(group_at(kind, path).model_fields)
         return ConfigError(key, f"{given} for a group of settings", f"set one of its keys: {known}")
     told = getattr(error.get("ctx", {}).get("error"), "args", ())
     if told and isinstance(told[0], ConfigError):  # a validator's own words
-        return ConfigError(key, f"{told[0].what} {error['input']!r}", told[0].remedy)
+        what = f"{told[0].what} {_shortened(repr(error['input']))}"
+        return ConfigError(key, what, told[0].remedy)
     message = error["msg"].removeprefix("Value error, ")
     return ConfigError(key, given, message[0].lower() + message[1:])
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}…"
 
 
 def _unknown_key(group: type[Settings], path: list[str]) -> ConfigError:
@@ -79,12 +97,15 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
     """Turn ``["texture.bins=64"]`` into ``{"texture": {"bins": 64}}``.
 
     A value is read as TOML (numbers, true/false, quoted strings, lists); what is
-    not TOML is a plain string. Raises ConfigError for an item without ``=``.
+    not TOML is a plain string. Raises ConfigError for an item without ``=``, with a key of
+    too many parts or a value that is nested too deep.
     """
     tree: dict[str, Any] = {}
     for item in assignments:
         key, equals, text = item.partition("=")
-        names = key.strip().split(".")
+        names = key.strip().split(".", MOST_PARTS)
+        if len(names) > MOST_PARTS:
+            raise ConfigError(_shortened(item), "has too many parts", _FEWER_PARTS)
         if not equals or not all(names):
             raise ConfigError(
                 item, "is not a setting", "write key=value, for example texture.bins=64"
@@ -96,16 +117,49 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
                 raise ConfigError(key, f"{name} is already set to a value", "give each key once")
         if isinstance(branch.get(names[-1]), dict):
             raise ConfigError(key, "is a group of settings", "set one key inside it")
-        branch[names[-1]] = _toml_value(text.strip())
+        branch[names[-1]] = _toml_value(key, text.strip())
     return tree
 
 
-def _toml_value(text: str) -> Any:
+def _toml_value(key: str, text: str) -> Any:
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
+        value = _parsed(key, f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         return text
     return text if isinstance(value, float) and not math.isfinite(value) else value
+
+
+_FEWER_PARTS = f"no setting has more than {MOST_PARTS}"
+
+
+def _parsed(where: object, text: str) -> dict[str, Any]:
+    """TOML as nested values; ConfigError for what is nested too deep, or a number too long.
+
+    Raises TOMLDecodeError for what is no TOML.
+    """
+    if _LONG_KEY.search(text):  # the parser's time grows with their square
+        raise ConfigError(where, "has a key of too many parts", _FEWER_PARTS)
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        raise
+    except RecursionError:
+        raise ConfigError(where, "is nested too deep", "give plain values") from None
+    except ValueError as problem:
+        raise ConfigError(where, f"cannot be read: {problem}", "give a shorter number") from None
+    _check_values(where, values, MOST_PARTS + 1)
+    return values
+
+
+def _check_values(where: object, value: Any, levels: int) -> None:
+    """ConfigError for more levels, and for whole numbers that TOML (64 bits) does not know."""
+    if not levels:
+        raise ConfigError(where, "is nested too deep", "give plain values")
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise ConfigError(where, "has a number of more than 64 bits", "give a shorter number")
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    for part in inner:
+        _check_values(where, part, levels - 1)
 
 
 def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -121,7 +175,7 @@ def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]
 def read_settings_file(path: Path) -> dict[str, Any]:
     """The nested values of a TOML file; InputError when it cannot be read or parsed."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return _parsed(path, read_regular(path, MOST_BYTES).decode())
     except OSError as problem:
         what = f"cannot be read: {problem.strerror}"
         raise InputError(path, what, "give a TOML file") from None

@@ -54,14 +54,17 @@ class Row:
 ROWS = (
     Row(
         "foundations",
-        ("errors", "settings", "signals", "plugins", "files", "version", "image_cache"),
+        (
+            *("errors", "settings", "signals", "plugins", "outside", "files", "version"),
+            "image_cache",
+        ),
     ),
     Row(
         "steps",
         (
-            *("image", "color", "superpixels", "segment_statistics", "working_size", "exposure"),
-            *("segment_features", "seed_area", "ego", "priors", "seed_distance", "lbp", "texture"),
-            *("otsu", "trust", "fusion"),
+            *("decoding", "image", "color", "superpixels", "segment_statistics", "working_size"),
+            *("exposure", "segment_features", "seed_area", "ego", "priors", "seed_distance"),
+            *("lbp", "texture", "otsu", "trust", "fusion"),
         ),
     ),
     Row("papers", ("layout", "oneclass", "ufl", "vanishing")),

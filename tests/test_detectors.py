@@ -287,20 +287,19 @@ def test_a_broken_package_costs_only_its_own(monkeypatch: pytest.MonkeyPatch) ->
     assert {"theirs", "prior:rows"} <= set(names)
 
 
-def exits_at_import() -> None:
-    raise SystemExit(3)
-
-
+@pytest.mark.parametrize("kind", [SystemExit, KeyboardInterrupt, GeneratorExit, RecursionError])
 def test_a_package_that_ends_the_process_costs_only_its_own(
-    monkeypatch: pytest.MonkeyPatch,
+    kind: type[BaseException], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Point:
         name, dist, value = "deadly", None, "deadly:ENTRY"
-        load = staticmethod(exits_at_import)
+
+        def load(self) -> None:
+            raise kind
 
     monkeypatch.setattr(roadtorch.plugins, "entry_points", lambda group: [Point()])
 
-    with pytest.warns(RuntimeWarning, match="'deadly' of deadly:ENTRY .* it ends the process"):
+    with pytest.warns(RuntimeWarning, match="'deadly' of deadly:ENTRY cannot be used"):
         names = catalogue_module._catalogue.__wrapped__()
 
     assert "fusion" in names

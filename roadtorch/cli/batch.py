@@ -2,6 +2,7 @@
 
 import csv
 import hashlib
+import os
 import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -16,6 +17,7 @@ import click
 
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.files import csv_text, digest_of, remove_leftovers, reserved, write_text
+from roadtorch.outside import printable
 from roadtorch.signals import stop_on_signals
 from roadtorch.sources.pictures import Picture, find_images
 
@@ -117,7 +119,7 @@ class Job:
     @property
     def file(self) -> str:
         """The name in index.csv: the result's name with the picture's own suffix."""
-        return self.picture.name + self.picture.path.suffix
+        return printable(self.picture.name + self.picture.path.suffix)
 
 
 Work = Callable[[Job], Row]
@@ -149,11 +151,15 @@ def _refuse_shared(jobs: Sequence[Job]) -> None:
 
 
 def _refuse_replacing(jobs: Sequence[Job]) -> None:
-    inputs = {job.picture.path.resolve() for job in jobs}
+    inputs = {_real(job.picture.path) for job in jobs}
     for job in jobs:
         for output in job.outputs:
-            if output.resolve() in inputs:
+            if _real(output) in inputs:
                 raise ConfigError(output, "is one of the pictures", "give another --out")
+
+
+def _real(path: Path) -> str:
+    return os.path.realpath(path)  # Path.resolve raises for a link to itself
 
 
 def run_jobs(jobs: Sequence[Job], out: Path, work: Work, method: Method, options: "Options") -> int:
@@ -344,7 +350,10 @@ def read_index(path: Path) -> dict[str, Row]:
         return {}
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            return {line["file"]: Row(**line) for line in csv.DictReader(file)}
+            rows = [Row(**line) for line in csv.DictReader(file)]
+        if any(None in vars(row).values() for row in rows):
+            raise TypeError("a row is cut short")
+        return {row.file: row for row in rows}
     except (OSError, UnicodeDecodeError, TypeError, KeyError, csv.Error):
         raise InputError(path, "is not an index of ours", "give another --out") from None
 

@@ -1,6 +1,7 @@
 """The ``roadtorch`` command: sub-commands loaded on use, mistakes told in one line."""
 
 import importlib
+import io
 import os
 import sys
 import traceback
@@ -83,6 +84,9 @@ class CommandGroup(click.Group):
     def main(self, args: Sequence[str] | None = None, *_: Any, **extra: Any) -> NoReturn:
         """Run with the given arguments or those of the process, and exit with its code."""
         warnings.showwarning = _show_warning
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, io.TextIOWrapper):  # names in any encoding can be told
+                stream.reconfigure(errors="backslashreplace")
         # Read by OpenMP when torch is loaded. Its threads would otherwise spin while they
         # wait, which costs many times the work wherever the cores have other work too.
         os.environ.setdefault("OMP_WAIT_POLICY", "passive")

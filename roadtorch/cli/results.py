@@ -25,6 +25,7 @@ from roadtorch.image import (
 )
 from roadtorch.layout.classes import LAYOUT_COLOURS, layout_colours
 from roadtorch.layout.weights import tensors_hash
+from roadtorch.outside import printable
 
 CONFIG = "config.toml"
 SUFFIXES = {
@@ -50,7 +51,7 @@ def keep_config(out: Path, effective: str, overwrite: bool) -> None:
     """
     path = out / CONFIG
     effective += "\n"
-    is_other = path.exists() and path.read_text(encoding="utf-8") != effective
+    is_other = path.exists() and path.read_bytes() != printable(effective).encode()
     if is_other and (out / INDEX).exists() and not overwrite:
         raise ConfigError(
             out,

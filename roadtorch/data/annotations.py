@@ -1,7 +1,6 @@
 """Annotation files and what is drawn in them: LabelMe's XML and labelme's JSON."""
 
 import base64
-import io
 import json
 import math
 from collections.abc import Iterator
@@ -12,14 +11,15 @@ from xml.etree.ElementTree import Element, ParseError
 
 import numpy as np
 from defusedxml import DefusedXmlException, ElementTree
-from PIL import Image
 
 from roadtorch.data.polygons import Disc, Polygon, Shape, Stamp
+from roadtorch.decoding import open_picture, reason
 from roadtorch.errors import DatasetError
+from roadtorch.outside import read_regular
 
 CORNERS = 3  # a polygon needs as many to have an area
 
-_UNDECODABLE = (OSError, SyntaxError, ValueError, TypeError, Image.DecompressionBombError)
+MASK_FORMATS = ("PNG", "JPEG")  # of masks inside JSON; labelme itself writes PNG
 
 # What has no area covers no pixel of the truth; labelme draws it for other tasks.
 WITHOUT_AREA = ("line", "linestrip", "point", "points")
@@ -53,7 +53,7 @@ def read_annotation(path: Path) -> Annotation:
     Raises DatasetError, naming the file, when it cannot be read or is not what it seems.
     """
     try:
-        data = path.read_bytes()
+        data = read_regular(path)
     except OSError as problem:
         what = f"cannot be read: {problem.strerror}"
         raise DatasetError(path, what, "every picture needs its annotation") from None
@@ -171,18 +171,21 @@ def _points(shape: dict[str, Any], name: str, path: Path) -> np.ndarray:
 
 
 def _stamp(encoded: Any, points: np.ndarray, name: str, path: Path) -> Stamp:
-    """A mask shape: a PNG as base64 that fills the box from its first to its last corner."""
+    """A mask shape: PNG or JPEG as base64, filling the box from its first to its last corner."""
     left, top = (int(value) for value in points.min(0))
     right, bottom = (int(value) for value in points.max(0))
     box = (bottom - top + 1, right - left + 1)
     try:
-        with Image.open(io.BytesIO(base64.b64decode(encoded, validate=True))) as picture:
+        with open_picture(base64.b64decode(encoded, validate=True), MASK_FORMATS) as picture:
             if (picture.height, picture.width) != box:
                 what = f"is {picture.width} by {picture.height}, its box {box[1]} by {box[0]}"
                 raise _broken(path, f"has a mask {name!r} that {what}")
             return Stamp(left, top, np.asarray(picture.convert("L")) > 0)
-    except _UNDECODABLE as problem:
-        raise _broken(path, f"has a mask {name!r} that cannot be decoded: {problem}") from None
+    except DatasetError:
+        raise
+    except Exception as problem:
+        what = f"has a mask {name!r} that cannot be decoded: {reason(problem)}"
+        raise _broken(path, what, "give it as PNG or JPEG") from None
 
 
 def _json_size(document: dict[str, Any], path: Path) -> tuple[int, int] | None:

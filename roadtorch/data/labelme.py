@@ -14,15 +14,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 
-from PIL import Image
 from PIL.ExifTags import Base as ExifTag
 
 from roadtorch.data.annotations import Annotation, Drawing, read_annotation
 from roadtorch.data.dataset import Dataset, Item, Truth
 from roadtorch.data.labels import is_picture
 from roadtorch.data.polygons import OTHER, ROAD, VOID, Agreement, agree, filled_shapes
+from roadtorch.decoding import open_picture, reason, without_warnings
 from roadtorch.errors import ConfigError, DatasetError
 from roadtorch.image import SUFFIXES
+from roadtorch.outside import read_regular
 
 ENDINGS = (".xml", ".json")
 
@@ -110,11 +111,13 @@ def picture_size(path: Path) -> tuple[int, int]:
     Raises DatasetError when it cannot be opened.
     """
     try:
-        with Image.open(path) as picture:
+        with open_picture(read_regular(path)) as picture, without_warnings():
             turned = picture.getexif().get(ExifTag.Orientation) in TURNED
             return (picture.width, picture.height) if turned else (picture.height, picture.width)
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as problem:
-        raise DatasetError(path, f"cannot be opened: {problem}", "replace the file") from None
+    except Exception as problem:
+        raise DatasetError(
+            path, f"cannot be opened: {reason(problem)}", "replace the file"
+        ) from None
 
 
 def _check_size(annotation: Annotation, size: tuple[int, int], path: Path) -> None:

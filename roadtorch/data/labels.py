@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import Image
 
 from roadtorch.data.dataset import Item, Truth
+from roadtorch.decoding import open_picture, reason, without_warnings
 from roadtorch.errors import ConfigError, DatasetError
 from roadtorch.image import SUFFIXES
 from roadtorch.layout.classes import UNLABELLED
+from roadtorch.outside import read_regular
 
 SHOWN = 5  # unknown values or colours named in an error
 
@@ -124,12 +125,13 @@ def read_colours(path: Path) -> np.ndarray:
 
 def _read(path: Path, mode: str | None) -> np.ndarray:
     try:
-        with Image.open(path) as picture:
+        with open_picture(read_regular(path)) as picture, without_warnings():
             return np.asarray(picture.convert(mode) if mode else picture)
     except FileNotFoundError:
         raise DatasetError(path, "is missing", "every picture needs its label file") from None
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as problem:
-        raise DatasetError(path, f"cannot be decoded: {problem}", "replace the file") from None
+    except Exception as problem:
+        what = f"cannot be decoded: {reason(problem)}"
+        raise DatasetError(path, what, "replace the file") from None
 
 
 # --- meaning ----------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from roadtorch.detector import DetectorSettings, decide
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.image import read_image
 from roadtorch.settings import build_settings, read_settings_file
+from roadtorch.outside import printable
 
 ENDINGS = (".png", ".likelihood.png", ".npy", ".likelihood.npy")
 
@@ -24,7 +25,8 @@ DECIDING = ("threshold", "isolated", "seed_area")
 def parse_maps(texts: Sequence[str]) -> dict[str, Path]:
     """Folders by name, of texts ``NAME=DIR`` or ``DIR``, whose own name is then taken.
 
-    Raises ConfigError for a folder that does not exist, and for two of one name.
+    Raises ConfigError for a folder that does not exist, for two of one name, and for a name
+    that could not be that of a file in one folder.
     """
     found: dict[str, Path] = {}
     for text in texts:
@@ -32,7 +34,10 @@ def parse_maps(texts: Sequence[str]) -> dict[str, Path]:
         path = Path(folder)
         if not path.is_dir():
             raise ConfigError(folder, "is not a folder", "give the folder that holds the maps")
-        name = name if equals else path.resolve().name
+        name = name if equals else printable(path.resolve().name)
+        if not name.isprintable() or set(name) & set("/\\") or name in ("", ".", ".."):
+            what = f"the name {name!r} cannot be that of a file"
+            raise ConfigError("--maps", what, "write NAME=DIR, the name without / and \\")
         if name in found:
             raise ConfigError("--maps", "gives two folders one name", "write NAME=DIR")
         found[name] = path

@@ -172,7 +172,7 @@ def _checked(path: Path, text: str | None) -> dict[str, Any]:
         header = json.loads(text)
         number, kind = int(header["format"]), str(header["kind"])
         complete = isinstance(header["settings"], dict) and isinstance(header["origin"], dict)
-    except (ValueError, TypeError, KeyError):
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
         complete, number, kind = False, 0, ""
     if number > FORMAT:
         what = f"has the format {number}; this roadtorch reads up to {FORMAT}"

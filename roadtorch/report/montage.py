@@ -18,6 +18,7 @@ from roadtorch.evaluation.scoring import LabelledPicture, seen_truth
 from roadtorch.evaluation.tally import WHOLE
 from roadtorch.image import to_pixels, write_jpeg
 from roadtorch.layout.classes import layout_colours
+from roadtorch.outside import printable
 
 MOST = 8  # detectors with sheets
 
@@ -127,6 +128,7 @@ def captioned(tile: np.ndarray, text: str, height: int) -> np.ndarray:
     size = (max(1, round(tile.shape[1] * scale)), max(1, round(tile.shape[0] * scale)))
     small = cv2.resize(tile, size, interpolation=cv2.INTER_AREA)
     canvas = np.zeros((CAPTION + height, TILE_WIDTH, 3), np.uint8)
+    text = printable(text)  # OpenCV crashes on other names
     cv2.putText(canvas, text, (4, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.4, WHITE, 1, cv2.LINE_AA)
     left = (TILE_WIDTH - size[0]) // 2
     canvas[CAPTION : CAPTION + size[1], left : left + size[0]] = small

@@ -69,7 +69,10 @@ def _video_frames(path: Path, numbers: set[int]) -> Iterator[Tensor]:
 
 
 def _opened(path: Path) -> cv2.VideoCapture:
-    video = cv2.VideoCapture(str(path))
+    try:
+        video = cv2.VideoCapture(str(path))
+    except UnicodeEncodeError:  # OpenCV takes no other names
+        raise InputError(path, "has a name that is not UTF-8", "rename it") from None
     if not video.isOpened():
         raise InputError(path, "cannot be decoded as video", "give MP4, AVI, MKV, MOV or WebM")
     return video

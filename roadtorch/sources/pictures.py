@@ -76,11 +76,13 @@ def _before_magic(pattern: Path) -> Iterator[str]:
 
 def _walk(folder: Path, apart: Path | None) -> Iterator[Path]:
     """Every picture below a folder, sorted by name, folder by folder."""
-    apart = apart.resolve() if apart and apart.resolve() != folder.resolve() else None
+    # Path.resolve raises for a link to itself, which is a file like any other here.
+    other = os.path.realpath(apart) if apart else None
+    other = None if other == os.path.realpath(folder) else other
     for top, folders, files in os.walk(folder):
         here = Path(top)
         folders[:] = sorted(
-            name for name in folders if name[0] != "." and (here / name).resolve() != apart
+            name for name in folders if name[0] != "." and os.path.realpath(here / name) != other
         )
         yield from (here / name for name in sorted(files) if _is_picture(here / name))
 

@@ -1,7 +1,6 @@
 """The folder of a run: what it was told, how far it is, what came out."""
 
 import json
-import pickle
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
@@ -12,6 +11,7 @@ import torch
 
 from roadtorch.errors import ConfigError, InputError, WeightsError
 from roadtorch.files import atomic, csv_text, make_folder, write_text
+from roadtorch.outside import printable
 from roadtorch.sources.pictures import Picture
 from roadtorch.train.config import as_values, build_training, with_current_names
 from roadtorch.train.prepared import PreparedPicture, bytes_of, name_of
@@ -27,6 +27,7 @@ RUN, CHECKPOINT, LOG, CURVE, PICTURES = (
     "pictures.csv",
 )
 WEIGHTS = "weights.safetensors"
+NO_CHECKPOINT = ("is damaged or no checkpoint", "start again in another --out")
 OURS = (RUN, CHECKPOINT, LOG, CURVE, PICTURES, WEIGHTS)
 
 
@@ -38,7 +39,7 @@ def config_hash(values: Mapping[str, Any]) -> str:
 def pictures_hash(pictures: Iterable[Picture]) -> str:
     """SHA-256 of the names and sizes of pictures: whether they are still the same."""
     lines = (f"{name_of(picture)} {bytes_of(picture)}\n" for picture in pictures)
-    return sha256("".join(lines).encode()).hexdigest()
+    return sha256(printable("".join(lines)).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -113,9 +114,8 @@ class RunFolder:
         try:
             state = torch.load(path, weights_only=True)
             number = int(state["format"])
-        except (RuntimeError, ValueError, KeyError, TypeError, EOFError, pickle.UnpicklingError):
-            what, remedy = "is damaged or no checkpoint", "start again in another --out"
-            raise WeightsError(path, what, remedy) from None
+        except Exception:  # zipfile, pickle and torch raise anything for foreign bytes
+            raise WeightsError(path, *NO_CHECKPOINT) from None
         if number > FORMAT:
             what = f"has the format {number}; this roadtorch reads up to {FORMAT}"
             raise WeightsError(path, what, "install a newer roadtorch")

@@ -47,7 +47,7 @@ class PreparedFolder:
         path = self.path / SETTINGS
         text = json.dumps(settings, indent=1, sort_keys=True) + "\n"
         if path.exists():
-            if path.read_text(encoding="utf-8") != text:
+            if path.read_bytes() != text.encode():
                 what = "holds pictures prepared with other settings"
                 raise ConfigError(self.path, what, "give another folder")
             return
@@ -104,10 +104,13 @@ def _skipped(name: str, why: str) -> PreparedPicture:
 
 
 def _is_of(file: Path, picture: Picture) -> bool:
-    """Whether a file is whole and was made of this picture, by its size in bytes."""
+    """Whether a file is whole and was made of this picture, by its size in bytes.
+
+    All of it is read: damage found later would end the training.
+    """
     try:
-        return file.exists() and bool(read_arrays(file, SOURCE)[SOURCE] == bytes_of(picture))
-    except InputError:
+        return file.exists() and bool(read_arrays(file)[SOURCE] == bytes_of(picture))
+    except (InputError, KeyError, RuntimeError):  # RuntimeError: more than one number
         return False
 
 

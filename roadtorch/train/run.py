@@ -7,15 +7,16 @@ from pathlib import Path
 from signal import SIGTERM, Signals
 from typing import Any
 
+import torch
 from tqdm import tqdm
 
-from roadtorch.errors import InputError
+from roadtorch.errors import InputError, WeightsError
 from roadtorch.layout.weights import LayoutNetwork, fill, load_network, save_network
 from roadtorch.signals import stop_on_signals
 from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.train.average import AverageWeights
 from roadtorch.train.config import Training, as_values
-from roadtorch.train.folder import CHECKPOINT, WEIGHTS, RunFolder, config_hash
+from roadtorch.train.folder import CHECKPOINT, NO_CHECKPOINT, WEIGHTS, RunFolder, config_hash
 from roadtorch.train.loop import (
     RunContext,
     TrainingProgress,
@@ -96,7 +97,7 @@ class _Run:
         if processes.any(stop.asked):
             return Outcome(None, stop.signal or SIGTERM, skipped)
         files = self._usable(prepared)
-        progress = TrainingProgress(**state["progress"]) if state else TrainingProgress()
+        progress = _progress_of(state, folder.path / CHECKPOINT) if state else TrainingProgress()
         while True:
             self._round(files, progress, state)
             state = None
@@ -130,10 +131,7 @@ class _Run:
         average = AverageWeights(network, self.recipe.descent.average)
         optimiser = make_optimiser(network, self.recipe.descent)
         if state:
-            fill(network, state["network"], folder.path / CHECKPOINT)
-            mean = state.get("average", state["network"])  # older code had none
-            fill(average.network, mean, folder.path / CHECKPOINT)
-            optimiser.load_state_dict(state["optimiser"])
+            _go_on(network, average, optimiser, state, folder.path / CHECKPOINT)
         setup = TrainingSetup(
             network,
             average,
@@ -170,6 +168,34 @@ class _Run:
             save_network(folder.path / _weights_of(progress.round), network, origin)
         if progress.rows:
             folder.write_curve(progress.rows)
+
+
+def _progress_of(state: dict[str, Any], path: Path) -> TrainingProgress:
+    """How far a checkpoint says the run is; WeightsError where it does not say."""
+    try:
+        progress = TrainingProgress(**state["progress"])
+    except (KeyError, TypeError):
+        raise WeightsError(path, *NO_CHECKPOINT) from None
+    like = TrainingProgress()
+    if any(type(getattr(progress, name)) is not type(value) for name, value in vars(like).items()):
+        raise WeightsError(path, *NO_CHECKPOINT)
+    return progress
+
+
+def _go_on(
+    network: LayoutNetwork,
+    average: AverageWeights,
+    optimiser: torch.optim.Optimizer,
+    state: dict[str, Any],
+    path: Path,
+) -> None:
+    """Fill what is trained from a checkpoint; WeightsError where it does not fit."""
+    try:
+        fill(network, state["network"], path)
+        fill(average.network, state.get("average", state["network"]), path)  # older code had none
+        optimiser.load_state_dict(state["optimiser"])
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise WeightsError(path, *NO_CHECKPOINT) from None
 
 
 def _weights_of(number: int) -> str:

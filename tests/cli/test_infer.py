@@ -1,4 +1,5 @@
 import csv
+import os
 import tomllib
 from hashlib import sha256
 from pathlib import Path
@@ -411,3 +412,55 @@ def test_a_doubtful_picture_is_done_and_not_done_again(call: Call, tmp_path: Pat
 
     assert again.exit_code == 0
     assert again.stderr.startswith("roadtorch: 0 done, 1 skipped")
+
+
+# --- names and kinds of files -----------------------------------------------------------------
+
+
+def test_names_in_any_encoding_and_files_that_are_none_cost_nobody_else(
+    call: Call, footage: Path, tmp_path: Path
+) -> None:
+    odd = footage / os.fsdecode(b"z\xff.jpg")
+    (footage / "a.jpg").rename(odd)
+    os.mkfifo(footage / "pipe.png")
+    (footage / "loop.png").symlink_to(footage / "loop.png")
+    out = tmp_path / "out"
+
+    for _ in range(2):  # what is done under such a name is done
+        result = call("infer", footage, *ROWS, "--out", out)
+        assert result.exit_code == 1
+        rows = rows_of(out)
+        assert [file for file, row in rows.items() if row["status"] == "done"] == [
+            *("b.png", "sub/c.png", r"z\xff.jpg")
+        ]
+        assert set(rows) - {"b.png", "sub/c.png", r"z\xff.jpg"} == {"loop.png", "pipe.png"}
+    assert "0 done, 3 skipped" in result.stderr
+    assert (out / os.fsdecode(b"z\xff.mask.png")).exists()
+
+
+@pytest.mark.parametrize("command", ["infer", "label"])
+def test_a_link_to_itself_as_out_is_refused_by_its_name(
+    call: Call, footage: Path, tmp_path: Path, command: str
+) -> None:
+    loop = tmp_path / "loop"
+    loop.symlink_to(loop)
+
+    result = call(command, footage, "--out", loop)
+
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"roadtorch: error: {loop}: cannot be made a folder")
+
+
+def test_an_index_with_a_row_cut_short_and_a_config_of_bytes_are_told(
+    call: Call, footage: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    call("infer", footage, *ROWS, "--out", out)
+    (out / "config.toml").write_bytes(b"detector = '\xff'\n")
+    assert "holds results of other settings" in call("infer", footage, *ROWS, "--out", out).stderr
+    (out / "config.toml").unlink()
+
+    (out / "index.csv").write_text("width,file\n1\n")
+
+    told = call("infer", footage, *ROWS, "--out", out).stderr
+    assert f"{out}/index.csv: is not an index of ours" in told

@@ -70,3 +70,19 @@ def test_waiting_threads_sleep_unless_the_user_says_otherwise() -> None:
         rest = {k: v for k, v in os.environ.items() if k != "OMP_WAIT_POLICY"}
         done = subprocess.run(words, capture_output=True, text=True, env=rest | given, timeout=60)
         assert done.stdout.splitlines()[-1] == kept
+
+
+def test_where_the_system_speaks_ascii_names_are_written_in_utf_8(tmp_path: Path) -> None:
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    for name in (b"z\xff.png", "Straße.png".encode()):
+        Image.new("RGB", (40, 30), (90, 90, 90)).save(pictures / os.fsdecode(name))
+    words = [*COMMAND, "infer", "pictures", "--detector", "prior:rows", "--out", "out"]
+    ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+
+    done = subprocess.run(words, cwd=tmp_path, env=os.environ | ascii_only, timeout=120)
+
+    assert done.returncode == 0
+    rows = (tmp_path / "out" / "index.csv").read_text(encoding="utf-8").splitlines()[1:]
+    assert [row.partition(",")[0] for row in rows] == ["Straße.png", r"z\xff.png"]
+    assert (tmp_path / "out" / "Straße.mask.png").exists()

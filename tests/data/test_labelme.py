@@ -3,6 +3,7 @@
 import base64
 import io
 import json
+import os
 import pickle
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 import torch
 from PIL import Image
 
+from roadtorch.data.annotations import read_annotation
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Item
 from roadtorch.data.labelme import PolygonLabels
@@ -364,3 +366,26 @@ def test_two_pictures_of_one_name(tmp_path, picture):
 
     with pytest.raises(DatasetError, match=r"a\.png: has the name of a\.bmp"):
         open_dataset("labelme", tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["EPS", "GIF", "TIFF", "BMP", "WEBP", "PPM", "ICO"])
+def test_a_mask_of_another_format_reaches_no_decoder(
+    tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = io.BytesIO()
+    Image.new("RGB", (3, 2)).save(file, kind)
+    text = base64.b64encode(file.getvalue()).decode()
+    path = tmp_path / "a.json"
+    path.write_text(document(MASK | {"mask": text}))
+    Image.init()
+    monkeypatch.setitem(Image.OPEN, kind, None)
+
+    with pytest.raises(DatasetError, match="mask 'road' that cannot be decoded"):
+        read_annotation(path)
+
+
+def test_an_annotation_that_is_a_pipe_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.json")
+
+    with pytest.raises(DatasetError, match=r"a\.json: cannot be read: it is a pipe"):
+        read_annotation(tmp_path / "a.json")

@@ -68,3 +68,9 @@ def test_a_folder_may_have_a_name_of_its_own(tmp_path):
         parse_maps(["net=nothing"])
     with pytest.raises(ConfigError, match="two folders one name"):
         parse_maps([one, two])
+
+
+@pytest.mark.parametrize("name", ["x/y", "a/../../ESC", "..", ".", "", "a\\b", "a\nb"])
+def test_names_that_are_no_file_names_are_refused(tmp_path, name):
+    with pytest.raises(ConfigError, match="cannot be that of a file"):
+        parse_maps([f"{name}={tmp_path}"])

@@ -191,3 +191,11 @@ def test_headers_that_do_not_fit_are_told(
 
     with pytest.raises(WeightsError, match=what):
         load_network(weights)
+
+
+@pytest.mark.parametrize("text", ['{"format": 1e999, "kind": "patches"}', "[" * 100_000])
+def test_headers_that_trip_the_parser_are_told(text: str, weights: Path) -> None:
+    save_file(NETWORKS[0].state_dict(), weights, {"roadtorch": text})
+
+    with pytest.raises(WeightsError, match="a header that makes no sense"):
+        load_network(weights)

@@ -66,3 +66,13 @@ def test_nothing_found_is_an_error_that_names_the_input(footage: Path) -> None:
         with pytest.raises(InputError) as caught:
             find_images([item])
         assert (caught.value.where, caught.value.what) == (str(item), what)
+
+
+def test_links_to_themselves_are_files_like_others(footage: Path) -> None:
+    (footage / "loop.png").symlink_to(footage / "loop.png")
+    (footage / "sub" / "around").symlink_to(footage / "sub" / "around")
+    (footage / "sub" / "up").symlink_to(footage)
+
+    assert names(find_images([footage], apart=footage / "loop.png")) == [
+        *("a", "b", "loop", "sub/c", "sub/deep/d")
+    ]

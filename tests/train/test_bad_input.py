@@ -140,6 +140,11 @@ def test_files_of_somebody_else_are_not_overwritten(streets: Path, tmp_path: Pat
         ({"format": 2}, "has the format 2; this roadtorch reads up to 1"),
         (b"<html></html>", "is damaged or no checkpoint"),
         (b"", "is damaged or no checkpoint"),
+        ({"format": 1}, "is damaged or no checkpoint"),
+        ({"format": 1, "progress": {"rows": 3}}, "is damaged or no checkpoint"),
+        ({"format": 1, "progress": {}}, "is damaged or no checkpoint"),
+        ({"format": 1, "progress": {}, "network": 1}, "is damaged or no checkpoint"),
+        ({"format": 1, "progress": {}, "network": {}}, "holds another network"),
     ],
 )
 def test_checkpoints_that_cannot_be_used_are_told(
@@ -154,6 +159,17 @@ def test_checkpoints_that_cannot_be_used_are_told(
         train(training, request)
 
     assert contents(request.out) == before
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.99])
+def test_a_checkpoint_that_is_cut_is_told(share: float, finished: tuple[Training, Request]) -> None:
+    training, request = finished
+    path = request.out / "checkpoint.pt"
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(len(whole) * share)])
+
+    with pytest.raises(WeightsError, match=r"checkpoint\.pt: is damaged or no checkpoint"):
+        train(training, request)
 
 
 # --- runs of older versions ------------------------------------------------------------------

@@ -20,11 +20,13 @@ class Maker:
     def __init__(self) -> None:
         self.calls = 0
         self.names: list[str] = []
+        self.last = torch.empty(0)
 
     def __call__(self, image: torch.Tensor, name: str) -> Arrays:
         self.calls += 1
         self.names.append(name)
-        return {"mean": image.mean((1, 2))}
+        self.last = image.mean((1, 2))
+        return {"mean": self.last}
 
 
 def folder_in(
@@ -118,3 +120,18 @@ def test_a_folder_belongs_to_its_settings(tmp_path: Path) -> None:
 
     with pytest.raises(ConfigError, match="holds pictures prepared with other settings"):
         folder_in(tmp_path).claim({"working": {"pixels": 200}})
+
+
+def test_a_file_damaged_anywhere_is_made_again(tmp_path: Path) -> None:
+    pictures = find_images([str(write_streets(tmp_path / "footage", 1))])
+    make = Maker()
+    kept = tmp_path / "kept" / "street_0.png.npz"
+    folder_in(tmp_path).prepare(pictures, make, "labels")
+    whole = kept.read_bytes()
+
+    for at in range(0, len(whole), 7):
+        calls = make.calls
+        kept.write_bytes(whole[:at] + bytes([whole[at] ^ 255]) + whole[at + 1 :])
+        folder_in(tmp_path).prepare(pictures, make, "labels")
+        mean = read_arrays(kept, "mean")["mean"]
+        assert make.calls == calls + 1 or torch.equal(mean, make.last)

@@ -1,0 +1,42 @@
+"""What comes from outside: files of bounded size, and names in any encoding."""
+
+import os
+import stat
+from pathlib import Path
+
+MOST_BYTES = 2**30
+"""Of one file; ours: a picture of 100 megapixels, 16 bits, uncompressed, has 800 million."""
+
+
+def read_regular(path: str | os.PathLike[str], most: int = MOST_BYTES) -> bytes:
+    """The bytes of a regular file of at most ``most`` bytes.
+
+    A pipe would keep the reader waiting, and a device may have no end. Raises OSError, with the
+    reason as its ``strerror``: for what is missing or may not be read, a folder, a pipe, a
+    device, a socket, and a file that is larger.
+    """
+    path = Path(path)
+    found = path.stat()
+    if stat.S_ISDIR(found.st_mode):
+        raise IsADirectoryError(0, "it is a folder")
+    if not stat.S_ISREG(found.st_mode):
+        raise OSError(0, "it is a pipe or a device, not a file")
+    with path.open("rb") as file:
+        data = file.read(min(found.st_size, most) + 1)
+        if len(data) <= most:
+            data += file.read(most + 1 - len(data))  # it grew
+    if len(data) > most:
+        raise OSError(0, f"it has more than {most:,} bytes")
+    return data
+
+
+def printable(text: str) -> str:
+    r"""The text with every byte of a name that is not UTF-8 as ``\xff``, so that it can be written.
+
+    Python reads such bytes of a name as lone surrogates, which no encoding takes; where the
+    system's encoding is ASCII, every other letter comes as such too, and comes back here.
+    """
+    try:
+        return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+    except UnicodeEncodeError:  # a surrogate that stands for no byte
+        return text.encode("utf-8", "backslashreplace").decode("utf-8")
