@@ -1,0 +1,76 @@
+"""Frames with time stamps, and the sources that give them one after the other."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from itertools import islice
+
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture of a source; it is decoded only when it is read.
+
+    number: its place in the source, from 0, whatever is left out. name: of its results, relative,
+    without suffix. origin: what messages call it. seconds: since the source began; None where it
+    has no clock. stamp: the source's own absolute time in nanoseconds, where it has one.
+    read: gives the image float32 (3,H,W) in [0,1]; raises InputError naming ``origin``.
+    """
+
+    number: int
+    name: str
+    origin: str
+    seconds: float | None
+    read: Callable[[], Tensor]
+    stamp: int | None = None
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which frames of a source to look at.
+
+    every: the first of so many frames. start, end: seconds since the source began, the end left
+    out; frames without a clock are counted as one a second. limit: at most so many frames.
+    """
+
+    every: int = 1
+    start: float = 0.0
+    end: float | None = None
+    limit: int | None = None
+
+    def of(self, frames: Iterable[Frame]) -> Iterator[Frame]:
+        """The chosen frames; no frame is asked for behind the last one."""
+        inside = (frame for frame in self._until_end(frames) if _clock(frame) >= self.start)
+        stepped = (frame for at, frame in enumerate(inside) if at % self.every == 0)
+        return islice(stepped, self.limit)
+
+    def _until_end(self, frames: Iterable[Frame]) -> Iterator[Frame]:
+        for frame in frames:
+            if self.end is not None and _clock(frame) >= self.end:
+                return
+            yield frame
+
+
+def _clock(frame: Frame) -> float:
+    return float(frame.number) if frame.seconds is None else frame.seconds
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where frames come from.
+
+    name: of the results, relative, without suffix. origin: as it was given, for messages.
+    moving: whether the frames follow one another in time (video, camera, bag), else they are
+    pictures of their own (an archive's members). rate: frames a second, where it is known.
+    count: how many frames ``frames`` gives, where it is known.
+    frames: opens the source and gives its chosen frames, each once, in order. Closing the iterator
+    closes the source. It raises InputError naming ``origin`` when it cannot be opened, and, behind
+    the last frame that can be read, when it ends before its end.
+    """
+
+    name: str
+    origin: str
+    moving: bool
+    frames: Callable[[], Iterator[Frame]]
+    rate: float | None = None
+    count: int | None = None
