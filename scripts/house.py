@@ -64,7 +64,7 @@ ROWS = (
         (
             *("decoding", "image", "color", "superpixels", "segment_statistics", "working_size"),
             *("exposure", "segment_features", "seed_area", "ego", "priors", "seed_distance"),
-            *("lbp", "texture", "otsu", "trust", "fusion"),
+            *("lbp", "texture", "otsu", "trust", "fusion", "steady"),
         ),
     ),
     Row("papers", ("layout", "oneclass", "ufl", "vanishing")),
@@ -72,6 +72,7 @@ ROWS = (
     Row("what a detector is", ("detector",)),
     Row("detectors", ("detectors",)),
     Row("pictures in", ("sources", "scenes", "testing")),
+    Row("footage through", ("sinks", "stream")),
     Row("labelled sets", ("data",)),
     Row("evaluation", ("evaluation",)),
     Row("report", ("report",)),

@@ -1,0 +1,1 @@
+"""Where what was found in footage goes: videos, GIFs, bags."""
