@@ -77,6 +77,7 @@ ROWS = (
     Row("evaluation", ("evaluation",)),
     Row("report", ("report",)),
     Row("training", ("train",)),
+    Row("correction", ("annotate",)),
     Row("ways in", ("cli", "__main__", "__init__")),
 )
 """From top to bottom. A room that is not built yet may have its place."""
