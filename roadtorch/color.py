@@ -5,7 +5,7 @@ Every plane is of order 1, so that distances and kernel widths mean the same in 
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -164,6 +164,11 @@ def planes(image: Tensor, names: Sequence[str]) -> Tensor:
     Ranges and formulas are those of ``PLANES``. P2 section 6.2, P3 section III. Raises
     ConfigError for an unknown name, InputError for an image of other than 3 channels.
     """
+    return torch.stack(list(each_plane(image, names)), -3)
+
+
+def each_plane(image: Tensor, names: Sequence[str]) -> Iterator[Tensor]:
+    """The same planes (…,H,W) one after the other, for those who need them once."""
     if image.ndim < 3 or image.shape[-3] != 3:
         what = f"has the shape {tuple(image.shape)}"
         raise InputError("image", what, "give RGB as (…, 3, height, width)")
@@ -171,7 +176,7 @@ def planes(image: Tensor, names: Sequence[str]) -> Tensor:
         if name not in PLANES:
             raise unknown_name("plane", name, PLANES)
     channels = Channels(image)
-    return torch.stack([PLANES[name].formula(channels) for name in names], -3)
+    yield from (PLANES[name].formula(channels) for name in names)
 
 
 def plane(image: Tensor, name: str) -> Tensor:

@@ -129,10 +129,12 @@ def ego_found(potential: Tensor) -> Tensor:
     """
     height = potential.shape[0]
     ego = potential > 0.5
-    below = ego.flip(0).cumsum(0).flip(0)
+    if not ego.any():
+        return ego
+    below = ego.flip(0).cumsum(0, dtype=torch.int32).flip(0)
     left = torch.arange(height, 0, -1, device=ego.device)[:, None]
-    car = (ego & (below >= SOLID * left)).cummax(0).values
-    share = float(car.double().mean())
+    car = (ego & (below >= SOLID * left)).cumsum(0, dtype=torch.int32) > 0
+    share = float(car.sum()) / car.numel()
     needed = CONFIDENT + LARGER * share
     is_one = share <= 1 - LEAST_FREE and float(potential[car].mean()) >= needed
     return car if is_one else torch.zeros_like(car)

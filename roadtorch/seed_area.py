@@ -89,9 +89,9 @@ def remove_isolated(mask: Tensor, seed: Tensor) -> Tensor:
     count, found = cv2.connectedComponents(pixels, connectivity=4)
     regions = np.asarray(found, dtype=np.int32)
     kept = np.zeros(count, dtype=bool)
-    kept[regions[seed.cpu().numpy()]] = True
+    kept[regions.reshape(-1)[np.flatnonzero(seed.cpu().numpy())]] = True
     kept[0] = False  # the background
-    if not kept.any():
+    if not kept.any() or kept[1:].all():
         return mask
     return torch.from_numpy(kept.take(regions)).to(mask.device)
 

@@ -20,6 +20,10 @@ LIGHTNESS_SHARE = 0.3
 """Weight of lightness against a and b in the contrast of a border: the edge of a shadow changes
 mostly lightness, that of a verge colour too."""
 
+UNLIKE = 160.0
+"""Squared distance of segments as unlike as can be: exp(-80) is no denormal number, which
+processors take long over."""
+
 RAREST = 1e-8
 """The least density: a segment like no other keeps its prior."""
 
@@ -83,16 +87,30 @@ def border_contrast(lab: Tensor) -> Tensor:
     The mean of 3×3 pixels goes first, against sensor noise; lightness counts by
     ``LIGHTNESS_SHARE``.
     """
-    smooth = F.avg_pool2d(F.pad(lab[None], (1, 1, 1, 1), mode="replicate"), 3, stride=1)[0]
-    gradient = gradient_length(smooth)
-    return torch.hypot(LIGHTNESS_SHARE * gradient[0], torch.hypot(gradient[1], gradient[2]))
+    weights = lab.new_tensor([LIGHTNESS_SHARE, 1, 1])[:, None, None]
+    across, down = central_differences(mean_of_nine(lab * weights))
+    return (across.square().sum(0) + down.square().sum(0)).sqrt()
+
+
+def mean_of_nine(planes: Tensor) -> Tensor:
+    """Means of 3×3 pixels of planes (C,H,W); the edge pixels are repeated beyond the edge."""
+    padded = F.pad(planes[None], (1, 1, 1, 1), mode="replicate")[0]
+    of_rows = padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]
+    return (of_rows[..., :-2] + of_rows[..., 1:-1] + of_rows[..., 2:]) / 9
 
 
 def gradient_length(planes: Tensor) -> Tensor:
     """Length of the gradient of planes (…,H,W): central differences, 0 past the edge."""
-    across = F.pad((planes[..., 2:] - planes[..., :-2]) / 2, (1, 1))
-    down = F.pad((planes[..., 2:, :] - planes[..., :-2, :]) / 2, (0, 0, 1, 1))
-    return torch.hypot(across, down)
+    across, down = central_differences(planes)
+    return (across.square() + down.square()).sqrt()
+
+
+def central_differences(planes: Tensor) -> tuple[Tensor, Tensor]:
+    """Half the difference of the pixels beside, and above and below; 0 at the edges. (…,H,W)."""
+    across, down = torch.zeros_like(planes), torch.zeros_like(planes)
+    torch.sub(planes[..., 2:], planes[..., :-2], out=across[..., 1:-1]).div_(2)
+    torch.sub(planes[..., 2:, :], planes[..., :-2, :], out=down[..., 1:-1, :]).div_(2)
+    return across, down
 
 
 def likeness(segments: Segments, bandwidths: Bandwidths) -> Tensor:
@@ -107,7 +125,8 @@ def likeness(segments: Segments, bandwidths: Bandwidths) -> Tensor:
         segments.column / bandwidths.column,
     ]
     points = torch.stack(scaled, 1)
-    return torch.exp(torch.cdist(points, points).square() / -2)
+    distance = torch.cdist(points, points).square_()
+    return distance.clamp_max_(UNLIKE).div_(-2).exp_()
 
 
 def class_log_density(alike: Tensor, posterior: Tensor, size: Tensor) -> Tensor:

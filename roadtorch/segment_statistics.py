@@ -1,6 +1,8 @@
 """Statistics of the pixels of each segment, and the borders between segments."""
 
+import numpy as np
 import torch
+from scipy.sparse import coo_array
 from torch import Tensor
 
 
@@ -41,9 +43,13 @@ def segment_histogram(
 
     levels: int64 (H,W) in 0…bins-1. weight: (H,W) or None; pixels with weight 0 do not count.
     """
-    index = labels.reshape(-1) * bins + levels.reshape(-1)
+    index = (labels * bins).add_(levels).reshape(-1)
+    if weight is not None and weight.dtype == torch.bool:
+        # Counted behind all others: faster than sums of 0 and 1.
+        index = index.where(weight.reshape(-1), count * bins)
+        weight = None
     weights = None if weight is None else weight.reshape(-1).to(torch.float64)
-    counts = torch.bincount(index, weights=weights, minlength=count * bins)
+    counts = torch.bincount(index, weights=weights, minlength=count * bins)[: count * bins]
     return counts.reshape(count, bins).to(torch.float32)
 
 
@@ -60,16 +66,20 @@ def borders(labels: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
     border of the larger of their two values.
     """
     count = int(labels.max()) + 1
-    keys, values = [], []
+    firsts, seconds, values = [], [], []
     for axis in (0, 1):
         length = labels.shape[axis] - 1
         one, two = labels.narrow(axis, 0, length), labels.narrow(axis, 1, length)
+        place = (one != two).reshape(-1).nonzero()[:, 0]
+        one, two = one.reshape(-1)[place], two.reshape(-1)[place]
         value = torch.maximum(plane.narrow(axis, 0, length), plane.narrow(axis, 1, length))
-        differ = one != two
-        one, two = one[differ], two[differ]
-        keys.append(torch.minimum(one, two) * count + torch.maximum(one, two))
-        values.append(value[differ])
-    key, place = torch.cat(keys).unique(return_inverse=True)
-    size = torch.bincount(place, minlength=len(key)).to(plane)
-    total = torch.bincount(place, torch.cat(values), len(key)).to(plane)
-    return torch.stack([key // count, key % count]), total / size
+        firsts.append(torch.minimum(one, two))
+        seconds.append(torch.maximum(one, two))
+        values.append(value.reshape(-1)[place])
+    # A sparse matrix adds up what falls on one place, faster than sorting does; the sum of the
+    # values is the real part, how many there are the imaginary one.
+    at = torch.cat(firsts).cpu().numpy(), torch.cat(seconds).cpu().numpy()
+    each = torch.cat(values).cpu().numpy() + 1j
+    found = coo_array((each, at), shape=(count, count)).tocsr().tocoo()
+    pairs = torch.from_numpy(np.stack([found.row, found.col]).astype(np.int64))
+    return pairs.to(labels.device), torch.from_numpy(found.data.real / found.data.imag).to(plane)

@@ -150,18 +150,26 @@ def _cells(maps: Tensor, grid: CellGrid) -> Tensor:
     return blocks.permute(0, 2, 4, 1, 3, 5).reshape(batch * grid.rows * grid.columns, channels, -1)
 
 
-def _tables(sums: Tensor, grid: CellGrid) -> Tensor:
-    """(B,7,rows,columns) sums over segments → (cells, 9, 7) factors of the squared distances.
+def _neighbours(grid: CellGrid, device: torch.device) -> Tensor:
+    """(cells, 9) int64: the cells around each, itself in the middle; ``cells`` beyond the grid."""
+    cells = grid.rows * grid.columns
+    numbers = torch.arange(cells, device=device).reshape(grid.rows, grid.columns)
+    framed = F.pad(numbers, (1, 1, 1, 1), value=cells)
+    return framed.unfold(0, 3, 1).unfold(1, 3, 1).reshape(cells, NEIGHBOURS)
+
+
+def _tables(sums: Tensor, neighbours: Tensor) -> Tensor:
+    """(B,cells,7) sums over segments → (B·cells, 9, 7) factors of the squared distances.
 
     |f-c|² + 1 = -2 f·c + 1·|f|² + (|c|²+1)·1; the 1 keeps rounding from making it negative.
     """
-    centre = sums[:, :5] / sums[:, 6:].clamp_min(torch.finfo(sums.dtype).tiny)
-    offset = centre.square().sum(1, keepdim=True) + 1
-    offset = torch.where(sums[:, 6:] > 0, offset, OUTSIDE)
-    factors = F.pad(torch.cat([-2 * centre, torch.ones_like(offset)], 1), (1, 1, 1, 1))
-    factors = torch.cat([factors, F.pad(offset, (1, 1, 1, 1), value=OUTSIDE)], 1)
-    around = F.unfold(factors, 3).reshape(len(sums), 7, NEIGHBOURS, -1)
-    return around.permute(0, 3, 2, 1).reshape(-1, NEIGHBOURS, 7).contiguous()
+    size = sums[..., 6:]
+    centre = sums[..., :5] / size.clamp_min(torch.finfo(sums.dtype).tiny)
+    offset = centre.square().sum(-1, keepdim=True) + 1
+    offset = torch.where(size > 0, offset, OUTSIDE)
+    factors = torch.cat([-2 * centre, torch.ones_like(offset), offset], -1)
+    beyond = factors.new_tensor([0, 0, 0, 0, 0, 0, OUTSIDE]).expand(len(sums), 1, 7)
+    return torch.cat([factors, beyond], 1)[:, neighbours].reshape(-1, NEIGHBOURS, 7)
 
 
 def _keys(tables: Tensor, pixels: Tensor) -> Tensor:
@@ -183,28 +191,32 @@ def _in_chunks(tables: Tensor, pixels: Tensor) -> Iterator[tuple[Tensor, Tensor]
 
 def _member_sums(tables: Tensor, pixels: Tensor) -> Tensor:
     """(cells, 9, 7): the features of a cell's pixels summed by the centre nearest to them."""
-    keys = _keys(tables, pixels)
+    # Seen as the floats they were, keys become 0 and 1 in place, without another copy.
+    keys = _keys(tables, pixels).view(torch.float32)
     member = keys.eq_(keys.amin(1, keepdim=True)).to(pixels.dtype)
     return torch.bmm(member, pixels.transpose(1, 2))
 
 
 def _move_centres(features: Tensor, grid: CellGrid, iterations: int) -> Tensor:
-    """(B,7,rows,columns): sums of the features over each segment after k-means on the grid."""
+    """(B,cells,7): sums of the features over each segment after k-means on the grid."""
     pixels = _cells(features[..., ::COARSE, ::COARSE], grid)
-    batch, cells = len(features), grid.rows * grid.columns
-    sums = pixels.sum(2).reshape(batch, grid.rows, grid.columns, 7).permute(0, 3, 1, 2)
+    neighbours = _neighbours(grid, features.device)
+    batch, cells = len(features), len(neighbours)
+    # To the cell above on the left this one is the one below on the right, and so on.
+    opposite = torch.arange(NEIGHBOURS - 1, -1, -1, device=features.device)
+    sums = pixels.sum(2).reshape(batch, cells, 7)
     for _ in range(iterations):
-        chunks = _in_chunks(_tables(sums, grid), pixels)
+        chunks = _in_chunks(_tables(sums, neighbours), pixels)
         parts = torch.cat([_member_sums(*chunk) for chunk in chunks])
-        parts = parts.reshape(batch, cells, NEIGHBOURS, 7).permute(0, 3, 2, 1)
-        parts = parts.reshape(batch, 7 * NEIGHBOURS, cells)
-        sums = F.fold(parts, (grid.rows, grid.columns), 3, padding=1)
+        parts = F.pad(parts.reshape(batch, cells, NEIGHBOURS, 7), (0, 0, 0, 0, 0, 1))
+        sums = parts[:, neighbours, opposite].sum(2)
     return sums
 
 
 def _assign(features: Tensor, centres: Tensor, grid: CellGrid) -> Tensor:
     """(B,H',W') int32: for each pixel the grid cell whose centre is nearest."""
-    chunks = _in_chunks(_tables(centres, grid), _cells(features, grid))
+    neighbours = _neighbours(grid, features.device)
+    chunks = _in_chunks(_tables(centres, neighbours), _cells(features, grid))
     nearest = torch.cat([_keys(*chunk).amin(1) & 15 for chunk in chunks])
     cells = torch.arange(grid.rows * grid.columns, dtype=torch.int32, device=features.device)
     row, column = torch.meshgrid(torch.arange(-1, 2), torch.arange(-1, 2), indexing="ij")

@@ -3,13 +3,14 @@
 P2: Álvarez et al., "Road Scene Segmentation from a Single Image", sections 4 and 6.2.
 """
 
+from collections.abc import Iterable
 from typing import Annotated
 
 import torch
 from pydantic import AfterValidator, Field
 from torch import Tensor
 
-from roadtorch.color import PLANES, planes
+from roadtorch.color import PLANES, each_plane, planes
 from roadtorch.errors import unknown_name
 from roadtorch.segment_statistics import segment_histogram
 from roadtorch.settings import Settings
@@ -42,9 +43,13 @@ def minimum_variance_weights(samples: Tensor, ridge: float) -> Tensor:
     return (weights / weights.sum()).to(samples.dtype)
 
 
-def fused_plane(planes: Tensor, weights: Tensor) -> Tensor:
-    """The weighted sum of planes (N,H,W) by weights (N,): (H,W), P2 eq. 2."""
-    return torch.einsum("nhw,n->hw", planes, weights)
+def fused_plane(planes: Iterable[Tensor], weights: Tensor) -> Tensor:
+    """The weighted sum of N planes (H,W) by weights (N,): (H,W), P2 eq. 2."""
+    first, *further = zip(planes, weights.tolist(), strict=True)
+    fused = first[0] * first[1]
+    for plane, weight in further:
+        fused.add_(plane, alpha=weight)
+    return fused
 
 
 def value_range(plane: Tensor, usable: Tensor, tail: float) -> tuple[float, float]:
@@ -160,14 +165,20 @@ def fused_uniformity(
     bool (H,W), the pixels that count, for the weights as for the histograms (where the seed
     area has too few, all of its pixels give the weights). Returns the fused plane (H,W) and U (n,).
     """
-    stack = planes(image, settings.planes)
-    samples = stack[:, seed & usable]
-    if samples.shape[1] <= len(stack):
-        samples = stack[:, seed]
-    fused = fused_plane(stack, minimum_variance_weights(samples.T, settings.ridge))
+    samples = samples_of(image, seed & usable)
+    if samples.shape[1] <= len(settings.planes):
+        samples = samples_of(image, seed)
+    of_planes = planes(samples[..., None], settings.planes)[..., 0]
+    weights = minimum_variance_weights(of_planes.T, settings.ridge)
+    fused = fused_plane(each_plane(image, settings.planes), weights)
     low, high = value_range(fused, usable, settings.tail)
     levels = quantise(fused, settings.bins, low, high)
     return fused, uniformity(segment_histograms(levels, labels, settings.bins, usable))
+
+
+def samples_of(image: Tensor, area: Tensor) -> Tensor:
+    """The pixels (C,K) of an image (C,H,W) in an area bool (H,W)."""
+    return image.reshape(len(image), -1).index_select(1, area.reshape(-1).nonzero()[:, 0])
 
 
 def unsaturated_uniformity(
@@ -183,6 +194,7 @@ def unsaturated_uniformity(
     """
     clipped = saturated(image, saturation.dark, saturation.bright)
     fused, values = fused_uniformity(image, labels, ~clipped, seed, settings)
-    counts = segment_histograms(clipped.long(), labels, 2, torch.ones_like(labels))
-    kept = counts[:, 0] >= saturation.least * counts.sum(1)
+    size = torch.bincount(labels.reshape(-1))
+    lost = torch.bincount(labels[clipped], minlength=len(size))
+    kept = size - lost >= saturation.least * size
     return fused, values * kept, clipped

@@ -72,22 +72,32 @@ def signs_of(likelihood: Tensor, mask: Tensor, found: Mapping[str, Tensor]) -> S
 
     found: the cues ``learned_road``, ``distance``, ``seed_area`` and ``ego``, all (H,W).
     """
-    free, learned, seed = ~found["ego"], found["learned_road"], found["seed_area"]
+    free, learned = ~found["ego"], found["learned_road"]
     inside = mask & free
     low, high = (int(((likelihood > level) & free).sum()) for level in LOW_AND_HIGH)
-    values = (
+    mean = mean_over(learned, inside, 0.0)
+    return Signs(
         high / max(low, 1),
-        learned[inside].std(correction=0) * 2 if inside.any() else 1.0,
-        learned[seed].mean() if seed.any() else 0.0,
-        entropy(likelihood)[free].mean(),
-        found["distance"][inside].mean() if inside.any() else 1.0,
+        2 * mean_over((learned - mean).square(), inside, 0.25) ** 0.5,
+        mean_over(learned, found["seed_area"], 0.0),
+        mean_over(entropy(likelihood), free, math.nan),
+        mean_over(found["distance"], inside, 1.0),
     )
-    return Signs(*(float(value) for value in values))
+
+
+def mean_over(values: Tensor, area: Tensor, nowhere: float) -> float:
+    """Mean of values (H,W) over an area bool (H,W); ``nowhere`` where it is empty."""
+    weights = area.reshape(-1).to(values.dtype)
+    size = float(weights.sum())
+    return float(values.reshape(-1).dot(weights)) / size if size else nowhere
 
 
 def entropy(likelihood: Tensor) -> Tensor:
     """Entropy of likelihoods in [0,1], in bits: 0 where all is clear, 1 at 0.5."""
-    return torch.special.entr(torch.stack([likelihood, 1 - likelihood])).sum(0) / math.log(2)
+    other = 1 - likelihood
+    tiny = torch.finfo(likelihood.dtype).tiny  # 0 log 0 is 0
+    information = likelihood * likelihood.clamp_min(tiny).log2_()
+    return information.add_(other * other.clamp_min(tiny).log2_()).neg_()
 
 
 def judgement(signs: Signs, road: bool, settings: TrustSettings) -> Judgement:

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Iterator, Mapping
 
+import cv2
+import numpy as np
 import torch
 from pydantic import Field
 from torch import Tensor
@@ -39,11 +41,28 @@ def at_work(image: Tensor, working: WorkingSize) -> Tensor:
 
 def resized(maps: Tensor, size: tuple[int, int]) -> Tensor:
     """Maps (…,H,W), floating point, at another size: averaged or bilinear."""
-    if tuple(maps.shape[-2:]) == tuple(size):
+    before = (maps.shape[-2], maps.shape[-1])
+    if before == tuple(size):
         return maps
+    if size[0] >= before[0] and size[1] >= before[1] and _is_plain(maps):
+        return _enlarged(maps, size)
     batch = maps.reshape(1, -1, *maps.shape[-2:])
     batch = F.interpolate(batch, size=size, mode="bilinear", antialias=True)
     return batch.reshape(*maps.shape[:-2], *size)
+
+
+def _is_plain(maps: Tensor) -> bool:
+    """Whether OpenCV can take maps as they are: on the CPU, float32, no gradient asked for."""
+    return maps.device.type == "cpu" and maps.dtype == torch.float32 and not maps.requires_grad
+
+
+def _enlarged(maps: Tensor, size: tuple[int, int]) -> Tensor:
+    """The same by OpenCV, which enlarges four to eight times faster: equal but for rounding."""
+    flat = maps.reshape(-1, *maps.shape[-2:]).numpy()
+    large = np.empty((len(flat), *size), dtype=np.float32)
+    for plane, target in zip(flat, large, strict=True):
+        cv2.resize(plane, size[::-1], dst=target, interpolation=cv2.INTER_LINEAR)
+    return torch.from_numpy(large).reshape(*maps.shape[:-2], *size)
 
 
 def at_picture_size(cue: Tensor, size: tuple[int, int]) -> Tensor:
@@ -52,7 +71,7 @@ def at_picture_size(cue: Tensor, size: tuple[int, int]) -> Tensor:
         return resized(cue, size)
     rows = torch.arange(size[0], device=cue.device) * cue.shape[-2] // size[0]
     columns = torch.arange(size[1], device=cue.device) * cue.shape[-1] // size[1]
-    return cue[..., rows[:, None], columns]
+    return cue.index_select(-2, rows).index_select(-1, columns)
 
 
 class FullSize(Mapping[str, Tensor]):

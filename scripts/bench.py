@@ -277,7 +277,7 @@ def positive(text: str) -> int:
 def picture_at(path: Path | None, width: int, height: int) -> Tensor:
     """The given picture at this size, or a rendered street."""
     if path is None:
-        return render_scene(0, height, width).image
+        return render_scene(0, height, width).image.contiguous()
     return working_size.resized(read_image(path), (height, width)).clamp(0, 1)
 
 

@@ -199,7 +199,7 @@ def test_each_pixel_goes_to_the_nearest_of_the_nine_centres_around_its_cell(
     sums = superpixels._move_centres(features, grid, 3)
     owner = superpixels._assign(features, sums, grid)[0].numpy()
 
-    sums = sums[0].double().numpy()
+    sums = sums[0].double().numpy().T.reshape(7, grid.rows, grid.columns)
     centres = sums[:5] / sums[6]
     for row, column in np.ndindex(height, width):
         pixel = features[0, :5, row, column].double().numpy()

@@ -1,12 +1,14 @@
 """The fused detectors: naive Bayes over layout, texture and, in ours, more (P2 section 5)."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Literal, NamedTuple
 
+import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings
+from roadtorch.detector import TUNED, Deferred, Entry, Threshold, WorkingSettings
 from roadtorch.ego import continued, ego_found
 from roadtorch.exposure import brightened
 from roadtorch.fusion import (
@@ -17,7 +19,7 @@ from roadtorch.fusion import (
     road_place,
     segment_road,
 )
-from roadtorch.layout.classes import HORIZONTAL
+from roadtorch.layout.classes import CLASSES, HORIZONTAL
 from roadtorch.layout.labeller import LabellerSettings, decide_layout, segment_layout
 from roadtorch.layout.opinion_pool import Share, pooled
 from roadtorch.layout.patch_network import PatchNetwork
@@ -117,7 +119,7 @@ class UntrainedFusion(nn.Module):
         super().__init__()
         self.settings = settings
 
-    def forward(self, image: Tensor) -> dict[str, Tensor]:
+    def forward(self, image: Tensor) -> Mapping[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
         settings = self.settings
         street = look_at(image, settings)
@@ -127,13 +129,15 @@ class UntrainedFusion(nn.Module):
         nearby = seen_from(street, rectangle, sources, settings)
         road = segment_road(street.segments, ground, nearby.near, nearby.even, settings.road)
         labels = decide_layout(street.layout, settings.labeller)
-        return {
-            "likelihood": paint(road, street.labels),
-            "layout": paint(street.layout.T, street.labels),
-            "layout_labels": paint(labels, street.labels),
-            "seed_area": rectangle,
-            **nearby.cues,
-        }
+        return Deferred(
+            {
+                "likelihood": paint(road, street.labels),
+                "layout": partial(paint, street.layout.T, street.labels),
+                "layout_labels": partial(paint, labels, street.labels),
+                "seed_area": rectangle,
+                **nearby.cues,
+            }
+        )
 
 
 class Fusion(nn.Module):
@@ -148,7 +152,7 @@ class Fusion(nn.Module):
         self.settings = settings
         self.network = network_of(settings.weights, "layout", PictureNetwork)
 
-    def forward(self, image: Tensor) -> dict[str, Tensor]:
+    def forward(self, image: Tensor) -> Mapping[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
         settings = self.settings
         learned = self.network.cues(image)
@@ -158,10 +162,9 @@ class Fusion(nn.Module):
             learned = {name: continued(each, ego) for name, each in learned.items()}
         street = look_at(image, settings)
         labels, count = street.labels, len(street.layout)
-        layout = pooled(
-            street.layout.T, segment_mean(learned["layout"], labels, count), settings.share
-        )
-        known = log_odds(segment_mean(learned["road"][None], labels, count)[0])
+        taught = segment_mean(torch.cat([learned["layout"], learned["road"][None]]), labels, count)
+        layout = pooled(street.layout.T, taught[:CLASSES], settings.share)
+        known = log_odds(taught[CLASSES])
         sources = seed_found(street.segments, layout[HORIZONTAL], known, settings)
         seed = sources[labels]
         nearby = seen_from(street, seed, sources.nonzero()[:, 0], settings)
@@ -174,20 +177,30 @@ class Fusion(nn.Module):
             settings.learned.weight * known,
         )
         odds = fused_log_odds([paint(road, labels), learned["road"]], [1, settings.learned.detail])
-        return {
-            "likelihood": calibrated(odds, settings.calibration),
-            "layout": pooled(paint(street.layout.T, labels), learned["layout"], settings.share),
-            "layout_labels": paint(decide_layout(layout.T, settings.labeller), labels),
-            "learned_road": learned["road"],
-            "seed_area": seed,
-            "ego": ego,
-            **nearby.cues,
-        }
+        decided = decide_layout(layout.T, settings.labeller)
+        return Deferred(
+            {
+                "likelihood": calibrated(odds, settings.calibration),
+                "layout": partial(
+                    pooled_layout, street.layout, labels, learned["layout"], settings.share
+                ),
+                "layout_labels": partial(paint, decided, labels),
+                "learned_road": learned["road"],
+                "seed_area": seed,
+                "ego": ego,
+                **nearby.cues,
+            }
+        )
 
     def judge(self, mask: Tensor, found: Mapping[str, Tensor]) -> Judgement:
         """How far a mask bool (H,W) of what was found can be trusted."""
         signs = signs_of(found["likelihood"], mask, found)
         return judgement(signs, bool(mask.any()), self.settings.trust)
+
+
+def pooled_layout(seen: Tensor, labels: Tensor, learned: Tensor, share: float) -> Tensor:
+    """Potentials (3,H,W): those of the segments (n,3) of labels (H,W), pooled with learned ones."""
+    return pooled(paint(seen.T, labels), learned, share)
 
 
 def seed_found(
@@ -235,7 +248,7 @@ class Nearby(NamedTuple):
 
     near: Tensor
     even: Tensor
-    cues: Mapping[str, Tensor]
+    cues: Mapping[str, Tensor | Callable[[], Tensor]]
 
 
 def seen_from(
@@ -251,13 +264,14 @@ def seen_from(
     )
     even = uniformity_likelihood(uniformity, settings.texture.even)
     near = distance_likelihood(seed_distance(segments, sources), road.reach)
-    cues = {
-        "texture": paint(even, labels),
-        "uniformity": paint(uniformity, labels),
+    place = road_place(segments.row, segments.column, road.place)
+    cues: dict[str, Tensor | Callable[[], Tensor]] = {
+        "texture": partial(paint, even, labels),
+        "uniformity": partial(paint, uniformity, labels),
         "fused_plane": fused,
         "saturated": clipped,
-        "distance": paint(near, labels),
-        "place": paint(road_place(segments.row, segments.column, road.place), labels),
+        "distance": partial(paint, near, labels),
+        "place": partial(paint, place, labels),
         "segments": labels,
     }
     return Nearby(near, even, cues)

@@ -11,7 +11,6 @@ from typing import Literal, NamedTuple
 import torch
 from pydantic import Field
 from torch import Tensor
-from torch.nn import functional as F
 
 from roadtorch.exposure import Exposure, brightened
 from roadtorch.image_cache import cached_per_image
@@ -27,6 +26,9 @@ from roadtorch.segment_statistics import paint, segment_mean
 from roadtorch.settings import Settings
 from roadtorch.superpixels import Superpixels
 from roadtorch.working_size import WorkingSize, at_working_size
+
+UNSCALED = 32
+"""Rows of a chain, of at least 1e-4 each, whose product a float64 still holds; two of them."""
 
 BLUEST = 0.1
 """The b of Lab, over 100, that is as blue as a sky gets."""
@@ -212,17 +214,29 @@ def in_order(scores: Tensor, labels: Tensor, order: ColumnOrder) -> Tensor:
 
 
 def _chain_posterior(evidence: Tensor, order: ColumnOrder) -> Tensor:
-    """Posterior (R,C,3) of the chains that run down the columns of evidence (R,C,3)."""
-    move = torch.full((3, 3), order.breach).to(evidence)
+    """Posterior (R,C,3) of the chains that run down the columns of evidence (R,C,3), > 0.
+
+    Read from the top with the chances of change, and from the bottom with their transpose, both
+    at once: they stand side by side. Float64 holds ``UNSCALED`` rows of products.
+    """
+    move = torch.full((3, 3), order.breach).to(evidence.device, torch.float64)
     move[SKY, VERTICAL] = move[VERTICAL, HORIZONTAL] = order.change
     move.fill_diagonal_(0).diagonal().copy_(1 - move.sum(1))
-    down = [F.normalize(evidence[0], 1, dim=1)]
-    for row in evidence[1:]:
-        down.append(F.normalize(down[-1] @ move * row, 1, dim=1))
-    up = [torch.ones_like(evidence[0])]
-    for row in evidence[1:].flip(0):
-        up.append(F.normalize((up[-1] * row) @ move.T, 1, dim=1))
-    return F.normalize(torch.stack(down) * torch.stack(up[::-1]), 1, dim=2)
+    moves = torch.block_diag(move, move.T)
+    seen = evidence.to(torch.float64)
+    first, *further = torch.cat([seen, seen.flip(0)], 2).unbind()
+    states = [first]
+    for at, row in enumerate(further, 1):
+        before = states[-1] if at % UNSCALED else _scaled(states[-1])
+        states.append(torch.mm(before, moves).mul_(row))
+    down, up = torch.stack(states).split(3, 2)
+    posterior = down * up.flip(0) / seen
+    return (posterior / posterior.sum(2, keepdim=True)).to(evidence.dtype)
+
+
+def _scaled(states: Tensor) -> Tensor:
+    """States (C,6) of two chains with the sums (C,1) of each brought to 1."""
+    return torch.cat([chain / chain.sum(1, keepdim=True) for chain in states.split(3, 1)], 1)
 
 
 def decide_layout(potentials: Tensor, settings: LabellerSettings) -> Tensor:
