@@ -6,6 +6,7 @@ found by name. What all detectors share (checking the image, deciding on the mas
 is ``Detector``, here, once; it knows none of them.
 """
 
+from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import (
@@ -249,7 +250,7 @@ class Detector(nn.Module):
             return None, ""
         size = (analysed["likelihood"].shape[-2], analysed["likelihood"].shape[-1])
         ego = torch.zeros_like(mask) if ego is None else ego
-        found = {**analysed, "ego": at_picture_size(ego, size)}
+        found = ChainMap({"ego": at_picture_size(ego, size)}, analysed)  # nothing is made yet
         return self.analysis.judge(at_picture_size(mask, size), found)
 
     def forward(self, images: Tensor) -> Tensor:

@@ -6,6 +6,7 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.image_cache import cached_per_image
+from roadtorch.order_statistics import order_statistic
 from roadtorch.settings import Settings
 
 STRONGEST = 0.3
@@ -31,7 +32,8 @@ def brightened(image: Tensor, exposure: Exposure) -> Tensor:
     0.55 of the height decides; pictures that are bright enough stay as they are, and the
     exponent is never below ``STRONGEST``. Ours, in place of P1's brightness equalisation.
     """
-    grey = image.mean(0)[int(image.shape[1] * 0.55) :].median().clamp(0.01, 0.99)
-    exponent = (math.log(exposure.ground) / grey.log()).clamp(STRONGEST, 1)
+    lower = image[:, int(image.shape[1] * 0.55) :].mean(0).reshape(-1)
+    grey = min(max(order_statistic(lower, (len(lower) - 1) // 2), 0.01), 0.99)
+    exponent = min(max(math.log(exposure.ground) / math.log(grey), STRONGEST), 1.0)
     # As 2 to the log2, which is three times as fast as a power.
     return image if exponent == 1 else image.clamp_min(DARKEST).log2_().mul_(exponent).exp2_()

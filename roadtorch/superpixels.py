@@ -136,7 +136,8 @@ def _features(images: Tensor, grid: CellGrid, step: float) -> Tensor:
     features[:, :3] = color.reshape(images.shape)
     features[:, 3] = rows
     features[:, 4] = columns
-    torch.sum(features[:, :5].square(), 1, out=features[:, 5])
+    for channel in features[:, :5].unbind(1):
+        features[:, 5].addcmul_(channel, channel)
     features[:, 6] = 1
     return padded
 

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from roadtorch.color import PLANES, each_plane, planes
 from roadtorch.errors import unknown_name
+from roadtorch.order_statistics import order_statistic
 from roadtorch.segment_statistics import segment_histogram
 from roadtorch.settings import Settings
 
@@ -58,13 +59,12 @@ def value_range(plane: Tensor, usable: Tensor, tail: float) -> tuple[float, floa
     The range that ``quantise`` cuts into levels. The fused plane has no natural bounds, so
     they come from the picture, as grey levels do from the camera's exposure (ours).
     """
-    values = plane[usable]
+    values = plane.reshape(-1) if usable.all() else plane[usable]
     count = len(values)
     if not count:
         return 0.0, 1.0
     skipped = min(int(tail * count), (count - 1) // 2)
-    low, high = values.kthvalue(skipped + 1), values.kthvalue(count - skipped)
-    return float(low.values), float(high.values)
+    return order_statistic(values, skipped), order_statistic(values, count - 1 - skipped)
 
 
 def quantise(plane: Tensor, bins: int, low: float, high: float) -> Tensor:

@@ -64,7 +64,7 @@ ROWS = (
         (
             *("decoding", "image", "color", "superpixels", "segment_statistics", "working_size"),
             *("exposure", "segment_features", "seed_area", "ego", "priors", "seed_distance"),
-            *("lbp", "texture", "otsu", "trust", "fusion", "steady"),
+            *("lbp", "texture", "otsu", "order_statistics", "trust", "fusion", "steady"),
         ),
     ),
     Row("papers", ("layout", "oneclass", "ufl", "vanishing")),
