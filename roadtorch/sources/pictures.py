@@ -58,7 +58,7 @@ def _expand_glob(pattern: Path, apart: Path | None) -> list[Picture]:
     root = Path(*_before_magic(pattern))
     found: list[Picture] = []
     for path in map(Path, sorted(glob.glob(str(pattern), recursive=True))):
-        if path.is_file() and _is_picture(path):
+        if path.is_file() and is_picture(path.name):
             found.append(Picture(path, _relative(path, root)))
     if not found:
         folders = [path for path in map(Path, sorted(glob.glob(str(pattern)))) if path.is_dir()]
@@ -84,11 +84,12 @@ def _walk(folder: Path, apart: Path | None) -> Iterator[Path]:
         folders[:] = sorted(
             name for name in folders if name[0] != "." and os.path.realpath(here / name) != other
         )
-        yield from (here / name for name in sorted(files) if _is_picture(here / name))
+        yield from (here / name for name in sorted(files) if is_picture(name))
 
 
-def _is_picture(path: Path) -> bool:
-    name = path.name.lower()
+def is_picture(name: str) -> bool:
+    """Whether a file of that name is a picture to look at: not hidden, no result of ours."""
+    name = name.lower()
     is_ours = name.endswith(RESULTS) or ".cue." in name
     return name.endswith(SUFFIXES) and not name.startswith(".") and not is_ours
 
