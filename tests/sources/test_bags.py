@@ -231,7 +231,7 @@ def test_a_cut_bag_gives_what_is_whole(tmp_path: Path, form: str):
     file.write_bytes(file.read_bytes()[: file.stat().st_size * 6 // 10])
     source = bag_source(str(path))
     frames: list[Frame] = []
-    with pytest.raises(InputError, match="ends early: .* .what could be read was given"):  # noqa: PT012
+    with pytest.raises(InputError, match=r"ends early: .* \(what could"):  # noqa: PT012
         for frame in source.frames():
             frames.append(frame)
     assert len(frames) in (6, 7)
