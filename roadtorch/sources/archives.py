@@ -230,7 +230,11 @@ def _read_file(system: Any, path: str) -> bytes:
 
 
 def _zip_members(file: IO[bytes], url: str) -> list[Member]:
-    archive = zipfile.ZipFile(file)
+    try:
+        archive = zipfile.ZipFile(file)
+    except Exception:
+        file.close()
+        raise
     weakref.finalize(archive, file.close)  # with the last frame that may be read
     return [
         _member(url, info.filename, info.file_size, partial(_read_zipped, archive, info))

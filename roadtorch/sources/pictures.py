@@ -58,7 +58,7 @@ def _expand_glob(pattern: Path, apart: Path | None) -> list[Picture]:
     root = Path(*_before_magic(pattern))
     found: list[Picture] = []
     for path in map(Path, sorted(glob.glob(str(pattern), recursive=True))):
-        if path.is_file() and is_picture(path.name):
+        if path.is_file() and _is_picture(path):
             found.append(Picture(path, _relative(path, root)))
     if not found:
         folders = [path for path in map(Path, sorted(glob.glob(str(pattern)))) if path.is_dir()]
@@ -84,7 +84,11 @@ def _walk(folder: Path, apart: Path | None) -> Iterator[Path]:
         folders[:] = sorted(
             name for name in folders if name[0] != "." and os.path.realpath(here / name) != other
         )
-        yield from (here / name for name in sorted(files) if is_picture(name))
+        yield from (here / name for name in sorted(files) if _is_picture(here / name))
+
+
+def _is_picture(path: Path) -> bool:
+    return is_picture(path.name)
 
 
 def is_picture(name: str) -> bool:
