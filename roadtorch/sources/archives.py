@@ -26,7 +26,7 @@ from roadtorch.image import READABLE, decode_image
 from roadtorch.outside import MOST_BYTES, printable
 from roadtorch.sources.footage import VIDEO_SUFFIXES
 from roadtorch.sources.frame import Frame, Selection, Source
-from roadtorch.sources.pictures import is_picture
+from roadtorch.sources.pictures import names_picture
 from roadtorch.sources.tarballs import tar_members
 
 ZIPS = (".zip",)
@@ -95,7 +95,7 @@ def _every_frame(given: str, place: Place) -> Iterator[Frame]:
     members, problem = _members(given, place)
     wanted = [member for member in members if is_meant(member.name, place.inside)]
     pictures = [member for member in wanted if _is_shown(member.name)]
-    if not any(is_picture(posixpath.basename(member.name)) for member in pictures):
+    if not any(names_picture(posixpath.basename(member.name)) for member in pictures):
         if problem is not None:
             raise problem
         what = "holds videos, no pictures" if pictures else "holds no pictures"
@@ -103,7 +103,7 @@ def _every_frame(given: str, place: Place) -> Iterator[Frame]:
         raise InputError(given, what, remedy)
     for number, member in enumerate(sorted(pictures, key=lambda member: member.name)):
         origin = printable(member.origin)
-        yield Frame(number, result_name(member.name), origin, None, partial(_read, member, origin))
+        yield Frame(number, safe_name(member.name), origin, None, partial(_read, member, origin))
     if problem is not None:
         raise problem
 
@@ -118,7 +118,7 @@ def is_meant(name: str, inside: str) -> bool:
     return is_below or fnmatchcase(name, inside)
 
 
-def result_name(name: str) -> str:
+def safe_name(name: str) -> str:
     """The name of a member's results: relative, without suffix, and never outside their folder."""
     return posixpath.splitext("/".join(_safe_parts(name)))[0]
 
@@ -137,7 +137,7 @@ def _is_shown(name: str) -> bool:
     parts = _safe_parts(name)
     if not parts or any(part.startswith(".") or part == "__MACOSX" for part in parts):
         return False
-    return is_picture(parts[-1]) or parts[-1].lower().endswith(VIDEO_SUFFIXES)
+    return names_picture(parts[-1]) or parts[-1].lower().endswith(VIDEO_SUFFIXES)
 
 
 # --- places -----------------------------------------------------------------------------

@@ -19,7 +19,7 @@ BAG_MAGIC = b"#ROSBAG V2.0\n"
 CONNECTION, CHUNK, INDEX, CHUNK_INFO = 7, 5, 4, 6  # wiki.ros.org/Bags/Format/2.0
 
 
-class Piece(NamedTuple):
+class Stretch(NamedTuple):
     """Bytes of a file: ``size`` of them from ``start``; or ``data`` itself."""
 
     start: int
@@ -32,7 +32,7 @@ class MendedFile:
     """A file of pieces that is opened like a path, for ``rosbags``."""
 
     path: Path
-    pieces: tuple[Piece, ...]
+    pieces: tuple[Stretch, ...]
 
     @property
     def suffix(self) -> str:
@@ -55,7 +55,7 @@ class MendedFile:
 class _Joined(io.RawIOBase):
     """The pieces of a file as one file; the interface of ``io``."""
 
-    def __init__(self, file: BinaryIO, pieces: Sequence[Piece]) -> None:
+    def __init__(self, file: BinaryIO, pieces: Sequence[Stretch]) -> None:
         self._file = file
         self._pieces = pieces
         self._size = sum(piece.size for piece in pieces)
@@ -82,7 +82,7 @@ class _Joined(io.RawIOBase):
             skip -= piece.size
         return 0
 
-    def _read(self, piece: Piece, skip: int, size: int) -> bytes:
+    def _read(self, piece: Stretch, skip: int, size: int) -> bytes:
         if piece.data is not None:
             return piece.data[skip : skip + size]
         self._file.seek(piece.start + skip)
@@ -110,7 +110,7 @@ def mended(path: Path) -> MendedFile:
 # --- MCAP -------------------------------------------------------------------------------
 
 
-def _mended_mcap(file: BinaryIO, size: int) -> tuple[Piece, ...]:
+def _mended_mcap(file: BinaryIO, size: int) -> tuple[Stretch, ...]:
     """Whole records up to the end of the data; a record is one byte, a length, and its content."""
     end = len(MCAP_MAGIC)
     while end + 9 <= size:
@@ -121,7 +121,7 @@ def _mended_mcap(file: BinaryIO, size: int) -> tuple[Piece, ...]:
         end += 9 + length
     if end == len(MCAP_MAGIC):
         raise ValueError("no record is whole")
-    return Piece(0, end), Piece(0, len(MCAP_END), MCAP_END)
+    return Stretch(0, end), Stretch(0, len(MCAP_END), MCAP_END)
 
 
 # --- ROS 1 ------------------------------------------------------------------------------
@@ -136,7 +136,7 @@ class Record(NamedTuple):
     end: int
 
 
-def _mended_bag(file: BinaryIO, size: int) -> tuple[Piece, ...]:
+def _mended_bag(file: BinaryIO, size: int) -> tuple[Stretch, ...]:
     """Whole chunks with their indexes, and an index of the bag behind them.
 
     A message that is in no whole index is left out.
@@ -161,7 +161,11 @@ def _mended_bag(file: BinaryIO, size: int) -> tuple[Piece, ...]:
     told += struct.pack("<I", padding) + b" " * padding
     tail = b"".join((*connections.values(), *infos))
     head = BAG_MAGIC + told
-    return Piece(0, len(head), head), Piece(header.end, end - header.end), Piece(0, len(tail), tail)
+    return (
+        Stretch(0, len(head), head),
+        Stretch(header.end, end - header.end),
+        Stretch(0, len(tail), tail),
+    )
 
 
 def _records(file: BinaryIO, start: int, size: int) -> Iterator[Record]:

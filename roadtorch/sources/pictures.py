@@ -88,10 +88,10 @@ def _walk(folder: Path, apart: Path | None) -> Iterator[Path]:
 
 
 def _is_picture(path: Path) -> bool:
-    return is_picture(path.name)
+    return names_picture(path.name)
 
 
-def is_picture(name: str) -> bool:
+def names_picture(name: str) -> bool:
     """Whether a file of that name is a picture to look at: not hidden, no result of ours."""
     name = name.lower()
     is_ours = name.endswith(RESULTS) or ".cue." in name

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.sources import archives, tarballs
-from roadtorch.sources.archives import archive_source, is_remote, result_name
+from roadtorch.sources.archives import archive_source, is_remote, safe_name
 from roadtorch.sources.frame import Frame, Selection
 
 
@@ -192,7 +192,7 @@ def test_names_that_climb_out_are_refused_and_the_others_done(tmp_path: Path):
     ],
 )
 def test_names_of_results_stay_inside(name: str, safe: str):
-    assert result_name(name) == safe
+    assert safe_name(name) == safe
 
 
 def test_hidden_members_and_our_results_are_left_out(tmp_path: Path):
@@ -303,7 +303,7 @@ def test_a_compressed_tar_that_grows_too_large_stops(
     monkeypatch.setattr(tarballs, "MOST_BYTES", 100_000)
     members = {"a.png": png(0), "bomb.png": bytes(2 * 10**7)}
     path = write_tar(tmp_path / "a.tar.gz", members)
-    assert len(gzip.decompress(path.read_bytes())) > 900 * path.stat().st_size
+    assert len(gzip.decompress(path.read_bytes())) > 500 * path.stat().st_size
     frames = archive_source(str(path)).frames()
     assert torch.equal(next(frames).read(), image(0))
     with pytest.raises(InputError, match=r"a\.tar\.gz: ends early: it unpacks to more than"):
