@@ -3,7 +3,6 @@
 import os
 import secrets
 import shutil
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -43,21 +42,23 @@ class BagSink:
 
     While it is written it lies in a folder ``NAME.….unfinished`` beside; ``close`` ends it and
     gives it its name, after an error or Ctrl-C too, with the frames that were written. What a
-    killed process leaves there is a cut bag, which ``bag_source`` reads. Raises InputError when
-    ``path`` exists, ConfigError without rosbags.
+    killed process leaves there is a cut bag, which ``bag_source`` reads. An earlier bag of ours is
+    replaced by ``close``. Raises InputError when ``path`` is anything else, ConfigError without
+    rosbags.
     """
 
     def __init__(self, path: Path, frame_id: str, threshold: float) -> None:
-        if path.exists():
-            raise InputError(path, "exists already", "remove it, or give another name")
-        make_folder(path.absolute().parent)
-        self.path, self._frame_id, self._threshold = path, frame_id, threshold
         self._generation = 1 if path.suffix == ".bag" else 2
         try:
             self.types = message_types(self._generation)
         except ImportError:
             what = "cannot be written without the package rosbags"
             raise ConfigError(str(path), what, "pip install 'roadtorch[bags]'") from None
+        if path.exists() and not is_result(path):
+            what = "exists already, and is no bag of ours"
+            raise InputError(path, what, "remove it, or give another name")
+        make_folder(path.absolute().parent)
+        self.path, self._frame_id, self._threshold = path, frame_id, threshold
         self._folder = path.with_name(f"{path.name}.{secrets.token_hex(4)}.unfinished")
         self._writer: Any = None
         self._links: dict[str, Any] = {}
@@ -101,11 +102,12 @@ class BagSink:
         writer, self._writer = self._writer, None
         try:
             writer.close()
+            if self.path.exists():
+                os.replace(self.path, self._folder / "earlier")
             os.replace(self._folder / self.path.name, self.path)
         except OSError as problem:
             raise self._told(problem) from None
-        with suppress(OSError):
-            self._folder.rmdir()
+        shutil.rmtree(self._folder, ignore_errors=True)
 
     # --- inside -------------------------------------------------------------------------
 
@@ -163,6 +165,18 @@ class BagSink:
         rest = f"; what there is lies in {self._folder}" if self._folder.exists() else ""
         remedy = REMEDIES.get(problem.errno or 0, "choose a folder that you may write to")
         return InputError(self.path, what + rest, remedy)
+
+
+def is_result(path: Path) -> bool:
+    """Whether a path is a bag with nothing but topics that ``BagSink`` writes."""
+    from rosbags.highlevel import AnyReader
+
+    try:
+        with AnyReader([path]) as reader:
+            names = {link.topic for link in reader.connections}
+    except Exception:  # it is no bag
+        return False
+    return bool(names) and names <= {MASK, CONFIDENCE, OVERLAY, LABELS, GRIDS}
 
 
 def _profile(durability: str, depth: int) -> Any:

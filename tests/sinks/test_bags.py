@@ -19,6 +19,7 @@ from roadtorch.sinks.bags import BagSink
 from roadtorch.sinks.messages import message_types, occupancy_message
 from roadtorch.sources.bags import bag_source, image_topic
 from roadtorch.sources.frame import Frame
+from tests.sources.bags import ROS2, raw_image, write_bag
 
 STAMP = 1_700_000_000_123_456_789
 
@@ -145,11 +146,25 @@ def test_nothing_written_leaves_nothing(path: Path):
     assert not list(path.parent.iterdir())
 
 
-def test_an_existing_name_is_refused(path: Path):
-    with closing(BagSink(path, "camera", 0.5)) as bag:
-        bag.write(detection(0), STAMP)
-    with pytest.raises(InputError, match="exists already"):
+def test_an_earlier_bag_of_ours_is_replaced_at_the_end(path: Path):
+    for seed in (0, 1):
+        with closing(BagSink(path, "camera", 0.5)) as bag:
+            bag.write(detection(seed), STAMP)
+            if seed:
+                assert len(list(read_bag(path))) == 3
+    (mask,) = [one.message for one in read_bag(path) if one.topic == "/segmentation/mask"]
+    assert np.array_equal(mask.data.reshape(48, 64), detection(1).mask.numpy())
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_anything_else_of_that_name_is_refused(path: Path, tmp_path: Path):
+    path.mkdir(parents=True)
+    with pytest.raises(InputError, match="exists already, and is no bag of ours"):
         BagSink(path, "camera", 0.5)
+    images = {"/camera/image": [raw_image(ROS2, overlay(0), "rgb8", STAMP)]}
+    recording = write_bag(tmp_path / "recording", images)
+    with pytest.raises(InputError, match="exists already, and is no bag of ours"):
+        BagSink(recording, "camera", 0.5)
 
 
 def test_a_full_disk_ends_the_bag_with_what_it_has(path: Path, monkeypatch: pytest.MonkeyPatch):
