@@ -1,11 +1,12 @@
-"""Pictures per second from a folder, archives and bags, and how large bags of results are.
+"""Pictures per processor second from a folder, archives and bags; the size of bags of results.
 
     python scripts/bench_sources.py --images FOLDER
     python scripts/bench_sources.py --images FOLDER --pictures 100 --rounds 5
     python scripts/bench_sources.py --images FOLDER --keep bags --detector fusion --pictures 20
 
-The same pictures, read and decoded one after the other in one thread. Rounds are interleaved;
-figures are medians of the rounds. Archives keep the files as they are; bags hold the pixels (rgb8)
+The same pictures, read and decoded one after the other in one thread. Seconds are those of the
+processor, so that others who use the machine count little. Rounds are interleaved; figures are
+medians of the rounds. Archives keep the files as they are; bags hold the pixels (rgb8)
 or the files (CompressedImage). Results: masks and confidences of a detector, with and without the
 overlay, as ``BagSink`` writes them; ``--keep`` leaves the bags there.
 """
@@ -44,7 +45,7 @@ def write_sources(pictures: list[Picture], folder: Path) -> Mapping[str, Source]
         for picture in pictures:
             archive.write(picture.path, picture.name + picture.path.suffix)
     for path, mode in ((tarred, "w"), (packed, "w:gz")):
-        with tarfile.open(path, mode) as archive:
+        with tarfile.open(path, mode) as archive:  # pyright: ignore
             for picture in pictures:
                 archive.add(picture.path, picture.name + picture.path.suffix)
     sources = {path.name: archive_source(str(path)) for path in (zipped, tarred, packed)}
@@ -83,9 +84,9 @@ def write_results(pictures: list[Picture], name: str, folder: Path) -> Iterable[
             for number, (image, detection) in enumerate(found):
                 has_overlay = content != "masks"
                 shown = tint_mask(to_pixels(image), detection.mask.numpy())
-                begin = time.perf_counter()
+                begin = time.process_time()
                 bag.write(detection, number * STEP, shown if has_overlay else None)
-                spent += time.perf_counter() - begin
+                spent += time.process_time() - begin
         size = sum(file.stat().st_size for file in path.rglob("*")) / len(found)
         raw = detection.mask.numel() * (2 + 3 * has_overlay)
         yield (
@@ -95,10 +96,10 @@ def write_results(pictures: list[Picture], name: str, folder: Path) -> Iterable[
 
 
 def seconds_for(frames: Iterable[Frame]) -> float:
-    begin = time.perf_counter()
+    begin = time.process_time()
     for frame in frames:
         frame.read()
-    return time.perf_counter() - begin
+    return time.process_time() - begin
 
 
 def main() -> None:

@@ -45,7 +45,7 @@ def message_types(generation: int) -> "Typestore":
 
 def header(types: "Typestore", stamp: int, frame_id: str) -> Any:
     """std_msgs/Header; stamp in nanoseconds."""
-    kind = types.types["std_msgs/msg/Header"]
+    kind: Any = types.types["std_msgs/msg/Header"]
     time = types.types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
     numbered = {"seq": 0} if "seq" in kind.__dataclass_fields__ else {}  # ROS 1
     return kind(**numbered, stamp=time, frame_id=frame_id)
@@ -82,9 +82,10 @@ def confidences(detection: Detection) -> np.ndarray:
 
 def label_info(types: "Typestore", stamp: int, threshold: float) -> Any:
     """vision_msgs/LabelInfo: the names of ``CLASSES``, and the threshold of the decision."""
-    kind = types.types["vision_msgs/msg/VisionClass"]
+    kind: Any = types.types["vision_msgs/msg/VisionClass"]
+    info: Any = types.types[LABEL_INFO]
     classes = [kind(class_id=number, class_name=name) for number, name in CLASSES.items()]
-    return types.types[LABEL_INFO](header(types, stamp, ""), classes, threshold)
+    return info(header(types, stamp, ""), classes, threshold)
 
 
 def occupancy_message(

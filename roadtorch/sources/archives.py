@@ -8,7 +8,7 @@ import posixpath
 import re
 import weakref
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -91,7 +91,7 @@ def _frames(given: str, place: Place, selection: Selection) -> Iterator[Frame]:
         yield from selection.of(every)
 
 
-def _every_frame(given: str, place: Place) -> Iterator[Frame]:
+def _every_frame(given: str, place: Place) -> Generator[Frame]:
     members, problem = _members(given, place)
     wanted = [member for member in members if is_meant(member.name, place.inside)]
     pictures = [member for member in wanted if _is_shown(member.name)]
@@ -196,7 +196,8 @@ def _member(archive: str, name: str, size: int, read: Callable[[], bytes]) -> Me
 def _opened(url: str) -> IO[bytes]:
     """A file to seek in; OSError for what is no file."""
     if _scheme(url) or "::" in url:
-        return fsspec.core.open(url, "rb").open()  # pyright: ignore[reportReturnType]
+        system, path = fsspec.core.url_to_fs(url)
+        return system.open(path, "rb")
     if not Path(url).is_file() and Path(url).exists():
         raise OSError("it is a folder, a pipe or a device, not a file")
     return Path(url).open("rb")

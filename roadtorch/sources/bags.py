@@ -4,7 +4,7 @@
 """
 
 import statistics
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -115,7 +115,7 @@ def image_topic(given: str, topic: str | None = None) -> ImageTopic:
         return ImageTopic(name, count, frame_id, rate, 2 if bag.reader.is2 else 1)
 
 
-def _some(messages: Iterator["Read"]) -> list["Read"]:
+def _some(messages: Generator["Read"]) -> list["Read"]:
     """The first messages; those before the damage where there is some."""
     found: list[Read] = []
     with suppress(InputError), closing(messages):
@@ -201,7 +201,7 @@ def _frames(given: str, topic: str, selection: Selection) -> Iterator[Frame]:
         yield from selection.of(every)
 
 
-def _every_frame(given: str, topic: str) -> Iterator[Frame]:
+def _every_frame(given: str, topic: str) -> Generator[Frame]:
     with _opened(given) as bag:
         first = None
         for number, read in enumerate(_messages(given, bag, topic)):
@@ -219,7 +219,7 @@ def _unreadable(origin: str, problem: str) -> Tensor:
     raise InputError(origin, f"cannot be read: {problem}", "record it again")
 
 
-def _messages(given: str, bag: Recording, topic: str) -> Iterator[Read]:
+def _messages(given: str, bag: Recording, topic: str) -> Generator[Read]:
     """The messages of a topic in the order of the recording; InputError where it ends early."""
     links = [link for link in bag.reader.connections if link.topic == topic]
     raw = bag.reader.messages(connections=links)

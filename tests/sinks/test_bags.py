@@ -190,6 +190,12 @@ def test_a_failing_disk_is_one_line(path: Path, monkeypatch: pytest.MonkeyPatch)
     bag.close()
 
 
+def test_the_label_list_is_the_type_that_ros_knows():
+    # ROS 2's own hash of vision_msgs/msg/LabelInfo (REP 2016), as rosidl_generator_c writes it.
+    known = "RIHS01_3d37df4015cdf660cc851c51897f2acd957e1ca6205ba0a99aebffb9406b0783"
+    assert message_types(2).hash_rihs01("vision_msgs/msg/LabelInfo") == known
+
+
 # --- grids ------------------------------------------------------------------------------
 
 

@@ -46,7 +46,7 @@ def write_zip(path: Path, members: Mapping[str, bytes] = PICTURES) -> Path:
 
 def write_tar(path: Path, members: Mapping[str, bytes] = PICTURES) -> Path:
     kind = path.suffixes[-1][1:].removeprefix("t").removeprefix("ar")
-    with tarfile.open(path, f"w:{kind}") as archive:
+    with tarfile.open(path, f"w:{kind}") as archive:  # pyright: ignore
         for name, data in members.items():
             info = tarfile.TarInfo(name)
             info.size = len(data)
