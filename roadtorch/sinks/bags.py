@@ -118,17 +118,16 @@ class BagSink:
 
     def _add(self, topic: str, kind: str, stamp: int, message: Any) -> None:
         try:
-            if self._writer is None:
-                self._begin()
+            writer = self._begin() if self._writer is None else self._writer
             if topic not in self._links:
                 self._links[topic] = self._link(topic, kind)
             is_first = self._generation == 1
             pack = self.types.serialize_ros1 if is_first else self.types.serialize_cdr
-            self._writer.write(self._links[topic], stamp, pack(message, kind))
+            writer.write(self._links[topic], stamp, pack(message, kind))
         except OSError as problem:
             raise self._told(problem) from None
 
-    def _begin(self) -> None:
+    def _begin(self) -> Any:
         make_folder(self._folder)
         inside = self._folder / self.path.name
         if self._generation == 1:
@@ -144,6 +143,7 @@ class BagSink:
             writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         writer.open()
         self._writer = writer
+        return writer
 
     def _link(self, topic: str, kind: str) -> Any:
         """The connection of a topic; labels are kept for those who come late (latched)."""
