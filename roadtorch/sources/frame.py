@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
+from pathlib import Path
 
 from torch import Tensor
 
@@ -66,6 +67,8 @@ class Source:
     frames: opens the source and gives its chosen frames, each once, in order. Closing the iterator
     closes the source. It raises InputError naming ``origin`` when it cannot be opened, and, behind
     the last frame that can be read, when it ends before its end.
+    live: whether it gives the newest frame whenever it is asked, so that nothing is read ahead.
+    path: the file whose bytes it is made of, where it is one.
     """
 
     name: str
@@ -74,3 +77,5 @@ class Source:
     frames: Callable[[], Iterator[Frame]]
     rate: float | None = None
     count: int | None = None
+    live: bool = False
+    path: Path | None = None
