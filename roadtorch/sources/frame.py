@@ -1,11 +1,16 @@
 """Frames with time stamps, and the sources that give them one after the other."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import TypeVar
 
 from torch import Tensor
+
+from roadtorch.errors import ConfigError
+
+Picture = TypeVar("Picture")
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,13 @@ class Selection:
         inside = (frame for frame in self._until_end(frames) if _clock(frame) >= self.start)
         stepped = (frame for at, frame in enumerate(inside) if at % self.every == 0)
         return islice(stepped, self.limit)
+
+    def of_pictures(self, pictures: Sequence[Picture]) -> Sequence[Picture]:
+        """The chosen ones of pictures that stand alone; ConfigError when seconds are asked for."""
+        if pictures and (self.start or self.end is not None):
+            what = "pictures have no time"
+            raise ConfigError("--start, --end", what, "choose with --every and --limit")
+        return pictures[:: self.every][: self.limit]
 
     def _until_end(self, frames: Iterable[Frame]) -> Iterator[Frame]:
         for frame in frames:

@@ -10,13 +10,19 @@ from typing import TextIO
 
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.sources.frame import Selection, Source
-from roadtorch.sources.pictures import has_pictures, walk_files
-from roadtorch.sources.video import is_video, video_source
+from roadtorch.sources.live import Patience, camera_source, stream_source
+from roadtorch.sources.pictures import has_pictures, picture_source, walk_files
+from roadtorch.sources.video import VIDEO_SUFFIXES, is_video, video_source
 
 CAMERA = re.compile(r"(?:camera:)?(\d+)")
 """A camera's number; a file of that name goes before ``0``, never before ``camera:0``."""
 
 STREAM = re.compile(r"(rtsps?|rtmps?|https?|udp|srt|tcp)://", re.IGNORECASE)
+
+WHOLE = re.compile(
+    r"https?://[^?#]*\.(mp4|m4v|mov|avi|mkv|webm|mpe?g|wmv|flv)([?#].*)?$", re.IGNORECASE
+)
+"""The address of a video that is read to its end, every frame, not of a stream."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +39,7 @@ def sort_inputs(inputs: Iterable[str], names: TextIO | None = None) -> Inputs:
     names: what ``-`` reads, standard input where it is None. Raises InputError for a list that
     cannot be read.
     """
-    pictures, sources = [], []
+    pictures, sources, inputs = [], [], list(inputs)
     for given in named(inputs, sys.stdin if names is None else names):
         if _is_source(given):
             sources.append(given)
@@ -41,6 +47,8 @@ def sort_inputs(inputs: Iterable[str], names: TextIO | None = None) -> Inputs:
         videos = _videos(given)
         sources += [given] if videos else []
         pictures += [given] if not videos or has_pictures(given) else []
+    if inputs and not pictures and not sources:
+        raise InputError(inputs[0], "names nothing", "give names, one a line")
     return Inputs(pictures, sources)
 
 
@@ -71,7 +79,10 @@ def _is_source(given: str) -> bool:
     """Whether an input is one source by itself, whatever it holds."""
     # BAGS: from roadtorch.sources.bags import is_bag; `or is_bag(given)`
     # ARCHIVES: from roadtorch.sources.archives import is_remote; `or is_remote(given)`
-    return camera_number(given) is not None or STREAM.match(given) is not None
+    if camera_number(given) is not None or STREAM.match(given):
+        return True
+    is_many = Path(given).is_dir() or glob.has_magic(given)
+    return given.lower().endswith(VIDEO_SUFFIXES) and not (is_many and not Path(given).is_file())
 
 
 def camera_number(given: str) -> int | None:
@@ -82,15 +93,35 @@ def camera_number(given: str) -> int | None:
     return int(found[1])
 
 
+def open_source(given: str, selection: Selection, patience: Patience | None = None) -> Source:
+    """The one source that an input stands for; pictures are one that does not move.
+
+    Raises InputError for what is not there, ConfigError for an input of several sources.
+    """
+    sorted_inputs = sort_inputs([given])
+    if not sorted_inputs.sources:
+        return picture_source(given, selection)
+    sources = open_sources(sorted_inputs.sources, selection, patience=patience)
+    if len(sources) != 1 or sorted_inputs.pictures:
+        what = f"holds {len(sources)} videos" + (" and pictures" * bool(sorted_inputs.pictures))
+        raise ConfigError(given, what, "give one of them")
+    return sources[0]
+
+
 def open_sources(
-    inputs: Sequence[str], selection: Selection, apart: Path | None = None
+    inputs: Sequence[str],
+    selection: Selection,
+    apart: Path | None = None,
+    patience: Patience | None = None,
 ) -> list[Source]:
     """The sources that inputs of ``sort_inputs(…).sources`` stand for, in their order.
 
-    apart: a folder that is left out where folders are searched, that of the results.
-    Raises InputError for what cannot be opened, ConfigError when two would share their results.
+    apart: a folder that is left out where folders are searched, that of the results. patience:
+    with live ones. Raises InputError for what cannot be opened, ConfigError when two would share
+    their results.
     """
-    sources = [source for given in inputs for source in _opened(given, selection, apart)]
+    patience = patience or Patience()
+    sources = [source for given in inputs for source in _opened(given, selection, apart, patience)]
     owners: dict[str, Source] = {}
     for source in sources:
         other = owners.setdefault(source.name, source)
@@ -101,11 +132,26 @@ def open_sources(
     return sources
 
 
-def _opened(given: str, selection: Selection, apart: Path | None) -> Iterator[Source]:
+def _opened(
+    given: str, selection: Selection, apart: Path | None, patience: Patience
+) -> Iterator[Source]:
     # BAGS: if is_bag(given): yield bag_source(given, topic, selection); return
     # ARCHIVES: if is_remote(given): yield archive_source(given, selection); return
+    number = camera_number(given)
+    if number is not None:
+        yield camera_source(number, selection, patience)
+    elif WHOLE.match(given):
+        yield video_source(given, slug(given), selection)
+    elif STREAM.match(given):
+        yield stream_source(given, slug(given), selection, patience)
     for path, name in _videos(given, apart):
         yield video_source(path, name, selection)
+
+
+def slug(url: str) -> str:
+    """A name for the results of an address: what stands between its signs, without a password."""
+    address = re.sub(r"^\w+://(?:[^/@]*@)?|[?#].*", "", url)
+    return re.sub(r"[^\w.]+", "-", address).strip("-.") or "stream"
 
 
 def _videos(given: str, apart: Path | None = None) -> list[tuple[Path, str]]:
@@ -116,7 +162,8 @@ def _videos(given: str, apart: Path | None = None) -> list[tuple[Path, str]]:
     elif not path.exists() and glob.has_magic(given):
         found = list(_globbed(given))
     else:
-        return [(path, path.stem)] if is_video(path) else []
+        named_so = path.name.lower().endswith(VIDEO_SUFFIXES)
+        return [(path, path.stem)] if named_so else []
     return [(file, file.relative_to(root).with_suffix("").as_posix()) for file, root in found]
 
 

@@ -4,10 +4,12 @@ import glob
 import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from roadtorch.errors import InputError
-from roadtorch.image import READABLE, SUFFIXES
+from roadtorch.image import READABLE, SUFFIXES, read_image
+from roadtorch.sources.frame import Frame, Selection, Source
 
 RESULTS = (".likelihood.png", ".mask.png", ".overlay.jpg")  # ours; never pictures to look at
 
@@ -49,6 +51,18 @@ def has_pictures(given: str | os.PathLike[str]) -> bool:
     if not item.exists() and glob.has_magic(str(item)):
         return bool(_expand_glob(item, None))
     return True
+
+
+def picture_source(given: str, selection: Selection) -> Source:
+    """A picture file, folder or glob as a source that does not move; InputError as above."""
+    found = find_images([given])
+    frames = [
+        Frame(number, one.name, str(one.path), None, partial(read_image, one.path))
+        for number, one in enumerate(found)
+    ]
+    chosen = list(selection.of(frames))
+    name = Path(given).stem or "pictures"
+    return Source(name, given, False, lambda: iter(chosen), count=len(chosen))
 
 
 def _expand(item: Path, apart: Path | None) -> list[Picture]:

@@ -29,6 +29,8 @@ VIDEO_SUFFIXES = (
 
 MADE_HERE = (".overlay.mp4", ".mask.mp4", ".likelihood.mp4")  # ours; never videos to look at
 
+SILENCE = 10.0  # seconds within which an address has to answer
+
 SLACK = 0.5
 """Seconds by which a video may be shorter than it says before it is called cut; ours: the longest
 picture-less rest beside sound that cameras leave."""
@@ -95,15 +97,16 @@ def opened_video(path: Path | str) -> "Iterator[tuple[InputContainer, VideoStrea
     if isinstance(path, Path) and not path.is_file():
         raise InputError(path, "does not exist", "check the name")
     try:
-        container = av.open(f"file:{path}" if isinstance(path, Path) else path)
+        container = av.open(f"file:{path}" if isinstance(path, Path) else path, timeout=SILENCE)
     except (av.FFmpegError, UnicodeError) as problem:
         what = f"cannot be decoded as video: {reason_of(problem)}"
         raise InputError(path, what, "give MP4, AVI, MKV, MOV or WebM that plays") from None
     with container:
-        yield container, _moving_pictures(path, container)
+        yield container, moving_pictures(path, container)
 
 
-def _moving_pictures(path: Path | str, container: "InputContainer") -> "VideoStream":
+def moving_pictures(path: Path | str, container: "InputContainer") -> "VideoStream":
+    """The first stream of a container that moves; InputError where there is none."""
     av = import_av()
     cover = av.stream.Disposition.attached_pic
     videos = [one for one in container.streams.video if not one.disposition & cover]
@@ -252,5 +255,10 @@ def count_frames(path: Path) -> int:
 def upright(picture: "VideoFrame") -> Tensor:
     """A decoded picture as image (3,H,W) in [0,1], turned as the video's metadata says."""
     pixels = np.rot90(picture.to_ndarray(format="rgb24"), round(picture.rotation / 90))
+    return image_of(pixels)
+
+
+def image_of(pixels: np.ndarray) -> Tensor:
+    """Pixels uint8 (H,W,3) RGB as image (3,H,W) in [0,1]."""
     planes = torch.from_numpy(np.ascontiguousarray(pixels.transpose(2, 0, 1)))
     return planes.to(torch.float32).div_(255)
