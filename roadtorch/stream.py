@@ -67,7 +67,7 @@ def detect_stream(
     """
     if not isinstance(source, Source):
         source = open_source(os.fspath(source), selection)
-    with closing(look_through(source, detector, jobs=jobs, steady=steady)) as seen:
+    with closing(seen_frames(source, detector, jobs=jobs, steady=steady)) as seen:
         for done, one in enumerate(seen, 1):
             if isinstance(one, Missed):
                 if failed is None:
@@ -79,7 +79,7 @@ def detect_stream(
                 progress(done, one.frame.seconds)
 
 
-def look_through(
+def seen_frames(
     source: Source,
     detector: Detector,
     *,
@@ -93,7 +93,7 @@ def look_through(
     or looked at is missed, and the others go on. Raises what ``source.frames`` raises.
     """
     work = partial(_found, detector=detector, check=check)
-    with _frames(source) as frames, closing(in_order(frames, work, jobs)) as looked:
+    with _frames(source) as frames, closing(ordered_results(frames, work, jobs)) as looked:
         for one in looked:
             yield one if isinstance(one, Missed) else _concluded(one, detector, steady)
 
@@ -193,7 +193,7 @@ def _taken(box: Queue[tuple[Item] | BaseException | None]) -> Iterator[Item]:
         yield what[0]
 
 
-def in_order(
+def ordered_results(
     items: Iterable[Item], work: Callable[[Item], Result], threads: int
 ) -> Generator[Result]:
     """The results of all items in their order, a few items ahead at most.

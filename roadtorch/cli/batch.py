@@ -20,7 +20,7 @@ from roadtorch.outside import printable
 from roadtorch.signals import stop_on_signals
 from roadtorch.sources.frame import Selection
 from roadtorch.sources.pictures import Picture, find_images
-from roadtorch.stream import in_order
+from roadtorch.stream import ordered_results
 
 INDEX = "index.csv"
 DONE, DOUBTFUL, FAILED = "done", "doubtful", "failed"
@@ -191,7 +191,9 @@ def run_jobs(jobs: Sequence[Job], out: Path, work: Work, method: Method, options
     with stop_on_signals() as stop, reserved(out, room) as let_go:
         index = SavedIndex(out / INDEX, rows)
         try:
-            results = in_order(todo, partial(_attempt, work=work, method=method), options.jobs)
+            results = ordered_results(
+                todo, partial(_attempt, work=work, method=method), options.jobs
+            )
             for row in _show_progress(results, len(todo), options.quiet):
                 found.append(row)
                 index.add(row)

@@ -20,11 +20,11 @@ from roadtorch.files import make_folder, remove_leftovers
 from roadtorch.signals import stop_on_signals
 from roadtorch.sources.frame import Source
 from roadtorch.sources.pictures import Picture
-from roadtorch.stream import AHEAD, Behind, Missed, Seen, Steadying, look_through
+from roadtorch.stream import AHEAD, Behind, Missed, Seen, Steadying, seen_frames
 
 
 @dataclass(frozen=True)
-class Footage:
+class FootageWork:
     """The work on sources.
 
     check: raises InputError for an image of another camera. steady: makes, for each source that
@@ -37,7 +37,9 @@ class Footage:
     steady: Callable[[], Steadying] | None = None
 
 
-def plan(sources: Sequence[Source], out: Path, results: FootageResults) -> list[tuple[Source, Job]]:
+def plan_sources(
+    sources: Sequence[Source], out: Path, results: FootageResults
+) -> list[tuple[Source, Job]]:
     """The sources, each with its job; ConfigError when a result would replace a source."""
     jobs = [
         Job(Picture(source.path or Path(source.origin), source.name), out, results.suffixes(source))
@@ -47,7 +49,7 @@ def plan(sources: Sequence[Source], out: Path, results: FootageResults) -> list[
 
 
 def run_sources(
-    planned: Sequence[tuple[Source, Job]], work: Footage, method: Method, options: Options
+    planned: Sequence[tuple[Source, Job]], work: FootageWork, method: Method, options: Options
 ) -> int:
     """Work through the sources that are not done yet; returns the exit code.
 
@@ -74,7 +76,7 @@ def run_sources(
 
 
 @dataclass
-class Tally:
+class FrameCount:
     """What was counted over the frames of one source; the rows go to the index."""
 
     index: FrameIndex
@@ -104,17 +106,19 @@ class Tally:
         return ", ".join(parts)
 
 
-def _run_source(source: Source, job: Job, work: Footage, method: Method, options: Options) -> Row:
+def _run_source(
+    source: Source, job: Job, work: FootageWork, method: Method, options: Options
+) -> Row:
     """The row of a source whose frames were looked at as far as possible; the index has it."""
     for folder in (job.output("").parent, job.output("")):
         remove_leftovers([folder])
     make_folder(job.output("").parent, ELSEWHERE)
     problem: BaseException | None = None
     with appended(job.out / INDEX, job) as index:
-        tally = Tally(index, method)
+        tally = FrameCount(index, method)
         try:
             with work.results.open(source, job) as write:
-                _look_through(source, work, write, tally, options)
+                _work_through(source, work, write, tally, options)
         except (RoadtorchError, KeyboardInterrupt) as found:
             problem = found
         row = method.finished(_row(source, job, tally, problem), job)
@@ -128,7 +132,7 @@ def _run_source(source: Source, job: Job, work: Footage, method: Method, options
     return row
 
 
-def _row(source: Source, job: Job, tally: Tally, problem: BaseException | None) -> Row:
+def _row(source: Source, job: Job, tally: FrameCount, problem: BaseException | None) -> Row:
     """The row of a source; to be interrupted is the usual end of a live one."""
     status = DONE
     if isinstance(problem, RoadtorchError):
@@ -142,18 +146,18 @@ def _row(source: Source, job: Job, tally: Tally, problem: BaseException | None) 
     return replace(row, seconds=last.seconds)
 
 
-def _look_through(
+def _work_through(
     source: Source,
-    work: Footage,
+    work: FootageWork,
     write: Callable[[Seen], Row],
-    tally: Tally,
+    tally: FrameCount,
     options: Options,
 ) -> None:
     """Look at all frames, and write what is found in a thread of its own, a few frames behind."""
     from tqdm import tqdm
 
     steady = work.steady() if work.steady and source.moving else None
-    seen = look_through(source, work.detector, jobs=options.jobs, steady=steady, check=work.check)
+    seen = seen_frames(source, work.detector, jobs=options.jobs, steady=steady, check=work.check)
     hidden = True if options.quiet else None  # None: hidden unless stderr is a terminal
     with (
         closing(seen),
@@ -175,7 +179,7 @@ def _written(behind: Behind) -> Iterator[Behind]:
             behind.finish()
 
 
-def _settle(one: Seen | Missed, write: Callable[[Seen], Row], tally: Tally) -> None:
+def _settle(one: Seen | Missed, write: Callable[[Seen], Row], tally: FrameCount) -> None:
     """Write what was seen of a frame, or tell why nothing was."""
     if isinstance(one, Seen):
         tally.add(write(one))

@@ -148,7 +148,7 @@ def infer(
     pictures = batch.plan(sorted_inputs.pictures, out, results.suffixes(kinds), selection)
     sources = open_sources(sorted_inputs.sources, selection, out, Patience(answer=patience))
     written = FootageResults(save, bits, gif)
-    planned = footage.plan(sources, out, written)
+    planned = footage.plan_sources(sources, out, written)
     context.with_resource(claimed(out))
     results.keep_config(out, effective, overwrite)
     options = batch.Options(jobs, overwrite, quiet)
@@ -161,6 +161,6 @@ def infer(
         parts = (depth.encode(), repr((selection, gif)).encode())
         method = results.detector_method(loaded, effective, (), *parts)
         # STEADY: steady=partial(Steady, settings), and the settings among the parts above.
-        work = footage.Footage(loaded, written, None if known is None else known.check)
+        work = footage.FootageWork(loaded, written, None if known is None else known.check)
         codes.append(footage.run_sources(planned, work, method, options))
     context.exit(max(codes))

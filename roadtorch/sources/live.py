@@ -1,9 +1,9 @@
 """Cameras and streams: the newest frame whenever one is asked for, and connections that break."""
 
-import os
+import re
 import time
 from collections.abc import Callable, Generator, Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
 from threading import Condition, Thread
@@ -46,7 +46,7 @@ def camera_source(number: int, selection: Selection, patience: Patience) -> Sour
 
 def stream_source(url: str, name: str, selection: Selection, patience: Patience) -> Source:
     """A stream by its address (RTSP, HTTP, RTMP, UDP, SRT) as a live source."""
-    return _live(name, url, partial(_stream, url, patience), selection, patience)
+    return _live(name, without_password(url), partial(_stream, url, patience), selection, patience)
 
 
 def _live(
@@ -165,7 +165,7 @@ def _given_up(problem: InputError, tries: int) -> InputError:
 
 def _stream(url: str, patience: Patience) -> Generator[Picture]:
     """The pictures of one connection to a stream."""
-    av = import_av()
+    av, origin = import_av(), without_password(url)
     options = {"rtsp_transport": "tcp", "fflags": "nobuffer"}
     try:
         with av.open(url, options=options, timeout=patience.answer) as container:
@@ -176,7 +176,12 @@ def _stream(url: str, patience: Patience) -> Generator[Picture]:
         raise InputError(
             url, _told(problem, patience), "check the address and the stream"
         ) from None
-    raise InputError(url, "has ended", "check the stream")
+    raise InputError(origin, "has ended", "check the stream")
+
+
+def without_password(url: str) -> str:
+    """An address for messages and files: without the name and password of a user."""
+    return re.sub(r"(?<=://)[^/@]*@", "", url)
 
 
 def _told(problem: Exception, patience: Patience) -> str:
@@ -185,10 +190,21 @@ def _told(problem: Exception, patience: Patience) -> str:
     return f"cannot be read: {reason_of(problem)}"
 
 
+@contextmanager
+def quiet_opencv() -> Iterator[None]:
+    """Within the block OpenCV writes no warnings to stderr; our errors tell it in one line."""
+    before = cv2.getLogLevel()
+    cv2.setLogLevel(0)
+    try:
+        yield
+    finally:
+        cv2.setLogLevel(before)
+
+
 def _camera(number: int) -> Generator[Picture]:
     """The pictures of a camera; OpenCV, since PyAV's wheels come without FFmpeg's cameras."""
-    os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
-    camera = cv2.VideoCapture(number)
+    with quiet_opencv():
+        camera = cv2.VideoCapture(number)
     try:
         if not camera.isOpened():
             there = sorted(path.name for path in Path("/dev").glob("video*"))

@@ -10,7 +10,7 @@ from typing import TextIO
 
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.sources.frame import Selection, Source
-from roadtorch.sources.live import Patience, camera_source, stream_source
+from roadtorch.sources.live import Patience, camera_source, stream_source, without_password
 from roadtorch.sources.pictures import has_pictures, picture_source, walk_files
 from roadtorch.sources.video import VIDEO_SUFFIXES, is_video, video_source
 
@@ -44,7 +44,7 @@ def sort_inputs(inputs: Iterable[str], names: TextIO | None = None) -> Inputs:
         if _is_source(given):
             sources.append(given)
             continue
-        videos = _videos(given)
+        videos = video_files(given)
         sources += [given] if videos else []
         pictures += [given] if not videos or has_pictures(given) else []
     if inputs and not pictures and not sources:
@@ -144,17 +144,17 @@ def _opened(
         yield video_source(given, slug(given), selection)
     elif STREAM.match(given):
         yield stream_source(given, slug(given), selection, patience)
-    for path, name in _videos(given, apart):
+    for path, name in video_files(given, apart):
         yield video_source(path, name, selection)
 
 
 def slug(url: str) -> str:
     """A name for the results of an address: what stands between its signs, without a password."""
-    address = re.sub(r"^\w+://(?:[^/@]*@)?|[?#].*", "", url)
+    address = re.sub(r"^\w+://|[?#].*", "", without_password(url))
     return re.sub(r"[^\w.]+", "-", address).strip("-.") or "stream"
 
 
-def _videos(given: str, apart: Path | None = None) -> list[tuple[Path, str]]:
+def video_files(given: str, apart: Path | None = None) -> list[tuple[Path, str]]:
     """The video files of a name, folder or glob, with the names of their results."""
     path = Path(given)
     if path.is_dir():

@@ -147,7 +147,7 @@ class Damage:
         return ", ".join(parts)
 
 
-class Beginning(NamedTuple):
+class EntryPoint(NamedTuple):
     """Where decoding begins: packets passed over, number and time stamp of the first frame."""
 
     packets: int = 0
@@ -162,7 +162,7 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[F
     whatever the start. Frames without a time stamp follow at the stream's rate. Raises InputError
     when it cannot be opened, and behind the last frame that can be read when some are missing.
     """
-    begins = _beginning(path, start) if start > 0 else Beginning()
+    begins = _entry_point(path, start) if start > 0 else EntryPoint()
     damage = Damage()
     with opened_video(path) as (container, stream):
         clock = Clock(stream)
@@ -199,9 +199,9 @@ class Clock:
         return self._last
 
 
-def _beginning(path: Path | str, start: float) -> Beginning:
+def _entry_point(path: Path | str, start: float) -> EntryPoint:
     """The last key frame at or before ``start`` seconds, found without decoding."""
-    begins, leading = Beginning(), 0
+    begins, leading = EntryPoint(), 0
     with opened_video(path) as (container, stream):
         clock = Clock(stream)
         for at, packet in enumerate(_packets(container, stream, Damage())):
@@ -211,7 +211,7 @@ def _beginning(path: Path | str, start: float) -> Beginning:
             if packet.is_keyframe and seconds > start:
                 break
             if packet.is_keyframe:
-                begins, leading = Beginning(at, at, packet.pts), 0
+                begins, leading = EntryPoint(at, at, packet.pts), 0
             elif begins.pts is not None and packet.pts < begins.pts:
                 leading += 1
     return begins._replace(number=begins.number + leading)
