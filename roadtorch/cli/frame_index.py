@@ -22,12 +22,11 @@ class FrameIndex:
     def add(self, row: Row) -> None:
         """Append a row; InputError when the disk is full."""
         text = csv_text(list(Row.__dataclass_fields__), [asdict(row)]).partition("\n")[2]
-        try:
-            self._file.write(printable(text).encode())
-        except OSError as problem:
+        self._file.write(printable(text).encode())
+        if (problem := self._file.lost) is not None:
             what = f"cannot be written: {problem.strerror}"
             remedy = REMEDIES.get(problem.errno or 0, "choose a folder that you may write to")
-            raise InputError(self._path, what, remedy) from None
+            raise InputError(self._path, what, remedy)
 
 
 @contextmanager

@@ -30,7 +30,7 @@ class GifSink:
     def write(self, pixels: np.ndarray, seconds: float) -> None:
         """Look at pixels uint8 (H,W,3) RGB that were taken at so many seconds."""
         due = self._seconds[-1] + 1 / RATE if self._seconds else self._start
-        if not (self._start <= seconds < self._end and seconds > due - 0.5 / RATE):
+        if not (self._start <= seconds < self._end and seconds >= due - 0.2 / RATE):
             return
         height, width = pixels.shape[:2]
         if width > WIDEST:

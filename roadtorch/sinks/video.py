@@ -46,7 +46,8 @@ class VideoSink:
 
         seconds: when it was taken; without, it follows at the rate.
         """
-        seconds = (self._last + 1) / TICKS + 1 / self._rate if seconds is None else seconds
+        if seconds is None:
+            seconds = 0.0 if self._size is None else self._next()
         if self._size is None:
             self._begin(pixels, seconds)
         pixels = self._fitted(pixels)
@@ -66,6 +67,12 @@ class VideoSink:
                     self._container.mux(self._stream.encode(None))
                 finally:
                     self._container.close()
+                if self._file.lost is not None:
+                    raise self._file.lost
+
+    def _next(self) -> float:
+        """The seconds of a frame without a clock."""
+        return self._first + self._last / TICKS + 1 / self._rate
 
     def _begin(self, pixels: np.ndarray, seconds: float) -> None:
         self._av = import_av()

@@ -173,9 +173,8 @@ def _stream(url: str, patience: Patience) -> Generator[Picture]:
             for picture in container.decode(stream):
                 yield partial(upright, picture)
     except (av.FFmpegError, UnicodeError) as problem:
-        raise InputError(
-            url, _told(problem, patience), "check the address and the stream"
-        ) from None
+        what = _told(problem, patience)
+        raise InputError(origin, what, "check the address and the stream") from None
     raise InputError(origin, "has ended", "check the stream")
 
 
@@ -193,12 +192,13 @@ def _told(problem: Exception, patience: Patience) -> str:
 @contextmanager
 def quiet_opencv() -> Iterator[None]:
     """Within the block OpenCV writes no warnings to stderr; our errors tell it in one line."""
-    before = cv2.getLogLevel()
-    cv2.setLogLevel(0)
+    log = cv2.utils.logging
+    before = log.getLogLevel()
+    log.setLogLevel(log.LOG_LEVEL_SILENT)
     try:
         yield
     finally:
-        cv2.setLogLevel(before)
+        log.setLogLevel(before)
 
 
 def _camera(number: int) -> Generator[Picture]:

@@ -142,8 +142,8 @@ class Damage:
         if self.stopped or seconds + SLACK < lasts:
             of = f" of {lasts:.1f}" if lasts else ""
             parts.append(f"ends early, after {seconds:.1f}{of} seconds")
-        parts += [f"{self.packets} packets cannot be decoded"] if self.packets else []
-        parts += [f"{self.pictures} frames are damaged"] if self.pictures else []
+        parts += [f"packets that cannot be decoded: {self.packets}"] if self.packets else []
+        parts += [f"damaged frames: {self.pictures}"] if self.pictures else []
         return ", ".join(parts)
 
 
@@ -166,6 +166,7 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[F
     damage = Damage()
     with opened_video(path) as (container, stream):
         clock = Clock(stream)
+        lasts = clock.lasts or (container.duration or 0) / 1e6  # it is in microseconds
         number, seconds = begins.number, 0.0
         for picture in _decoded(container, stream, begins.packets, damage):
             if None not in (begins.pts, picture.pts) and picture.pts < begins.pts:
@@ -174,7 +175,7 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[F
             read = partial(upright, picture)
             yield Frame(number, f"{name}/{number:06d}", f"{path}: frame {number}", seconds, read)
             number += 1
-        told = damage.told(clock.seconds(None) if number else 0.0, clock.lasts)
+        told = damage.told(clock.seconds(None) if number else 0.0, lasts)
     if told and number > begins.number:
         raise InputError(path, told, "what could be read was used; copy it again, or repair it")
 
