@@ -27,12 +27,8 @@ GREY = ("--detector", "grey-uniformity")
 @pytest.fixture
 def drive(tmp_path: Path) -> Path:
     """A video of twelve frames in 1.2 seconds."""
-    return write_video(tmp_path / "in" / "drive.mp4") if _made(tmp_path / "in") else tmp_path
-
-
-def _made(folder: Path) -> bool:
-    folder.mkdir()
-    return True
+    (tmp_path / "in").mkdir()
+    return write_video(tmp_path / "in" / "drive.mp4")
 
 
 def test_a_video_gives_an_overlay_video_and_a_row_a_frame(

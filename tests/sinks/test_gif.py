@@ -11,7 +11,7 @@ from tests.videos import street_pixels
 def test_a_stretch_is_small_and_ten_a_second(tmp_path: Path) -> None:
     sink = GifSink(tmp_path / "x.gif", 1.0, 2.0)
     for number in range(90):
-        sink.write(np.tile(street_pixels(number % 3), (10, 10, 1)), number / 30)
+        sink.write(np.tile(street_pixels(number // 3 % 3), (10, 10, 1)), number / 30)
     sink.close()
 
     with Image.open(tmp_path / "x.gif") as gif:

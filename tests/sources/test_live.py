@@ -13,7 +13,7 @@ from threading import Thread
 import pytest
 
 from roadtorch.errors import InputError
-from roadtorch.sources.frame import Selection
+from roadtorch.sources.frame import Frame, Selection
 from roadtorch.sources.live import (
     NewestFrame,
     Patience,
@@ -29,13 +29,16 @@ QUICK = Patience(answer=2.0, tries=2, pause=0.05)
 class Server(ThreadingHTTPServer):
     """Sends MPEG-TS to every connection, up to ``good`` of them, and then breaks each off."""
 
-    daemon_threads = True
+    daemon_threads = False  # closing waits for them
     connections = 0
 
     def __init__(self, data: bytes, good: int) -> None:
         super().__init__(("127.0.0.1", 0), Handler)
         self.data, self.good = data, good
         self.url = f"http://127.0.0.1:{self.server_port}/live"
+
+    def handle_error(self, *_: object) -> None:
+        """Whoever hangs up is no error."""
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -77,14 +80,18 @@ def stream(tmp_path: Path) -> bytes:
 
 def test_a_stream_that_breaks_off_is_connected_to_anew(stream: bytes) -> None:
     numbers, seconds = [], []
+
+    def look(frames: Iterator[Frame]) -> None:
+        for frame in frames:
+            numbers.append(frame.number)
+            seconds.append(frame.seconds)
+            assert frame.read().shape == (3, 48, 64)
+            time.sleep(0.02)
+
     with serving(stream, good=3) as server:
         frames = stream_source(server.url, "live", Selection(), QUICK).frames()
         with pytest.raises(InputError, match="connected to anew 2 times in vain") as caught:
-            for frame in frames:
-                numbers.append(frame.number)
-                seconds.append(frame.seconds)
-                assert frame.read().shape == (3, 48, 64)
-                time.sleep(0.02)
+            look(frames)
 
         assert server.connections == 5  # three good ones, and two tries after the last
     assert caught.value.where == server.url
