@@ -22,7 +22,7 @@ def write_video(
     size: tuple[int, int] = (48, 64),
     codec: str = "libx264",
     change: Callable[[int, np.ndarray], np.ndarray] = lambda _, pixels: pixels,
-    **options: str,
+    options: dict[str, str] | None = None,
 ) -> Path:
     """A video with a frame at each of the seconds; of rate 10 where it has no such stamps.
 
@@ -30,7 +30,8 @@ def write_video(
     """
     header = {"movflags": "faststart"} if path.suffix == ".mp4" else {}
     with av.open(str(path), "w", options=header) as container:
-        stream = container.add_stream(codec, rate=10, options=options)
+        stream = container.add_stream(codec, rate=10, options=options or {})
+        assert isinstance(stream, av.VideoStream)
         stream.height, stream.width = size
         stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
         stream.time_base = stream.codec_context.time_base = Fraction(1, 1000)
@@ -57,7 +58,7 @@ def write_sound(path: Path) -> Path:
 def stamps_of(path: Path) -> list[float]:
     """The seconds of a video's frames."""
     with av.open(str(path)) as container:
-        return [float(frame.pts * frame.time_base) for frame in container.decode(video=0)]
+        return [float(frame.time or 0) for frame in container.decode(video=0)]
 
 
 def pixels_of(path: Path) -> list[np.ndarray]:

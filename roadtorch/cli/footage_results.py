@@ -41,7 +41,9 @@ def _likelihood(seen: Seen) -> np.ndarray:
     return seen.detection.likelihood.mul(255).round().byte().numpy()
 
 
-VIDEOS: dict[str, tuple[str, Callable[[Seen], np.ndarray]]] = {
+Draw = Callable[[Seen], np.ndarray]
+
+VIDEOS: dict[str, tuple[str, Draw]] = {
     "overlay": (".overlay.mp4", _overlay),
     "mask-video": (".mask.mp4", _mask),
     "likelihood-video": (".likelihood.mp4", _likelihood),
@@ -90,7 +92,7 @@ class FootageResults:
 
         However the block ends, the videos are finished with the frames that they have.
         """
-        sinks = [
+        sinks: list[tuple[VideoSink | GifSink, Draw]] = [
             (VideoSink(job.output(end), source.rate), VIDEOS[kind][1])
             for kind, end in job.suffixes.items()
             if kind in VIDEOS
@@ -106,7 +108,7 @@ class FootageResults:
 
 
 def _write(
-    sinks: list[tuple[VideoSink | GifSink, Callable[[Seen], np.ndarray]]],
+    sinks: list[tuple[VideoSink | GifSink, Draw]],
     kinds: frozenset[str],
     depth: Literal[8, 16],
     out: Path,

@@ -27,8 +27,10 @@ class GifSink:
         self._frames: list[Image.Image] = []
         self._seconds: list[float] = []
 
-    def write(self, pixels: np.ndarray, seconds: float) -> None:
-        """Look at pixels uint8 (H,W,3) RGB that were taken at so many seconds."""
+    def write(self, pixels: np.ndarray, seconds: float | None) -> None:
+        """Look at pixels uint8 (H,W,3) RGB that were taken at so many seconds; without, never."""
+        if seconds is None:
+            return
         due = self._seconds[-1] + 1 / RATE if self._seconds else self._start
         if not (self._start <= seconds < self._end and seconds >= due - 0.2 / RATE):
             return

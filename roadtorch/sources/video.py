@@ -169,7 +169,7 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[F
         lasts = clock.lasts or (container.duration or 0) / 1e6  # it is in microseconds
         number, seconds = begins.number, 0.0
         for picture in _decoded(container, stream, begins.packets, damage):
-            if None not in (begins.pts, picture.pts) and picture.pts < begins.pts:
+            if _precedes(picture.pts, begins.pts):
                 continue  # shown before the key frame, and made of frames that were passed over
             seconds = clock.seconds(picture.pts)
             read = partial(upright, picture)
@@ -180,6 +180,10 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[F
         raise InputError(path, told, "what could be read was used; copy it again, or repair it")
 
 
+def _precedes(pts: int | None, other: int | None) -> bool:
+    return pts is not None and other is not None and pts < other
+
+
 class Clock:
     """Seconds since a stream began, of its time stamps; where one is missing, by its rate."""
 
@@ -188,7 +192,7 @@ class Clock:
         self._base, self._zero = stream.time_base, stream.start_time
         self._step = float(1 / rate) if rate else 0.0
         self._last: float | None = None
-        self.lasts = float(stream.duration * self._base) if stream.duration else 0.0
+        self.lasts = float((stream.duration or 0) * (self._base or 0))
 
     def seconds(self, pts: int | None) -> float:
         """Of one frame after the other."""

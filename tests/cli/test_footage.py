@@ -155,7 +155,9 @@ def test_an_index_cut_short_is_mended(call: Call, drive: Path, tmp_path: Path) -
 def test_a_cut_video_keeps_what_is_readable_and_the_others_go_on(
     call: Call, drive: Path, tmp_path: Path
 ) -> None:
-    whole = write_video(tmp_path / "in" / "a.mp4", [n / 10 for n in range(40)], crf="1")
+    whole = write_video(
+        tmp_path / "in" / "a.mp4", [n / 10 for n in range(40)], options={"crf": "1"}
+    )
     whole.write_bytes(whole.read_bytes()[: whole.stat().st_size * 6 // 10])
     write_sound(tmp_path / "in" / "song.mp4")
     out = tmp_path / "out"
@@ -196,7 +198,7 @@ def test_a_full_disk_keeps_the_finished_frames(
     fill_the_disk(monkeypatch, 8_000)
     out = tmp_path / "out"
     noisy = write_video(
-        drive, [n / 10 for n in range(200)], crf="1",
+        drive, [n / 10 for n in range(200)], options={"crf": "1"},
         change=lambda n, pixels: np.random.default_rng(n).integers(0, 255, pixels.shape, np.uint8),
     )  # fmt: skip
 

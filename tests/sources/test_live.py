@@ -74,7 +74,7 @@ def serving(data: bytes, good: int) -> Iterator[Server]:
 @pytest.fixture
 def stream(tmp_path: Path) -> bytes:
     """A second of MPEG-TS, cut in the middle of a packet."""
-    path = write_video(tmp_path / "live.ts", [n / 20 for n in range(40)], g="5")
+    path = write_video(tmp_path / "live.ts", [n / 20 for n in range(40)], options={"g": "5"})
     return path.read_bytes()[:-1000]
 
 

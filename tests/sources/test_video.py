@@ -60,7 +60,7 @@ def test_a_frame_has_the_same_number_and_pixels_whatever_the_start(
 ) -> None:
     seconds = [n / 10 for n in range(40)]
     options = {"g": "7", "bf": "2", "x264-params": f"open-gop={open_gop}:scenecut=0"}
-    path = write_video(tmp_path / "drive.mkv", seconds, **options)
+    path = write_video(tmp_path / "drive.mkv", seconds, options=options)
     every = {frame.number: frame for frame in chosen(path)}
 
     for start in (0.05, 0.7, 1.95, 3.9):
@@ -73,7 +73,7 @@ def test_a_frame_has_the_same_number_and_pixels_whatever_the_start(
 
 def test_what_lies_ahead_of_the_start_is_not_decoded(tmp_path: Path) -> None:
     options = {"g": "10", "x264-params": "scenecut=0"}
-    path = write_video(tmp_path / "drive.mp4", [n / 10 for n in range(40)], **options)
+    path = write_video(tmp_path / "drive.mp4", [n / 10 for n in range(40)], options=options)
     frames = video_frames(path, "drive", start=2.5)
 
     assert next(frames).number == 20
@@ -108,7 +108,9 @@ def test_every_start_end_and_limit(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
 def test_a_cut_video_gives_what_can_be_read_and_then_says_so(suffix: str, tmp_path: Path) -> None:
-    path = write_video(tmp_path / f"drive{suffix}", [n / 10 for n in range(40)], crf="1")
+    path = write_video(
+        tmp_path / f"drive{suffix}", [n / 10 for n in range(40)], options={"crf": "1"}
+    )
     data = path.read_bytes()
     path.write_bytes(data[: len(data) * 6 // 10])
     frames = video_source(path, "drive", Selection()).frames()
