@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from roadtorch.version import __version__
 
 if TYPE_CHECKING:
-    from roadtorch.camera.camera import Camera
     from roadtorch.camera.calibration import read_camera_info
+    from roadtorch.camera.camera import Camera
     from roadtorch.camera.footage import camera_of
     from roadtorch.camera.ground import GroundCamera, Lens, lens_of_view, mounted
     from roadtorch.camera.ground_grid import Grid, GridSettings, ground_grid

@@ -105,10 +105,15 @@ def kitti_ground_camera(
     """The left colour camera of a KITTI calibration over its road plane, for pictures of a size.
 
     The robot's frame begins below that camera, or such that it stands at ``mount``; KITTI's road
-    has x to the right, y down and z ahead, and counts pixels from one.
+    has x to the right, y down and z ahead, and counts pixels from one. Raises InputError where
+    the optical axis misses the picture: it is not of that camera, or cropped.
     """
     projection = np.array(calibration.projection).reshape(3, 4)
     inner = projection[:, :3]
+    if not (1 <= inner[0, 2] <= width and 1 <= inner[1, 2] <= height):
+        what = f"is {width}×{height} pixels, the calibration's middle {inner[0, 2]:.0f}, "
+        what += f"{inner[1, 2]:.0f}"
+        raise InputError("image", what, "give pictures of that camera at their own size")
     camera_to_road = np.array(calibration.camera_to_road).reshape(3, 4)
     rectification = np.array(calibration.rectification).reshape(3, 3)
     turned = camera_to_road[:, :3] @ np.linalg.inv(rectification)  # rectified camera to road

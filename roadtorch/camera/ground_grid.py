@@ -39,6 +39,8 @@ JOINED, BETWEEN = 4, 8
 """Cells that the ends of neighbouring rays may lie apart and still be one edge, and the points
 that are set between them."""
 
+MOST_HALVINGS = 8  # of the picture, for cells that cover many of its pixels
+
 BORDER = 64  # pixels of each side of the picture whose rays bound the view
 
 Length = Annotated[float, Field(gt=0, le=1000)]
@@ -48,20 +50,20 @@ class GridSettings(Settings):
     """What part of the ground the grid covers, how finely, and when a cell is road."""
 
     resolution: float = Field(default=0.1, ge=0.005, le=10, description="side of a cell, metres")
-    ahead: Length = Field(default=30.0, description="metres ahead of the camera")
+    range: Length = Field(default=30.0, description="metres ahead of the camera")
     side: Length = Field(default=15.0, description="metres to its left, and to its right")
     coarsest: float = Field(
         default=10.0, gt=0, le=1000, description="cells that one pixel may cover; beyond: unknown"
     )
     threshold: float = Field(default=0.5, ge=0, le=1, description="road from this mean on")
 
-    @field_validator("ahead")
+    @field_validator("range")
     @classmethod
-    def _is_some_cells(cls, ahead: float, info: ValidationInfo) -> float:
-        cells = ahead / info.data.get("resolution", 0.1)
+    def _is_some_cells(cls, value: float, info: ValidationInfo) -> float:
+        cells = value / info.data.get("resolution", 0.1)
         if not FEWEST <= cells <= MOST:
             raise ValueError(f"give {FEWEST} to {MOST} times the resolution")
-        return ahead
+        return value
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +72,8 @@ class Grid:
 
     cells: int8 (rows along y, columns along x), 0 free, 100 no road, -1 unknown; cell (0, 0) is
     the one of least x and y. likelihood: float32 of the same shape, the mean road likelihood,
-    NaN where a cell is unknown. resolution: metres. origin: x, y of the outer corner of cell (0, 0).
+    NaN where a cell is unknown. resolution, origin: metres; the origin is the outer
+    corner of cell (0, 0).
     """
 
     cells: Tensor
@@ -152,14 +155,16 @@ def ground_rays(
 class RayPlaces:
     """Pixels of the samples of all rays; shared between calls, never changed.
 
-    azimuth (B,) and distance (K+1,) of samples. columns, rows: float32 (K+1,B). inside: bool
-    (K+1,B), in the picture and fine enough.
+    azimuth (B,) and distance (K+1,) of samples. columns, rows: float32 (K+1,B). halvings: (K+1,),
+    how often the picture is halved for them, so that no pixel between them is left out. inside:
+    bool (K+1,B), in the picture and fine enough.
     """
 
     azimuth: Tensor
     distance: Tensor
     columns: np.ndarray
     rows: np.ndarray
+    halvings: np.ndarray
     inside: Tensor
 
 
@@ -167,9 +172,9 @@ class RayPlaces:
 def ray_places(camera: GroundCamera, settings: GridSettings) -> RayPlaces:
     """Where a camera sees the samples of its rays; InputError where it sees no ground."""
     low, high = _view(camera)
-    count = math.ceil((high - low) / (settings.resolution / settings.ahead / ACROSS)) + 2
+    count = math.ceil((high - low) / (settings.resolution / settings.range / ACROSS)) + 2
     azimuth = np.linspace(low, high, count)
-    reach = math.hypot(settings.ahead, min(settings.side, settings.ahead))
+    reach = math.hypot(settings.range, min(settings.side, settings.range))
     step = settings.resolution / ALONG
     distance = (np.arange(math.ceil(reach / step) + 1) + 0.5) * step
     if len(distance) * count > MOST_SAMPLES:
@@ -183,11 +188,17 @@ def ray_places(camera: GroundCamera, settings: GridSettings) -> RayPlaces:
     apart = np.linalg.norm(np.diff(pixels, axis=0, append=pixels[-1:]), axis=2)
     inside &= apart * ALONG * settings.coarsest >= 1
     if not inside.any():
-        what = f"sees no ground within {settings.ahead:g} m"
-        raise InputError("camera", what, "check height, pitch and field of view")
+        what = f"shows no ground within {settings.range:g} m"
+        raise InputError("image", what, "check height, pitch and field of view")
+    typical = (apart * inside).sum(1) / np.maximum(inside.sum(1), 1)
+    halvings = np.floor(np.log2(np.clip(typical, 1, 2**MOST_HALVINGS))).astype(int)
     placed = [np.ascontiguousarray(pixels[..., axis], np.float32) for axis in (0, 1)]
     return RayPlaces(
-        torch.from_numpy(azimuth), torch.from_numpy(distance), *placed, torch.from_numpy(inside)
+        torch.from_numpy(azimuth),
+        torch.from_numpy(distance),
+        *placed,
+        halvings,
+        torch.from_numpy(inside),
     )
 
 
@@ -204,7 +215,7 @@ def _view(camera: GroundCamera) -> tuple[float, float]:
     rays = rays[rays[:, 2] < 0]
     azimuth = np.clip(np.arctan2(rays[:, 1], rays[:, 0]), -math.pi / 2, math.pi / 2)
     if azimuth.size == 0 or azimuth.max() - azimuth.min() < 1e-3:
-        raise InputError("camera", "sees no ground", "check pitch and field of view")
+        raise InputError("image", "shows no ground", "check pitch and field of view")
     return float(azimuth.min()), float(azimuth.max())
 
 
@@ -212,11 +223,20 @@ def _view(camera: GroundCamera) -> tuple[float, float]:
 
 
 def _looked_up(values: Tensor, places: RayPlaces) -> Tensor:
-    """Values (H,W) at the samples (K+1,B), bilinear."""
+    """Values (H,W) at the samples (K+1,B), bilinear; near the camera means of many pixels."""
     source = values.detach().cpu().contiguous().numpy()
-    found = cv2.remap(
-        source, places.columns, places.rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
+    height, width = source.shape
+    found = np.empty(places.columns.shape, np.float32)
+    for halvings in range(int(places.halvings.max()) + 1):
+        if halvings:
+            size = (math.ceil(source.shape[1] / 2), math.ceil(source.shape[0] / 2))
+            source = cv2.resize(source, size, interpolation=cv2.INTER_AREA)
+        at = places.halvings == halvings
+        if at.any():
+            columns = (places.columns[at] + 0.5) * (source.shape[1] / width) - 0.5
+            rows = (places.rows[at] + 0.5) * (source.shape[0] / height) - 0.5
+            border = cv2.BORDER_REPLICATE
+            found[at] = cv2.remap(source, columns, rows, cv2.INTER_LINEAR, borderMode=border)
     return torch.from_numpy(found)
 
 
@@ -247,7 +267,7 @@ def _cell_centres(
 ) -> tuple[Tensor, Tensor, tuple[float, float]]:
     """Cells' middles seen from the camera's foot, x (1,C) and y (R,1), and the grid's origin."""
     size = settings.resolution
-    columns, rows = math.ceil(settings.ahead / size), 2 * math.ceil(settings.side / size)
+    columns, rows = math.ceil(settings.range / size), 2 * math.ceil(settings.side / size)
     x = (torch.arange(columns, dtype=torch.float64) + 0.5) * size
     y = (torch.arange(rows, dtype=torch.float64) + 0.5 - rows / 2) * size
     foot = camera.pose.position

@@ -96,7 +96,8 @@ def grid(
     """
     from roadtorch.camera.camera import Camera
     from roadtorch.camera.ground_grid import GridSettings
-    from roadtorch.cli import batch, config as configuration, grids, results
+    from roadtorch.cli import batch, grids, results
+    from roadtorch.cli import config as configuration
     from roadtorch.cli.claim import claimed
     from roadtorch.detectors.catalogue import load_detector
     from roadtorch.settings import build_settings
@@ -106,7 +107,7 @@ def grid(
     name, values = configuration.chosen_detector(detector, config, assignments, threshold)
     known = None if camera is None else Camera.read(camera)
     loaded = load_detector(name, camera=known, **values)
-    cells = {"resolution": resolution, "ahead": ahead, "side": side, "coarsest": coarsest}
+    cells = {"resolution": resolution, "range": ahead, "side": side, "coarsest": coarsest}
     settings = build_settings(GridSettings, {**cells, "threshold": loaded.settings.threshold})
     kinds = ["pgm", "yaml", "npy", *["likelihood"] * likelihood, *["picture"] * picture]
     planned = batch.plan(inputs, out, {kind: grids.SUFFIXES[kind] for kind in kinds})

@@ -124,9 +124,7 @@ class _KittiPlacing:
     mount: tuple[float, float]
 
     def __call__(self, image: Tensor, _: Detection) -> Placed:
-        camera = kitti_ground_camera(
-            self.calibration, image.shape[-1], image.shape[-2], self.mount
-        )
+        camera = kitti_ground_camera(self.calibration, image.shape[-1], image.shape[-2], self.mount)
         return Placed(camera, f"pitch {camera.pose.pitch:.2f} degrees, of the calibration", 0.0)
 
 
@@ -183,7 +181,7 @@ class Gridding:
             self.known.check(image)
         detection = self.detector.detect(image)
         placed = self.placing(image, detection)
-        road = decided(detection)
+        road = decided(detection, self.settings.threshold)
         grid = ground_grid(road, placed.camera, self.settings, detection.cues.get("ego"))
         make_folder(job.output("").parent, ELSEWHERE)
         write_grid(job.output(""), grid, placed.told)
@@ -207,13 +205,12 @@ def _row(
     return Row(job.file, str(width), str(height), f"{ms:.0f}", f"{share:.4f}", trust, status)
 
 
-def decided(detection: Detection) -> Tensor:
-    """The likelihood (H,W), 0 where the mask dropped an isolated region.
+def decided(detection: Detection, threshold: float) -> Tensor:
+    """The likelihood (H,W), 0 where it reaches the threshold but the mask dropped the region.
 
     Its threshold parts road between pixels where that of the mask parts pixels.
     """
-    kept = detection.mask | (detection.likelihood < detection.likelihood[detection.mask].min())
-    return detection.likelihood * kept if detection.mask.any() else detection.mask.float()
+    return detection.likelihood * (detection.mask | (detection.likelihood < threshold))
 
 
 def beside(image: Tensor, mask: Tensor, grid: Grid) -> Tensor:
