@@ -136,7 +136,7 @@ def ground_rays(
     if tuple(road.shape) != (lens.height, lens.width):
         what = f"is {road.shape[1]}×{road.shape[0]} pixels, the lens {lens.width}×{lens.height}"
         raise InputError("road", what, "give a map of the lens's size, or lens.at(width, height)")
-    places = ray_places(camera, settings)
+    places = ray_places(camera, settings)  # type: ignore[arg-type]  # frozen: it has a hash
     values = _looked_up(road.float(), places)
     seen = places.inside if ego is None else places.inside & (_looked_up(ego.float(), places) < 0.5)
     values, seen = _cell_means(values, seen, places, settings)
@@ -192,11 +192,12 @@ def ray_places(camera: GroundCamera, settings: GridSettings) -> RayPlaces:
         raise InputError("image", what, "check height, pitch and field of view")
     typical = (apart * inside).sum(1) / np.maximum(inside.sum(1), 1)
     halvings = np.floor(np.log2(np.clip(typical, 1, 2**MOST_HALVINGS))).astype(int)
-    placed = [np.ascontiguousarray(pixels[..., axis], np.float32) for axis in (0, 1)]
+    columns, rows = (np.ascontiguousarray(pixels[..., axis], np.float32) for axis in (0, 1))
     return RayPlaces(
         torch.from_numpy(azimuth),
         torch.from_numpy(distance),
-        *placed,
+        columns,
+        rows,
         halvings,
         torch.from_numpy(inside),
     )

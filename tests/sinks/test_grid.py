@@ -18,6 +18,7 @@ def loaded(path: Path) -> tuple[np.ndarray, dict]:
     """nav2_map_server's loader in trinary mode: int8 by y and x, and the YAML."""
     values = yaml.safe_load(path.read_text())
     grey = cv2.imread(str(path.parent / values["image"]), cv2.IMREAD_GRAYSCALE)
+    assert grey is not None
     taken = np.float32(1) - grey.astype(np.float32) / np.float32(255)
     cells = np.full(grey.shape, -1, np.int8)
     cells[taken >= values["occupied_thresh"]] = 100
