@@ -6,6 +6,7 @@ occupied, 205 unknown, and occupied from .65 of (255 - value) / 255. Its default
 """
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -51,11 +52,12 @@ def map_yaml(grid: Grid, picture: str, told: str = "") -> str:
     return "\n".join([*lines, ""])
 
 
-def write_grid(stem: Path, grid: Grid, told: str = "") -> None:
+def write_grid(stem: str | os.PathLike[str], grid: Grid, told: str = "") -> None:
     """Write STEM.grid.pgm, STEM.grid.yaml and STEM.grid.npy (int8, y by x); folders must exist.
 
     Raises InputError when one cannot be written.
     """
+    stem = Path(stem)
     picture = stem.with_name(stem.name + ".grid.pgm")
     write_pgm(picture, grid)
     write_npy(stem.with_name(stem.name + ".grid.npy"), grid.cells)

@@ -45,7 +45,7 @@ def test_the_picture_has_x_to_the_right_and_y_upwards(tmp_path: Path) -> None:
 
 
 def test_numpy_has_the_rows_from_the_right(tmp_path: Path) -> None:
-    write_grid(tmp_path / "a", GRID)
+    write_grid(str(tmp_path / "a"), GRID)
 
     cells = np.load(tmp_path / "a.grid.npy")
 
