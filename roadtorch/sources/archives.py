@@ -24,10 +24,10 @@ from roadtorch.decoding import reason
 from roadtorch.errors import InputError, unknown_name
 from roadtorch.image import READABLE, decode_image
 from roadtorch.outside import MOST_BYTES, printable
-from roadtorch.sources.video import VIDEO_SUFFIXES
 from roadtorch.sources.frame import Frame, Selection, Source
 from roadtorch.sources.pictures import names_picture
 from roadtorch.sources.tarballs import tar_members
+from roadtorch.sources.video import VIDEO_SUFFIXES
 
 ZIPS = (".zip",)
 TARS = (".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tbz2", ".tar.xz", ".txz")
