@@ -1,5 +1,6 @@
 """roadtorch infer: pictures to likelihoods, masks and overlays."""
 
+from dataclasses import asdict
 from pathlib import Path
 
 import click
@@ -7,15 +8,15 @@ import click
 from roadtorch.cli.options import (
     CAMERA,
     CONFIG,
-    JOBS,
     ONE_DETECTOR,
     OVERWRITE,
-    PATH,
     QUIET,
     SETTING,
+    Means,
+    with_means,
 )
 
-KINDS = ("likelihood", "mask", "overlay", "cues", "npy")
+KINDS = ("likelihood", "mask", "overlay", "cues", "npy", "polygons", "json")
 
 
 def _kinds(_: click.Context, __: click.Parameter, value: str) -> tuple[str, ...]:
@@ -34,7 +35,7 @@ def _kinds(_: click.Context, __: click.Parameter, value: str) -> tuple[str, ...]
 @click.command()
 @click.argument("inputs", metavar="INPUT...", nargs=-1)
 @ONE_DETECTOR
-@click.option("--out", type=PATH, default=Path("roads"), show_default=True, help="Results.")
+@click.option("--out", default="roads", show_default=True, help="Folder or URL for results.")
 @click.option(
     "--save",
     default="likelihood,mask,overlay",
@@ -47,7 +48,7 @@ def _kinds(_: click.Context, __: click.Parameter, value: str) -> tuple[str, ...]
 @CAMERA
 @click.option("--threshold", type=float, help="Likelihood from which a pixel is road.")
 @click.option("--depth", type=click.Choice(["8", "16"]), default="8", show_default=True)
-@JOBS
+@with_means
 @OVERWRITE
 @QUIET
 @click.option("--print-config", is_flag=True, help="Print the effective settings and stop.")
@@ -56,14 +57,14 @@ def infer(
     context: click.Context,
     inputs: tuple[str, ...],
     detector: str | None,
-    out: Path,
+    out: str,
     save: tuple[str, ...],
     assignments: tuple[str, ...],
     config: Path | None,
     camera: Path | None,
     threshold: float | None,
     depth: str,
-    jobs: int,
+    means: Means,
     overwrite: bool,
     quiet: bool,
     print_config: bool,
@@ -75,8 +76,11 @@ def infer(
       NAME.likelihood.png   how road-like each pixel is, 0 to white
       NAME.mask.png         road white, the rest black
       NAME.overlay.jpg      the picture with its road tinted and outlined
-    and on demand NAME.cue.CUE.png (--save cues) and .npy files. index.csv lists every
-    picture. A second run goes on where the first one stopped.
+    and on demand NAME.cue.CUE.png (--save cues), .npy files, outlines (--save polygons:
+    NAME.labelme.json and coco.json) and NAME.json. index.csv lists every picture, run.json
+    says how it was made. A second run goes on where the first one stopped.
+
+    Pictures and --out may be URLs of fsspec (s3://bucket/drive).
     """
     from roadtorch.cli import config as configuration
 
@@ -85,20 +89,35 @@ def infer(
         raise click.UsageError("Missing argument 'INPUT...'", context)
 
     from roadtorch.camera.camera import Camera
-    from roadtorch.cli import batch, results
-    from roadtorch.cli.claim import claimed
+    from roadtorch.cli import batch, engines, results
+    from roadtorch.cli.run_record import RunRecord
     from roadtorch.detectors.catalogue import load_detector
 
+    engines.prepare(means)
     known = None if camera is None else Camera.read(camera)
     loaded = load_detector(name, camera=known, **values)
     effective = configuration.as_toml(loaded.name, loaded.settings)
     if print_config:
         click.echo(effective)
         return
-    planned = batch.plan(inputs, out, results.suffixes(save))
-    context.with_resource(claimed(out))
-    results.keep_config(out, effective, overwrite)
-    work = results.Inference(loaded, frozenset(save), 16 if depth == "16" else 8, known)
+    bits = 16 if depth == "16" else 8
+    work = results.Inference(loaded, frozenset(save), bits, known, means.device)
+    plan = engines.plan(inputs, out, results.suffixes(save), work)
+    place = context.with_resource(plan.claimed())
+    results.keep_config(place, effective, overwrite)
+    plan.publish(place / results.CONFIG)
     method = results.detector_method(loaded, effective, save, depth.encode())
-    options = batch.Options(jobs, overwrite, quiet)
-    context.exit(batch.run_jobs(planned, out, work, method, options))
+    files = tuple(job.file for job in plan.jobs)
+    given = {**asdict(means), "inputs": inputs, "save": save}
+
+    def run() -> int:
+        try:
+            with engines.started(means) as engine:
+                options = batch.Options(
+                    means.jobs, overwrite, quiet, means.fail_fast, engine, plan.publish, out
+                )
+                return batch.run_jobs(plan.jobs, place, plan.work, method, options)
+        finally:
+            plan.assemble(place, save)
+
+    context.exit(RunRecord(place, loaded, files, given, plan.publish).around(run))

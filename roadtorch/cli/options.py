@@ -1,6 +1,8 @@
 """Options that several commands share, written once."""
 
+import functools
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,67 @@ JOBS = click.option(
 )
 OVERWRITE = click.option("--overwrite", is_flag=True, help="Redo pictures that are done.")
 QUIET = click.option("--quiet", is_flag=True, help="No progress, only failures.")
+
+
+@dataclass(frozen=True)
+class Means:
+    """With what the pictures of a run are worked on.
+
+    jobs: pictures at a time on this machine. engine: ``local`` or ``ray``. address: of a Ray
+    cluster; None for one of this machine. workers: actors. threads: of torch and OpenCV within a
+    picture; None for what they take. device: of torch. fail_fast: end at the first failure.
+    """
+
+    jobs: int
+    engine: str
+    address: str | None
+    workers: int
+    threads: int | None
+    device: str
+    fail_fast: bool
+
+
+MEANS = (
+    JOBS,
+    click.option(
+        "--engine",
+        type=click.Choice(["local", "ray"]),
+        default="local",
+        show_default=True,
+        help="Threads of this machine, or actors on Ray (extra: ray).",
+    ),
+    click.option("--address", help="A Ray cluster's; without it one is started here."),
+    click.option(
+        "--workers",
+        type=click.IntRange(min=1),
+        default=2,
+        show_default=True,
+        help="Actors on Ray, each with one processor.",
+    ),
+    click.option(
+        "--threads",
+        type=click.IntRange(min=1),
+        help="Threads within a picture; likelihoods differ in the seventh digit.",
+    ),
+    click.option(
+        "--device", default="cpu", show_default=True, help="Where tensors are: cpu, cuda, cuda:1."
+    ),
+    click.option("--fail-fast", is_flag=True, help="End at the first picture that fails."),
+)
+
+
+def with_means(command: Command) -> Command:
+    """A command with the options of ``Means``, which it gets as one argument ``means``."""
+
+    @functools.wraps(command)
+    def gathered(*arguments: Any, **options: Any) -> Any:
+        means = Means(**{name: options.pop(name) for name in Means.__dataclass_fields__})
+        return command(*arguments, means=means, **options)
+
+    for option in reversed(MEANS):
+        gathered = option(gathered)
+    return gathered
+
 
 LABELLED_SET = (
     click.argument("dataset"),

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 from time import perf_counter
 from typing import Literal
 
@@ -14,7 +14,7 @@ from roadtorch.cli.batch import DONE, DOUBTFUL, INDEX, Job, Method, Row, method_
 from roadtorch.cli.claim import ELSEWHERE
 from roadtorch.detector import Detection, Detector
 from roadtorch.errors import ConfigError
-from roadtorch.files import digest_of, make_folder, write_text
+from roadtorch.files import digest_of, make_folder, write_json, write_text
 from roadtorch.image import (
     read_image,
     write_colours,
@@ -26,6 +26,8 @@ from roadtorch.image import (
 from roadtorch.layout.classes import LAYOUT_COLOURS, layout_colours
 from roadtorch.layout.weights import tensors_hash
 from roadtorch.outside import printable
+from roadtorch.sinks.polygons import labelme_document
+from roadtorch.version import __version__
 
 CONFIG = "config.toml"
 SUFFIXES = {
@@ -33,6 +35,8 @@ SUFFIXES = {
     "mask": ".mask.png",
     "overlay": ".overlay.jpg",
     "npy": ".likelihood.npy",
+    "polygons": ".labelme.json",
+    "json": ".json",
 }
 
 GOLDEN = 0.6180339887  # the fractional step that spreads neighbouring labels over the colours
@@ -86,13 +90,15 @@ def _texts(values: object) -> Iterator[str]:
 class Inference:
     """The work on one picture: read, detect, write.
 
-    camera: the one that its picture has to be of, where it is known.
+    camera: the one that its picture has to be of, where it is known. device: where the tensors
+    are while the road is looked for; steps of OpenCV fetch what they need.
     """
 
     detector: Detector
     kinds: frozenset[str]
     depth: Literal[8, 16]
     camera: Camera | None = None
+    device: str = "cpu"
 
     def __call__(self, job: Job) -> Row:
         """Write the results of one picture; the row for index.csv."""
@@ -100,7 +106,7 @@ class Inference:
         image = read_image(job.picture.path)
         if self.camera is not None:
             self.camera.check(image)
-        detection = self.detector.detect(image)
+        detection = self.detector.to(self.device).detect(image.to(self.device))
         self._write(job, image, detection)
         height, width = detection.mask.shape
         share = float(detection.mask.to(torch.float64).mean())
@@ -121,11 +127,35 @@ class Inference:
             write_overlay(path, image, detection.mask, detection.cues.get("ego"), caption)
         if "npy" in self.kinds:
             write_npy(job.output(SUFFIXES["npy"]), detection.likelihood)
+        if "polygons" in self.kinds:
+            document = labelme_document(detection.mask.cpu().numpy(), PurePath(job.file).name)
+            write_json(job.output(SUFFIXES["polygons"]), document)
+        if "json" in self.kinds:
+            write_json(job.output(SUFFIXES["json"]), facts(job.file, detection, self.detector))
         for name, cue in detection.cues.items():
             if "cues" in self.kinds:
-                write_colours(job.output(f".cue.{name}.png"), cue_picture(name, cue))
+                write_colours(job.output(f".cue.{name}.png"), cue_picture(name, cue.cpu()))
             if "npy" in self.kinds:
                 write_npy(job.output(f".{name}.npy"), cue)
+
+
+def facts(file: str, detection: Detection, detector: Detector) -> dict[str, object]:
+    """What is known about one picture in numbers; nothing in it depends on the run.
+
+    road_share: of the mask, in [0,1]. trust: the expected F, None where the detector does not say.
+    """
+    height, width = detection.mask.shape
+    return {
+        "file": file,
+        "width": width,
+        "height": height,
+        "road_share": round(float(detection.mask.to(torch.float64).mean()), 6),
+        "trust": None if detection.trust is None else round(detection.trust, 4),
+        "doubt": detection.doubt,
+        "threshold": detector.settings.threshold,
+        "detector": detector.name,
+        "roadtorch": __version__,
+    }
 
 
 def cue_picture(name: str, cue: Tensor) -> Tensor:

@@ -88,7 +88,12 @@ def _walk(folder: Path, apart: Path | None) -> Iterator[Path]:
 
 
 def _is_picture(path: Path) -> bool:
-    name = path.name.lower()
+    return is_picture_name(str(path))
+
+
+def is_picture_name(path: str) -> bool:
+    """Whether a file of this name is looked at in a folder: a picture, not hidden, none of ours."""
+    name = os.path.basename(path).lower()
     is_ours = name.endswith(RESULTS) or ".cue." in name
     return name.endswith(SUFFIXES) and not name.startswith(".") and not is_ours
 
