@@ -108,7 +108,7 @@ def infer(
     plan.publish(place / results.CONFIG)
     method = results.detector_method(loaded, effective, save, depth.encode())
     files = tuple(job.file for job in plan.jobs)
-    given = {**asdict(means), "inputs": inputs, "save": save}
+    given = {**asdict(means), "save": save, "depth": bits}
 
     def run() -> int:
         try:

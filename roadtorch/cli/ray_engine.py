@@ -3,6 +3,8 @@
 import logging
 import os
 import pickle
+import re
+import socket
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -19,6 +21,7 @@ from roadtorch.errors import ConfigError, InputError
 TOGETHER = 16  # jobs that a worker is given at once, and does anew when it dies; ours
 MOST_BLOCKS = 10_000  # that the driver keeps an eye on; ours: Ray's own limit is memory
 RETRIES = 3  # of jobs whose worker died, so that a picture that kills workers ends the run
+PATIENCE = 10.0  # seconds until a cluster has to answer; ours
 STORE = 100 * 2**20  # bytes of a local cluster's object store; rows and weights are small
 
 QUIET = {
@@ -58,34 +61,64 @@ def ray_engine(cluster: Cluster) -> Iterator[Engine]:
 
     Raises ConfigError where Ray is not installed, or no cluster is at the address.
     """
-    for name, value in QUIET.items():
-        os.environ.setdefault(name, value)
-    try:
-        # Ray reads deprecated settings of its own when it is imported.
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            import ray
-            import ray.data
-    except ImportError:
-        raise ConfigError(
-            "--engine ray", "Ray is not installed", "pip install 'roadtorch[ray]'"
-        ) from None
-    _silence(ray)
-    with TemporaryDirectory(prefix="rt-", ignore_cleanup_errors=True) as folder:
+    with (
+        TemporaryDirectory(prefix="rt-", ignore_cleanup_errors=True) as folder,
+        _environment({**QUIET, **_worker_environment(Threads.of_now())}),
+    ):
+        ray = _imported()
         try:
-            _join(ray, cluster, folder)
+            with _without_stderr():
+                _join(ray, cluster, folder)
             yield partial(_rows_of_actors, cluster=cluster)
         finally:
             ray.shutdown()
 
 
-def _silence(ray: Any) -> None:
-    """No bars, no plans, no advice; what goes wrong is raised."""
+@contextmanager
+def _environment(values: Mapping[str, str]) -> Iterator[None]:
+    """What this process, and a local cluster's, find in their environment during the block."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _imported() -> Any:
+    """Ray, told to show no bars, plans and advice; what goes wrong is raised."""
+    try:
+        # It reads deprecated settings of its own when it is imported.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            import ray
+            import ray.data
+    except ImportError:
+        what, remedy = "Ray is not installed", "pip install 'roadtorch[ray]'"
+        raise ConfigError("--engine ray", what, remedy) from None
     context = ray.data.DataContext.get_current()
     context.enable_progress_bars = False
     context.print_on_execution_start = False
     for name in ("ray", "ray.data"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
+    return ray
+
+
+@contextmanager
+def _without_stderr() -> Iterator[None]:
+    """Send what libraries write to file number 2 nowhere: Ray announces its quiet there."""
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def _join(ray: Any, cluster: Cluster, folder: str) -> None:
@@ -101,11 +134,19 @@ def _join(ray: Any, cluster: Cluster, folder: str) -> None:
         )
         return
     try:
+        _knock(cluster.address)
         ray.init(address=cluster.address, **quiet)
-    except (ConnectionError, ValueError, RuntimeError) as problem:
+    except (OSError, ValueError, RuntimeError) as problem:
         what = f"no Ray cluster answers: {' '.join(str(problem).split())[:200]}"
         remedy = "start one with 'ray start --head', or leave --address out"
         raise ConfigError(cluster.address, what, remedy) from None
+
+
+def _knock(address: str) -> None:
+    """OSError where nobody listens at ``host:port``; Ray itself would try for minutes."""
+    if found := re.fullmatch(r"(?:ray://)?([\w.-]+):(\d+)", address):
+        host, port = found.groups()
+        socket.create_connection((host, int(port)), timeout=PATIENCE).close()
 
 
 def _rows_of_actors(jobs: Sequence[Task], work: Work, cluster: Cluster) -> Rows:
@@ -120,9 +161,11 @@ def _rows_of_actors(jobs: Sequence[Task], work: Work, cluster: Cluster) -> Rows:
     from ray.data import ActorPoolStrategy
     from ray.exceptions import RayError
 
+    threads = Threads.of_now()
+    # The workers of a local cluster have the environment of this process.
+    environment = {"env_vars": _worker_environment(threads)} if cluster.address else None
     blocks = min(max(len(jobs) // TOGETHER, 4 * cluster.workers), len(jobs), MOST_BLOCKS)
     items = [{"job": pickle.dumps(job)} for job in jobs]
-    threads = Threads.of_now()
     rows = ray.data.from_items(items, override_num_blocks=blocks).map(
         Worker,
         fn_constructor_args=(pickle.dumps(work), threads),
@@ -131,7 +174,7 @@ def _rows_of_actors(jobs: Sequence[Task], work: Work, cluster: Cluster) -> Rows:
         num_gpus=1 if cluster.gpu else None,
         max_restarts=-1,
         max_task_retries=RETRIES,
-        runtime_env={"env_vars": _worker_environment(threads)},
+        runtime_env=environment,
     )
     try:
         for row in rows.iter_rows():

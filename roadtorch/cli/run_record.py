@@ -67,7 +67,7 @@ class RunRecord:
             "settings": self.detector.settings.model_dump(mode="json"),
             "weights_sha256": tensors_hash(self.detector.state_dict()),
             "threads": vars(Threads.of_now()),
-            **self.given,
+            "options": self.given,
             "inputs_sha256": inputs_hash(own),
             "index_sha256": digest_of(self.folder / INDEX),
             "started": started,
