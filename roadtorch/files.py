@@ -4,6 +4,7 @@ import csv
 import errno
 import hashlib
 import io
+import json
 import os
 import re
 import secrets
@@ -168,6 +169,15 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write UTF-8 text with the line ends as they are; other bytes of names as ``\\xff``."""
     with atomic(path) as temporary:
         temporary.write_bytes(printable(text).encode())
+
+
+def write_json(path: str | os.PathLike[str], document: object) -> None:
+    """Write JSON, indented by two; the same document gives the same bytes.
+
+    Raises ValueError for numbers that are not finite, which JSON does not have.
+    """
+    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
+    write_text(path, text + "\n")
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> str:

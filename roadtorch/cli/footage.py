@@ -10,10 +10,11 @@ import click
 from torch import Tensor
 
 from roadtorch.cli import batch
-from roadtorch.cli.batch import DONE, FAILED, INDEX, Job, Method, Options, Row
+from roadtorch.cli.batch import Job, Method, Options
 from roadtorch.cli.claim import ELSEWHERE
 from roadtorch.cli.footage_results import FootageResults, clock_text
 from roadtorch.cli.frame_index import FrameIndex, appended
+from roadtorch.cli.index import DONE, DOUBTFUL, FAILED, INDEX, Row, read_index
 from roadtorch.detector import Detector
 from roadtorch.errors import RoadtorchError
 from roadtorch.files import make_folder, remove_leftovers
@@ -61,7 +62,7 @@ def run_sources(
     skipped, failed = 0, 0
     for source, job in planned:
         own = replace(method, kinds=work.results.kinds(source))
-        row = batch.read_index(job.out / INDEX).get(job.file)
+        row = read_index(job.out / INDEX).get(job.file)
         if not options.overwrite and own.covers(row, job):
             skipped += 1
         else:
@@ -94,7 +95,7 @@ class FrameCount:
             row = replace(row, saved=" ".join(self.method.kinds), method=self.method.digest)
             self.last = row
             self.done += 1
-            self.doubtful += row.status.startswith(batch.DOUBTFUL)
+            self.doubtful += row.status.startswith(DOUBTFUL)
             self.ms += float(row.ms)
         self.index.add(row)
 

@@ -11,8 +11,10 @@ from typing import Literal
 import numpy as np
 
 from roadtorch.cli import results
-from roadtorch.cli.batch import Job, Row
+from roadtorch.cli.batch import Job
 from roadtorch.cli.claim import ELSEWHERE
+from roadtorch.cli.index import Row
+from roadtorch.detector import Detector
 from roadtorch.files import make_folder
 from roadtorch.image import overlay_pixels
 from roadtorch.sinks.gif import GifSink
@@ -58,12 +60,14 @@ class FootageResults:
     """What is written of a source.
 
     asked: the kinds of ``--save``, None where it is not given: of a moving source ``overlay`` is a
-    video and ``overlay-frames`` are pictures. gif: its start and end in seconds.
+    video and ``overlay-frames`` are pictures. gif: its start and end in seconds. detector: the one
+    that ``json`` speaks of.
     """
 
-    asked: tuple[str, ...] | None = None
-    depth: Literal[8, 16] = 8
-    gif: tuple[float, float] | None = None
+    asked: tuple[str, ...] | None
+    depth: Literal[8, 16]
+    gif: tuple[float, float] | None
+    detector: Detector
 
     def kinds(self, source: Source) -> tuple[str, ...]:
         """What index.csv says was saved."""
@@ -104,31 +108,31 @@ class FootageResults:
                     stack.callback(sink.close)
             if gif is not None:
                 sinks.append((gif, _overlay))
-            yield partial(_write, sinks, self.frame_kinds(source), self.depth, job.out)
+            yield partial(self._write, sinks, self.frame_kinds(source), job.out)
 
+    def _write(
+        self,
+        sinks: list[tuple[VideoSink | GifSink, Draw]],
+        kinds: frozenset[str],
+        out: Path,
+        seen: Seen,
+    ) -> Row:
+        """Write what was seen, to the files of the frame first; the row for index.csv."""
+        start = perf_counter()
+        frame, detection = seen.frame, seen.detection
 
-def _write(
-    sinks: list[tuple[VideoSink | GifSink, Draw]],
-    kinds: frozenset[str],
-    depth: Literal[8, 16],
-    out: Path,
-    seen: Seen,
-) -> Row:
-    """Write what was seen, to the files of the frame first; the row for index.csv."""
-    start = perf_counter()
-    frame = seen.frame
+        def output(suffix: str) -> Path:
+            return out / (frame.name + suffix)
 
-    def output(suffix: str) -> Path:
-        return out / (frame.name + suffix)
-
-    if kinds:
-        make_folder(output("").parent, ELSEWHERE)
-        results.write_files(output, kinds, depth, seen.image, seen.detection)
-    drawn = {draw: draw(seen) for draw in dict.fromkeys(draw for _, draw in sinks)}
-    for sink, draw in sinks:
-        sink.write(drawn[draw], frame.seconds)
-    row = results.row_of(frame.name, seen.detection, seen.ms + 1000 * (perf_counter() - start))
-    return replace(row, seconds=clock_text(frame.seconds))
+        if kinds:
+            make_folder(output("").parent, ELSEWHERE)
+            results.write_files(output, kinds, self.depth, seen.image, detection)
+            results.write_documents(output, kinds, frame.name, detection, self.detector)
+        drawn = {draw: draw(seen) for draw in dict.fromkeys(draw for _, draw in sinks)}
+        for sink, draw in sinks:
+            sink.write(drawn[draw], frame.seconds)
+        row = results.row_of(frame.name, detection, seen.ms + 1000 * (perf_counter() - start))
+        return replace(row, seconds=clock_text(frame.seconds))
 
 
 def clock_text(seconds: float | None) -> str:

@@ -19,8 +19,9 @@ from roadtorch.camera.camera import Camera
 from roadtorch.camera.ground import GroundCamera, Lens, lens_of_view, mounted, pitch_of_horizon
 from roadtorch.camera.ground_grid import FREE, Grid, GridSettings, ground_grid
 from roadtorch.camera.horizon import horizon_of
-from roadtorch.cli.batch import DONE, DOUBTFUL, Job, Row
+from roadtorch.cli.batch import Job
 from roadtorch.cli.claim import ELSEWHERE
+from roadtorch.cli.index import DONE, DOUBTFUL, Row
 from roadtorch.detector import Detection, Detector
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.files import make_folder

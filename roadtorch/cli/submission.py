@@ -8,7 +8,8 @@ from time import perf_counter
 
 from roadtorch.camera.birds_eye import read_calibration, to_birds_eye
 from roadtorch.cli import batch
-from roadtorch.cli.batch import Job, Row
+from roadtorch.cli.batch import Job
+from roadtorch.cli.index import Row
 from roadtorch.data.kitti import result_name
 from roadtorch.detector import Detector
 from roadtorch.files import atomic

@@ -62,6 +62,11 @@ class Place:
     inside: str
 
 
+def is_archive(given: str) -> bool:
+    """Whether it is a zip or tar file of this machine."""
+    return not _scheme(given) and _archive_kind(given) != ""
+
+
 def is_remote(given: str) -> bool:
     """Whether ``archive_source`` reads it: a zip or tar file, or a URL that is no video stream."""
     scheme = _scheme(given)

@@ -42,7 +42,7 @@ def test_a_video_gives_an_overlay_video_and_a_row_a_frame(
     assert result.stderr == (
         f"roadtorch: drive.mp4: 12 frames\nroadtorch: 1 done; results in {out}\n"
     )
-    assert files_in(out) == {"config.toml", "index.csv", "drive.overlay.mp4"}
+    assert files_in(out) == {"config.toml", "drive.overlay.mp4", "index.csv", "run.json"}
     assert stamps_of(out / "drive.overlay.mp4") == pytest.approx([n / 10 for n in range(12)])
     rows = rows_of(out)
     assert list(rows) == [*(f"drive/{n:06d}" for n in range(12)), "drive.mp4"]
@@ -60,7 +60,7 @@ def test_frames_are_what_the_library_says(call: Call, drive: Path, tmp_path: Pat
 
     names = {f"drive/{n:06d}{end}" for n in (2, 7) for end in
              (".likelihood.png", ".mask.png", ".overlay.jpg")}  # fmt: skip
-    assert files_in(out) == names | {"config.toml", "index.csv", "drive.mask.mp4",
+    assert files_in(out) == names | {"config.toml", "index.csv", "run.json", "drive.mask.mp4",
                                      "drive.likelihood.mp4"}  # fmt: skip
     frame = next(f for f in video_source(drive, "d", Selection()).frames() if f.number == 7)
     detection = load_detector("grey-uniformity").detect(frame.read())

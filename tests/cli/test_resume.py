@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from roadtorch.cli import batch, results
+from roadtorch.cli import batch, index, results
 from roadtorch.errors import InputError
 from roadtorch.files import reserved
 from roadtorch.image import write_mask
@@ -287,7 +287,7 @@ def test_a_full_disk_does_not_cost_the_index(
     call: Call, footage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, full = tmp_path / "out", []
-    real = batch.write_index
+    real = index.write_index
 
     def write(path: Path, rows: object) -> None:
         if full:
@@ -299,7 +299,7 @@ def test_a_full_disk_does_not_cost_the_index(
         with reserved(folder, size) as let_go:
             yield lambda: (full.clear(), let_go())[0]
 
-    monkeypatch.setattr(batch, "write_index", write)
+    monkeypatch.setattr(index, "write_index", write)
     monkeypatch.setattr(batch, "reserved", held)
     with before_each(monkeypatch, lambda _: full.append(1)):
         result = call("infer", footage, *ROWS, "--out", out)
