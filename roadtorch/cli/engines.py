@@ -116,7 +116,9 @@ def _fetched(scratch: Path, remote: RemoteFolder, name: str) -> Path:
     return path
 
 
-def plan(inputs: Sequence[str], out: str, suffixes: Mapping[str, str], work: batch.Work) -> Plan:
+def plan_run(
+    inputs: Sequence[str], out: str, suffixes: Mapping[str, str], work: batch.Work
+) -> Plan:
     """The jobs for pictures and a folder that are on this machine or behind URLs.
 
     Where one of them is behind a URL, all of them go that way. Raises what ``batch.plan`` and

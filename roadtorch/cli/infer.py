@@ -102,7 +102,7 @@ def infer(
         return
     bits = 16 if depth == "16" else 8
     work = results.Inference(loaded, frozenset(save), bits, known, means.device)
-    plan = engines.plan(inputs, out, results.suffixes(save), work)
+    plan = engines.plan_run(inputs, out, results.suffixes(save), work)
     place = context.with_resource(plan.claimed())
     results.keep_config(place, effective, overwrite)
     plan.publish(place / results.CONFIG)
