@@ -127,7 +127,7 @@ def engines(pictures: Path, detector: str, rounds: int) -> dict[str, list[float]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description="What much footage costs.")
     commands = parser.add_subparsers(dest="command", required=True)
     measuring = commands.add_parser("measure")
     tabling = commands.add_parser("table")
