@@ -136,7 +136,7 @@ def footage_of(inputs: Sequence[str], out: str, cut: Cut) -> list[Source]:
     return open_sources(inputs, selection(cut), told)
 
 
-def planned(
+def plan_run(
     inputs: Sequence[str],
     out: str,
     suffixes: Mapping[str, str],

@@ -135,7 +135,7 @@ def infer(
     told = sort_inputs(inputs)
     kinds = USUAL_OF_PICTURES if save is None else save
     work = results.Inference(loaded, frozenset(kinds), bits, known, means.device)
-    plan = engines.planned(
+    plan = engines.plan_run(
         told.pictures, out, results.suffixes(kinds), work, engines.selection(cut)
     )
     written = FootageResults(save, bits, gif, loaded)

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, cast
 
 from roadtorch.cli.batch import Engine, Rows, Task, Work
 from roadtorch.cli.index import Row
@@ -167,7 +167,7 @@ def _rows_of_actors(jobs: Sequence[Task], work: Work, cluster: Cluster) -> Rows:
     blocks = min(max(len(jobs) // TOGETHER, 4 * cluster.workers), len(jobs), MOST_BLOCKS)
     items = [{"job": pickle.dumps(job)} for job in jobs]
     rows = ray.data.from_items(items, override_num_blocks=blocks).map(
-        Worker,
+        cast(Any, Worker),  # Ray makes one in each actor
         fn_constructor_args=(pickle.dumps(work), threads),
         compute=ActorPoolStrategy(size=cluster.workers),
         num_cpus=1,

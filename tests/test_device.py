@@ -1,0 +1,37 @@
+"""Detectors work where their tensors are: on a pretended device, as on a GPU, nothing is mixed."""
+
+import pytest
+import torch
+
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.scenes import render_scene
+from tests.pretended_device import Pretended, PretendedDevice, moved
+from tests.representatives import representatives
+
+IMAGE = render_scene(5, 48, 64).image
+
+
+@pytest.mark.parametrize("name", representatives())
+def test_a_detector_works_on_another_device(name: str) -> None:
+    here = load_detector(name).detect(IMAGE)
+    detector = moved(load_detector(name))
+
+    with PretendedDevice():
+        there = detector.detect(Pretended(IMAGE))  # type: ignore[attr-defined]
+
+    assert isinstance(there.likelihood, Pretended)
+    assert isinstance(there.mask, Pretended)
+    assert torch.equal(there.likelihood.inner, here.likelihood)
+    assert torch.equal(there.mask.inner, here.mask)
+    assert (there.trust, there.doubt) == (here.trust, here.doubt)
+    assert set(there.cues) == set(here.cues)
+
+
+def test_mixing_is_refused() -> None:
+    with PretendedDevice(), pytest.raises(RuntimeError, match="and on the CPU"):
+        _ = Pretended(torch.ones(3)) + torch.ones(3)
+
+
+def test_numpy_cannot_look_at_it() -> None:
+    with pytest.raises(RuntimeError):
+        Pretended(torch.ones(3)).numpy()
