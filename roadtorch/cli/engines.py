@@ -16,6 +16,7 @@ from roadtorch.cli.index import INDEX, read_index
 from roadtorch.cli.options import Cut, Means
 from roadtorch.cli.remote import Fetched, Mirror, plan_remote
 from roadtorch.cli.threads import Threads
+from roadtorch.cli.workers import rows_of_workers, usual_workers
 from roadtorch.errors import ConfigError
 from roadtorch.sinks.remote_folder import RemoteFolder
 from roadtorch.sources.frame import Selection, Source
@@ -26,8 +27,7 @@ from roadtorch.sources.remote import is_url
 
 def prepare(means: Means) -> None:
     """Set the threads; ConfigError for a device that is not there."""
-    if means.threads is not None:
-        Threads(means.threads, means.threads).set()
+    Threads(means.threads, means.threads).set()
     check_device(means.device)
 
 
@@ -49,8 +49,8 @@ def check_device(name: str) -> None:
 
 
 @contextmanager
-def started(means: Means) -> Iterator[batch.Engine | None]:
-    """The engine that was asked for, for the block; None: threads of this process.
+def started(means: Means, tasks: int) -> Iterator[batch.Engine | None]:
+    """The engine that was asked for so many tasks, for the block; None: this process itself.
 
     Raises ConfigError where Ray is not there, or ``--address`` is given without it.
     """
@@ -58,7 +58,10 @@ def started(means: Means) -> Iterator[batch.Engine | None]:
         if means.address is not None:
             what = "is for Ray alone"
             raise ConfigError("--address", what, "add --engine ray, or leave it out")
-        yield None
+        workers = means.jobs or usual_workers(tasks)
+        # A process that has used a GPU, or several threads of OpenMP, is not to be copied.
+        is_plain = means.device == "cpu" and means.threads == 1
+        yield partial(rows_of_workers, workers=workers) if is_plain and workers > 1 else None
         return
     from roadtorch.cli.ray_engine import Cluster, ray_engine
 

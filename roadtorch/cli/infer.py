@@ -148,14 +148,14 @@ def infer(
 
     def of_pictures(engine: batch.Engine | None) -> int:
         options = batch.Options(
-            means.jobs, overwrite, quiet, means.fail_fast, engine, plan.publish, out
+            means.jobs or 1, overwrite, quiet, means.fail_fast, engine, plan.publish, out
         )
         method = results.detector_method(loaded, effective, kinds, depth.encode())
         return batch.run_jobs(plan.jobs, place, plan.work, method, options)
 
     def of_footage() -> int:
         method = results.detector_method(loaded, effective, (), repr((depth, cut, gif)).encode())
-        options = batch.Options(means.jobs, overwrite, quiet, means.fail_fast)
+        options = batch.Options(means.jobs or 1, overwrite, quiet, means.fail_fast)
         check = None if known is None else known.check
         return footage.run_sources(
             sources, footage.FootageWork(loaded, written, check), method, options
@@ -163,7 +163,7 @@ def infer(
 
     def run() -> int:
         try:
-            with engines.started(means) as engine:
+            with engines.started(means, len(plan.jobs)) as engine:
                 codes = [of_pictures(engine)] if plan.jobs else [0]
             return max([*codes, *([of_footage()] if sources else [])])
         finally:

@@ -36,28 +36,32 @@ QUIET = click.option("--quiet", is_flag=True, help="No progress, only failures."
 class Means:
     """With what the pictures of a run are worked on.
 
-    jobs: pictures at a time on this machine. engine: ``local`` or ``ray``. address: of a Ray
-    cluster; None for one of this machine. workers: actors. threads: of torch and OpenCV within a
-    picture; None for what they take. device: of torch. fail_fast: end at the first failure.
+    jobs: pictures at a time on this machine; None for one a processor. engine: ``local`` or
+    ``ray``. address: of a Ray cluster; None for one of this machine. workers: actors. threads: of
+    torch and OpenCV within a picture. device: of torch. fail_fast: end at the first failure.
     """
 
-    jobs: int
+    jobs: int | None
     engine: str
     address: str | None
     workers: int
-    threads: int | None
+    threads: int
     device: str
     fail_fast: bool
 
 
 MEANS = (
-    JOBS,
+    click.option(
+        "--jobs",
+        type=click.IntRange(min=1),
+        help="Pictures at a time; the results do not depend on it. [one a processor]",
+    ),
     click.option(
         "--engine",
         type=click.Choice(["local", "ray"]),
         default="local",
         show_default=True,
-        help="Threads of this machine, or actors on Ray (extra: ray).",
+        help="Processes of this machine, or actors on Ray (extra: ray).",
     ),
     click.option("--address", help="A Ray cluster's; without it one is started here."),
     click.option(
@@ -70,6 +74,8 @@ MEANS = (
     click.option(
         "--threads",
         type=click.IntRange(min=1),
+        default=1,
+        show_default=True,
         help="Threads within a picture; likelihoods differ in the seventh digit.",
     ),
     click.option(

@@ -216,11 +216,11 @@ def test_a_signal_ends_the_run_with_index_and_message(
     code: int,
     threads: str,
 ) -> None:
-    out = tmp_path / "out"
+    out, this = tmp_path / "out", os.getpid()
 
     def send(job: batch.Job) -> None:
-        if job.picture.name == "a":
-            os.kill(os.getpid(), number)
+        if job.picture.name == "a":  # in a worker, if there are several
+            os.kill(this, number)
 
     with before_each(monkeypatch, send):
         stopped = call("infer", footage, *ROWS, "--out", out, "--jobs", threads)
