@@ -5,7 +5,7 @@
         --propagation color=0.05 --propagation alike=4
 
 A simulated person clicks the superpixel with the largest error until the mask has F ≥ .98, and
-gives up when no click is of use, or after --most. A click says of the whole superpixel what most of
+gives up when no click is of use, or after 1500 clicks. A click says of the whole superpixel what most of
 its pixels are. Both ways end at the same best mask: every superpixel said.
 """
 
@@ -34,7 +34,7 @@ from roadtorch.settings import build_settings, parse_assignments
 from roadtorch.working_size import at_picture_size
 
 ENOUGH = 0.98
-MOST = 400
+MOST = 1500
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from pydantic import Field
 from roadtorch.annotate.machine import AnnotationSettings
 from roadtorch.annotate.pictures import PictureFolder
 from roadtorch.annotate.session import Session, look_at_all
-from roadtorch.annotate.views import ViewStore
+from roadtorch.annotate.views import VIEWS, ViewStore
 from roadtorch.data.journal import find_journals, read_journal
 from roadtorch.detector import Detector
 from roadtorch.errors import ConfigError
@@ -93,7 +93,7 @@ def opened_session(
     settings = settings or AnnotationSettings()
     for path in find_journals(out):
         read_journal(path)
-    views = ViewStore(out / ".machine", lambda: detector, settings)
+    views = ViewStore(out / VIEWS, lambda: detector, settings)
     return Session(PictureFolder(folder, out), views, out, settings)
 
 

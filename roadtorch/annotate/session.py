@@ -33,6 +33,14 @@ USER = re.compile(r"[A-Za-z0-9_-]{1,32}")
 HELD = 24  # works in memory
 
 
+def checked_user(user: str) -> str:
+    """The name of a user, which is part of file names; InputError where it cannot be."""
+    if not USER.fullmatch(user):
+        what = "is no name for a user"
+        raise InputError(user[:40] or "user", what, "use 1 to 32 letters, digits, _ or -")
+    return user
+
+
 @dataclass
 class Session:
     """What the page asks for. pictures: their folder; views: the machine's; out: the journals."""
@@ -100,15 +108,13 @@ class Session:
             return view
 
     def _work(self, name: str, user: str, view: View | None) -> Work:
-        if not USER.fullmatch(user):
-            what = "is no name for a user"
-            raise InputError(user[:40] or "user", what, "use 1 to 32 letters, digits, _ or -")
+        checked_user(user)
         with self._lock:
             key = (name, user)
             if key not in self._works:
                 path = journal_path(self.out, name, user)
                 height, width = view.size if view else (1, 1)
-                picture = os.path.relpath(self.pictures.root / name, self.out)
+                picture = os.path.relpath(self.pictures.root / name, self.pictures.apart)
                 head = JournalHead(picture=picture, user=user, height=height, width=width)
                 work = open_work(path, head)
                 if view is None and not path.exists():

@@ -18,6 +18,9 @@ from roadtorch.files import atomic, make_folder
 from roadtorch.image import read_image
 from roadtorch.segment_statistics import segment_mean
 
+VIEWS = ".machine"
+"""The folder of views in the folder of corrections."""
+
 HELD = 12  # views in memory; each has some megabytes
 
 
@@ -78,7 +81,7 @@ class ViewStore:
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 
     def _path(self, name: str) -> Path:
-        return self.folder / f"{name}.npz"
+        return view_path(self.folder, name)
 
     def _look(self, name: str, picture: Path, key: str) -> View:
         view = look_at_picture(read_image(picture), self._detector(), self.settings)
@@ -87,6 +90,11 @@ class ViewStore:
 
     def _read(self, name: str, key: str) -> View | None:
         return read_view(self._path(name), key)
+
+
+def view_path(folder: Path, name: str) -> Path:
+    """The file of a picture's view in the folder of all views."""
+    return folder / f"{name}.npz"
 
 
 def write_view(path: Path, view: View, key: str) -> None:
@@ -108,11 +116,11 @@ def write_view(path: Path, view: View, key: str) -> None:
         )
 
 
-def read_view(path: Path, key: str) -> View | None:
-    """The view that was kept under this key; None for any other, and where it cannot be read."""
+def read_view(path: Path, key: str | None = None) -> View | None:
+    """The view that was kept, under this key if one is given; None where there is none."""
     try:
         with np.load(path, allow_pickle=False) as found:
-            if str(found["key"]) != key:
+            if key is not None and str(found["key"]) != key:
                 return None
             count = len(found["indptr"]) - 1
             parts = (found["data"].astype(np.float64), found["indices"], found["indptr"])
