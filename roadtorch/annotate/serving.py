@@ -5,8 +5,9 @@ import os
 import secrets
 import socket
 import threading
-from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pydantic
 from pydantic import Field
@@ -97,10 +98,36 @@ def opened_session(
     return Session(PictureFolder(folder, out), views, out, settings)
 
 
-def serve_page(
-    session: Session, port: int | None, started: Callable[[Address], None]
-) -> None:
-    """Serve the page until the process is interrupted; ``started`` is told its address."""
+@dataclass
+class PageServer:
+    """A server that is ready to run. address: where its page is."""
+
+    address: Address
+    session: Session
+    _server: Any
+    _listening: socket.socket
+
+    def run(self) -> None:
+        """Serve, and look at the pictures meanwhile, until interrupted or told to stop."""
+        stop = threading.Event()
+        looking = threading.Thread(target=look_at_all, args=(self.session, stop), daemon=True)
+        looking.start()
+        try:
+            self._server.run(sockets=[self._listening])
+        finally:
+            stop.set()
+            looking.join(10)
+
+    def stop(self) -> None:
+        """End ``run``, from another thread."""
+        self._server.should_exit = True
+
+
+def page_server(session: Session, port: int | None = None) -> PageServer:
+    """The server of a session's page, its port taken and its address kept for a restart.
+
+    Raises ConfigError for a port that is taken, and without the packages that it needs.
+    """
     try:
         import uvicorn
 
@@ -114,13 +141,7 @@ def serve_page(
     address = Address(port=listening.getsockname()[1], token=token)
     keep_address(session.out, address)
     app = annotation_app(session, token, address.port)
-    server = uvicorn.Server(uvicorn.Config(app, log_level="error", access_log=False))
-    stop = threading.Event()
-    looking = threading.Thread(target=look_at_all, args=(session, stop), daemon=True)
-    looking.start()
-    started(address)
-    try:
-        server.run(sockets=[listening])
-    finally:
-        stop.set()
-        looking.join(10)
+    config = uvicorn.Config(
+        app, log_level="error", access_log=False, timeout_graceful_shutdown=2
+    )
+    return PageServer(address, session, uvicorn.Server(config), listening)

@@ -70,7 +70,7 @@ class Session:
 
     def _work_by_picture(self) -> dict[str, dict[str, dict[str, Any]]]:
         found: dict[str, dict[str, dict[str, Any]]] = {}
-        for path in self.out.rglob(f"*{ENDING}"):
+        for path in sorted(self.out.rglob(f"*{ENDING}")):
             stem = path.relative_to(self.out).as_posix().removesuffix(ENDING)
             name, _, user = stem.rpartition(".")
             if not USER.fullmatch(user):

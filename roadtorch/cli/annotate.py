@@ -1,14 +1,10 @@
 """roadtorch annotate: correct machine labels in a page, report on it, bring labels in and out."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from roadtorch.cli.options import CONFIG, ONE_DETECTOR, PATH, SETTING
-
-if TYPE_CHECKING:
-    from roadtorch.annotate.serving import Address
 
 FORMATS = ("labelme", "xml", "png", "cvat", "label-studio")
 
@@ -93,7 +89,7 @@ def _serve(
     port: int | None,
     choice: tuple[str | None, tuple[str, ...], Path | None],
 ) -> None:
-    from roadtorch.annotate.serving import opened_session, serve_page
+    from roadtorch.annotate.serving import opened_session, page_server
     from roadtorch.cli import config as configuration
     from roadtorch.cli.claim import claimed
     from roadtorch.detectors.catalogue import load_detector
@@ -104,9 +100,7 @@ def _serve(
     name, values = configuration.chosen_detector(detector, config, assignments, None)
     context.with_resource(claimed(out))
     session = opened_session(folder, out, load_detector(name, **values))
-
-    def started(address: "Address") -> None:
-        click.echo(f"{count} pictures; corrections are kept in {out}")
-        click.echo(f"Open {address.url}  (Ctrl-C ends it)")
-
-    serve_page(session, port, started)
+    server = page_server(session, port)
+    click.echo(f"{count} pictures; corrections are kept in {out}")
+    click.echo(f"Open {server.address.url}  (Ctrl-C ends it)")
+    server.run()

@@ -511,16 +511,24 @@ async function begin_as(name) {
   user = localStorage.roadtorchUser = name;
   by("who-button").textContent = name;
   stamp = "";
+  current = wanted = null;
   await refresh();
+  await resume();
+}
+
+// The picture of the address, or the last one, or the least certain.
+async function resume() {
+  if (wanted || !pictures.length) return;
   const hash = decodeURIComponent(location.hash.slice(1));
   const last = [hash, localStorage[`roadtorchLast:${user}`]];
   const known = last.find((one) => pictures.some((each) => each.name === one));
   const first = known ?? pictures.find((one) => !one.users[user]?.right)?.name;
-  if (first ?? pictures[0]?.name) await open(first ?? pictures[0].name);
+  await open(first ?? pictures[0].name);
 }
 
 async function poll() {
   if (user) await refresh();
+  if (user) await resume();
   setTimeout(poll, POLL);
 }
 
