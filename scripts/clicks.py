@@ -12,20 +12,18 @@ its pixels are. Both ways end at the same best mask: every superpixel said.
 import argparse
 import json
 import statistics
+import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
-import sys
-
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from roadtorch.annotate.machine import AnnotationSettings, View, look_at_picture
-from roadtorch.annotate.propagation import propagated
+from roadtorch.annotate.machine import AnnotationSettings, PictureView, look_at_picture, mended_odds
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, Truth, every_kth
 from roadtorch.detectors.catalogue import load_detector
@@ -39,20 +37,29 @@ MOST = 1500
 
 @dataclass(frozen=True)
 class Course:
-    """clicks: how many; reached: whether F was enough; slowest: seconds of one inference."""
+    """f: before the first and after each click. said: the superpixels and 1 road, -1 not.
 
-    clicks: int
-    reached: bool
-    start: float
-    end: float
-    slowest: float
+    seconds: of CPU, of each inference.
+    """
+
+    f: tuple[float, ...]
+    said: tuple[tuple[int, int], ...]
+    seconds: tuple[float, ...]
+
+    @property
+    def clicks(self) -> int:
+        return len(self.said)
+
+    @property
+    def reached(self) -> bool:
+        return self.f[-1] >= ENOUGH
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
     """A picture and its truth, bool (h,w), at the page's working size."""
 
-    view: View
+    view: PictureView
     road: torch.Tensor
     valid: torch.Tensor
 
@@ -69,45 +76,50 @@ class Task:
         return 2 * hit / max(2 * hit + wrong, 1)
 
 
-def task_of(view: View, truth: Truth) -> Task:
+def task_of(view: PictureView, truth: Truth) -> Task:
     shape = (view.labels.shape[0], view.labels.shape[1])
     return Task(view, at_picture_size(truth.road, shape), at_picture_size(truth.valid, shape))
 
 
 def correct(task: Task, settings: AnnotationSettings, infer: bool) -> Course:
     """Click until F is enough, no click is of use, or there were too many."""
-    view, said = task.view, torch.zeros(task.count)
+    said = torch.zeros(task.count)
     yes = task.by_segment(task.road & task.valid)
     no = task.by_segment(~task.road & task.valid)
-    verdict = torch.where(yes > no, 1.0, -1.0)
     least = torch.minimum(yes, no)  # errors that stay in a superpixel however it is said
-    mask, slowest, clicks = view.odds >= 0, 0.0, 0
-    start = f = task.f(mask)
-    while f < ENOUGH and clicks < MOST:
+    mask, course, seconds = task.view.odds >= 0, [], []
+    f = [task.f(mask)]
+    while f[-1] < ENOUGH and len(course) < MOST:
         wrong = task.by_segment((mask != task.road) & task.valid)
         gain = torch.where(said == 0, wrong - least, 0)
         target = int(gain.argmax())
         if gain[target] <= 0:
             break
-        said[target] = verdict[target]
-        clicks += 1
-        begun = time.perf_counter()
-        odds = view.odds
-        if infer:
-            odds = odds + propagated(view.segment_odds, said, view.graph, settings.propagation)[
-                view.labels
-            ]
-        spoken = said[view.labels]
-        mask = torch.where(spoken != 0, spoken > 0, odds >= 0)
-        slowest = max(slowest, time.perf_counter() - begun)
-        f = task.f(mask)
-    return Course(clicks, f >= ENOUGH, start, f, slowest)
+        said[target] = 1 if yes[target] > no[target] else -1
+        course.append((target, int(said[target])))
+        begun = time.thread_time()
+        mask = mask_after(task.view, said, settings, infer)
+        seconds.append(time.thread_time() - begun)
+        f.append(task.f(mask))
+    return Course(tuple(f), tuple(course), tuple(seconds))
+
+
+def mask_after(
+    view: PictureView, said: torch.Tensor, settings: AnnotationSettings, infer: bool
+) -> torch.Tensor:
+    """The mask bool (h,w) after what was said of superpixels (n,)."""
+    odds = mended_odds(view, said, settings.propagation) if infer else view.odds
+    spoken = said[view.labels]
+    return torch.where(spoken != 0, spoken > 0, odds >= 0)
 
 
 def chosen_pictures(arguments: argparse.Namespace) -> Dataset:
     dataset = open_dataset(arguments.set, arguments.root, arguments.split)
     if arguments.group:
         items = tuple(item for item in dataset.items if item.group in arguments.group)
+        dataset = replace(dataset, items=items)
+    if arguments.picture:
+        items = tuple(item for item in dataset.items if item.name == arguments.picture)
         dataset = replace(dataset, items=items)
     return every_kth(dataset, arguments.limit)
 
@@ -118,11 +130,24 @@ def told(name: str, courses: Sequence[Course]) -> str:
     return (
         f"{name:<18} median {statistics.median(clicks):>5g} clicks "
         f"(quartiles {quartiles[0]:g}, {quartiles[1]:g}; mean {statistics.mean(clicks):.1f}), "
-        f"F {statistics.mean(c.start for c in courses):.3f} → "
-        f"{statistics.mean(c.end for c in courses):.3f}, "
+        f"F {statistics.mean(c.f[0] for c in courses):.3f} → "
+        f"{statistics.mean(c.f[-1] for c in courses):.3f}, "
         f"reached in {sum(c.reached for c in courses)} of {len(courses)}, "
-        f"slowest inference {1000 * max(c.slowest for c in courses):.0f} ms"
+        f"slowest {1000 * max(max(c.seconds, default=0) for c in courses):.0f} ms"
     )
+
+
+def listed(course: Course) -> str:
+    """Every click of a course on a line."""
+    lines = [f"   before: F {course.f[0]:.3f}"]
+    for number, ((segment, verdict), f, seconds) in enumerate(
+        zip(course.said, course.f[1:], course.seconds, strict=True), start=1
+    ):
+        word = "road" if verdict > 0 else "not road"
+        lines.append(
+            f"{number:>4}  superpixel {segment:>5}  {word:<9} F {f:.3f}  {1000 * seconds:.0f} ms"
+        )
+    return "\n".join(lines)
 
 
 def main() -> None:
@@ -135,6 +160,7 @@ def main() -> None:
     parser.add_argument("--group", action="append", help="drives to use")
     parser.add_argument("--limit", type=int, default=20)
     parser.add_argument("--propagation", action="append", default=[], help="key=value")
+    parser.add_argument("--picture", help="this one alone, with its clicks listed")
     parser.add_argument("--out", type=Path, help="JSON with every picture's course")
     arguments = parser.parse_args()
     values = {"propagation": parse_assignments(arguments.propagation)}
@@ -151,11 +177,18 @@ def main() -> None:
     print(f"{dataset.name} {' '.join(arguments.group or [])}: {len(rows)} pictures")
     print(told("each by hand", without))
     print(told("inference", with_inference))
+    if arguments.picture:
+        print(listed(rows[0][2]))
+        return
     both = [(a.clicks, b.clicks) for _, a, b in rows if a.reached and b.reached and a.clicks]
     ratio = statistics.median(a for a, _ in both) / max(statistics.median(b for _, b in both), 1)
-    print(f"{len(both)} pictures that needed clicks and reached .98 both ways: median ratio {ratio:.2f}")
+    print(
+        f"{len(both)} pictures needed clicks and reached F .98 both ways: medians "
+        f"{statistics.median(a for a, _ in both):g} and {statistics.median(b for _, b in both):g} "
+        f"clicks, ratio {ratio:.2f}"
+    )
     if arguments.out:
-        found = [{"name": name, "hand": vars(a), "inference": vars(b)} for name, a, b in rows]
+        found = [{"name": name, "hand": asdict(a), "inference": asdict(b)} for name, a, b in rows]
         arguments.out.write_text(json.dumps(found, indent=1))
 
 

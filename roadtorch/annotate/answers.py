@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from roadtorch.annotate.machine import View
+from roadtorch.annotate.machine import PictureView
 from roadtorch.image import read_image, to_pixels
 from roadtorch.working_size import WorkingSize, resized, working_size
 
@@ -30,6 +30,6 @@ def thumbnail_jpeg(path: Path, changed: int) -> bytes:
     return picture_jpeg(path, THUMBNAIL, 80)
 
 
-def superpixel_bytes(view: View) -> bytes:
+def superpixel_bytes(view: PictureView) -> bytes:
     """The superpixels of a view as uint16 (h,w), little endian, row by row."""
     return view.labels.numpy().astype("<u2").tobytes()

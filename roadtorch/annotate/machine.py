@@ -32,7 +32,7 @@ class AnnotationSettings(Settings):
     """What the page works with: a picture's working size, its superpixels, and the inference."""
 
     working: WorkingSize = WorkingSize(pixels=640 * 480)
-    superpixels: Superpixels = Superpixels(pixels=256)
+    superpixels: Superpixels = Superpixels(pixels=64)
     propagation: PropagationSettings = PropagationSettings()
     spoken: float = Field(
         default=0.5, gt=0, le=1, description="share of a superpixel said before it counts as said"
@@ -40,7 +40,7 @@ class AnnotationSettings(Settings):
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class PictureView:
     """One picture as the machine sees it, at the page's working size (h,w).
 
     size: (H,W) of the picture. odds: float32 (h,w), log odds of road, 0 at the threshold. labels:
@@ -57,7 +57,7 @@ class View:
     trust: float | None
 
 
-def look_at_picture(image: Tensor, detector: Detector, settings: AnnotationSettings) -> View:
+def look_at_picture(image: Tensor, detector: Detector, settings: AnnotationSettings) -> PictureView:
     """What a detector sees in an image (3,H,W), and the superpixels that a person clicks."""
     size = (image.shape[-2], image.shape[-1])
     with image_cache():
@@ -73,7 +73,7 @@ def look_at_picture(image: Tensor, detector: Detector, settings: AnnotationSetti
         layout = log_odds(mean.T)
     mean = segment_mean(odds[None], labels, len(segments.size))[0]
     graph = segment_graph(segments, settings.propagation)
-    return View(size, odds, labels, mean, graph, layout, detection.trust)
+    return PictureView(size, odds, labels, mean, graph, layout, detection.trust)
 
 
 def _centred(
@@ -85,7 +85,7 @@ def _centred(
     return torch.where(left_out, -BARELY, odds)
 
 
-def mended_odds(view: View, said: Tensor, settings: PropagationSettings) -> Tensor:
+def mended_odds(view: PictureView, said: Tensor, settings: PropagationSettings) -> Tensor:
     """Log odds (h,w) of road after the rest was inferred from what was said.
 
     said: (n,), 1 road, -1 not road, 0 nothing, for each superpixel.
@@ -94,7 +94,7 @@ def mended_odds(view: View, said: Tensor, settings: PropagationSettings) -> Tens
     return view.odds + moved[view.labels]
 
 
-def mended_layout(view: View, labels: np.ndarray, settings: AnnotationSettings) -> np.ndarray:
+def mended_layout(view: PictureView, labels: np.ndarray, settings: AnnotationSettings) -> np.ndarray:
     """The layout uint8 (h,w), 255 where the machine has none, inferred from labels (H,W)."""
     if not view.layout.shape[1]:
         return np.full(view.labels.shape, UNLABELLED, np.uint8)
@@ -106,13 +106,13 @@ def mended_layout(view: View, labels: np.ndarray, settings: AnnotationSettings) 
     return torch.stack(odds).argmax(0)[view.labels].numpy().astype(np.uint8)
 
 
-def said_of_segments(labels: np.ndarray, view: View, settings: AnnotationSettings) -> Tensor:
+def said_of_segments(labels: np.ndarray, view: PictureView, settings: AnnotationSettings) -> Tensor:
     """What people's labels uint8 (H,W) say of each superpixel: (n,), 1 road, -1 not, 0 nothing."""
     road = road_layer(at_size(labels, (view.labels.shape[0], view.labels.shape[1])))
     return _said(road == ROAD_SAID, road == NOT_ROAD, view, settings)
 
 
-def _said(yes: np.ndarray, no: np.ndarray, view: View, settings: AnnotationSettings) -> Tensor:
+def _said(yes: np.ndarray, no: np.ndarray, view: PictureView, settings: AnnotationSettings) -> Tensor:
     """(n,): 1 or -1 where enough of a superpixel is in the masks (h,w), by which has more."""
     index, count = view.labels.reshape(-1).numpy(), len(view.segment_odds)
     size = np.bincount(index, minlength=count)

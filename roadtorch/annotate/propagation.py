@@ -23,20 +23,20 @@ from roadtorch.settings import Settings
 class PropagationSettings(Settings):
     """How far a correction reaches; chosen with scripts/clicks.py (see docs/annotate.md)."""
 
-    color: float = Field(default=0.04, gt=0, le=10, description="difference in Lab that parts")
+    color: float = Field(default=0.08, gt=0, le=10, description="difference in Lab that parts")
     texture: float = Field(
         default=0.08, gt=0, le=10, description="difference in gradient and contrast that parts"
     )
     place: float = Field(default=0.15, gt=0, le=10, description="distance at which alike fades")
     border: float = Field(default=0.04, gt=0, le=10, description="contrast of a border that parts")
-    alike: int = Field(default=8, ge=0, le=100, description="superpixels that look most alike")
+    alike: int = Field(default=4, ge=0, le=100, description="superpixels that look most alike")
     anchor: float = Field(
         default=0.02, gt=0, le=10, description="pull back to the machine's opinion, for each"
     )
     trust: float = Field(
         default=0.02, ge=0, le=10, description="further pull by how sure the machine is"
     )
-    sure: float = Field(default=4.0, gt=0, le=50, description="log odds of what a person said")
+    sure: float = Field(default=6.0, gt=0, le=50, description="log odds of what a person said")
 
 
 @dataclass(frozen=True, eq=False)

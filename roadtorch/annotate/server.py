@@ -23,6 +23,8 @@ STATIC = {
     "annotate.css": "text/css",
     "annotate.js": "text/javascript",
     "canvas.js": "text/javascript",
+    "controls.js": "text/javascript",
+    "hand.js": "text/javascript",
     "link.js": "text/javascript",
     "list.js": "text/javascript",
 }

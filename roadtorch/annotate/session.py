@@ -13,7 +13,7 @@ import numpy as np
 
 from roadtorch.annotate.machine import (
     AnnotationSettings,
-    View,
+    PictureView,
     at_size,
     mended_layout,
     mended_odds,
@@ -92,13 +92,13 @@ class Session:
 
     # --- one picture --------------------------------------------------------------------
 
-    def view(self, name: str) -> View:
+    def view(self, name: str) -> PictureView:
         """The machine's view of a picture; InputError where it is none, or gone."""
         view = self.views.view(name, self.pictures.path(name))
         self.trusts[name] = np.nan if view.trust is None else view.trust
         return view
 
-    def _view_or_last(self, name: str) -> View:
+    def _view_or_last(self, name: str) -> PictureView:
         """The view of a picture even if its file was deleted while it was being corrected."""
         try:
             return self.view(name)
@@ -107,7 +107,7 @@ class Session:
                 raise
             return view
 
-    def _work(self, name: str, user: str, view: View | None) -> Work:
+    def _work(self, name: str, user: str, view: PictureView | None) -> Work:
         checked_user(user)
         with self._lock:
             key = (name, user)
@@ -143,7 +143,7 @@ class Session:
         work.add(self._completed(act, work, view))
         return {**self._state(name, work, view), "milliseconds": 1000 * (time.perf_counter() - start)}
 
-    def _completed(self, act: AnyAct, work: Work, view: View) -> AnyAct:
+    def _completed(self, act: AnyAct, work: Work, view: PictureView) -> AnyAct:
         """The act with its time and with the pixels that it is about."""
         changes: dict[str, Any] = {"time": round(time.time(), 3)}
         if isinstance(act, SuperpixelStroke):
@@ -157,11 +157,11 @@ class Session:
             changes["runs"] = runs_of(shown_road(self._odds(work, view), work.labels, view.size))
         return act.model_copy(update=changes)
 
-    def _odds(self, work: Work, view: View) -> Any:
+    def _odds(self, work: Work, view: PictureView) -> Any:
         said = said_of_segments(work.labels, view, self.settings)
         return mended_odds(view, said, self.settings.propagation)
 
-    def _state(self, name: str, work: Work, view: View) -> dict[str, Any]:
+    def _state(self, name: str, work: Work, view: PictureView) -> dict[str, Any]:
         shape = (view.labels.shape[0], view.labels.shape[1])
         road = shown_road(self._odds(work, view), work.labels, shape)
         layout = np.minimum(mended_layout(view, work.labels, self.settings), 3)

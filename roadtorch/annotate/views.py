@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from scipy import sparse
 
-from roadtorch.annotate.machine import AnnotationSettings, View, look_at_picture
+from roadtorch.annotate.machine import AnnotationSettings, PictureView, look_at_picture
 from roadtorch.annotate.propagation import Graph
 from roadtorch.detector import Detector
 from roadtorch.files import atomic, make_folder
@@ -34,12 +34,12 @@ class ViewStore:
     folder: Path
     detector: Callable[[], Detector]
     settings: AnnotationSettings
-    _held: OrderedDict[str, tuple[str, View]] = field(default_factory=OrderedDict, repr=False)
+    _held: OrderedDict[str, tuple[str, PictureView]] = field(default_factory=OrderedDict, repr=False)
     _loaded: Detector | None = field(default=None, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
     _looking: threading.RLock = field(default_factory=threading.RLock, repr=False)
 
-    def view(self, name: str, picture: Path) -> View:
+    def view(self, name: str, picture: Path) -> PictureView:
         """The view of a picture, looked at now if it has to be; InputError if it cannot be."""
         key = self._key(picture)
         with self._lock:
@@ -54,7 +54,7 @@ class ViewStore:
                 self._held.popitem(last=False)
         return held[1]
 
-    def last_view(self, name: str) -> View | None:
+    def last_view(self, name: str) -> PictureView | None:
         """What was seen last of a picture that is gone, if it is still in memory."""
         held = self._held.get(name)
         return held[1] if held else None
@@ -83,12 +83,12 @@ class ViewStore:
     def _path(self, name: str) -> Path:
         return view_path(self.folder, name)
 
-    def _look(self, name: str, picture: Path, key: str) -> View:
+    def _look(self, name: str, picture: Path, key: str) -> PictureView:
         view = look_at_picture(read_image(picture), self._detector(), self.settings)
         write_view(self._path(name), view, key)
         return view
 
-    def _read(self, name: str, key: str) -> View | None:
+    def _read(self, name: str, key: str) -> PictureView | None:
         return read_view(self._path(name), key)
 
 
@@ -97,7 +97,7 @@ def view_path(folder: Path, name: str) -> Path:
     return folder / f"{name}.npz"
 
 
-def write_view(path: Path, view: View, key: str) -> None:
+def write_view(path: Path, view: PictureView, key: str) -> None:
     """Keep a view on disk under the key of what it was made of."""
     make_folder(path.parent)
     laplacian = view.graph.laplacian
@@ -116,7 +116,7 @@ def write_view(path: Path, view: View, key: str) -> None:
         )
 
 
-def read_view(path: Path, key: str | None = None) -> View | None:
+def read_view(path: Path, key: str | None = None) -> PictureView | None:
     """The view that was kept, under this key if one is given; None where there is none."""
     try:
         with np.load(path, allow_pickle=False) as found:
@@ -134,4 +134,4 @@ def read_view(path: Path, key: str | None = None) -> View | None:
     mean = segment_mean(odds[None], labels, count)[0]
     graph = Graph(sparse.csr_matrix(parts, shape=(count, count)))
     known = None if np.isnan(trust) else trust
-    return View((height, width), odds, labels, mean, graph, layout, known)
+    return PictureView((height, width), odds, labels, mean, graph, layout, known)

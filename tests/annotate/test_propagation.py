@@ -6,7 +6,7 @@ import torch
 
 from roadtorch.annotate.machine import (
     AnnotationSettings,
-    View,
+    PictureView,
     look_at_picture,
     mended_layout,
     mended_odds,
@@ -89,7 +89,7 @@ def test_the_field_is_the_minimum_of_what_it_is_said_to_minimise() -> None:
 # --- a picture --------------------------------------------------------------------------
 
 
-def a_view() -> tuple[View, AnnotationSettings]:
+def a_view() -> tuple[PictureView, AnnotationSettings]:
     settings = AnnotationSettings()
     return look_at_picture(scene(0, 48, 64).image, load_detector("labeller"), settings), settings
 

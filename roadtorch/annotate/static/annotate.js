@@ -1,7 +1,9 @@
 // The page: pictures, keys and tools; what they do goes to the server as acts.
 
 import { Stage } from "/static/canvas.js";
-import { Outbox, Refusal, address, ask } from "/static/link.js";
+import { button, listKeys, marked, onKeys } from "/static/controls.js";
+import { Hand } from "/static/hand.js";
+import { Outbox, Refusal, ask } from "/static/link.js";
 import { PictureList } from "/static/list.js";
 
 const by = (id) => document.getElementById(id);
@@ -12,11 +14,11 @@ const POLL = 1500; // milliseconds
 
 const stage = new Stage(by("stage"));
 const list = new PictureList(by("list"), by("spacer"), open);
+const hand = new Hand(stage, send, () => current !== null);
 const outbox = new Outbox(acted);
 const loaded = new Map(); // pictures by name: promises, the last few
 
 let user = localStorage.roadtorchUser ?? "";
-let saying = "road";
 let pictures = [];
 let stamp = "";
 let current = null; // the picture that is shown
@@ -202,29 +204,6 @@ function send(act) {
   return sent;
 }
 
-function rounded(points) {
-  return points.map((point) => point.map((value) => Math.round(value * 10) / 10));
-}
-
-function sendSuperpixels() {
-  const segments = [...stage.drag].filter((one) => one >= 0);
-  stage.drag.clear();
-  if (segments.length) send({ kind: "superpixel", saying, segments });
-}
-
-function sendBrush() {
-  const points = rounded(stage.drawn[0]?.points ?? []);
-  stage.drawn = [];
-  if (points.length) send({ kind: "brush", saying, points, radius: stage.radius });
-}
-
-function sendPolygon() {
-  const points = rounded(stage.polygon);
-  stage.polygon = [];
-  if (points.length >= 3) send({ kind: "polygon", saying, points });
-  else stage.draw();
-}
-
 function undo() {
   if (stage.polygon.length) {
     stage.polygon.pop();
@@ -240,136 +219,18 @@ function redo() {
 }
 
 async function right() {
-  if (stage.polygon.length) return sendPolygon();
+  if (stage.polygon.length) return hand.closePolygon();
   if (!current) return;
   const next = following();
   await send({ kind: "right" });
   if (next && next !== current.name) open(next);
 }
 
-// --- tools ------------------------------------------------------------------------------
+// --- sight ------------------------------------------------------------------------------
 
-function choose(tool) {
-  stage.tool = tool;
-  stage.polygon = [];
-  marked("tools", tool);
-  stage.draw();
-}
-
-function say(what) {
-  saying = what;
-  marked("sayings", what);
-}
-
-function marked(group, value) {
-  for (const button of by(group).children) {
-    button.setAttribute("aria-checked", button.dataset.value === value);
-  }
-}
-
-function move(point) {
-  stage.cross = point;
-  stage.hover = stage.superpixel(point);
-}
-
-// Begin, go on with and end what the tool does, at a point of the picture.
-function begin(point) {
-  if (stage.tool === "superpixel") stage.drag.add(stage.superpixel(point));
-  if (stage.tool === "brush") stage.drawn = [{ points: [point], radius: stage.radius }];
-  if (stage.tool === "polygon") {
-    const first = stage.polygon[0];
-    const near = first && Math.hypot(first[0] - point[0], first[1] - point[1]) * stage.zoom < 10;
-    if (near && stage.polygon.length >= 3) return sendPolygon();
-    stage.polygon.push(point);
-  }
-  stage.draw();
-}
-
-function goOn(point) {
-  if (stage.tool === "superpixel") stage.drag.add(stage.superpixel(point));
-  if (stage.tool === "brush") stage.drawn[0]?.points.push(point);
-}
-
-function end() {
-  if (stage.tool === "superpixel") sendSuperpixels();
-  if (stage.tool === "brush") sendBrush();
-}
-
-const pointers = new Map();
-let drawing = false;
-let panning = false;
-let spread = 0;
-
-function down(event) {
-  if (!current) return;
-  stage.canvas.focus({ preventScroll: true });
-  stage.canvas.setPointerCapture(event.pointerId);
-  pointers.set(event.pointerId, stage.at(event));
-  panning = event.button === 1 || event.button === 2 || pointers.size > 1;
-  if (pointers.size > 1) {
-    Object.assign(stage, { drawn: [], drag: new Set() });
-    drawing = false;
-    spread = distance();
-  } else if (!panning) {
-    drawing = true;
-    move(stage.onPicture(stage.at(event)));
-    begin(stage.cross);
-  }
-  event.preventDefault();
-}
-
-function distance() {
-  const [[x, y], [u, v]] = [...pointers.values()];
-  return Math.hypot(x - u, y - v);
-}
-
-function moved(event) {
-  if (!current) return;
-  const point = stage.at(event);
-  const before = pointers.get(event.pointerId);
-  if (before && panning) {
-    stage.pan((point[0] - before[0]) / pointers.size, (point[1] - before[1]) / pointers.size);
-    pointers.set(event.pointerId, point);
-    if (pointers.size === 2) {
-      const now = distance();
-      stage.zoomBy(now / spread, point[0], point[1]);
-      spread = now;
-    }
-    return;
-  }
-  move(stage.onPicture(point));
-  if (drawing) goOn(stage.cross);
-  stage.draw();
-}
-
-function up(event) {
-  pointers.delete(event.pointerId);
-  if (drawing && event.type === "pointerup") end();
-  drawing = false;
-  if (!pointers.size) panning = false;
-  stage.draw();
-}
-
-// --- keys -------------------------------------------------------------------------------
-
-function nudge(x, y, fine) {
-  if (!current) return;
-  const step = fine ? 1 : current.size[0] / 80;
-  const [width, height] = current.size;
-  const inside = (value, most) => Math.min(Math.max(value, 0), most - 1);
-  move([inside(stage.cross[0] + x * step, width), inside(stage.cross[1] + y * step, height)]);
-  stage.draw();
-}
-
-function click() {
-  if (!current) return;
-  begin(stage.cross);
-  end();
-}
-
-function fade(by) {
-  stage.opacity = Math.min(1, Math.max(0.05, stage.opacity + by));
-  document.getElementById("opacity").value = stage.opacity;
+function fade(step) {
+  stage.opacity = Math.min(1, Math.max(0.05, stage.opacity + step));
+  by("opacity").value = stage.opacity;
   stage.draw();
 }
 
@@ -384,12 +245,37 @@ function sight() {
   stage.draw();
 }
 
+// --- making the page --------------------------------------------------------------------
+
+function named(what) {
+  return what.replace("_", " ");
+}
+
+function choose(tool) {
+  hand.choose(tool);
+  marked("tools", tool);
+}
+
+function say(what) {
+  hand.saying = what;
+  marked("sayings", what);
+}
+
 function next(step) {
   const name = following(step);
   if (name) open(name);
 }
 
-const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+function toList() {
+  document.body.classList.toggle("listing");
+  by("list").focus();
+}
+
+function askName() {
+  by("user").value = user;
+  by("who").showModal();
+}
+
 const KEYS = [
   ...SAYINGS.map((what, index) => [`${index + 1}`, `say ${named(what)}`, () => say(what)]),
   ...Object.entries(TOOLS).map(([tool, key]) => [key, `${tool} tool`, () => choose(tool)]),
@@ -398,66 +284,28 @@ const KEYS = [
   ["k", "picture before it in the list", () => next(-1)],
   ["z", "undo (Ctrl+Z as well)", undo],
   ["y", "redo (Ctrl+Y as well)", redo],
-  [" ", "click at the cross", click],
-  ["Escape", "drop the polygon", () => { stage.polygon = []; stage.draw(); }],
+  [" ", "click at the cross", () => hand.click()],
+  ["Escape", "drop the polygon", () => hand.drop()],
   ["+", "zoom in", () => stage.zoomBy(1.25)],
   ["-", "zoom out", () => stage.zoomBy(0.8)],
   ["0", "whole picture", () => stage.fit()],
-  ["[", "smaller brush", () => { stage.radius = Math.max(1, Math.round(stage.radius / 1.3)); stage.draw(); }],
-  ["]", "larger brush", () => { stage.radius = Math.min(400, Math.round(stage.radius * 1.3) + 1); stage.draw(); }],
+  ["[", "smaller brush", () => hand.resize(1 / 1.3)],
+  ["]", "larger brush", () => hand.resize(1.3)],
   ["o", "fainter overlay", () => fade(-0.1)],
   ["O", "stronger overlay", () => fade(0.1)],
   ["v", "overlay on and off", () => flip("hidden")],
   ["g", "borders of superpixels on and off", () => flip("borders")],
   ["l", "see road or layout", sight],
-  ["m", "list of pictures (arrows move in it)", () => { document.body.classList.toggle("listing"); by("list").focus(); }],
-  ["u", "your name", ask_name],
+  ["m", "list of pictures (arrows move in it)", toList],
+  ["u", "your name", askName],
   ["?", "these keys", () => by("help").showModal()],
 ];
 
-function key(event) {
-  work();
-  if (document.querySelector("dialog[open]") || event.target.tagName === "INPUT") return;
-  const arrow = ARROWS[event.key];
-  if (arrow) {
-    if (event.ctrlKey) stage.pan(-40 * arrow[0], -40 * arrow[1]);
-    else nudge(...arrow, event.shiftKey);
-    return event.preventDefault();
-  }
-  if ((event.ctrlKey || event.metaKey) && ["z", "Z", "y"].includes(event.key)) {
-    event.preventDefault();
-    return event.key === "z" ? undo() : redo();
-  }
-  if (event.ctrlKey || event.metaKey || event.altKey) return;
-  const onButton = event.target.tagName === "BUTTON" && [" ", "Enter"].includes(event.key);
-  const found = KEYS.find(([name]) => name === event.key);
-  if (!found || onButton) return;
-  event.preventDefault();
-  found[2]();
-}
-
-// --- making the page --------------------------------------------------------------------
-
-function named(what) {
-  return what.replace("_", " ");
-}
-
-function button(group, text, key, act, value = "") {
-  const made = document.createElement("button");
-  made.type = "button";
-  made.dataset.value = value;
-  if (group === "sayings") made.append(Object.assign(document.createElement("i"), { className: value }));
-  made.append(text);
-  made.append(Object.assign(document.createElement("kbd"), { textContent: key }));
-  made.addEventListener("click", () => { act(); made.blur(); });
-  if (value) made.setAttribute("role", "radio");
-  by(group).append(made);
-  return made;
-}
-
 function build() {
   SAYINGS.forEach((what, i) => button("sayings", named(what), `${i + 1}`, () => say(what), what));
-  for (const [tool, key] of Object.entries(TOOLS)) button("tools", tool, key, () => choose(tool), tool);
+  for (const [tool, key] of Object.entries(TOOLS)) {
+    button("tools", tool, key, () => choose(tool), tool);
+  }
   button("acts", "right as it is", "⏎", right).classList.add("main");
   button("acts", "undo", "z", undo).dataset.act = "undo";
   button("acts", "redo", "y", redo).dataset.act = "redo";
@@ -467,47 +315,30 @@ function build() {
   button("sight", "whole", "0", () => stage.fit());
   button("sight", "road / layout", "l", sight);
   const range = Object.assign(document.createElement("input"), {
-    type: "range", min: 0.05, max: 1, step: 0.05, value: stage.opacity, id: "opacity", title: "opacity (o, O)",
+    type: "range", min: 0.05, max: 1, step: 0.05, value: stage.opacity, id: "opacity",
   });
-  range.setAttribute("aria-label", "opacity");
-  range.addEventListener("input", () => { stage.opacity = Number(range.value); stage.draw(); });
+  range.setAttribute("aria-label", "opacity (o, O)");
+  range.addEventListener("input", () => fade(Number(range.value) - stage.opacity));
   by("sight").append(range);
-  for (const [name, what] of [...KEYS.map(([k, w]) => [k === " " ? "Space" : k, w]), ["arrows", "move the cross; Shift: by one pixel; Ctrl: move the picture"]]) {
-    by("keys").append(
-      Object.assign(document.createElement("kbd"), { textContent: name }),
-      Object.assign(document.createElement("span"), { textContent: what }),
-    );
-  }
-}
-
-function ask_name() {
-  by("user").value = user;
-  by("who").showModal();
+  listKeys(KEYS);
 }
 
 function listen() {
-  const { canvas } = stage;
-  canvas.addEventListener("pointerdown", down);
-  canvas.addEventListener("pointermove", moved);
-  canvas.addEventListener("pointerup", up);
-  canvas.addEventListener("pointercancel", up);
-  canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-  canvas.addEventListener("dblclick", () => stage.tool === "polygon" && sendPolygon());
-  canvas.addEventListener("wheel", (event) => {
-    event.preventDefault();
-    stage.zoomBy(event.deltaY < 0 ? 1.15 : 1 / 1.15, ...stage.at(event));
-  }, { passive: false });
-  addEventListener("keydown", key);
+  addEventListener("keydown", work);
   addEventListener("pointermove", work);
+  onKeys(KEYS, (x, y, event) => {
+    if (event.ctrlKey) stage.pan(-40 * x, -40 * y);
+    else hand.nudge(x, y, event.shiftKey);
+  });
   by("show-list").addEventListener("click", () => document.body.classList.toggle("listing"));
-  by("who-button").addEventListener("click", ask_name);
+  by("who-button").addEventListener("click", askName);
   by("help-button").addEventListener("click", () => by("help").showModal());
   by("who").addEventListener("cancel", (event) => user || event.preventDefault());
-  by("who").addEventListener("close", () => begin_as(by("user").value.trim()));
+  by("who").addEventListener("close", () => beginAs(by("user").value.trim()));
 }
 
-async function begin_as(name) {
-  if (!name) return ask_name();
+async function beginAs(name) {
+  if (!name) return askName();
   user = localStorage.roadtorchUser = name;
   by("who-button").textContent = name;
   stamp = "";
@@ -534,8 +365,8 @@ async function poll() {
 
 build();
 listen();
-say(saying);
+say("road");
 choose("superpixel");
-if (user) begin_as(user);
-else ask_name();
+if (user) beginAs(user);
+else askName();
 setTimeout(poll, POLL);
