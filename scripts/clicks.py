@@ -5,8 +5,8 @@
         --propagation color=0.05 --propagation alike=4
 
 A simulated person clicks the superpixel with the largest error until the mask has F ≥ .98, and
-gives up when no click is of use, or after 1500 clicks. A click says of the whole superpixel what most of
-its pixels are. Both ways end at the same best mask: every superpixel said.
+gives up when no click is of use, or after 1500 clicks. A click says of the whole superpixel what
+most of its pixels are. Times are of CPU, on one thread.
 """
 
 import argparse

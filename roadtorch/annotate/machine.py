@@ -13,7 +13,14 @@ from roadtorch.annotate.propagation import (
     propagated,
     segment_graph,
 )
-from roadtorch.data.correction_labels import NOT_ROAD, OPEN, ROAD_SAID, VOID_SAID, layout_layer, road_layer
+from roadtorch.data.correction_labels import (
+    NOT_ROAD,
+    OPEN,
+    ROAD_SAID,
+    VOID_SAID,
+    layout_layer,
+    road_layer,
+)
 from roadtorch.detector import Detector
 from roadtorch.fusion import log_odds
 from roadtorch.image_cache import image_cache
@@ -76,9 +83,7 @@ def look_at_picture(image: Tensor, detector: Detector, settings: AnnotationSetti
     return PictureView(size, odds, labels, mean, graph, layout, detection.trust)
 
 
-def _centred(
-    likelihood: Tensor, mask: Tensor, threshold: float, shape: tuple[int, int]
-) -> Tensor:
+def _centred(likelihood: Tensor, mask: Tensor, threshold: float, shape: tuple[int, int]) -> Tensor:
     """Log odds (h,w) that are positive where the mask (H,W) is road."""
     odds = log_odds(resized(likelihood, shape)) - log_odds(torch.tensor(threshold))
     left_out = (odds >= 0) & ~at_picture_size(mask, shape)
@@ -94,7 +99,9 @@ def mended_odds(view: PictureView, said: Tensor, settings: PropagationSettings) 
     return view.odds + moved[view.labels]
 
 
-def mended_layout(view: PictureView, labels: np.ndarray, settings: AnnotationSettings) -> np.ndarray:
+def mended_layout(
+    view: PictureView, labels: np.ndarray, settings: AnnotationSettings
+) -> np.ndarray:
     """The layout uint8 (h,w), 255 where the machine has none, inferred from labels (H,W)."""
     if not view.layout.shape[1]:
         return np.full(view.labels.shape, UNLABELLED, np.uint8)
@@ -112,13 +119,13 @@ def said_of_segments(labels: np.ndarray, view: PictureView, settings: Annotation
     return _said(road == ROAD_SAID, road == NOT_ROAD, view, settings)
 
 
-def _said(yes: np.ndarray, no: np.ndarray, view: PictureView, settings: AnnotationSettings) -> Tensor:
+def _said(
+    yes: np.ndarray, no: np.ndarray, view: PictureView, settings: AnnotationSettings
+) -> Tensor:
     """(n,): 1 or -1 where enough of a superpixel is in the masks (h,w), by which has more."""
     index, count = view.labels.reshape(-1).numpy(), len(view.segment_odds)
     size = np.bincount(index, minlength=count)
-    for_it, against = (
-        np.bincount(index[mask.reshape(-1)], minlength=count) for mask in (yes, no)
-    )
+    for_it, against = (np.bincount(index[mask.reshape(-1)], minlength=count) for mask in (yes, no))
     known = for_it + against >= settings.spoken * size
     return torch.from_numpy(np.where(known, np.where(for_it >= against, 1.0, -1.0), 0.0))
 

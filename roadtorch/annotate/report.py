@@ -62,8 +62,8 @@ def _sum(
     pixels = sum(int((one.labels > 0).sum()) for one in found)
     clicks = sum(one.clicks for one in found)
     lines = [
-        f"{len(found)} pictures, {len(right)} confirmed; {clicks} clicks, {seconds / 60:.1f} minutes, "
-        f"{pixels:,} pixels said",
+        f"{len(found)} pictures, {len(right)} confirmed; {clicks} clicks, "
+        f"{seconds / 60:.1f} minutes, {pixels:,} pixels said",
         f"a picture: {statistics.median(one.clicks for one in found):g} clicks, "
         f"{statistics.median(one.seconds for one in found):.0f} s (medians)",
     ]

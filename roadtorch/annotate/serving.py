@@ -141,7 +141,5 @@ def page_server(session: Session, port: int | None = None) -> PageServer:
     address = Address(port=listening.getsockname()[1], token=token)
     keep_address(session.out, address)
     app = annotation_app(session, token, address.port)
-    config = uvicorn.Config(
-        app, log_level="error", access_log=False, timeout_graceful_shutdown=2
-    )
+    config = uvicorn.Config(app, log_level="error", access_log=False, timeout_graceful_shutdown=2)
     return PageServer(address, session, uvicorn.Server(config), listening)

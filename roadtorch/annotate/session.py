@@ -77,7 +77,11 @@ class Session:
                 continue
             acts, right, version = self._summary(path, name, user)
             if version:
-                found.setdefault(name, {})[user] = {"acts": acts, "right": right, "version": version}
+                found.setdefault(name, {})[user] = {
+                    "acts": acts,
+                    "right": right,
+                    "version": version,
+                }
         return found
 
     def _summary(self, path: Path, name: str, user: str) -> tuple[int, bool, int]:
@@ -141,7 +145,10 @@ class Session:
         view = self._view_or_last(name)
         work = self._work(name, user, view)
         work.add(self._completed(act, work, view))
-        return {**self._state(name, work, view), "milliseconds": 1000 * (time.perf_counter() - start)}
+        return {
+            **self._state(name, work, view),
+            "milliseconds": 1000 * (time.perf_counter() - start),
+        }
 
     def _completed(self, act: AnyAct, work: Work, view: PictureView) -> AnyAct:
         """The act with its time and with the pixels that it is about."""

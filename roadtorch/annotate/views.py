@@ -34,7 +34,9 @@ class ViewStore:
     folder: Path
     detector: Callable[[], Detector]
     settings: AnnotationSettings
-    _held: OrderedDict[str, tuple[str, PictureView]] = field(default_factory=OrderedDict, repr=False)
+    _held: OrderedDict[str, tuple[str, PictureView]] = field(
+        default_factory=OrderedDict, repr=False
+    )
     _loaded: Detector | None = field(default=None, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
     _looking: threading.RLock = field(default_factory=threading.RLock, repr=False)

@@ -1,7 +1,7 @@
 """Label Studio's tasks: labels as predictions with brush masks, and back from annotations.
 
-    tasks.json          a list of tasks, for the import button
-    label_config.xml    the labelling interface that they are for
+tasks.json          a list of tasks, for the import button
+label_config.xml    the labelling interface that they are for
 """
 
 import json
@@ -96,7 +96,9 @@ def _picture_of_task(task: Mapping[str, Any], sizes: Mapping[str, object]) -> st
     return max(fitting, key=len, default=None)
 
 
-def _task_labels(task: Mapping[str, Any], size: tuple[int, int], path: Path, name: str) -> np.ndarray:
+def _task_labels(
+    task: Mapping[str, Any], size: tuple[int, int], path: Path, name: str
+) -> np.ndarray:
     labels = np.zeros(size, np.uint8)
     said = task.get("annotations") or task.get("predictions") or [{}]
     for region in said[-1].get("result") or []:

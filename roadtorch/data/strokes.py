@@ -72,7 +72,7 @@ class BrushStroke(Act):
 
 
 class Right(Act):
-    """"Right as it is": what was not said is as shown; ``runs`` are the pixels shown as road."""
+    """ "Right as it is": what was not said is as shown; ``runs`` are the pixels shown as road."""
 
     kind: Literal["right"]
     runs: Runs = ()

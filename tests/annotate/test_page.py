@@ -8,6 +8,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -15,6 +16,9 @@ from roadtorch.annotate.serving import opened_session, page_server
 from roadtorch.data.corrections import Correction, read_corrections
 from roadtorch.detectors.catalogue import load_detector
 from tests.annotate.conftest import write_streets
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, BrowserContext, Page
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
 
@@ -99,25 +103,25 @@ def process(streets: Path, tmp_path: Path) -> Iterator[Process]:
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[sync_api.Browser]:
+def browser() -> Iterator["Browser"]:
     with sync_api.sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         yield chromium
         chromium.close()
 
 
-Open = Callable[..., sync_api.Page]
+Open = Callable[..., "Page"]
 
 
 @pytest.fixture
-def visit(browser: sync_api.Browser) -> Iterator[Open]:
+def visit(browser: "Browser") -> Iterator[Open]:
     """``visit(server, user, width, height)``: a window of its own, at the first picture."""
-    contexts: list[sync_api.BrowserContext] = []
+    contexts: list[BrowserContext] = []
     mistakes: list[str] = []
 
     def opened(
         server: Server | Process, user: str = "ann", width: int = 1000, height: int = 700
-    ) -> sync_api.Page:
+    ) -> "Page":
         context = browser.new_context(viewport={"width": width, "height": height})
         contexts.append(context)
         page = context.new_page()
@@ -135,23 +139,23 @@ def visit(browser: sync_api.Browser) -> Iterator[Open]:
     assert mistakes == []
 
 
-def at_version(page: sync_api.Page, version: int) -> None:
+def at_version(page: "Page", version: int) -> None:
     page.wait_for_function(
         "version => document.body.dataset.version === String(version)", arg=version
     )
 
 
-def shown(page: sync_api.Page, name: str) -> None:
+def shown(page: "Page", name: str) -> None:
     page.wait_for_function("name => document.body.dataset.picture === name", arg=name)
 
 
-def click(page: sync_api.Page, across: float, down: float) -> None:
+def click(page: "Page", across: float, down: float) -> None:
     box = page.locator("#stage").bounding_box()
     assert box is not None
     page.mouse.click(box["x"] + across * box["width"], box["y"] + down * box["height"])
 
 
-def notices(page: sync_api.Page, words: str) -> None:
+def notices(page: "Page", words: str) -> None:
     page.wait_for_function(
         "words => document.getElementById('notice').textContent.includes(words)", arg=words
     )
@@ -215,7 +219,7 @@ def test_right_as_it_is_in_one_key_and_the_next_comes(visit: Open, server: Serve
     )
 
 
-def test_the_keyboard_alone_is_enough(browser: sync_api.Browser, server: Server) -> None:
+def test_the_keyboard_alone_is_enough(browser: "Browser", server: Server) -> None:
     context = browser.new_context()
     page = context.new_page()
     page.set_default_timeout(PATIENCE)
@@ -293,7 +297,9 @@ def test_two_people_see_how_far_they_agree(visit: Open, server: Server) -> None:
     at_version(bob, 1)
     assert "agreement 100.0 %" in bob.locator("#facts").inner_text()
     assert server.corrections()[0].users == ("ann", "bob")
-    bob.wait_for_function("() => document.querySelector('.row small').textContent.includes('ann 1, bob 1')")
+    bob.wait_for_function(
+        "() => document.querySelector('.row small').textContent.includes('ann 1, bob 1')"
+    )
 
 
 # --- what goes wrong --------------------------------------------------------------------
@@ -360,7 +366,7 @@ def test_a_refused_stroke_is_told_and_the_next_one_goes_through(
     page.wait_for_selector("#notice", state="hidden")
 
 
-def test_without_the_token_there_is_no_page(browser: sync_api.Browser, server: Server) -> None:
+def test_without_the_token_there_is_no_page(browser: "Browser", server: Server) -> None:
     page = browser.new_page()
     answer = page.goto(server.url.partition("?")[0])
     assert answer is not None
@@ -368,7 +374,7 @@ def test_without_the_token_there_is_no_page(browser: sync_api.Browser, server: S
     page.close()
 
 
-def test_a_thousand_pictures(browser: sync_api.Browser, tmp_path: Path) -> None:
+def test_a_thousand_pictures(browser: "Browser", tmp_path: Path) -> None:
     folder = write_streets(tmp_path / "many", 1)
     for number in range(1, 1000):
         os.link(folder / "street_0.png", folder / f"street_{number}.png")

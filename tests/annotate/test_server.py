@@ -105,7 +105,9 @@ def test_the_page_asks_nobody_else_and_has_no_script_inside(client: Client) -> N
     assert "style=" not in page
 
 
-@pytest.mark.parametrize("path", ["/static/../server.py", "/static/%2e%2e%2fserver.py", "/static/x"])
+@pytest.mark.parametrize(
+    "path", ["/static/../server.py", "/static/%2e%2e%2fserver.py", "/static/x"]
+)
 def test_no_other_file_is_served(client: Client, path: str) -> None:
     assert client.get(path).status_code == 404
 

@@ -9,7 +9,7 @@ from roadtorch.annotate.serving import PageServer, bound_socket, opened_session
 from roadtorch.data.corrections import read_corrections
 from roadtorch.data.strokes import Right
 from roadtorch.detectors.catalogue import load_detector
-from tests.cli.conftest import Call, save_picture
+from tests.cli.conftest import Call
 
 QUICK = ("--detector", "prior:triangle")
 

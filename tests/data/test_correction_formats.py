@@ -111,7 +111,11 @@ def cvat_folder(folder: Path, labels: np.ndarray) -> Path:
 def test_cvat_has_its_files(tmp_path: Path) -> None:
     cvat_folder(tmp_path, nested(6))
     lines = (tmp_path / "labelmap.txt").read_text().splitlines()
-    assert lines[:3] == ["# label:color_rgb:parts:actions", "background:0,0,0::", "road:128,64,128::"]
+    assert lines[:3] == [
+        "# label:color_rgb:parts:actions",
+        "background:0,0,0::",
+        "road:128,64,128::",
+    ]
     assert (tmp_path / "ImageSets/Segmentation/default.txt").read_text() == "a\n"
     with Image.open(tmp_path / "SegmentationObject/a.png") as picture:
         assert picture.mode == "RGB"

@@ -229,13 +229,17 @@ def test_the_journal_knows_where_its_picture_is(tmp_path: Path) -> None:
 
 
 def test_a_picture_on_which_all_was_taken_back_is_left_out(tmp_path: Path) -> None:
-    journal(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 9, 9), Undo(kind="undo", id="b", of="a"))
+    journal(
+        tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 9, 9), Undo(kind="undo", id="b", of="a")
+    )
     assert read_corrections(tmp_path) == []
 
 
 def test_where_two_contradict_each_other_is_void(tmp_path: Path) -> None:
     journal(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 19, 9))
-    journal(tmp_path, "a.jpg", "bob", box("b", "not_road", 10, 0, 29, 9), box("c", "road", 10, 0, 14, 9))
+    journal(
+        tmp_path, "a.jpg", "bob", box("b", "not_road", 10, 0, 29, 9), box("c", "road", 10, 0, 14, 9)
+    )
     (one,) = read_corrections(tmp_path)
     assert one.users == ("ann", "bob")
     assert one.road[0].tolist() == [1] * 15 + [254] * 5 + [0] * 10
@@ -257,7 +261,9 @@ def test_journals_of_two_sizes_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_superpixel_stroke_of_another_size_is_told(tmp_path: Path) -> None:
-    stroke = SuperpixelStroke(kind="superpixel", id="a", saying="road", segments=(1,), runs=(0, 9999))
+    stroke = SuperpixelStroke(
+        kind="superpixel", id="a", saying="road", segments=(1,), runs=(0, 9999)
+    )
     journal(tmp_path, "a.jpg", "ann", stroke)
     with pytest.raises(DatasetError, match="does not fit"):
         read_corrections(tmp_path)
