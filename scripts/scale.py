@@ -4,7 +4,7 @@
     python scripts/scale.py table measured.json --price 0.04        # a million frames, 1,000 hours
     python scripts/scale.py engines PICTURES --rounds 3             # threads against Ray
 
-Processor time, on one thread, depends little on what else the machine does; pictures/s do.
+Processor time depends less on what else the machine does than pictures/s do.
 The price of a processor-hour is yours.
 """
 

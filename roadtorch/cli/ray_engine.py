@@ -4,7 +4,9 @@ import logging
 import os
 import pickle
 import re
+import signal
 import socket
+import threading
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -67,7 +69,7 @@ def ray_engine(cluster: Cluster) -> Iterator[Engine]:
     ):
         ray = _imported()
         try:
-            with _without_stderr():
+            with _without_stderr(), _deaf_children():
                 _join(ray, cluster, folder)
             yield partial(_rows_of_actors, cluster=cluster)
         finally:
@@ -119,6 +121,22 @@ def _without_stderr() -> Iterator[None]:
         os.dup2(kept, 2)
         os.close(kept)
         os.close(nowhere)
+
+
+@contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Processes that are started in the block ignore SIGINT, which a terminal sends to all.
+
+    A cluster that ends at once takes the driver with it, before it has saved what is finished.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _join(ray: Any, cluster: Cluster, folder: str) -> None:
