@@ -98,15 +98,6 @@ def most_megapixels() -> float:
     return most
 
 
-def reason(problem: Exception) -> str:
-    """Why a decoder could not do it, on one line.
-
-    Foreign bytes make decoders raise anything: IndexError, struct.error, cv2.error, …
-    """
-    lines = str(problem).strip().splitlines()
-    return lines[0] if lines else "it is damaged"
-
-
 @contextmanager
 def without_warnings() -> Iterator[None]:
     """Pillow's warnings about metadata are no reason to leave a picture out, even as errors."""

@@ -2,6 +2,7 @@
 
 import csv
 import hashlib
+import io
 import os
 import sys
 from collections import deque
@@ -17,7 +18,7 @@ import click
 
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.files import csv_text, digest_of, remove_leftovers, reserved, write_text
-from roadtorch.outside import printable
+from roadtorch.outside import printable, read_regular
 from roadtorch.signals import stop_on_signals
 from roadtorch.sources.pictures import Picture, find_images
 
@@ -349,8 +350,8 @@ def read_index(path: Path) -> dict[str, Row]:
     if not path.exists():
         return {}
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = [Row(**line) for line in csv.DictReader(file)]
+        text = io.StringIO(read_regular(path).decode(), newline="")
+        rows = [Row(**line) for line in csv.DictReader(text)]
         if any(None in vars(row).values() for row in rows):
             raise TypeError("a row is cut short")
         return {row.file: row for row in rows}

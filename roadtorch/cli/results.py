@@ -13,7 +13,7 @@ from roadtorch.camera.camera import Camera
 from roadtorch.cli.batch import DONE, DOUBTFUL, INDEX, Job, Method, Row, method_of
 from roadtorch.cli.claim import ELSEWHERE
 from roadtorch.detector import Detection, Detector
-from roadtorch.errors import ConfigError
+from roadtorch.errors import ConfigError, InputError
 from roadtorch.files import digest_of, make_folder, write_text
 from roadtorch.image import (
     read_image,
@@ -25,7 +25,7 @@ from roadtorch.image import (
 )
 from roadtorch.layout.classes import LAYOUT_COLOURS, layout_colours
 from roadtorch.layout.weights import tensors_hash
-from roadtorch.outside import printable
+from roadtorch.outside import printable, read_regular
 
 CONFIG = "config.toml"
 SUFFIXES = {
@@ -51,7 +51,7 @@ def keep_config(out: Path, effective: str, overwrite: bool) -> None:
     """
     path = out / CONFIG
     effective += "\n"
-    is_other = path.exists() and path.read_bytes() != printable(effective).encode()
+    is_other = path.exists() and _bytes_of(path) != printable(effective).encode()
     if is_other and (out / INDEX).exists() and not overwrite:
         raise ConfigError(
             out,
@@ -59,6 +59,13 @@ def keep_config(out: Path, effective: str, overwrite: bool) -> None:
             "give another --out, or --overwrite",
         )
     write_text(path, effective)
+
+
+def _bytes_of(config: Path) -> bytes:
+    try:
+        return read_regular(config)
+    except OSError as problem:
+        raise InputError(config, f"cannot be read: {problem.strerror}", ELSEWHERE) from None
 
 
 def detector_method(

@@ -28,7 +28,7 @@ import numpy as np
 import torch
 from pydantic import Field
 from safetensors import SafetensorError
-from safetensors.torch import load_file
+from safetensors.torch import load as from_safetensors
 from safetensors.torch import save as as_safetensors
 from torch import Tensor, nn
 
@@ -43,6 +43,7 @@ from roadtorch.oneclass.state import (
     check_parts,
     read_about,
 )
+from roadtorch.outside import read_regular
 from roadtorch.settings import Settings
 
 CHUNK = 700_000
@@ -356,7 +357,7 @@ def save(fitted: Fitted, path: str | Path) -> None:
 def load(classifier: Classifier, path: str | Path) -> Fitted:
     """Read what ``save`` wrote; WeightsError if it is damaged or another classifier's."""
     try:
-        state = load_file(path)
+        state = from_safetensors(read_regular(path))
     except OSError as problem:
         what = f"cannot be read: {problem.strerror or problem}"
         raise WeightsError(path, what, "give a file that save wrote") from None
