@@ -12,6 +12,7 @@ from torch import Tensor
 from roadtorch.camera.camera import Camera
 from roadtorch.cli.batch import DONE, DOUBTFUL, INDEX, Job, Method, Row, method_of
 from roadtorch.cli.claim import ELSEWHERE
+from roadtorch.data.maps import CONFIG, MASK
 from roadtorch.detector import Detection, Detector
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.files import digest_of, make_folder, write_text
@@ -27,10 +28,9 @@ from roadtorch.layout.classes import LAYOUT_COLOURS, layout_colours
 from roadtorch.layout.weights import tensors_hash
 from roadtorch.outside import printable, read_regular
 
-CONFIG = "config.toml"
 SUFFIXES = {
     "likelihood": ".likelihood.png",
-    "mask": ".mask.png",
+    "mask": MASK,
     "overlay": ".overlay.jpg",
     "npy": ".likelihood.npy",
 }
