@@ -100,7 +100,7 @@ def most_megapixels() -> float:
 
 @contextmanager
 def without_warnings() -> Iterator[None]:
-    """Pillow's warnings about metadata are no reason to leave a picture out, even as errors."""
+    """A decoder's warnings, such as Pillow's about metadata, are no failures, even as errors."""
     with _WARNING_FILTERS, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield

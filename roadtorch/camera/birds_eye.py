@@ -100,7 +100,8 @@ def _check_regular(path: Path, calibration: Calibration) -> None:
     pose = _to_four(calibration.camera_to_road, 4)
     if torch.linalg.matrix_rank(pose) < 4:
         raise DatasetError(path, "Tr_cam_to_road has no inverse", remedy)
-    if torch.linalg.matrix_rank(road_to_image(calibration)) < 3:
+    plane = road_to_image(calibration)
+    if not plane.isfinite().all() or torch.linalg.matrix_rank(plane) < 3:
         raise DatasetError(path, "its matrices show the road as a line", remedy)
 
 

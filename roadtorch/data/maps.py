@@ -72,7 +72,8 @@ def read_map(path: Path) -> Tensor:
     if values.ndim != 2 or values.dtype.kind != "f":
         what = f"holds {values.dtype} of shape {values.shape}"
         raise InputError(path, what, "give floating-point numbers (height, width)")
-    return torch.from_numpy(values.astype(np.float32))
+    with np.errstate(over="ignore"):  # told as a value out of [0,1]
+        return torch.from_numpy(values.astype(np.float32))
 
 
 def _read_npy(path: Path) -> np.ndarray:

@@ -124,7 +124,7 @@ def _read_thresholds(path: Path) -> dict[str, tuple[float, Mapping[str, Any]]]:
     try:
         detectors = json.loads(read_regular(path).decode())["detectors"]
         return {
-            name: (float(figures["maxf_threshold"]), dict(figures.get("settings", {})))
+            name: (_share(figures["maxf_threshold"]), dict(figures.get("settings", {})))
             for name, figures in detectors.items()
             if figures["maxf_threshold"] is not None
         }
@@ -133,6 +133,13 @@ def _read_thresholds(path: Path) -> dict[str, tuple[float, Mapping[str, Any]]]:
         raise InputError(path, what, "give a metrics.json") from None
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         raise InputError(path, "is not a metrics.json", "give one that evaluate wrote") from None
+
+
+def _share(value: Any) -> float:
+    """A number in [0,1]; ValueError or TypeError for anything else, NaN among it."""
+    if not 0 <= float(value) <= 1:
+        raise ValueError("not in [0,1]")
+    return float(value)
 
 
 def _threshold_for(

@@ -9,6 +9,7 @@ from typing import Any
 
 import torch
 
+from roadtorch.decoding import without_warnings
 from roadtorch.errors import ConfigError, InputError, WeightsError
 from roadtorch.files import atomic, csv_text, make_folder, write_text
 from roadtorch.outside import printable, read_regular, regular_size
@@ -113,7 +114,8 @@ class RunFolder:
             return None
         try:
             regular_size(path)
-            state = torch.load(path, weights_only=True)
+            with without_warnings():  # of what damage looks like to it
+                state = torch.load(path, weights_only=True)
             number = int(state["format"])
         except Exception:  # zipfile, pickle and torch raise anything for foreign bytes
             raise WeightsError(path, *NO_CHECKPOINT) from None
