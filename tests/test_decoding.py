@@ -147,5 +147,12 @@ def test_warnings_about_pictures_are_no_failures_where_warnings_are_errors(
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 89)  # beyond which Pillow warns
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for path in sorted(tmp_path.iterdir()):
-            read_image(path)
+        found = {path.name: read_image(path) for path in tmp_path.iterdir()}
+
+    assert {name: image.shape[1:] for name, image in found.items()} == {
+        **dict.fromkeys(("a.jpg", "b.png", "c.webp"), (8, 8)),
+        "d.png": (9, 10),
+    }
+    for name in ("a.jpg", "b.png", "c.webp"):
+        colour = found[name].mean((1, 2)) * 255
+        assert torch.allclose(colour, torch.tensor([200.0, 100.0, 50.0]), atol=6)
