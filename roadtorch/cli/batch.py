@@ -21,6 +21,7 @@ from roadtorch.files import csv_text, digest_of, remove_leftovers, reserved, wri
 from roadtorch.outside import printable, read_regular
 from roadtorch.signals import stop_on_signals
 from roadtorch.sources.pictures import Picture, find_images
+from roadtorch.version import __version__
 
 INDEX = "index.csv"
 DONE, DOUBTFUL, FAILED = "done", "doubtful", "failed"
@@ -40,7 +41,8 @@ class Row:
 
     trust: the expected F of the mask, empty where the detector does not say.
     saved: the kinds of results that were written; method: what they were made with, see
-    ``Method``; sha256: of the bytes of the picture.
+    ``Method``; sha256: of the bytes of the picture, see ``Job.digest``; cues: their names,
+    between slashes, which stand in no file's name.
     """
 
     file: str
@@ -53,6 +55,7 @@ class Row:
     saved: str = ""
     method: str = ""
     sha256: str = ""
+    cues: str = ""
 
     @property
     def failed(self) -> bool:
@@ -75,33 +78,46 @@ class Method:
         """The row of a job with what it was made with and of; failed rows stay as they are."""
         if row.failed:
             return row
-        digest = digest_of(job.picture.path)
-        return replace(row, saved=" ".join(self.kinds), method=self.digest, sha256=digest)
+        return replace(row, saved=" ".join(self.kinds), method=self.digest, sha256=job.digest)
 
     def covers(self, row: Row | None, job: "Job") -> bool:
         """Whether a row says that this job is done, with this method, for the picture of now."""
         if row is None or row.failed or row.method != self.digest:
             return False
-        if not set(self.kinds) <= set(row.saved.split()) or not job.is_complete:
+        if not set(self.kinds) <= set(row.saved.split()) or not job.has_all(row):
             return False
-        return row.sha256 == digest_of(job.picture.path) != ""
+        return row.sha256 == job.digest != ""
 
 
 def method_of(kinds: Iterable[str], settings: str, *parts: bytes) -> Method:
-    """The method of settings as TOML and of whatever else decides on the results."""
+    """The method of settings as TOML, our version, and whatever else decides on the results."""
     digest = hashlib.sha256()
-    for part in (settings.encode("utf-8", "surrogateescape"), *parts):
+    for part in (settings.encode("utf-8", "surrogateescape"), __version__.encode(), *parts):
         digest.update(hashlib.sha256(part).digest())
     return Method(digest.hexdigest()[:16], tuple(kinds))
 
 
 @dataclass(frozen=True)
 class Job:
-    """A picture, the folder of its results and how their names end, by kind."""
+    """A picture, the folder of its results and how their names end, by kind.
+
+    cue_suffixes: the same for the kinds that write a file a cue, ``{}`` standing for its name.
+    beside: files that belong to the picture, whose bytes decide on the results as well.
+    """
 
     picture: Picture
     out: Path
     suffixes: Mapping[str, str]
+    cue_suffixes: Sequence[str] = ()
+    beside: tuple[Path, ...] = ()
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the picture, and of what is beside it; empty where one cannot be read."""
+        digests = [digest_of(path) for path in (self.picture.path, *self.beside)]
+        if len(digests) == 1 or not all(digests):
+            return digests[0] if all(digests) else ""
+        return hashlib.sha256("".join(digests).encode()).hexdigest()
 
     def output(self, suffix: str) -> Path:
         """The file in ``out`` for results that end in ``suffix``; sub-folders are kept."""
@@ -117,6 +133,12 @@ class Job:
         """Whether all of these files exist."""
         return all(path.is_file() for path in self.outputs)
 
+    def has_all(self, row: Row) -> bool:
+        """Whether all files exist, those of the cues that its row names among them."""
+        cues = filter(None, row.cues.split("/"))
+        of_cues = (self.output(each.format(cue)) for cue in cues for each in self.cue_suffixes)
+        return self.is_complete and all(path.is_file() for path in of_cues)
+
     @property
     def file(self) -> str:
         """The name in index.csv: the result's name with the picture's own suffix."""
@@ -126,14 +148,20 @@ class Job:
 Work = Callable[[Job], Row]
 
 
-def plan(inputs: Sequence[str], out: Path, suffixes: Mapping[str, str]) -> list[Job]:
+def plan(
+    inputs: Sequence[str],
+    out: Path,
+    suffixes: Mapping[str, str],
+    cue_suffixes: Sequence[str] = (),
+) -> list[Job]:
     """The jobs for all inputs; no file is written yet.
 
-    suffixes: kind of result → what its file name ends with.
+    suffixes: kind of result → what its file name ends with. cue_suffixes: see ``Job``.
     Raises ConfigError when two pictures share a result or a result would replace a
     picture, InputError when nothing is found or ``out`` cannot be a folder.
     """
-    jobs = [Job(picture, out, suffixes) for picture in find_images(inputs, apart=out)]
+    pictures = find_images(inputs, apart=out)
+    jobs = [Job(picture, out, suffixes, cue_suffixes) for picture in pictures]
     _refuse_shared(jobs)
     _refuse_replacing(jobs)
     return jobs
@@ -210,7 +238,7 @@ def _removed(jobs: Iterable[Job], rows: Mapping[str, Row]) -> list[Row]:
     return [
         Row(job.file, status=f"{FAILED}: {job.picture.path}: {what}")
         for job in jobs
-        if not rows[job.file].failed and not job.is_complete
+        if not rows[job.file].failed and not job.has_all(rows[job.file])
     ]
 
 

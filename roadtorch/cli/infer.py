@@ -95,7 +95,7 @@ def infer(
     if print_config:
         click.echo(effective)
         return
-    planned = batch.plan(inputs, out, results.suffixes(save))
+    planned = batch.plan(inputs, out, results.suffixes(save), results.cue_suffixes(save))
     context.with_resource(claimed(out))
     results.keep_config(out, effective, overwrite)
     work = results.Inference(loaded, frozenset(save), 16 if depth == "16" else 8, known)

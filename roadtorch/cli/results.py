@@ -1,7 +1,7 @@
 """What ``infer`` writes for one picture, and for a folder of them."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Literal
@@ -35,12 +35,20 @@ SUFFIXES = {
     "npy": ".likelihood.npy",
 }
 
+CUE_SUFFIXES = {"cues": ".cue.{}.png", "npy": ".{}.npy"}
+"""Of the kinds that write a file a cue."""
+
 GOLDEN = 0.6180339887  # the fractional step that spreads neighbouring labels over the colours
 
 
 def suffixes(kinds: Iterable[str]) -> dict[str, str]:
     """How the files of each kind end; the cues' names are known only after detection."""
     return {kind: SUFFIXES[kind] for kind in kinds if kind in SUFFIXES}
+
+
+def cue_suffixes(kinds: Iterable[str]) -> list[str]:
+    """How the files of the cues end, of all kinds that have them."""
+    return [CUE_SUFFIXES[kind] for kind in kinds if kind in CUE_SUFFIXES]
 
 
 def keep_config(out: Path, effective: str, overwrite: bool) -> None:
@@ -114,7 +122,8 @@ class Inference:
         ms = 1000 * (perf_counter() - start)
         trust = "" if detection.trust is None else f"{detection.trust:.2f}"
         status = f"{DOUBTFUL}: {detection.doubt}" if detection.doubt else DONE
-        return Row(job.file, str(width), str(height), f"{ms:.0f}", f"{share:.4f}", trust, status)
+        row = Row(job.file, str(width), str(height), f"{ms:.0f}", f"{share:.4f}", trust, status)
+        return replace(row, cues="/".join(detection.cues))
 
     def _write(self, job: Job, image: Tensor, detection: Detection) -> None:
         make_folder(job.output("").parent, ELSEWHERE)
@@ -130,9 +139,10 @@ class Inference:
             write_npy(job.output(SUFFIXES["npy"]), detection.likelihood)
         for name, cue in detection.cues.items():
             if "cues" in self.kinds:
-                write_colours(job.output(f".cue.{name}.png"), cue_picture(name, cue))
+                path = job.output(CUE_SUFFIXES["cues"].format(name))
+                write_colours(path, cue_picture(name, cue))
             if "npy" in self.kinds:
-                write_npy(job.output(f".{name}.npy"), cue)
+                write_npy(job.output(CUE_SUFFIXES["npy"].format(name)), cue)
 
 
 def cue_picture(name: str, cue: Tensor) -> Tensor:
