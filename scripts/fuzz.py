@@ -31,6 +31,7 @@ from roadtorch.errors import RoadtorchError
 from scripts import fuzz_labels, fuzz_pictures, fuzz_results, fuzz_settings, fuzz_weights
 
 COUNT, SEED, SECONDS, GIGABYTES = 10_000, 0, 20.0, 2.0
+STDERR = 2  # whatever sys.stderr is meanwhile
 LONGEST = 1_500  # letters of a refusal, its file's name left out
 
 READ, REFUSED = "read", "refused"
@@ -91,7 +92,7 @@ def made(kind: str, number: int, seed: int, out: Path) -> Path:
 
 def judge(path: Path, read: Callable[[Path], bool], seconds: float) -> Verdict:
     """Read a file, and say what became of it; the watchdog ends the process after a hang."""
-    faulthandler.dump_traceback_later(seconds, exit=True, file=sys.__stderr__)
+    faulthandler.dump_traceback_later(seconds, exit=True, file=STDERR)
     forget_peak()
     start = time.perf_counter()
     try:
