@@ -302,7 +302,7 @@ def test_a_signal_before_the_work_is_told(footage: Path, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("closed", ["2>&-", "1>&-", "0<&-", "0<&- 1>&- 2>&-"])
 def test_closed_streams_cost_nothing(footage: Path, tmp_path: Path, closed: str) -> None:
-    words = " ".join([*COMMAND, "footage", *ROWS, "--out", "out", "--quiet"])
+    words = " ".join([*COMMAND, "footage", *ROWS, "--out", "out"])
 
     ended = subprocess.run(
         ["sh", "-c", f"{words} {closed}"], cwd=tmp_path, timeout=120, check=False
