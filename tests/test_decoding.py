@@ -56,6 +56,20 @@ def test_the_bound_on_pixels_can_be_set(tmp_path: Path, monkeypatch: pytest.Monk
         read_image(path)
 
 
+def test_a_row_of_many_megapixels_is_refused_before_decoding(tmp_path: Path) -> None:
+    path = tmp_path / "row.webp"
+    frames = [Image.new("RGB", (90, 1), colour) for colour in ("red", "blue")]
+    frames[0].save(path, save_all=True, append_images=frames[1:])
+    data = bytearray(path.read_bytes())
+    data[24:27] = (16_711_770 - 1).to_bytes(3, "little")  # the canvas of a VP8X
+    path.write_bytes(data)
+
+    with pytest.raises(
+        InputError, match=r"row\.webp: cannot be decoded: a side of 16711770 pixels"
+    ):
+        read_image(path)
+
+
 # --- damage -----------------------------------------------------------------------------
 
 
