@@ -43,12 +43,15 @@ def make_config(folder: Path, draw: random.Random) -> Path:
 
 def read_config(path: Path) -> bool:
     """Build the detector's settings, and those of a training where it says its kind."""
+    told_of(path, lambda: _build(path))
+    return True
+
+
+def _build(path: Path) -> object:
     name, values = chosen_detector(None, path, (), None)
     if "kind" in values:
-        told_of(path, lambda: build_training(values))
-    else:
-        told_of(path, lambda: build_settings(detector_entry(name).settings, values))
-    return True
+        return build_training(values)
+    return build_settings(detector_entry(name).settings, values)
 
 
 def make_assignments(folder: Path, draw: random.Random) -> Path:
