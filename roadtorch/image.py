@@ -10,10 +10,10 @@ import torch
 from PIL import UnidentifiedImageError
 from torch import Tensor
 
-from roadtorch.decoding import MEGAPIXELS_VARIABLE, TooLargeError, decode, reason
+from roadtorch.decoding import MEGAPIXELS_VARIABLE, TooLargeError, decode
 from roadtorch.errors import InputError
 from roadtorch.files import atomic
-from roadtorch.outside import read_regular
+from roadtorch.outside import read_regular, reason
 
 READABLE = "JPEG, PNG, TIFF, WebP or BMP"
 

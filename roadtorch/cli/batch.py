@@ -21,6 +21,7 @@ from roadtorch.signals import stop_on_signals
 from roadtorch.sources.frame import Selection
 from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.stream import ordered_results
+from roadtorch.version import __version__
 
 LEAST_TRUSTED = 5
 """Pictures that are named at the end of a run, to be looked at first."""
@@ -46,6 +47,10 @@ class Task(Protocol):
     @property
     def is_complete(self) -> bool:
         """Whether all files exist whose names are known beforehand."""
+        ...
+
+    def has_all(self, row: Row) -> bool:
+        """Whether all files exist, those of the cues that its row names among them."""
         ...
 
     def digest(self) -> str:
@@ -75,26 +80,39 @@ class Method:
         """Whether a row says that this job is done, with this method, for the picture of now."""
         if row is None or row.failed or row.method != self.digest:
             return False
-        if not set(self.kinds) <= set(row.saved.split()) or not job.is_complete:
+        if not set(self.kinds) <= set(row.saved.split()) or not job.has_all(row):
             return False
         return row.sha256 == job.digest() != ""
 
 
 def method_of(kinds: Iterable[str], settings: str, *parts: bytes) -> Method:
-    """The method of settings as TOML and of whatever else decides on the results."""
+    """The method of settings as TOML, our version, and whatever else decides on the results."""
     digest = hashlib.sha256()
-    for part in (settings.encode("utf-8", "surrogateescape"), *parts):
+    for part in (settings.encode("utf-8", "surrogateescape"), __version__.encode(), *parts):
         digest.update(hashlib.sha256(part).digest())
     return Method(digest.hexdigest()[:16], tuple(kinds))
 
 
 @dataclass(frozen=True)
 class Job:
-    """A picture, the folder of its results and how their names end, by kind."""
+    """A picture, the folder of its results and how their names end, by kind.
+
+    cue_suffixes: the same for the kinds that write a file a cue, ``{}`` standing for its name.
+    beside: files that belong to the picture, whose bytes decide on the results as well.
+    """
 
     picture: Picture
     out: Path
     suffixes: Mapping[str, str]
+    cue_suffixes: Sequence[str] = ()
+    beside: tuple[Path, ...] = ()
+
+    def digest(self) -> str:
+        """SHA-256 of the picture, and of what is beside it; empty where one cannot be read."""
+        digests = [digest_of(path) for path in (self.picture.path, *self.beside)]
+        if len(digests) == 1 or not all(digests):
+            return digests[0] if all(digests) else ""
+        return hashlib.sha256("".join(digests).encode()).hexdigest()
 
     def output(self, suffix: str) -> Path:
         """The file in ``out`` for results that end in ``suffix``; sub-folders are kept."""
@@ -110,6 +128,12 @@ class Job:
         """Whether all of these files exist."""
         return all(path.is_file() for path in self.outputs)
 
+    def has_all(self, row: Row) -> bool:
+        """Whether all files exist, those of the cues that its row names among them."""
+        cues = filter(None, row.cues.split("/"))
+        of_cues = (self.output(each.format(cue)) for cue in cues for each in self.cue_suffixes)
+        return self.is_complete and all(path.is_file() for path in of_cues)
+
     @property
     def file(self) -> str:
         """The name in index.csv: the result's name with the picture's own suffix."""
@@ -119,10 +143,6 @@ class Job:
     def origin(self) -> str:
         """The picture's path, as it was found."""
         return str(self.picture.path)
-
-    def digest(self) -> str:
-        """SHA-256 of the bytes of the picture; empty where it cannot be read."""
-        return digest_of(self.picture.path)
 
 
 Work = Callable[[Any], Row]
@@ -138,15 +158,16 @@ def plan(
     out: Path,
     suffixes: Mapping[str, str],
     selection: Selection = Selection(),  # noqa: B008 - it is frozen
+    cue_suffixes: Sequence[str] = (),
 ) -> list[Job]:
     """The jobs for all inputs; no file is written yet.
 
-    suffixes: kind of result → what its file name ends with.
+    suffixes: kind of result → what its file name ends with. cue_suffixes: see ``Job``.
     Raises ConfigError when two pictures share a result or a result would replace a
     picture, InputError when nothing is found or ``out`` cannot be a folder.
     """
     found = selection.of_pictures(find_images(inputs, apart=out))
-    return settled([Job(picture, out, suffixes) for picture in found])
+    return settled([Job(picture, out, suffixes, cue_suffixes) for picture in found])
 
 
 def settled(jobs: list[Job]) -> list[Job]:
@@ -246,7 +267,7 @@ def _removed(jobs: Iterable[Task], rows: Mapping[str, Row]) -> list[Row]:
     return [
         Row(job.file, status=f"{FAILED}: {job.origin}: {what}")
         for job in jobs
-        if isinstance(job, Job) and not rows[job.file].failed and not job.is_complete
+        if isinstance(job, Job) and not rows[job.file].failed and not job.has_all(rows[job.file])
     ]
 
 

@@ -1,6 +1,6 @@
 """With what, and where, the pictures of a run are worked on, as the options say."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 import torch
 
-from roadtorch.cli import batch
+from roadtorch.cli import batch, results
 from roadtorch.cli.claim import claimed
 from roadtorch.cli.coco import COCO, annotation_name, write_coco
 from roadtorch.cli.index import INDEX, read_index
@@ -142,17 +142,19 @@ def footage_of(inputs: Sequence[str], out: str, cut: Cut) -> list[Source]:
 def plan_run(
     inputs: Sequence[str],
     out: str,
-    suffixes: Mapping[str, str],
+    kinds: Sequence[str],
     work: batch.Work,
     chosen: Selection,
 ) -> Plan:
     """The jobs for pictures and a folder that are on this machine or behind URLs.
 
-    Where one of them is behind a URL, all of them go that way. Raises what ``batch.plan`` and
-    ``plan_remote`` raise.
+    kinds: of results. Where one of them is behind a URL, all of them go that way. Raises what
+    ``batch.plan`` and ``plan_remote`` raise.
     """
+    suffixes = results.suffixes(kinds)
     if not any(map(is_url, [*inputs, out])):
-        return Plan(batch.plan(inputs, Path(out), suffixes, chosen), work, out)
+        jobs = batch.plan(inputs, Path(out), suffixes, chosen, results.cue_suffixes(kinds))
+        return Plan(jobs, work, out)
     url = out if is_url(out) else Path(out).absolute().as_uri()
     folder = RemoteFolder(url)
     jobs = chosen.of_pictures(plan_remote(inputs, folder, suffixes))

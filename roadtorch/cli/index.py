@@ -12,6 +12,7 @@ import click
 
 from roadtorch.errors import InputError
 from roadtorch.files import csv_text, write_text
+from roadtorch.outside import read_regular
 
 INDEX = "index.csv"
 DONE, DOUBTFUL, FAILED = "done", "doubtful", "failed"
@@ -30,7 +31,8 @@ class Row:
 
     trust: the expected F of the mask, empty where the detector does not say.
     saved: the kinds of results that were written; method: what they were made with, see
-    ``Method``; sha256: of the bytes of the picture. seconds: of a frame, since its source began.
+    ``Method``; sha256: of the bytes of the picture, see ``Job.digest``. seconds: of a frame, since
+    its source began. cues: their names, between slashes, which stand in no file's name.
     """
 
     file: str
@@ -44,6 +46,7 @@ class Row:
     method: str = ""
     sha256: str = ""
     seconds: str = ""
+    cues: str = ""
 
     @property
     def failed(self) -> bool:
@@ -108,8 +111,7 @@ def read_index(path: Path) -> dict[str, Row]:
     if not path.exists():
         return {}
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            text = file.read()
+        text = read_regular(path).decode()
         whole = io.StringIO(text[: text.rfind("\n") + 1], newline="")  # a killed run may cut a row
         rows = [Row(**line) for line in csv.DictReader(whole)]
         if any(None in vars(row).values() for row in rows):

@@ -135,9 +135,7 @@ def infer(
     told = sort_inputs(inputs)
     kinds = USUAL_OF_PICTURES if save is None else save
     work = results.Inference(loaded, frozenset(kinds), bits, known, means.device)
-    plan = engines.plan_run(
-        told.pictures, out, results.suffixes(kinds), work, engines.selection(cut)
-    )
+    plan = engines.plan_run(told.pictures, out, kinds, work, engines.selection(cut))
     written = FootageResults(save, bits, gif, loaded)
     sources = footage.plan_sources(engines.footage_of(told.sources, out, cut), Path(out), written)
     place = context.with_resource(plan.claimed())

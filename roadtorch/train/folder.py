@@ -9,9 +9,10 @@ from typing import Any
 
 import torch
 
+from roadtorch.decoding import without_warnings
 from roadtorch.errors import ConfigError, InputError, WeightsError
 from roadtorch.files import atomic, csv_text, make_folder, write_text
-from roadtorch.outside import printable
+from roadtorch.outside import printable, read_regular, regular_size
 from roadtorch.sources.pictures import Picture
 from roadtorch.train.config import as_values, build_training, with_current_names
 from roadtorch.train.prepared import PreparedPicture, bytes_of, name_of
@@ -89,10 +90,10 @@ class RunFolder:
         if not path.exists():
             return None
         try:
-            record = json.loads(path.read_text(encoding="utf-8"))
+            record = json.loads(read_regular(path).decode())
             if isinstance(record["config"], dict) and isinstance(record["pictures"], str):
                 return record
-        except (ValueError, KeyError, TypeError, OSError):
+        except (ValueError, KeyError, TypeError, OSError, RecursionError):
             pass
         raise InputError(path, "is not the record of a run", "give another --out")
 
@@ -112,7 +113,9 @@ class RunFolder:
         if not path.exists():
             return None
         try:
-            state = torch.load(path, weights_only=True)
+            regular_size(path)
+            with without_warnings():  # of what damage looks like to it
+                state = torch.load(path, weights_only=True)
             number = int(state["format"])
         except Exception:  # zipfile, pickle and torch raise anything for foreign bytes
             raise WeightsError(path, *NO_CHECKPOINT) from None

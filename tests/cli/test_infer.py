@@ -56,7 +56,7 @@ def test_a_folder_gives_three_files_a_picture_and_an_index(
     assert list(rows) == ["a.jpg", "b.png", "sub/c.png"]
     assert list(rows["a.jpg"]) == [
         *("file", "width", "height", "ms", "road_share", "trust", "status"),
-        *("saved", "method", "sha256", "seconds"),
+        *("saved", "method", "sha256", "seconds", "cues"),
     ]
     assert rows["a.jpg"]["sha256"] == sha256((footage / "a.jpg").read_bytes()).hexdigest()
     assert rows["a.jpg"]["saved"] == "likelihood mask overlay"

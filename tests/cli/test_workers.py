@@ -33,6 +33,9 @@ class Number:
     def is_complete(self) -> bool:
         return False
 
+    def has_all(self, _: Row) -> bool:
+        return False
+
     def digest(self) -> str:
         return ""
 

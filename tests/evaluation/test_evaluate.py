@@ -99,6 +99,15 @@ def test_sets_without_drives_use_the_default_or_an_earlier_threshold(
         assert given[name].headline["threshold"] == found.detectors[name].best_threshold
 
 
+@pytest.mark.parametrize("value", ["1e308", "-0.1", "NaN", "Infinity", "[]"])
+def test_a_threshold_beyond_its_range_is_refused(camvid, tmp_path, value):
+    earlier = tmp_path / "metrics.json"
+    earlier.write_text(f'{{"detectors": {{"{ORACLE}": {{"maxf_threshold": {value}}}}}}}')
+
+    with pytest.raises(InputError, match=r"metrics\.json: is not a metrics.json"):
+        evaluate(camvid, [ORACLE], threshold_from=earlier)
+
+
 def test_a_threshold_of_other_settings_is_refused(found, camvid, tmp_path):
     earlier, other = tmp_path / "metrics.json", tmp_path / "other.json"
     write_json(earlier, defined(document(found, "")))
