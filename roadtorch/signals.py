@@ -58,6 +58,51 @@ def terminated_in_words() -> Iterator[None]:
 
 
 @contextmanager
+def noted_signals() -> Iterator[Stop]:
+    """Within the block, signals that raise are noted as well; what handled them still does.
+
+    Of an exception from foreign code it can then be said whether a signal was its cause. Only
+    handlers written in Python are looked at, and in the main thread alone, where they run.
+    """
+    stop = Stop()
+    own = threading.current_thread() is threading.main_thread()
+    before = {number: signal.getsignal(number) for number in SIGNALS} if own else {}
+
+    def note(number: int, frame: FrameType | None) -> None:
+        handler = before[signal.Signals(number)]
+        assert callable(handler)
+        try:
+            handler(number, frame)
+        except BaseException:
+            stop.signal = signal.Signals(number)
+            raise
+
+    try:
+        for number, handler in before.items():
+            if callable(handler):
+                signal.signal(number, note)
+        yield stop
+    finally:
+        for number, handler in before.items():
+            if signal.getsignal(number) is note:  # unless the block has set one of its own
+                signal.signal(number, handler)
+
+
+@contextmanager
+def interruption_first() -> Iterator[None]:
+    """Raise an interruption as such, whatever the block's code or its libraries make of it.
+
+    Libraries in C or Rust turn a KeyboardInterrupt that meets them into errors of their own.
+    """
+    with noted_signals() as stop:
+        try:
+            yield
+        except BaseException:
+            stop.interrupt()
+            raise
+
+
+@contextmanager
 def stop_on_signals() -> Iterator[Stop]:
     """Within the block, SIGINT and SIGTERM only ask; the handlers before it come back."""
     stop = Stop()
