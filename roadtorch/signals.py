@@ -1,5 +1,7 @@
 """Ctrl-C and termination: finish what is in hand, save, and leave."""
 
+import multiprocessing
+import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -100,6 +102,38 @@ def interruption_first() -> Iterator[None]:
         except BaseException:
             stop.interrupt()
             raise
+
+
+@contextmanager
+def interrupting_none_started() -> Iterator[None]:
+    """Processes that are started within the block never see SIGINT; here it waits for the end.
+
+    A terminal sends Ctrl-C to all processes of a command. The first one answers for them.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # not a Unix
+        yield
+        return
+    from multiprocessing import resource_tracker
+
+    resource_tracker.ensure_running()  # as it starts, with the first process, it lets SIGINT in
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def end_with_parent() -> None:
+    """Let this process end when the one that started it does, even if that was killed."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 @contextmanager

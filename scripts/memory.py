@@ -37,7 +37,7 @@ class Look(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """Of one run: seconds, and the resident set in MiB early, late and at most (NaN: not looked at)."""
+    """Of one run: seconds, and the resident set in MiB early, late and at most; NaN if not seen."""
 
     pictures: int
     seconds: float

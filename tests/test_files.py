@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from roadtorch import files
 from roadtorch.errors import InputError
 from roadtorch.files import atomic, csv_text, remove_leftovers, shared, write_text
 
@@ -70,6 +71,15 @@ def test_who_shares_a_folder_removes_leftovers_when_alone(tmp_path: Path) -> Non
     with shared(tmp_path / "made"):
         assert not left.exists()
         assert left.parent.is_dir()
+
+
+def test_no_library_writes_under_names_of_its_own() -> None:
+    """``save_file`` of safetensors makes .tmpXXXXXX, which stays where it is killed."""
+    package = Path(files.__file__).parent
+
+    modules = [path for path in package.rglob("*.py") if "save_file" in path.read_text()]
+
+    assert modules == []
 
 
 def test_leftovers_of_killed_processes_go_and_all_else_stays(tmp_path: Path) -> None:

@@ -1,8 +1,12 @@
 """Signals that meet foreign code: told as what they are, handled by whom they were before."""
 
 import os
+import select
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -47,6 +51,40 @@ def test_a_signal_that_is_only_asked_about_is_not_noted() -> None:
 
     assert stop.asked
     assert not noted.asked
+
+
+PROCESSES = """
+import multiprocessing, os, time
+from roadtorch.signals import end_with_parent, interrupting_none_started
+
+def work():
+    end_with_parent()
+    print(os.getpid(), flush=True)
+    time.sleep(60)
+
+if __name__ == "__main__":
+    with interrupting_none_started():
+        process = multiprocessing.get_context("spawn").Process(target=work)
+        process.start()
+    print(os.getpid(), flush=True)
+    process.join()
+"""
+
+
+def test_processes_do_not_see_ctrl_c_and_end_with_the_one_that_started_them(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "start.py").write_text(PROCESSES)
+    words = [sys.executable, "start.py"]
+
+    with subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.PIPE) as first:
+        assert first.stdout is not None
+        started = {int(first.stdout.readline()), int(first.stdout.readline())} - {first.pid}
+        os.kill(*started, signal.SIGINT)
+        assert not select.select([first.stdout], [], [], 0.5)[0]
+        assert first.poll() is None
+        first.kill()
+        assert first.communicate(timeout=30) == (b"", None)  # nobody has stdout open any more
 
 
 def test_handlers_come_back_but_for_those_that_the_block_set() -> None:

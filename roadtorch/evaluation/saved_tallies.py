@@ -8,7 +8,7 @@ from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 
 from roadtorch.data.dataset import Dataset
 from roadtorch.errors import ConfigError
@@ -82,8 +82,9 @@ class SavedTallies:
         }
         pictures = next(iter(self.tallies.values())).pictures
         about = {"run": self.run, "detectors": list(self.tallies), "pictures": pictures}
+        data = save(tensors, {"roadtorch": json.dumps(about)})
         with atomic(self.path) as temporary:
-            save_file(tensors, temporary, {"roadtorch": json.dumps(about)})
+            temporary.write_bytes(data)
         self._saved = time.monotonic()
         self._pause = max(SAVE_EVERY, (self._saved - start) / SAVING)
 
