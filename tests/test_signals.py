@@ -79,8 +79,9 @@ def test_processes_do_not_see_ctrl_c_and_end_with_the_one_that_started_them(
 
     with subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.PIPE) as first:
         assert first.stdout is not None
-        started = {int(first.stdout.readline()), int(first.stdout.readline())} - {first.pid}
-        os.kill(*started, signal.SIGINT)
+        told = {int(first.stdout.readline()), int(first.stdout.readline())}
+        (started,) = told - {first.pid}
+        os.kill(started, signal.SIGINT)
         assert not select.select([first.stdout], [], [], 0.5)[0]
         assert first.poll() is None
         first.kill()
