@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 
 from roadtorch.data.dataset import Dataset
 from roadtorch.errors import ConfigError
@@ -85,8 +85,9 @@ class SavedTallies:
         pictures = next(iter(self.tallies.values())).pictures
         about = {"run": self.run, "detectors": list(self.tallies), "pictures": pictures}
         about["sha256"] = _digest(about, tensors)
+        data = save(tensors, {"roadtorch": json.dumps(about)})
         with atomic(self.path) as temporary:
-            save_file(tensors, temporary, {"roadtorch": json.dumps(about)})
+            temporary.write_bytes(data)
         self._saved = time.monotonic()
         self._pause = max(SAVE_EVERY, (self._saved - start) / SAVING)
 
