@@ -90,12 +90,22 @@ class Canvas:
         mask = np.zeros((self.height, self.width), np.uint8)
         corners = np.clip(np.array(list(points)) * 16, -3e5, 3e5)  # 4 fractional bits
         cv2.fillPoly(mask, [np.round(corners).astype(np.int32)], 1, shift=4)
-        self.fill(mask.astype(bool), colour, kind)
+        inside = around(corners / 16)
+        chosen = mask[inside].astype(bool)
+        self.rgb[inside][chosen] = colour[inside][chosen] if np.ndim(colour) == 3 else colour
+        self.classes[inside][chosen] = kind
 
     def fill(self, mask: np.ndarray, colour: np.ndarray, kind: int) -> None:
         """Give the pixels of a mask a colour and a class."""
         self.rgb[mask] = colour[mask] if np.ndim(colour) == 3 else colour
         self.classes[mask] = kind
+
+
+def around(corners: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns of a picture that hold a polygon of pixel points (n,2), and some more."""
+    first = np.maximum(np.floor(corners.min(0)).astype(int) - 1, 0)
+    last = np.maximum(np.ceil(corners.max(0)).astype(int) + 2, 0)
+    return slice(first[1], last[1]), slice(first[0], last[0])
 
 
 def cloth(generator: np.random.Generator, size: int = 256, octaves: int = 5) -> np.ndarray:

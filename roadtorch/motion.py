@@ -1,0 +1,85 @@
+"""Dense motion between two pictures, and what it carries along.
+
+A flow says for every pixel of a picture where it was in another one. Source of the flow: Kroeger
+et al., Fast Optical Flow using Dense Inverse Search, ECCV 2016, as OpenCV has it. Where the flow
+there and back does not end where it began, the pixel is hidden in one of the pictures, or nothing
+there can be followed (Sundaram et al., ECCV 2010).
+"""
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+FASTEST = cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST
+FAST = cv2.DISOPTICAL_FLOW_PRESET_FAST
+EXACT = cv2.DISOPTICAL_FLOW_PRESET_MEDIUM
+
+SMALLEST = 32
+"""Pixels of a side at the least: OpenCV 5.0 crashes on smaller pictures with the fast presets."""
+
+
+def small_grey(image: Tensor, width: int) -> Tensor:
+    """An image (3,H,W) in [0,1] as grey of at most this width, uint8 (h,w).
+
+    Its shape is kept as long as no side falls below ``SMALLEST``.
+    """
+    grey = np.ascontiguousarray(image.detach().cpu().mean(0).numpy())
+    height, wide = grey.shape
+    scale = min(1.0, width / wide)
+    size = (max(SMALLEST, round(wide * scale)), max(SMALLEST, round(height * scale)))
+    if size != (wide, height):
+        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    return torch.from_numpy(np.round(grey * 255).astype(np.uint8))
+
+
+def dense_flow(here: Tensor, there: Tensor, preset: int = FASTEST) -> Tensor:
+    """Where each pixel of ``here`` is in ``there``: float32 (h,w,2), pixels right and down.
+
+    here, there: uint8 (h,w). preset: one of OpenCV's for dense inverse search. Raises ValueError
+    for pictures with a side below ``SMALLEST``.
+    """
+    if min(here.shape) < SMALLEST:
+        raise ValueError(f"no flow of {tuple(here.shape)}: give {SMALLEST} pixels a side or more")
+    search = cv2.DISOpticalFlow.create(preset)
+    return torch.from_numpy(search.calc(here.numpy(), there.numpy(), None))
+
+
+def carried(plane: Tensor, flow: Tensor) -> Tensor:
+    """The values of a plane float32 (H,W) at the places where a flow (h,w,2) points, (H,W).
+
+    Between pixels they are interpolated; outside, those at the edge. A flow of another size is
+    brought to the plane's.
+    """
+    height, width = plane.shape
+    moved = _at_size(flow, height, width).numpy()
+    columns = moved[..., 0] + np.arange(width, dtype=np.float32)
+    rows = moved[..., 1] + np.arange(height, dtype=np.float32)[:, None]
+    values = cv2.remap(
+        plane.numpy(), columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return torch.from_numpy(values)
+
+
+def _at_size(flow: Tensor, height: int, width: int) -> Tensor:
+    if tuple(flow.shape[:2]) == (height, width):
+        return flow
+    larger = cv2.resize(flow.numpy(), (width, height), interpolation=cv2.INTER_LINEAR)
+    return torch.from_numpy(larger) * torch.tensor(
+        [width / flow.shape[1], height / flow.shape[0]], dtype=torch.float32
+    )
+
+
+def round_trip(flow: Tensor, back: Tensor) -> Tensor:
+    """Pixels between where a round trip begins and where it ends, float32 (h,w).
+
+    flow: (h,w,2) from here to there. back: from there to here. Infinite where it leaves the
+    picture.
+    """
+    height, width = flow.shape[:2]
+    returned = torch.stack([carried(back[..., axis].contiguous(), flow) for axis in (0, 1)], -1)
+    missed = (flow + returned).norm(dim=-1)
+    columns = flow[..., 0] + torch.arange(width)
+    rows = flow[..., 1] + torch.arange(height)[:, None]
+    inside = (columns >= 0) & (columns <= width - 1) & (rows >= 0) & (rows <= height - 1)
+    return missed.where(inside, torch.inf)
