@@ -15,12 +15,13 @@ the past is believed less, down to not at all: turns and the edges of cars stay 
 from typing import NamedTuple
 
 import cv2
+import numpy as np
 import torch
 from pydantic import Field
 from torch import Tensor
 
 from roadtorch.fusion import log_odds
-from roadtorch.motion import carried, dense_flow, round_trip, small_grey
+from roadtorch.motion import FAST, carried, dense_flow, round_trip, small_grey
 from roadtorch.settings import Settings
 
 AROUND = 5  # pixels at the flow's size over which differences of the picture are averaged
@@ -30,16 +31,19 @@ class SteadySettings(Settings):
     """How much a frame is told by those before it."""
 
     memory: float = Field(
-        default=8.0, ge=0, le=1000, description="frames that the past counts as at the most"
+        default=4.0, ge=0, le=1000, description="frames that the past counts as at the most"
     )
     width: int = Field(
-        default=240, ge=16, le=4096, description="pixels: how wide pictures are for the flow"
+        default=320, ge=32, le=4096, description="pixels: how wide pictures are for the flow"
     )
-    agreement: float = Field(
+    miss: float = Field(
         default=1.0, gt=0, le=100, description="pixels at that width by which a round trip may miss"
     )
+    slack: float = Field(
+        default=0.2, ge=0, le=10, description="share of the motion by which it may miss besides"
+    )
     contrast: float = Field(
-        default=0.1, gt=0, le=10, description="share of white by which a place may look different"
+        default=0.2, gt=0, le=10, description="share of white by which a place may look different"
     )
     cut: float = Field(
         default=0.25,
@@ -61,6 +65,14 @@ class Past(NamedTuple):
     frames: Tensor
 
 
+class Look(NamedTuple):
+    """What one frame shows: grey uint8 (h,w), log odds (H,W), and what it hides, bool (H,W)."""
+
+    grey: Tensor
+    odds: Tensor
+    hidden: Tensor
+
+
 class Steady:
     """The steadied likelihoods of one source, frame by frame, in their order."""
 
@@ -68,47 +80,62 @@ class Steady:
         self.settings = settings
         self._past: Past | None = None
 
-    def __call__(self, image: Tensor, likelihood: Tensor) -> Tensor:
+    def __call__(self, image: Tensor, likelihood: Tensor, hidden: Tensor | None = None) -> Tensor:
         """The likelihood (H,W) of the next frame (3,H,W), both in [0,1], with what is known.
 
-        The first frame's stays as it is; so does one of another size, which begins anew.
+        hidden: where the frame says nothing about the street, bool (H,W): the ego car. There the
+        likelihood stays as it is given. So does all of the first frame, and of one of another
+        size, which begins anew.
         """
-        now = Past(small_grey(image, self.settings.width), log_odds(likelihood), torch.empty(0))
-        self._past = recalled(self._past, now.grey, now.odds, self.settings)
-        return self._past.odds.sigmoid()
+        if hidden is None:
+            hidden = torch.zeros(likelihood.shape, dtype=torch.bool)
+        look = Look(small_grey(image, self.settings.width), log_odds(likelihood), hidden)
+        self._past = recalled(self._past, look, self.settings)
+        return self._past.odds.sigmoid().where(~hidden, likelihood)
 
 
-def recalled(past: Past | None, grey: Tensor, odds: Tensor, settings: SteadySettings) -> Past:
-    """What is known after a frame: grey uint8 (h,w) and log odds (H,W), after ``past``."""
-    if past is None or past.odds.shape != odds.shape or past.grey.shape != grey.shape:
-        return Past(grey, odds, torch.ones(grey.shape))
-    flow = dense_flow(grey, past.grey)
-    belief = believed(past.grey, grey, flow, settings)
+def recalled(past: Past | None, look: Look, settings: SteadySettings) -> Past:
+    """What is known after a frame, from what was known before it."""
+    fresh = 1 - _small(look.hidden.to(torch.float32), look.grey)
+    begun = Past(look.grey, look.odds.masked_fill(look.hidden, 0.0), fresh)
+    if past is None or past.odds.shape != look.odds.shape or past.grey.shape != look.grey.shape:
+        return begun
+    flow = dense_flow(look.grey, past.grey, FAST)
+    belief = believed(past.grey, look.grey, flow, settings)
     if belief.mean() < settings.cut:
-        return Past(grey, odds, torch.ones(grey.shape))
+        return begun
     weight = carried(past.frames, flow).clamp_max(settings.memory) * belief
-    return Past(grey, blended(carried(past.odds, flow), odds, weight), weight + 1)
+    before = carried(past.odds, flow)
+    odds = blended(before, look.odds.where(~look.hidden, before), weight, fresh)
+    return Past(look.grey, odds, weight + fresh)
+
+
+def _small(plane: Tensor, grey: Tensor) -> Tensor:
+    """A plane (H,W) at the size of the flow, averaged."""
+    height, width = grey.shape
+    return torch.from_numpy(
+        cv2.resize(plane.numpy(), (width, height), interpolation=cv2.INTER_AREA)
+    )
 
 
 def believed(before: Tensor, grey: Tensor, flow: Tensor, settings: SteadySettings) -> Tensor:
     """How far the past can be believed, float32 (h,w) in [0,1], for a flow from ``grey`` to it.
 
     before, grey: uint8 (h,w). 1 where the round trip closes and the place looks the same; outside
-    the picture before 0. A change of light all over the picture is no difference.
+    the picture before 0. Round trips may miss by more where motion is fast (Sundaram et al., ECCV
+    2010, eq. 5). A change of light all over the picture is no difference.
     """
-    missed = round_trip(flow, dense_flow(before, grey)) / settings.agreement
+    allowed = settings.miss + settings.slack * flow.norm(dim=-1)
+    missed = round_trip(flow, dense_flow(before, grey, FAST)) / allowed
     change = grey.to(torch.float32) - carried(before.to(torch.float32), flow)
-    change = (change - change.median()).abs() / 255
-    around = torch.from_numpy(cv2.blur(change.numpy(), (AROUND, AROUND))) / settings.contrast
+    change = np.abs((change - change.median()).numpy()) / 255
+    around = torch.from_numpy(cv2.blur(change, (AROUND, AROUND))) / settings.contrast
     return (-(missed.square() + around.square())).exp()
 
 
-def blended(before: Tensor, now: Tensor, weight: Tensor) -> Tensor:
-    """The mean of log odds (H,W), those before counting as ``weight`` (h,w) frames, these as one.
-
-    The weight is brought to their size as a share.
-    """
+def blended(before: Tensor, now: Tensor, weight: Tensor, fresh: Tensor) -> Tensor:
+    """The mean of log odds (H,W) that count as so many frames: ``weight`` and ``fresh`` (h,w)."""
     height, width = now.shape
-    share = (weight / (weight + 1)).numpy()
+    share = (weight / (weight + fresh).clamp_min(1e-6)).numpy()
     larger = cv2.resize(share, (width, height), interpolation=cv2.INTER_LINEAR)
     return now + torch.from_numpy(larger) * (before - now)

@@ -4,8 +4,10 @@ A sequence is kept as one file in the cache: pictures, likelihoods, masks, truth
 when the detector has changed.
 """
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +17,12 @@ from tqdm import tqdm
 
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.detector import Detector, decide, decide_beside
+from roadtorch.evaluation.flicker import Changes, Followed, count_changes, flicker, followed
+from roadtorch.evaluation.metrics import Decisions, count_mask, f_measure
 from roadtorch.image import read_image
 from roadtorch.scene_drives import render_drive
 from roadtorch.sources.footage import frame_places, read_frames
+from roadtorch.steady import Steady, SteadySettings
 
 UNKNOWN = 2  # in the truth: void
 
@@ -41,6 +46,12 @@ class Footage:
     def image(self, number: int) -> Tensor:
         """A frame (3,H,W) in [0,1]."""
         return self.images[number].to(torch.float32) / 255
+
+
+def first(seen: Footage, count: int) -> Footage:
+    """The first frames of a sequence."""
+    parts = {name: part for name, part in vars(seen).items() if isinstance(part, Tensor)}
+    return replace(seen, **{name: part[:count] for name, part in parts.items()})
 
 
 Frames = Iterable[tuple[Tensor, Tensor | None]]
@@ -121,3 +132,76 @@ def every_footage(
         else:
             frames = camvid_val(data) if name == "camvid" else clip(data / "clips" / f"{name}.mp4")
         yield footage(name, frames, detector, cache)
+
+
+# --- figures ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What was counted of one sequence, a row a frame.
+
+    outcome: int64 (n,4), true and false positives, false negatives, true negatives; None without
+    truth. changes: int64 (n-1,2), changed and compared pixels.
+    """
+
+    outcome: Tensor | None
+    changes: Tensor
+
+    @property
+    def flicker(self) -> float:
+        """Over all frames."""
+        changed, compared = self.changes.sum(0).tolist()
+        return flicker([Changes(changed, compared)])
+
+    @property
+    def f(self) -> float:
+        """F of all frames together; NaN without truth."""
+        return math.nan if self.outcome is None else float(f_of(self.outcome.sum(0)))
+
+
+def f_of(outcome: Tensor) -> Tensor:
+    """F of counts (...,4)."""
+    return f_measure(Decisions(*outcome.unbind(-1)))
+
+
+def motions(seen: Footage) -> list[Followed]:
+    """The motion between all frames that follow one another."""
+    return [
+        followed(seen.image(number - 1), seen.image(number))
+        for number in range(1, len(seen.images))
+    ]
+
+
+def steadied(seen: Footage, settings: SteadySettings, detector: Detector) -> list[Tensor]:
+    """The masks of all frames with the filter."""
+    steady = Steady(settings)
+    return [
+        decided(seen, i, steady(seen.image(i), seen.likelihood[i], seen.ego[i]), detector)
+        for i in range(len(seen.images))
+    ]
+
+
+def alone(seen: Footage, detector: Detector) -> list[Tensor]:
+    """The masks of all frames without the filter."""
+    return [decided(seen, i, seen.likelihood[i], detector) for i in range(len(seen.images))]
+
+
+def true_masks(seen: Footage) -> list[Tensor]:
+    """The truth as masks; nothing without truth."""
+    return [] if seen.truth is None else [each == 1 for each in seen.truth]
+
+
+def figures(seen: Footage, masks: Sequence[Tensor], moved: Sequence[Followed]) -> Figures:
+    """Count masks of a sequence against the truth and from frame to frame."""
+    changes = [
+        count_changes(*pair, motion) for pair, motion in zip(pairwise(masks), moved, strict=True)
+    ]
+    outcome = None
+    if seen.truth is not None:
+        counts = [
+            count_mask(mask, truth == 1, truth != UNKNOWN)
+            for mask, truth in zip(masks, seen.truth, strict=True)
+        ]
+        outcome = torch.tensor([[int(part) for part in vars(each).values()] for each in counts])
+    return Figures(outcome, torch.tensor([[each.changed, each.compared] for each in changes]))

@@ -6,7 +6,7 @@ import torch
 from roadtorch.fusion import log_odds
 from roadtorch.motion import small_grey
 from roadtorch.scenes import render_scene
-from roadtorch.steady import Past, Steady, SteadySettings, believed, blended, recalled
+from roadtorch.steady import Look, Past, Steady, SteadySettings, believed, blended, recalled
 
 STREET = render_scene(1, 120, 160, noise=0.0).image
 OTHER = render_scene(2, 120, 160, noise=0.0).image
@@ -168,18 +168,43 @@ def test_what_is_given_is_not_changed() -> None:
 def test_weights_count_frames() -> None:
     before, now = torch.full((40, 60), 3.0), torch.zeros(40, 60)
 
-    found = blended(before, now, torch.full((20, 30), 2.0))
+    found = blended(before, now, torch.full((20, 30), 2.0), torch.ones(20, 30))
 
     assert torch.allclose(found, torch.tensor(2.0))
 
 
 def test_frames_are_counted_up_to_the_memory() -> None:
-    grey, odds = small_grey(STREET, 240), torch.zeros(120, 160)
+    nothing = torch.zeros(120, 160)
+    look = Look(small_grey(STREET, 240), nothing, nothing.bool())
     past: Past | None = None
     counts = []
 
     for _ in range(6):
-        past = recalled(past, grey, odds, settings(memory=3.0))
+        past = recalled(past, look, settings(memory=3.0))
         counts.append(round(float(past.frames.median()), 2))
 
     assert counts == pytest.approx([1, 2, 3, 4, 4, 4], abs=0.05)
+
+
+def test_what_is_hidden_is_remembered_and_says_nothing() -> None:
+    steady, seen = Steady(settings()), torch.full((120, 160), 0.9)
+    ego = torch.zeros(120, 160, dtype=torch.bool)
+    ego[80:] = True
+    steady(STREET, seen)
+
+    for _ in range(3):
+        found = steady(STREET, seen.masked_fill(ego, 0.0), ego)
+        assert (found[80:] == 0).all()  # never road while it is there
+
+    assert torch.allclose(steady(STREET, seen), seen, atol=1e-3)
+
+
+def test_what_was_hidden_from_the_beginning_is_learned_at_once() -> None:
+    steady, seen = Steady(settings()), torch.full((120, 160), 0.9)
+    ego = torch.zeros(120, 160, dtype=torch.bool)
+    ego[80:] = True
+
+    for _ in range(3):
+        steady(STREET, seen.masked_fill(ego, 0.0), ego)
+
+    assert torch.allclose(steady(STREET, seen), seen, atol=1e-3)
