@@ -24,6 +24,10 @@ from roadtorch.scene_drives import render_drive
 from roadtorch.sources.footage import frame_places, read_frames
 from roadtorch.steady import Steady, SteadySettings
 
+CLIPS = (
+    *("california_tree_shadows", "forest_road_shade"),
+    *("germany_autobahn_bridge", "us_rural_damp"),
+)
 UNKNOWN = 2  # in the truth: void
 
 
