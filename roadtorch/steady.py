@@ -10,6 +10,9 @@ Nilsson and Sminchisescu, Semantic Video Segmentation by Gated Recurrent Flow Pr
 
 Where the flow there and back does not agree, or the picture looks other than where it came from,
 the past is believed less, down to not at all: turns and the edges of cars stay sharp.
+
+An ego car stands still in the picture. What a frame alone takes for one, a shadow close to the
+camera for instance, hides nothing: there what was known before is carried on.
 """
 
 from typing import NamedTuple
@@ -31,13 +34,13 @@ class SteadySettings(Settings):
     """How much a frame is told by those before it."""
 
     memory: float = Field(
-        default=4.0, ge=0, le=1000, description="frames that the past counts as at the most"
+        default=8.0, ge=0, le=1000, description="frames that the past counts as at the most"
     )
     width: int = Field(
         default=320, ge=32, le=4096, description="pixels: how wide pictures are for the flow"
     )
     miss: float = Field(
-        default=1.0, gt=0, le=100, description="pixels at that width by which a round trip may miss"
+        default=2.0, gt=0, le=100, description="pixels at that width by which a round trip may miss"
     )
     slack: float = Field(
         default=0.2, ge=0, le=10, description="share of the motion by which it may miss besides"
@@ -51,6 +54,20 @@ class SteadySettings(Settings):
         le=1,
         description="share of the picture to be found again, else the scene was cut",
     )
+    standing: float = Field(
+        default=30.0,
+        ge=1,
+        le=10_000,
+        description="frames, in half of which at the least an ego car is found at the same pixel",
+    )
+
+
+class Look(NamedTuple):
+    """What one frame shows: grey uint8 (h,w), log odds (H,W), and what it hides, bool (H,W)."""
+
+    grey: Tensor
+    odds: Tensor
+    hidden: Tensor
 
 
 class Past(NamedTuple):
@@ -65,12 +82,19 @@ class Past(NamedTuple):
     frames: Tensor
 
 
-class Look(NamedTuple):
-    """What one frame shows: grey uint8 (h,w), log odds (H,W), and what it hides, bool (H,W)."""
+class Standing(NamedTuple):
+    """In what share of the last frames a pixel of the picture was hidden, (H,W), and their count.
 
-    grey: Tensor
-    odds: Tensor
-    hidden: Tensor
+    What moves with the street stands nowhere for long.
+    """
+
+    share: Tensor
+    frames: float
+
+    @property
+    def hidden(self) -> Tensor:
+        """What an ego car hides, bool (H,W)."""
+        return self.share >= 0.5
 
 
 class Steady:
@@ -79,25 +103,45 @@ class Steady:
     def __init__(self, settings: SteadySettings) -> None:
         self.settings = settings
         self._past: Past | None = None
+        self._standing: Standing | None = None
+
+    @property
+    def hidden(self) -> Tensor | None:
+        """What the ego car hides, as the frames so far agree: bool (H,W); None before the first."""
+        return None if self._standing is None else self._standing.hidden
 
     def __call__(self, image: Tensor, likelihood: Tensor, hidden: Tensor | None = None) -> Tensor:
         """The likelihood (H,W) of the next frame (3,H,W), both in [0,1], with what is known.
 
-        hidden: where the frame says nothing about the street, bool (H,W): the ego car. There the
-        likelihood stays as it is given. So does all of the first frame, and of one of another
-        size, which begins anew.
+        hidden: where the frame says nothing about the street, bool (H,W): the ego car as it was
+        found. Where the frames agree on it, the likelihood becomes 0. The first frame's stays as
+        it is; so does that of a frame of another size, which begins anew.
         """
         if hidden is None:
             hidden = torch.zeros(likelihood.shape, dtype=torch.bool)
-        look = Look(small_grey(image, self.settings.width), log_odds(likelihood), hidden)
+        self._standing = stood(self._standing, hidden, self.settings.standing)
+        look = Look(
+            small_grey(image, self.settings.width),
+            log_odds(likelihood),
+            hidden | self._standing.hidden,
+        )
         self._past = recalled(self._past, look, self.settings)
-        return self._past.odds.sigmoid().where(~hidden, likelihood)
+        return self._past.odds.sigmoid().masked_fill(self._standing.hidden, 0.0)
+
+
+def stood(before: Standing | None, hidden: Tensor, most: float) -> Standing:
+    """What stands still in the picture after one more frame hides bool (H,W)."""
+    now = hidden.to(torch.float32)
+    if before is None or before.share.shape != now.shape:
+        return Standing(now, 1.0)
+    frames = min(before.frames + 1, most)
+    return Standing(before.share + (now - before.share) / frames, frames)
 
 
 def recalled(past: Past | None, look: Look, settings: SteadySettings) -> Past:
     """What is known after a frame, from what was known before it."""
     fresh = 1 - _small(look.hidden.to(torch.float32), look.grey)
-    begun = Past(look.grey, look.odds.masked_fill(look.hidden, 0.0), fresh)
+    begun = Past(look.grey, look.odds, fresh)
     if past is None or past.odds.shape != look.odds.shape or past.grey.shape != look.grey.shape:
         return begun
     flow = dense_flow(look.grey, past.grey, FAST)
@@ -106,8 +150,8 @@ def recalled(past: Past | None, look: Look, settings: SteadySettings) -> Past:
         return begun
     weight = carried(past.frames, flow).clamp_max(settings.memory) * belief
     before = carried(past.odds, flow)
-    odds = blended(before, look.odds.where(~look.hidden, before), weight, fresh)
-    return Past(look.grey, odds, weight + fresh)
+    now = look.odds.where(~look.hidden, before)
+    return Past(look.grey, blended(before, now, weight, fresh), weight + fresh)
 
 
 def _small(plane: Tensor, grey: Tensor) -> Tensor:

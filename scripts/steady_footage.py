@@ -116,9 +116,8 @@ def _row(image: Tensor, truth: Tensor | None, detector: Detector) -> dict[str, n
     return {key: value.numpy() for key, value in row.items()}
 
 
-def decided(seen: Footage, number: int, likelihood: Tensor, detector: Detector) -> Tensor:
-    """The mask of a frame whose likelihood was changed, as the detector decides."""
-    seed, ego = seen.seed[number], seen.ego[number]
+def decided(likelihood: Tensor, seed: Tensor, ego: Tensor, detector: Detector) -> Tensor:
+    """The mask of a likelihood (H,W), as the detector decides; seed, ego: bool (H,W)."""
     if ego.any():
         return decide_beside(likelihood, ego, detector.settings, seed)
     return decide(likelihood, detector.settings, seed)
@@ -179,16 +178,19 @@ def motions(seen: Footage) -> list[Followed]:
 
 def steadied(seen: Footage, settings: SteadySettings, detector: Detector) -> list[Tensor]:
     """The masks of all frames with the filter."""
-    steady = Steady(settings)
-    return [
-        decided(seen, i, steady(seen.image(i), seen.likelihood[i], seen.ego[i]), detector)
-        for i in range(len(seen.images))
-    ]
+    steady, masks = Steady(settings), []
+    for number, likelihood in enumerate(seen.likelihood):
+        ego = seen.ego[number]
+        likelihood = steady(seen.image(number), likelihood, ego)
+        standing = ego if steady.hidden is None else steady.hidden
+        masks.append(decided(likelihood, seen.seed[number], standing, detector))
+    return masks
 
 
 def alone(seen: Footage, detector: Detector) -> list[Tensor]:
     """The masks of all frames without the filter."""
-    return [decided(seen, i, seen.likelihood[i], detector) for i in range(len(seen.images))]
+    parts = zip(seen.likelihood, seen.seed, seen.ego, strict=True)
+    return [decided(*part, detector) for part in parts]
 
 
 def true_masks(seen: Footage) -> list[Tensor]:
