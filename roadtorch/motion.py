@@ -19,7 +19,7 @@ SMALLEST = 32
 """Pixels of a side at the least: OpenCV 5.0 crashes on smaller pictures with the fast presets."""
 
 
-def small_grey(image: Tensor, width: int) -> Tensor:
+def flow_picture(image: Tensor, width: int) -> Tensor:
     """An image (3,H,W) in [0,1] as grey of at most this width, uint8 (h,w).
 
     Its shape is kept as long as no side falls below ``SMALLEST``.

@@ -85,7 +85,7 @@ class Bend:
         return along, self.side * across
 
 
-class View(NamedTuple):
+class DriveView(NamedTuple):
     """A canvas and where its camera stands in the world: (x, y), heading to the right of y."""
 
     canvas: Canvas
@@ -130,7 +130,7 @@ class Upright(Protocol):
         """Its place (x, y)."""
         ...
 
-    def paint(self, view: View, seconds: float) -> None:
+    def paint(self, view: DriveView, seconds: float) -> None:
         """Paint it as it stands there then."""
         ...
 
@@ -147,7 +147,7 @@ class House:
         """Its middle."""
         return self.corners.mean(0)
 
-    def paint(self, view: View, seconds: float) -> None:
+    def paint(self, view: DriveView, seconds: float) -> None:
         """Walls, the farthest first; the one along the street has windows."""
         sides = [(self.corners[i], self.corners[(i + 1) % 4], i) for i in range(4)]
         sides.sort(key=lambda side: -math.dist((side[0] + side[1]) / 2, view.place))
@@ -157,7 +157,7 @@ class House:
             if number == 0:
                 self._paint_windows(view, begin, end)
 
-    def _paint_windows(self, view: View, begin: np.ndarray, end: np.ndarray) -> None:
+    def _paint_windows(self, view: DriveView, begin: np.ndarray, end: np.ndarray) -> None:
         glass, length = np.array([0.2, 0.24, 0.3]), math.dist(begin, end)
         for floor in np.arange(1.0, self.height - 1.6, 2.7):
             for left in np.arange(0.8, length - 1.2, 2.2):
@@ -171,7 +171,7 @@ def wall(begin: np.ndarray, end: np.ndarray, low: float, high: float) -> np.ndar
 
 
 @dataclass(frozen=True)
-class Tree:
+class StreetTree:
     """A trunk under discs of leaves (n,5): right, up, radius, and light, that face the camera."""
 
     foot: np.ndarray
@@ -181,7 +181,7 @@ class Tree:
         """Its foot."""
         return self.foot
 
-    def paint(self, view: View, seconds: float) -> None:
+    def paint(self, view: DriveView, seconds: float) -> None:
         """The trunk, then the leaves."""
         ((right, _, ahead),) = view.seen(np.array([[*self.foot, 0.0]]))
         if ahead < 2:
@@ -210,7 +210,7 @@ class Car:
         """The middle of its back."""
         return self.bend.beside(self.along + self.speed * seconds, self.across)
 
-    def paint(self, view: View, seconds: float) -> None:
+    def paint(self, view: DriveView, seconds: float) -> None:
         """As in a still scene: it always shows its back."""
         ((right, _, ahead),) = view.seen(np.array([[*self.where(seconds), 0.0]]))
         if 3 < ahead < FAR:
@@ -258,7 +258,7 @@ def draw_house(
     return House(corners, generator.uniform(4, 12), colour)
 
 
-def draw_tree(foot: np.ndarray, generator: np.random.Generator) -> Tree:
+def draw_tree(foot: np.ndarray, generator: np.random.Generator) -> StreetTree:
     """A tree with leaves of several greens."""
     leaves = [
         (
@@ -269,7 +269,7 @@ def draw_tree(foot: np.ndarray, generator: np.random.Generator) -> Tree:
         )
         for radius in generator.uniform(0.5, 1.4, 12)
     ]
-    return Tree(foot, np.array(leaves))
+    return StreetTree(foot, np.array(leaves))
 
 
 # --- the drive --------------------------------------------------------------------------
@@ -300,7 +300,7 @@ def render_drive(
         middle, heading = bend.at(speed * seconds)
         side = np.array([math.cos(heading), -math.sin(heading)])
         tilted = replace(street, horizon=street.horizon + 0.004 * pitch)
-        view = View(
+        view = DriveView(
             Canvas(2 * height, 2 * width, tilted),
             middle + street.offset * side,
             heading + 0.006 * sway,
@@ -320,7 +320,7 @@ def wavering(frames: int, generator: np.random.Generator) -> np.ndarray:
 
 
 def paint_view(
-    view: View, bend: Bend, uprights: Iterable[Upright], seconds: float, looks: list[int]
+    view: DriveView, bend: Bend, uprights: Iterable[Upright], seconds: float, looks: list[int]
 ) -> None:
     """Sky, ground and what stands on it, the farthest first; looks: seeds of sky and ground."""
     canvas = view.canvas

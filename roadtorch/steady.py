@@ -24,7 +24,7 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.fusion import log_odds
-from roadtorch.motion import FAST, carried, dense_flow, round_trip, small_grey
+from roadtorch.motion import FAST, carried, dense_flow, flow_picture, round_trip
 from roadtorch.settings import Settings
 
 AROUND = 5  # pixels at the flow's size over which differences of the picture are averaged
@@ -62,7 +62,7 @@ class SteadySettings(Settings):
     )
 
 
-class Look(NamedTuple):
+class Observation(NamedTuple):
     """What one frame shows: grey uint8 (h,w), log odds (H,W), and what it hides, bool (H,W)."""
 
     grey: Tensor
@@ -120,12 +120,12 @@ class Steady:
         if hidden is None:
             hidden = torch.zeros(likelihood.shape, dtype=torch.bool)
         self._standing = stood(self._standing, hidden, self.settings.standing)
-        look = Look(
-            small_grey(image, self.settings.width),
+        seen = Observation(
+            flow_picture(image, self.settings.width),
             log_odds(likelihood),
             hidden | self._standing.hidden,
         )
-        self._past = recalled(self._past, look, self.settings)
+        self._past = recalled(self._past, seen, self.settings)
         return self._past.odds.sigmoid().masked_fill(self._standing.hidden, 0.0)
 
 
@@ -138,20 +138,20 @@ def stood(before: Standing | None, hidden: Tensor, most: float) -> Standing:
     return Standing(before.share + (now - before.share) / frames, frames)
 
 
-def recalled(past: Past | None, look: Look, settings: SteadySettings) -> Past:
+def recalled(past: Past | None, seen: Observation, settings: SteadySettings) -> Past:
     """What is known after a frame, from what was known before it."""
-    fresh = 1 - _small(look.hidden.to(torch.float32), look.grey)
-    begun = Past(look.grey, look.odds, fresh)
-    if past is None or past.odds.shape != look.odds.shape or past.grey.shape != look.grey.shape:
+    fresh = 1 - _small(seen.hidden.to(torch.float32), seen.grey)
+    begun = Past(seen.grey, seen.odds, fresh)
+    if past is None or past.odds.shape != seen.odds.shape or past.grey.shape != seen.grey.shape:
         return begun
-    flow = dense_flow(look.grey, past.grey, FAST)
-    belief = believed(past.grey, look.grey, flow, settings)
+    flow = dense_flow(seen.grey, past.grey, FAST)
+    belief = believed(past.grey, seen.grey, flow, settings)
     if belief.mean() < settings.cut:
         return begun
     weight = carried(past.frames, flow).clamp_max(settings.memory) * belief
     before = carried(past.odds, flow)
-    now = look.odds.where(~look.hidden, before)
-    return Past(look.grey, blended(before, now, weight, fresh), weight + fresh)
+    now = seen.odds.where(~seen.hidden, before)
+    return Past(seen.grey, blended(before, now, weight, fresh), weight + fresh)
 
 
 def _small(plane: Tensor, grey: Tensor) -> Tensor:

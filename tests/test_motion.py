@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from roadtorch.motion import EXACT, carried, dense_flow, round_trip, small_grey
+from roadtorch.motion import EXACT, carried, dense_flow, flow_picture, round_trip
 from roadtorch.scenes import render_scene
 
 
@@ -47,7 +47,7 @@ def test_a_round_trip_closes_misses_or_leaves_the_picture() -> None:
 
 
 def test_the_flow_of_a_shifted_street_is_the_shift() -> None:
-    street = small_grey(render_scene(1, 120, 160, noise=0.0).image, 160)
+    street = flow_picture(render_scene(1, 120, 160, noise=0.0).image, 160)
     here, there = street[:, :-6].contiguous(), street[:, 6:].contiguous()
 
     # What is at column x of ``here`` is at column x - 6 of ``there``.
@@ -65,7 +65,7 @@ def test_the_flow_of_a_shifted_street_is_the_shift() -> None:
 def test_small_pictures_keep_their_shape_and_enough_rows_for_the_flow(size, wanted) -> None:
     image = torch.full((3, *size), 0.5)
 
-    grey = small_grey(image, 240)
+    grey = flow_picture(image, 240)
 
     assert tuple(grey.shape) == wanted
     assert grey.dtype == torch.uint8

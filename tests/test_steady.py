@@ -4,9 +4,9 @@ import pytest
 import torch
 
 from roadtorch.fusion import log_odds
-from roadtorch.motion import small_grey
+from roadtorch.motion import flow_picture
 from roadtorch.scenes import render_scene
-from roadtorch.steady import Look, Past, Steady, SteadySettings, believed, blended, recalled
+from roadtorch.steady import Observation, Past, Steady, SteadySettings, believed, blended, recalled
 
 STREET = render_scene(1, 120, 160, noise=0.0).image
 OTHER = render_scene(2, 120, 160, noise=0.0).image
@@ -104,7 +104,7 @@ def test_another_size_begins_anew() -> None:
 
 
 def test_what_looks_different_now_is_not_believed() -> None:
-    grey = small_grey(STREET, 240)
+    grey = flow_picture(STREET, 240)
     covered = grey.clone()
     covered[60:100, 60:100] = 255 - covered[60:100, 60:100]
     still = torch.zeros(*grey.shape, 2)
@@ -116,7 +116,7 @@ def test_what_looks_different_now_is_not_believed() -> None:
 
 
 def test_a_change_of_light_is_no_difference() -> None:
-    grey = small_grey(STREET * 0.8, 240)
+    grey = flow_picture(STREET * 0.8, 240)
 
     belief = believed(grey, grey + 20, torch.zeros(*grey.shape, 2), settings())
 
@@ -175,12 +175,12 @@ def test_weights_count_frames() -> None:
 
 def test_frames_are_counted_up_to_the_memory() -> None:
     nothing = torch.zeros(120, 160)
-    look = Look(small_grey(STREET, 240), nothing, nothing.bool())
+    shown = Observation(flow_picture(STREET, 240), nothing, nothing.bool())
     past: Past | None = None
     counts = []
 
     for _ in range(6):
-        past = recalled(past, look, settings(memory=3.0))
+        past = recalled(past, shown, settings(memory=3.0))
         counts.append(round(float(past.frames.median()), 2))
 
     assert counts == pytest.approx([1, 2, 3, 4, 4, 4], abs=0.05)

@@ -35,7 +35,7 @@ from scripts.steady_footage import (
 DRIVES = tuple(f"drive{seed:02d}" for seed in range(4))
 GRID = {
     "memory": (2.0, 4.0, 8.0),
-    "miss": (0.5, 1.0, 2.0),
+    "miss": (1.0, 2.0, 4.0),
     "slack": (0.2,),
     "contrast": (0.2,),
 }

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from roadtorch.motion import EXACT, carried, dense_flow, round_trip, small_grey
+from roadtorch.motion import EXACT, carried, dense_flow, flow_picture, round_trip
 from roadtorch.working_size import at_picture_size
 
 MISS = 1.0  # pixels by which a round trip may miss
@@ -45,7 +45,7 @@ class Changes:
 
 def followed(before: Tensor, image: Tensor) -> Followed:
     """The motion from a frame (3,H,W) in [0,1] back to the one before."""
-    here, there = small_grey(image, WIDTH), small_grey(before, WIDTH)
+    here, there = flow_picture(image, WIDTH), flow_picture(before, WIDTH)
     flow = dense_flow(here, there, EXACT)
     return Followed(flow, round_trip(flow, dense_flow(there, here, EXACT)) <= MISS)
 
