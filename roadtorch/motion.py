@@ -46,28 +46,30 @@ def dense_flow(here: Tensor, there: Tensor, preset: int = FASTEST) -> Tensor:
 
 
 def carried(plane: Tensor, flow: Tensor) -> Tensor:
-    """The values of a plane float32 (H,W) at the places where a flow (h,w,2) points, (H,W).
+    """The values of a plane float32 (H,W) or (H,W,2) where a flow (h,w,2) points, at its size.
 
     Between pixels they are interpolated; outside, those at the edge. A flow of another size is
     brought to the plane's.
     """
-    height, width = plane.shape
-    moved = _at_size(flow, height, width).numpy()
-    columns = moved[..., 0] + np.arange(width, dtype=np.float32)
-    rows = moved[..., 1] + np.arange(height, dtype=np.float32)[:, None]
-    values = cv2.remap(
-        plane.numpy(), columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    there = _places(_at_size(flow.numpy(), plane.shape[0], plane.shape[1]))
+    edge = cv2.BORDER_REPLICATE
+    return torch.from_numpy(
+        cv2.remap(plane.numpy(), there, None, cv2.INTER_LINEAR, borderMode=edge)
     )
-    return torch.from_numpy(values)
 
 
-def _at_size(flow: Tensor, height: int, width: int) -> Tensor:
-    if tuple(flow.shape[:2]) == (height, width):
+def _at_size(flow: np.ndarray, height: int, width: int) -> np.ndarray:
+    if flow.shape[:2] == (height, width):
         return flow
-    larger = cv2.resize(flow.numpy(), (width, height), interpolation=cv2.INTER_LINEAR)
-    return torch.from_numpy(larger) * torch.tensor(
-        [width / flow.shape[1], height / flow.shape[0]], dtype=torch.float32
-    )
+    larger = cv2.resize(flow, (width, height), interpolation=cv2.INTER_LINEAR)
+    return cv2.multiply(larger, (width / flow.shape[1], height / flow.shape[0], 0.0, 0.0))
+
+
+def _places(flow: np.ndarray) -> np.ndarray:
+    """Columns and rows where a flow points, float32 (h,w,2)."""
+    height, width = flow.shape[:2]
+    columns, rows = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)
+    return flow + cv2.merge([np.tile(columns, (height, 1)), np.repeat(rows[:, None], width, 1)])
 
 
 def round_trip(flow: Tensor, back: Tensor) -> Tensor:
@@ -77,9 +79,9 @@ def round_trip(flow: Tensor, back: Tensor) -> Tensor:
     picture.
     """
     height, width = flow.shape[:2]
-    returned = torch.stack([carried(back[..., axis].contiguous(), flow) for axis in (0, 1)], -1)
-    missed = (flow + returned).norm(dim=-1)
-    columns = flow[..., 0] + torch.arange(width)
-    rows = flow[..., 1] + torch.arange(height)[:, None]
-    inside = (columns >= 0) & (columns <= width - 1) & (rows >= 0) & (rows <= height - 1)
-    return missed.where(inside, torch.inf)
+    right, down = cv2.split((flow + carried(back, flow)).numpy())
+    column, row = cv2.split(_places(flow.numpy()))
+    outside = (column < 0) | (column > width - 1) | (row < 0) | (row > height - 1)
+    missed = cv2.magnitude(right, down)
+    missed[outside] = np.inf
+    return torch.from_numpy(missed)

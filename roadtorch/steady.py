@@ -40,7 +40,7 @@ class SteadySettings(Settings):
         default=320, ge=32, le=4096, description="pixels: how wide pictures are for the flow"
     )
     miss: float = Field(
-        default=2.0, gt=0, le=100, description="pixels at that width by which a round trip may miss"
+        default=4.0, gt=0, le=100, description="pixels at that width by which a round trip may miss"
     )
     slack: float = Field(
         default=0.2, ge=0, le=10, description="share of the motion by which it may miss besides"
@@ -169,7 +169,7 @@ def believed(before: Tensor, grey: Tensor, flow: Tensor, settings: SteadySetting
     the picture before 0. Round trips may miss by more where motion is fast (Sundaram et al., ECCV
     2010, eq. 5). A change of light all over the picture is no difference.
     """
-    allowed = settings.miss + settings.slack * flow.norm(dim=-1)
+    allowed = settings.miss + settings.slack * torch.hypot(*flow.unbind(-1))
     missed = round_trip(flow, dense_flow(before, grey, FAST)) / allowed
     change = grey.to(torch.float32) - carried(before.to(torch.float32), flow)
     change = np.abs((change - change.median()).numpy()) / 255

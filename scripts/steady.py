@@ -48,7 +48,7 @@ from scripts.steady_footage import (
     true_masks,
 )
 
-DRIVES = tuple(f"drive{seed:02d}" for seed in range(4, 10))
+ALL = (*(f"drive{seed:02d}" for seed in range(4, 10)), "camvid", *CLIPS)
 STRETCH = 10  # frames of CamVid that are drawn together
 SEED = 11  # of the draws
 TINT = {"road": (0, 160, 0), "too much": (0, 0, 200), "missed": (200, 0, 0)}  # blue, green, red
@@ -59,19 +59,20 @@ TINT = {"road": (0, 160, 0), "too much": (0, 0, 200), "missed": (200, 0, 0)}  # 
 
 def report(given: argparse.Namespace, settings: SteadySettings, detector: Detector) -> None:
     """Print the table."""
+    together = ""
     print("| | frames | flicker of the truth | flicker | steadied | F | steadied | F gained |")
     print("|---|---:|---:|---:|---:|---:|---:|---:|")
-    names = [*DRIVES, "camvid", *CLIPS]
     drives = []
-    for seen in every_footage(names, given.data, given.cache, detector):
+    for seen in every_footage(given.names or ALL, given.data, given.cache, detector):
         pair, line = compared(seen, settings, detector)
         print(line, flush=True)
         if seen.name.startswith("drive"):
             drives.append(pair)
         elif seen.name == "camvid":
-            print(f"CamVid: {told(stretches(pair))}")
+            together += f"\nCamVid: {told(stretches(pair))}"
     if drives:
-        print(f"drives together: {told(drives)}")
+        together += f"\ndrives together: {told(drives)}"
+    print(together)
 
 
 def compared(
@@ -171,7 +172,7 @@ def cost(given: argparse.Namespace, settings: SteadySettings, detector: Detector
 
 def sheet(given: argparse.Namespace, settings: SteadySettings, detector: Detector) -> None:
     """Write masks without (left) and with the filter (right), every 20th frame and the next."""
-    (seen,) = every_footage([given.name], given.data, given.cache, detector)
+    seen = next(every_footage(given.names, given.data, given.cache, detector))
     masks = alone(seen, detector), steadied(seen, settings, detector)
     starts = range(given.every, len(seen.images) - 1, given.every)
     rows = [
@@ -197,7 +198,7 @@ def overlaid(seen: Footage, number: int, mask: Tensor) -> np.ndarray:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("what", choices=["report", "cost", "sheet"])
-    parser.add_argument("name", nargs="?", default="camvid", help="the sequence of a sheet")
+    parser.add_argument("names", nargs="*", help="sequences (default: all that are reported)")
     parser.add_argument("--data", type=Path, help="the development data")
     parser.add_argument("--cache", type=Path, default=Path("steady"), help="for detections")
     parser.add_argument("--out", type=Path, default=Path("steady.jpg"))
