@@ -42,7 +42,8 @@ def dense_flow(here: Tensor, there: Tensor, preset: int = FASTEST) -> Tensor:
     if min(here.shape) < SMALLEST:
         raise ValueError(f"no flow of {tuple(here.shape)}: give {SMALLEST} pixels a side or more")
     search = cv2.DISOpticalFlow.create(preset)
-    return torch.from_numpy(search.calc(here.numpy(), there.numpy(), None))
+    flow = search.calc(here.numpy(), there.numpy(), None)  # type: ignore[arg-type]
+    return torch.from_numpy(flow)
 
 
 def carried(plane: Tensor, flow: Tensor) -> Tensor:
@@ -51,25 +52,22 @@ def carried(plane: Tensor, flow: Tensor) -> Tensor:
     Between pixels they are interpolated; outside, those at the edge. A flow of another size is
     brought to the plane's.
     """
-    there = _places(_at_size(flow.numpy(), plane.shape[0], plane.shape[1]))
+    columns, rows = _pointed(flow, plane.shape[0], plane.shape[1])
     edge = cv2.BORDER_REPLICATE
-    return torch.from_numpy(
-        cv2.remap(plane.numpy(), there, None, cv2.INTER_LINEAR, borderMode=edge)
-    )
+    values = cv2.remap(plane.numpy(), columns, rows, cv2.INTER_LINEAR, borderMode=edge)
+    return torch.from_numpy(values)
 
 
-def _at_size(flow: np.ndarray, height: int, width: int) -> np.ndarray:
-    if flow.shape[:2] == (height, width):
-        return flow
-    larger = cv2.resize(flow, (width, height), interpolation=cv2.INTER_LINEAR)
-    return cv2.multiply(larger, (width / flow.shape[1], height / flow.shape[0], 0.0, 0.0))
-
-
-def _places(flow: np.ndarray) -> np.ndarray:
-    """Columns and rows where a flow points, float32 (h,w,2)."""
-    height, width = flow.shape[:2]
-    columns, rows = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)
-    return flow + cv2.merge([np.tile(columns, (height, 1)), np.repeat(rows[:, None], width, 1)])
+def _pointed(flow: Tensor, height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Columns and rows where a flow points, float32 (height,width) each, at that size."""
+    right, down = cv2.split(flow.numpy())
+    columns = cv2.resize(right, (width, height), interpolation=cv2.INTER_LINEAR)
+    rows = cv2.resize(down, (width, height), interpolation=cv2.INTER_LINEAR)
+    columns *= width / flow.shape[1]
+    columns += np.arange(width, dtype=np.float32)
+    rows *= height / flow.shape[0]
+    rows += np.arange(height, dtype=np.float32)[:, None]
+    return columns, rows
 
 
 def round_trip(flow: Tensor, back: Tensor) -> Tensor:
@@ -79,9 +77,9 @@ def round_trip(flow: Tensor, back: Tensor) -> Tensor:
     picture.
     """
     height, width = flow.shape[:2]
+    columns, rows = _pointed(flow, height, width)
+    outside = (columns < 0) | (columns > width - 1) | (rows < 0) | (rows > height - 1)
     right, down = cv2.split((flow + carried(back, flow)).numpy())
-    column, row = cv2.split(_places(flow.numpy()))
-    outside = (column < 0) | (column > width - 1) | (row < 0) | (row > height - 1)
     missed = cv2.magnitude(right, down)
     missed[outside] = np.inf
     return torch.from_numpy(missed)

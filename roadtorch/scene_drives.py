@@ -161,8 +161,8 @@ class House:
         glass, length = np.array([0.2, 0.24, 0.3]), math.dist(begin, end)
         for floor in np.arange(1.0, self.height - 1.6, 2.7):
             for left in np.arange(0.8, length - 1.2, 2.2):
-                ends = [begin + (end - begin) * at / length for at in (left, left + 1.1)]
-                view.polygon(wall(*ends, floor, floor + 1.4), glass, BUILDING)
+                one, other = (begin + (end - begin) * at / length for at in (left, left + 1.1))
+                view.polygon(wall(one, other, floor, floor + 1.4), glass, BUILDING)
 
 
 def wall(begin: np.ndarray, end: np.ndarray, low: float, high: float) -> np.ndarray:

@@ -169,7 +169,7 @@ def believed(before: Tensor, grey: Tensor, flow: Tensor, settings: SteadySetting
     the picture before 0. Round trips may miss by more where motion is fast (Sundaram et al., ECCV
     2010, eq. 5). A change of light all over the picture is no difference.
     """
-    allowed = settings.miss + settings.slack * torch.hypot(*flow.unbind(-1))
+    allowed = settings.miss + settings.slack * torch.hypot(flow[..., 0], flow[..., 1])
     missed = round_trip(flow, dense_flow(before, grey, FAST)) / allowed
     change = grey.to(torch.float32) - carried(before.to(torch.float32), flow)
     change = np.abs((change - change.median()).numpy()) / 255

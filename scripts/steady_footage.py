@@ -90,7 +90,7 @@ def footage(name: str, frames: Frames, detector: Detector, cache: Path) -> Foota
         cache.mkdir(parents=True, exist_ok=True)
         kept = _detected(frames, detector, name)
         partial = path.with_suffix(".partial.npz")
-        np.savez(partial, **kept)
+        np.savez(partial, allow_pickle=False, **kept)
         partial.rename(path)
     with np.load(path) as file:
         parts = {key: torch.from_numpy(file[key]) for key in file.files}

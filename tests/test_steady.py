@@ -200,6 +200,7 @@ def test_what_one_frame_hides_is_remembered() -> None:
     for _ in range(3):  # a shadow that is taken for an ego car
         found = steady(STREET, seen.masked_fill(ego, 0.0), ego)
         assert torch.allclose(found, seen, atol=1e-2)
+        assert steady.hidden is not None
         assert not steady.hidden.any()
 
     assert torch.allclose(steady(STREET, seen), seen, atol=1e-2)
@@ -212,6 +213,7 @@ def test_an_ego_car_is_never_road_not_even_where_a_frame_misses_it() -> None:
         missed = number % 3 == 2
         hidden = torch.zeros_like(ego) if missed else ego
         found = steady(STREET, seen.masked_fill(hidden, 0.0), hidden)
+        assert steady.hidden is not None
         assert torch.equal(steady.hidden, ego)
         assert (found[ego] == 0).all()
 
