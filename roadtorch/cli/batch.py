@@ -15,7 +15,14 @@ from time import monotonic
 import click
 
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
-from roadtorch.files import csv_text, digest_of, remove_leftovers, reserved, write_text
+from roadtorch.files import (
+    csv_text,
+    digest_of,
+    digest_of_folder,
+    remove_leftovers,
+    reserved,
+    write_text,
+)
 from roadtorch.outside import printable
 from roadtorch.signals import stop_on_signals
 from roadtorch.sources.frame import Selection
@@ -23,6 +30,7 @@ from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.stream import ordered_results
 
 INDEX = "index.csv"
+BAG_LIST = "metadata.yaml"
 DONE, DOUBTFUL, FAILED = "done", "doubtful", "failed"
 """What the status of a row begins with; after a colon it says why."""
 
@@ -76,8 +84,8 @@ class Method:
         """The row of a job with what it was made with and of; failed rows stay as they are."""
         if row.failed:
             return row
-        digest = digest_of(job.picture.path)
-        return replace(row, saved=" ".join(self.kinds), method=self.digest, sha256=digest)
+        kinds = " ".join(self.kinds)
+        return replace(row, saved=kinds, method=self.digest, sha256=job.digest)
 
     def covers(self, row: Row | None, job: "Job") -> bool:
         """Whether a row says that this job is done, with this method, for the picture of now."""
@@ -85,7 +93,7 @@ class Method:
             return False
         if not set(self.kinds) <= set(row.saved.split()) or not job.is_complete:
             return False
-        return row.sha256 == digest_of(job.picture.path) != ""
+        return row.sha256 == job.digest != ""
 
 
 def method_of(kinds: Iterable[str], settings: str, *parts: bytes) -> Method:
@@ -115,8 +123,14 @@ class Job:
 
     @property
     def is_complete(self) -> bool:
-        """Whether all of these files exist."""
-        return all(path.is_file() for path in self.outputs)
+        """Whether all of these files exist; a bag that is a folder has its list once it is done."""
+        return all(path.is_file() or (path / BAG_LIST).is_file() for path in self.outputs)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the bytes that it is made of; empty where they are in no file or folder."""
+        path = self.picture.path
+        return digest_of_folder(path) if path.is_dir() else digest_of(path)
 
     @property
     def file(self) -> str:

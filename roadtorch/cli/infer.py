@@ -13,10 +13,11 @@ from roadtorch.cli.options import (
     PATH,
     QUIET,
     SETTING,
+    chosen_frames,
 )
 
 KINDS = ("likelihood", "mask", "overlay", "cues", "npy")
-FOOTAGE_KINDS = ("overlay-frames", "mask-video", "likelihood-video")
+FOOTAGE_KINDS = ("overlay-frames", "mask-video", "likelihood-video", "bag")
 
 
 def _kinds(_: click.Context, __: click.Parameter, value: str | None) -> tuple[str, ...] | None:
@@ -60,21 +61,10 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
     "--save",
     callback=_kinds,
     help=f"What to write: some of {','.join(KINDS)}; of footage also {','.join(FOOTAGE_KINDS)}. "
-    "[likelihood,mask,overlay; of footage overlay]",
+    "[likelihood,mask,overlay; of footage overlay, of bags overlay,bag]",
 )
-@click.option("--every", type=click.IntRange(min=1), default=1, help="One frame of so many.")
-@click.option("--start", type=click.FloatRange(min=0), default=0.0, help="Of footage: seconds.")
-@click.option("--end", type=click.FloatRange(min=0), help="Of footage: seconds, left out.")
-@click.option("--limit", type=click.IntRange(min=1), help="At most so many frames or pictures.")
-@click.option("--topic", help="Of bags: the images to look at, where there are several.")
+@chosen_frames
 @click.option("--gif", callback=_stretch, metavar="START:END", help="Seconds to show as a GIF.")
-@click.option(
-    "--patience",
-    type=click.FloatRange(min=0.1),
-    default=10.0,
-    show_default=True,
-    help="Seconds within which a stream has to answer.",
-)
 @SETTING
 @CONFIG
 @CAMERA
@@ -108,18 +98,19 @@ def infer(
     quiet: bool,
     print_config: bool,
 ) -> None:
-    """Find the road in pictures, videos, cameras and streams.
+    """Find the road in pictures, videos, cameras, streams and bags.
 
     \b
     INPUT is a file, a folder (with all below), a quoted glob, a camera (0 or
-    camera:0), a stream (rtsp://, http://), - for names on standard input, or
-    @list.txt. Each picture NAME.jpg gives, in the folder --out,
+    camera:0), a stream (rtsp://, http://), a ROS bag, - for names on standard
+    input, or @list.txt. Each picture NAME.jpg gives, in the folder --out,
       NAME.likelihood.png   how road-like each pixel is, 0 to white
       NAME.mask.png         road white, the rest black
       NAME.overlay.jpg      the picture with its road tinted and outlined
     and on demand NAME.cue.CUE.png (--save cues) and .npy files. Each video
     NAME.mp4 gives NAME.overlay.mp4, and on demand these files for each frame,
-    NAME/000123.mask.png. index.csv lists every picture and frame. A second run
+    NAME/000123.mask.png. Each bag gives NAME.overlay.mp4 and the bag NAME.road
+    (of ROS 1: NAME.road.bag). index.csv lists every picture and frame. A second run
     goes on where the first one stopped.
     """
     from roadtorch.cli import config as configuration
@@ -150,7 +141,7 @@ def infer(
     pictures = batch.plan(sorted_inputs.pictures, out, results.suffixes(kinds), selection)
     told = Told(out, Patience(answer=patience), topic)
     sources = open_sources(sorted_inputs.sources, selection, told)
-    written = FootageResults(save, bits, gif)
+    written = FootageResults(save, bits, gif, topic, loaded.settings.threshold)
     planned = footage.plan_sources(sources, out, written)
     context.with_resource(claimed(out))
     results.keep_config(out, effective, overwrite)

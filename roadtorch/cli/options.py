@@ -1,6 +1,6 @@
 """Options that several commands share, written once."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -55,9 +55,33 @@ LABELLED_SET = (
     JOBS,
 )
 
+FRAMES = (
+    click.option("--every", type=click.IntRange(min=1), default=1, help="One frame of so many."),
+    click.option("--start", type=click.FloatRange(min=0), default=0.0, help="Of footage: seconds."),
+    click.option("--end", type=click.FloatRange(min=0), help="Of footage: seconds, left out."),
+    click.option("--limit", type=click.IntRange(min=1), help="At most so many frames or pictures."),
+    click.option("--topic", help="Of bags: the images to look at, where there are several."),
+    click.option(
+        "--patience",
+        type=click.FloatRange(min=0.1),
+        default=10.0,
+        show_default=True,
+        help="Seconds within which a stream has to answer.",
+    ),
+)
+
 
 def labelled_set(command: Command) -> Command:
     """Detectors over a labelled set: DATASET ROOT and what ``LABELLED_SET`` has beside them."""
-    for option in reversed(LABELLED_SET):
+    return _with(LABELLED_SET, command)
+
+
+def chosen_frames(command: Command) -> Command:
+    """Which frames of footage are looked at: the options of ``FRAMES``."""
+    return _with(FRAMES, command)
+
+
+def _with(options: Sequence[Callable[[Command], Command]], command: Command) -> Command:
+    for option in reversed(options):
         command = option(command)
     return command
