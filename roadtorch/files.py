@@ -45,6 +45,16 @@ def digest_of(path: Path) -> str:
     return ""
 
 
+def digest_of_folder(path: Path) -> str:
+    """SHA-256 of the names and digests of the files right in a folder; empty without a file."""
+    digest, found = hashlib.sha256(), ""
+    for file in sorted(path.iterdir()):
+        if own := digest_of(file):
+            digest.update(f"{own} {file.name}\n".encode("utf-8", "surrogateescape"))
+            found = digest.hexdigest()
+    return found
+
+
 # --- out --------------------------------------------------------------------------------
 
 

@@ -15,13 +15,15 @@ import click
 
 from roadtorch.cli.index import DONE, DOUBTFUL, FAILED, INDEX, Publish, Row, SavedIndex, read_index
 from roadtorch.errors import ConfigError, RoadtorchError
-from roadtorch.files import digest_of, remove_leftovers, reserved
+from roadtorch.files import digest_of, digest_of_folder, remove_leftovers, reserved
 from roadtorch.outside import printable
 from roadtorch.signals import stop_on_signals
 from roadtorch.sources.frame import Selection
 from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.stream import ordered_results
 from roadtorch.version import __version__
+
+BAG_LIST = "metadata.yaml"
 
 LEAST_TRUSTED = 5
 """Pictures that are named at the end of a run, to be looked at first."""
@@ -108,8 +110,14 @@ class Job:
     beside: tuple[Path, ...] = ()
 
     def digest(self) -> str:
-        """SHA-256 of the picture, and of what is beside it; empty where one cannot be read."""
-        digests = [digest_of(path) for path in (self.picture.path, *self.beside)]
+        """SHA-256 of the picture, and of what is beside it; empty where one cannot be read.
+
+        Where the picture is a folder, as a bag may be, it is of all files in it.
+        """
+        digests = [
+            digest_of_folder(path) if path.is_dir() else digest_of(path)
+            for path in (self.picture.path, *self.beside)
+        ]
         if len(digests) == 1 or not all(digests):
             return digests[0] if all(digests) else ""
         return hashlib.sha256("".join(digests).encode()).hexdigest()
@@ -125,8 +133,8 @@ class Job:
 
     @property
     def is_complete(self) -> bool:
-        """Whether all of these files exist."""
-        return all(path.is_file() for path in self.outputs)
+        """Whether all of these files exist; a bag that is a folder has its list once it is done."""
+        return all(path.is_file() or (path / BAG_LIST).is_file() for path in self.outputs)
 
     def has_all(self, row: Row) -> bool:
         """Whether all files exist, those of the cues that its row names among them."""

@@ -1,6 +1,6 @@
 """roadtorch infer: pictures to likelihoods, masks and overlays."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import click
@@ -19,7 +19,7 @@ from roadtorch.cli.options import (
 )
 
 KINDS = ("likelihood", "mask", "overlay", "cues", "npy", "polygons", "json")
-FOOTAGE_KINDS = ("overlay-frames", "mask-video", "likelihood-video")
+FOOTAGE_KINDS = ("overlay-frames", "mask-video", "likelihood-video", "bag")
 
 
 def _kinds(_: click.Context, __: click.Parameter, value: str | None) -> tuple[str, ...] | None:
@@ -63,9 +63,15 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
     "--save",
     callback=_kinds,
     help=f"What to write: some of {','.join(KINDS)}; of footage also {','.join(FOOTAGE_KINDS)}. "
-    "[likelihood,mask,overlay; of footage overlay]",
+    "[likelihood,mask,overlay; of footage overlay, of bags overlay,bag]",
 )
 @with_cut
+@click.option(
+    "--steady/--no-steady",
+    default=True,
+    show_default=True,
+    help="Of footage: carry along the motion what earlier frames said.",
+)
 @click.option("--gif", callback=_stretch, metavar="START:END", help="Seconds to show as a GIF.")
 @SETTING
 @CONFIG
@@ -84,6 +90,7 @@ def infer(
     out: str,
     save: tuple[str, ...] | None,
     cut: Cut,
+    steady: bool,
     gif: tuple[float, float] | None,
     assignments: tuple[str, ...],
     config: Path | None,
@@ -108,8 +115,9 @@ def infer(
     and on demand NAME.cue.CUE.png (--save cues), .npy files, outlines (--save
     polygons: NAME.labelme.json and coco.json) and NAME.json. Each video
     NAME.mp4 gives NAME.overlay.mp4, and on demand these files for each frame,
-    NAME/000123.mask.png. index.csv lists every picture and frame, run.json says
-    how it was made. A second run goes on where the first one stopped.
+    NAME/000123.mask.png. Each bag gives NAME.overlay.mp4 and the bag NAME.road
+    (of ROS 1: NAME.road.bag). index.csv lists every picture and frame, run.json
+    says how it was made. A second run goes on where the first one stopped.
     """
     from roadtorch.cli import config as configuration
 
@@ -136,28 +144,26 @@ def infer(
     kinds = USUAL_OF_PICTURES if save is None else save
     work = results.Inference(loaded, frozenset(kinds), bits, known, means.device)
     plan = engines.plan_run(told.pictures, out, kinds, work, engines.selection(cut))
-    written = FootageResults(save, bits, gif, loaded)
+    written = FootageResults(save, bits, gif, loaded, cut.topic)
     sources = footage.plan_sources(engines.footage_of(told.sources, out, cut), Path(out), written)
     place = context.with_resource(plan.claimed())
     results.keep_config(place, effective, overwrite)
     plan.publish(place / results.CONFIG)
     files = tuple(job.file for job in [*plan.jobs, *(job for _, job in sources)])
-    given = {**asdict(means), **asdict(cut), "save": kinds, "depth": bits, "gif": gif}
+    of_frames = {**asdict(cut), "gif": gif, "steady": steady}
+    options = batch.Options(means.jobs or 1, overwrite, quiet, means.fail_fast)
 
     def of_pictures(engine: batch.Engine | None) -> int:
-        options = batch.Options(
-            means.jobs or 1, overwrite, quiet, means.fail_fast, engine, plan.publish, out
-        )
         method = results.detector_method(loaded, effective, kinds, depth.encode())
-        return batch.run_jobs(plan.jobs, place, plan.work, method, options)
+        own = replace(options, engine=engine, publish=plan.publish, shown=out)
+        return batch.run_jobs(plan.jobs, place, plan.work, method, own)
 
     def of_footage() -> int:
-        method = results.detector_method(loaded, effective, (), repr((depth, cut, gif)).encode())
-        options = batch.Options(means.jobs or 1, overwrite, quiet, means.fail_fast)
+        parts = repr((depth, of_frames)).encode()
+        method = results.detector_method(loaded, effective, (), parts)
         check = None if known is None else known.check
-        return footage.run_sources(
-            sources, footage.FootageWork(loaded, written, check), method, options
-        )
+        seen = footage.FootageWork(loaded, written, check, footage.steadied if steady else None)
+        return footage.run_sources(sources, seen, method, options)
 
     def run() -> int:
         try:
@@ -167,4 +173,5 @@ def infer(
         finally:
             plan.assemble(place, kinds)
 
+    given = {**asdict(means), **of_frames, "save": kinds, "depth": bits}
     context.exit(RunRecord(place, loaded, files, given, plan.publish).around(run))

@@ -56,7 +56,8 @@ def test_frames_are_what_the_library_says(call: Call, drive: Path, tmp_path: Pat
     out = tmp_path / "out"
     kinds = "likelihood,mask,mask-video,likelihood-video,overlay-frames"
 
-    call("infer", drive, *GREY, "--out", out, "--save", kinds, "--every", "5", "--start", "0.2")
+    call("infer", drive, *GREY, "--out", out, "--save", kinds, "--every", "5", "--start", "0.2",
+         "--no-steady")  # fmt: skip
 
     names = {f"drive/{n:06d}{end}" for n in (2, 7) for end in
              (".likelihood.png", ".mask.png", ".overlay.jpg")}  # fmt: skip
@@ -243,3 +244,18 @@ def test_frames_of_another_camera_fail_one_by_one(call: Call, drive: Path, tmp_p
     assert result.exit_code == 1
     assert f"failed: {drive}: frame 0: " in result.stderr
     assert not (tmp_path / "out" / "drive.overlay.mp4").exists()
+
+
+def test_footage_is_steadied_unless_one_asks_for_its_frames_alone(
+    call: Call, drive: Path, tmp_path: Path
+) -> None:
+    steadied, alone = tmp_path / "steadied", tmp_path / "alone"
+
+    call("infer", drive, *GREY, "--out", steadied, "--save", "likelihood")
+    call("infer", drive, *GREY, "--out", alone, "--save", "likelihood", "--no-steady")
+
+    def frame(out: Path, number: int) -> bytes:
+        return (out / f"drive/{number:06d}.likelihood.png").read_bytes()
+
+    assert frame(steadied, 0) == frame(alone, 0)
+    assert frame(steadied, 5) != frame(alone, 5)
