@@ -6,6 +6,8 @@ import pytest
 
 from roadtorch.errors import InputError
 from roadtorch.files import RoomyFile
+from roadtorch.image import to_pixels
+from roadtorch.scenes import render_scene
 from roadtorch.sinks import video
 from roadtorch.sinks.video import VideoSink
 from tests.videos import pixels_of, stamps_of, street_pixels
@@ -151,3 +153,18 @@ def test_a_disk_without_any_room_is_told(tmp_path: Path, monkeypatch: pytest.Mon
         sink.close()
 
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_same_frames_give_the_same_bytes_wherever_memory_lies(tmp_path: Path) -> None:
+    frames = [to_pixels(render_scene(seed, 270, 480).image) for seed in range(3)] * 8
+    written = set()
+
+    for number in range(4):
+        sink = VideoSink(tmp_path / "drive.mp4", 15.0)
+        _ = [np.full(200_000 + 3_000 * number, 77, np.uint8) for _ in range(30 + 7 * number)]
+        for at, pixels in enumerate(frames):
+            sink.write(pixels, at / 15)
+        sink.close()
+        written.add((tmp_path / "drive.mp4").read_bytes())
+
+    assert len(written) == 1
