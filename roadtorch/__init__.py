@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from roadtorch.evaluation.result import Evaluation
     from roadtorch.image import read_image
     from roadtorch.layout.labeller import label_layout
+    from roadtorch.sources.frame import Frame, Selection, Source
+    from roadtorch.stream import detect_stream
 
 _HOMES = {
     "Camera": "roadtorch.camera.camera",
@@ -44,15 +46,19 @@ _HOMES = {
     "DetectorSettings": "roadtorch.detector",
     "Entry": "roadtorch.detector",
     "Evaluation": "roadtorch.evaluation.result",
+    "Frame": "roadtorch.sources.frame",
     "InputError": "roadtorch.errors",
     "Item": "roadtorch.data.dataset",
     "Kind": "roadtorch.data.dataset",
     "Measure": "roadtorch.evaluation.measure",
     "NumberLabels": "roadtorch.data.labels",
     "RoadtorchError": "roadtorch.errors",
+    "Selection": "roadtorch.sources.frame",
+    "Source": "roadtorch.sources.frame",
     "Truth": "roadtorch.data.dataset",
     "WeightsError": "roadtorch.errors",
     "camera_of": "roadtorch.camera.footage",
+    "detect_stream": "roadtorch.stream",
     "evaluate": "roadtorch.evaluation.evaluate",
     "label_layout": "roadtorch.layout.labeller",
     "list_datasets": "roadtorch.data.catalogue",
@@ -74,16 +80,20 @@ __all__ = [
     "DetectorSettings",
     "Entry",
     "Evaluation",
+    "Frame",
     "InputError",
     "Item",
     "Kind",
     "Measure",
     "NumberLabels",
     "RoadtorchError",
+    "Selection",
+    "Source",
     "Truth",
     "WeightsError",
     "__version__",
     "camera_of",
+    "detect_stream",
     "evaluate",
     "label_layout",
     "list_datasets",

@@ -141,6 +141,8 @@ class Detection:
     cues: the maps the decision rests on, by name; (H,W) or (C,H,W).
     trust: the expected F of the mask, in [0,1]; None where the detector does not say.
     doubt: why the mask should be looked at before it is used, in words; empty where it need not.
+    name, seconds, image: of the frame, where a source gave it: its name, the time since the source
+    began, and the image (3,H,W) that was looked at.
     """
 
     likelihood: Tensor
@@ -148,6 +150,9 @@ class Detection:
     cues: Mapping[str, Tensor]
     trust: float | None = None
     doubt: str = ""
+    name: str = ""
+    seconds: float | None = None
+    image: Tensor | None = None
 
 
 @runtime_checkable
@@ -225,17 +230,34 @@ class Detector(nn.Module):
             raise ConfigError(entry.name, what, remedy)
         self.analysis = analysis
 
-    @torch.no_grad()
     def detect(self, image: Tensor) -> Detection:
         """Find the road in one image (3,H,W), floating point in [0,1], from 16×16 up.
 
         Raises InputError when the image is anything else, and when what the detector makes of
         it is not finite: there is no decision on NaN.
         """
-        analysed, maps = self._find(checked_image(image))
-        likelihood, ego, seed = maps["likelihood"], maps.get("ego"), analysed.get("seed_area")
+        return self.conclude(self.find(image))
+
+    @torch.no_grad()
+    def find(self, image: Tensor) -> Found:
+        """The first half of ``detect``: the likelihood and the cues; it raises what that does."""
+        return self._find(checked_image(image))
+
+    @torch.no_grad()
+    def conclude(self, found: Found, likelihood: Tensor | None = None) -> Detection:
+        """The second half of ``detect``: the decision, and how far it can be trusted.
+
+        likelihood: float32 (H,W) in [0,1], decided on in the place of the one found, as when
+        frames of a video steady one another. Trust still rests on the frame's own.
+        """
+        analysed, maps = found
+        ego, seed = maps.get("ego"), analysed.get("seed_area")
+        if likelihood is None:
+            likelihood = maps["likelihood"]
+        elif ego is not None:
+            likelihood = likelihood.masked_fill(ego, 0)
         if seed is not None:
-            seed = at_picture_size(seed, (image.shape[-2], image.shape[-1]))
+            seed = at_picture_size(seed, (likelihood.shape[0], likelihood.shape[1]))
         if ego is None or not ego.any():
             mask = decide(likelihood, self.settings, seed)
         else:

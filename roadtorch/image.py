@@ -121,7 +121,15 @@ def write_overlay(
     ego: Tensor | None = None,
     caption: str = "",
 ) -> None:
-    """Write the image (3,H,W) with its mask bool (H,W) as JPEG: a tint and an outline.
+    """Write ``overlay_pixels`` as JPEG."""
+    pixels = overlay_pixels(image, mask, ego, caption)
+    _write_encoded(path, ".jpg", pixels[..., ::-1], *JPEG_OPTIONS)
+
+
+def overlay_pixels(
+    image: Tensor, mask: Tensor, ego: Tensor | None = None, caption: str = ""
+) -> np.ndarray:
+    """The image (3,H,W) with its mask bool (H,W) as uint8 (H,W,3): a tint and an outline.
 
     Inside is tinted sky blue, the border is drawn orange on a dark rim, so that it
     shows on pale and on dark road, in colour and in grey print. The ego car bool (H,W) is
@@ -130,8 +138,7 @@ def write_overlay(
     pixels = to_pixels(image)
     if ego is not None:
         pixels[ego.cpu().numpy()] //= 2
-    pixels = with_caption(tint_mask(pixels, mask.cpu().numpy()), caption)
-    _write_encoded(path, ".jpg", pixels[..., ::-1], *JPEG_OPTIONS)
+    return with_caption(tint_mask(pixels, mask.cpu().numpy()), caption)
 
 
 def write_jpeg(path: str | os.PathLike[str], image: Tensor) -> None:

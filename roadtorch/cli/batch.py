@@ -2,11 +2,10 @@
 
 import csv
 import hashlib
+import io
 import os
 import sys
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -19,7 +18,9 @@ from roadtorch.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.files import csv_text, digest_of, remove_leftovers, reserved, write_text
 from roadtorch.outside import printable
 from roadtorch.signals import stop_on_signals
+from roadtorch.sources.frame import Selection
 from roadtorch.sources.pictures import Picture, find_images
+from roadtorch.stream import ordered_results
 
 INDEX = "index.csv"
 DONE, DOUBTFUL, FAILED = "done", "doubtful", "failed"
@@ -39,7 +40,7 @@ class Row:
 
     trust: the expected F of the mask, empty where the detector does not say.
     saved: the kinds of results that were written; method: what they were made with, see
-    ``Method``; sha256: of the bytes of the picture.
+    ``Method``; sha256: of the bytes of the picture. seconds: of a frame, since its source began.
     """
 
     file: str
@@ -52,6 +53,7 @@ class Row:
     saved: str = ""
     method: str = ""
     sha256: str = ""
+    seconds: str = ""
 
     @property
     def failed(self) -> bool:
@@ -125,14 +127,24 @@ class Job:
 Work = Callable[[Job], Row]
 
 
-def plan(inputs: Sequence[str], out: Path, suffixes: Mapping[str, str]) -> list[Job]:
+def plan(
+    inputs: Sequence[str],
+    out: Path,
+    suffixes: Mapping[str, str],
+    selection: Selection = Selection(),  # noqa: B008 - it is frozen
+) -> list[Job]:
     """The jobs for all inputs; no file is written yet.
 
     suffixes: kind of result → what its file name ends with.
     Raises ConfigError when two pictures share a result or a result would replace a
     picture, InputError when nothing is found or ``out`` cannot be a folder.
     """
-    jobs = [Job(picture, out, suffixes) for picture in find_images(inputs, apart=out)]
+    found = selection.of_pictures(find_images(inputs, apart=out))
+    return settled([Job(picture, out, suffixes) for picture in found])
+
+
+def settled(jobs: list[Job]) -> list[Job]:
+    """The jobs, if all can be done; ConfigError as ``plan`` says."""
     _refuse_shared(jobs)
     _refuse_replacing(jobs)
     return jobs
@@ -179,7 +191,9 @@ def run_jobs(jobs: Sequence[Job], out: Path, work: Work, method: Method, options
     with stop_on_signals() as stop, reserved(out, room) as let_go:
         index = SavedIndex(out / INDEX, rows)
         try:
-            results = _in_order(todo, partial(_attempt, work=work, method=method), options.jobs)
+            results = ordered_results(
+                todo, partial(_attempt, work=work, method=method), options.jobs
+            )
             for row in _show_progress(results, len(todo), options.quiet):
                 found.append(row)
                 index.add(row)
@@ -266,29 +280,6 @@ class Options:
     quiet: bool = False
 
 
-def _in_order(jobs: Sequence[Job], work: Work, threads: int) -> Iterator[Row]:
-    """The rows of all jobs in their order, a few jobs ahead at most.
-
-    Threads, not processes: torch and OpenCV release Python's lock, nothing has to be
-    loaded twice, and the thread count inside torch, hence every byte, stays the same.
-    """
-    if threads == 1:
-        yield from map(work, jobs)
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        waiting: deque[Future[Row]] = deque()
-        try:
-            for job in jobs:
-                waiting.append(pool.submit(work, job))
-                if len(waiting) > threads:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
-        finally:
-            for future in waiting:
-                future.cancel()
-
-
 def _attempt(job: Job, work: Work, method: Method) -> Row:
     """The row of one job; whatever goes wrong inside stays inside."""
     try:
@@ -350,7 +341,9 @@ def read_index(path: Path) -> dict[str, Row]:
         return {}
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            rows = [Row(**line) for line in csv.DictReader(file)]
+            text = file.read()
+        whole = io.StringIO(text[: text.rfind("\n") + 1], newline="")  # a killed run may cut a row
+        rows = [Row(**line) for line in csv.DictReader(whole)]
         if any(None in vars(row).values() for row in rows):
             raise TypeError("a row is cut short")
         return {row.file: row for row in rows}

@@ -1,6 +1,5 @@
 """roadtorch camera: what one camera's footage tells about it."""
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,7 +36,6 @@ def camera(footage: tuple[str, ...], out: Path, most: int) -> None:
     from roadtorch.image import write_jpeg
     from roadtorch.sources.footage import frame_places, read_frames
 
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # our errors tell it in one line
     picture = out.with_suffix(".jpg")
     places = frame_places(footage, most)
     _refuse_replacing(out, picture, {place.path.resolve() for place in places})

@@ -1,6 +1,6 @@
 """What ``infer`` writes for one picture, and for a folder of them."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -101,31 +101,47 @@ class Inference:
         if self.camera is not None:
             self.camera.check(image)
         detection = self.detector.detect(image)
-        self._write(job, image, detection)
-        height, width = detection.mask.shape
-        share = float(detection.mask.to(torch.float64).mean())
-        ms = 1000 * (perf_counter() - start)
-        trust = "" if detection.trust is None else f"{detection.trust:.2f}"
-        status = f"{DOUBTFUL}: {detection.doubt}" if detection.doubt else DONE
-        return Row(job.file, str(width), str(height), f"{ms:.0f}", f"{share:.4f}", trust, status)
-
-    def _write(self, job: Job, image: Tensor, detection: Detection) -> None:
         make_folder(job.output("").parent, ELSEWHERE)
-        if "likelihood" in self.kinds:
-            write_map(job.output(SUFFIXES["likelihood"]), detection.likelihood, self.depth)
-        if "mask" in self.kinds:
-            write_mask(job.output(SUFFIXES["mask"]), detection.mask)
-        if "overlay" in self.kinds:
-            caption = "" if detection.trust is None else f"trust {detection.trust:.2f}"
-            path = job.output(SUFFIXES["overlay"])
-            write_overlay(path, image, detection.mask, detection.cues.get("ego"), caption)
-        if "npy" in self.kinds:
-            write_npy(job.output(SUFFIXES["npy"]), detection.likelihood)
-        for name, cue in detection.cues.items():
-            if "cues" in self.kinds:
-                write_colours(job.output(f".cue.{name}.png"), cue_picture(name, cue))
-            if "npy" in self.kinds:
-                write_npy(job.output(f".{name}.npy"), cue)
+        write_files(job.output, self.kinds, self.depth, image, detection)
+        return row_of(job.file, detection, 1000 * (perf_counter() - start))
+
+
+def row_of(file: str, detection: Detection, ms: float) -> Row:
+    """The row for index.csv of what was written; ms: what it took."""
+    height, width = detection.mask.shape
+    share = float(detection.mask.to(torch.float64).mean())
+    trust = "" if detection.trust is None else f"{detection.trust:.2f}"
+    status = f"{DOUBTFUL}: {detection.doubt}" if detection.doubt else DONE
+    return Row(file, str(width), str(height), f"{ms:.0f}", f"{share:.4f}", trust, status)
+
+
+def write_files(
+    output: Callable[[str], Path],
+    kinds: Container[str],
+    depth: Literal[8, 16],
+    image: Tensor,
+    detection: Detection,
+) -> None:
+    """Write the results of an image (3,H,W) as files; output: what a name ends with → the path."""
+    if "likelihood" in kinds:
+        write_map(output(SUFFIXES["likelihood"]), detection.likelihood, depth)
+    if "mask" in kinds:
+        write_mask(output(SUFFIXES["mask"]), detection.mask)
+    if "overlay" in kinds:
+        path, ego = output(SUFFIXES["overlay"]), detection.cues.get("ego")
+        write_overlay(path, image, detection.mask, ego, caption_of(detection))
+    if "npy" in kinds:
+        write_npy(output(SUFFIXES["npy"]), detection.likelihood)
+    for name, cue in detection.cues.items():
+        if "cues" in kinds:
+            write_colours(output(f".cue.{name}.png"), cue_picture(name, cue))
+        if "npy" in kinds:
+            write_npy(output(f".{name}.npy"), cue)
+
+
+def caption_of(detection: Detection) -> str:
+    """What an overlay says of a detection; nothing where the detector does not judge itself."""
+    return "" if detection.trust is None else f"trust {detection.trust:.2f}"
 
 
 def cue_picture(name: str, cue: Tensor) -> Tensor:

@@ -2,19 +2,17 @@
 
 import itertools
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
-import numpy as np
-import torch
 from torch import Tensor
 
 from roadtorch.errors import InputError
 from roadtorch.image import read_image
+from roadtorch.sources.open import sort_inputs, video_files
 from roadtorch.sources.pictures import find_images
-
-VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts")
+from roadtorch.sources.video import count_frames, video_frames
 
 
 class FramePlace(NamedTuple):
@@ -27,7 +25,8 @@ class FramePlace(NamedTuple):
 def frame_places(inputs: Sequence[str], most: int) -> list[FramePlace]:
     """At most ``most`` frames of the inputs, evenly over all of them, in their order.
 
-    Raises InputError for what does not exist, holds no pictures, or is no video.
+    Raises InputError for what does not exist, holds no pictures, or is no video, ConfigError
+    where there are videos and PyAV is missing.
     """
     every = [place for given in inputs for place in _places(given)]
     if len(every) <= most:
@@ -36,14 +35,14 @@ def frame_places(inputs: Sequence[str], most: int) -> list[FramePlace]:
 
 
 def _places(given: str) -> Iterator[FramePlace]:
-    path = Path(given)
-    if path.suffix.lower() in VIDEO_SUFFIXES and path.is_file():
-        video = _opened(path)
-        count = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
-        video.release()
-        yield from (FramePlace(path, number) for number in range(count))
-        return
-    yield from (FramePlace(picture.path, None) for picture in find_images([given]))
+    chosen = sort_inputs([given])
+    yield from (FramePlace(one.path, None) for one in find_images(chosen.pictures))
+    for source in chosen.sources:
+        videos = video_files(source)
+        if not videos:
+            raise InputError(source, "is no footage on disk", "give pictures or video files")
+        for path, _ in videos:
+            yield from (FramePlace(path, number) for number in range(count_frames(path)))
 
 
 def read_frames(places: Sequence[FramePlace]) -> Iterator[Tensor]:
@@ -53,26 +52,12 @@ def read_frames(places: Sequence[FramePlace]) -> Iterator[Tensor]:
         if numbers[0] is None:
             yield from (read_image(path) for _ in numbers)
         else:
-            yield from _video_frames(path, {number for number in numbers if number is not None})
+            yield from _frames_of(path, {number for number in numbers if number is not None})
 
 
-def _video_frames(path: Path, numbers: set[int]) -> Iterator[Tensor]:
+def _frames_of(path: Path, numbers: set[int]) -> Iterator[Tensor]:
     """The frames of those numbers; a video that ends early gives what it has."""
-    video = _opened(path)
-    for number in range(max(numbers) + 1):
-        if not video.grab():
-            break
-        if number in numbers:
-            pixels = np.ascontiguousarray(video.retrieve()[1][..., ::-1].transpose(2, 0, 1))
-            yield torch.from_numpy(pixels).to(torch.float32) / 255
-    video.release()
-
-
-def _opened(path: Path) -> cv2.VideoCapture:
-    try:
-        video = cv2.VideoCapture(str(path))
-    except UnicodeEncodeError:  # OpenCV takes no other names
-        raise InputError(path, "has a name that is not UTF-8", "rename it") from None
-    if not video.isOpened():
-        raise InputError(path, "cannot be decoded as video", "give MP4, AVI, MKV, MOV or WebM")
-    return video
+    with closing(video_frames(path, path.stem)) as frames:
+        for frame in itertools.takewhile(lambda frame: frame.number <= max(numbers), frames):
+            if frame.number in numbers:
+                yield frame.read()

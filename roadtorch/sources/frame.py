@@ -1,10 +1,16 @@
 """Frames with time stamps, and the sources that give them one after the other."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
+from pathlib import Path
+from typing import TypeVar
 
 from torch import Tensor
+
+from roadtorch.errors import ConfigError
+
+Picture = TypeVar("Picture")
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,13 @@ class Selection:
         stepped = (frame for at, frame in enumerate(inside) if at % self.every == 0)
         return islice(stepped, self.limit)
 
+    def of_pictures(self, pictures: Sequence[Picture]) -> Sequence[Picture]:
+        """The chosen ones of pictures that stand alone; ConfigError when seconds are asked for."""
+        if pictures and (self.start or self.end is not None):
+            what = "pictures have no time"
+            raise ConfigError("--start, --end", what, "choose with --every and --limit")
+        return pictures[:: self.every][: self.limit]
+
     def _until_end(self, frames: Iterable[Frame]) -> Iterator[Frame]:
         for frame in frames:
             if self.end is not None and _clock(frame) >= self.end:
@@ -66,6 +79,8 @@ class Source:
     frames: opens the source and gives its chosen frames, each once, in order. Closing the iterator
     closes the source. It raises InputError naming ``origin`` when it cannot be opened, and, behind
     the last frame that can be read, when it ends before its end.
+    live: whether it gives the newest frame whenever it is asked, so that nothing is read ahead.
+    path: the file whose bytes it is made of, where it is one.
     """
 
     name: str
@@ -74,3 +89,5 @@ class Source:
     frames: Callable[[], Iterator[Frame]]
     rate: float | None = None
     count: int | None = None
+    live: bool = False
+    path: Path | None = None

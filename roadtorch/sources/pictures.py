@@ -2,12 +2,14 @@
 
 import glob
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from roadtorch.errors import InputError
-from roadtorch.image import READABLE, SUFFIXES
+from roadtorch.image import READABLE, SUFFIXES, read_image
+from roadtorch.sources.frame import Frame, Selection, Source
 
 RESULTS = (".likelihood.png", ".mask.png", ".overlay.jpg")  # ours; never pictures to look at
 
@@ -41,9 +43,33 @@ def find_images(
     return list(dict.fromkeys(found))
 
 
+def has_pictures(given: str | os.PathLike[str]) -> bool:
+    """Whether a file, folder or glob stands for a picture; a single file always does."""
+    item = Path(given)
+    if item.is_dir():
+        return next(walk_files(item, None, _is_picture), None) is not None
+    if not item.exists() and glob.has_magic(str(item)):
+        return bool(_expand_glob(item, None))
+    return True
+
+
+def picture_source(given: str, selection: Selection) -> Source:
+    """A picture file, folder or glob as a source that does not move; InputError as above."""
+    found = find_images([given])
+    frames = [
+        Frame(number, one.name, str(one.path), None, partial(read_image, one.path))
+        for number, one in enumerate(found)
+    ]
+    chosen = list(selection.of(frames))
+    name = Path(given).stem or "pictures"
+    return Source(name, given, False, lambda: iter(chosen), count=len(chosen))
+
+
 def _expand(item: Path, apart: Path | None) -> list[Picture]:
     if item.is_dir():
-        found = [Picture(path, _relative(path, item)) for path in _walk(item, apart)]
+        found = [
+            Picture(path, _relative(path, item)) for path in walk_files(item, apart, _is_picture)
+        ]
     elif not item.exists() and glob.has_magic(str(item)):
         found = _expand_glob(item, apart)
     else:
@@ -62,7 +88,7 @@ def _expand_glob(pattern: Path, apart: Path | None) -> list[Picture]:
             found.append(Picture(path, _relative(path, root)))
     if not found:
         folders = [path for path in map(Path, sorted(glob.glob(str(pattern)))) if path.is_dir()]
-        walked = [path for folder in folders for path in _walk(folder, apart)]
+        walked = [path for folder in folders for path in walk_files(folder, apart, _is_picture)]
         found = [Picture(path, _relative(path, root)) for path in walked]
     return found
 
@@ -74,8 +100,11 @@ def _before_magic(pattern: Path) -> Iterator[str]:
         yield part
 
 
-def _walk(folder: Path, apart: Path | None) -> Iterator[Path]:
-    """Every picture below a folder, sorted by name, folder by folder."""
+def walk_files(folder: Path, apart: Path | None, wanted: Callable[[Path], bool]) -> Iterator[Path]:
+    """Every wanted file below a folder, sorted by name, folder by folder.
+
+    Hidden folders are left out, and so is ``apart``.
+    """
     # Path.resolve raises for a link to itself, which is a file like any other here.
     other = os.path.realpath(apart) if apart else None
     other = None if other == os.path.realpath(folder) else other
@@ -84,7 +113,7 @@ def _walk(folder: Path, apart: Path | None) -> Iterator[Path]:
         folders[:] = sorted(
             name for name in folders if name[0] != "." and os.path.realpath(here / name) != other
         )
-        yield from (here / name for name in sorted(files) if _is_picture(here / name))
+        yield from (here / name for name in sorted(files) if wanted(here / name))
 
 
 def _is_picture(path: Path) -> bool:

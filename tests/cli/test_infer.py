@@ -54,7 +54,7 @@ def test_a_folder_gives_three_files_a_picture_and_an_index(
     assert list(rows) == ["a.jpg", "b.png", "sub/c.png"]
     assert list(rows["a.jpg"]) == [
         *("file", "width", "height", "ms", "road_share", "trust", "status"),
-        *("saved", "method", "sha256"),
+        *("saved", "method", "sha256", "seconds"),
     ]
     assert rows["a.jpg"]["sha256"] == sha256((footage / "a.jpg").read_bytes()).hexdigest()
     assert rows["a.jpg"]["saved"] == "likelihood mask overlay"
@@ -172,7 +172,7 @@ def test_set_goes_over_the_file_and_threshold_over_both(call: Call, tmp_path: Pa
         (["--set", "threshold=high"], "threshold: 'high' was given ("),
         (["--threshold", "1.5"], "threshold: 1.5 was given ("),
         (["--set", "threshold"], "threshold: is not a setting ("),
-        (["--save", "masks"], "masks: unknown kind of result (did you mean mask?)"),
+        (["--save", "masks"], "masks: unknown kind of result (did you mean mask, mask-video?)"),
         (["--save", ","], "--save: nothing to save ("),
         (["--config", "none.toml"], "none.toml: cannot be read"),
     ],

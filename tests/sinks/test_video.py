@@ -1,0 +1,153 @@
+import errno
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roadtorch.errors import InputError
+from roadtorch.files import RoomyFile
+from roadtorch.sinks import video
+from roadtorch.sinks.video import VideoSink
+from tests.videos import pixels_of, stamps_of, street_pixels
+
+
+def write(path: Path, seconds: list[float], size: tuple[int, int] = (48, 64)) -> Path:
+    sink = VideoSink(path, 10)
+    for number, at in enumerate(seconds):
+        sink.write(street_pixels(number % 3, *size), at)
+    sink.close()
+    return path
+
+
+def test_time_stamps_are_kept_from_the_first_frame_on(tmp_path: Path) -> None:
+    path = write(tmp_path / "x.mp4", [5.0, 5.04, 5.3, 7.0, 7.0 + 1001 / 30000])
+
+    assert stamps_of(path) == pytest.approx([0, 0.04, 0.3, 2.0, 2 + 1001 / 30000], abs=2e-5)
+    assert [one.name for one in tmp_path.iterdir()] == ["x.mp4"]
+
+
+def test_time_that_stands_still_still_gives_every_frame(tmp_path: Path) -> None:
+    assert len(stamps_of(write(tmp_path / "x.mp4", [0, 0.1, 0.1, 0.05, 0.2]))) == 5
+
+
+def test_without_a_clock_frames_follow_at_the_rate(tmp_path: Path) -> None:
+    sink = VideoSink(tmp_path / "x.mp4", 4)
+    for number in range(3):
+        sink.write(street_pixels(number), None)
+    sink.close()
+
+    assert stamps_of(tmp_path / "x.mp4") == pytest.approx([0, 0.25, 0.5])
+
+
+@pytest.mark.parametrize("size", [(47, 64), (48, 63), (47, 63)])
+def test_odd_sides_are_padded(size: tuple[int, int], tmp_path: Path) -> None:
+    frames = pixels_of(write(tmp_path / "x.mp4", [0, 0.1], size))
+
+    assert frames[0].shape == (48, 64, 3)
+    inside = frames[0][: size[0], : size[1]].astype(int)
+    assert np.abs(inside - street_pixels(0, *size)).mean() < 8
+
+
+def test_masks_stay_masks(tmp_path: Path) -> None:
+    mask = np.zeros((48, 64), np.uint8)
+    mask[20:40, 10:50] = 255
+    sink = VideoSink(tmp_path / "x.mp4", 10)
+    sink.write(mask, 0.0)
+    sink.close()
+
+    assert ((pixels_of(tmp_path / "x.mp4")[0][..., 0] > 127) == (mask > 0)).mean() > 0.99
+
+
+def test_frames_of_another_size_are_brought_to_the_first(tmp_path: Path) -> None:
+    sink = VideoSink(tmp_path / "x.mp4", 10)
+    sink.write(street_pixels(0), 0.0)
+    sink.write(street_pixels(1, 96, 128), 0.1)
+    sink.close()
+
+    assert [one.shape for one in pixels_of(tmp_path / "x.mp4")] == [(48, 64, 3)] * 2
+
+
+def test_no_frame_gives_no_file(tmp_path: Path) -> None:
+    VideoSink(tmp_path / "x.mp4", 10).close()
+
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_libx264_it_is_mpeg4_with_a_word(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(video, "ENCODERS", {"mpeg4": video.ENCODERS["mpeg4"]})
+
+    with pytest.warns(UserWarning, match=r"x.mp4: PyAV has no libx264 here; written as mpeg4"):
+        path = write(tmp_path / "x.mp4", [0, 0.04, 0.3])
+
+    assert stamps_of(path) == pytest.approx([0, 0.04, 0.3], abs=1e-4)
+
+
+class FullDisk:
+    """A file in whose way stands a disk with room for so many bytes, and no more until let go."""
+
+    def __init__(self, file: object, room: int) -> None:
+        self.file, self.room = file, room
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self.file, name)
+
+    def write(self, data: bytes) -> int:
+        if self.room < len(data):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        self.room -= len(data)
+        return self.file.write(data)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def fill_the_disk(patch: pytest.MonkeyPatch, room: int, held: int = video.ROOM) -> None:
+    """Let every ``RoomyFile`` find room for so many bytes, and then what it held."""
+    real = RoomyFile.__init__
+
+    def opened(self: RoomyFile, path: Path, mode: str, size: int) -> None:
+        real(self, path, mode, size)  # pyright: ignore[reportArgumentType]
+        disk = FullDisk(self._file, room)
+        let_go = self._let_go
+        self._file = disk  # pyright: ignore[reportAttributeAccessIssue]
+
+        def more() -> None:
+            let_go()
+            disk.room += held
+
+        self._let_go = more
+
+    patch.setattr(RoomyFile, "__init__", opened)
+
+
+def test_a_full_disk_leaves_a_video_of_what_was_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fill_the_disk(monkeypatch, 30_000)
+    sink = VideoSink(tmp_path / "x.mp4", 10)
+    rng = np.random.default_rng(0)
+
+    def fill() -> None:
+        for number in range(500):
+            sink.write(rng.integers(0, 255, (48, 64, 3), np.uint8), number / 10)
+
+    with pytest.raises(InputError, match=r"x.mp4: ends here: No space left .*\(make room"):
+        fill()
+    sink.close()
+
+    assert len(pixels_of(tmp_path / "x.mp4")) > 5
+
+
+def test_a_disk_without_any_room_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fill_the_disk(monkeypatch, 0, held=0)
+    sink = VideoSink(tmp_path / "x.mp4", 10)
+
+    def fill() -> None:
+        for number in range(200):
+            sink.write(street_pixels(number % 3), number / 10)
+
+    with pytest.raises(InputError, match="ends here"):
+        fill()
+    with pytest.raises(InputError, match=r"cannot be written: .*No space left"):
+        sink.close()
+
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,190 @@
+import struct
+from functools import partial
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from roadtorch.errors import ConfigError, InputError
+from roadtorch.sources import video
+from roadtorch.sources.frame import Frame, Selection
+from roadtorch.sources.video import count_frames, video_frames, video_source
+from tests.videos import street_pixels, write_sound, write_video
+
+
+def chosen(path: Path, **selection: float) -> list[Frame]:
+    return list(video_source(path, "drive", Selection(**selection)).frames())  # pyright: ignore
+
+
+def test_frames_have_names_numbers_and_seconds(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "drive.mp4")
+
+    frames = chosen(path)
+
+    assert [frame.number for frame in frames] == list(range(12))
+    assert frames[3].name == "drive/000003"
+    assert [frame.seconds for frame in frames] == pytest.approx([n / 10 for n in range(12)])
+    assert count_frames(path) == 12
+    image = frames[4].read()
+    assert image.shape == (3, 48, 64)
+    true = torch.from_numpy(street_pixels(1)).permute(2, 0, 1) / 255
+    assert (image - true).abs().mean() < 0.03
+
+
+@pytest.mark.parametrize(
+    ("suffix", "codec"),
+    [(".mp4", "mpeg4"), (".avi", "mjpeg"), (".mkv", "libx264"), (".ts", "libx264"),
+     (".webm", "libvpx"), (".mov", "libx264")],
+)  # fmt: skip
+def test_containers_and_codecs(suffix: str, codec: str, tmp_path: Path) -> None:
+    frames = chosen(write_video(tmp_path / f"drive{suffix}", codec=codec))
+
+    assert len(frames) == 12
+    seconds = [frame.seconds or 0.0 for frame in frames]
+    assert seconds == pytest.approx([n / 10 for n in range(12)], abs=0.02)
+
+
+def test_a_variable_rate_keeps_its_time_stamps(tmp_path: Path) -> None:
+    seconds = [0, 0.04, 0.3, 0.31, 1.0, 2.5]
+
+    frames = chosen(write_video(tmp_path / "drive.mkv", seconds))
+
+    assert [frame.seconds for frame in frames] == pytest.approx(seconds)
+
+
+@pytest.mark.parametrize("open_gop", ["0", "1"])
+def test_a_frame_has_the_same_number_and_pixels_whatever_the_start(
+    open_gop: str, tmp_path: Path
+) -> None:
+    seconds = [n / 10 for n in range(40)]
+    options = {"g": "7", "bf": "2", "x264-params": f"open-gop={open_gop}:scenecut=0"}
+    path = write_video(tmp_path / "drive.mkv", seconds, options=options)
+    every = {frame.number: frame for frame in chosen(path)}
+
+    for start in (0.05, 0.7, 1.95, 3.9):
+        late = chosen(path, start=start, limit=3)
+        assert late[0].number == next(n for n in every if n / 10 >= start - 1e-9)
+        for frame in late:
+            assert frame.seconds == every[frame.number].seconds
+            assert torch.equal(frame.read(), every[frame.number].read())
+
+
+def test_what_lies_ahead_of_the_start_is_not_decoded(tmp_path: Path) -> None:
+    options = {"g": "10", "x264-params": "scenecut=0"}
+    path = write_video(tmp_path / "drive.mp4", [n / 10 for n in range(40)], options=options)
+    frames = video_frames(path, "drive", start=2.5)
+
+    assert next(frames).number == 20
+    frames.close()
+
+
+def test_rotation_is_applied(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "drive.mp4")
+    data = bytearray(path.read_bytes())
+    matrix = data.index(b"tkhd") + 4 + 40  # ISO/IEC 14496-12, 8.3.2: version 0
+    assert struct.unpack(">9i", data[matrix : matrix + 36])[0] == 65536
+    upright = chosen(path)[0].read()
+    turned = struct.pack(">9i", 0, 65536, 0, -65536, 0, 0, 0, 0, 1 << 30)  # 90° clockwise
+    data[matrix : matrix + 36] = turned
+    path.write_bytes(data)
+
+    image = chosen(path)[0].read()
+
+    assert torch.equal(image, torch.rot90(upright, -1, (1, 2)))
+
+
+def test_every_start_end_and_limit(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "drive.mp4", [n / 10 for n in range(30)])
+
+    frames = chosen(path, every=4, start=1.0, end=2.5, limit=3)
+
+    assert [frame.number for frame in frames] == [10, 14, 18]
+
+
+# --- what is wrong ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
+def test_a_cut_video_gives_what_can_be_read_and_then_says_so(suffix: str, tmp_path: Path) -> None:
+    path = write_video(
+        tmp_path / f"drive{suffix}", [n / 10 for n in range(40)], options={"crf": "1"}
+    )
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 6 // 10])
+    frames = video_source(path, "drive", Selection()).frames()
+
+    read = []
+    with pytest.raises(InputError, match=r"ends early, after \d\.\d of 4.0 seconds") as caught:
+        read.extend(iter(partial(next, frames), None))
+
+    assert 10 < len(read) < 40
+    assert caught.value.where == str(path)
+    assert len(list(islice(video_frames(path, "drive"), 5))) == 5  # who stops before is not told
+
+
+def test_damage_in_the_middle_is_told_behind_the_last_frame(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "drive.mkv", [n / 10 for n in range(30)], codec="mpeg4")
+    data = bytearray(path.read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 400] = np.random.default_rng(0).bytes(400)
+    path.write_bytes(data)
+    read = []
+
+    with pytest.raises(InputError, match=r"damaged frames: \d|ends early"):
+        read.extend(iter(partial(next, video_frames(path, "drive")), None))
+
+    assert len(read) > 10
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "line"),
+    [
+        ("text.mp4", b"no video", "cannot be decoded as video: "),
+        ("empty.mp4", b"", "cannot be decoded as video: "),
+        ("missing.mp4", None, "does not exist"),
+    ],
+)
+def test_what_is_no_video(name: str, content: bytes | None, line: str, tmp_path: Path) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+
+    with pytest.raises(InputError, match=line):
+        chosen(tmp_path / name)
+
+
+def test_sound_alone(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="has sound and no moving pictures"):
+        chosen(write_sound(tmp_path / "song.mp4"))
+
+
+def test_no_frame(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "drive.mp4")
+
+    with pytest.raises(InputError, match="has no frame from 20 s on"):
+        chosen(path, start=20)
+
+
+def test_a_codec_that_is_not_there(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "drive.avi", codec="mjpeg")
+    path.write_bytes(path.read_bytes().replace(b"MJPG", b"ZZZZ"))
+
+    with pytest.raises(InputError, match="codec that FFmpeg cannot decode"):
+        chosen(path)
+
+
+def test_without_pyav_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = write_video(tmp_path / "drive.mp4")
+    monkeypatch.setitem(__import__("sys").modules, "av", None)
+
+    with pytest.raises(ConfigError, match=r"pip install 'roadtorch\[video\]'"):
+        video.count_frames(path)
+
+
+def test_a_name_in_any_encoding(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "drive.mp4")
+    other = tmp_path / b"dr\xffve: 1.mp4".decode("utf-8", "surrogateescape")
+    path.rename(other)
+
+    assert len(chosen(other)) == 12
