@@ -12,8 +12,11 @@ from typing import TYPE_CHECKING
 from roadtorch.version import __version__
 
 if TYPE_CHECKING:
+    from roadtorch.camera.calibration import read_camera_info
     from roadtorch.camera.camera import Camera
     from roadtorch.camera.footage import camera_of
+    from roadtorch.camera.ground import GroundCamera, Lens, lens_of_view, mounted
+    from roadtorch.camera.ground_grid import Grid, GridSettings, ground_grid
     from roadtorch.camera.still_ego import still_ego
     from roadtorch.data.catalogue import list_datasets, open_dataset
     from roadtorch.data.dataset import Dataset, Item, Kind, Truth
@@ -32,6 +35,7 @@ if TYPE_CHECKING:
     from roadtorch.evaluation.result import Evaluation
     from roadtorch.image import read_image
     from roadtorch.layout.labeller import label_layout
+    from roadtorch.sinks.grid import write_grid
     from roadtorch.sources.frame import Frame, Selection, Source
     from roadtorch.stream import detect_stream
 
@@ -47,9 +51,13 @@ _HOMES = {
     "Entry": "roadtorch.detector",
     "Evaluation": "roadtorch.evaluation.result",
     "Frame": "roadtorch.sources.frame",
+    "Grid": "roadtorch.camera.ground_grid",
+    "GridSettings": "roadtorch.camera.ground_grid",
+    "GroundCamera": "roadtorch.camera.ground",
     "InputError": "roadtorch.errors",
     "Item": "roadtorch.data.dataset",
     "Kind": "roadtorch.data.dataset",
+    "Lens": "roadtorch.camera.ground",
     "Measure": "roadtorch.evaluation.measure",
     "NumberLabels": "roadtorch.data.labels",
     "RoadtorchError": "roadtorch.errors",
@@ -60,13 +68,18 @@ _HOMES = {
     "camera_of": "roadtorch.camera.footage",
     "detect_stream": "roadtorch.stream",
     "evaluate": "roadtorch.evaluation.evaluate",
+    "ground_grid": "roadtorch.camera.ground_grid",
     "label_layout": "roadtorch.layout.labeller",
+    "lens_of_view": "roadtorch.camera.ground",
     "list_datasets": "roadtorch.data.catalogue",
     "list_detectors": "roadtorch.detectors.catalogue",
     "load_detector": "roadtorch.detectors.catalogue",
+    "mounted": "roadtorch.camera.ground",
     "open_dataset": "roadtorch.data.catalogue",
+    "read_camera_info": "roadtorch.camera.calibration",
     "read_image": "roadtorch.image",
     "still_ego": "roadtorch.camera.still_ego",
+    "write_grid": "roadtorch.sinks.grid",
 }
 
 __all__ = [
@@ -81,9 +94,13 @@ __all__ = [
     "Entry",
     "Evaluation",
     "Frame",
+    "Grid",
+    "GridSettings",
+    "GroundCamera",
     "InputError",
     "Item",
     "Kind",
+    "Lens",
     "Measure",
     "NumberLabels",
     "RoadtorchError",
@@ -95,13 +112,18 @@ __all__ = [
     "camera_of",
     "detect_stream",
     "evaluate",
+    "ground_grid",
     "label_layout",
+    "lens_of_view",
     "list_datasets",
     "list_detectors",
     "load_detector",
+    "mounted",
     "open_dataset",
+    "read_camera_info",
     "read_image",
     "still_ego",
+    "write_grid",
 ]
 
 

@@ -47,34 +47,40 @@ def read_image(path: str | os.PathLike[str]) -> Tensor:
     environment's ROADTORCH_MAX_MEGAPIXELS says otherwise, up to Pillow's own 178).
     """
     path = Path(path)
-    data = _read_bytes(path)
+    return decode_image(_read_bytes(path), path)
+
+
+def decode_image(data: bytes, origin: object) -> Tensor:
+    """The bytes of a picture as float32 RGB (3,H,W) in [0,1]: all that ``read_image`` reads.
+
+    origin: what messages call it. Raises InputError as ``read_image`` does.
+    """
+    if not data:
+        raise InputError(origin, "is empty", "replace the file")
     try:
-        return _to_tensor(decode(data))
+        return from_pixels(decode(data))
     except UnidentifiedImageError:
-        raise InputError(path, "is not a picture", f"give {READABLE}") from None
+        raise InputError(origin, "is not a picture", f"give {READABLE}") from None
     except TooLargeError as problem:
         remedy = f"make it smaller, or set {MEGAPIXELS_VARIABLE}"
-        raise InputError(path, str(problem), remedy) from None
+        raise InputError(origin, str(problem), remedy) from None
     except Exception as problem:
         what = f"cannot be decoded: {reason(problem)}"
-        raise InputError(path, what, "replace the file") from None
+        raise InputError(origin, what, "replace the file") from None
 
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        data = read_regular(path)
+        return read_regular(path)
     except FileNotFoundError:
         raise InputError(path, "does not exist", "check the name") from None
     except IsADirectoryError:
         raise InputError(path, "is a folder", "give a picture file") from None
     except OSError as problem:
         raise InputError(path, f"cannot be read: {problem.strerror}", "check the file") from None
-    if not data:
-        raise InputError(path, "is empty", "replace the file")
-    return data
 
 
-def _to_tensor(pixels: np.ndarray) -> Tensor:
+def from_pixels(pixels: np.ndarray) -> Tensor:
     """uint8 or uint16 pixels (H,W), (H,W,3) RGB or (H,W,4) RGBA to float32 (3,H,W)."""
     levels = np.iinfo(pixels.dtype).max
     if pixels.ndim == 2:

@@ -66,6 +66,7 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
 @click.option("--start", type=click.FloatRange(min=0), default=0.0, help="Of footage: seconds.")
 @click.option("--end", type=click.FloatRange(min=0), help="Of footage: seconds, left out.")
 @click.option("--limit", type=click.IntRange(min=1), help="At most so many frames or pictures.")
+@click.option("--topic", help="Of bags: the images to look at, where there are several.")
 @click.option("--gif", callback=_stretch, metavar="START:END", help="Seconds to show as a GIF.")
 @click.option(
     "--patience",
@@ -94,6 +95,7 @@ def infer(
     start: float,
     end: float | None,
     limit: int | None,
+    topic: str | None,
     gif: tuple[float, float] | None,
     patience: float,
     assignments: tuple[str, ...],
@@ -133,7 +135,7 @@ def infer(
     from roadtorch.detectors.catalogue import load_detector
     from roadtorch.sources.frame import Selection
     from roadtorch.sources.live import Patience
-    from roadtorch.sources.open import open_sources, sort_inputs
+    from roadtorch.sources.open import Told, open_sources, sort_inputs
 
     known = None if camera is None else Camera.read(camera)
     loaded = load_detector(name, camera=known, **values)
@@ -146,7 +148,8 @@ def infer(
     sorted_inputs = sort_inputs(inputs)
     kinds = USUAL_OF_PICTURES if save is None else save
     pictures = batch.plan(sorted_inputs.pictures, out, results.suffixes(kinds), selection)
-    sources = open_sources(sorted_inputs.sources, selection, out, Patience(answer=patience))
+    told = Told(out, Patience(answer=patience), topic)
+    sources = open_sources(sorted_inputs.sources, selection, told)
     written = FootageResults(save, bits, gif)
     planned = footage.plan_sources(sources, out, written)
     context.with_resource(claimed(out))
@@ -158,7 +161,7 @@ def infer(
         method = results.detector_method(loaded, effective, kinds, depth.encode())
         codes.append(batch.run_jobs(pictures, out, work, method, options))
     if planned:
-        parts = (depth.encode(), repr((selection, gif)).encode())
+        parts = (depth.encode(), repr((selection, gif, topic)).encode())
         method = results.detector_method(loaded, effective, (), *parts)
         # STEADY: steady=partial(Steady, settings), and the settings among the parts above.
         work = footage.FootageWork(loaded, written, None if known is None else known.check)

@@ -1,1 +1,1 @@
-"""Where what was found in footage goes: videos, GIFs, bags."""
+"""Where what was found in footage goes: videos, GIFs, bags, grids of the ground."""

@@ -13,9 +13,10 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.errors import InputError
+from roadtorch.image import from_pixels
 from roadtorch.settings import Settings
 from roadtorch.sources.frame import Frame, Selection, Source
-from roadtorch.sources.video import image_of, import_av, moving_pictures, reason_of, upright
+from roadtorch.sources.video import import_av, moving_pictures, reason_of, upright
 
 Picture = Callable[[], Tensor]
 Connection = Callable[[], Generator[Picture]]
@@ -214,6 +215,6 @@ def _camera(number: int) -> Generator[Picture]:
             is_read, pixels = camera.read()
             if not is_read:
                 raise InputError(f"camera:{number}", "gives no more frames", "connect it again")
-            yield partial(image_of, pixels[..., ::-1])
+            yield partial(from_pixels, pixels[..., ::-1])
     finally:
         camera.release()

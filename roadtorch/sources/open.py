@@ -4,11 +4,13 @@ import glob
 import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TextIO
 
 from roadtorch.errors import ConfigError, InputError
+from roadtorch.sources.archives import archive_source, is_remote
+from roadtorch.sources.bags import bag_source, is_bag
 from roadtorch.sources.frame import Selection, Source
 from roadtorch.sources.live import Patience, camera_source, stream_source, without_password
 from roadtorch.sources.pictures import has_pictures, picture_source, walk_files
@@ -77,9 +79,9 @@ def _lines(file: Iterable[str]) -> Iterator[str]:
 
 def _is_source(given: str) -> bool:
     """Whether an input is one source by itself, whatever it holds."""
-    # BAGS: from roadtorch.sources.bags import is_bag; `or is_bag(given)`
-    # ARCHIVES: from roadtorch.sources.archives import is_remote; `or is_remote(given)`
     if camera_number(given) is not None or STREAM.match(given):
+        return True
+    if is_bag(given) or is_remote(given):
         return True
     is_many = Path(given).is_dir() or glob.has_magic(given)
     return given.lower().endswith(VIDEO_SUFFIXES) and not (is_many and not Path(given).is_file())
@@ -93,7 +95,20 @@ def camera_number(given: str) -> int | None:
     return int(found[1])
 
 
-def open_source(given: str, selection: Selection, patience: Patience | None = None) -> Source:
+@dataclass(frozen=True)
+class Told:
+    """What else sources are told, each kind something of its own.
+
+    apart: a folder that is left out where folders are searched, that of the results. patience:
+    with live sources. topic: of the images in bags; None where they have one.
+    """
+
+    apart: Path | None = None
+    patience: Patience = field(default_factory=Patience)
+    topic: str | None = None
+
+
+def open_source(given: str, selection: Selection, told: Told = Told()) -> Source:
     """The one source that an input stands for; pictures are one that does not move.
 
     Raises InputError for what is not there, ConfigError for an input of several sources.
@@ -101,7 +116,7 @@ def open_source(given: str, selection: Selection, patience: Patience | None = No
     sorted_inputs = sort_inputs([given])
     if not sorted_inputs.sources:
         return picture_source(given, selection)
-    sources = open_sources(sorted_inputs.sources, selection, patience=patience)
+    sources = open_sources(sorted_inputs.sources, selection, told)
     if len(sources) != 1 or sorted_inputs.pictures:
         what = f"holds {len(sources)} videos" + (" and pictures" * bool(sorted_inputs.pictures))
         raise ConfigError(given, what, "give one of them")
@@ -111,17 +126,13 @@ def open_source(given: str, selection: Selection, patience: Patience | None = No
 def open_sources(
     inputs: Sequence[str],
     selection: Selection,
-    apart: Path | None = None,
-    patience: Patience | None = None,
+    told: Told = Told(),
 ) -> list[Source]:
     """The sources that inputs of ``sort_inputs(…).sources`` stand for, in their order.
 
-    apart: a folder that is left out where folders are searched, that of the results. patience:
-    with live ones. Raises InputError for what cannot be opened, ConfigError when two would share
-    their results.
+    Raises InputError for what cannot be opened, ConfigError when two would share their results.
     """
-    patience = patience or Patience()
-    sources = [source for given in inputs for source in _opened(given, selection, apart, patience)]
+    sources = [source for given in inputs for source in _opened(given, selection, told)]
     owners: dict[str, Source] = {}
     for source in sources:
         other = owners.setdefault(source.name, source)
@@ -132,18 +143,23 @@ def open_sources(
     return sources
 
 
-def _opened(
-    given: str, selection: Selection, apart: Path | None, patience: Patience
-) -> Iterator[Source]:
-    # BAGS: if is_bag(given): yield bag_source(given, topic, selection); return
-    # ARCHIVES: if is_remote(given): yield archive_source(given, selection); return
+def _opened(given: str, selection: Selection, told: Told) -> Iterator[Source]:
     number = camera_number(given)
     if number is not None:
-        yield camera_source(number, selection, patience)
+        yield camera_source(number, selection, told.patience)
     elif WHOLE.match(given):
         yield video_source(given, slug(given), selection)
     elif STREAM.match(given):
-        yield stream_source(given, slug(given), selection, patience)
+        yield stream_source(given, slug(given), selection, told.patience)
+    elif is_bag(given):
+        yield bag_source(given, told.topic, selection)
+    elif is_remote(given):
+        yield archive_source(given, selection)
+    else:
+        yield from _videos(given, selection, told.apart)
+
+
+def _videos(given: str, selection: Selection, apart: Path | None) -> Iterator[Source]:
     for path, name in video_files(given, apart):
         yield video_source(path, name, selection)
 

@@ -117,7 +117,12 @@ def walk_files(folder: Path, apart: Path | None, wanted: Callable[[Path], bool])
 
 
 def _is_picture(path: Path) -> bool:
-    name = path.name.lower()
+    return names_picture(path.name)
+
+
+def names_picture(name: str) -> bool:
+    """Whether a file of that name is a picture to look at: not hidden, no result of ours."""
+    name = name.lower()
     is_ours = name.endswith(RESULTS) or ".cue." in name
     return name.endswith(SUFFIXES) and not name.startswith(".") and not is_ours
 

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from roadtorch.errors import ConfigError, InputError
+from roadtorch.image import from_pixels
 from roadtorch.sources.frame import Frame, Selection, Source
 
 if TYPE_CHECKING:
@@ -260,10 +260,4 @@ def count_frames(path: Path) -> int:
 def upright(picture: "VideoFrame") -> Tensor:
     """A decoded picture as image (3,H,W) in [0,1], turned as the video's metadata says."""
     pixels = np.rot90(picture.to_ndarray(format="rgb24"), round(picture.rotation / 90))
-    return image_of(pixels)
-
-
-def image_of(pixels: np.ndarray) -> Tensor:
-    """Pixels uint8 (H,W,3) RGB as image (3,H,W) in [0,1]."""
-    planes = torch.from_numpy(np.ascontiguousarray(pixels.transpose(2, 0, 1)))
-    return planes.to(torch.float32).div_(255)
+    return from_pixels(pixels)

@@ -34,7 +34,7 @@ def test_every_command_explains_itself(call: Call, name: str) -> None:
         (["xyz"], "xyz: no such command (see roadtorch --help)"),
         (
             ["infer", "--detectr", "x"],
-            "--detectr: no such option (did you mean --detector, --depth?)",
+            "--detectr: no such option (did you mean --detector, --every, --depth?)",
         ),
         (["infer"], "Missing argument 'INPUT...' (see roadtorch infer --help)"),
         (["planes", "x"], "Got unexpected extra argument (x) (see roadtorch planes --help)"),

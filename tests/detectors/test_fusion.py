@@ -9,6 +9,7 @@ from torch import Tensor
 
 from roadtorch.detector import Detection
 from roadtorch.detectors.catalogue import load_detector
+from roadtorch.detectors.fusion import FusionSettings
 from roadtorch.errors import WeightsError
 from roadtorch.fusion import log_odds
 from roadtorch.layout.classes import HORIZONTAL
@@ -105,7 +106,10 @@ def test_a_network_that_is_not_trusted_says_nothing_of_the_layout(tmp_path: Path
 
     found = load_detector("fusion", share=0.0, weights=weights).detect(street())
 
-    alone = load_detector("fusion:untrained").detect(street())
+    fusion = FusionSettings()
+    alone = load_detector(
+        "fusion:untrained", working=fusion.working, superpixels=fusion.superpixels
+    ).detect(street())
     torch.testing.assert_close(found.cues["layout"], alone.cues["layout"], atol=2e-3, rtol=0.0)
     assert set(found.cues) == {*alone.cues, "learned_road", "ego"}
 

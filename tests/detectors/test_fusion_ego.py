@@ -25,7 +25,9 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def fusion(path: Path, **settings: Any) -> Detector:
-    return load_detector("fusion", weights={"file": str(path)}, **settings)
+    # Superpixels of a size at which these small streets fall apart as the tests need it.
+    wide = {"pixels": 256}
+    return load_detector("fusion", weights={"file": str(path)}, superpixels=wide, **settings)
 
 
 @pytest.fixture(scope="module")

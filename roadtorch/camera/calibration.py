@@ -1,0 +1,132 @@
+"""Lenses and poses from the files of others: ROS camera_info, and KITTI's calibration."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roadtorch.camera.birds_eye import Calibration
+from roadtorch.camera.ground import COEFFICIENTS, GroundCamera, Lens, pose_of
+from roadtorch.errors import ConfigError, InputError
+from roadtorch.outside import read_regular
+from roadtorch.settings import build_settings
+
+MOST_BYTES = 2**20  # of a camera_info file; ours: they have a thousand
+
+REMEDY = "give what camera_calibration writes, or ros2 topic echo --once of the camera_info topic"
+
+MODEL_NAMES = {"fisheye": "equidistant", "": "pinhole", "none": "pinhole", "pinhole": "pinhole"}
+"""Names of models of distortion besides those of ``COEFFICIENTS``."""
+
+
+def read_camera_info(path: str | os.PathLike[str]) -> Lens:
+    """The lens in a YAML file: as camera_calibration writes it, or a printed CameraInfo message.
+
+    The pictures are taken as the camera gives them: K and D count, not R and P. Raises
+    ConfigError naming the file when it is not such a file, InputError when it cannot be read.
+    """
+    path = Path(path)
+    values = _first_document(path)
+    if not isinstance(values, Mapping):
+        raise ConfigError(path, "holds no camera_info", REMEDY)
+    matrix = _numbers(path, values, ("camera_matrix", "k", "K"))
+    if len(matrix) != 9 or matrix[0] <= 0:
+        raise ConfigError(path, "holds no calibrated camera matrix (K)", REMEDY)
+    bent = _numbers(path, values, ("distortion_coefficients", "d", "D"))
+    model = str(values.get("distortion_model", ""))
+    model = MODEL_NAMES.get(model, model)
+    if model not in COEFFICIENTS:
+        known = ", ".join(name for name in COEFFICIENTS if name != "pinhole")
+        raise ConfigError(path, f"distortion_model {model!r} is not known", f"known: {known}")
+    straight = not any(bent) or model == "pinhole"
+    found = {
+        "width": _size(path, values, ("image_width", "width")),
+        "height": _size(path, values, ("image_height", "height")),
+        **{"focal_x": matrix[0], "focal_y": matrix[4]},
+        **{"centre_x": matrix[2], "centre_y": matrix[5]},
+        "model": "pinhole" if straight else model,
+        "coefficients": () if straight else tuple(bent),
+    }
+    try:
+        return build_settings(Lens, found)
+    except ConfigError as problem:
+        what = f"is no lens: {problem.where}: {problem.what}"
+        raise ConfigError(path, what, problem.remedy) from None
+
+
+def _first_document(path: Path) -> Any:
+    """The first document of a YAML file; ConfigError when it is not YAML or nested too deep."""
+    try:
+        import yaml
+    except ImportError:
+        remedy = "pip install 'roadtorch[grid]'"
+        raise ConfigError(path, "reading YAML needs PyYAML, which is missing", remedy) from None
+    try:
+        return next(yaml.safe_load_all(read_regular(path, MOST_BYTES).decode()), None)
+    except OSError as problem:
+        raise InputError(path, f"cannot be read: {problem.strerror}", REMEDY) from None
+    except UnicodeDecodeError:
+        raise ConfigError(path, "is not UTF-8 text", REMEDY) from None
+    except (yaml.YAMLError, RecursionError, ValueError) as problem:
+        told = getattr(problem, "problem", None) or "nested too deep, or no such value"
+        mark = getattr(problem, "problem_mark", None)
+        where = f"line {mark.line + 1}: " if mark else ""
+        raise ConfigError(path, f"is not YAML: {where}{told}", REMEDY) from None
+
+
+def _numbers(path: Path, values: Mapping[str, Any], names: tuple[str, ...]) -> list[float]:
+    """The numbers under the first of the names, as a list or in ``data`` of a matrix."""
+    found = next((values[name] for name in names if values.get(name) is not None), [])
+    found = found.get("data", []) if isinstance(found, Mapping) else found
+    try:
+        numbers = [float(number) for number in found]
+    except (TypeError, ValueError):
+        raise ConfigError(path, f"{names[0]} holds what is no number", REMEDY) from None
+    if not np.isfinite(numbers).all():
+        raise ConfigError(path, f"{names[0]} holds what is not finite", REMEDY)
+    return numbers
+
+
+def _size(path: Path, values: Mapping[str, Any], names: tuple[str, ...]) -> int:
+    found = next((values[name] for name in names if name in values), None)
+    if not isinstance(found, int) or found < 1:
+        raise ConfigError(path, f"{names[0]} is missing, or no number of pixels", REMEDY)
+    return found
+
+
+def kitti_ground_camera(
+    calibration: Calibration,
+    width: int,
+    height: int,
+    mount: tuple[float, float] = (0.0, 0.0),
+) -> GroundCamera:
+    """The left colour camera of a KITTI calibration over its road plane, for pictures of a size.
+
+    The robot's frame begins below that camera, or such that it stands at ``mount``; KITTI's road
+    has x to the right, y down and z ahead, and counts pixels from one. Raises InputError where
+    the optical axis misses the picture: it is not of that camera, or cropped.
+    """
+    projection = np.array(calibration.projection).reshape(3, 4)
+    inner = projection[:, :3]
+    if not (1 <= inner[0, 2] <= width and 1 <= inner[1, 2] <= height):
+        what = f"is {width}×{height} pixels, the calibration's middle {inner[0, 2]:.0f}, "
+        what += f"{inner[1, 2]:.0f}"
+        raise InputError("image", what, "give pictures of that camera at their own size")
+    camera_to_road = np.array(calibration.camera_to_road).reshape(3, 4)
+    rectification = np.array(calibration.rectification).reshape(3, 3)
+    turned = camera_to_road[:, :3] @ np.linalg.inv(rectification)  # rectified camera to road
+    centre = turned @ -np.linalg.solve(inner, projection[:, 3]) + camera_to_road[:, 3]
+    robot = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # road to robot
+    lens = Lens(
+        width=width,
+        height=height,
+        focal_x=float(inner[0, 0]),
+        focal_y=float(inner[1, 1]),
+        centre_x=float(inner[0, 2]) - 1,
+        centre_y=float(inner[1, 2]) - 1,
+    )
+    # The file's rotations are rounded: their inverse, not their transpose, gives its own points.
+    axes = np.linalg.inv(robot @ turned)
+    return GroundCamera(lens, pose_of(axes, np.array([*mount, -centre[1]])))

@@ -1,0 +1,233 @@
+"""How a camera's picture lies on flat ground: the lens, its place on the robot, points between.
+
+Frames are those of REP 103. Robot: x forward, y left, z up, in metres; the ground is z = 0.
+Camera: x right, y down, z along the optical axis. Pixels: (column, row), the middle of the first
+pixel is (0, 0), as in OpenCV and in camera_info.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import cv2
+import numpy as np
+from pydantic import Field, ValidationInfo, field_validator
+
+from roadtorch.errors import ConfigError, InputError
+from roadtorch.settings import Settings
+
+LOWEST_PITCH, HIGHEST_PITCH = -30.0, 89.0
+"""Degrees; upwards less ground is seen, and straight down the picture has no forward."""
+
+MOST_ROLL = 45.0
+
+SAME_ASPECT = 0.01
+"""Share by which two aspect ratios may differ: a picture scaled to whole pixels."""
+
+CLOSEST = 1e-6
+"""Metres ahead of the lens from which a point has a picture."""
+
+UNDONE = 0.5
+"""Pixels by which a point may miss itself when its distortion is undone and done again."""
+
+COEFFICIENTS = {
+    "pinhole": (0,),
+    "plumb_bob": (4, 5),
+    "rational_polynomial": (8, 12, 14),
+    "equidistant": (4,),
+}
+"""How many coefficients each model of distortion has, as ROS and OpenCV count them."""
+
+Focal = Annotated[float, Field(gt=0, le=1e6)]
+Centre = Annotated[float, Field(ge=-1e6, le=1e6)]
+Triple = tuple[float, float, float]
+
+
+class Lens(Settings):
+    """How rays become pixels: focal lengths and principal point in pixels, and distortion."""
+
+    width: int = Field(ge=1, description="of the pictures, in pixels")
+    height: int = Field(ge=1, description="likewise")
+    focal_x: Focal
+    focal_y: Focal
+    centre_x: Centre
+    centre_y: Centre
+    model: Literal["pinhole", "plumb_bob", "rational_polynomial", "equidistant"] = "pinhole"
+    coefficients: tuple[float, ...] = Field(default=(), strict=False)
+
+    @field_validator("coefficients")
+    @classmethod
+    def _fit_the_model(cls, given: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+        model = info.data.get("model", "pinhole")
+        allowed = COEFFICIENTS[model]
+        if len(given) not in allowed:
+            raise ValueError(f"{model} has {' or '.join(map(str, allowed))} coefficients")
+        return given
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """The camera matrix (3,3) float64."""
+        return np.array(
+            [[self.focal_x, 0, self.centre_x], [0, self.focal_y, self.centre_y], [0, 0, 1.0]]
+        )
+
+    def at(self, width: int, height: int) -> "Lens":
+        """The lens for pictures scaled to that size; InputError for another aspect ratio."""
+        if abs(width * self.height / (height * self.width) - 1) > SAME_ASPECT:
+            what = f"is {width}×{height} pixels, the calibration {self.width}×{self.height}"
+            raise InputError("image", what, "give pictures of that shape, uncropped")
+        across, down = width / self.width, height / self.height
+        changes = {
+            "width": width,
+            "height": height,
+            "focal_x": self.focal_x * across,
+            "focal_y": self.focal_y * down,
+            "centre_x": (self.centre_x + 0.5) * across - 0.5,
+            "centre_y": (self.centre_y + 0.5) * down - 0.5,
+        }
+        return self.model_copy(update=changes)
+
+
+def lens_of_view(width: int, height: int, degrees: float) -> Lens:
+    """A pinhole that sees so many degrees across, square pixels, its axis through the middle.
+
+    Raises ConfigError for an angle that no pinhole has.
+    """
+    if not 1 <= degrees <= 170:
+        what = f"{degrees:g} degrees were given"
+        raise ConfigError("--fov", what, "give 1 to 170 degrees from side to side")
+    focal = width / 2 / math.tan(math.radians(degrees) / 2)
+    return Lens(
+        width=width,
+        height=height,
+        focal_x=focal,
+        focal_y=focal,
+        centre_x=(width - 1) / 2,
+        centre_y=(height - 1) / 2,
+    )
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a camera is on the robot.
+
+    axes: the camera's x, y and z axis in the robot's frame, unit vectors. position: of the
+    camera in the robot's frame, metres; its z is the height above the ground.
+    """
+
+    axes: tuple[Triple, Triple, Triple]
+    position: Triple
+
+    @property
+    def pitch(self) -> float:
+        """Degrees by which the optical axis points below the horizon."""
+        return math.degrees(math.asin(max(-1.0, min(1.0, -self.axes[2][2]))))
+
+
+def mounted(
+    height: float, pitch: float, roll: float = 0.0, mount: tuple[float, float] = (0.0, 0.0)
+) -> Pose:
+    """The pose of a camera that looks ahead.
+
+    height: metres above the ground. pitch: degrees, positive looks down. roll: degrees, positive
+    has the camera's right side lower (REP 103). mount: x, y of the camera on the robot, metres.
+    Raises ConfigError for what is beyond the limits.
+    """
+    if not 0.01 <= height <= 1000:
+        raise ConfigError("--height", f"{height:g} was given", "give 0.01 to 1000 metres")
+    if not LOWEST_PITCH <= pitch <= HIGHEST_PITCH:
+        remedy = f"give {LOWEST_PITCH:g} to {HIGHEST_PITCH:g} degrees; positive looks down"
+        raise ConfigError("--pitch", f"{pitch:g} was given", remedy)
+    if not -MOST_ROLL <= roll <= MOST_ROLL:
+        remedy = f"give -{MOST_ROLL:g} to {MOST_ROLL:g} degrees"
+        raise ConfigError("--roll", f"{roll:g} was given", remedy)
+    sine, cosine = math.sin(math.radians(pitch)), math.cos(math.radians(pitch))
+    right, down = np.array([0.0, -1.0, 0.0]), np.array([-sine, 0.0, -cosine])
+    turn, level = math.sin(math.radians(roll)), math.cos(math.radians(roll))
+    rows = (level * right + turn * down, level * down - turn * right, (cosine, 0.0, -sine))
+    return Pose(_triples(rows), (*mount, height))
+
+
+def _triples(rows: object) -> tuple[Triple, Triple, Triple]:
+    x, y, z = np.asarray(rows, np.float64).tolist()
+    return tuple(x), tuple(y), tuple(z)
+
+
+def pose_of(axes: np.ndarray, position: np.ndarray) -> Pose:
+    """The pose of axes (3,3), a row each, and position (3,), as ``Pose`` has them."""
+    x, y, z = position.tolist()
+    return Pose(_triples(axes), (x, y, z))
+
+
+@dataclass(frozen=True)
+class GroundCamera:
+    """A camera over flat ground: its lens and where it is."""
+
+    lens: Lens
+    pose: Pose
+
+    def pixels_of(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels (n,2) float64 of points (n,3) in the robot's frame, and which of them it has.
+
+        The second, bool (n,), is False behind the camera, outside the picture, and where the
+        distortion turns back on itself.
+        """
+        seen = (points - self.pose.position) @ np.array(self.pose.axes).T
+        ahead = seen[:, 2] > CLOSEST
+        seen = np.where(ahead[:, None], seen, (0.0, 0.0, 1.0))
+        pixels = distorted(self.lens, seen[:, :2] / seen[:, 2:])
+        inside = (pixels >= -0.5).all(1) & (pixels[:, 0] < self.lens.width - 0.5)
+        inside &= (pixels[:, 1] < self.lens.height - 0.5) & ahead
+        if self.lens.coefficients and inside.any():
+            again = undistorted(self.lens, pixels[inside])
+            missed = np.abs(again - seen[inside, :2] / seen[inside, 2:]).max(1)
+            inside[inside] = missed * self.lens.focal_x < UNDONE
+        return pixels, inside
+
+    def rays_of(self, pixels: np.ndarray) -> np.ndarray:
+        """Directions (n,3) in the robot's frame, not normed, in which pixels (n,2) look."""
+        plane = undistorted(self.lens, pixels)
+        return np.column_stack([plane, np.ones(len(plane))]) @ np.array(self.pose.axes)
+
+    def ground_of(self, pixels: np.ndarray) -> np.ndarray:
+        """Ground points (n,2), x and y in metres, of pixels (n,2); NaN at and above the horizon."""
+        rays = self.rays_of(pixels)
+        falls = rays[:, 2] < -CLOSEST
+        far = self.pose.position[2] / np.where(falls, -rays[:, 2], np.nan)
+        return np.array(self.pose.position[:2]) + far[:, None] * rays[:, :2]
+
+
+def distorted(lens: Lens, plane: np.ndarray) -> np.ndarray:
+    """Pixels (n,2) of points (n,2) on the plane one metre ahead of the lens (OpenCV's models)."""
+    if not lens.coefficients:
+        return plane * (lens.focal_x, lens.focal_y) + (lens.centre_x, lens.centre_y)
+    none, bent = np.zeros(3), np.array(lens.coefficients)
+    points = np.column_stack([plane, np.ones(len(plane))])[:, None]
+    if lens.model == "equidistant":
+        return cv2.fisheye.projectPoints(points, none, none, lens.matrix, bent)[0][:, 0]
+    return cv2.projectPoints(points, none, none, lens.matrix, bent)[0][:, 0]
+
+
+def undistorted(lens: Lens, pixels: np.ndarray) -> np.ndarray:
+    """Points (n,2) on the plane one metre ahead of the lens, of pixels (n,2)."""
+    if not lens.coefficients:
+        return (pixels - (lens.centre_x, lens.centre_y)) / (lens.focal_x, lens.focal_y)
+    bent, criteria = np.array(lens.coefficients), (3, 50, 1e-9)  # 3: both count and precision
+    points = np.ascontiguousarray(pixels, np.float64)[:, None]
+    if lens.model == "equidistant":
+        return cv2.fisheye.undistortPoints(points, lens.matrix, bent, criteria=criteria)[:, 0]
+    return cv2.undistortPoints(points, lens.matrix, bent, criteria=criteria)[:, 0]
+
+
+def pitch_of_horizon(lens: Lens, horizon: float, roll: float = 0.0) -> float:
+    """Degrees of pitch at which the horizon crosses the principal column at that row.
+
+    horizon: share of the height from the top; roll in degrees. Raises ConfigError for a row
+    outside the picture.
+    """
+    if not 0 <= horizon <= 1:
+        remedy = "it is a share of the height, 0 to 1; else give --pitch"
+        raise ConfigError("horizon", f"{horizon:g} lies outside the picture", remedy)
+    row = horizon * lens.height - 0.5
+    down = undistorted(lens, np.array([[lens.centre_x, row]]))[0, 1]
+    return math.degrees(math.atan(-float(down) * math.cos(math.radians(roll))))

@@ -1,0 +1,303 @@
+"""The road as a metric grid on flat ground: what is free, what is not road, what is unknown. Ours.
+
+Flat ground smears whatever stands upright over the cells behind it. So the ground is looked at
+along rays from the camera's foot: free up to the first cell that is no road, which is occupied,
+and unknown behind it.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Annotated
+
+import cv2
+import numpy as np
+import torch
+from pydantic import Field, ValidationInfo, field_validator
+from torch import Tensor
+
+from roadtorch.camera.ground import GroundCamera
+from roadtorch.errors import InputError
+from roadtorch.settings import Settings
+
+FREE, OCCUPIED, UNKNOWN = 0, 100, -1
+"""Values of cells, those of nav_msgs/OccupancyGrid."""
+
+ALONG, ACROSS = 2, 4
+"""Samples per cell, along a ray and, at the farthest, from ray to ray."""
+
+FEWEST, MOST = 4, 2000
+"""Cells ahead of the camera."""
+
+MOST_SAMPLES = 2**24
+"""Of all rays: some seconds, and a gigabyte."""
+
+SEEN = 0.5
+"""Share of a cell's samples that a picture must show."""
+
+JOINED, BETWEEN = 4, 8
+"""Cells that the ends of neighbouring rays may lie apart and still be one edge, and the points
+that are set between them."""
+
+MOST_HALVINGS = 8  # of the picture, for cells that cover many of its pixels
+
+BORDER = 64  # pixels of each side of the picture whose rays bound the view
+
+Length = Annotated[float, Field(gt=0, le=1000)]
+
+
+class GridSettings(Settings):
+    """What part of the ground the grid covers, how finely, and when a cell is road."""
+
+    resolution: float = Field(default=0.1, ge=0.005, le=10, description="side of a cell, metres")
+    range: Length = Field(default=30.0, description="metres ahead of the camera")
+    side: Length = Field(default=15.0, description="metres to its left, and to its right")
+    coarsest: float = Field(
+        default=10.0, gt=0, le=1000, description="cells that one pixel may cover; beyond: unknown"
+    )
+    threshold: float = Field(default=0.5, ge=0, le=1, description="road from this mean on")
+
+    @field_validator("range")
+    @classmethod
+    def _is_some_cells(cls, value: float, info: ValidationInfo) -> float:
+        cells = value / info.data.get("resolution", 0.1)
+        if not FEWEST <= cells <= MOST:
+            raise ValueError(f"give {FEWEST} to {MOST} times the resolution")
+        return value
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """A metric map of the ground in the robot's frame (REP 103): x forward, y left.
+
+    cells: int8 (rows along y, columns along x), 0 free, 100 no road, -1 unknown; cell (0, 0) is
+    the one of least x and y. likelihood: float32 of the same shape, the mean road likelihood,
+    NaN where a cell is unknown. resolution, origin: metres; the origin is the outer
+    corner of cell (0, 0).
+    """
+
+    cells: Tensor
+    likelihood: Tensor
+    resolution: float
+    origin: tuple[float, float]
+
+    @property
+    def occupancy(self) -> Tensor:
+        """int8 (rows · columns,): the order of nav_msgs/OccupancyGrid, x running fastest."""
+        return self.cells.reshape(-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Rays:
+    """What is seen along rays over the ground from the camera's foot.
+
+    azimuth: radians (B,), positive to the left. distance: metres (K,), along each ray.
+    likelihood: float32 (K,B), mean of a cell there. seen: bool (K,B). free: metres (B,), where
+    the first cell that is no road begins; inf where none is seen.
+    """
+
+    azimuth: Tensor
+    distance: Tensor
+    likelihood: Tensor
+    seen: Tensor
+    free: Tensor
+
+
+def ground_grid(
+    road: Tensor, camera: GroundCamera, settings: GridSettings, ego: Tensor | None = None
+) -> Grid:
+    """The grid of a mask bool (H,W), or of a likelihood (H,W) in [0,1], seen by a camera.
+
+    ego: the ego car bool (H,W), unknown. Raises InputError for another size than the lens's, and
+    where no ground within the settings' distance is seen.
+    """
+    rays = ground_rays(road, camera, settings, ego)
+    x, y, origin = _cell_centres(camera, settings)
+    away, azimuth = torch.hypot(x, y), torch.atan2(y, x)
+    step, turn = rays.distance[1] - rays.distance[0], rays.azimuth[1] - rays.azimuth[0]
+    index = ((away - rays.distance[0]) / step).round().long()
+    ray = ((azimuth - rays.azimuth[0]) / turn).round().long()
+    inside = (index >= 0) & (index < len(rays.distance)) & (ray >= 0) & (ray < len(rays.azimuth))
+    index, ray = index.clamp(0, len(rays.distance) - 1), ray.clamp(0, len(rays.azimuth) - 1)
+    first = rays.free[ray]
+    known = inside & rays.seen[index, ray] & (away < first)
+    cells = torch.where(known, FREE, UNKNOWN).to(torch.int8)
+    ends = _edge_cells(rays, camera, settings, origin, cells.shape)
+    cells[ends] = OCCUPIED
+    likelihood = rays.likelihood[index, ray].where(known | (ends & inside), math.nan)
+    return Grid(cells, likelihood, settings.resolution, origin)
+
+
+def ground_rays(
+    road: Tensor, camera: GroundCamera, settings: GridSettings, ego: Tensor | None = None
+) -> Rays:
+    """The same mask or likelihood along rays, as a laser scan would see the road's end."""
+    lens = camera.lens
+    if tuple(road.shape) != (lens.height, lens.width):
+        what = f"is {road.shape[1]}×{road.shape[0]} pixels, the lens {lens.width}×{lens.height}"
+        raise InputError("road", what, "give a map of the lens's size, or lens.at(width, height)")
+    places = ray_places(camera, settings)  # type: ignore[arg-type]  # frozen: it has a hash
+    values = _looked_up(road.float(), places)
+    seen = places.inside if ego is None else places.inside & (_looked_up(ego.float(), places) < 0.5)
+    values, seen = _cell_means(values, seen, places, settings)
+    distance = (places.distance[1:] + places.distance[:-1]) / 2
+    ends = seen & (values < settings.threshold)
+    first = ends.int().argmax(0)
+    free = distance[first] - settings.resolution / (2 * ALONG)
+    free = torch.where(ends.any(0), free, math.inf)
+    return Rays(places.azimuth, distance, values, seen, free)
+
+
+# --- where rays are in the picture ------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class RayPlaces:
+    """Pixels of the samples of all rays; shared between calls, never changed.
+
+    azimuth (B,) and distance (K+1,) of samples. columns, rows: float32 (K+1,B). halvings: (K+1,),
+    how often the picture is halved for them, so that no pixel between them is left out. inside:
+    bool (K+1,B), in the picture and fine enough.
+    """
+
+    azimuth: Tensor
+    distance: Tensor
+    columns: np.ndarray
+    rows: np.ndarray
+    halvings: np.ndarray
+    inside: Tensor
+
+
+@lru_cache(maxsize=2)  # some 10 MB each; the pictures of one camera come one after the other
+def ray_places(camera: GroundCamera, settings: GridSettings) -> RayPlaces:
+    """Where a camera sees the samples of its rays; InputError where it sees no ground."""
+    low, high = _view(camera)
+    count = math.ceil((high - low) / (settings.resolution / settings.range / ACROSS)) + 2
+    azimuth = np.linspace(low, high, count)
+    reach = math.hypot(settings.range, min(settings.side, settings.range))
+    step = settings.resolution / ALONG
+    distance = (np.arange(math.ceil(reach / step) + 1) + 0.5) * step
+    if len(distance) * count > MOST_SAMPLES:
+        what = f"{len(distance) * count} samples are too many"
+        raise InputError("grid", what, "give a coarser resolution, or less ahead")
+    direction = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(count)], 1)
+    foot = np.array([*camera.pose.position[:2], 0.0])
+    points = (foot + distance[:, None, None] * direction).reshape(-1, 3)
+    pixels, inside = camera.pixels_of(points)
+    pixels, inside = pixels.reshape(-1, count, 2), inside.reshape(-1, count)
+    apart = np.linalg.norm(np.diff(pixels, axis=0, append=pixels[-1:]), axis=2)
+    inside &= apart * ALONG * settings.coarsest >= 1
+    if not inside.any():
+        what = f"shows no ground within {settings.range:g} m"
+        raise InputError("image", what, "check height, pitch and field of view")
+    typical = (apart * inside).sum(1) / np.maximum(inside.sum(1), 1)
+    halvings = np.floor(np.log2(np.clip(typical, 1, 2**MOST_HALVINGS))).astype(int)
+    columns, rows = (np.ascontiguousarray(pixels[..., axis], np.float32) for axis in (0, 1))
+    return RayPlaces(
+        torch.from_numpy(azimuth),
+        torch.from_numpy(distance),
+        columns,
+        rows,
+        halvings,
+        torch.from_numpy(inside),
+    )
+
+
+def _view(camera: GroundCamera) -> tuple[float, float]:
+    """Least and greatest azimuth, radians, of the ground in the picture, at most ±π/2."""
+    width, height = camera.lens.width, camera.lens.height
+    foot = np.array([[*camera.pose.position[:2], 0.0]])
+    if camera.pixels_of(foot)[1].any():
+        return -math.pi / 2, math.pi / 2
+    across, down = np.linspace(0, width - 1, BORDER), np.linspace(0, height - 1, BORDER)
+    sides = [(across, np.full(BORDER, end)) for end in (0, height - 1)]
+    sides += [(np.full(BORDER, end), down) for end in (0, width - 1)]
+    rays = camera.rays_of(np.concatenate([np.column_stack(side) for side in sides]))
+    rays = rays[rays[:, 2] < 0]
+    azimuth = np.clip(np.arctan2(rays[:, 1], rays[:, 0]), -math.pi / 2, math.pi / 2)
+    if azimuth.size == 0 or azimuth.max() - azimuth.min() < 1e-3:
+        raise InputError("image", "shows no ground", "check pitch and field of view")
+    return float(azimuth.min()), float(azimuth.max())
+
+
+# --- what is seen there -----------------------------------------------------------------
+
+
+def _looked_up(values: Tensor, places: RayPlaces) -> Tensor:
+    """Values (H,W) at the samples (K+1,B), bilinear; near the camera means of many pixels."""
+    source = values.detach().cpu().contiguous().numpy()
+    height, width = source.shape
+    found = np.empty(places.columns.shape, np.float32)
+    for halvings in range(int(places.halvings.max()) + 1):
+        if halvings:
+            size = (math.ceil(source.shape[1] / 2), math.ceil(source.shape[0] / 2))
+            source = cv2.resize(source, size, interpolation=cv2.INTER_AREA)
+        at = places.halvings == halvings
+        if at.any():
+            columns = (places.columns[at] + 0.5) * (source.shape[1] / width) - 0.5
+            rows = (places.rows[at] + 0.5) * (source.shape[0] / height) - 0.5
+            border = cv2.BORDER_REPLICATE
+            found[at] = cv2.remap(source, columns, rows, cv2.INTER_LINEAR, borderMode=border)
+    return torch.from_numpy(found)
+
+
+def _cell_means(
+    values: Tensor, seen: Tensor, places: RayPlaces, settings: GridSettings
+) -> tuple[Tensor, Tensor]:
+    """Means of samples (K+1,B) over a cell's length and width: (K,B), and which are seen.
+
+    Near the camera a cell is wide for the rays, far off narrower than a pixel.
+    """
+    weight = seen.double()
+    sums = torch.stack([values * weight, weight]).cumsum(2)
+    sums = torch.nn.functional.pad(sums, (1, 0))
+    turn = float(places.azimuth[1] - places.azimuth[0])
+    half = (settings.resolution / 2 / places.distance / turn).round().long()[:, None]
+    number = torch.arange(values.shape[1])
+    right = (number + half + 1).clamp_max(values.shape[1])
+    left = (number - half).clamp_min(0)
+    total = sums.gather(2, right.expand(2, -1, -1)) - sums.gather(2, left.expand(2, -1, -1))
+    total = total[:, 1:] + total[:, :-1]
+    width = (right - left)[1:] + (right - left)[:-1]
+    mean = total[0] / total[1].clamp_min(1e-9)
+    return mean.float(), total[1] >= SEEN * width
+
+
+def _cell_centres(
+    camera: GroundCamera, settings: GridSettings
+) -> tuple[Tensor, Tensor, tuple[float, float]]:
+    """Cells' middles seen from the camera's foot, x (1,C) and y (R,1), and the grid's origin."""
+    size = settings.resolution
+    columns, rows = math.ceil(settings.range / size), 2 * math.ceil(settings.side / size)
+    x = (torch.arange(columns, dtype=torch.float64) + 0.5) * size
+    y = (torch.arange(rows, dtype=torch.float64) + 0.5 - rows / 2) * size
+    foot = camera.pose.position
+    return x[None], y[:, None], (foot[0], foot[1] - rows / 2 * size)
+
+
+def _edge_cells(
+    rays: Rays,
+    camera: GroundCamera,
+    settings: GridSettings,
+    origin: tuple[float, float],
+    size: torch.Size,
+) -> Tensor:
+    """The cells, bool (R,C), in which the rays meet the first that is no road.
+
+    A road's side is met at a slant: points between the ends of neighbouring rays close the gaps,
+    but not where one end is much nearer: it is a corner, and what lies between is unknown.
+    """
+    ends = rays.free + settings.resolution / (2 * ALONG)
+    joined = (ends[1:] - ends[:-1]).abs() <= JOINED * settings.resolution
+    share = torch.linspace(0, 1, BETWEEN, dtype=torch.float64)[:, None]
+    away = torch.cat([ends, torch.lerp(ends[:-1], ends[1:], share)[:, joined].reshape(-1)])
+    turned = torch.lerp(rays.azimuth[:-1], rays.azimuth[1:], share)[:, joined].reshape(-1)
+    azimuth = torch.cat([rays.azimuth, turned])
+    azimuth, away = azimuth[away.isfinite()], away[away.isfinite()]
+    x = camera.pose.position[0] + away * azimuth.cos() - origin[0]
+    y = camera.pose.position[1] + away * azimuth.sin() - origin[1]
+    column, row = ((each / settings.resolution).floor().long() for each in (x, y))
+    inside = (row >= 0) & (row < size[0]) & (column >= 0) & (column < size[1])
+    cells = torch.zeros(size, dtype=torch.bool)
+    cells[row[inside], column[inside]] = True
+    return cells

@@ -1,0 +1,120 @@
+"""roadtorch grid: the road in pictures as metric maps of the ground."""
+
+from pathlib import Path
+
+import click
+
+from roadtorch.cli.options import (
+    CAMERA,
+    CONFIG,
+    JOBS,
+    ONE_DETECTOR,
+    OVERWRITE,
+    PATH,
+    QUIET,
+    SETTING,
+)
+
+
+def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, float]:
+    """The two numbers of ``X,Y``."""
+    from math import isfinite
+
+    from roadtorch.errors import ConfigError
+
+    try:
+        x, y = map(float, value.split(","))
+    except ValueError:
+        x = y = float("nan")
+    if not (isfinite(x) and isfinite(y)):
+        raise ConfigError("--mount", f"{value!r} was given", "give X,Y in metres, as 0.3,0")
+    return x, y
+
+
+@click.command()
+@click.argument("inputs", metavar="INPUT...", nargs=-1, required=True)
+@click.option("--out", type=PATH, required=True, help="Folder for the grids.")
+@click.option("--height", type=float, help="Of the camera above the ground, metres.")
+@click.option("--pitch", type=float, help="Degrees, positive looks down. [from the layout]")
+@click.option("--roll", type=float, default=0.0, help="Degrees, positive: right side lower. [0]")
+@click.option("--fov", type=float, help="What the camera sees from side to side, degrees.")
+@click.option("--camera-info", type=PATH, help="ROS camera_info as YAML, with its distortion.")
+@click.option("--calibration", type=PATH, help="KITTI's calibration file; it has the height.")
+@CAMERA
+@click.option("--mount", default="0,0", callback=_place, help="X,Y of the camera on the robot.")
+@click.option("--resolution", type=float, default=0.1, show_default=True, help="Metres a cell.")
+@click.option("--range", "ahead", type=float, default=30.0, show_default=True, help="Metres ahead.")
+@click.option("--side", type=float, default=15.0, show_default=True, help="Metres left and right.")
+@click.option(
+    "--coarsest", type=float, default=10.0, show_default=True, help="Most cells a pixel may cover."
+)
+@ONE_DETECTOR
+@SETTING
+@CONFIG
+@click.option("--threshold", type=float, help="Likelihood from which a pixel is road.")
+@click.option("--likelihood", is_flag=True, help="Also write NAME.grid.likelihood.npy.")
+@click.option("--picture", is_flag=True, help="Also write NAME.grid.jpg, to look at.")
+@JOBS
+@OVERWRITE
+@QUIET
+@click.pass_context
+def grid(
+    context: click.Context,
+    inputs: tuple[str, ...],
+    out: Path,
+    height: float | None,
+    pitch: float | None,
+    roll: float,
+    fov: float | None,
+    camera_info: Path | None,
+    calibration: Path | None,
+    camera: Path | None,
+    mount: tuple[float, float],
+    resolution: float,
+    ahead: float,
+    side: float,
+    coarsest: float,
+    detector: str | None,
+    assignments: tuple[str, ...],
+    config: Path | None,
+    threshold: float | None,
+    likelihood: bool,
+    picture: bool,
+    jobs: int,
+    overwrite: bool,
+    quiet: bool,
+) -> None:
+    """Map the road in pictures onto flat ground: x forward, y left, metres (REP 103).
+
+    \b
+    Each picture NAME.jpg gives, in the folder --out,
+      NAME.grid.pgm, NAME.grid.yaml   as Nav2's map_server loads them
+      NAME.grid.npy                   int8: 0 free, 100 no road, -1 unknown
+    The camera's height is needed, its lens (--fov, --camera-info or --calibration), and its
+    pitch; without --pitch and --camera that is estimated in each picture, to 1 or 2 degrees.
+    What lies behind the first cell that is no road is unknown.
+    """
+    from roadtorch.camera.camera import Camera
+    from roadtorch.camera.ground_grid import GridSettings
+    from roadtorch.cli import batch, grids, results
+    from roadtorch.cli import config as configuration
+    from roadtorch.cli.claim import claimed
+    from roadtorch.detectors.catalogue import load_detector
+    from roadtorch.settings import build_settings
+
+    given = grids.Mounting(height, pitch, roll, mount, fov, camera_info, calibration, camera)
+    placing, words = grids.placing_of(given)
+    name, values = configuration.chosen_detector(detector, config, assignments, threshold)
+    known = None if camera is None else Camera.read(camera)
+    loaded = load_detector(name, camera=known, **values)
+    cells = {"resolution": resolution, "range": ahead, "side": side, "coarsest": coarsest}
+    settings = build_settings(GridSettings, {**cells, "threshold": loaded.settings.threshold})
+    kinds = ["pgm", "yaml", "npy", *["likelihood"] * likelihood, *["picture"] * picture]
+    planned = batch.plan(inputs, out, {kind: grids.SUFFIXES[kind] for kind in kinds})
+    context.with_resource(claimed(out))
+    effective = configuration.as_toml(loaded.name, loaded.settings)
+    effective = "\n".join([effective, f"# {settings.model_dump_json()}", words])
+    results.keep_config(out, effective, overwrite)
+    method = results.detector_method(loaded, effective, kinds)
+    work = grids.Gridding(loaded, placing, settings, frozenset(kinds), known)
+    context.exit(batch.run_jobs(planned, out, work, method, batch.Options(jobs, overwrite, quiet)))

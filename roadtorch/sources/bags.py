@@ -1,0 +1,312 @@
+"""Images in ROS bags: ROS 1 (.bag), ROS 2 (folder, .db3, .mcap); no ROS is needed.
+
+``rosbags`` (extra ``bags``) reads them, by the message definitions in the bag.
+"""
+
+import statistics
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice, pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from torch import Tensor
+
+from roadtorch.decoding import reason
+from roadtorch.errors import ConfigError, InputError, unknown_name
+from roadtorch.sources.frame import Frame, Selection, Source
+from roadtorch.sources.image_messages import (
+    COMPRESSED,
+    RAW,
+    image_message,
+    image_of,
+)
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+
+SUFFIXES = (".bag", ".db3", ".mcap")
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+SOME = 16  # messages that tell the rate
+
+
+@dataclass(frozen=True)
+class ImageTopic:
+    """A topic with images: how many messages, their frame of reference, frames a second.
+
+    generation: 1 for a bag of ROS 1, 2 of ROS 2. rate: by the first messages; None for one alone.
+    """
+
+    name: str
+    count: int
+    frame_id: str
+    rate: float | None
+    generation: int
+
+
+@dataclass(frozen=True)
+class CameraInfo:
+    """sensor_msgs/CameraInfo: the camera behind a topic, in pixels of width by height.
+
+    matrix: K float64 (3,3). distortion: D float64 (N,) of the distortion model, such as
+    ``plumb_bob``. frame_id: of the optical frame (REP 103: z ahead, x right, y down).
+    """
+
+    matrix: np.ndarray
+    distortion: np.ndarray
+    model: str
+    width: int
+    height: int
+    frame_id: str
+
+
+def is_bag(given: str) -> bool:
+    """Whether it is a bag by its name, or a folder with a ROS 2 recording in it."""
+    path = Path(given)
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file() or bool(_recordings(path))
+    return path.suffix in SUFFIXES
+
+
+def bag_source(
+    given: str,
+    topic: str | None = None,
+    selection: Selection = Selection(),  # noqa: B008  # it is frozen
+) -> Source:
+    """The images of a topic, by default of the only topic with images.
+
+    Time stamps are those of the headers; of the recording where a header has none. Raises
+    InputError for what cannot be read as a bag or has no images, ConfigError for a topic that is
+    missing or has to be chosen. A cut bag gives what can be read, then InputError; a message that
+    cannot be decoded raises in its frame's ``read``.
+    """
+    found = image_topic(given, topic)
+    is_all = not selection.start and selection.end is None
+    count = -(-found.count // selection.every) if is_all else None
+    if count is not None and selection.limit is not None:
+        count = min(count, selection.limit)
+    return Source(
+        name=_name(given),
+        origin=given,
+        moving=True,
+        frames=partial(_frames, given, found.name, selection),
+        rate=found.rate and found.rate / selection.every,
+        count=count,
+    )
+
+
+def image_topic(given: str, topic: str | None = None) -> ImageTopic:
+    """The topic with images that is meant; errors as for ``bag_source``."""
+    with _opened(given) as bag:
+        name = _chosen(given, bag.reader, topic)
+        messages = _some(_messages(given, bag, name))
+        if not messages:
+            raise InputError(given, f"has no images on {name}", "give another --topic or bag")
+        stamps = sorted(message.stamp for message in messages)
+        steps = [late - early for early, late in pairwise(stamps)]
+        step = statistics.median(steps) if steps else 0
+        count = sum(link.msgcount for link in bag.reader.connections if link.topic == name)
+        first = next((read.content for read in messages if read.content is not None), None)
+        frame_id = first.header.frame_id if first is not None else ""
+        rate = 1e9 / step if step > 0 else None
+        return ImageTopic(name, count, frame_id, rate, 2 if bag.reader.is2 else 1)
+
+
+def _some(messages: Generator["Read"]) -> list["Read"]:
+    """The first messages; those before the damage where there is some."""
+    found: list[Read] = []
+    with suppress(InputError), closing(messages):
+        for read in islice(messages, SOME):
+            found.append(read)
+    return found
+
+
+def camera_info(given: str, topic: str | None = None) -> CameraInfo:
+    """What the first message of the ``camera_info`` beside an image topic says.
+
+    ``/camera/image_raw`` and ``/camera/image_raw/compressed`` have ``/camera/camera_info``
+    (image_transport). Raises InputError where there is none, or where K is empty.
+    """
+    with _opened(given) as bag:
+        name = _chosen(given, bag.reader, topic)
+        kinds = {link.topic: link.msgtype for link in bag.reader.connections}
+        base = name.removesuffix("/compressed") if kinds[name] == COMPRESSED else name
+        sibling = f"{base.rpartition('/')[0]}/camera_info"
+        infos = sorted(other for other, kind in kinds.items() if kind == CAMERA_INFO)
+        if sibling not in infos:
+            told = f"there is {', '.join(infos)}" if infos else "give the calibration yourself"
+            raise InputError(given, f"has no camera_info {sibling} beside {name}", told)
+        read = next(_messages(given, bag, sibling), None)
+        info = read.content if read else None
+        matrix = np.array(getattr(info, "k", getattr(info, "K", np.zeros(9))), float).reshape(3, 3)
+        if info is None or not matrix[0, 0] > 0:
+            what = f"says nothing of its camera on {sibling}"
+            raise InputError(given, what, "calibrate the camera, or give the calibration yourself")
+        distortion = np.array(getattr(info, "d", getattr(info, "D", ())), float)
+        size = int(info.width), int(info.height)
+        return CameraInfo(matrix, distortion, info.distortion_model, *size, info.header.frame_id)
+
+
+# --- topics -----------------------------------------------------------------------------
+
+
+def _chosen(given: str, reader: "AnyReader", topic: str | None) -> str:
+    """The name of the topic that is meant; ConfigError or InputError that lists what there is."""
+    kinds = {link.topic: link.msgtype for link in reader.connections}
+    images = sorted(name for name, kind in kinds.items() if kind in (RAW, COMPRESSED))
+    images = [name for name in images if not name.endswith("/compressedDepth")]
+    if not images:
+        there = ", ".join(f"{name} ({kind})" for name, kind in sorted(kinds.items()))
+        raise InputError(given, "has no images", f"there is {there}" if there else "it is empty")
+    if topic is not None:
+        if topic in images:
+            return topic
+        if topic in kinds:
+            raise InputError(given, f"has {kinds[topic]} on {topic}, no images", _told(images))
+        raise unknown_name("topic", topic, images)
+    if len(images) > 1:
+        raise ConfigError(
+            given, f"has {len(images)} topics with images", f"--topic: {_told(images)}"
+        )
+    return images[0]
+
+
+def _told(names: Sequence[str]) -> str:
+    return f"give one of {', '.join(names)}"
+
+
+# --- messages ---------------------------------------------------------------------------
+
+
+class Recording(NamedTuple):
+    """An open bag, and why it ends early: it was mended; empty where it is whole."""
+
+    reader: "AnyReader"
+    cut: str
+
+
+class Read(NamedTuple):
+    """A message: its time stamp in ns, and its content, or why it has none."""
+
+    stamp: int
+    content: Any
+    problem: str
+
+
+def _frames(given: str, topic: str, selection: Selection) -> Iterator[Frame]:
+    with closing(_every_frame(given, topic)) as every:
+        yield from selection.of(every)
+
+
+def _every_frame(given: str, topic: str) -> Generator[Frame]:
+    with _opened(given) as bag:
+        first = None
+        for number, read in enumerate(_messages(given, bag, topic)):
+            first = read.stamp if first is None else first
+            origin = f"{given}:{topic}#{number}"
+            kept = None if read.content is None else image_message(read.content)
+            image = partial(_unreadable, origin, read.problem)
+            if kept is not None:
+                image = partial(image_of, kept, origin)
+            seconds = (read.stamp - first) / 1e9
+            yield Frame(number, f"{_name(given)}/{number:06d}", origin, seconds, image, read.stamp)
+
+
+def _unreadable(origin: str, problem: str) -> Tensor:
+    raise InputError(origin, f"cannot be read: {problem}", "record it again")
+
+
+def _messages(given: str, bag: Recording, topic: str) -> Generator[Read]:
+    """The messages of a topic in the order of the recording; InputError where it ends early."""
+    links = [link for link in bag.reader.connections if link.topic == topic]
+    raw = bag.reader.messages(connections=links)
+    for link, time, data in _until_damage(given, raw):
+        yield _read(bag.reader, link.msgtype, time, data)
+    if bag.cut:
+        raise _ends_early(given, bag.cut)
+
+
+def _read(reader: "AnyReader", kind: str, time: int, data: bytes) -> Read:
+    try:
+        content: Any = reader.deserialize(data, kind)
+        stamp = content.header.stamp
+    except Exception as problem:  # foreign bytes make the deserialiser raise anything
+        return Read(time, None, reason(problem))
+    return Read(stamp.sec * 10**9 + stamp.nanosec or time, content, "")
+
+
+def _until_damage(given: str, messages: Iterable[tuple[Any, int, Any]]) -> Iterator[Any]:
+    waiting = iter(messages)
+    while True:
+        try:
+            message = next(waiting)
+        except StopIteration:
+            return
+        except Exception as problem:  # zlib, struct, sqlite, …
+            raise _ends_early(given, reason(problem)) from None
+        yield message
+
+
+def _ends_early(given: str, problem: str) -> InputError:
+    return InputError(given, f"ends early: {problem}", "what could be read was given")
+
+
+# --- bags -------------------------------------------------------------------------------
+
+
+def _name(given: str) -> str:
+    path = Path(given)
+    return path.name if path.is_dir() else path.stem
+
+
+def _recordings(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.suffix in (".db3", ".mcap"))
+
+
+@contextmanager
+def _opened(given: str) -> Iterator[Recording]:
+    """The bag, mended where it was cut; InputError for what cannot be read at all."""
+    path = Path(given)
+    if not path.exists():
+        raise InputError(given, "does not exist", "check the name")
+    has_list = (path / "metadata.yaml").is_file()
+    files = _recordings(path) if path.is_dir() else [path]
+    try:
+        reader = _reader([path] if has_list else files)
+        cut = ""
+    except ConfigError:
+        raise
+    except Exception as problem:
+        reader, cut = _mended(given, files, problem), reason(problem)
+    try:
+        yield Recording(reader, cut)
+    finally:
+        reader.close()
+
+
+def _mended(given: str, files: Sequence[Path], problem: Exception) -> "AnyReader":
+    from roadtorch.sources.cut_bags import mended
+
+    try:
+        paths = [mended(file) for file in files]
+        return _reader(paths)
+    except Exception:
+        what = f"cannot be read as a bag: {reason(problem)}"
+        raise InputError(given, what, "check that it is whole (ros2 bag info)") from None
+
+
+def _reader(paths: Sequence[Any]) -> "AnyReader":
+    """The open bag; ConfigError without rosbags, anything for a bag that is damaged."""
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        what = "cannot be read without the package rosbags"
+        raise ConfigError(str(paths[0]), what, "pip install 'roadtorch[bags]'") from None
+    # Bags without definitions are older than ROS 2 Iron; images are the same in all of them.
+    reader = AnyReader(paths, default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+    reader.open()
+    return reader

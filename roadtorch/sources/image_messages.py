@@ -1,0 +1,116 @@
+"""ROS image messages to images: sensor_msgs/Image with its encodings, and CompressedImage."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from torch import Tensor
+
+from roadtorch.decoding import MEGAPIXELS_VARIABLE, most_megapixels, reason
+from roadtorch.errors import InputError
+from roadtorch.image import decode_image, from_pixels
+
+RAW = "sensor_msgs/msg/Image"
+COMPRESSED = "sensor_msgs/msg/CompressedImage"
+
+PLAIN = {  # channels, bits, the places of red, green and blue
+    **{"mono8": (1, 8, (0, 0, 0)), "8UC1": (1, 8, (0, 0, 0)), "mono16": (1, 16, (0, 0, 0))},
+    **{"rgb8": (3, 8, (0, 1, 2)), "bgr8": (3, 8, (2, 1, 0)), "8UC3": (3, 8, (2, 1, 0))},
+    **{"rgba8": (4, 8, (0, 1, 2)), "bgra8": (4, 8, (2, 1, 0)), "8UC4": (4, 8, (2, 1, 0))},
+    **{"rgb16": (3, 16, (0, 1, 2)), "bgr16": (3, 16, (2, 1, 0))},
+}
+"""sensor_msgs/image_encodings.hpp; its fourth channel is padding of cameras and is left out."""
+
+BAYER = {
+    "bayer_rggb": cv2.COLOR_BayerRGGB2RGB,
+    "bayer_bggr": cv2.COLOR_BayerBGGR2RGB,
+    "bayer_gbrg": cv2.COLOR_BayerGBRG2RGB,
+    "bayer_grbg": cv2.COLOR_BayerGRBG2RGB,
+}
+YUV = {
+    **{"yuv422": cv2.COLOR_YUV2RGB_UYVY, "uyvy": cv2.COLOR_YUV2RGB_UYVY},
+    **{"yuv422_yuy2": cv2.COLOR_YUV2RGB_YUYV, "yuyv": cv2.COLOR_YUV2RGB_YUYV},
+}
+
+READ_ENCODINGS = (*PLAIN, *(f"{name}{bits}" for name in BAYER for bits in (8, 16)), *YUV)
+
+
+@dataclass(frozen=True)
+class ImageMessage:
+    """What an image message says, apart from its header.
+
+    encoding: of the pixels, or empty for ``data`` that is a picture file. step: bytes of a row.
+    """
+
+    encoding: str
+    width: int
+    height: int
+    step: int
+    is_big_endian: bool
+    data: np.ndarray  # uint8 (N,)
+
+
+def image_message(message: Any) -> ImageMessage:
+    """A deserialised sensor_msgs/Image or CompressedImage as it is kept until it is decoded."""
+    if message.__msgtype__ == COMPRESSED:
+        return ImageMessage("", 0, 0, 0, False, message.data)
+    return ImageMessage(
+        message.encoding,
+        message.width,
+        message.height,
+        message.step,
+        bool(message.is_bigendian),
+        message.data,
+    )
+
+
+def image_of(message: ImageMessage, origin: str) -> Tensor:
+    """The image float32 (3,H,W) in [0,1], sRGB; 16 bits: 65535 becomes 1.
+
+    Raises InputError naming ``origin`` for an encoding that is not read, too many pixels, fewer
+    bytes than the message promises, and a compressed picture that cannot be decoded.
+    """
+    if not message.encoding:
+        return decode_image(message.data.tobytes(), origin)
+    if message.encoding not in READ_ENCODINGS:
+        what = f"has the encoding {message.encoding!r}, which is not read"
+        raise InputError(origin, what, f"record one of {', '.join(READ_ENCODINGS)}")
+    if message.width * message.height > most_megapixels() * 1e6:
+        what = f"has {message.width} by {message.height} pixels"
+        raise InputError(origin, what, f"make it smaller, or set {MEGAPIXELS_VARIABLE}")
+    try:
+        return from_pixels(_pixels(message))
+    except (ValueError, cv2.error) as problem:
+        raise InputError(origin, f"cannot be read: {reason(problem)}", "record it again") from None
+
+
+def _pixels(message: ImageMessage) -> np.ndarray:
+    """RGB (H,W,3), uint8 or uint16; ValueError for a message that contradicts itself."""
+    encoding = message.encoding
+    if encoding in PLAIN:
+        channels, bits, order = PLAIN[encoding]
+        return _rows(message, channels, bits)[..., order]
+    if encoding in YUV:
+        return cv2.cvtColor(_rows(message, 2, 8), YUV[encoding])
+    pattern = encoding.rstrip("0123456789")
+    mosaic = _rows(message, 1, int(encoding.removeprefix(pattern)))
+    return cv2.cvtColor(mosaic, BAYER[pattern])
+
+
+def _rows(message: ImageMessage, channels: int, bits: int) -> np.ndarray:
+    """The samples (H,W,C) of a message in this machine's byte order, without the rows' padding."""
+    row = message.width * channels * bits // 8
+    step = message.step or row
+    needed = step * (message.height - 1) + row  # the last row may lack its padding
+    if step < row or not message.width or not message.height or len(message.data) < needed:
+        told = f"{message.width} by {message.height} {message.encoding}, {message.step} a row"
+        raise ValueError(f"it has {len(message.data)} bytes for {told}")
+    whole = np.zeros(step * message.height, np.uint8)
+    given = message.data[: len(whole)]
+    whole[: len(given)] = given
+    samples = np.ascontiguousarray(whole.reshape(message.height, step)[:, :row])
+    if bits == 16:
+        order = ">u2" if message.is_big_endian else "<u2"
+        samples = samples.view(order).astype(np.uint16)
+    return samples.reshape(message.height, message.width, channels)

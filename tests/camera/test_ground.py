@@ -1,0 +1,152 @@
+"""A camera over flat ground: against trigonometry, and there and back."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadtorch.camera.ground import (
+    GroundCamera,
+    Lens,
+    distorted,
+    lens_of_view,
+    mounted,
+    pitch_of_horizon,
+    undistorted,
+)
+from roadtorch.errors import ConfigError, InputError
+from roadtorch.settings import build_settings
+
+LENS = lens_of_view(640, 480, 60)
+BENT = {
+    "plumb_bob": (-0.3, 0.1, 0.001, -0.001, 0.0),
+    "rational_polynomial": (0.1, 0.2, 0.0, 0.0, 0.01, 0.3, 0.1, 0.02),
+    "equidistant": (0.05, -0.01, 0.001, 0.0),
+}
+
+
+def ground(*points: tuple[float, float]) -> np.ndarray:
+    return np.array([[x, y, 0.0] for x, y in points])
+
+
+def bent(model: str) -> Lens:
+    values = {**LENS.model_dump(), "model": model, "coefficients": BENT[model]}
+    return build_settings(Lens, values)
+
+
+def test_a_level_camera_by_hand() -> None:
+    camera = GroundCamera(LENS, mounted(1.4, 0))
+
+    pixels, inside = camera.pixels_of(ground((10, 0), (10, 2), (-10, 0), (1, 0)))
+
+    assert pixels[0] == pytest.approx([319.5, 239.5 + LENS.focal_x * 0.14])
+    assert pixels[1, 0] == pytest.approx(319.5 - LENS.focal_x * 0.2)  # left is left
+    assert inside.tolist() == [True, True, False, False]
+
+
+def test_looking_down_brings_the_ground_nearer() -> None:
+    camera = GroundCamera(LENS, mounted(2.0, 30))
+
+    assert camera.ground_of(np.array([[319.5, 239.5]]))[0] == pytest.approx(
+        [2 / math.tan(math.radians(30)), 0]
+    )
+    assert camera.pose.pitch == pytest.approx(30)
+
+
+def test_a_lower_right_side_lifts_the_horizon_there() -> None:
+    camera = GroundCamera(LENS, mounted(1.4, 0, roll=10))
+    right, left = camera.rays_of(np.array([[600.0, 239.5], [40.0, 239.5]]))
+
+    assert right[2] < 0 < left[2]
+
+
+def test_the_sky_has_no_ground() -> None:
+    camera = GroundCamera(LENS, mounted(1.4, 0))
+
+    assert np.isnan(camera.ground_of(np.array([[300.0, 100.0], [300.0, 239.5]]))).all()
+
+
+@given(
+    pitch=st.floats(-10, 60),
+    roll=st.floats(-20, 20),
+    x=st.floats(2, 30),
+    y=st.floats(-5, 5),
+)
+def test_pixels_come_back_to_their_ground(pitch: float, roll: float, x: float, y: float) -> None:
+    camera = GroundCamera(LENS, mounted(1.4, pitch, roll, (0.5, -0.2)))
+    pixels, inside = camera.pixels_of(ground((x, y)))
+
+    if inside.all():
+        assert camera.ground_of(pixels)[0] == pytest.approx([x, y], abs=1e-6)
+
+
+@pytest.mark.parametrize("model", BENT)
+def test_distortion_is_undone(model: str) -> None:
+    lens = bent(model)
+    pixels = np.random.default_rng(0).uniform(0, 479, (500, 2))
+
+    assert np.abs(distorted(lens, undistorted(lens, pixels)) - pixels).max() < 1e-3
+
+
+@pytest.mark.parametrize("model", BENT)
+def test_distorted_ground_comes_back(model: str) -> None:
+    camera = GroundCamera(bent(model), mounted(1.4, 10))
+    points = ground((5, 1), (8, -2), (20, 3))
+
+    pixels, inside = camera.pixels_of(points)
+
+    assert inside.all()
+    assert camera.ground_of(pixels) == pytest.approx(points[:, :2], abs=1e-4)
+
+
+def test_distortion_that_turns_back_shows_nothing() -> None:
+    camera = GroundCamera(bent("plumb_bob"), mounted(1.4, 60))
+    wide = ground((0.9, 3.0))  # 70 degrees off the axis, where the polynomial has turned
+
+    pixels, inside = camera.pixels_of(wide)
+
+    assert not inside.any()
+    assert np.isfinite(pixels).all()
+
+
+@given(pitch=st.floats(-8, 8), roll=st.floats(-30, 30))
+def test_the_horizon_gives_the_pitch(pitch: float, roll: float) -> None:
+    level = math.tan(math.radians(pitch)) / math.cos(math.radians(roll))
+    row = (239.5 - LENS.focal_y * level + 0.5) / 480
+
+    assert pitch_of_horizon(LENS, row, roll) == pytest.approx(pitch, abs=1e-9)
+
+
+def test_a_scaled_picture_shows_the_same_ground() -> None:
+    camera, small = (GroundCamera(each, mounted(1.4, 5)) for each in (LENS, LENS.at(320, 240)))
+
+    pixels = camera.pixels_of(ground((6, 1)))[0]
+
+    assert small.ground_of((pixels + 0.5) / 2 - 0.5)[0] == pytest.approx([6, 1])
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (lambda: mounted(0, 0), "--height: 0 was given"),
+        (lambda: mounted(1, 95), "--pitch: 95 was given"),
+        (lambda: mounted(1, 0, 60), "--roll: 60 was given"),
+        (lambda: mounted(float("nan"), 0), "--height: nan was given"),
+        (lambda: lens_of_view(640, 480, 180), "--fov: 180 degrees were given"),
+        (lambda: pitch_of_horizon(LENS, 1.2), "horizon: 1.2 lies outside the picture"),
+        (
+            lambda: build_settings(Lens, {**LENS.model_dump(), "model": "plumb_bob"}),
+            "coefficients",
+        ),
+    ],
+)
+def test_what_no_camera_has_is_refused(call, told: str) -> None:
+    with pytest.raises(ConfigError, match=told):
+        call()
+
+
+def test_another_shape_of_picture_is_refused() -> None:
+    with pytest.raises(InputError, match="is 640×360 pixels, the calibration 640×480"):
+        LENS.at(640, 360)
