@@ -131,7 +131,7 @@ def _concluded(look: _Look, detector: Detector, steady: Steadying | None) -> See
     frame, image, found, ms = look
     steadied = None if steady is None else steady(image, found.maps["likelihood"])
     detection = detector.conclude(found, steadied)
-    named = replace(detection, name=frame.name, seconds=frame.seconds, image=image)
+    named = replace(detection, name=frame.name, seconds=frame.seconds)
     return Seen(frame, image, named, ms + 1000 * (perf_counter() - start))
 
 

@@ -14,7 +14,6 @@ from roadtorch.cli import results
 from roadtorch.cli.batch import Job, Row
 from roadtorch.cli.claim import ELSEWHERE
 from roadtorch.files import make_folder
-from roadtorch.image import overlay_pixels
 from roadtorch.sinks.gif import GifSink
 from roadtorch.sinks.video import VideoSink
 from roadtorch.sources.frame import Source
@@ -26,9 +25,7 @@ USUAL_OF_PICTURES, USUAL_OF_FOOTAGE = ("likelihood", "mask", "overlay"), ("overl
 
 def _overlay(seen: Seen) -> np.ndarray:
     """uint8 (H,W,3)."""
-    detection = seen.detection
-    caption = results.caption_of(detection)
-    return overlay_pixels(seen.image, detection.mask, detection.cues.get("ego"), caption)
+    return seen.detection.overlay()
 
 
 def _mask(seen: Seen) -> np.ndarray:

@@ -129,7 +129,7 @@ def write_files(
         write_mask(output(SUFFIXES["mask"]), detection.mask)
     if "overlay" in kinds:
         path, ego = output(SUFFIXES["overlay"]), detection.cues.get("ego")
-        write_overlay(path, image, detection.mask, ego, caption_of(detection))
+        write_overlay(path, image, detection.mask, ego, detection.caption)
     if "npy" in kinds:
         write_npy(output(SUFFIXES["npy"]), detection.likelihood)
     for name, cue in detection.cues.items():
@@ -137,11 +137,6 @@ def write_files(
             write_colours(output(f".cue.{name}.png"), cue_picture(name, cue))
         if "npy" in kinds:
             write_npy(output(f".{name}.npy"), cue)
-
-
-def caption_of(detection: Detection) -> str:
-    """What an overlay says of a detection; nothing where the detector does not judge itself."""
-    return "" if detection.trust is None else f"trust {detection.trust:.2f}"
 
 
 def cue_picture(name: str, cue: Tensor) -> Tensor:
