@@ -295,7 +295,7 @@ def test_arrays_tensors_pillow_images_and_paths_give_the_same_image(tmp_path: Pa
     for picture in (path, str(path), Image.open(path), torch.from_numpy(PIXELS).permute(2, 0, 1)):
         assert torch.equal(as_image(picture), wanted)
     assert torch.equal(as_image(PIXELS, "rgb"), wanted)
-    assert torch.equal(as_image(cv2.imread(str(path)), "bgr"), wanted)
+    assert torch.equal(as_image(np.asarray(cv2.imread(str(path))), "bgr"), wanted)
     assert as_image(wanted) is wanted
 
 

@@ -4,6 +4,7 @@ import runpy
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -163,7 +164,7 @@ def test_the_same_detector_gives_the_same_bytes(fusion: Exported, tmp_path: Path
     ],
 )
 def test_what_cannot_be_exported_is_told_before_any_work(
-    tmp_path: Path, name: str, settings: dict[str, object], out: str, kind: str, what: str
+    tmp_path: Path, name: str, settings: dict[str, Any], out: str, kind: str, what: str
 ) -> None:
     with pytest.raises(ConfigError, match=what):
         export_detector(load_detector(name, **settings), tmp_path / out, kind)
