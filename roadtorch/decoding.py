@@ -22,6 +22,10 @@ takes about 4 GB for as many."""
 
 MEGAPIXELS_VARIABLE = "ROADTORCH_MAX_MEGAPIXELS"
 
+LONGEST_SIDE = 2**20
+"""Pixels; ours: Pillow's time for a row grows with the square of its length, half a minute for one
+of 16 megapixels."""
+
 PILLOWS_MEGAPIXELS = 178  # Pillow opens nothing larger, whatever we allow
 
 # TIFF 6.0: tags, and their values that are read with more than 8 bits
@@ -68,8 +72,8 @@ def decode(data: bytes) -> np.ndarray:
 def open_picture(data: bytes, formats: tuple[str, ...] = FORMATS) -> Image.Image:
     """A picture opened by Pillow, not decoded yet, of one of the formats.
 
-    Raises TooLargeError for more pixels than allowed, UnidentifiedImageError and others of Pillow's
-    for what is none.
+    Raises TooLargeError for more pixels than allowed, ValueError for more than ``LONGEST_SIDE`` in
+    a row, UnidentifiedImageError and others of Pillow's for what is none.
     """
     try:
         with without_warnings():
@@ -80,6 +84,8 @@ def open_picture(data: bytes, formats: tuple[str, ...] = FORMATS) -> Image.Image
     if picture.width * picture.height > most_megapixels() * 1e6:
         what = f"has {picture.width} by {picture.height} pixels"
         raise TooLargeError(f"{what}, more than {most_megapixels():g} megapixels")
+    if max(picture.size) > LONGEST_SIDE:
+        raise ValueError(f"a side of {max(picture.size)} pixels, more than {LONGEST_SIDE}")
     return picture
 
 
@@ -98,18 +104,9 @@ def most_megapixels() -> float:
     return most
 
 
-def reason(problem: Exception) -> str:
-    """Why a decoder could not do it, on one line.
-
-    Foreign bytes make decoders raise anything: IndexError, struct.error, cv2.error, …
-    """
-    lines = str(problem).strip().splitlines()
-    return lines[0] if lines else "it is damaged"
-
-
 @contextmanager
 def without_warnings() -> Iterator[None]:
-    """Pillow's warnings about metadata are no reason to leave a picture out, even as errors."""
+    """A decoder's warnings, such as Pillow's about metadata, are no failures, even as errors."""
     with _WARNING_FILTERS, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield

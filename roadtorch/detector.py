@@ -268,13 +268,18 @@ class Detector(nn.Module):
         return self._find(checked_image(image))
 
     @torch.no_grad()
-    def conclude(self, found: Found, likelihood: Tensor | None = None) -> Detection:
+    def conclude(
+        self, found: Found, likelihood: Tensor | None = None, ego: Tensor | None = None
+    ) -> Detection:
         """The second half of ``detect``: the decision, and how far it can be trusted.
 
-        likelihood: float32 (H,W) in [0,1], decided on in the place of the one found, as when
-        frames of a video steady one another. Trust still rests on the frame's own.
+        likelihood: float32 (H,W) in [0,1], and ego: the ego car bool (H,W), decided on in the place
+        of those found, as when frames of a video steady one another. Trust still rests on the
+        frame's own.
         """
         analysed, maps, image = found
+        if ego is not None:
+            maps = ChainMap({"ego": ego}, maps)  # type: ignore[arg-type]  # it is only read
         ego, seed = maps.get("ego"), analysed.get("seed_area")
         if likelihood is None:
             likelihood = maps["likelihood"]

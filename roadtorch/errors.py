@@ -8,25 +8,36 @@ RoadtorchError
 """
 
 import difflib
+import os
 from collections.abc import Iterable
+
+MOST_LETTERS = 400
+"""Of what a refusal repeats of a file's content: a line that can be read, whatever is in there."""
 
 
 class RoadtorchError(Exception):
     """A mistake that the user can mend: where it is, what is wrong, what to do.
 
     The text reads ``where: what (remedy)``; the command line prints it behind
-    ``roadtorch: error:`` and nothing else.
+    ``roadtorch: error:`` and nothing else. Where and what lose their middle when they are
+    longer than ``MOST_LETTERS``; paths are told whole.
     """
 
     def __init__(self, where: object, what: str, remedy: str) -> None:
-        super().__init__(f"{where}: {what} ({remedy})")
-        self.where = str(where)
-        self.what = what
+        self.where = str(where) if isinstance(where, os.PathLike) else shortened(str(where))
+        self.what = shortened(what)
         self.remedy = remedy
+        super().__init__(f"{self.where}: {self.what} ({remedy})")
 
     def __reduce__(self) -> tuple[type["RoadtorchError"], tuple[str, str, str]]:
         """Three arguments again, so that the error survives a process boundary."""
         return type(self), (self.where, self.what, self.remedy)
+
+
+def shortened(text: str, most: int = MOST_LETTERS) -> str:
+    """A text of at most ``most`` letters, an ellipsis in the place of its middle."""
+    half = (most - 1) // 2
+    return text if len(text) <= most else f"{text[:half]}…{text[-half:]}"
 
 
 class InputError(RoadtorchError):

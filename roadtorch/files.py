@@ -4,6 +4,7 @@ import csv
 import errno
 import hashlib
 import io
+import json
 import os
 import re
 import secrets
@@ -11,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryFile
+from time import monotonic, sleep
 from typing import Literal
 
 from roadtorch.errors import InputError
@@ -18,6 +20,9 @@ from roadtorch.outside import printable
 
 LEFTOVER = re.compile(r"\..+\.[0-9a-f]{8}\.part")
 """The names of temporary files, those of earlier versions among them."""
+
+LAST_BREATH = 1.0
+"""Seconds after which the workers of a killed run are gone; ours: they end within one picture."""
 
 REMEDIES = {
     errno.ENAMETOOLONG: "give it a shorter name",
@@ -38,6 +43,16 @@ def digest_of(path: Path) -> str:
     except OSError:
         pass
     return ""
+
+
+def digest_of_folder(path: Path) -> str:
+    """SHA-256 of the names and digests of the files right in a folder; empty without a file."""
+    digest, found = hashlib.sha256(), ""
+    for file in sorted(path.iterdir()):
+        if own := digest_of(file):
+            digest.update(f"{own} {file.name}\n".encode("utf-8", "surrogateescape"))
+            found = digest.hexdigest()
+    return found
 
 
 # --- out --------------------------------------------------------------------------------
@@ -89,23 +104,60 @@ def locked(folder: Path, remedy: str = "wait for it, or give another folder") ->
     """Keep other runs out of a folder during the block; InputError where one is in it already.
 
     The lock is on the folder itself (flock): no file is made for it, and it ends with the
-    process, however that ends. Where a system or a disk has no such locks, nobody is kept out.
+    process and its workers, however they end; those of a killed run get ``LAST_BREATH`` for it.
+    Where a system or a disk has no such locks, nobody is kept out.
     """
-    try:
-        import fcntl
-    except ImportError:  # not a Unix
+    with _lock_of(folder) as lock:
+        end = monotonic() + LAST_BREATH
+        while True:
+            try:
+                lock(alone=True)
+            except BlockingIOError:
+                if monotonic() > end:
+                    raise InputError(folder, "another run is writing here", remedy) from None
+                sleep(LAST_BREATH / 50)
+                continue
+            except OSError:
+                pass  # a system or a disk without locks
+            break
         yield
-        return
+
+
+@contextmanager
+def shared(folder: Path) -> Iterator[None]:
+    """Write into a folder, which is made, beside other runs that do so with this function.
+
+    Who finds nobody there removes what killed runs left, in all folders below as well. Where a
+    system or a disk has no locks, nobody does.
+    """
+    make_folder(folder)
+    with _lock_of(folder) as lock:
+        with suppress(OSError):
+            lock(alone=True)
+            remove_leftovers(Path(below) for below, _, _ in os.walk(folder))
+        with suppress(OSError):
+            lock(alone=False)
+        yield
+
+
+@contextmanager
+def _lock_of(folder: Path) -> Iterator[Callable[..., None]]:
+    """``lock(alone=…)`` takes the lock of a folder, or changes it, until the block ends.
+
+    alone: with nobody else, BlockingIOError where one has it; otherwise with others, and it
+    waits for one who is alone. OSError where there are no locks.
+    """
+
+    def lock(*, alone: bool) -> None:
+        try:
+            import fcntl
+        except ImportError:  # not a Unix
+            raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK)) from None
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB if alone else fcntl.LOCK_SH)
+
     handle = os.open(folder, os.O_RDONLY)
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(handle)
-        raise InputError(folder, "another run is writing here", remedy) from None
-    except OSError:
-        pass  # a disk without locks
-    try:
-        yield
+        yield lock
     finally:
         os.close(handle)
 
@@ -168,6 +220,15 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write UTF-8 text with the line ends as they are; other bytes of names as ``\\xff``."""
     with atomic(path) as temporary:
         temporary.write_bytes(printable(text).encode())
+
+
+def write_json(path: str | os.PathLike[str], document: object) -> None:
+    """Write JSON, indented by two; the same document gives the same bytes.
+
+    Raises ValueError for numbers that are not finite, which JSON does not have.
+    """
+    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
+    write_text(path, text + "\n")
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> str:

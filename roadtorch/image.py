@@ -10,10 +10,10 @@ import torch
 from PIL import Image, UnidentifiedImageError
 from torch import Tensor
 
-from roadtorch.decoding import MEGAPIXELS_VARIABLE, TooLargeError, decode, pillow_pixels, reason
+from roadtorch.decoding import MEGAPIXELS_VARIABLE, TooLargeError, decode, pillow_pixels
 from roadtorch.errors import InputError, unknown_name
 from roadtorch.files import atomic
-from roadtorch.outside import read_regular
+from roadtorch.outside import read_regular, reason
 
 READABLE = "JPEG, PNG, TIFF, WebP or BMP"
 
@@ -26,9 +26,16 @@ ORANGE = (230, 159, 0)
 
 TINT = 0.5  # share of the tint's colour inside the mask; ours: the road's texture stays visible
 
+LEVELS = np.repeat(np.arange(256, dtype=np.uint8)[:, None, None], 3, 2)
+TINTED = cv2.addWeighted(LEVELS, 1 - TINT, np.full_like(LEVELS, SKY_BLUE), TINT, 0)
+"""What each level of each channel becomes inside the mask: uint8 (256,1,3)."""
+
 OUTLINE = 1 / 240  # the outline's width as a share of the shorter side; ours
 
 JPEG_OPTIONS = (cv2.IMWRITE_JPEG_QUALITY, 92)
+
+MAP_OPTIONS = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
+"""Of PNGs of smooth maps: a quarter smaller than OpenCV's default, and written faster."""
 
 Order = Literal["rgb", "bgr"]
 """The order of colours in an array: OpenCV's is ``bgr``, nearly everybody else's ``rgb``."""
@@ -149,12 +156,12 @@ def write_map(path: str | os.PathLike[str], likelihood: Tensor, depth: Literal[8
     """Write a map (H,W) in [0,1] as grey PNG of 8 or 16 bits: round(x · 255 or 65535)."""
     levels, kind = {8: (255, np.uint8), 16: (65535, np.uint16)}[depth]
     grey = likelihood.detach().cpu().to(torch.float64).mul(levels).round()
-    _write_encoded(path, ".png", grey.numpy().astype(kind))
+    _write_encoded(path, ".png", grey.numpy().astype(kind), *MAP_OPTIONS)
 
 
 def write_mask(path: str | os.PathLike[str], mask: Tensor) -> None:
     """Write a mask bool (H,W) as grey PNG: road 255, the rest 0."""
-    _write_encoded(path, ".png", mask.cpu().numpy().astype(np.uint8) * 255)
+    _write_encoded(path, ".png", mask.cpu().numpy().astype(np.uint8) * 255, *MAP_OPTIONS)
 
 
 def write_labels(path: str | os.PathLike[str], labels: Tensor) -> None:
@@ -169,7 +176,7 @@ def write_labels(path: str | os.PathLike[str], labels: Tensor) -> None:
 
 def write_colours(path: str | os.PathLike[str], image: Tensor) -> None:
     """Write an image (3,H,W) in [0,1] as 8-bit RGB PNG."""
-    _write_encoded(path, ".png", to_pixels(image)[..., ::-1])
+    _write_encoded(path, ".png", _bgr(to_pixels(image)))
 
 
 def write_overlay(
@@ -181,7 +188,7 @@ def write_overlay(
 ) -> None:
     """Write ``overlay_pixels`` as JPEG."""
     pixels = overlay_pixels(image, mask, ego, caption)
-    _write_encoded(path, ".jpg", pixels[..., ::-1], *JPEG_OPTIONS)
+    _write_encoded(path, ".jpg", _bgr(pixels), *JPEG_OPTIONS)
 
 
 def overlay_pixels(
@@ -194,14 +201,14 @@ def overlay_pixels(
     darkened; a caption stands in the upper left corner.
     """
     pixels = to_pixels(image)
-    if ego is not None:
+    if ego is not None and ego.any():
         pixels[ego.cpu().numpy()] //= 2
     return with_caption(tint_mask(pixels, mask.cpu().numpy()), caption)
 
 
 def write_jpeg(path: str | os.PathLike[str], image: Tensor) -> None:
     """Write an image (3,H,W) in [0,1] as JPEG, for looking at."""
-    _write_encoded(path, ".jpg", to_pixels(image)[..., ::-1], *JPEG_OPTIONS)
+    _write_encoded(path, ".jpg", _bgr(to_pixels(image)), *JPEG_OPTIONS)
 
 
 def write_npy(path: str | os.PathLike[str], values: Tensor) -> None:
@@ -218,10 +225,11 @@ def tint_mask(pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:
     # A replicated border keeps the outline off the picture's own edge.
     wide = cv2.erode(inside, brush, iterations=2 * width, borderType=cv2.BORDER_REPLICATE)
     thin = cv2.erode(inside, brush, iterations=width, borderType=cv2.BORDER_REPLICATE)
-    tinted = cv2.addWeighted(pixels, 1 - TINT, np.full_like(pixels, SKY_BLUE), TINT, 0)
+    tinted = cv2.LUT(pixels, TINTED)
     result = cv2.copyTo(tinted, inside, pixels.copy())
-    result[mask & (wide == 0)] = 0
-    result[mask & (thin == 0)] = ORANGE
+    flat = result.reshape(-1, 3)
+    flat[np.flatnonzero(inside > wide)] = 0
+    flat[np.flatnonzero(inside > thin)] = ORANGE
     return result
 
 
@@ -240,8 +248,13 @@ def with_caption(pixels: np.ndarray, caption: str) -> np.ndarray:
 
 def to_pixels(image: Tensor) -> np.ndarray:
     """An image (3,H,W) in [0,1] as uint8 (H,W,3)."""
-    pixels = image.detach().mul(255).round_().to(torch.uint8)
-    return pixels.permute(1, 2, 0).contiguous().cpu().numpy()
+    planes = image.detach().mul(255).round_().to(torch.uint8).cpu().numpy()
+    return cv2.merge(list(planes))  # three times as fast as a permutation
+
+
+def _bgr(pixels: np.ndarray) -> np.ndarray:
+    """Pixels uint8 (H,W,3) RGB as OpenCV writes them."""
+    return cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
 
 
 def png_bytes(pixels: np.ndarray, longest: int) -> bytes:
@@ -251,7 +264,7 @@ def png_bytes(pixels: np.ndarray, longest: int) -> bytes:
     if scale < 1:
         size = max(1, round(width * scale)), max(1, round(height * scale))
         pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
-    return bytes(_encoded(".png", pixels[..., ::-1]))
+    return bytes(_encoded(".png", _bgr(pixels)))
 
 
 def _encoded(kind: str, pixels: np.ndarray, *options: int) -> memoryview:

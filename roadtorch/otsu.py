@@ -18,7 +18,7 @@ def otsu_threshold(values: Tensor) -> Tensor:
     if low == high:
         return values.new_tensor(low)
     counts = torch.histc(values, BINS, low, high).to(torch.float64)
-    edges = torch.linspace(low, high, BINS + 1, dtype=torch.float64)
+    edges = torch.linspace(low, high, BINS + 1, dtype=torch.float64).to(values.device)
     share = counts / counts.sum()
     mean = (share * (edges[:-1] + edges[1:]) / 2).cumsum(0)
     below = share.cumsum(0)

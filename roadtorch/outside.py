@@ -9,25 +9,46 @@ MOST_BYTES = 2**30
 
 
 def read_regular(path: str | os.PathLike[str], most: int = MOST_BYTES) -> bytes:
-    """The bytes of a regular file of at most ``most`` bytes.
+    """The bytes of a regular file of at most ``most`` bytes; OSError as ``regular_size`` has it."""
+    size = regular_size(path, most)
+    with Path(path).open("rb") as file:
+        data = file.read(size + 1)
+        if len(data) <= most:
+            data += file.read(most + 1 - len(data))  # it grew
+    if len(data) > most:
+        raise _too_large(most)
+    return data
+
+
+def regular_size(path: str | os.PathLike[str], most: int = MOST_BYTES) -> int:
+    """The bytes of a regular file of at most ``most`` bytes, counted, for those who map it.
 
     A pipe would keep the reader waiting, and a device may have no end. Raises OSError, with the
     reason as its ``strerror``: for what is missing or may not be read, a folder, a pipe, a
     device, a socket, and a file that is larger.
     """
-    path = Path(path)
-    found = path.stat()
+    found = Path(path).stat()
     if stat.S_ISDIR(found.st_mode):
         raise IsADirectoryError(0, "it is a folder")
     if not stat.S_ISREG(found.st_mode):
         raise OSError(0, "it is a pipe or a device, not a file")
-    with path.open("rb") as file:
-        data = file.read(min(found.st_size, most) + 1)
-        if len(data) <= most:
-            data += file.read(most + 1 - len(data))  # it grew
-    if len(data) > most:
-        raise OSError(0, f"it has more than {most:,} bytes")
-    return data
+    if found.st_size > most:
+        raise _too_large(most)
+    return found.st_size
+
+
+def _too_large(most: int) -> OSError:
+    return OSError(0, f"it has more than {most:,} bytes")
+
+
+def reason(problem: Exception) -> str:
+    """Why something could not be read, on one line.
+
+    Foreign bytes make decoders raise anything: IndexError, struct.error, cv2.error, …
+    """
+    told = problem.strerror if isinstance(problem, OSError) else None
+    lines = (told or str(problem)).strip().splitlines()
+    return lines[0] if lines else "it is damaged"
 
 
 def printable(text: str) -> str:

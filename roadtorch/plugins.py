@@ -2,7 +2,9 @@
 
 import warnings
 from collections.abc import Callable
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
+
+from roadtorch.signals import noted_signals
 
 
 def load_plugins(group: str, what: str, add: Callable[[str, object], None]) -> None:
@@ -10,13 +12,21 @@ def load_plugins(group: str, what: str, add: Callable[[str, object], None]) -> N
 
     what: what they are called in warnings. Whatever goes wrong in one of them, a package that
     ends the process as it is imported included, becomes a RuntimeWarning that names it. A
-    Ctrl-C just then counts as the package's own.
+    Ctrl-C or SIGTERM just then is none of that, whatever the package makes of it: it is raised.
     """
     for point in sorted(entry_points(group=group), key=lambda point: point.name):
-        try:
-            add(point.name, point.load())
-        except BaseException as problem:  # SystemExit and KeyboardInterrupt included
-            package = point.dist.name if point.dist else point.value
-            told = str(problem) if isinstance(problem, Exception) else "it ends the process"
-            message = f"{what} {point.name!r} of {package} cannot be used: {told}"
-            warnings.warn(message, RuntimeWarning, stacklevel=2)
+        problem: BaseException | None = None
+        with noted_signals() as stop:
+            try:
+                add(point.name, point.load())
+            except BaseException as raised:  # SystemExit and KeyboardInterrupt included
+                problem = raised
+        stop.interrupt()
+        if problem is not None:
+            warnings.warn(_told(what, point, problem), RuntimeWarning, stacklevel=2)
+
+
+def _told(what: str, point: EntryPoint, problem: BaseException) -> str:
+    package = point.dist.name if point.dist else point.value
+    why = str(problem) if isinstance(problem, Exception) else "it ends the process"
+    return f"{what} {point.name!r} of {package} cannot be used: {why}"

@@ -9,113 +9,30 @@ truth is exact to half a pixel. Class numbers are CamVid's.
 """
 
 import argparse
-from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 import torch
-from torch import Tensor
 
-from roadtorch.layout import classes as layout
+from roadtorch.scene_canvas import (
+    BUILDING,
+    CAR,
+    PAVEMENT,
+    ROAD,
+    TREE,
+    VOID,
+    Canvas,
+    RenderedScene,
+    RenderedStreet,
+    cloth,
+    developed,
+    draw_street,
+    seen_ground,
+)
 
-SKY, BUILDING, ROAD, PAVEMENT, TREE, CAR, VOID = 0, 1, 3, 4, 5, 8, 11
-
-LAYOUT_OF_CLASS = np.full(12, layout.VERTICAL, np.uint8)
-LAYOUT_OF_CLASS[[SKY, ROAD, PAVEMENT]] = layout.SKY, layout.HORIZONTAL, layout.HORIZONTAL
-CAMERA_HEIGHT = 1.35  # metres above the road
 FAR = 90.0  # metres: nothing upright stands farther away
-
-
-@dataclass(frozen=True)
-class RenderedScene:
-    """A picture and everything that is true about it."""
-
-    image: Tensor  # float32 (3,H,W) in [0,1], sRGB
-    road: Tensor  # bool (H,W)
-    layout: Tensor  # uint8 (H,W): 0 sky, 1 vertical, 2 horizontal
-    void: Tensor  # bool (H,W): the unknown object
-    classes: Tensor  # uint8 (H,W): CamVid's class numbers
-
-
-@dataclass(frozen=True)
-class RenderedStreet:
-    """What is being looked at; lengths in metres, light in [0, 1]."""
-
-    horizon: float  # share of the height above the horizon
-    curvature: float  # lateral metres per squared metre ahead
-    heading: float  # lateral metres per metre ahead
-    road_width: float
-    pavement: float  # width of each pavement
-    offset: float  # of the camera from the road's middle
-    shadows: float  # how many bands
-    cars: float  # how many
-    dusk: float  # 0 noon, 1 late dusk
-    noise: float  # standard deviation of the sensor's noise
-
-    def middle(self, ahead: np.ndarray | float) -> np.ndarray | float:
-        """Lateral place of the road's middle, metres to the right of the camera."""
-        return self.heading * ahead + self.curvature * ahead**2 - self.offset
-
-
-def draw_street(generator: np.random.Generator, **options: float) -> RenderedStreet:
-    """A random street; any field of RenderedStreet can be fixed by name."""
-    chosen: dict[str, float] = {
-        "horizon": generator.uniform(0.36, 0.56),
-        "curvature": generator.uniform(-0.005, 0.005),
-        "heading": generator.uniform(-0.03, 0.03),
-        "road_width": generator.uniform(6.0, 9.5),
-        "pavement": generator.uniform(1.6, 3.2),
-        "offset": generator.uniform(-1.8, 0.6),
-        "shadows": int(generator.integers(0, 4)),
-        "cars": int(generator.integers(0, 4)),
-        "dusk": float(generator.choice([0.0, 0.15, 0.3, 0.8])),
-        "noise": generator.uniform(0.004, 0.02),
-    }
-    return RenderedStreet(**{**chosen, **options})  # an unknown option is a TypeError
-
-
-class Canvas:
-    """A picture and its class map, painted together."""
-
-    def __init__(self, height: int, width: int, street: RenderedStreet) -> None:
-        self.height, self.width = height, width
-        self.street = street
-        self.focal = 0.95 * max(width, height * 4 / 3)  # pixels
-        self.horizon = street.horizon * height
-        self.rgb = np.zeros((height, width, 3), np.float32)
-        self.classes = np.full((height, width), SKY, np.uint8)
-
-    def project(self, right: float, up: float, ahead: float) -> tuple[float, float]:
-        """The pixel (x, y) of a point in metres from the camera's foot on the road."""
-        x = self.width / 2 + self.focal * right / ahead
-        return x, self.horizon + self.focal * (CAMERA_HEIGHT - up) / ahead
-
-    def polygon(self, points: Iterable[tuple[float, float]], colour: np.ndarray, kind: int) -> None:
-        """Fill a polygon of pixel points with a colour (3,) or a picture (H,W,3)."""
-        mask = np.zeros((self.height, self.width), np.uint8)
-        corners = np.clip(np.array(list(points)) * 16, -3e5, 3e5)  # 4 fractional bits
-        cv2.fillPoly(mask, [np.round(corners).astype(np.int32)], 1, shift=4)
-        self.fill(mask.astype(bool), colour, kind)
-
-    def fill(self, mask: np.ndarray, colour: np.ndarray, kind: int) -> None:
-        """Give the pixels of a mask a colour and a class."""
-        self.rgb[mask] = colour[mask] if np.ndim(colour) == 3 else colour
-        self.classes[mask] = kind
-
-
-def cloth(generator: np.random.Generator, size: int = 256, octaves: int = 5) -> np.ndarray:
-    """Tileable fractal noise (size, size) with mean 0 and standard deviation 1."""
-    total = np.zeros((size, size), np.float32)
-    for octave in range(octaves):
-        cells = 2 ** (octave + 3)
-        coarse = generator.standard_normal((cells, cells)).astype(np.float32)
-        tiled = np.pad(coarse, 2, mode="wrap")
-        scale = size // cells
-        smooth = cv2.resize(tiled, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
-        total += 0.75**octave * smooth[2 * scale : -2 * scale, 2 * scale : -2 * scale]
-    return (total - total.mean()) / total.std()
 
 
 def paint_sky(canvas: Canvas, generator: np.random.Generator) -> None:
@@ -131,21 +48,29 @@ def paint_sky(canvas: Canvas, generator: np.random.Generator) -> None:
     canvas.rgb[:] = canvas.rgb * (1 - cover) + cover * (pale * 1.04)
 
 
-def paint_ground(canvas: Canvas, generator: np.random.Generator) -> None:
-    """Road with lane marks, kerbs, pavements, verges and shadows, on the road plane."""
-    street = canvas.street
-    rows = np.arange(canvas.height)[:, None] + 0.5
-    below = np.maximum(rows - canvas.horizon, 1e-3)
-    ahead = np.broadcast_to(canvas.focal * CAMERA_HEIGHT / below, canvas.classes.shape)
-    columns = np.arange(canvas.width)[None, :] + 0.5
-    right = (columns - canvas.width / 2) * ahead / canvas.focal
-    across = right - street.middle(ahead)  # metres to the right of the road's middle
-    ground = np.broadcast_to(rows > canvas.horizon, canvas.classes.shape)
+class Ground(NamedTuple):
+    """Where every pixel lies on the road plane, in metres: arrays (H,W).
 
-    grain = sample(cloth(generator), right * 23, ahead * 23) * np.clip(8 / ahead, 0.15, 1)
-    patches = sample(cloth(generator, octaves=3), right * 5, ahead * 5)
-    half = street.road_width / 2
-    beside = np.abs(across) - half
+    ahead: of the camera. along, across: along the road, and to the right of its middle.
+    right, forward: coordinates in which the surface stays where it is.
+    """
+
+    ahead: np.ndarray
+    along: np.ndarray
+    across: np.ndarray
+    right: np.ndarray
+    forward: np.ndarray
+
+
+def paint_ground(canvas: Canvas, place: Ground, generator: np.random.Generator) -> None:
+    """Road with lane marks, kerbs, pavements, verges and shadows, on the road plane."""
+    street, ahead, along, across = canvas.street, place.ahead, place.along, place.across
+    rows = np.arange(canvas.height)[:, None] + 0.5
+    ground = np.broadcast_to(rows > canvas.horizon, canvas.classes.shape)
+    right, forward = place.right, place.forward
+    grain = sample(cloth(generator), right * 23, forward * 23) * np.clip(8 / ahead, 0.15, 1)
+    patches = sample(cloth(generator, octaves=3), right * 5, forward * 5)
+    beside = np.abs(across) - street.road_width / 2
     colours = ground_colours(generator)
     for colour, kind, where in (
         (colours["verge"], PAVEMENT, ground),
@@ -155,14 +80,14 @@ def paint_ground(canvas: Canvas, generator: np.random.Generator) -> None:
     ):
         canvas.fill(where, colour, kind)
     slabs = ground & (beside > 0.22) & (beside < street.pavement)
-    joints = ((across / 0.75) % 1 < 0.05) | ((ahead / 0.75) % 1 < 0.07)
+    joints = ((across / 0.75) % 1 < 0.05) | ((along / 0.75) % 1 < 0.07)
     canvas.rgb[slabs & joints & (ahead < 25)] *= 0.86
     canvas.rgb[ground] *= (1 + 0.05 * grain + 0.04 * patches)[ground][:, None]
     marks = np.abs(across) < 0.07 + ahead / 700
-    marks &= (ahead + generator.uniform(0, 7)) % 7 < 3.2
+    marks &= (along + generator.uniform(0, 7)) % 7 < 3.2
     marks |= np.abs(beside + 0.35) < 0.06
     canvas.rgb[ground & marks] = colours["mark"] * (1 + 0.05 * patches[ground & marks][:, None])
-    shade = shadow(generator, street, across, ahead)
+    shade = shadow(generator, street, across, along)
     canvas.rgb[ground] *= shade[ground][:, None] ** np.array([1.08, 1.0, 0.88])  # bluish
 
 
@@ -333,40 +258,21 @@ def paint_unknown(canvas: Canvas, generator: np.random.Generator) -> None:
     canvas.polygon(points, np.array([0.25, 0.3, 0.22]), VOID)
 
 
-def photograph(canvas: Canvas, generator: np.random.Generator) -> np.ndarray:
-    """What the camera makes of it, (H,W,3): light, lens, noise and eight bits."""
-    dusk = canvas.street.dusk
-    light = np.array([1.0, 1 - 0.08 * dusk, 1 - 0.05 * dusk]) * (1 - 0.5 * dusk)
-    rgb = canvas.rgb * light
-    if dusk:  # the sky stays brighter than the street
-        rgb = np.where((canvas.classes == SKY)[..., None], canvas.rgb * (1 - 0.25 * dusk), rgb)
-    rgb = cv2.GaussianBlur(rgb, (0, 0), 1.1)
-    rgb = rgb.reshape(canvas.height // 2, 2, canvas.width // 2, 2, 3).mean((1, 3))
-    rgb = rgb + generator.normal(0, canvas.street.noise, rgb.shape) * (0.4 + np.sqrt(np.abs(rgb)))
-    return np.round(np.clip(rgb, 0, 1) * 255).astype(np.uint8)
-
-
 def render_scene(seed: int, height: int = 240, width: int = 320, **options: float) -> RenderedScene:
     """The scene of a seed; any field of RenderedStreet can be fixed by name (dusk=0.8, cars=0)."""
     generator = np.random.default_rng(seed)
-    canvas = Canvas(2 * height, 2 * width, draw_street(generator, **options))
+    street = draw_street(generator, **options)
+    canvas = Canvas(2 * height, 2 * width, street)
     # A generator for each part: fixing one part leaves the others as they were.
-    sky, ground, left, right, cars, unknown, camera = generator.spawn(7)
+    sky, ground, *sides, cars, unknown, camera = generator.spawn(7)
     paint_sky(canvas, sky)
-    paint_ground(canvas, ground)
-    paint_side(canvas, -1.0, left)
-    paint_side(canvas, 1.0, right)
+    right, ahead = seen_ground(canvas)
+    paint_ground(canvas, Ground(ahead, ahead, right - street.middle(ahead), right, ahead), ground)
+    for side, drawn in zip((-1.0, 1.0), sides, strict=True):
+        paint_side(canvas, side, drawn)
     paint_unknown(canvas, unknown)
     paint_cars(canvas, cars)
-    rgb = photograph(canvas, camera)
-    classes = canvas.classes[::2, ::2].copy()
-    return RenderedScene(
-        image=torch.from_numpy(rgb.transpose(2, 0, 1).astype(np.float32) / 255),
-        road=torch.from_numpy(classes == ROAD),
-        layout=torch.from_numpy(LAYOUT_OF_CLASS[classes]),
-        void=torch.from_numpy(classes == VOID),
-        classes=torch.from_numpy(classes),
-    )
+    return developed(canvas, camera)
 
 
 def write_picture(path: Path, scene: RenderedScene) -> None:

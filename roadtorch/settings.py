@@ -10,7 +10,7 @@ from typing import Any, ClassVar, TypeVar
 
 import pydantic
 
-from roadtorch.errors import ConfigError, InputError, unknown_name
+from roadtorch.errors import ConfigError, InputError, shortened, unknown_name
 from roadtorch.outside import read_regular
 
 MOST_PARTS = 32
@@ -59,20 +59,16 @@ def _first_mistake(kind: type[Settings], problem: pydantic.ValidationError) -> C
         return _unknown_key(group_at(kind, path[:-1]), path)
     if error["type"] == "missing":
         return ConfigError(key, "is missing", "give it a value")
-    given = f"{_shortened(repr(error['input']))} was given"
+    given = f"{shortened(repr(error['input']), SHOWN)} was given"
     if error["type"] == "model_type":
         known = ", ".join(group_at(kind, path).model_fields)
         return ConfigError(key, f"{given} for a group of settings", f"set one of its keys: {known}")
     told = getattr(error.get("ctx", {}).get("error"), "args", ())
     if told and isinstance(told[0], ConfigError):  # a validator's own words
-        what = f"{told[0].what} {_shortened(repr(error['input']))}"
+        what = f"{told[0].what} {shortened(repr(error['input']), SHOWN)}"
         return ConfigError(key, what, told[0].remedy)
     message = error["msg"].removeprefix("Value error, ")
     return ConfigError(key, given, message[0].lower() + message[1:])
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= SHOWN else f"{text[:SHOWN]}…"
 
 
 def _unknown_key(group: type[Settings], path: list[str]) -> ConfigError:
@@ -105,7 +101,7 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
         key, equals, text = item.partition("=")
         names = key.strip().split(".", MOST_PARTS)
         if len(names) > MOST_PARTS:
-            raise ConfigError(_shortened(item), "has too many parts", _FEWER_PARTS)
+            raise ConfigError(item, "has too many parts", _FEWER_PARTS)
         if not equals or not all(names):
             raise ConfigError(
                 item, "is not a setting", "write key=value, for example texture.bins=64"

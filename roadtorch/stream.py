@@ -10,7 +10,7 @@ from functools import partial
 from queue import Full, Queue
 from threading import Event, Thread
 from time import perf_counter
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 from torch import Tensor
 
@@ -21,8 +21,20 @@ from roadtorch.sources.open import open_source
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-Steadying = Callable[[Tensor, Tensor], Tensor]
-"""Image (3,H,W) and likelihood (H,W) of one frame after the other → a steadier likelihood (H,W)."""
+
+
+class Steadying(Protocol):
+    """What steadies the likelihoods of one source, frame by frame (``roadtorch.steady``)."""
+
+    @property
+    def hidden(self) -> Tensor | None:
+        """What the ego car hides, as the frames so far agree: bool (H,W)."""
+        ...
+
+    def __call__(self, image: Tensor, likelihood: Tensor, hidden: Tensor | None = None) -> Tensor:
+        """The likelihood (H,W) of the next frame (3,H,W), whose own ego car is hidden."""
+        ...
+
 
 AHEAD = 4
 """Frames read, or written, while others are looked at; ours: decoding is uneven."""
@@ -129,8 +141,11 @@ def _concluded(look: _Look, detector: Detector, steady: Steadying | None) -> See
     """The decision on a frame; what steadies it sees one frame after the other, in order."""
     start = perf_counter()
     frame, image, found, ms = look
-    steadied = None if steady is None else steady(image, found.maps["likelihood"])
-    detection = detector.conclude(found, steadied)
+    if steady is None:
+        detection = detector.conclude(found)
+    else:
+        steadied = steady(image, found.maps["likelihood"], found.maps.get("ego"))
+        detection = detector.conclude(found, steadied, steady.hidden)
     named = replace(detection, name=frame.name, seconds=frame.seconds)
     return Seen(frame, image, named, ms + 1000 * (perf_counter() - start))
 

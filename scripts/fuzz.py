@@ -1,217 +1,185 @@
-"""Pictures that were tampered with: does reading them crash, hang, eat memory or hide the name?
+"""Files that were tampered with: does reading them crash, hang, eat memory or hide the name?
 
-    python scripts/fuzz.py                       # 10,000 pictures
-    python scripts/fuzz.py --count 500 --seed 7 --out fuzzed
+    python scripts/fuzz.py                                    # 10,000 pictures
+    python scripts/fuzz.py --kind all --count 1000 --seed 7   # of each kind
+    python scripts/fuzz.py --kind weights --only 17           # one of them again
+    python scripts/fuzz.py --kind weights --read fuzzed/weights-0-17/net.safetensors
 
-Rendered pictures in every format are mutated (bits, bytes, cuts, headers, swapped pieces, sizes,
-modes, EXIF) and read with ``read_image`` in this process. A watchdog ends the process, with the
-number of the picture, when one takes longer than --seconds; memory is what the process has held
-at most. What failed is kept in --out under its number: read it, or give ``--only NUMBER``.
+Files of our own making are mutated (bits, bytes, cuts, headers, values, sizes, texts that trip
+parsers) and read in this process by what reads them in the package. Right is what is read, or
+refused with one line that names the file. A watchdog ends the process, with the stack, when one
+takes longer than --seconds; memory is the most that the process held meanwhile. What failed is
+kept in --out.
 """
 
 import argparse
 import faulthandler
-import io
 import random
 import resource
+import shutil
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-from PIL import Image
-
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from roadtorch.errors import InputError
-from roadtorch.image import read_image
-from roadtorch.scenes import render_scene
+from roadtorch.errors import RoadtorchError
+from scripts import fuzz_labels, fuzz_pictures, fuzz_results, fuzz_settings, fuzz_weights
 
 COUNT, SEED, SECONDS, GIGABYTES = 10_000, 0, 20.0, 2.0
-MODES = ("RGB", "L", "P", "RGBA", "1", "CMYK", "I;16")
-FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "BMP")
+STDERR = 2  # whatever sys.stderr is meanwhile
+LONGEST = 1_500  # letters of a refusal, its file's name left out
 
-Mutation = Callable[[bytearray, random.Random], None]
+READ, REFUSED = "read", "refused"
+
+
+class Kind(NamedTuple):
+    """A kind of files.
+
+    make: writes one that was tampered with, and what belongs to it, into a folder. read: reads
+    it as the package does; returns whether what was read makes sense.
+    """
+
+    make: Callable[[Path, random.Random], Path]
+    read: Callable[[Path], bool]
+
+
+KINDS: Mapping[str, Kind] = {
+    "pictures": Kind(fuzz_pictures.make_picture, fuzz_pictures.read_picture),
+    "weights": Kind(fuzz_weights.make_network, fuzz_weights.read_network),
+    "classifiers": Kind(fuzz_weights.make_classifier, fuzz_weights.read_classifier),
+    "arrays": Kind(fuzz_weights.make_arrays, fuzz_weights.read_prepared),
+    "checkpoints": Kind(fuzz_weights.make_checkpoint, fuzz_weights.read_checkpoint),
+    "configs": Kind(fuzz_settings.make_config, fuzz_settings.read_config),
+    "sets": Kind(fuzz_settings.make_assignments, fuzz_settings.read_assignments),
+    "camera": Kind(fuzz_settings.make_camera, fuzz_settings.read_camera),
+    "labelme": Kind(fuzz_labels.make_labelme, fuzz_labels.read_truth),
+    "xml": Kind(fuzz_labels.make_xml, fuzz_labels.read_truth),
+    "labels": Kind(fuzz_labels.make_labels, fuzz_labels.read_label_picture),
+    "conditions": Kind(fuzz_labels.make_conditions, fuzz_labels.read_conditions),
+    "calibration": Kind(fuzz_labels.make_calibration, fuzz_labels.read_from_above),
+    "index": Kind(fuzz_results.make_index, fuzz_results.read_rows),
+    "results": Kind(fuzz_results.make_results, fuzz_results.read_results),
+    "maps": Kind(fuzz_results.make_map, fuzz_results.read_likelihood),
+    "metrics": Kind(fuzz_results.make_metrics, fuzz_results.read_thresholds),
+    "progress": Kind(fuzz_results.make_progress, fuzz_results.read_progress),
+    "records": Kind(fuzz_results.make_record, fuzz_results.read_record),
+}
 
 
 class Verdict(NamedTuple):
-    """What became of a picture: "read", "refused", or what went wrong, and how long it took."""
+    """What became of a file: "read", "refused", or what went wrong; seconds, and GiB at most."""
 
     what: str
     seconds: float
+    gigabytes: float
 
 
-# --- pictures ---------------------------------------------------------------------------
+# --- one file ---------------------------------------------------------------------------
 
 
-def whole_picture(draw: random.Random) -> bytes:
-    """A rendered picture of a random size, mode, format and EXIF orientation."""
-    size = draw.choice([(64, 48), (1, 1), (1, 90), (90, 1), (320, 240)])
-    picture = _scene(draw.randrange(4)).resize(size)
-    kind = draw.choice(FORMATS)
-    exif = Image.Exif()
-    exif[274] = draw.randrange(12)
-    options = draw.choice([{}, {"exif": exif}, {"exif": draw.randbytes(60)}, {"progressive": True}])
-    for mode in (draw.choice(MODES), "RGB"):
-        data = io.BytesIO()
-        try:
-            picture.convert(mode).save(data, kind, **options)
-            return data.getvalue()
-        except Exception:  # Pillow raises anything
-            options = {}  # this format knows no such mode or metadata
-    data = io.BytesIO()
-    picture.save(data, "PNG")
-    return data.getvalue()
+def made(kind: str, number: int, seed: int, out: Path) -> Path:
+    """File ``number`` of the run with that seed, in a folder of its own: always the same bytes."""
+    folder = out / f"{kind}-{seed}-{number}"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    return KINDS[kind].make(folder, random.Random(f"{seed} {number}"))
 
 
-_SCENES: dict[int, Image.Image] = {}
-
-
-def _scene(seed: int) -> Image.Image:
-    if seed not in _SCENES:
-        pixels = render_scene(seed).image.mul(255).round().byte().permute(1, 2, 0).numpy()
-        _SCENES[seed] = Image.fromarray(np.ascontiguousarray(pixels))
-    return _SCENES[seed]
-
-
-# --- mutations --------------------------------------------------------------------------
-
-
-def flip_bits(data: bytearray, draw: random.Random) -> None:
-    """Turn one to eight bits anywhere."""
-    for _ in range(draw.randint(1, 8)):
-        data[draw.randrange(len(data))] ^= 1 << draw.randrange(8)
-
-
-def break_header(data: bytearray, draw: random.Random) -> None:
-    """Give bytes near the beginning values that are at the edge."""
-    for _ in range(draw.randint(1, 4)):
-        data[draw.randrange(min(len(data), 200))] = draw.choice((0, 1, 127, 128, 254, 255))
-
-
-def cut(data: bytearray, draw: random.Random) -> None:
-    """Leave out everything behind some place."""
-    del data[max(1, draw.randrange(len(data))) :]
-
-
-def leave_out(data: bytearray, draw: random.Random) -> None:
-    """Leave out a piece inside."""
-    at = draw.randrange(len(data))
-    del data[at : at + draw.randint(1, 200)]
-    data += b"\0" * (not data)
-
-
-def swap(data: bytearray, draw: random.Random) -> None:
-    """Let two pieces of one length change places."""
-    length = draw.randint(1, max(1, len(data) // 4))
-    one, two = (draw.randrange(len(data) - length + 1) for _ in range(2))
-    data[one : one + length], data[two : two + length] = (
-        data[two : two + length],
-        data[one : one + length],
-    )
-
-
-def repeat(data: bytearray, draw: random.Random) -> None:
-    """Insert a piece once more somewhere else."""
-    at = draw.randrange(len(data))
-    to = draw.randrange(len(data))
-    data[to:to] = data[at : at + draw.randint(1, 500)]
-
-
-def resize(data: bytearray, draw: random.Random) -> None:
-    """Write large or odd numbers where a format keeps width and height."""
-    places = {b"\xff\xd8": _frame_header(data), b"\x89P": 18, b"BM": 18, b"RI": 26}
-    at = places.get(bytes(data[:2]), draw.randrange(len(data)))
-    number = draw.choice((0, 1, 3, 255, 13_000, 30_000, 65_535)).to_bytes(2, draw.choice(ENDS))
-    data[at : at + 2] = number
-
-
-ENDS = ("big", "little")
-
-
-def _frame_header(data: bytearray) -> int:
-    """Where a JPEG has its height."""
-    return max(data.find(b"\xff\xc0"), data.find(b"\xff\xc2"), 0) + 5
-
-
-MUTATIONS: tuple[Mutation, ...] = (
-    *(flip_bits, break_header, cut, leave_out, swap, repeat, resize),
-)
-
-
-def mutated(number: int, seed: int) -> bytes:
-    """Picture ``number`` of the run with that seed: the same bytes wherever it is made."""
-    draw = random.Random(f"{seed} {number}")
-    data = bytearray(whole_picture(draw))
-    for _ in range(draw.randint(1, 3)):
-        draw.choice(MUTATIONS)(data, draw)
-    return bytes(data)
-
-
-# --- reading ----------------------------------------------------------------------------
-
-
-def judge(path: Path, seconds: float) -> Verdict:
-    """Read a picture, and say what became of it; the watchdog ends the process after a hang."""
-    faulthandler.dump_traceback_later(seconds, exit=True)
+def judge(path: Path, read: Callable[[Path], bool], seconds: float) -> Verdict:
+    """Read a file, and say what became of it; the watchdog ends the process after a hang."""
+    faulthandler.dump_traceback_later(seconds, exit=True, file=STDERR)
+    forget_peak()
     start = time.perf_counter()
     try:
-        image = read_image(path)
-        fine = bool((image >= 0).all() and (image <= 1).all()) and image.ndim == 3
-        what = "read" if fine else "values outside [0,1]"
-    except InputError as problem:
-        what = "refused" if str(path) in str(problem) else f"the name is missing: {problem}"
+        what = READ if read(path) else "what was read makes no sense"
+    except RoadtorchError as problem:
+        what = _of_refusal(str(problem), path)
     except Exception as problem:
-        what = f"crash: {type(problem).__name__}: {problem}"
+        what = f"crash: {type(problem).__name__}: {str(problem)[:200]}"
     finally:
         faulthandler.cancel_dump_traceback_later()
-    return Verdict(what, time.perf_counter() - start)
+    took, most = time.perf_counter() - start, peak_gigabytes()
+    if most > GIGABYTES:
+        what = f"{most:.1f} GiB"
+    return Verdict(what, took, most)
 
 
-def gigabytes() -> float:
-    """The most memory that this process has held."""
+def _of_refusal(told: str, path: Path) -> str:
+    """Whether a refusal is right: short, with the name of the file in it."""
+    if path.name not in told:
+        return f"the name is missing: {told[:200]}"
+    if len(told) > LONGEST + 3 * len(str(path)):
+        return f"a refusal of {len(told)} letters"
+    return REFUSED
+
+
+# --- memory -----------------------------------------------------------------------------
+
+
+def forget_peak() -> None:
+    """Let the peak of memory begin anew, where the system (Linux) can."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+
+
+def peak_gigabytes() -> float:
+    """The most memory that this process has held, since ``forget_peak`` where that works."""
+    with suppress(OSError):
+        for line in Path("/proc/self/status").read_text().splitlines():
+            if line.startswith("VmHWM"):
+                return int(line.split()[1]) / 2**20
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
 
-def fuzz(numbers: Sequence[int], seed: int, seconds: float, out: Path) -> Counter[str]:
-    """Make and read the pictures of those numbers; counts by verdict. Failures stay in ``out``."""
-    out.mkdir(parents=True, exist_ok=True)
+# --- many -------------------------------------------------------------------------------
+
+
+def fuzz(kind: str, numbers: Sequence[int], seed: int, seconds: float, out: Path) -> Counter[str]:
+    """Make and read the files of those numbers; counts by verdict. Failures stay in ``out``."""
     found: Counter[str] = Counter()
-    slowest = 0.0
+    slowest = largest = 0.0
     for number in numbers:
-        path = out / f"{seed}-{number}.bin"
-        path.write_bytes(mutated(number, seed))  # before reading: it survives a crash of ours
-        before = gigabytes()
-        verdict = judge(path, seconds)
-        slowest = max(slowest, verdict.seconds)
-        what = verdict.what
-        if before < GIGABYTES <= gigabytes():
-            what = f"{gigabytes():.1f} GiB"
-        found[what] += 1
-        if what in ("read", "refused"):
-            path.unlink()
+        path = made(kind, number, seed, out)  # on disk before reading: it survives a crash of ours
+        verdict = judge(path, KINDS[kind].read, seconds)
+        slowest, largest = max(slowest, verdict.seconds), max(largest, verdict.gigabytes)
+        found[verdict.what] += 1
+        if verdict.what in (READ, REFUSED):
+            shutil.rmtree(path.parent)
         else:
-            print(f"{path}: {what}", file=sys.stderr)
-    print(f"slowest {slowest:.1f} s, at most {gigabytes():.2f} GiB", file=sys.stderr)
+            print(f"{path}: {verdict.what}", file=sys.stderr)
+    told = f"{found[READ]:6} read {found[REFUSED]:6} refused {wrong(found):4} wrong"
+    print(f"{kind:12}{told}; slowest {slowest:.2f} s, at most {largest:.2f} GiB", flush=True)
     return found
+
+
+def wrong(found: Counter[str]) -> int:
+    """How many were neither read nor refused."""
+    return found.total() - found[READ] - found[REFUSED]
 
 
 def main(words: Sequence[str] | None = None) -> int:
     options = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    options.add_argument("--count", type=int, default=COUNT)
+    options.add_argument("--kind", choices=[*KINDS, "all"], default="pictures")
+    options.add_argument("--count", type=int, default=COUNT, help="files of each kind")
     options.add_argument("--seed", type=int, default=SEED)
     options.add_argument("--seconds", type=float, default=SECONDS, help="a hang, beyond these")
-    options.add_argument("--only", type=int, help="the number of one picture")
+    options.add_argument("--only", type=int, help="the number of one file")
+    options.add_argument("--read", type=Path, help="read this file of --kind instead")
     options.add_argument("--out", type=Path, default=Path("fuzzed"))
     chosen = options.parse_args(words)
+    if chosen.read:
+        verdict = judge(chosen.read, KINDS[chosen.kind].read, chosen.seconds)
+        print(verdict.what)
+        return 0 if verdict.what in (READ, REFUSED) else 1
     numbers = range(chosen.count) if chosen.only is None else [chosen.only]
-    found = fuzz(numbers, chosen.seed, chosen.seconds, chosen.out)
-    for what, count in found.most_common():
-        print(f"{count:6} {what}")
-    return 0 if set(found) <= {"read", "refused"} else 1
+    kinds = list(KINDS) if chosen.kind == "all" else [chosen.kind]
+    found = [fuzz(kind, numbers, chosen.seed, chosen.seconds, chosen.out) for kind in kinds]
+    return 1 if any(map(wrong, found)) else 0
 
 
 if __name__ == "__main__":

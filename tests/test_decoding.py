@@ -56,6 +56,20 @@ def test_the_bound_on_pixels_can_be_set(tmp_path: Path, monkeypatch: pytest.Monk
         read_image(path)
 
 
+def test_a_row_of_many_megapixels_is_refused_before_decoding(tmp_path: Path) -> None:
+    path = tmp_path / "row.webp"
+    frames = [Image.new("RGB", (90, 1), colour) for colour in ("red", "blue")]
+    frames[0].save(path, save_all=True, append_images=frames[1:])
+    data = bytearray(path.read_bytes())
+    data[24:27] = (16_711_770 - 1).to_bytes(3, "little")  # the canvas of a VP8X
+    path.write_bytes(data)
+
+    with pytest.raises(
+        InputError, match=r"row\.webp: cannot be decoded: a side of 16711770 pixels"
+    ):
+        read_image(path)
+
+
 # --- damage -----------------------------------------------------------------------------
 
 
@@ -147,5 +161,12 @@ def test_warnings_about_pictures_are_no_failures_where_warnings_are_errors(
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 89)  # beyond which Pillow warns
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for path in sorted(tmp_path.iterdir()):
-            read_image(path)
+        found = {path.name: read_image(path) for path in tmp_path.iterdir()}
+
+    assert {name: image.shape[1:] for name, image in found.items()} == {
+        **dict.fromkeys(("a.jpg", "b.png", "c.webp"), (8, 8)),
+        "d.png": (9, 10),
+    }
+    for name in ("a.jpg", "b.png", "c.webp"):
+        colour = found[name].mean((1, 2)) * 255
+        assert torch.allclose(colour, torch.tensor([200.0, 100.0, 50.0]), atol=6)

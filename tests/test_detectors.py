@@ -1,7 +1,9 @@
 """What every registered detector keeps to, and the door that leads to them."""
 
 import io
+import os
 import re
+import signal
 from dataclasses import replace
 from functools import cache
 from importlib.metadata import EntryPoint
@@ -311,6 +313,27 @@ def test_a_package_that_ends_the_process_costs_only_its_own(
         names = catalogue_module._catalogue.__wrapped__()
 
     assert "fusion" in names
+
+
+@pytest.mark.parametrize("own", [KeyboardInterrupt, ImportError, None])
+def test_a_ctrl_c_while_a_package_is_imported_is_not_the_packages_own(
+    own: type[BaseException] | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Point:
+        name, dist, value = "slow", None, "slow:ENTRY"
+
+        def load(self) -> object:
+            try:
+                os.kill(os.getpid(), signal.SIGINT)
+            except KeyboardInterrupt:  # some packages catch everything
+                if own is not None:
+                    raise own from None
+            return FOREIGN
+
+    monkeypatch.setattr(roadtorch.plugins, "entry_points", lambda group: [Point()])
+
+    with pytest.raises(KeyboardInterrupt):
+        catalogue_module._catalogue.__wrapped__()
 
 
 def test_every_entry_has_a_summary_and_the_priors_alone_are_floors() -> None:

@@ -1,4 +1,5 @@
 import pickle
+from pathlib import Path
 
 import pytest
 
@@ -27,6 +28,16 @@ def test_every_kind_is_caught_as_ours_and_survives_a_process_boundary(
     assert isinstance(error, RoadtorchError)
     assert type(error) is kind
     assert (error.where, error.what, error.remedy) == ("here", "is wrong", "mend it")
+
+
+def test_what_a_file_holds_is_not_repeated_at_length_but_paths_are() -> None:
+    path = Path("/".join(["folder"] * 100)) / "a.png"
+    error = InputError("k" * 10_000, f"holds {'x' * 100_000} pixels", "replace the file")
+
+    assert len(str(error)) < 900
+    assert str(error).endswith("x pixels (replace the file)")
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)
+    assert str(path) in str(InputError(path, "is empty", "replace the file"))
 
 
 def test_unknown_name_tells_the_nearest() -> None:

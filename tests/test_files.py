@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from roadtorch import files
 from roadtorch.errors import InputError
-from roadtorch.files import atomic, csv_text, remove_leftovers, write_text
+from roadtorch.files import atomic, csv_text, remove_leftovers, shared, write_text
 
 
 def test_csv_comes_back_as_it_was_written() -> None:
@@ -57,6 +58,28 @@ def test_a_name_that_is_too_long_is_blamed_on_the_name(tmp_path: Path) -> None:
 def test_a_full_disk_is_blamed_on_the_room(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"\(make room"), atomic(tmp_path / "x"):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_who_shares_a_folder_removes_leftovers_when_alone(tmp_path: Path) -> None:
+    left = tmp_path / "made" / "below" / ".roadtorch.0123abcd.part"
+
+    with shared(tmp_path / "made"):
+        left.parent.mkdir()
+        left.touch()
+        with shared(tmp_path / "made"):  # not alone: the first one may be writing it
+            assert left.exists()
+    with shared(tmp_path / "made"):
+        assert not left.exists()
+        assert left.parent.is_dir()
+
+
+def test_no_library_writes_under_names_of_its_own() -> None:
+    """``save_file`` of safetensors makes .tmpXXXXXX, which stays where it is killed."""
+    package = Path(files.__file__).parent
+
+    modules = [path for path in package.rglob("*.py") if "save_file" in path.read_text()]
+
+    assert modules == []
 
 
 def test_leftovers_of_killed_processes_go_and_all_else_stays(tmp_path: Path) -> None:

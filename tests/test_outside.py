@@ -1,15 +1,40 @@
 """Files that are none, files without end, and names in any encoding."""
 
 import os
+import re
+import signal
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadtorch.errors import InputError
+from roadtorch.camera.birds_eye import read_calibration
+from roadtorch.camera.camera import Camera
+from roadtorch.cli.batch import read_index
+from roadtorch.cli.results import keep_config
+from roadtorch.data.annotations import read_annotation
+from roadtorch.data.conditions import with_conditions
+from roadtorch.data.dataset import Dataset
+from roadtorch.data.folder import FolderLabels
+from roadtorch.data.labels import read_labels
+from roadtorch.data.maps import read_map
+from roadtorch.ego import read_ego_mask
+from roadtorch.errors import InputError, RoadtorchError
+from roadtorch.evaluation.document import earlier_thresholds
 from roadtorch.image import read_image
+from roadtorch.layout.weights import load_network
+from roadtorch.oneclass import CLASSIFIERS, load
 from roadtorch.outside import printable, read_regular
+from roadtorch.settings import read_settings_file
+from roadtorch.signals import Stop
+from roadtorch.train.arrays import read_arrays
+from roadtorch.train.folder import RunFolder
+from roadtorch.train.prepared import PreparedFolder
+from roadtorch.train.processes import Processes
 
 
 def test_a_pipe_and_a_device_are_refused_and_nobody_waits(tmp_path: Path) -> None:
@@ -50,9 +75,92 @@ def test_bytes_that_are_no_text_are_shown_and_ascii_systems_get_their_letters_ba
 
 @given(st.text(st.characters()))
 def test_every_text_can_be_written(text: str) -> None:
-    printable(text).encode()
+    shown = printable(text)
+
+    kept = [letter for letter in text if not 0xD800 <= ord(letter) < 0xE000]
+    assert shown.encode().decode() == shown
+    assert shown == text or any(0xD800 <= ord(letter) < 0xE000 for letter in text)
+    assert not kept or all(letter in shown for letter in kept)
 
 
 @given(st.binary())
 def test_every_name_can_be_written(name: bytes) -> None:
-    printable(name.decode("utf-8", "surrogateescape")).encode()
+    shown = printable(os.fsdecode(name)).encode()
+
+    assert shown.decode("utf-8") == name.decode("utf-8", "backslashreplace")
+
+
+# --- every reader -----------------------------------------------------------------------
+
+
+class Waited(BaseException):
+    """No Exception, which a reader might take for damage."""
+
+
+@contextmanager
+def within(seconds: float, path: Path) -> Iterator[None]:
+    """Waited instead of reading for ever; who opens a pipe and holds the interpreter is let go."""
+
+    def end(*_: object) -> None:
+        raise Waited
+
+    before = signal.signal(signal.SIGALRM, end)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    words = ["sh", "-c", f'sleep {seconds + 1} && exec 3<>"$0"', path]
+    writer = subprocess.Popen(words, start_new_session=True)
+    try:
+        yield
+        assert signal.setitimer(signal.ITIMER_REAL, 0)[0] > 0
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+        os.killpg(writer.pid, signal.SIGKILL)
+        writer.wait()
+
+
+def _pictures(path: Path) -> Dataset:
+    return Dataset("folder", path.parent, "all", (), FolderLabels())
+
+
+def _classifier(path: Path) -> None:
+    load(CLASSIFIERS["gaussian"], path)
+
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "index.csv": read_index,
+    "config.toml": lambda path: keep_config(path.parent, "", overwrite=False),
+    "settings.toml": read_settings_file,
+    "camera.toml": Camera.read,
+    "conditions.csv": lambda path: with_conditions(_pictures(path), path),
+    "calibration.txt": read_calibration,
+    "map.npy": read_map,
+    "map.png": read_map,
+    "ego.png": lambda path: read_ego_mask(str(path)),
+    "label.png": read_labels,
+    "annotation.json": read_annotation,
+    "annotation.xml": read_annotation,
+    "network.safetensors": load_network,
+    "classifier.safetensors": _classifier,
+    "metrics.json": lambda path: earlier_thresholds(path, []),
+    "prepared.npz": read_arrays,
+    "settings.json": lambda path: PreparedFolder(path.parent, Processes(), Stop()).claim({}),
+    "checkpoint.pt": lambda path: RunFolder(path.parent).read_checkpoint(),
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_no_reader_waits_for_a_pipe(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    os.mkfifo(path)
+
+    with within(3, path), pytest.raises(RoadtorchError, match=re.escape(name)):
+        READERS[name](path)
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_no_reader_reads_a_device_without_end(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.symlink_to("/dev/zero")
+
+    with within(3, path), pytest.raises(RoadtorchError, match=re.escape(name)):
+        READERS[name](path)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from roadtorch.scenes import CAR, ROAD, SKY, VOID, render_scene
+from roadtorch.scene_canvas import CAR, ROAD, SKY, VOID
+from roadtorch.scenes import render_scene
 from tests.streets import write_camvid
 
 

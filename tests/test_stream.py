@@ -111,17 +111,26 @@ def test_a_bad_frame_is_raised_or_told() -> None:
 
 
 def test_what_steadies_sees_the_frames_in_order_and_decides() -> None:
-    seen: list[Tensor] = []
+    class Never:
+        """There is no road, says it, and a car on the left."""
 
-    def never(image: Tensor, likelihood: Tensor) -> Tensor:
-        seen.append(image)
-        return torch.zeros_like(likelihood)
+        def __init__(self) -> None:
+            self.seen: list[Tensor] = []
+            self.hidden = torch.zeros(48, 64, dtype=torch.bool)
+            self.hidden[:, :8] = True
+
+        def __call__(self, image: Tensor, likelihood: Tensor, _: Tensor | None = None) -> Tensor:
+            self.seen.append(image)
+            return torch.zeros_like(likelihood)
+
+    never = Never()
 
     found: list[Detection] = list(detect_stream(of_scenes(5), GREY, jobs=3, steady=never))
 
     assert not any(one.mask.any() for one in found)
     assert not any(one.likelihood.any() for one in found)
-    for number, image in enumerate(seen):
+    assert all(torch.equal(one.cues["ego"], never.hidden) for one in found)
+    for number, image in enumerate(never.seen):
         assert torch.equal(image, scene(number % 4, 48, 64).image)
 
 

@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.errors import DatasetError
+from roadtorch.outside import read_regular, reason
 
 ROWS, COLUMNS = 800, 400
 
@@ -64,11 +65,11 @@ def read_calibration(path: Path) -> Calibration:
 def _read_rows(path: Path) -> dict[str, list[str]]:
     """The words behind each ``NAME:`` of the file."""
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = read_regular(path).decode().splitlines()
     except FileNotFoundError:
         raise DatasetError(path, "is missing", "give the picture's calibration file") from None
     except (OSError, UnicodeDecodeError) as problem:
-        raise DatasetError(path, f"cannot be read: {problem}", "replace the file") from None
+        raise DatasetError(path, f"cannot be read: {reason(problem)}", "replace the file") from None
     split = (line.partition(":") for line in lines)
     return {name.strip(): values.split() for name, _, values in split}
 
@@ -99,7 +100,8 @@ def _check_regular(path: Path, calibration: Calibration) -> None:
     pose = _to_four(calibration.camera_to_road, 4)
     if torch.linalg.matrix_rank(pose) < 4:
         raise DatasetError(path, "Tr_cam_to_road has no inverse", remedy)
-    if torch.linalg.matrix_rank(road_to_image(calibration)) < 3:
+    plane = road_to_image(calibration)
+    if not plane.isfinite().all() or torch.linalg.matrix_rank(plane) < 3:
         raise DatasetError(path, "its matrices show the road as a line", remedy)
 
 

@@ -1,7 +1,7 @@
 """Lenses and poses from the files of others: ROS camera_info, and KITTI's calibration."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,15 +35,31 @@ def read_camera_info(path: str | os.PathLike[str]) -> Lens:
     if len(matrix) != 9 or matrix[0] <= 0:
         raise ConfigError(path, "holds no calibrated camera matrix (K)", REMEDY)
     bent = _numbers(path, values, ("distortion_coefficients", "d", "D"))
+    width = _size(path, values, ("image_width", "width"))
+    height = _size(path, values, ("image_height", "height"))
     model = str(values.get("distortion_model", ""))
+    return lens_of_info(path, (width, height), matrix, bent, model)
+
+
+def lens_of_info(
+    path: str | os.PathLike[str],
+    size: tuple[int, int],
+    matrix: Sequence[float],
+    bent: Sequence[float],
+    model: str,
+) -> Lens:
+    """The lens of what a CameraInfo message says: width and height, K (9), D, distortion_model.
+
+    Raises ConfigError naming the path, of the file or bag that says it, where it is no lens.
+    """
     model = MODEL_NAMES.get(model, model)
     if model not in COEFFICIENTS:
         known = ", ".join(name for name in COEFFICIENTS if name != "pinhole")
         raise ConfigError(path, f"distortion_model {model!r} is not known", f"known: {known}")
     straight = not any(bent) or model == "pinhole"
     found = {
-        "width": _size(path, values, ("image_width", "width")),
-        "height": _size(path, values, ("image_height", "height")),
+        "width": size[0],
+        "height": size[1],
         **{"focal_x": matrix[0], "focal_y": matrix[4]},
         **{"centre_x": matrix[2], "centre_y": matrix[5]},
         "model": "pinhole" if straight else model,

@@ -8,7 +8,7 @@ from itertools import product
 from typing import Annotated
 
 import torch
-from pydantic import Field
+from pydantic import Field, model_validator
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -39,6 +39,12 @@ class Look(Settings):
     columns: Shares = Field(default=(), strict=False, description="shares of the width")
     across: Parts = Field(default=(), strict=False, description="mean gradient to the right")
     down: Parts = Field(default=(), strict=False, description="mean gradient downwards")
+
+    @model_validator(mode="after")
+    def _has_all_of_each_point(self) -> "Look":
+        if len({len(self.rows), len(self.columns), len(self.across), len(self.down)}) > 1:
+            raise ValueError("Give as many rows, columns, across and down")
+        return self
 
 
 def ego_look(still: Stillness, rows: Tensor) -> Look:

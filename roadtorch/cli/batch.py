@@ -1,64 +1,63 @@
 """What ``infer`` and ``label`` share: many pictures, some broken, some already done."""
 
-import csv
 import hashlib
-import io
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from time import monotonic
+from typing import Any, Protocol
 
 import click
 
-from roadtorch.errors import ConfigError, InputError, RoadtorchError
-from roadtorch.files import csv_text, digest_of, remove_leftovers, reserved, write_text
+from roadtorch.cli.index import DONE, DOUBTFUL, FAILED, INDEX, Publish, Row, SavedIndex, read_index
+from roadtorch.errors import ConfigError, RoadtorchError
+from roadtorch.files import digest_of, digest_of_folder, remove_leftovers, reserved
 from roadtorch.outside import printable
 from roadtorch.signals import stop_on_signals
 from roadtorch.sources.frame import Selection
 from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.stream import ordered_results
+from roadtorch.version import __version__
 
-INDEX = "index.csv"
-DONE, DOUBTFUL, FAILED = "done", "doubtful", "failed"
-"""What the status of a row begins with; after a colon it says why."""
+BAG_LIST = "metadata.yaml"
 
 LEAST_TRUSTED = 5
 """Pictures that are named at the end of a run, to be looked at first."""
 
-SAVE_EVERY = 5.0  # seconds of work that a power cut may cost, at most
-SAVING = 0.05  # the share of the time that saving may take: a long index is saved less often
+CHECKED_AT_ONCE = 8  # earlier results that are compared with their pictures at the same time
+
 ROOM, ROOM_PER_ROW = 2**16, 2**9  # bytes held for index.csv, should the disk become full
 
 
-@dataclass(frozen=True)
-class Row:
-    """One line of index.csv. ``ms`` is the time from reading to the last file written.
-
-    trust: the expected F of the mask, empty where the detector does not say.
-    saved: the kinds of results that were written; method: what they were made with, see
-    ``Method``; sha256: of the bytes of the picture. seconds: of a frame, since its source began.
-    """
-
-    file: str
-    width: str = ""
-    height: str = ""
-    ms: str = ""
-    road_share: str = ""
-    trust: str = ""
-    status: str = DONE
-    saved: str = ""
-    method: str = ""
-    sha256: str = ""
-    seconds: str = ""
+class Task(Protocol):
+    """One picture to work on, wherever it is and its results go."""
 
     @property
-    def failed(self) -> bool:
-        """Whether there is no result."""
-        return self.status.startswith(FAILED)
+    def file(self) -> str:
+        """The name in index.csv."""
+        ...
+
+    @property
+    def origin(self) -> str:
+        """What messages call the picture."""
+        ...
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all files exist whose names are known beforehand."""
+        ...
+
+    def has_all(self, row: Row) -> bool:
+        """Whether all files exist, those of the cues that its row names among them."""
+        ...
+
+    def digest(self) -> str:
+        """SHA-256 of the bytes of the picture; empty where it cannot be read."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -72,37 +71,56 @@ class Method:
     digest: str
     kinds: tuple[str, ...]
 
-    def finished(self, row: Row, job: "Job") -> Row:
+    def finished(self, row: Row, job: Task) -> Row:
         """The row of a job with what it was made with and of; failed rows stay as they are."""
         if row.failed:
             return row
-        digest = digest_of(job.picture.path)
+        digest = row.sha256 or job.digest()
         return replace(row, saved=" ".join(self.kinds), method=self.digest, sha256=digest)
 
-    def covers(self, row: Row | None, job: "Job") -> bool:
+    def covers(self, row: Row | None, job: Task) -> bool:
         """Whether a row says that this job is done, with this method, for the picture of now."""
         if row is None or row.failed or row.method != self.digest:
             return False
-        if not set(self.kinds) <= set(row.saved.split()) or not job.is_complete:
+        if not set(self.kinds) <= set(row.saved.split()) or not job.has_all(row):
             return False
-        return row.sha256 == digest_of(job.picture.path) != ""
+        return row.sha256 == job.digest() != ""
 
 
 def method_of(kinds: Iterable[str], settings: str, *parts: bytes) -> Method:
-    """The method of settings as TOML and of whatever else decides on the results."""
+    """The method of settings as TOML, our version, and whatever else decides on the results."""
     digest = hashlib.sha256()
-    for part in (settings.encode("utf-8", "surrogateescape"), *parts):
+    for part in (settings.encode("utf-8", "surrogateescape"), __version__.encode(), *parts):
         digest.update(hashlib.sha256(part).digest())
     return Method(digest.hexdigest()[:16], tuple(kinds))
 
 
 @dataclass(frozen=True)
 class Job:
-    """A picture, the folder of its results and how their names end, by kind."""
+    """A picture, the folder of its results and how their names end, by kind.
+
+    cue_suffixes: the same for the kinds that write a file a cue, ``{}`` standing for its name.
+    beside: files that belong to the picture, whose bytes decide on the results as well.
+    """
 
     picture: Picture
     out: Path
     suffixes: Mapping[str, str]
+    cue_suffixes: Sequence[str] = ()
+    beside: tuple[Path, ...] = ()
+
+    def digest(self) -> str:
+        """SHA-256 of the picture, and of what is beside it; empty where one cannot be read.
+
+        Where the picture is a folder, as a bag may be, it is of all files in it.
+        """
+        digests = [
+            digest_of_folder(path) if path.is_dir() else digest_of(path)
+            for path in (self.picture.path, *self.beside)
+        ]
+        if len(digests) == 1 or not all(digests):
+            return digests[0] if all(digests) else ""
+        return hashlib.sha256("".join(digests).encode()).hexdigest()
 
     def output(self, suffix: str) -> Path:
         """The file in ``out`` for results that end in ``suffix``; sub-folders are kept."""
@@ -115,16 +133,32 @@ class Job:
 
     @property
     def is_complete(self) -> bool:
-        """Whether all of these files exist."""
-        return all(path.is_file() for path in self.outputs)
+        """Whether all of these files exist; a bag that is a folder has its list once it is done."""
+        return all(path.is_file() or (path / BAG_LIST).is_file() for path in self.outputs)
+
+    def has_all(self, row: Row) -> bool:
+        """Whether all files exist, those of the cues that its row names among them."""
+        cues = filter(None, row.cues.split("/"))
+        of_cues = (self.output(each.format(cue)) for cue in cues for each in self.cue_suffixes)
+        return self.is_complete and all(path.is_file() for path in of_cues)
 
     @property
     def file(self) -> str:
         """The name in index.csv: the result's name with the picture's own suffix."""
         return printable(self.picture.name + self.picture.path.suffix)
 
+    @property
+    def origin(self) -> str:
+        """The picture's path, as it was found."""
+        return str(self.picture.path)
 
-Work = Callable[[Job], Row]
+
+Work = Callable[[Any], Row]
+"""Makes the results of one task, of the kind that it is for, and tells its row."""
+
+Rows = Generator[Row, None, None]
+Engine = Callable[[Sequence[Task], Work], Rows]
+"""Does tasks and gives their rows, in any order. Closing the iterator stops it."""
 
 
 def plan(
@@ -132,15 +166,16 @@ def plan(
     out: Path,
     suffixes: Mapping[str, str],
     selection: Selection = Selection(),  # noqa: B008 - it is frozen
+    cue_suffixes: Sequence[str] = (),
 ) -> list[Job]:
     """The jobs for all inputs; no file is written yet.
 
-    suffixes: kind of result → what its file name ends with.
+    suffixes: kind of result → what its file name ends with. cue_suffixes: see ``Job``.
     Raises ConfigError when two pictures share a result or a result would replace a
     picture, InputError when nothing is found or ``out`` cannot be a folder.
     """
     found = selection.of_pictures(find_images(inputs, apart=out))
-    return settled([Job(picture, out, suffixes) for picture in found])
+    return settled([Job(picture, out, suffixes, cue_suffixes) for picture in found])
 
 
 def settled(jobs: list[Job]) -> list[Job]:
@@ -174,123 +209,109 @@ def _real(path: Path) -> str:
     return os.path.realpath(path)  # Path.resolve raises for a link to itself
 
 
-def run_jobs(jobs: Sequence[Job], out: Path, work: Work, method: Method, options: "Options") -> int:
+def run_jobs(
+    jobs: Sequence[Task], out: Path, work: Work, method: Method, options: "Options"
+) -> int:
     """Do the jobs that are not done yet; returns the exit code.
 
     A picture is done when index.csv says so, of this method and of the bytes that the picture
     has now, and its files exist. A picture that fails becomes a failed row, and the others go
-    on. At the first SIGINT or SIGTERM the picture in hand is finished, and all that is done is
-    kept: KeyboardInterrupt.
+    on, unless ``options`` say to stop there. At the first SIGINT or SIGTERM the picture in hand
+    is finished, and all that is done is kept: KeyboardInterrupt.
     """
     rows = read_index(out / INDEX)
     remove_leftovers(_folders(jobs, rows, out))
-    todo = [job for job in jobs if options.overwrite or not method.covers(rows.get(job.file), job)]
+    todo = list(jobs) if options.overwrite else _undone(jobs, rows, method)
     again = 0 if options.overwrite else sum(job.file in rows and job.is_complete for job in todo)
     found: list[Row] = []
     room = ROOM + ROOM_PER_ROW * (len(rows) + len(todo))
     with stop_on_signals() as stop, reserved(out, room) as let_go:
-        index = SavedIndex(out / INDEX, rows)
+        index = SavedIndex(out / INDEX, rows, options.publish)
         try:
-            results = ordered_results(
-                todo, partial(_attempt, work=work, method=method), options.jobs
-            )
-            for row in _show_progress(results, len(todo), options.quiet):
+            for row in _rows(todo, work, method, options):
                 found.append(row)
                 index.add(row)
-                if stop.asked:
+                if stop.asked or (options.fail_fast and row.failed):
                     break
             else:
                 index.update(_removed(jobs, rows))
+                remove_leftovers(_folders(jobs, rows, out))  # of workers that died
         finally:
             index.finish(let_go)
     stop.interrupt()
-    failed = [rows[job.file].failed for job in jobs]
-    if not options.quiet or any(failed):
-        click.echo(_summary(len(found), len(jobs), again, sum(failed), out), err=True)
+    failed = sum(job.file in rows and rows[job.file].failed for job in jobs)
+    if not options.quiet or failed:
+        counts = Counts(len(jobs), len(todo), len(found), again, failed)
+        click.echo(f"{counts}; results in {options.shown or out}", err=True)
         for line in least_trusted(found):
             click.echo(line)
-    return 1 if any(failed) else 0
+    return 1 if failed else 0
 
 
-def _folders(jobs: Iterable[Job], rows: Iterable[str], out: Path) -> set[Path]:
+def _undone(jobs: Sequence[Task], rows: Mapping[str, Row], method: Method) -> list[Task]:
+    """The jobs that no row covers, in their order; several are looked at together."""
+    with ThreadPoolExecutor(CHECKED_AT_ONCE) as pool:
+        covered = pool.map(lambda job: method.covers(rows.get(job.file), job), jobs)
+        return [job for job, is_done in zip(jobs, covered, strict=True) if not is_done]
+
+
+def _rows(todo: Sequence[Task], work: Work, method: Method, options: "Options") -> Iterator[Row]:
+    """The rows of the jobs, as the engine gives them; closing this stops it."""
+    engine = options.engine or partial(ordered_results, threads=options.jobs)
+    rows = engine(todo, partial(attempt, work=work, method=method))
+    with closing(rows):
+        yield from _show_progress(rows, len(todo), options.quiet)
+
+
+def _folders(jobs: Iterable[Task], rows: Iterable[str], out: Path) -> set[Path]:
     """The folders in which this run will write, or an earlier one wrote, by its rows' files."""
-    return {*(job.output("").parent for job in jobs), *((out / file).parent for file in rows)}
+    own = (job.output("").parent for job in jobs if isinstance(job, Job))
+    return {*own, *((out / file).parent for file in rows)}
 
 
-def _removed(jobs: Iterable[Job], rows: Mapping[str, Row]) -> list[Row]:
+def _removed(jobs: Iterable[Task], rows: Mapping[str, Row]) -> list[Row]:
     """Failed rows for jobs that are done but whose files somebody has removed meanwhile."""
     what = "results were removed while the run went on (run it again)"
     return [
-        Row(job.file, status=f"{FAILED}: {job.picture.path}: {what}")
+        Row(job.file, status=f"{FAILED}: {job.origin}: {what}")
         for job in jobs
-        if not rows[job.file].failed and not job.is_complete
+        if isinstance(job, Job) and not rows[job.file].failed and not job.has_all(rows[job.file])
     ]
 
 
-def _with_earlier(earlier: Row | None, row: Row) -> Row:
-    """A row, with the kinds of results that the same method gave of the same bytes before."""
-    if earlier is None or (earlier.method, earlier.sha256) != (row.method, row.sha256):
-        return row
-    kinds = dict.fromkeys([*earlier.saved.split(), *row.saved.split()])
-    return replace(row, saved=" ".join(kinds))
-
-
-class SavedIndex:
-    """index.csv as a run goes on: saved after every row, or as often as is worth it."""
-
-    def __init__(self, path: Path, rows: dict[str, Row]) -> None:
-        self.path, self.rows = path, rows
-        self._due = 0.0
-
-    def add(self, row: Row) -> None:
-        """Keep one more row; on a full disk the index stays as it was until the end."""
-        self.rows[row.file] = _with_earlier(self.rows.get(row.file), row)
-        start = monotonic()
-        if start < self._due:
-            return
-        with suppress(InputError):
-            write_index(self.path, self.rows.values())
-        took = monotonic() - start
-        self._due = start + took + min(took / SAVING, SAVE_EVERY)
-
-    def update(self, rows: Iterable[Row]) -> None:
-        """Replace rows, and tell each that failed."""
-        for row in rows:
-            self.rows[row.file] = row
-            click.echo(f"roadtorch: {row.status}", err=True)
-
-    def finish(self, let_go: Callable[[], None]) -> None:
-        """Write all rows, in the room that was held for them if the disk is full.
-
-        Raises InputError when even that is not possible.
-        """
-        try:
-            write_index(self.path, self.rows.values())
-        except InputError:
-            let_go()
-            write_index(self.path, self.rows.values())
+def _kept_here(_: Path) -> None:
+    """What is done with a file that stays where it was written: nothing."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """How a run goes: threads at work, redo what is done, no progress on stderr."""
+    """How a run goes: threads at work, redo what is done, no progress on stderr.
+
+    fail_fast: end at the first picture that fails. engine: does the jobs instead of threads of
+    this process. publish: is given index.csv whenever it was saved. shown: what messages call
+    the folder of results, where that is not its path.
+    """
 
     jobs: int = 1
     overwrite: bool = False
     quiet: bool = False
+    fail_fast: bool = False
+    engine: Engine | None = None
+    publish: Publish = _kept_here
+    shown: str = ""
 
 
-def _attempt(job: Job, work: Work, method: Method) -> Row:
+def attempt(job: Task, work: Work, method: Method) -> Row:
     """The row of one job; whatever goes wrong inside stays inside."""
     try:
         return method.finished(work(job), job)
     except RoadtorchError as problem:
         # Detectors cannot know the file and speak of "image".
-        where = job.picture.path if problem.where == "image" else problem.where
+        where = job.origin if problem.where == "image" else problem.where
         what = f"{where}: {problem.what} ({problem.remedy})"
     except Exception as problem:
         # One picture that trips a detector must not cost the night's run.
-        what = f"{job.picture.path}: {type(problem).__name__}: {problem} (report it)"
+        what = f"{job.origin}: {type(problem).__name__}: {problem} (report it)"
     return Row(job.file, status=f"{FAILED}: {' '.join(what.split())}")
 
 
@@ -306,14 +327,26 @@ def _show_progress(rows: Iterable[Row], total: int, quiet: bool) -> Iterator[Row
             yield row
 
 
-def _summary(tried: int, total: int, again: int, failed: int, out: Path) -> str:
-    """The last line: ``again`` of those tried had been done before, in another way."""
-    done = f"{max(tried - failed, 0)} done"
-    if again:
-        done += f" ({again} anew)"
-    parts = [done, f"{total - tried} skipped (done before)" if total > tried else ""]
-    parts.append(f"{failed} failed" if failed else "")
-    return f"roadtorch: {', '.join(filter(None, parts))}; results in {out}"
+@dataclass(frozen=True)
+class Counts:
+    """Pictures of a run: all, left to do, tried, of these done in another way before; failed."""
+
+    total: int
+    todo: int
+    tried: int
+    again: int
+    failed: int
+
+    def __str__(self) -> str:
+        """The last line, without the folder."""
+        done = f"{max(self.tried - self.failed, 0)} done"
+        if self.again:
+            done += f" ({self.again} anew)"
+        skipped, left = self.total - self.todo, self.todo - self.tried
+        parts = [done, f"{skipped} skipped (done before)" if skipped else ""]
+        parts.append(f"{self.failed} failed" if self.failed else "")
+        parts.append(f"{left} not tried (--fail-fast)" if left else "")
+        return f"roadtorch: {', '.join(filter(None, parts))}"
 
 
 def least_trusted(rows: Iterable[Row]) -> list[str]:
@@ -330,28 +363,3 @@ def least_trusted(rows: Iterable[Row]) -> list[str]:
         for row in judged[:LEAST_TRUSTED]
     ]
     return [f"roadtorch: {doubtful} doubtful of {len(judged)}; least trusted:", *shown]
-
-
-def read_index(path: Path) -> dict[str, Row]:
-    """The rows of an index.csv by file; empty when there is none.
-
-    Raises InputError when a file of that name is something else.
-    """
-    if not path.exists():
-        return {}
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            text = file.read()
-        whole = io.StringIO(text[: text.rfind("\n") + 1], newline="")  # a killed run may cut a row
-        rows = [Row(**line) for line in csv.DictReader(whole)]
-        if any(None in vars(row).values() for row in rows):
-            raise TypeError("a row is cut short")
-        return {row.file: row for row in rows}
-    except (OSError, UnicodeDecodeError, TypeError, KeyError, csv.Error):
-        raise InputError(path, "is not an index of ours", "give another --out") from None
-
-
-def write_index(path: Path, rows: Iterable[Row]) -> None:
-    """Write rows, sorted by file, as index.csv."""
-    columns = list(Row.__dataclass_fields__)
-    write_text(path, csv_text(columns, map(asdict, sorted(rows, key=lambda row: row.file))))

@@ -1,10 +1,15 @@
 """roadtorch evaluate: score detectors on labelled pictures, beside the floors."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from roadtorch.cli.options import CAMERA, PATH, labelled_set
+
+if TYPE_CHECKING:
+    from roadtorch.data.dataset import Dataset
+    from roadtorch.evaluation.result import Evaluation
 
 
 @click.command()
@@ -52,32 +57,19 @@ def evaluate(
     A run that is interrupted goes on where it was when it is started again.
     """
     from roadtorch.cli.claim import claimed
-    from roadtorch.cli.labelled import (
-        camera_settings,
-        command_line,
-        opened,
-        tell_failures,
-        watched,
-    )
+    from roadtorch.cli.labelled import camera_settings, opened, watched
     from roadtorch.data.catalogue import open_named
-    from roadtorch.data.conditions import with_conditions
-    from roadtorch.data.kitti import birds_eye
     from roadtorch.data.maps import parse_maps
     from roadtorch.evaluation.evaluate import evaluate as score
-    from roadtorch.evaluation.saved_tallies import forget
-    from roadtorch.report.screen import screen
-    from roadtorch.report.table3 import table_text
     from roadtorch.settings import merge, parse_assignments
 
     if out is not None:
         context.with_resource(claimed(out))  # now rather than after the long run
     labelled = opened(dataset, root, split, left_out)
-    if conditions is not None:
-        labelled = with_conditions(labelled, conditions)
     chosen = _without_default(context, names, folders)
     values = merge(camera_settings(camera, chosen), parse_assignments(assignments))
     evaluation = score(
-        birds_eye(labelled) if bev else labelled,
+        _seen(labelled, conditions, bev),
         chosen,
         settings=values,
         maps=parse_maps(folders),
@@ -89,14 +81,40 @@ def evaluate(
         keep_in=out,
         watch=watched,
     )
+    _tell(evaluation)
+    if out is not None:
+        _keep(evaluation, out, context, montage)
+    context.exit(1 if evaluation.failures else 0)
+
+
+def _seen(labelled: "Dataset", conditions: Path | None, from_above: bool) -> "Dataset":
+    """The set with the conditions of a table, where one is given, seen as the options say."""
+    from roadtorch.data.conditions import with_conditions
+    from roadtorch.data.kitti import birds_eye
+
+    if conditions is not None:
+        labelled = with_conditions(labelled, conditions)
+    return birds_eye(labelled) if from_above else labelled
+
+
+def _tell(evaluation: "Evaluation") -> None:
+    """Tables on stdout, failures on stderr."""
+    from roadtorch.cli.labelled import tell_failures
+    from roadtorch.report.screen import screen
+    from roadtorch.report.table3 import table_text
+
     click.echo("\n\n".join(filter(None, (screen(evaluation), table_text(evaluation)))))
     tell_failures(evaluation)
-    if out is not None:
-        from roadtorch.report.files import write  # with what draws, which takes a while
 
-        write(evaluation, out, command_line(context), montage)
-        forget(out)
-    context.exit(1 if evaluation.failures else 0)
+
+def _keep(evaluation: "Evaluation", out: Path, context: click.Context, montage: int) -> None:
+    """Write the results; the progress that was saved for an interruption is not needed then."""
+    from roadtorch.cli.labelled import command_line
+    from roadtorch.evaluation.saved_tallies import forget
+    from roadtorch.report.files import write  # with what draws, which takes a while
+
+    write(evaluation, out, command_line(context), montage)
+    forget(out)
 
 
 def _without_default(

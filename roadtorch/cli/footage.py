@@ -1,26 +1,45 @@
 """What ``infer`` does with footage: videos, cameras, streams and whatever else gives frames."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Protocol
 
 import click
 from torch import Tensor
 
 from roadtorch.cli import batch
-from roadtorch.cli.batch import DONE, FAILED, INDEX, Job, Method, Options, Row
+from roadtorch.cli.batch import Job, Method, Options
 from roadtorch.cli.claim import ELSEWHERE
-from roadtorch.cli.footage_results import FootageResults, clock_text
+from roadtorch.cli.footage_results import missed_row
 from roadtorch.cli.frame_index import FrameIndex, appended
+from roadtorch.cli.index import DONE, DOUBTFUL, FAILED, INDEX, Row, read_index
 from roadtorch.detector import Detector
 from roadtorch.errors import RoadtorchError
 from roadtorch.files import make_folder, remove_leftovers
 from roadtorch.signals import stop_on_signals
 from roadtorch.sources.frame import Source
 from roadtorch.sources.pictures import Picture
+from roadtorch.steady import Steady, SteadySettings
 from roadtorch.stream import AHEAD, Behind, Missed, Seen, Steadying, seen_frames
+
+
+class WhatIsWritten(Protocol):
+    """What a command writes of sources; for ``infer`` it is ``FootageResults``."""
+
+    def kinds(self, source: Source) -> tuple[str, ...]:
+        """What index.csv says was saved."""
+        ...
+
+    def suffixes(self, source: Source) -> dict[str, str]:
+        """How the names of the files of the whole source end, by kind."""
+        ...
+
+    def open(self, source: Source, job: Job) -> AbstractContextManager[Callable[[Seen], Row]]:
+        """What writes the results of a frame and gives its row."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -32,13 +51,18 @@ class FootageWork:
     """
 
     detector: Detector
-    results: FootageResults
+    results: WhatIsWritten
     check: Callable[[Tensor], None] | None = None
     steady: Callable[[], Steadying] | None = None
 
 
+def steadied() -> Steadying:
+    """What steadies one source, at its defaults."""
+    return Steady(SteadySettings())
+
+
 def plan_sources(
-    sources: Sequence[Source], out: Path, results: FootageResults
+    sources: Sequence[Source], out: Path, results: WhatIsWritten
 ) -> list[tuple[Source, Job]]:
     """The sources, each with its job; ConfigError when a result would replace a source."""
     jobs = [
@@ -61,7 +85,7 @@ def run_sources(
     skipped, failed = 0, 0
     for source, job in planned:
         own = replace(method, kinds=work.results.kinds(source))
-        row = batch.read_index(job.out / INDEX).get(job.file)
+        row = read_index(job.out / INDEX).get(job.file)
         if not options.overwrite and own.covers(row, job):
             skipped += 1
         else:
@@ -94,7 +118,7 @@ class FrameCount:
             row = replace(row, saved=" ".join(self.method.kinds), method=self.method.digest)
             self.last = row
             self.done += 1
-            self.doubtful += row.status.startswith(batch.DOUBTFUL)
+            self.doubtful += row.status.startswith(DOUBTFUL)
             self.ms += float(row.ms)
         self.index.add(row)
 
@@ -181,9 +205,7 @@ def _written(behind: Behind) -> Iterator[Behind]:
 
 def _settle(one: Seen | Missed, write: Callable[[Seen], Row], tally: FrameCount) -> None:
     """Write what was seen of a frame, or tell why nothing was."""
-    if isinstance(one, Seen):
-        tally.add(write(one))
-        return
-    status = f"{FAILED}: {' '.join(str(one.problem).split())}"
-    click.echo(f"roadtorch: {status}", err=True)
-    tally.add(Row(one.frame.name, status=status, seconds=clock_text(one.frame.seconds)))
+    row = write(one) if isinstance(one, Seen) else missed_row(one)
+    if row.failed:
+        click.echo(f"roadtorch: {row.status}", err=True)
+    tally.add(row)

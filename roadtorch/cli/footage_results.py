@@ -1,7 +1,7 @@
-"""What ``infer`` writes of footage: videos, a GIF, and files for each frame."""
+"""What ``infer`` writes of footage: videos, a GIF, bags, and files for each frame."""
 
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,16 +11,25 @@ from typing import Literal
 import numpy as np
 
 from roadtorch.cli import results
-from roadtorch.cli.batch import Job, Row
+from roadtorch.cli.bag_results import bag_ending, is_from_bag, stamp_of
+from roadtorch.cli.batch import Job
 from roadtorch.cli.claim import ELSEWHERE
+from roadtorch.cli.index import FAILED, Row
+from roadtorch.detector import Detector
 from roadtorch.files import make_folder
+from roadtorch.sinks.bags import BagSink
 from roadtorch.sinks.gif import GifSink
 from roadtorch.sinks.video import VideoSink
+from roadtorch.sources.bags import image_topic
 from roadtorch.sources.frame import Source
-from roadtorch.stream import Seen
+from roadtorch.stream import Missed, Seen
 
 USUAL_OF_PICTURES, USUAL_OF_FOOTAGE = ("likelihood", "mask", "overlay"), ("overlay",)
+USUAL_OF_BAGS = ("overlay", "bag")
 """What is written where nothing is asked for."""
+
+CAMERA_FRAME = "camera"
+"""The frame of reference in bags of footage that tells none."""
 
 
 def _overlay(seen: Seen) -> np.ndarray:
@@ -39,6 +48,8 @@ def _likelihood(seen: Seen) -> np.ndarray:
 
 
 Draw = Callable[[Seen], np.ndarray]
+Put = Callable[[Seen, np.ndarray], None]
+"""Where what was drawn of a frame goes."""
 
 VIDEOS: dict[str, tuple[str, Draw]] = {
     "overlay": (".overlay.mp4", _overlay),
@@ -55,24 +66,27 @@ class FootageResults:
     """What is written of a source.
 
     asked: the kinds of ``--save``, None where it is not given: of a moving source ``overlay`` is a
-    video and ``overlay-frames`` are pictures. gif: its start and end in seconds.
+    video and ``overlay-frames`` are pictures. gif: its start and end in seconds. detector: the one
+    that was used. topic: of the images in bags; None where they have one.
     """
 
-    asked: tuple[str, ...] | None = None
-    depth: Literal[8, 16] = 8
-    gif: tuple[float, float] | None = None
+    asked: tuple[str, ...] | None
+    depth: Literal[8, 16]
+    gif: tuple[float, float] | None
+    detector: Detector
+    topic: str | None = None
 
     def kinds(self, source: Source) -> tuple[str, ...]:
         """What index.csv says was saved."""
-        usual = USUAL_OF_FOOTAGE if source.moving else USUAL_OF_PICTURES
-        kinds = usual if self.asked is None else self.asked
+        kinds = _usual(source) if self.asked is None else self.asked
         return (*kinds, "gif") if self.gif and source.moving else kinds
 
     def suffixes(self, source: Source) -> dict[str, str]:
         """How the names of the files of the whole source end, by kind."""
         if not source.moving:
             return {}
-        ends = {kind: end for kind, (end, _) in VIDEOS.items()} | {"gif": GIF}
+        ends = {kind: end for kind, (end, _) in VIDEOS.items()}
+        ends |= {"gif": GIF, "bag": bag_ending(source, ".road")}
         return {kind: ends[kind] for kind in self.kinds(source) if kind in ends}
 
     def frame_kinds(self, source: Source) -> frozenset[str]:
@@ -80,54 +94,81 @@ class FootageResults:
         kinds = frozenset(self.kinds(source))
         if not source.moving:
             return kinds
-        frames = kinds - {*VIDEOS, "gif", "overlay-frames"}
+        frames = kinds - {*VIDEOS, "gif", "bag", "overlay-frames"}
         return frames | {"overlay"} if "overlay-frames" in kinds else frames
 
     @contextmanager
     def open(self, source: Source, job: Job) -> Iterator[Callable[[Seen], Row]]:
         """What writes the results of a frame and gives its row.
 
-        However the block ends, the videos are finished with the frames that they have.
+        However the block ends, videos and bags are finished with the frames that they have.
         """
-        sinks: list[tuple[VideoSink | GifSink, Draw]] = [
-            (VideoSink(job.output(end), source.rate), VIDEOS[kind][1])
-            for kind, end in job.suffixes.items()
-            if kind in VIDEOS
-        ]
-        gif = GifSink(job.output(GIF), *self.gif) if self.gif and source.moving else None
         with ExitStack() as stack:
-            for sink in [gif, *(sink for sink, _ in sinks)]:
-                if sink is not None:
-                    stack.callback(sink.close)
-            if gif is not None:
-                sinks.append((gif, _overlay))
-            yield partial(_write, sinks, self.frame_kinds(source), self.depth, job.out)
+            puts: list[tuple[Draw, Put]] = []
+            if self.gif and source.moving:
+                gif = stack.enter_context(closing(GifSink(job.output(GIF), *self.gif)))
+                puts.append((_overlay, partial(_add_pixels, gif)))
+            for kind in [kind for kind in job.suffixes if kind in VIDEOS]:
+                end, draw = VIDEOS[kind]
+                video = stack.enter_context(closing(VideoSink(job.output(end), source.rate)))
+                puts.append((draw, partial(_add_pixels, video)))
+            if "bag" in job.suffixes:
+                bag = stack.enter_context(closing(self._bag(source, job)))
+                puts.append((_overlay, partial(_add_to_bag, bag)))
+            yield partial(self._write, puts, self.frame_kinds(source), job.out)
+
+    def _bag(self, source: Source, job: Job) -> BagSink:
+        frame_id = CAMERA_FRAME
+        if is_from_bag(source):
+            frame_id = image_topic(source.origin, self.topic).frame_id
+        path = job.output(job.suffixes["bag"])
+        return BagSink(path, frame_id, self.detector.settings.threshold)
+
+    def _write(
+        self,
+        puts: list[tuple[Draw, Put]],
+        kinds: frozenset[str],
+        out: Path,
+        seen: Seen,
+    ) -> Row:
+        """Write what was seen, to the files of the frame first; the row for index.csv."""
+        start = perf_counter()
+        frame, detection = seen.frame, seen.detection
+
+        def output(suffix: str) -> Path:
+            return out / (frame.name + suffix)
+
+        if kinds:
+            make_folder(output("").parent, ELSEWHERE)
+            results.write_files(output, kinds, self.depth, seen.image, detection)
+            results.write_documents(output, kinds, frame.name, detection, self.detector)
+        drawn = {draw: draw(seen) for draw in dict.fromkeys(draw for draw, _ in puts)}
+        for draw, put in puts:
+            put(seen, drawn[draw])
+        row = results.row_of(frame.name, detection, seen.ms + 1000 * (perf_counter() - start))
+        return replace(row, seconds=clock_text(frame.seconds))
 
 
-def _write(
-    sinks: list[tuple[VideoSink | GifSink, Draw]],
-    kinds: frozenset[str],
-    depth: Literal[8, 16],
-    out: Path,
-    seen: Seen,
-) -> Row:
-    """Write what was seen, to the files of the frame first; the row for index.csv."""
-    start = perf_counter()
-    frame = seen.frame
+def _usual(source: Source) -> tuple[str, ...]:
+    if not source.moving:
+        return USUAL_OF_PICTURES
+    return USUAL_OF_BAGS if is_from_bag(source) else USUAL_OF_FOOTAGE
 
-    def output(suffix: str) -> Path:
-        return out / (frame.name + suffix)
 
-    if kinds:
-        make_folder(output("").parent, ELSEWHERE)
-        results.write_files(output, kinds, depth, seen.image, seen.detection)
-    drawn = {draw: draw(seen) for draw in dict.fromkeys(draw for _, draw in sinks)}
-    for sink, draw in sinks:
-        sink.write(drawn[draw], frame.seconds)
-    row = results.row_of(frame.name, seen.detection, seen.ms + 1000 * (perf_counter() - start))
-    return replace(row, seconds=clock_text(frame.seconds))
+def _add_pixels(sink: VideoSink | GifSink, seen: Seen, pixels: np.ndarray) -> None:
+    sink.write(pixels, seen.frame.seconds)
+
+
+def _add_to_bag(sink: BagSink, seen: Seen, pixels: np.ndarray) -> None:
+    sink.write(seen.detection, stamp_of(seen.frame), pixels)
 
 
 def clock_text(seconds: float | None) -> str:
     """Seconds for index.csv, to the millisecond; empty where there is no clock."""
     return "" if seconds is None else f"{seconds:.3f}"
+
+
+def missed_row(missed: Missed) -> Row:
+    """The row of a frame without a result; its status says why."""
+    status = f"{FAILED}: {' '.join(str(missed.problem).split())}"
+    return Row(missed.frame.name, status=status, seconds=clock_text(missed.frame.seconds))

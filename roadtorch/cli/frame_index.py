@@ -5,7 +5,8 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
-from roadtorch.cli.batch import Job, Row, read_index, write_index
+from roadtorch.cli.batch import Job
+from roadtorch.cli.index import Row, read_index, write_index
 from roadtorch.errors import InputError
 from roadtorch.files import REMEDIES, RoomyFile, csv_text
 from roadtorch.outside import printable

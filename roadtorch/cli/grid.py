@@ -1,4 +1,4 @@
-"""roadtorch grid: the road in pictures as metric maps of the ground."""
+"""roadtorch grid: the road in pictures and footage as metric maps of the ground."""
 
 from pathlib import Path
 
@@ -13,6 +13,8 @@ from roadtorch.cli.options import (
     PATH,
     QUIET,
     SETTING,
+    Cut,
+    with_cut,
 )
 
 
@@ -54,6 +56,10 @@ def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, fl
 @click.option("--threshold", type=float, help="Likelihood from which a pixel is road.")
 @click.option("--likelihood", is_flag=True, help="Also write NAME.grid.likelihood.npy.")
 @click.option("--picture", is_flag=True, help="Also write NAME.grid.jpg, to look at.")
+@with_cut
+@click.option(
+    "--frame-id", default="base_link", show_default=True, help="Of the robot, in bags of grids."
+)
 @JOBS
 @OVERWRITE
 @QUIET
@@ -80,41 +86,64 @@ def grid(
     threshold: float | None,
     likelihood: bool,
     picture: bool,
+    cut: Cut,
+    frame_id: str,
     jobs: int,
     overwrite: bool,
     quiet: bool,
 ) -> None:
-    """Map the road in pictures onto flat ground: x forward, y left, metres (REP 103).
+    """Map the road in pictures and footage onto flat ground: x forward, y left (REP 103).
 
     \b
     Each picture NAME.jpg gives, in the folder --out,
       NAME.grid.pgm, NAME.grid.yaml   as Nav2's map_server loads them
       NAME.grid.npy                   int8: 0 free, 100 no road, -1 unknown
-    The camera's height is needed, its lens (--fov, --camera-info or --calibration), and its
-    pitch; without --pitch and --camera that is estimated in each picture, to 1 or 2 degrees.
+    Footage, as infer takes it, gives these for each frame, NAME/000123.grid.pgm, and a bag also
+    the bag NAME.grid (of ROS 1: NAME.grid.bag) with /segmentation/grid. The camera's height is
+    needed, its lens (--fov, --camera-info or --calibration; a bag's camera_info else), and its
+    pitch; without --pitch and --camera that is estimated in each picture, to 1 or 2 degrees, or
+    once for all frames of a video or bag.
     What lies behind the first cell that is no road is unknown.
     """
     from roadtorch.camera.camera import Camera
     from roadtorch.camera.ground_grid import GridSettings
-    from roadtorch.cli import batch, grids, results
+    from roadtorch.cli import batch, engines, footage, footage_grids, grids, results
     from roadtorch.cli import config as configuration
     from roadtorch.cli.claim import claimed
     from roadtorch.detectors.catalogue import load_detector
     from roadtorch.settings import build_settings
+    from roadtorch.sources.open import sort_inputs
 
+    sorted_inputs = sort_inputs(inputs)
     given = grids.Mounting(height, pitch, roll, mount, fov, camera_info, calibration, camera)
-    placing, words = grids.placing_of(given)
+    placing, words = footage_grids.placing_of_all(given, sorted_inputs)
     name, values = configuration.chosen_detector(detector, config, assignments, threshold)
     known = None if camera is None else Camera.read(camera)
     loaded = load_detector(name, camera=known, **values)
     cells = {"resolution": resolution, "range": ahead, "side": side, "coarsest": coarsest}
     settings = build_settings(GridSettings, {**cells, "threshold": loaded.settings.threshold})
-    kinds = ["pgm", "yaml", "npy", *["likelihood"] * likelihood, *["picture"] * picture]
-    planned = batch.plan(inputs, out, {kind: grids.SUFFIXES[kind] for kind in kinds})
+    kinds = ("pgm", "yaml", "npy", *["likelihood"] * likelihood, *["picture"] * picture)
+    suffixes = {kind: grids.SUFFIXES[kind] for kind in kinds}
+    pictures = batch.plan(sorted_inputs.pictures, out, suffixes, engines.selection(cut))
+    check = None if known is None else known.check
+    written = footage_grids.FootageGrids(
+        loaded, settings, kinds, placing, given, check, cut.topic, frame_id
+    )
+    sources = engines.footage_of(sorted_inputs.sources, str(out), cut)
+    planned = footage.plan_sources(sources, out, written)
     context.with_resource(claimed(out))
     effective = configuration.as_toml(loaded.name, loaded.settings)
     effective = "\n".join([effective, f"# {settings.model_dump_json()}", words])
     results.keep_config(out, effective, overwrite)
-    method = results.detector_method(loaded, effective, kinds)
-    work = grids.Gridding(loaded, placing, settings, frozenset(kinds), known)
-    context.exit(batch.run_jobs(planned, out, work, method, batch.Options(jobs, overwrite, quiet)))
+    options = batch.Options(jobs, overwrite, quiet)
+    codes = [0]
+    if pictures and placing is not None:
+        method = results.detector_method(loaded, effective, kinds)
+        gridding = grids.Gridding(loaded, placing, settings, frozenset(kinds), known)
+        codes.append(batch.run_jobs(pictures, out, gridding, method, options))
+    if planned:
+        parts = repr((cut, frame_id)).encode()
+        method = results.detector_method(loaded, effective, (), parts)
+        work = footage.FootageWork(loaded, written, check, footage.steadied)
+        codes.append(footage.run_sources(planned, work, method, options))
+    context.exit(max(codes))

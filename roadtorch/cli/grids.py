@@ -2,8 +2,10 @@
 
 import json
 import math
-from collections.abc import Callable
+import statistics
+from collections.abc import Callable, Container, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
@@ -16,11 +18,19 @@ from torch import Tensor
 from roadtorch.camera.birds_eye import Calibration, read_calibration
 from roadtorch.camera.calibration import kitti_ground_camera, read_camera_info
 from roadtorch.camera.camera import Camera
-from roadtorch.camera.ground import GroundCamera, Lens, lens_of_view, mounted, pitch_of_horizon
+from roadtorch.camera.ground import (
+    GroundCamera,
+    Lens,
+    Pose,
+    lens_of_view,
+    mounted,
+    pitch_of_horizon,
+)
 from roadtorch.camera.ground_grid import FREE, Grid, GridSettings, ground_grid
 from roadtorch.camera.horizon import horizon_of
-from roadtorch.cli.batch import DONE, DOUBTFUL, Job, Row
+from roadtorch.cli.batch import Job
 from roadtorch.cli.claim import ELSEWHERE
+from roadtorch.cli.index import DONE, DOUBTFUL, Row
 from roadtorch.detector import Detection, Detector
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.files import make_folder
@@ -68,38 +78,66 @@ class Placed(NamedTuple):
 Placing = Callable[[Tensor, Detection], Placed]
 
 
-def placing_of(given: Mounting) -> tuple[Placing, str]:
-    """How a picture's camera is found, and what decides on it, in words for the settings' file.
-
-    Raises ConfigError for options that are missing, contradict one another or lie beyond their
-    limits, and what the files' readers raise.
-    """
+def lens_options(given: Mounting) -> list[str]:
+    """The options that were given to tell the lens; ConfigError when they are several."""
     ways = {"--fov": given.fov, "--camera-info": given.camera_info}
     ways["--calibration"] = given.calibration
     named = [name for name, value in ways.items() if value is not None]
-    if len(named) != 1:
-        what = f"{' and '.join(named)} were given" if named else "nothing tells the lens"
-        raise ConfigError("grid", what, f"give one of {', '.join(ways)}")
+    if len(named) > 1:
+        raise ConfigError(
+            "grid", f"{' and '.join(named)} were given", f"give one of {', '.join(ways)}"
+        )
+    return named
+
+
+def placing_of(given: Mounting, found: Lens | None = None) -> tuple[Placing, str]:
+    """How a picture's camera is found, and what decides on it, in words for the settings' file.
+
+    found: the lens that a bag tells. Raises ConfigError for options that are missing, contradict
+    one another or lie beyond their limits, and what the files' readers raise.
+    """
+    if not lens_options(given) and found is None:
+        remedy = "give one of --fov, --camera-info, --calibration"
+        raise ConfigError("grid", "nothing tells the lens", remedy)
     if given.calibration is not None:
         return _kitti_placing(given, given.calibration)
+    height = checked_height(given)
+    known = found if given.camera_info is None else read_camera_info(given.camera_info)
+    if known is None:
+        lens_of_view(2, 2, given.fov or 0.0)
+    stand = _Stand(given, height, known)
+    horizon = _horizon(given)
+    if horizon is not None and given.pitch is None and known is not None:
+        stand.pose(pitch_of_horizon(known, horizon, given.roll))  # refused now
+    if given.pitch is not None or horizon is not None:
+        placing = _ToldPitch(stand, partial(_told_pitch, given, horizon or 0.0))
+    else:
+        placing = PitchOfLayout(stand)
+    return placing, _in_words(given, horizon, known)
+
+
+def checked_height(given: Mounting) -> float:
+    """The height; ConfigError where it is missing, or it or the angles are beyond the limits."""
     if given.height is None:
         remedy = "give the camera's height above the ground in metres, or --calibration"
         raise ConfigError("--height", "is missing", remedy)
-    mounted(given.height, given.pitch or 0.0, given.roll, given.mount)  # refused now
-    known = None if given.camera_info is None else read_camera_info(given.camera_info)
-    if known is None:
-        lens_of_view(2, 2, given.fov or 0.0)
-    horizon = None if given.camera is None else Camera.read(given.camera).horizon
-    if horizon is not None and given.pitch is None and known is not None:
-        _check_pitch(given, known, horizon)
+    mounted(given.height, given.pitch or 0.0, given.roll, given.mount)
+    return given.height
+
+
+def words_of(given: Mounting) -> str:
+    """What decides on the camera beside the lens that bags tell, for the settings' file."""
+    return _in_words(given, _horizon(given), None)
+
+
+def _horizon(given: Mounting) -> float | None:
+    return None if given.camera is None else Camera.read(given.camera).horizon
+
+
+def _in_words(given: Mounting, horizon: float | None, known: Lens | None) -> str:
     said = replace(given, camera=None, camera_info=None)
     lens = None if known is None else known.model_dump()
-    words = _words(**asdict(said), horizon=horizon, lens=lens)
-    return _Placing(given, given.height, known, horizon), words
-
-
-def _check_pitch(given: Mounting, lens: Lens, horizon: float) -> None:
-    mounted(1.0, pitch_of_horizon(lens, horizon, given.roll), given.roll, given.mount)
+    return _words(**asdict(said), horizon=horizon, lens=lens)
 
 
 def _kitti_placing(given: Mounting, path: Path) -> tuple[Placing, str]:
@@ -128,36 +166,107 @@ class _KittiPlacing:
         return Placed(camera, f"pitch {camera.pose.pitch:.2f} degrees, of the calibration", 0.0)
 
 
+class Pitch(NamedTuple):
+    """Degrees, how they are known, and how unsure they are."""
+
+    degrees: float
+    told: str
+    spread: float = 0.0
+
+
 @dataclass(frozen=True)
-class _Placing:
+class _Stand:
+    """What is known of the camera beside its pitch; lens: None for one of ``--fov``."""
+
     given: Mounting
     height: float
     lens: Lens | None
-    horizon: float | None
 
-    def __call__(self, image: Tensor, detection: Detection) -> Placed:
+    def lens_of(self, image: Tensor) -> Lens:
         height, width = image.shape[-2:]
         fov = self.given.fov or 0.0
-        lens = self.lens.at(width, height) if self.lens else lens_of_view(width, height, fov)
-        pitch, told, spread = self._pitch(lens, image, detection)
-        pose = mounted(self.height, pitch, self.given.roll, self.given.mount)
-        return Placed(GroundCamera(lens, pose), f"pitch {pitch:.2f} degrees, {told}", spread)
+        return self.lens.at(width, height) if self.lens else lens_of_view(width, height, fov)
 
-    def _pitch(self, lens: Lens, image: Tensor, detection: Detection) -> tuple[float, str, float]:
-        given = self.given
-        if given.pitch is not None:
-            return given.pitch, "as given", 0.0
-        if self.horizon is not None:
-            found = pitch_of_horizon(lens, self.horizon, given.roll)
-            return found, f"horizon at row {self.horizon:.3f} of the camera's file", 0.0
+    def pose(self, pitch: float) -> Pose:
+        return mounted(self.height, pitch, self.given.roll, self.given.mount)
+
+    def placed(self, lens: Lens, pitch: Pitch) -> Placed:
+        told = f"pitch {pitch.degrees:.2f} degrees, {pitch.told}"
+        return Placed(GroundCamera(lens, self.pose(pitch.degrees)), told, pitch.spread)
+
+
+@dataclass(frozen=True)
+class _ToldPitch:
+    stand: _Stand
+    pitch: Callable[[Lens], Pitch]
+
+    def __call__(self, image: Tensor, _: Detection) -> Placed:
+        lens = self.stand.lens_of(image)
+        return self.stand.placed(lens, self.pitch(lens))
+
+
+def _told_pitch(given: Mounting, horizon: float, lens: Lens) -> Pitch:
+    if given.pitch is not None:
+        return Pitch(given.pitch, "as given")
+    found = pitch_of_horizon(lens, horizon, given.roll)
+    return Pitch(found, f"horizon at row {horizon:.3f} of the camera's file")
+
+
+@dataclass(frozen=True)
+class PitchOfLayout:
+    """A camera whose pitch each picture tells by its layout."""
+
+    stand: _Stand
+
+    def __call__(self, image: Tensor, detection: Detection) -> Placed:
+        """InputError where the picture does not tell it."""
         layout = detection.cues.get("layout")
         if layout is None or layout.ndim != 3:
             remedy = "give --pitch or --camera, or a detector with a layout, such as fusion"
             raise InputError("image", "has no layout by this detector to tell the pitch", remedy)
+        lens = self.stand.lens_of(image)
         row, spread = horizon_of(image, layout)
         degrees = math.degrees(math.atan(spread * lens.height / lens.focal_y))
         told = f"horizon at row {row:.3f} of the layout, unsure by {degrees:.1f} degrees"
-        return pitch_of_horizon(lens, row, given.roll), told, degrees
+        pitch = pitch_of_horizon(lens, row, self.stand.given.roll)
+        return self.stand.placed(lens, Pitch(pitch, told, degrees))
+
+    def steadied(self, placed: Sequence[Placed]) -> Placing:
+        """The same camera with the median of the pitches that some of its pictures tell."""
+        pitches = [one.camera.pose.pitch for one in placed]
+        spread = statistics.median(one.spread for one in placed)
+        told = f"median of {len(pitches)} frames ({min(pitches):.2f} to {max(pitches):.2f})"
+        told += f" by the layout, unsure by {spread:.1f} degrees"
+        found = Pitch(statistics.median(pitches), told, spread)
+        return _ToldPitch(self.stand, lambda _: found)
+
+
+class Mapped(NamedTuple):
+    """A picture (3,H,W), what was detected in it, its camera, and the grid of both."""
+
+    image: Tensor
+    detection: Detection
+    placed: Placed
+    grid: Grid
+
+
+def mapped(image: Tensor, detection: Detection, placing: Placing, settings: GridSettings) -> Mapped:
+    """A picture and its grid; raises what ``placing`` and ``ground_grid`` raise."""
+    placed = placing(image, detection)
+    road = decided(detection, settings.threshold)
+    grid = ground_grid(road, placed.camera, settings, detection.cues.get("ego"))
+    return Mapped(image, detection, placed, grid)
+
+
+def write_mapped(output: Callable[[str], Path], kinds: Container[str], found: Mapped) -> None:
+    """Write a grid's files, see ``SUFFIXES``; output: what a name ends with → the path."""
+    make_folder(output("").parent, ELSEWHERE)
+    write_grid(output(""), found.grid, found.placed.told)
+    if "likelihood" in kinds:
+        write_npy(output(SUFFIXES["likelihood"]), found.grid.likelihood)
+    if "picture" in kinds:
+        pixels = beside(found.image, found.detection.mask, found.grid)
+        write_jpeg(output(SUFFIXES["picture"]), pixels)
 
 
 @dataclass(frozen=True)
@@ -179,30 +288,22 @@ class Gridding:
         image = read_image(job.picture.path)
         if self.known is not None:
             self.known.check(image)
-        detection = self.detector.detect(image)
-        placed = self.placing(image, detection)
-        road = decided(detection, self.settings.threshold)
-        grid = ground_grid(road, placed.camera, self.settings, detection.cues.get("ego"))
-        make_folder(job.output("").parent, ELSEWHERE)
-        write_grid(job.output(""), grid, placed.told)
-        if "likelihood" in self.kinds:
-            write_npy(job.output(SUFFIXES["likelihood"]), grid.likelihood)
-        if "picture" in self.kinds:
-            write_jpeg(job.output(SUFFIXES["picture"]), beside(image, detection.mask, grid))
-        return _row(job, image, detection, placed, grid, 1000 * (perf_counter() - start))
+        found = mapped(image, self.detector.detect(image), self.placing, self.settings)
+        write_mapped(job.output, self.kinds, found)
+        return grid_row(job.file, found, 1000 * (perf_counter() - start))
 
 
-def _row(
-    job: Job, image: Tensor, detection: Detection, placed: Placed, grid: Grid, ms: float
-) -> Row:
+def grid_row(file: str, found: Mapped, ms: float) -> Row:
+    """The row for index.csv of a grid; the road share is that of free cells. ms: what it took."""
+    detection, spread = found.detection, found.placed.spread
     doubt = detection.doubt
-    if placed.spread > UNSURE:
-        doubt = ", ".join(filter(None, [doubt, f"pitch unsure by {placed.spread:.1f} degrees"]))
-    height, width = image.shape[-2:]
-    share = float((grid.cells == FREE).double().mean())
+    if spread > UNSURE:
+        doubt = ", ".join(filter(None, [doubt, f"pitch unsure by {spread:.1f} degrees"]))
+    height, width = found.image.shape[-2:]
+    share = float((found.grid.cells == FREE).double().mean())
     trust = "" if detection.trust is None else f"{detection.trust:.2f}"
     status = f"{DOUBTFUL}: {doubt}" if doubt else DONE
-    return Row(job.file, str(width), str(height), f"{ms:.0f}", f"{share:.4f}", trust, status)
+    return Row(file, str(width), str(height), f"{ms:.0f}", f"{share:.4f}", trust, status)
 
 
 def decided(detection: Detection, threshold: float) -> Tensor:

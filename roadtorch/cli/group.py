@@ -13,11 +13,12 @@ from typing import Any, NoReturn
 import click
 
 from roadtorch.errors import RoadtorchError
-from roadtorch.signals import Terminated, terminated_in_words
+from roadtorch.signals import Terminated, interruption_first, terminated_in_words
 from roadtorch.version import __version__
 
 # name: (module:attribute, summary). The summary is here so that help imports no command.
 COMMANDS = {
+    "annotate": ("roadtorch.cli.annotate:annotate", "Correct machine labels in a page."),
     "camera": ("roadtorch.cli.camera:camera", "Find what stays the same in one camera's footage."),
     "detectors": ("roadtorch.cli.detectors:detectors", "List the detectors, or explain one."),
     "evaluate": ("roadtorch.cli.evaluate:evaluate", "Score detectors on labelled pictures."),
@@ -85,17 +86,10 @@ class CommandGroup(click.Group):
 
     def main(self, args: Sequence[str] | None = None, *_: Any, **extra: Any) -> NoReturn:
         """Run with the given arguments or those of the process, and exit with its code."""
-        warnings.showwarning = _show_warning
-        for stream in (sys.stdout, sys.stderr):
-            if isinstance(stream, io.TextIOWrapper):  # names in any encoding can be told
-                stream.reconfigure(errors="backslashreplace")
-        # Read by OpenMP when torch is loaded. Its threads would otherwise spin while they
-        # wait, which costs many times the work wherever the cores have other work too.
-        os.environ.setdefault("OMP_WAIT_POLICY", "passive")
         extra |= {"prog_name": "roadtorch", "standalone_mode": False}
-        open_streams()
         try:
-            with terminated_in_words():
+            with terminated_in_words(), interruption_first():
+                _settle_process()
                 code = super().main(args, **extra)
         except (click.Abort, KeyboardInterrupt) as problem:
             click.echo("roadtorch: interrupted; what was finished is kept", err=True)
@@ -152,6 +146,18 @@ def _debug_option() -> click.Option:
         callback=remember,
         help="Show the traceback of an error.",
     )
+
+
+def _settle_process() -> None:
+    """Warnings in our words, any name tellable, streams that are open, threads that sleep."""
+    warnings.showwarning = _show_warning
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # names in any encoding can be told
+            stream.reconfigure(errors="backslashreplace")
+    # Read by OpenMP when torch is loaded. Its threads would otherwise spin while they
+    # wait, which costs many times the work wherever the cores have other work too.
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    open_streams()
 
 
 def open_streams() -> None:

@@ -1,5 +1,6 @@
 """roadtorch infer: pictures to likelihoods, masks and overlays."""
 
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import click
@@ -7,16 +8,18 @@ import click
 from roadtorch.cli.options import (
     CAMERA,
     CONFIG,
-    JOBS,
     ONE_DETECTOR,
     OVERWRITE,
-    PATH,
     QUIET,
     SETTING,
+    Cut,
+    Means,
+    with_cut,
+    with_means,
 )
 
-KINDS = ("likelihood", "mask", "overlay", "cues", "npy")
-FOOTAGE_KINDS = ("overlay-frames", "mask-video", "likelihood-video")
+KINDS = ("likelihood", "mask", "overlay", "cues", "npy", "polygons", "json")
+FOOTAGE_KINDS = ("overlay-frames", "mask-video", "likelihood-video", "bag")
 
 
 def _kinds(_: click.Context, __: click.Parameter, value: str | None) -> tuple[str, ...] | None:
@@ -55,32 +58,27 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
 @click.command()
 @click.argument("inputs", metavar="INPUT...", nargs=-1)
 @ONE_DETECTOR
-@click.option("--out", type=PATH, default=Path("roads"), show_default=True, help="Results.")
+@click.option("--out", default="roads", show_default=True, help="Folder or URL for results.")
 @click.option(
     "--save",
     callback=_kinds,
     help=f"What to write: some of {','.join(KINDS)}; of footage also {','.join(FOOTAGE_KINDS)}. "
-    "[likelihood,mask,overlay; of footage overlay]",
+    "[likelihood,mask,overlay; of footage overlay, of bags overlay,bag]",
 )
-@click.option("--every", type=click.IntRange(min=1), default=1, help="One frame of so many.")
-@click.option("--start", type=click.FloatRange(min=0), default=0.0, help="Of footage: seconds.")
-@click.option("--end", type=click.FloatRange(min=0), help="Of footage: seconds, left out.")
-@click.option("--limit", type=click.IntRange(min=1), help="At most so many frames or pictures.")
-@click.option("--topic", help="Of bags: the images to look at, where there are several.")
-@click.option("--gif", callback=_stretch, metavar="START:END", help="Seconds to show as a GIF.")
+@with_cut
 @click.option(
-    "--patience",
-    type=click.FloatRange(min=0.1),
-    default=10.0,
+    "--steady/--no-steady",
+    default=True,
     show_default=True,
-    help="Seconds within which a stream has to answer.",
+    help="Of footage: carry along the motion what earlier frames said.",
 )
+@click.option("--gif", callback=_stretch, metavar="START:END", help="Seconds to show as a GIF.")
 @SETTING
 @CONFIG
 @CAMERA
 @click.option("--threshold", type=float, help="Likelihood from which a pixel is road.")
 @click.option("--depth", type=click.Choice(["8", "16"]), default="8", show_default=True)
-@JOBS
+@with_means
 @OVERWRITE
 @QUIET
 @click.option("--print-config", is_flag=True, help="Print the effective settings and stop.")
@@ -89,38 +87,37 @@ def infer(
     context: click.Context,
     inputs: tuple[str, ...],
     detector: str | None,
-    out: Path,
+    out: str,
     save: tuple[str, ...] | None,
-    every: int,
-    start: float,
-    end: float | None,
-    limit: int | None,
-    topic: str | None,
+    cut: Cut,
+    steady: bool,
     gif: tuple[float, float] | None,
-    patience: float,
     assignments: tuple[str, ...],
     config: Path | None,
     camera: Path | None,
     threshold: float | None,
     depth: str,
-    jobs: int,
+    means: Means,
     overwrite: bool,
     quiet: bool,
     print_config: bool,
 ) -> None:
-    """Find the road in pictures, videos, cameras and streams.
+    """Find the road in pictures, videos, cameras, streams, bags and archives.
 
     \b
     INPUT is a file, a folder (with all below), a quoted glob, a camera (0 or
-    camera:0), a stream (rtsp://, http://), - for names on standard input, or
+    camera:0), a stream (rtsp://, http://), a ROS bag, an archive of pictures,
+    a URL of fsspec (s3://bucket/drive), - for names on standard input, or
     @list.txt. Each picture NAME.jpg gives, in the folder --out,
       NAME.likelihood.png   how road-like each pixel is, 0 to white
       NAME.mask.png         road white, the rest black
       NAME.overlay.jpg      the picture with its road tinted and outlined
-    and on demand NAME.cue.CUE.png (--save cues) and .npy files. Each video
+    and on demand NAME.cue.CUE.png (--save cues), .npy files, outlines (--save
+    polygons: NAME.labelme.json and coco.json) and NAME.json. Each video
     NAME.mp4 gives NAME.overlay.mp4, and on demand these files for each frame,
-    NAME/000123.mask.png. index.csv lists every picture and frame. A second run
-    goes on where the first one stopped.
+    NAME/000123.mask.png. Each bag gives NAME.overlay.mp4 and the bag NAME.road
+    (of ROS 1: NAME.road.bag). index.csv lists every picture and frame, run.json
+    says how it was made. A second run goes on where the first one stopped.
     """
     from roadtorch.cli import config as configuration
 
@@ -129,14 +126,13 @@ def infer(
         raise click.UsageError("Missing argument 'INPUT...'", context)
 
     from roadtorch.camera.camera import Camera
-    from roadtorch.cli import batch, footage, results
-    from roadtorch.cli.claim import claimed
+    from roadtorch.cli import batch, engines, footage, results
     from roadtorch.cli.footage_results import USUAL_OF_PICTURES, FootageResults
+    from roadtorch.cli.run_record import RunRecord
     from roadtorch.detectors.catalogue import load_detector
-    from roadtorch.sources.frame import Selection
-    from roadtorch.sources.live import Patience
-    from roadtorch.sources.open import Told, open_sources, sort_inputs
+    from roadtorch.sources.open import sort_inputs
 
+    engines.prepare(means)
     known = None if camera is None else Camera.read(camera)
     loaded = load_detector(name, camera=known, **values)
     effective = configuration.as_toml(loaded.name, loaded.settings)
@@ -144,26 +140,38 @@ def infer(
         click.echo(effective)
         return
     bits = 16 if depth == "16" else 8
-    selection = Selection(every, start, end, limit)
-    sorted_inputs = sort_inputs(inputs)
+    told = sort_inputs(inputs)
     kinds = USUAL_OF_PICTURES if save is None else save
-    pictures = batch.plan(sorted_inputs.pictures, out, results.suffixes(kinds), selection)
-    told = Told(out, Patience(answer=patience), topic)
-    sources = open_sources(sorted_inputs.sources, selection, told)
-    written = FootageResults(save, bits, gif)
-    planned = footage.plan_sources(sources, out, written)
-    context.with_resource(claimed(out))
-    results.keep_config(out, effective, overwrite)
-    options = batch.Options(jobs, overwrite, quiet)
-    codes = [0]
-    if pictures:
-        work = results.Inference(loaded, frozenset(kinds), bits, known)
+    work = results.Inference(loaded, frozenset(kinds), bits, known, means.device)
+    plan = engines.plan_run(told.pictures, out, kinds, work, engines.selection(cut))
+    written = FootageResults(save, bits, gif, loaded, cut.topic)
+    sources = footage.plan_sources(engines.footage_of(told.sources, out, cut), Path(out), written)
+    place = context.with_resource(plan.claimed())
+    results.keep_config(place, effective, overwrite)
+    plan.publish(place / results.CONFIG)
+    files = tuple(job.file for job in [*plan.jobs, *(job for _, job in sources)])
+    of_frames = {**asdict(cut), "gif": gif, "steady": steady}
+    options = batch.Options(means.jobs or 1, overwrite, quiet, means.fail_fast)
+
+    def of_pictures(engine: batch.Engine | None) -> int:
         method = results.detector_method(loaded, effective, kinds, depth.encode())
-        codes.append(batch.run_jobs(pictures, out, work, method, options))
-    if planned:
-        parts = (depth.encode(), repr((selection, gif, topic)).encode())
-        method = results.detector_method(loaded, effective, (), *parts)
-        # STEADY: steady=partial(Steady, settings), and the settings among the parts above.
-        work = footage.FootageWork(loaded, written, None if known is None else known.check)
-        codes.append(footage.run_sources(planned, work, method, options))
-    context.exit(max(codes))
+        own = replace(options, engine=engine, publish=plan.publish, shown=out)
+        return batch.run_jobs(plan.jobs, place, plan.work, method, own)
+
+    def of_footage() -> int:
+        parts = repr((depth, of_frames)).encode()
+        method = results.detector_method(loaded, effective, (), parts)
+        check = None if known is None else known.check
+        seen = footage.FootageWork(loaded, written, check, footage.steadied if steady else None)
+        return footage.run_sources(sources, seen, method, options)
+
+    def run() -> int:
+        try:
+            with engines.started(means, len(plan.jobs)) as engine:
+                codes = [of_pictures(engine)] if plan.jobs else [0]
+            return max([*codes, *([of_footage()] if sources else [])])
+        finally:
+            plan.assemble(place, kinds)
+
+    given = {**asdict(means), **of_frames, "save": kinds, "depth": bits}
+    context.exit(RunRecord(place, loaded, files, given, plan.publish).around(run))

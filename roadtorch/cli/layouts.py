@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from roadtorch.cli.batch import Job, Row
+from roadtorch.cli.batch import Job
 from roadtorch.cli.claim import ELSEWHERE
+from roadtorch.cli.index import Row
 from roadtorch.detector import checked_image
 from roadtorch.files import make_folder
 from roadtorch.image import read_image, write_jpeg, write_labels

@@ -1,6 +1,8 @@
 """Options that several commands share, written once."""
 
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,117 @@ JOBS = click.option(
 )
 OVERWRITE = click.option("--overwrite", is_flag=True, help="Redo pictures that are done.")
 QUIET = click.option("--quiet", is_flag=True, help="No progress, only failures.")
+
+
+@dataclass(frozen=True)
+class Means:
+    """With what the pictures of a run are worked on.
+
+    jobs: pictures at a time on this machine; None for one a processor. engine: ``local`` or
+    ``ray``. address: of a Ray cluster; None for one of this machine. workers: actors. threads: of
+    torch and OpenCV within a picture. device: of torch. fail_fast: end at the first failure.
+    """
+
+    jobs: int | None
+    engine: str
+    address: str | None
+    workers: int
+    threads: int
+    device: str
+    fail_fast: bool
+
+
+MEANS = (
+    click.option(
+        "--jobs",
+        type=click.IntRange(min=1),
+        help="Pictures at a time; the results do not depend on it. [one a processor]",
+    ),
+    click.option(
+        "--engine",
+        type=click.Choice(["local", "ray"]),
+        default="local",
+        show_default=True,
+        help="Processes of this machine, or actors on Ray (extra: ray).",
+    ),
+    click.option("--address", help="A Ray cluster's; without it one is started here."),
+    click.option(
+        "--workers",
+        type=click.IntRange(min=1),
+        default=2,
+        show_default=True,
+        help="Actors on Ray, each with one processor.",
+    ),
+    click.option(
+        "--threads",
+        type=click.IntRange(min=1),
+        default=1,
+        show_default=True,
+        help="Threads within a picture; likelihoods differ in the seventh digit.",
+    ),
+    click.option(
+        "--device", default="cpu", show_default=True, help="Where tensors are: cpu, cuda, cuda:1."
+    ),
+    click.option("--fail-fast", is_flag=True, help="End at the first picture that fails."),
+)
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Which frames and pictures of the inputs are looked at.
+
+    every, start, end, limit: see ``roadtorch.sources.frame.Selection``. topic: of bags. patience:
+    seconds within which a stream has to answer.
+    """
+
+    every: int
+    start: float
+    end: float | None
+    limit: int | None
+    topic: str | None
+    patience: float
+
+
+CUT = (
+    click.option("--every", type=click.IntRange(min=1), default=1, help="One frame of so many."),
+    click.option("--start", type=click.FloatRange(min=0), default=0.0, help="Of footage: seconds."),
+    click.option("--end", type=click.FloatRange(min=0), help="Of footage: seconds, left out."),
+    click.option("--limit", type=click.IntRange(min=1), help="At most so many frames or pictures."),
+    click.option("--topic", help="Of bags: the images to look at, where there are several."),
+    click.option(
+        "--patience",
+        type=click.FloatRange(min=0.1),
+        default=10.0,
+        show_default=True,
+        help="Seconds within which a stream has to answer.",
+    ),
+)
+
+
+def _gathered(
+    command: Command, kind: type[Any], name: str, options: Sequence[Callable[..., Any]]
+) -> Command:
+    """A command with options that it gets as one argument, an object of a kind."""
+
+    @functools.wraps(command)
+    def gathered(*arguments: Any, **given: Any) -> Any:
+        one = kind(**{field: given.pop(field) for field in kind.__dataclass_fields__})
+        return command(*arguments, **{name: one}, **given)
+
+    for option in reversed(options):
+        gathered = option(gathered)
+    return gathered
+
+
+def with_means(command: Command) -> Command:
+    """A command with the options of ``Means``, which it gets as one argument ``means``."""
+    return _gathered(command, Means, "means", MEANS)
+
+
+def with_cut(command: Command) -> Command:
+    """A command with the options of ``Cut``, which it gets as one argument ``cut``."""
+    return _gathered(command, Cut, "cut", CUT)
+
 
 LABELLED_SET = (
     click.argument("dataset"),

@@ -1,8 +1,8 @@
 """What ``infer`` writes for one picture, and for a folder of them."""
 
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePath
 from time import perf_counter
 from typing import Literal
 
@@ -10,11 +10,13 @@ import torch
 from torch import Tensor
 
 from roadtorch.camera.camera import Camera
-from roadtorch.cli.batch import DONE, DOUBTFUL, INDEX, Job, Method, Row, method_of
+from roadtorch.cli.batch import Job, Method, method_of
 from roadtorch.cli.claim import ELSEWHERE
+from roadtorch.cli.index import DONE, DOUBTFUL, INDEX, Row
+from roadtorch.data.maps import CONFIG, MASK
 from roadtorch.detector import Detection, Detector
-from roadtorch.errors import ConfigError
-from roadtorch.files import digest_of, make_folder, write_text
+from roadtorch.errors import ConfigError, InputError
+from roadtorch.files import digest_of, make_folder, write_json, write_text
 from roadtorch.image import (
     read_image,
     write_colours,
@@ -25,15 +27,21 @@ from roadtorch.image import (
 )
 from roadtorch.layout.classes import LAYOUT_COLOURS, layout_colours
 from roadtorch.layout.weights import tensors_hash
-from roadtorch.outside import printable
+from roadtorch.outside import printable, read_regular
+from roadtorch.sinks.polygons import labelme_document
+from roadtorch.version import __version__
 
-CONFIG = "config.toml"
 SUFFIXES = {
     "likelihood": ".likelihood.png",
-    "mask": ".mask.png",
+    "mask": MASK,
     "overlay": ".overlay.jpg",
     "npy": ".likelihood.npy",
+    "polygons": ".labelme.json",
+    "json": ".json",
 }
+
+CUE_SUFFIXES = {"cues": ".cue.{}.png", "npy": ".{}.npy"}
+"""Of the kinds that write a file a cue."""
 
 GOLDEN = 0.6180339887  # the fractional step that spreads neighbouring labels over the colours
 
@@ -41,6 +49,11 @@ GOLDEN = 0.6180339887  # the fractional step that spreads neighbouring labels ov
 def suffixes(kinds: Iterable[str]) -> dict[str, str]:
     """How the files of each kind end; the cues' names are known only after detection."""
     return {kind: SUFFIXES[kind] for kind in kinds if kind in SUFFIXES}
+
+
+def cue_suffixes(kinds: Iterable[str]) -> list[str]:
+    """How the files of the cues end, of all kinds that have them."""
+    return [CUE_SUFFIXES[kind] for kind in kinds if kind in CUE_SUFFIXES]
 
 
 def keep_config(out: Path, effective: str, overwrite: bool) -> None:
@@ -51,7 +64,7 @@ def keep_config(out: Path, effective: str, overwrite: bool) -> None:
     """
     path = out / CONFIG
     effective += "\n"
-    is_other = path.exists() and path.read_bytes() != printable(effective).encode()
+    is_other = path.exists() and _bytes_of(path) != printable(effective).encode()
     if is_other and (out / INDEX).exists() and not overwrite:
         raise ConfigError(
             out,
@@ -59,6 +72,13 @@ def keep_config(out: Path, effective: str, overwrite: bool) -> None:
             "give another --out, or --overwrite",
         )
     write_text(path, effective)
+
+
+def _bytes_of(config: Path) -> bytes:
+    try:
+        return read_regular(config)
+    except OSError as problem:
+        raise InputError(config, f"cannot be read: {problem.strerror}", ELSEWHERE) from None
 
 
 def detector_method(
@@ -86,13 +106,15 @@ def _texts(values: object) -> Iterator[str]:
 class Inference:
     """The work on one picture: read, detect, write.
 
-    camera: the one that its picture has to be of, where it is known.
+    camera: the one that its picture has to be of, where it is known. device: where the tensors
+    are while the road is looked for; steps of OpenCV fetch what they need.
     """
 
     detector: Detector
     kinds: frozenset[str]
     depth: Literal[8, 16]
     camera: Camera | None = None
+    device: str = "cpu"
 
     def __call__(self, job: Job) -> Row:
         """Write the results of one picture; the row for index.csv."""
@@ -100,10 +122,12 @@ class Inference:
         image = read_image(job.picture.path)
         if self.camera is not None:
             self.camera.check(image)
-        detection = self.detector.detect(image)
+        detection = self.detector.to(self.device).detect(image.to(self.device))
         make_folder(job.output("").parent, ELSEWHERE)
         write_files(job.output, self.kinds, self.depth, image, detection)
-        return row_of(job.file, detection, 1000 * (perf_counter() - start))
+        write_documents(job.output, self.kinds, job.file, detection, self.detector)
+        row = row_of(job.file, detection, 1000 * (perf_counter() - start))
+        return replace(row, cues="/".join(detection.cues))
 
 
 def row_of(file: str, detection: Detection, ms: float) -> Row:
@@ -134,9 +158,43 @@ def write_files(
         write_npy(output(SUFFIXES["npy"]), detection.likelihood)
     for name, cue in detection.cues.items():
         if "cues" in kinds:
-            write_colours(output(f".cue.{name}.png"), cue_picture(name, cue))
+            write_colours(output(CUE_SUFFIXES["cues"].format(name)), cue_picture(name, cue.cpu()))
         if "npy" in kinds:
-            write_npy(output(f".{name}.npy"), cue)
+            write_npy(output(CUE_SUFFIXES["npy"].format(name)), cue)
+
+
+def write_documents(
+    output: Callable[[str], Path],
+    kinds: Container[str],
+    file: str,
+    detection: Detection,
+    detector: Detector,
+) -> None:
+    """Write what is said of a picture in JSON: its outline, its figures. file: as in index.csv."""
+    if "polygons" in kinds:
+        outline = labelme_document(detection.mask.cpu().numpy(), PurePath(file).name)
+        write_json(output(SUFFIXES["polygons"]), outline)
+    if "json" in kinds:
+        write_json(output(SUFFIXES["json"]), facts(file, detection, detector))
+
+
+def facts(file: str, detection: Detection, detector: Detector) -> dict[str, object]:
+    """What is known about one picture in numbers; nothing in it depends on the run.
+
+    road_share: of the mask, in [0,1]. trust: the expected F, None where the detector does not say.
+    """
+    height, width = detection.mask.shape
+    return {
+        "file": file,
+        "width": width,
+        "height": height,
+        "road_share": round(float(detection.mask.to(torch.float64).mean()), 6),
+        "trust": None if detection.trust is None else round(detection.trust, 4),
+        "doubt": detection.doubt,
+        "threshold": detector.settings.threshold,
+        "detector": detector.name,
+        "roadtorch": __version__,
+    }
 
 
 def cue_picture(name: str, cue: Tensor) -> Tensor:

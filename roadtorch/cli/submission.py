@@ -8,7 +8,8 @@ from time import perf_counter
 
 from roadtorch.camera.birds_eye import read_calibration, to_birds_eye
 from roadtorch.cli import batch
-from roadtorch.cli.batch import Job, Row
+from roadtorch.cli.batch import Job
+from roadtorch.cli.index import Row
 from roadtorch.data.kitti import result_name
 from roadtorch.detector import Detector
 from roadtorch.files import atomic
@@ -20,17 +21,28 @@ SUFFIX = ".png"
 READABLE_BY_ALL = 0o644 << 16  # where zip keeps the Unix permissions
 
 
-def plan_maps(images: Path, out: Path) -> list[Job]:
+def plan_maps(images: Path, calib: Path, out: Path) -> list[Job]:
     """The jobs for a folder of KITTI road pictures, their results named as the server wants.
+
+    A picture whose calibration file in ``calib`` has changed is done anew.
 
     Raises what ``batch.plan`` raises, and DatasetError for a picture that is not named
     CATEGORY_NUMBER.
     """
     jobs = batch.plan([str(images)], out, {"map": SUFFIX})
     return [
-        replace(job, picture=Picture(job.picture.path, result_name(job.picture.name)))
+        replace(
+            job,
+            picture=Picture(job.picture.path, result_name(job.picture.name)),
+            beside=(calibration_file(calib, job.picture.path),),
+        )
         for job in jobs
     ]
+
+
+def calibration_file(calib: Path, picture: Path) -> Path:
+    """The calibration of a picture, in the folder of all of them."""
+    return calib / f"{picture.stem}.txt"
 
 
 @dataclass(frozen=True)
@@ -44,7 +56,7 @@ class Submission:
         """Write the map of one picture: 8 bits, 800 rows, 400 columns, round(255 p)."""
         start = perf_counter()
         source = job.picture.path
-        calibration = read_calibration(self.calib / f"{source.stem}.txt")
+        calibration = read_calibration(calibration_file(self.calib, source))
         detection = self.detector.detect(read_image(source))
         write_map(job.output(SUFFIX), to_birds_eye(detection.likelihood, calibration))
         height, width = detection.mask.shape

@@ -46,8 +46,9 @@ def submit(
 
     loaded = load_detector(name, **values)
     folder = base_folder(root, "testing")
-    work = submission.Submission(loaded, calib_folder(folder))
-    planned = submission.plan_maps(folder / "image_2", out)
+    calib = calib_folder(folder)
+    work = submission.Submission(loaded, calib)
+    planned = submission.plan_maps(folder / "image_2", calib, out)
     effective = configuration.as_toml(loaded.name, loaded.settings)
     context.with_resource(claimed(out))
     results.keep_config(out, effective, overwrite)

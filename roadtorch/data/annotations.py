@@ -13,9 +13,9 @@ import numpy as np
 from defusedxml import DefusedXmlException, ElementTree
 
 from roadtorch.data.polygons import Disc, Polygon, Shape, Stamp
-from roadtorch.decoding import open_picture, reason
+from roadtorch.decoding import open_picture
 from roadtorch.errors import DatasetError
-from roadtorch.outside import read_regular
+from roadtorch.outside import read_regular, reason
 
 CORNERS = 3  # a polygon needs as many to have an area
 

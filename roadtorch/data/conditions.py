@@ -7,12 +7,14 @@ are passed over; pictures that it does not list have no condition.
 
 import csv
 import difflib
+import io
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from roadtorch.data.dataset import Dataset, Item
 from roadtorch.errors import DatasetError
+from roadtorch.outside import read_regular, reason
 
 FILE = "pictures.csv"  # in the folder of a set
 
@@ -48,16 +50,16 @@ def _key_of(item: Item) -> Key:
 def _rows(path: Path, columns: list[str]) -> Iterator[tuple[int, Mapping[str, str]]]:
     """Number of the line, and what it says, of every line below the names of the columns."""
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            table = csv.DictReader(file, restval="")
-            missing = [name for name in columns if name not in (table.fieldnames or ())]
-            if missing:
-                what = f"has no column {' and none '.join(missing)}"
-                raise DatasetError(path, what, f"its first line has to name {', '.join(columns)}")
-            for row in table:
-                yield table.line_num, row
+        text = read_regular(path).decode("utf-8-sig")
+        table = csv.DictReader(io.StringIO(text, newline=""), restval="")
+        missing = [name for name in columns if name not in (table.fieldnames or ())]
+        if missing:
+            what = f"has no column {' and none '.join(missing)}"
+            raise DatasetError(path, what, f"its first line has to name {', '.join(columns)}")
+        for row in table:
+            yield table.line_num, row
     except (OSError, UnicodeDecodeError, csv.Error) as problem:
-        raise DatasetError(path, f"cannot be read: {problem}", "give a CSV file") from None
+        raise DatasetError(path, f"cannot be read: {reason(problem)}", "give a CSV file") from None
 
 
 def _unknown(path: Path, line: int, key: Key, pictures: Mapping[Key, Item]) -> DatasetError:

@@ -1,5 +1,6 @@
 """Likelihood maps made elsewhere, scored like those of a detector."""
 
+import io
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from torch import Tensor
 from roadtorch.detector import DetectorSettings, decide
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.image import read_image
-from roadtorch.outside import printable
+from roadtorch.outside import printable, read_regular, reason
 from roadtorch.settings import build_settings, read_settings_file
 
 ENDINGS = (".png", ".likelihood.png", ".npy", ".likelihood.npy")
@@ -67,14 +68,22 @@ def read_map(path: Path) -> Tensor:
         if (image != image[0]).any():
             raise InputError(path, "is a colour picture", "give a grey one, bright where road is")
         return image[0]
-    try:
-        values = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as problem:
-        raise InputError(path, f"cannot be read: {problem}", "replace the file") from None
+    values = _read_npy(path)
     if values.ndim != 2 or values.dtype.kind != "f":
         what = f"holds {values.dtype} of shape {values.shape}"
         raise InputError(path, what, "give floating-point numbers (height, width)")
-    return torch.from_numpy(values.astype(np.float32))
+    with np.errstate(over="ignore"):  # told as a value out of [0,1]
+        return torch.from_numpy(values.astype(np.float32))
+
+
+def _read_npy(path: Path) -> np.ndarray:
+    try:
+        found = np.load(io.BytesIO(read_regular(path)), allow_pickle=False)
+    except Exception as problem:  # NumPy raises anything for foreign bytes
+        raise InputError(path, f"cannot be read: {reason(problem)}", "replace the file") from None
+    if not isinstance(found, np.ndarray):
+        raise InputError(path, "is an archive of arrays", "give a single one")
+    return found
 
 
 def is_of_infer(folder: Path) -> bool:

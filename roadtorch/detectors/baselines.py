@@ -92,7 +92,7 @@ class KmeansRoad(nn.Module):
         size = (even.shape[1] - side + 1, even.shape[2] - side + 1)
         features = select_maps(patches, bases, size, ALL_MAPS).maps
         clusters = cluster_pixels(features, settings.peaks)
-        regions, words = connected_regions(clusters), assign(patches, bases).view(size)
+        regions, words = connected_regions(clusters), assign(patches, bases).view(size).cpu()
         seed = seed_rectangle(size, settings.seed_area)
         road = mask_to_image(cut_road(regions, words, len(bases), seed, settings.cut), side)
         shown = clusters / max(1, settings.peaks.clusters - 1)

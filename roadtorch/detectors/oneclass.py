@@ -109,7 +109,11 @@ class OneClass(nn.Module):
         self.planes = REPRESENTATIONS[planes]
 
     def forward(self, image: Tensor) -> dict[str, Tensor]:
-        """The cues of an image (3,H,W) in [0,1]."""
+        """The cues of an image (3,H,W) in [0,1]; they are found on the CPU, with NumPy's help."""
+        found = self._found(image.cpu())
+        return {name: cue.to(image.device) for name, cue in found.items()}
+
+    def _found(self, image: Tensor) -> dict[str, Tensor]:
         settings = self.settings
         generator = torch.Generator().manual_seed(settings.random_seed)
         samples = road_samples(image, self.planes, settings.samples, settings.seed_area)

@@ -111,7 +111,7 @@ class CpfV2(nn.Module):
         fused, values, clipped = unsaturated_uniformity(
             image,
             labels,
-            seed_rectangle(labels.shape, settings.seed_area),
+            seed_rectangle(labels.shape, settings.seed_area).to(image.device),
             settings.texture,
             settings.saturation,
         )
@@ -161,7 +161,7 @@ def _cues_over(
     labels: Tensor, image: Tensor, settings: CpfSettings | CpfSquaresSettings
 ) -> dict[str, Tensor]:
     everywhere = torch.ones_like(labels, dtype=torch.bool)
-    seed = seed_rectangle(labels.shape, settings.seed_area)
+    seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
     fused, values = fused_uniformity(image, labels, everywhere, seed, settings.texture)
     return _texture_cues(labels, fused, values, settings.texture.even)
 

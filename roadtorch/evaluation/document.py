@@ -10,6 +10,7 @@ from roadtorch.errors import ConfigError, InputError
 from roadtorch.evaluation.contenders import Contender
 from roadtorch.evaluation.measure import Figures, Measure
 from roadtorch.evaluation.result import DetectorFigures, Evaluation
+from roadtorch.outside import read_regular, reason
 from roadtorch.version import __version__
 
 
@@ -121,16 +122,24 @@ def earlier_thresholds(path: Path, contenders: Sequence[Contender]) -> dict[str,
 def _read_thresholds(path: Path) -> dict[str, tuple[float, Mapping[str, Any]]]:
     """Detector → (threshold, settings)."""
     try:
-        detectors = json.loads(path.read_text(encoding="utf-8"))["detectors"]
+        detectors = json.loads(read_regular(path).decode())["detectors"]
         return {
-            name: (float(figures["maxf_threshold"]), dict(figures.get("settings", {})))
+            name: (_share(figures["maxf_threshold"]), dict(figures.get("settings", {})))
             for name, figures in detectors.items()
             if figures["maxf_threshold"] is not None
         }
     except (OSError, UnicodeDecodeError) as problem:
-        raise InputError(path, f"cannot be read: {problem}", "give a metrics.json") from None
-    except (ValueError, KeyError, TypeError, AttributeError):
+        what = f"cannot be read: {reason(problem)}"
+        raise InputError(path, what, "give a metrics.json") from None
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         raise InputError(path, "is not a metrics.json", "give one that evaluate wrote") from None
+
+
+def _share(value: Any) -> float:
+    """A number in [0,1]; ValueError or TypeError for anything else, NaN among it."""
+    if not 0 <= float(value) <= 1:
+        raise ValueError("not in [0,1]")
+    return float(value)
 
 
 def _threshold_for(

@@ -5,10 +5,11 @@ import json
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 
 from roadtorch.data.dataset import Dataset
 from roadtorch.errors import ConfigError
@@ -16,6 +17,7 @@ from roadtorch.evaluation.contenders import Contender
 from roadtorch.evaluation.scoring import Scored
 from roadtorch.evaluation.tally import Tally, tally_from, tally_tensors
 from roadtorch.files import atomic
+from roadtorch.layout.weights import tensors_hash
 
 FILE = "progress.safetensors"
 SAVE_EVERY = 20.0  # seconds of work that a power cut may cost, at least
@@ -82,8 +84,10 @@ class SavedTallies:
         }
         pictures = next(iter(self.tallies.values())).pictures
         about = {"run": self.run, "detectors": list(self.tallies), "pictures": pictures}
+        about["sha256"] = _digest(about, tensors)
+        data = save(tensors, {"roadtorch": json.dumps(about)})
         with atomic(self.path) as temporary:
-            save_file(tensors, temporary, {"roadtorch": json.dumps(about)})
+            temporary.write_bytes(data)
         self._saved = time.monotonic()
         self._pause = max(SAVE_EVERY, (self._saved - start) / SAVING)
 
@@ -94,21 +98,35 @@ def forget(folder: Path) -> None:
 
 
 def _load(path: Path, run: str) -> dict[str, Tally]:
-    """The tallies in a file of the same run; ConfigError when it is of another one."""
-    tensors: dict[str, torch.Tensor] = {}
+    """The tallies in a file of the same run.
+
+    Raises ConfigError when it is of another one, or not the file that was saved.
+    """
     try:
-        with safe_open(path, "pt") as file:
-            about = json.loads(file.metadata()["roadtorch"])
-            if about["run"] != run:
-                what = "holds the beginning of another run (other pictures, settings or code)"
-                raise ConfigError(path, what, REMEDY)
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError):
-        raise ConfigError(path, "is not the progress of a run", REMEDY) from None
+        about, tensors = _read(path)
+        if about["run"] != run:
+            what = "holds the beginning of another run (other pictures, settings or code)"
+            raise ConfigError(path, what, REMEDY)
+        if about.pop("sha256") != _digest(about, tensors):
+            raise ValueError("damaged")
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RecursionError):
+        raise ConfigError(path, "is not the progress of a run, or damaged", REMEDY) from None
     return {
         name: tally_from(_of(tensors, index), about["pictures"])
         for index, name in enumerate(about["detectors"])
     }
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
+    with safe_open(path, "pt") as file:
+        about = json.loads(file.metadata()["roadtorch"])
+        return about, {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+
+
+def _digest(about: Mapping[str, Any], tensors: Mapping[str, torch.Tensor]) -> str:
+    """SHA-256 of all that a file says and counts."""
+    text = json.dumps(about, sort_keys=True) + tensors_hash(tensors)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _of(tensors: Mapping[str, torch.Tensor], index: int) -> dict[str, torch.Tensor]:

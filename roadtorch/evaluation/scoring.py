@@ -17,6 +17,7 @@ from roadtorch.evaluation import boundary, metrics
 from roadtorch.evaluation.contenders import Contender, Look
 from roadtorch.evaluation.tally import Score
 from roadtorch.image_cache import ImageCache, image_cache
+from roadtorch.signals import end_with_parent, interrupting_none_started
 
 
 @dataclass(frozen=True)
@@ -131,13 +132,16 @@ def score(
     # Bytes, because torch would share tensors between processes through sockets.
     message = pickle.dumps((dataset, contenders, torch.get_num_threads()))
     with ProcessPoolExecutor(jobs, context, _prepare, (message,)) as pool:
-        yield from map(pickle.loads, pool.map(_score_one, items))
+        with interrupting_none_started():
+            found = pool.map(_score_one, items)
+        yield from map(pickle.loads, found)
 
 
 _prepared: list[Callable[[Item], Scored]] = []  # a worker process's own pass, set once
 
 
 def _prepare(message: bytes) -> None:
+    end_with_parent()
     dataset, contenders, threads = pickle.loads(message)
     torch.set_num_threads(threads)
     looks = prepared(dataset, contenders)

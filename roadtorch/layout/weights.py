@@ -18,6 +18,7 @@ from roadtorch.errors import ConfigError, WeightsError
 from roadtorch.files import atomic, digest_of
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
+from roadtorch.outside import read_regular, regular_size
 from roadtorch.settings import Settings, build_settings
 
 FORMAT = 1
@@ -32,6 +33,9 @@ of a network a million times larger overflow."""
 
 STATED = re.compile(r"^\|\s*sha256\s*\|\s*`([0-9a-f]{64})`\s*\|", re.MULTILINE)
 """The row of a card, NAME.md beside NAME.safetensors, that states the hash of the file."""
+
+MOST_OF_CARD = 2**20
+"""Bytes; ours: cards have thousands."""
 
 NETWORKS = {
     PatchNetwork.kind: (PatchNetwork, PatchNetworkSettings),
@@ -123,7 +127,7 @@ def tensors_hash(tensors: Mapping[str, Tensor]) -> str:
     digest = sha256()
     for name, value in sorted(tensors.items()):
         digest.update(f"{name} {value.dtype} {tuple(value.shape)}\n".encode())
-        digest.update(value.detach().cpu().contiguous().view(torch.uint8).numpy().tobytes())
+        digest.update(value.detach().cpu().reshape(-1).view(torch.uint8).numpy().tobytes())
     return digest.hexdigest()
 
 
@@ -136,6 +140,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     if not path.is_file():
         raise WeightsError(path, "is not a file", "give a .safetensors file")
     try:
+        regular_size(path)
         with safe_open(path, "pt") as file:
             header = _checked(path, (file.metadata() or {}).get(HEADER))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
@@ -158,7 +163,11 @@ def _check_hashes(path: Path, header: Mapping[str, Any], tensors: Mapping[str, T
     card = path.with_suffix(".md")
     if not card.is_file():
         return
-    row = STATED.search(card.read_text(encoding="utf-8", errors="replace"))
+    try:
+        row = STATED.search(read_regular(card, MOST_OF_CARD).decode(errors="replace"))
+    except OSError as problem:
+        what = f"cannot be read: {problem.strerror}"
+        raise WeightsError(card, what, "check the file, or remove it") from None
     if row is not None and row[1] != digest_of(path):
         what = f"is not the file whose SHA-256 {card.name} states"
         raise WeightsError(path, what, "fetch it again, or remove the card")

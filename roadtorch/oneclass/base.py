@@ -27,13 +27,13 @@ from typing import Any
 import numpy as np
 import torch
 from pydantic import Field
-from safetensors import SafetensorError
-from safetensors.torch import load_file
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as as_safetensors
 from torch import Tensor, nn
 
 from roadtorch.errors import ConfigError, InputError, WeightsError
 from roadtorch.files import atomic
+from roadtorch.layout.weights import tensors_hash
 from roadtorch.oneclass.axes import Axes, Hue, arranged, arranged_axes, mean_hues
 from roadtorch.oneclass.state import (
     LEARNED,
@@ -43,10 +43,14 @@ from roadtorch.oneclass.state import (
     check_parts,
     read_about,
 )
+from roadtorch.outside import regular_size
 from roadtorch.settings import Settings
 
 CHUNK = 700_000
 """Floats of the largest tensor while pixels are scored: 2.8 MB, which stays in the cache."""
+
+HASH = "sha256"
+"""The key of a file's metadata that states the hash of its tensors."""
 
 PROBES = 16
 """Samples around which the distance of one quantum is measured."""
@@ -349,17 +353,32 @@ def save(fitted: Fitted, path: str | Path) -> None:
 
     Raises InputError when the folder cannot be written.
     """
+    state = fitted.state_dict()
+    data = as_safetensors(state, {HASH: tensors_hash(state)})
     with atomic(path) as temporary:
-        temporary.write_bytes(as_safetensors(fitted.state_dict()))
+        temporary.write_bytes(data)
 
 
 def load(classifier: Classifier, path: str | Path) -> Fitted:
-    """Read what ``save`` wrote; WeightsError if it is damaged or another classifier's."""
+    """Read what ``save`` wrote; WeightsError if it is damaged or another classifier's.
+
+    A state may hold anything that a classifier learns, so that only its hash tells damage.
+    """
     try:
-        state = load_file(path)
+        regular_size(path)
+        with safe_open(path, "pt") as file:
+            stated = (file.metadata() or {}).get(HASH)
+            state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except OSError as problem:
         what = f"cannot be read: {problem.strerror or problem}"
         raise WeightsError(path, what, "give a file that save wrote") from None
     except SafetensorError as problem:
         raise WeightsError(path, f"is damaged: {problem}", "fit and save it again") from None
-    return restored(classifier, state)
+    try:
+        fitted = restored(classifier, state)
+    except WeightsError as problem:
+        raise WeightsError(path, problem.what, problem.remedy) from None
+    if stated != tensors_hash(state):
+        what = "is damaged, or of an earlier version: it does not state the hash of its tensors"
+        raise WeightsError(path, what, "fit and save it again")
+    return fitted

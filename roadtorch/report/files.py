@@ -1,18 +1,16 @@
 """What a run leaves behind in a folder: figures, curves, rows, sheets of pictures, the page."""
 
-import json
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, fields
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 from roadtorch.evaluation.document import defined, document
 from roadtorch.evaluation.drive_curves import RunCurves, drive_curves
 from roadtorch.evaluation.pictures import PictureRow, picture_rows
 from roadtorch.evaluation.result import Evaluation, Failure
-from roadtorch.files import csv_text, write_text
+from roadtorch.files import csv_text, write_json, write_text
 from roadtorch.oneclass import CLASSIFIERS
 from roadtorch.report.montage import write_montages
 from roadtorch.report.page.html import write_page
@@ -39,8 +37,8 @@ def write(evaluation: Evaluation, out: Path, command: str = "", pictures: int = 
         for name, tally in evaluation.tallies.items()
         for row in picture_rows(name, tally, evaluation.detectors[name])
     ]
-    write_json(out / "metrics.json", document(evaluation, command))
-    write_json(out / "curves.json", curves)
+    write_json(out / "metrics.json", defined(document(evaluation, command)))
+    write_json(out / "curves.json", defined(curves))
     write_text(out / "images.csv", rows_csv(rows, evaluation.failures, evaluation.left_out))
     write_table3(out, evaluation, curves)
     sheets = write_montages(out, evaluation, pictures) if pictures else {}
@@ -62,12 +60,6 @@ def write_table3(out: Path, evaluation: Evaluation, curves: RunCurves) -> None:
     others = [name for name in CLASSIFIERS if name not in histograms]
     for file, names in {"fig8.svg": histograms, "fig9.svg": others}.items():
         write_roc_families(out / file, curves, FAMILY, names, HALVES)
-
-
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a JSON file; numbers that are not defined become null."""
-    text = json.dumps(defined(content), indent=2, ensure_ascii=False, allow_nan=False)
-    write_text(path, text + "\n")
 
 
 def rows_csv(

@@ -20,10 +20,9 @@ import fsspec
 import fsspec.core
 from torch import Tensor
 
-from roadtorch.decoding import reason
 from roadtorch.errors import InputError, unknown_name
 from roadtorch.image import READABLE, decode_image
-from roadtorch.outside import MOST_BYTES, printable
+from roadtorch.outside import MOST_BYTES, printable, reason
 from roadtorch.sources.frame import Frame, Selection, Source
 from roadtorch.sources.pictures import names_picture
 from roadtorch.sources.tarballs import tar_members
@@ -60,6 +59,11 @@ class Place:
     kind: str
     url: str
     inside: str
+
+
+def is_archive(given: str) -> bool:
+    """Whether it is a zip or tar file of this machine."""
+    return not _scheme(given) and _archive_kind(given) != ""
 
 
 def is_remote(given: str) -> bool:

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from torch import Tensor
 
-from roadtorch.decoding import reason
 from roadtorch.errors import ConfigError, InputError, unknown_name
+from roadtorch.outside import reason
 from roadtorch.sources.frame import Frame, Selection, Source
 from roadtorch.sources.image_messages import (
     COMPRESSED,

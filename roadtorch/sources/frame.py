@@ -1,7 +1,7 @@
 """Frames with time stamps, and the sources that give them one after the other."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import TypeVar
@@ -91,3 +91,18 @@ class Source:
     count: int | None = None
     live: bool = False
     path: Path | None = None
+
+
+def sampled(source: Source, most: int) -> Source:
+    """At most so many frames of a source, evenly spaced; the first ones where it has no count."""
+    step = max(1, (source.count or 0) // most)
+
+    def frames() -> Generator[Frame]:
+        every = source.frames()
+        try:
+            yield from islice(every, 0, (most - 1) * step + 1, step)
+        finally:
+            if isinstance(every, Generator):
+                every.close()
+
+    return replace(source, frames=frames, count=None)

@@ -7,9 +7,10 @@ import cv2
 import numpy as np
 from torch import Tensor
 
-from roadtorch.decoding import MEGAPIXELS_VARIABLE, most_megapixels, reason
+from roadtorch.decoding import MEGAPIXELS_VARIABLE, most_megapixels
 from roadtorch.errors import InputError
 from roadtorch.image import decode_image, from_pixels
+from roadtorch.outside import reason
 
 RAW = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TextIO
 
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.sources.archives import archive_source, is_remote
+from roadtorch.sources.archives import archive_source, is_archive, is_remote
 from roadtorch.sources.bags import bag_source, is_bag
 from roadtorch.sources.frame import Selection, Source
 from roadtorch.sources.live import Patience, camera_source, stream_source, without_password
@@ -81,7 +81,7 @@ def _is_source(given: str) -> bool:
     """Whether an input is one source by itself, whatever it holds."""
     if camera_number(given) is not None or STREAM.match(given):
         return True
-    if is_bag(given) or is_remote(given):
+    if is_bag(given) or is_archive(given):
         return True
     is_many = Path(given).is_dir() or glob.has_magic(given)
     return given.lower().endswith(VIDEO_SUFFIXES) and not (is_many and not Path(given).is_file())
@@ -113,6 +113,8 @@ def open_source(given: str, selection: Selection, told: Told = Told()) -> Source
 
     Raises InputError for what is not there, ConfigError for an input of several sources.
     """
+    if is_remote(given):
+        return archive_source(given, selection)
     sorted_inputs = sort_inputs([given])
     if not sorted_inputs.sources:
         return picture_source(given, selection)
@@ -153,7 +155,7 @@ def _opened(given: str, selection: Selection, told: Told) -> Iterator[Source]:
         yield stream_source(given, slug(given), selection, told.patience)
     elif is_bag(given):
         yield bag_source(given, told.topic, selection)
-    elif is_remote(given):
+    elif is_archive(given):
         yield archive_source(given, selection)
     else:
         yield from _videos(given, selection, told.apart)

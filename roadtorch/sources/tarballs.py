@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from tempfile import TemporaryFile
 from typing import IO
 
-from roadtorch.decoding import reason
-from roadtorch.outside import MOST_BYTES
+from roadtorch.outside import MOST_BYTES, reason
 
 MOST_GROWTH = 100
 """Of a compressed tar, times its size, if that is more than ``MOST_BYTES``; ours: pictures hardly

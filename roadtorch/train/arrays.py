@@ -1,5 +1,6 @@
 """Named arrays on disk, as compressed NumPy archives; levels of [0,1] as bytes."""
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from torch import Tensor
 
 from roadtorch.errors import InputError
 from roadtorch.files import atomic
+from roadtorch.outside import read_regular
 
 Arrays = dict[str, Tensor]
 
@@ -22,7 +24,7 @@ def write_arrays(path: Path, arrays: Arrays) -> None:
 def read_arrays(path: Path, *names: str) -> Arrays:
     """The named tensors of an archive, all where none is named; InputError for a damaged one."""
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        with np.load(io.BytesIO(read_regular(path)), allow_pickle=False) as archive:
             return {name: torch.from_numpy(archive[name]) for name in names or archive.files}
     except Exception:  # zipfile, zlib and NumPy raise anything for foreign bytes
         raise InputError(path, "is damaged", "remove it; it will be made again") from None

@@ -320,9 +320,9 @@ def build_training(values: dict[str, Any]) -> Training:
     Raises ConfigError for an unknown kind, and for keys and values as every setting does.
     """
     rest = dict(values)
-    kind = rest.pop("kind", PatchTraining.name)
+    kind = str(rest.pop("kind", PatchTraining.name))  # whatever was given: a list has no hash
     if kind not in KINDS:
-        raise unknown_name("kind of training", str(kind), KINDS)
+        raise unknown_name("kind of training", kind, KINDS)
     settings = build_settings(KINDS[kind], rest)
     if isinstance(settings, PatchTraining):
         _check_jitter(settings.jitter)
@@ -351,7 +351,7 @@ def with_current_names(values: Mapping[str, Any]) -> dict[str, Any]:
     For records of runs alone, where a new name means what the old one did; a config that
     somebody gives is refused with the new name.
     """
-    kind = KINDS.get(values.get("kind", PatchTraining.name), PatchTraining)
+    kind = KINDS.get(str(values.get("kind", PatchTraining.name)), PatchTraining)
     return {kind.renamed.get(key, key): value for key, value in values.items()}
 
 

@@ -1,7 +1,8 @@
 """The folder of a run: what it was told, how far it is, what came out."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -9,9 +10,10 @@ from typing import Any
 
 import torch
 
+from roadtorch.decoding import without_warnings
 from roadtorch.errors import ConfigError, InputError, WeightsError
-from roadtorch.files import atomic, csv_text, make_folder, write_text
-from roadtorch.outside import printable
+from roadtorch.files import atomic, csv_text, locked, make_folder, remove_leftovers, write_text
+from roadtorch.outside import printable, read_regular, regular_size
 from roadtorch.sources.pictures import Picture
 from roadtorch.train.config import as_values, build_training, with_current_names
 from roadtorch.train.prepared import PreparedPicture, bytes_of, name_of
@@ -26,7 +28,8 @@ RUN, CHECKPOINT, LOG, CURVE, PICTURES = (
     "curve.png",
     "pictures.csv",
 )
-WEIGHTS = "weights.safetensors"
+WEIGHTS, LABELS = "weights.safetensors", "labels-"
+ELSEWHERE = "give another --out"
 NO_CHECKPOINT = ("is damaged or no checkpoint", "start again in another --out")
 OURS = (RUN, CHECKPOINT, LOG, CURVE, PICTURES, WEIGHTS)
 
@@ -48,6 +51,17 @@ class RunFolder:
 
     path: Path
 
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Make the folder and keep other runs out of it; InputError where one is in it already."""
+        make_folder(self.path, ELSEWHERE)
+        with locked(self.path, f"wait for it, or {ELSEWHERE}"):
+            yield
+
+    def labels_of(self, number: int) -> Path:
+        """The folder of what the network of the round before says, for round ``number``."""
+        return self.path / f"{LABELS}{number + 1}"
+
     def begin(self, config: Mapping[str, Any], pictures: Sequence[Picture], resume: bool) -> None:
         """Check that this run may write here; nothing is written yet.
 
@@ -59,7 +73,7 @@ class RunFolder:
             taken = [name for name in OURS if (self.path / name).exists()]
             if taken:
                 what = f"holds {taken[0]}, which is not of a run"
-                raise ConfigError(self.path, what, "give another --out")
+                raise ConfigError(self.path, what, ELSEWHERE)
             return
         if not resume:
             what = "holds a run already"
@@ -70,8 +84,8 @@ class RunFolder:
             raise ConfigError(self.path, what, "give the same --images, or another --out")
 
     def claim(self, config: Mapping[str, Any], pictures: Sequence[Picture], version: str) -> None:
-        """Make the folder and write what the run was told."""
-        make_folder(self.path)
+        """Remove what killed runs left half-written, and write what this one was told."""
+        remove_leftovers([self.path, *self.path.glob(f"{LABELS}*")])
         record = {
             "roadtorch": version,
             "config": config,
@@ -84,24 +98,22 @@ class RunFolder:
     def _record(self) -> dict[str, Any] | None:
         """What the run in the folder was told; None where there is no run."""
         path = self.path / RUN
-        if self.path.exists() and not self.path.is_dir():
-            raise InputError(self.path, "is not a folder", "give another --out")
         if not path.exists():
             return None
         try:
-            record = json.loads(path.read_text(encoding="utf-8"))
+            record = json.loads(read_regular(path).decode())
             if isinstance(record["config"], dict) and isinstance(record["pictures"], str):
                 return record
-        except (ValueError, KeyError, TypeError, OSError):
+        except (ValueError, KeyError, TypeError, OSError, RecursionError):
             pass
-        raise InputError(path, "is not the record of a run", "give another --out")
+        raise InputError(path, "is not the record of a run", ELSEWHERE)
 
     # --- how far it is ----------------------------------------------------------------------
 
     def write_checkpoint(self, state: Mapping[str, Any]) -> None:
         """Write the state of a run: the old one or the new one is there, never half."""
-        with atomic(self.path / CHECKPOINT) as temporary:
-            torch.save({"format": FORMAT, **state}, temporary)
+        with atomic(self.path / CHECKPOINT) as temporary, temporary.open("wb") as file:
+            torch.save({"format": FORMAT, **state}, file)  # given a path, it writes its name
 
     def read_checkpoint(self) -> dict[str, Any] | None:
         """The state of the run; None before the first checkpoint.
@@ -112,7 +124,9 @@ class RunFolder:
         if not path.exists():
             return None
         try:
-            state = torch.load(path, weights_only=True)
+            regular_size(path)
+            with without_warnings():  # of what damage looks like to it
+                state = torch.load(path, weights_only=True)
             number = int(state["format"])
         except Exception:  # zipfile, pickle and torch raise anything for foreign bytes
             raise WeightsError(path, *NO_CHECKPOINT) from None

@@ -120,9 +120,9 @@ def _chunks(
         total=total, desc=title, initial=progress.chunk, disable=hidden, file=sys.stderr
     ) as bar:
         while progress.chunk < total:
-            start = time.monotonic()
+            start = time.perf_counter()
             _train_chunk(setup, progress, context.processes)
-            progress.seconds += time.monotonic() - start
+            progress.seconds += time.perf_counter() - start
             bar.update()
             bar.set_postfix(error=f"{progress.error / max(1, progress.count):.4f}")
             if time.monotonic() - saved > SAVE_EVERY:

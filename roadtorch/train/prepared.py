@@ -15,6 +15,7 @@ from roadtorch.detector import checked_image
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.files import make_folder, write_text
 from roadtorch.image import read_image
+from roadtorch.outside import read_regular
 from roadtorch.signals import Stop
 from roadtorch.sources.pictures import Picture
 from roadtorch.train.arrays import Arrays, read_arrays, write_arrays
@@ -47,7 +48,7 @@ class PreparedFolder:
         path = self.path / SETTINGS
         text = json.dumps(settings, indent=1, sort_keys=True) + "\n"
         if path.exists():
-            if path.read_bytes() != text.encode():
+            if _settings_in(path) != text.encode():
                 what = "holds pictures prepared with other settings"
                 raise ConfigError(self.path, what, "give another folder")
             return
@@ -112,6 +113,14 @@ def _is_of(file: Path, picture: Picture) -> bool:
         return file.exists() and bool(read_arrays(file)[SOURCE] == bytes_of(picture))
     except (InputError, KeyError, RuntimeError):  # RuntimeError: more than one number
         return False
+
+
+def _settings_in(path: Path) -> bytes:
+    try:
+        return read_regular(path)
+    except OSError as problem:
+        what = f"cannot be read: {problem.strerror}"
+        raise ConfigError(path, what, "give another folder") from None
 
 
 def bytes_of(picture: Picture) -> int:

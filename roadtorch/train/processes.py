@@ -2,12 +2,14 @@
 
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
 
 import torch
 from torch import Tensor, distributed
+
+from roadtorch.errors import RoadtorchError
 
 Item = TypeVar("Item")
 
@@ -49,6 +51,21 @@ class Processes:
         items: list[Item] = [item] * self.size
         distributed.all_gather_object(items, item)
         return items
+
+    @contextmanager
+    def led(self, entered: AbstractContextManager[None]) -> Iterator[None]:
+        """A block that the first process enters for all; what it refuses is raised in each."""
+        problem: RoadtorchError | None = None
+        with ExitStack() as stack:
+            if self.leads:
+                try:
+                    stack.enter_context(entered)
+                except RoadtorchError as raised:
+                    problem = raised
+            told = self.gather(problem)[0]
+            if told is not None:
+                raise told
+            yield
 
 
 @contextmanager

@@ -165,7 +165,7 @@ class PictureRecipe:
         """Varied pictures; from round 2 on with what the last network says of them."""
         labels: list[Path] = []
         if isinstance(last, PictureNetwork):
-            folder = context.folder.path / f"labels-{number + 1}"
+            folder = context.folder.labels_of(number)
             labels = label_with_network(files, folder, last.eval(), context)
         prepared = Prepared(files, labels, *self._footage(files))
         return PictureSamples(prepared, number, self._training, context.processes)

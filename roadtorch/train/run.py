@@ -11,6 +11,7 @@ import torch
 from tqdm import tqdm
 
 from roadtorch.errors import InputError, WeightsError
+from roadtorch.files import shared
 from roadtorch.layout.weights import LayoutNetwork, fill, load_network, save_network
 from roadtorch.signals import stop_on_signals
 from roadtorch.sources.pictures import Picture, find_images
@@ -61,7 +62,7 @@ def train(training: Training, request: Request) -> Outcome:
     """Train a network on machine labels of pictures, or go on with it.
 
     Raises InputError when there is no picture to learn from, ConfigError and WeightsError
-    when the folder holds something else than this run.
+    when the folder holds something else than this run, InputError when another one is in it.
     """
     pictures = find_images([request.images], apart=request.out)
     with stop_on_signals() as stop, join_processes() as processes:
@@ -69,12 +70,13 @@ def train(training: Training, request: Request) -> Outcome:
         context = RunContext(processes, folder, stop, request.quiet)
         config = as_values(training)
         recipe = recipe_of(training)
-        folder.begin(config, pictures, request.resume)
-        state = folder.read_checkpoint()
-        processes.gather(None)  # all have looked before the first one writes
-        if processes.leads:
-            folder.claim(config, pictures, __version__)
-        return _Run(recipe, request, context, config).go(pictures, state)
+        with processes.led(folder.held()):
+            folder.begin(config, pictures, request.resume)
+            state = folder.read_checkpoint()
+            processes.gather(None)  # all have looked before the first one writes
+            if processes.leads:
+                folder.claim(config, pictures, __version__)
+            return _Run(recipe, request, context, config).go(pictures, state)
 
 
 @dataclass(frozen=True)
@@ -85,14 +87,8 @@ class _Run:
     config: dict[str, Any]
 
     def go(self, pictures: Sequence[Picture], state: dict[str, Any] | None) -> Outcome:
-        processes, folder, stop, quiet = self.context
-        path = self.request.prepared or folder.path / PREPARED
-        small = PreparedFolder(path, processes, stop, quiet)
-        small.claim(self.recipe.preparation())
-        self.recipe.survey(pictures, path, self.context)
-        if processes.any(stop.asked):  # nothing is made ready by half a survey
-            return Outcome(None, stop.signal or SIGTERM, 0)
-        prepared = small.prepare(pictures, self.recipe.make, "labels")
+        processes, folder, stop, _ = self.context
+        prepared = self._prepared(pictures)
         skipped = sum(item.file is None for item in prepared)
         if processes.any(stop.asked):
             return Outcome(None, stop.signal or SIGTERM, skipped)
@@ -106,6 +102,18 @@ class _Run:
             if progress.round + 1 == self.recipe.rounds:
                 return Outcome(folder.path / WEIGHTS, None, skipped)
             progress.begin_round(progress.round + 1)
+
+    def _prepared(self, pictures: Sequence[Picture]) -> list[PreparedPicture]:
+        """The pictures made ready; fewer where somebody asked to stop."""
+        processes, folder, stop, quiet = self.context
+        path = self.request.prepared or folder.path / PREPARED
+        small = PreparedFolder(path, processes, stop, quiet)
+        with processes.led(shared(path)):
+            small.claim(self.recipe.preparation())
+            self.recipe.survey(pictures, path, self.context)
+            if processes.any(stop.asked):  # nothing is made ready by half a survey
+                return []
+            return small.prepare(pictures, self.recipe.make, "labels")
 
     def _usable(self, prepared: Sequence[PreparedPicture]) -> list[Path]:
         if self.context.processes.leads:

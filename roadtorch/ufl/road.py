@@ -238,7 +238,7 @@ def road_likelihood(mask: Tensor, pixels: Tensor) -> Tensor:
     At ``AS_CHOSEN`` it separates road from the rest exactly as the mask does. Ours: of twelve
     candidates the best by MaxF on the development drives (``train/study_ufl.py likelihoods``).
     """
-    return (mask + pixels) / 2
+    return (mask.to(pixels.device) + pixels) / 2
 
 
 def enlarged_likelihood(likelihood: Tensor, size: tuple[int, int]) -> Tensor:

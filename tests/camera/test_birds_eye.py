@@ -353,6 +353,14 @@ def test_the_kits_pixels(vectors, calibrations):
 
 
 @pytest.mark.data
+def test_numbers_that_overflow_are_refused_in_a_line(tmp_path: Path) -> None:
+    rows = reference.made_up_rows() | {"P2": np.full((3, 4), 1e308)}
+    path = write(tmp_path / "um_000000.txt", reference.calibration_text(rows))
+
+    with pytest.raises(DatasetError, match=r"um_000000\.txt: its matrices show the road as a line"):
+        read_calibration(path)
+
+
 @pytest.mark.parametrize("name", ["um_000000", "uu_000093"])
 def test_the_kits_whole_maps_byte_by_byte(vectors, calibrations, name):
     height, width = sizes(vectors, name)

@@ -173,3 +173,14 @@ def test_real_bonnets_are_found_where_they_were_seen(
 @pytest.mark.parametrize("prefix", ["usrural", "forest", "mtroad", "evening", "vntraf", "udlane"])
 def test_real_cameras_without_one_get_none(prefix: str, data_root: Path) -> None:
     assert camera_of(frames_of(data_root, prefix)).ego.outline == ()
+
+
+def test_a_look_whose_points_are_cut_short_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "camera.toml"
+    known = "width = 64\nheight = 48\nframes = 9\nhorizon = 0.4\nseed_row = 0.9\n"
+    path.write_text(known + "[look]\nrows = [0.9, 0.95]\ncolumns = [0.1]\nacross = []\ndown = []\n")
+
+    with pytest.raises(
+        ConfigError, match=r"camera\.toml: is no file of a camera: look: .* was given"
+    ):
+        Camera.read(path)

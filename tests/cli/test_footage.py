@@ -42,7 +42,7 @@ def test_a_video_gives_an_overlay_video_and_a_row_a_frame(
     assert result.stderr == (
         f"roadtorch: drive.mp4: 12 frames\nroadtorch: 1 done; results in {out}\n"
     )
-    assert files_in(out) == {"config.toml", "index.csv", "drive.overlay.mp4"}
+    assert files_in(out) == {"config.toml", "drive.overlay.mp4", "index.csv", "run.json"}
     assert stamps_of(out / "drive.overlay.mp4") == pytest.approx([n / 10 for n in range(12)])
     rows = rows_of(out)
     assert list(rows) == [*(f"drive/{n:06d}" for n in range(12)), "drive.mp4"]
@@ -56,11 +56,12 @@ def test_frames_are_what_the_library_says(call: Call, drive: Path, tmp_path: Pat
     out = tmp_path / "out"
     kinds = "likelihood,mask,mask-video,likelihood-video,overlay-frames"
 
-    call("infer", drive, *GREY, "--out", out, "--save", kinds, "--every", "5", "--start", "0.2")
+    call("infer", drive, *GREY, "--out", out, "--save", kinds, "--every", "5", "--start", "0.2",
+         "--no-steady")  # fmt: skip
 
     names = {f"drive/{n:06d}{end}" for n in (2, 7) for end in
              (".likelihood.png", ".mask.png", ".overlay.jpg")}  # fmt: skip
-    assert files_in(out) == names | {"config.toml", "index.csv", "drive.mask.mp4",
+    assert files_in(out) == names | {"config.toml", "index.csv", "run.json", "drive.mask.mp4",
                                      "drive.likelihood.mp4"}  # fmt: skip
     frame = next(f for f in video_source(drive, "d", Selection()).frames() if f.number == 7)
     detection = load_detector("grey-uniformity").detect(frame.read())
@@ -243,3 +244,18 @@ def test_frames_of_another_camera_fail_one_by_one(call: Call, drive: Path, tmp_p
     assert result.exit_code == 1
     assert f"failed: {drive}: frame 0: " in result.stderr
     assert not (tmp_path / "out" / "drive.overlay.mp4").exists()
+
+
+def test_footage_is_steadied_unless_one_asks_for_its_frames_alone(
+    call: Call, drive: Path, tmp_path: Path
+) -> None:
+    steadied, alone = tmp_path / "steadied", tmp_path / "alone"
+
+    call("infer", drive, *GREY, "--out", steadied, "--save", "likelihood")
+    call("infer", drive, *GREY, "--out", alone, "--save", "likelihood", "--no-steady")
+
+    def frame(out: Path, number: int) -> bytes:
+        return (out / f"drive/{number:06d}.likelihood.png").read_bytes()
+
+    assert frame(steadied, 0) == frame(alone, 0)
+    assert frame(steadied, 5) != frame(alone, 5)

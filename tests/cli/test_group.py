@@ -1,3 +1,5 @@
+import os
+import signal
 import sys
 from types import ModuleType
 
@@ -6,6 +8,7 @@ import pytest
 
 import roadtorch
 from roadtorch.cli import group
+from roadtorch.errors import InputError
 from tests.cli.conftest import Call
 
 
@@ -70,10 +73,15 @@ def install(monkeypatch: pytest.MonkeyPatch, problem: BaseException) -> None:
     def fails() -> None:
         raise problem
 
-    module = ModuleType("failing_command")
-    module.fails = fails  # pyright: ignore[reportAttributeAccessIssue]
-    monkeypatch.setitem(sys.modules, "failing_command", module)
-    monkeypatch.setitem(group.COMMANDS, "fails", ("failing_command:fails", "Fail."))
+    install_command(monkeypatch, "fails", fails)
+
+
+def install_command(monkeypatch: pytest.MonkeyPatch, name: str, command: click.Command) -> None:
+    """Another command of ours, in a module of its own."""
+    module = ModuleType(f"{name}_command")
+    setattr(module, name, command)
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setitem(group.COMMANDS, name, (f"{module.__name__}:{name}", "For a test."))
 
 
 def test_a_fault_is_one_line_and_a_traceback_on_demand(
@@ -98,6 +106,34 @@ def test_ctrl_c_exits_130(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     result = call("fails")
 
     assert result.exit_code == 130
+    assert result.stderr.strip() == "roadtorch: interrupted; what was finished is kept"
+
+
+def test_ctrl_c_before_the_command_exits_130(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(group, "open_streams", lambda: os.kill(os.getpid(), signal.SIGINT))
+
+    result = call("planes")
+
+    assert result.exit_code == 130
+    assert result.stderr.strip() == "roadtorch: interrupted; what was finished is kept"
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_that_a_library_takes_for_damage_is_told_as_a_signal(
+    number: signal.Signals, status: int, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @click.command()
+    def reads() -> None:
+        try:
+            os.kill(os.getpid(), number)
+        except KeyboardInterrupt:  # as safetensors does
+            raise InputError("progress.safetensors", "is damaged", "remove it") from None
+
+    install_command(monkeypatch, "reads", reads)
+
+    result = call("reads")
+
+    assert result.exit_code == status
     assert result.stderr.strip() == "roadtorch: interrupted; what was finished is kept"
 
 

@@ -28,7 +28,9 @@ def files_in(folder: Path) -> set[str]:
 
 
 def bytes_in(folder: Path) -> dict[str, bytes]:
-    return {name: (folder / name).read_bytes() for name in files_in(folder) if name != "index.csv"}
+    """What does not depend on when and how a run was made."""
+    kept = files_in(folder) - {"index.csv", "run.json"}
+    return {name: (folder / name).read_bytes() for name in kept}
 
 
 # --- what is written ------------------------------------------------------------------------
@@ -49,12 +51,12 @@ def test_a_folder_gives_three_files_a_picture_and_an_index(
         for name in ("a", "b", "sub/c")
         for kind in ("likelihood.png", "mask.png", "overlay.jpg")
     }
-    assert files_in(out) == expected | {"index.csv", "config.toml"}
+    assert files_in(out) == expected | {"index.csv", "config.toml", "run.json"}
     rows = rows_of(out)
     assert list(rows) == ["a.jpg", "b.png", "sub/c.png"]
     assert list(rows["a.jpg"]) == [
         *("file", "width", "height", "ms", "road_share", "trust", "status"),
-        *("saved", "method", "sha256", "seconds"),
+        *("saved", "method", "sha256", "seconds", "cues"),
     ]
     assert rows["a.jpg"]["sha256"] == sha256((footage / "a.jpg").read_bytes()).hexdigest()
     assert rows["a.jpg"]["saved"] == "likelihood mask overlay"
@@ -87,7 +89,7 @@ def test_cues_and_arrays_are_written_on_demand(call: Call, tmp_path: Path) -> No
     call("infer", picture, "--detector", "grey-uniformity", "--out", out, "--save", "cues, npy")
 
     detection = load_detector("grey-uniformity").detect(read_image(picture))
-    names = files_in(out) - {"index.csv", "config.toml"}
+    names = files_in(out) - {"index.csv", "config.toml", "run.json"}
     cues = detection.cues
     assert names == {"x.likelihood.npy"} | {f"x.cue.{cue}.png" for cue in cues} | {
         f"x.{cue}.npy" for cue in cues

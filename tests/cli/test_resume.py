@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from roadtorch.cli import batch, results
+from roadtorch.cli import batch, index, results
 from roadtorch.errors import InputError
 from roadtorch.files import reserved
 from roadtorch.image import write_mask
@@ -107,6 +107,36 @@ def test_other_bytes_of_a_file_that_the_settings_name_are_other_settings(
     again = call("infer", path, *options)
 
     assert again.stderr.startswith("roadtorch: 1 done (1 anew);")
+
+
+@pytest.mark.parametrize("kind", ["cues", "npy"])
+def test_files_of_cues_that_were_removed_are_made_again(
+    call: Call, footage: Path, tmp_path: Path, kind: str
+) -> None:
+    out = tmp_path / "out"
+    options = ("--detector", "grey-uniformity", "--save", f"mask,{kind}", "--out", out)
+    call("infer", footage, *options)
+    before = bytes_in(out)
+    (out / {"cues": "b.cue.uniformity.png", "npy": "b.uniformity.npy"}[kind]).unlink()
+
+    fewer = call("infer", footage, *options[:2], "--save", "mask", "--out", out)
+    again = call("infer", footage, *options)
+
+    assert fewer.stderr.startswith("roadtorch: 0 done, 3 skipped")
+    assert again.stderr.startswith("roadtorch: 1 done (1 anew), 2 skipped")
+    assert bytes_in(out) == before
+
+
+def test_what_another_version_did_is_done_anew(
+    call: Call, footage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    call("infer", footage, *ROWS, "--out", out)
+    monkeypatch.setattr(batch, "__version__", "99.0")
+
+    again = call("infer", footage, *ROWS, "--out", out)
+
+    assert again.stderr.startswith("roadtorch: 3 done (3 anew);")
 
 
 def test_rows_of_an_earlier_version_are_done_anew(
@@ -216,11 +246,11 @@ def test_a_signal_ends_the_run_with_index_and_message(
     code: int,
     threads: str,
 ) -> None:
-    out = tmp_path / "out"
+    out, this = tmp_path / "out", os.getpid()
 
     def send(job: batch.Job) -> None:
-        if job.picture.name == "a":
-            os.kill(os.getpid(), number)
+        if job.picture.name == "a":  # in a worker, if there are several
+            os.kill(this, number)
 
     with before_each(monkeypatch, send):
         stopped = call("infer", footage, *ROWS, "--out", out, "--jobs", threads)
@@ -272,7 +302,7 @@ def test_a_signal_before_the_work_is_told(footage: Path, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("closed", ["2>&-", "1>&-", "0<&-", "0<&- 1>&- 2>&-"])
 def test_closed_streams_cost_nothing(footage: Path, tmp_path: Path, closed: str) -> None:
-    words = " ".join([*COMMAND, "footage", *ROWS, "--out", "out", "--quiet"])
+    words = " ".join([*COMMAND, "footage", *ROWS, "--out", "out"])
 
     ended = subprocess.run(
         ["sh", "-c", f"{words} {closed}"], cwd=tmp_path, timeout=120, check=False
@@ -287,7 +317,7 @@ def test_a_full_disk_does_not_cost_the_index(
     call: Call, footage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, full = tmp_path / "out", []
-    real = batch.write_index
+    real = index.write_index
 
     def write(path: Path, rows: object) -> None:
         if full:
@@ -299,7 +329,7 @@ def test_a_full_disk_does_not_cost_the_index(
         with reserved(folder, size) as let_go:
             yield lambda: (full.clear(), let_go())[0]
 
-    monkeypatch.setattr(batch, "write_index", write)
+    monkeypatch.setattr(index, "write_index", write)
     monkeypatch.setattr(batch, "reserved", held)
     with before_each(monkeypatch, lambda _: full.append(1)):
         result = call("infer", footage, *ROWS, "--out", out)

@@ -126,6 +126,23 @@ def test_broken_pictures_are_listed_and_mended_by_a_second_run(
         assert archive.namelist() == MAPS
 
 
+def test_a_calibration_that_changed_is_looked_at_anew(
+    call: Call, kitti: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    call("submit", kitti, *GREY, "--out", out)
+    before = (out / MAPS[0]).read_bytes()
+    rows = reference.made_up_rows(pitch=0.05)
+    (kitti / "calib/um_000000.txt").write_text(reference.calibration_text(rows))
+
+    again = call("submit", kitti, *GREY, "--out", out)
+    third = call("submit", kitti, *GREY, "--out", out)
+
+    assert again.stderr.startswith("roadtorch: 1 done (1 anew), 2 skipped")
+    assert (out / MAPS[0]).read_bytes() != before
+    assert third.stderr.startswith("roadtorch: 0 done, 3 skipped")
+
+
 def test_an_interrupted_run_goes_on(
     call: Call, kitti: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -378,10 +378,18 @@ def test_a_mask_of_another_format_reaches_no_decoder(
     path = tmp_path / "a.json"
     path.write_text(document(MASK | {"mask": text}))
     Image.init()
-    monkeypatch.setitem(Image.OPEN, kind, None)
+    decode, accept = Image.OPEN[kind]
+    reached: list[str] = []
+
+    def reach(*given: Any) -> Any:
+        reached.append(kind)
+        return decode(*given)
+
+    monkeypatch.setitem(Image.OPEN, kind, (reach, accept))
 
     with pytest.raises(DatasetError, match="mask 'road' that cannot be decoded"):
         read_annotation(path)
+    assert not reached
 
 
 def test_an_annotation_that_is_a_pipe_is_refused(tmp_path: Path) -> None:

@@ -31,6 +31,7 @@ def test_8_and_16_bit_pictures_and_numpy_files_are_read_alike(tmp_path):
         (np.where(RAMP > 0.9, np.nan, RAMP), r"m\.npy: has values from nan to nan"),
         (RAMP * 1.5, r"m\.npy: has values from 0 to 1\.5"),
         (RAMP - 0.1, r"m\.npy: has values from -0\.1"),
+        (RAMP * 1e300, r"m\.npy: has values from 0 to inf"),
         (RAMP[:3], r"m\.npy: is 6 by 3 pixels \(it should be 6 by 4\)"),
         ((RAMP * 255).astype(np.uint8), r"m\.npy: holds uint8 of shape \(4, 6\)"),
         (RAMP[None], r"m\.npy: holds float64 of shape \(1, 4, 6\)"),
@@ -56,6 +57,14 @@ def test_colour_and_missing_and_empty_files(tmp_path):
         map_likelihood(tmp_path, ["d"], SIZE)
     with pytest.raises(InputError, match=r"e\.npy: cannot be read"):
         map_likelihood(tmp_path, ["e"], SIZE)
+
+
+def test_an_archive_under_the_name_of_a_map_is_refused(tmp_path):
+    np.savez(tmp_path / "a.npz", a=RAMP)
+    (tmp_path / "a.npz").rename(tmp_path / "a.npy")
+
+    with pytest.raises(InputError, match=r"a\.npy: is an archive of arrays"):
+        map_likelihood(tmp_path, ["a"], SIZE)
 
 
 def test_a_folder_may_have_a_name_of_its_own(tmp_path):

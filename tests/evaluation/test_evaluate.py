@@ -14,13 +14,13 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError, DatasetError, InputError
 from roadtorch.evaluation import metrics, scoring
 from roadtorch.evaluation.contenders import contenders_for, expand_names
-from roadtorch.evaluation.document import document
+from roadtorch.evaluation.document import defined, document
 from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.result import Evaluation
 from roadtorch.evaluation.saved_tallies import FILE, fingerprint, forget
 from roadtorch.evaluation.tally import WHOLE
+from roadtorch.files import write_json
 from roadtorch.image import read_image
-from roadtorch.report.files import write_json
 from roadtorch.scenes import write_picture
 from tests.oracle import DECISION, DRIVES, ORACLE, SCENES, know_oracle, write_set
 
@@ -82,7 +82,7 @@ def test_metrics_json_has_every_figure_under_its_key(found):
 def test_sets_without_drives_use_the_default_or_an_earlier_threshold(
     found, camvid, plain, tmp_path
 ):
-    write_json(tmp_path / "metrics.json", document(found, ""))
+    write_json(tmp_path / "metrics.json", defined(document(found, "")))
     settings = {"doubt": 0.2}
 
     own = evaluate(plain, [ORACLE], settings=settings).detectors
@@ -99,9 +99,18 @@ def test_sets_without_drives_use_the_default_or_an_earlier_threshold(
         assert given[name].headline["threshold"] == found.detectors[name].best_threshold
 
 
+@pytest.mark.parametrize("value", ["1e308", "-0.1", "NaN", "Infinity", "[]"])
+def test_a_threshold_beyond_its_range_is_refused(camvid, tmp_path, value):
+    earlier = tmp_path / "metrics.json"
+    earlier.write_text(f'{{"detectors": {{"{ORACLE}": {{"maxf_threshold": {value}}}}}}}')
+
+    with pytest.raises(InputError, match=r"metrics\.json: is not a metrics.json"):
+        evaluate(camvid, [ORACLE], threshold_from=earlier)
+
+
 def test_a_threshold_of_other_settings_is_refused(found, camvid, tmp_path):
     earlier, other = tmp_path / "metrics.json", tmp_path / "other.json"
-    write_json(earlier, document(found, ""))
+    write_json(earlier, defined(document(found, "")))
     other.write_text("[1]")
 
     with pytest.raises(ConfigError, match="other settings"):

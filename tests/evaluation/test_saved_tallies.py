@@ -67,6 +67,19 @@ def test_a_file_that_is_no_progress_is_named(tmp_path, content):
         SavedTallies(tmp_path, "x")
 
 
+@pytest.mark.parametrize("place", [0.05, 0.3, 0.6, 0.99])
+def test_a_flipped_bit_is_never_counted_on(dataset, tmp_path, place):
+    progress = SavedTallies(tmp_path, "one")
+    progress.add(next(iter(score(dataset, FLOORS))))
+    progress.save()
+    data = bytearray((tmp_path / FILE).read_bytes())
+    data[int(place * len(data))] ^= 1
+    (tmp_path / FILE).write_bytes(data)
+
+    with pytest.raises(ConfigError, match=rf"{FILE}: is not the progress of a run, or damaged"):
+        SavedTallies(tmp_path, "one")
+
+
 def test_what_makes_two_runs_different(dataset):
     def run(name: str = "prior:rows", **settings: float) -> str:
         return fingerprint(dataset, [named_detector(name, settings)])

@@ -159,6 +159,16 @@ def test_a_file_that_is_not_what_its_card_states_is_told(weights: Path) -> None:
         load_network(weights)
 
 
+def test_a_card_that_cannot_be_read_is_told(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    weights.with_suffix(".md").write_text("# A card\n")
+    monkeypatch.setattr("roadtorch.layout.weights.MOST_OF_CARD", 5)
+
+    with pytest.raises(
+        WeightsError, match=r"weights\.md: cannot be read: it has more than 5 bytes"
+    ):
+        load_network(weights)
+
+
 @pytest.mark.parametrize("name", ["cnn-7", "layout"])
 def test_shipped_weights_are_what_their_cards_state(name: str, tmp_path: Path) -> None:
     path = shipped_weights(name)

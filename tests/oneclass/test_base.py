@@ -257,6 +257,17 @@ def test_a_state_that_does_not_say_what_it_is_is_refused(about: bytes) -> None:
         restored(MIDDLE, {})
 
 
+def test_a_saved_classifier_that_is_damaged_anywhere_is_refused_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "road.safetensors"
+    save(fitted_middle(), path)
+    whole = path.read_bytes()
+
+    for at in range(8, len(whole), 7):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
+        with pytest.raises(WeightsError, match=r"road\.safetensors: "):
+            load(MIDDLE, path)
+
+
 def test_files_that_hold_no_state_are_refused_in_one_line(tmp_path: Path) -> None:
     damaged, foreign = tmp_path / "damaged.safetensors", tmp_path / "foreign.safetensors"
     save(fitted_middle(), damaged)

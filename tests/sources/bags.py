@@ -43,12 +43,20 @@ def compressed_image(store: Any, data: bytes, stamp: int, form: str = "jpeg") ->
     return kind(header(store, stamp), form, np.frombuffer(data, np.uint8))
 
 
-def calibration(store: Any, stamp: int, focal: float = 300.0) -> Any:
+def calibration(
+    store: Any,
+    stamp: int,
+    focal: float = 300.0,
+    size: tuple[int, int] = (48, 64),
+    bent: Sequence[float] = (0.1, -0.2, 0, 0, 0),
+) -> Any:
+    """sensor_msgs/CameraInfo; size: height and width."""
+    height, width = size
     kind = store.types["sensor_msgs/msg/CameraInfo"]
-    matrix = np.array([focal, 0, 32, 0, focal, 24, 0, 0, 1], float)
+    matrix = np.array([focal, 0, width / 2, 0, focal, height / 2, 0, 0, 1], float)
     region = store.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
-    values = (np.array([0.1, -0.2, 0, 0, 0]), matrix, np.eye(3).ravel(), np.zeros(12))
-    return kind(header(store, stamp), 48, 64, "plumb_bob", *values, 0, 0, region)
+    values = (np.array(bent, float), matrix, np.eye(3).ravel(), np.zeros(12))
+    return kind(header(store, stamp), height, width, "plumb_bob", *values, 0, 0, region)
 
 
 def write_bag(path: Path, topics: Mapping[str, Sequence[Any]], form: str = "mcap") -> Path:
@@ -71,3 +79,15 @@ def write_bag(path: Path, topics: Mapping[str, Sequence[Any]], form: str = "mcap
         for stamp, name, message in sorted(entries, key=lambda entry: entry[:2]):
             bag.write(links[name], stamp, pack(message, message.__msgtype__))
     return path
+
+
+def write_drive(folder: Path, form: str, pictures: Sequence[np.ndarray], focal: float) -> Path:
+    """The bag ``drive`` or ``drive.bag`` of pictures uint8 (H,W,3) by a pinhole on /camera."""
+    store = ROS1 if form == "bag" else ROS2
+    images = [
+        raw_image(store, pixels, "rgb8", FIRST + STEP * number + 7)
+        for number, pixels in enumerate(pictures)
+    ]
+    info = calibration(store, FIRST, focal, pictures[0].shape[:2], (0.0,) * 5)
+    topics = {"/camera/image_raw": images, "/camera/camera_info": [info]}
+    return write_bag(folder / ("drive.bag" if form == "bag" else "drive"), topics, form)

@@ -236,6 +236,14 @@ def test_a_run_with_settings_that_are_gone_is_told(finished: tuple[Training, Req
         train(training, request)
 
 
+def test_a_run_whose_kind_is_no_text_is_told(finished: tuple[Training, Request]) -> None:
+    training, request = finished
+    rewrite_config(request.out, lambda config: config.update(kind=["patches"]))
+
+    with pytest.raises(ConfigError, match="kind: is "):
+        train(training, request)
+
+
 # --- configs -----------------------------------------------------------------------------------
 
 

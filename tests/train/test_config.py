@@ -45,6 +45,7 @@ def test_configs_that_ship_can_be_read(path: Path) -> None:
     ("values", "told"),
     [
         ({"kind": "patch"}, r"patch: unknown kind of training \(did you mean patches\?\)"),
+        ({"kind": ["patches"]}, r"unknown kind of training"),
         ({"kind": "pictures", "mix": 3}, "mix: unknown setting"),
         ({"network": {"height": 120}}, "network.height: unknown setting"),
         ({"seed": 0}, r"seed: has another name now \(write random_seed\)"),

@@ -1,11 +1,13 @@
 """Processes that train together: what they add up, gather, learn and leave behind."""
 
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 import torch
 
+from roadtorch.errors import InputError
 from roadtorch.layout.weights import load_network
 from roadtorch.train.processes import Processes, join_processes
 from roadtorch.train.run import train
@@ -57,6 +59,17 @@ def test_alone_there_is_nothing_to_add(monkeypatch: pytest.MonkeyPatch) -> None:
         assert processes.leads
         assert processes.gather("a") == ["a"]
         assert list(processes.share("abc")) == ["a", "b", "c"]
+
+
+def test_what_the_first_one_is_refused_is_raised_in_each() -> None:
+    refused = InputError("run", "another run is writing here", "wait for it")
+
+    class Second(Processes):
+        def gather(self, item: object) -> list[object]:  # type: ignore[override]
+            return [refused, item]
+
+    with pytest.raises(InputError, match="another run"), Second(1, 2).led(nullcontext()):
+        raise AssertionError("the block began")
 
 
 @pytest.fixture(scope="module")

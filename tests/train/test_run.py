@@ -12,7 +12,8 @@ import pytest
 import torch
 
 from roadtorch.cli import main
-from roadtorch.errors import ConfigError, WeightsError
+from roadtorch.errors import ConfigError, InputError, WeightsError
+from roadtorch.files import locked
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import load_network, read_origin, save_network
 from roadtorch.train import loop
@@ -130,6 +131,42 @@ def test_the_ego_car_that_footage_shows_is_in_the_pictures_made_ready(tmp_path: 
         assert (ego[-4:] > 190).all()
         assert (ego[-4:] == 255).float().mean() > 0.9
         assert not ego[:20].any()
+
+
+# --- the folder ------------------------------------------------------------------------------
+
+
+def test_two_runs_do_not_write_into_one_folder(finished: tuple[Training, Request]) -> None:
+    training, request = finished
+
+    with locked(request.out), pytest.raises(InputError, match="another run is writing here"):
+        train(training, request)
+
+
+def test_what_killed_runs_left_half_written_is_removed(
+    streets: Path, kept: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    for folder in (".", "labels-2", "prepared", "prepared/ego-cars/street"):
+        (out / folder).mkdir(parents=True, exist_ok=True)
+        (out / folder / ".roadtorch.0123abcd.part").touch()
+
+    train(training_of("pictures", tmp_path), Request(str(streets), out, quiet=True))
+
+    assert not list(out.rglob("*.part"))
+
+
+def test_the_bytes_of_a_checkpoint_are_settled(
+    streets: Path, kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(time, "perf_counter", lambda: 0.0)
+    outs = (tmp_path / "one", tmp_path / "other")
+
+    for out in outs:
+        train(training_of("patches", tmp_path), request_of(streets, kept, out, "patches"))
+
+    one, other = ((out / "checkpoint.pt").read_bytes() for out in outs)
+    assert one == other
 
 
 # --- from weights ------------------------------------------------------------------------------

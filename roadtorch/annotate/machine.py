@@ -1,0 +1,142 @@
+"""What the machine says about one picture before anybody corrects it, and after."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from roadtorch.annotate.propagation import (
+    Graph,
+    PropagationSettings,
+    propagated,
+    segment_graph,
+)
+from roadtorch.data.correction_labels import (
+    NOT_ROAD,
+    OPEN,
+    ROAD_SAID,
+    VOID_SAID,
+    layout_layer,
+    road_layer,
+)
+from roadtorch.detector import Detector
+from roadtorch.fusion import log_odds
+from roadtorch.image_cache import image_cache
+from roadtorch.layout.classes import CLASSES, UNLABELLED
+from roadtorch.segment_features import measure_segments
+from roadtorch.segment_statistics import segment_mean
+from roadtorch.settings import Settings
+from roadtorch.superpixels import Superpixels
+from roadtorch.working_size import WorkingSize, at_picture_size, resized, working_size
+
+BARELY = 0.05
+"""Log odds of what the threshold says road and the mask leaves out, so that it stays out."""
+
+
+class AnnotationSettings(Settings):
+    """What the page works with: a picture's working size, its superpixels, and the inference."""
+
+    working: WorkingSize = WorkingSize(pixels=640 * 480)
+    superpixels: Superpixels = Superpixels(pixels=64)
+    propagation: PropagationSettings = PropagationSettings()
+    spoken: float = Field(
+        default=0.5, gt=0, le=1, description="share of a superpixel said before it counts as said"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class PictureView:
+    """One picture as the machine sees it, at the page's working size (h,w).
+
+    size: (H,W) of the picture. odds: float32 (h,w), log odds of road, 0 at the threshold. labels:
+    int64 (h,w), the superpixels. segment_odds: (n,). graph: of the n superpixels. layout: (n,3),
+    log odds of the classes, (n,0) where the machine has none. trust: the expected F, if known.
+    """
+
+    size: tuple[int, int]
+    odds: Tensor
+    labels: Tensor
+    segment_odds: Tensor
+    graph: Graph
+    layout: Tensor
+    trust: float | None
+
+
+def look_at_picture(image: Tensor, detector: Detector, settings: AnnotationSettings) -> PictureView:
+    """What a detector sees in an image (3,H,W), and the superpixels that a person clicks."""
+    size = (image.shape[-2], image.shape[-1])
+    with image_cache():
+        detection = detector.detect(image)
+        small = resized(image, working_size(*size, settings.working)).clamp(0, 1)
+        shape = (small.shape[-2], small.shape[-1])
+        labels = settings.superpixels.cut(small)
+        segments = measure_segments(small, labels)
+    odds = _centred(detection.likelihood, detection.mask, detector.settings.threshold, shape)
+    layout = torch.zeros(len(segments.size), 0)
+    if (potentials := detection.cues.get("layout")) is not None and len(potentials) == CLASSES:
+        mean = segment_mean(resized(potentials, shape), labels, len(segments.size))
+        layout = log_odds(mean.T)
+    mean = segment_mean(odds[None], labels, len(segments.size))[0]
+    graph = segment_graph(segments, settings.propagation)
+    return PictureView(size, odds, labels, mean, graph, layout, detection.trust)
+
+
+def _centred(likelihood: Tensor, mask: Tensor, threshold: float, shape: tuple[int, int]) -> Tensor:
+    """Log odds (h,w) that are positive where the mask (H,W) is road."""
+    odds = log_odds(resized(likelihood, shape)) - log_odds(torch.tensor(threshold))
+    left_out = (odds >= 0) & ~at_picture_size(mask, shape)
+    return torch.where(left_out, -BARELY, odds)
+
+
+def mended_odds(view: PictureView, said: Tensor, settings: PropagationSettings) -> Tensor:
+    """Log odds (h,w) of road after the rest was inferred from what was said.
+
+    said: (n,), 1 road, -1 not road, 0 nothing, for each superpixel.
+    """
+    moved = propagated(view.segment_odds, said, view.graph, settings)
+    return view.odds + moved[view.labels]
+
+
+def mended_layout(
+    view: PictureView, labels: np.ndarray, settings: AnnotationSettings
+) -> np.ndarray:
+    """The layout uint8 (h,w), 255 where the machine has none, inferred from labels (H,W)."""
+    if not view.layout.shape[1]:
+        return np.full(view.labels.shape, UNLABELLED, np.uint8)
+    layer = layout_layer(at_size(labels, (view.labels.shape[0], view.labels.shape[1])))
+    odds = []
+    for number, own in enumerate(view.layout.unbind(1)):
+        said = _said(layer == number, (layer != number) & (layer != UNLABELLED), view, settings)
+        odds.append(own + propagated(own, said, view.graph, settings.propagation))
+    return torch.stack(odds).argmax(0)[view.labels].numpy().astype(np.uint8)
+
+
+def said_of_segments(labels: np.ndarray, view: PictureView, settings: AnnotationSettings) -> Tensor:
+    """What people's labels uint8 (H,W) say of each superpixel: (n,), 1 road, -1 not, 0 nothing."""
+    road = road_layer(at_size(labels, (view.labels.shape[0], view.labels.shape[1])))
+    return _said(road == ROAD_SAID, road == NOT_ROAD, view, settings)
+
+
+def _said(
+    yes: np.ndarray, no: np.ndarray, view: PictureView, settings: AnnotationSettings
+) -> Tensor:
+    """(n,): 1 or -1 where enough of a superpixel is in the masks (h,w), by which has more."""
+    index, count = view.labels.reshape(-1).numpy(), len(view.segment_odds)
+    size = np.bincount(index, minlength=count)
+    for_it, against = (np.bincount(index[mask.reshape(-1)], minlength=count) for mask in (yes, no))
+    known = for_it + against >= settings.spoken * size
+    return torch.from_numpy(np.where(known, np.where(for_it >= against, 1.0, -1.0), 0.0))
+
+
+def at_size(labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Labels (H,W) at another size, pixel by pixel."""
+    return at_picture_size(torch.from_numpy(labels), size).numpy()
+
+
+def shown_road(odds: Tensor, labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Road bool (H,W) at a size: what people said, and the odds where they said nothing."""
+    said = road_layer(at_size(labels, size))
+    road = resized(odds, size).numpy() >= 0
+    return np.where((said == OPEN) | (said == VOID_SAID), road & (said != VOID_SAID), said == 1)

@@ -1,0 +1,211 @@
+// The picture on the screen: where it lies, what is drawn over it, and where a pointer is on it.
+
+const SAID = {
+  1: [0, 158, 115], 2: [213, 94, 0], 3: [139, 139, 139], 4: [86, 180, 233],
+  5: [230, 159, 0], 6: [0, 120, 106], 7: [213, 94, 0],
+};
+const LAYOUT = [[86, 180, 233], [230, 159, 0], [0, 120, 106]];
+const ROAD = [0, 158, 115];
+
+export class Stage {
+  constructor(canvas) {
+    Object.assign(this, {
+      canvas, pen: canvas.getContext("2d"), picture: null, zoom: 1, left: 0, top: 0, opacity: 0.5,
+      sight: "road", borders: false, hidden: false, cross: null, hover: -1, drag: new Set(),
+      drawn: [], pending: [], polygon: [], radius: 12, tool: "superpixel",
+    });
+    this.over = document.createElement("canvas");
+    this.light = document.createElement("canvas");
+    new ResizeObserver(() => this.resize()).observe(canvas);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
+  }
+
+  // picture: {bitmap, size [W,H], shape [w,h], superpixels Uint16Array}; layers: Uint8Array.
+  show(picture, layers) {
+    const same = this.picture === picture;
+    Object.assign(this, { picture, layers });
+    for (const one of [this.over, this.light]) {
+      if (one.width !== picture.shape[0] || one.height !== picture.shape[1]) {
+        [one.width, one.height] = picture.shape;
+      }
+    }
+    if (!same) {
+      Object.assign(this, { hover: -1, drag: new Set(), drawn: [], polygon: [], pending: [] });
+      this.cross = [picture.size[0] / 2, picture.size[1] * 0.75];
+      this.fit();
+    }
+    this.tint();
+    this.draw();
+  }
+
+  resize() {
+    const ratio = devicePixelRatio || 1;
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const fitted = this.fitted;
+    this.canvas.width = Math.max(1, Math.round(width * ratio));
+    this.canvas.height = Math.max(1, Math.round(height * ratio));
+    if (this.picture && fitted !== false) this.fit();
+    this.draw();
+  }
+
+  fit() {
+    const [width, height] = this.picture.size;
+    const { width: across, height: down } = this.canvas;
+    this.zoom = Math.min(across / width, down / height);
+    this.left = (across - width * this.zoom) / 2;
+    this.top = (down - height * this.zoom) / 2;
+    this.fitted = true;
+    this.draw();
+  }
+
+  // Zoom by a factor about a point of the canvas, by default its middle.
+  zoomBy(factor, x = this.canvas.width / 2, y = this.canvas.height / 2) {
+    if (!this.picture) return;
+    const zoom = Math.min(Math.max(this.zoom * factor, 0.05), 40);
+    this.left = x - ((x - this.left) * zoom) / this.zoom;
+    this.top = y - ((y - this.top) * zoom) / this.zoom;
+    this.zoom = zoom;
+    this.fitted = false;
+    this.draw();
+  }
+
+  pan(x, y) {
+    this.left += x;
+    this.top += y;
+    this.fitted = false;
+    this.draw();
+  }
+
+  // The canvas pixel of a pointer event.
+  at(event) {
+    const box = this.canvas.getBoundingClientRect();
+    const ratio = this.canvas.width / box.width;
+    return [(event.clientX - box.left) * ratio, (event.clientY - box.top) * ratio];
+  }
+
+  // The picture's pixel, whole numbers at pixel centres, at a canvas pixel.
+  onPicture([x, y]) {
+    return [(x - this.left) / this.zoom - 0.5, (y - this.top) / this.zoom - 0.5];
+  }
+
+  // The superpixel at a picture's pixel; -1 outside.
+  superpixel([x, y]) {
+    const [width, height] = this.picture.size;
+    const [across, down] = this.picture.shape;
+    const column = Math.floor(((x + 0.5) / width) * across);
+    const row = Math.floor(((y + 0.5) / height) * down);
+    if (column < 0 || row < 0 || column >= across || row >= down) return -1;
+    return this.picture.superpixels[row * across + column];
+  }
+
+  // Colour the layers. A byte: three bits of what was said, one of road, two of layout.
+  tint() {
+    const [width, height] = this.picture.shape;
+    const image = new ImageData(width, height);
+    const { layers } = this;
+    for (let i = 0; i < layers.length; i++) {
+      const said = layers[i] & 7;
+      const road = (layers[i] >> 3) & 1;
+      let colour = null;
+      let strength = 0;
+      if (this.sight === "road") {
+        const right = i % width < width - 1 ? (layers[i + 1] >> 3) & 1 : road;
+        const below = i + width < layers.length ? (layers[i + width] >> 3) & 1 : road;
+        if (said) [colour, strength] = [SAID[said], said === 6 ? 90 : 200];
+        else if (road) [colour, strength] = [ROAD, 120];
+        if (road !== right || road !== below) [colour, strength] = [[255, 255, 255], 255];
+      } else {
+        const layout = layers[i] >> 4;
+        const spoken = { 1: 2, 4: 0, 5: 1, 6: 2, 7: 2 }[said];
+        if (spoken !== undefined) [colour, strength] = [LAYOUT[spoken], 210];
+        else if (layout < 3) [colour, strength] = [LAYOUT[layout], 110];
+      }
+      if (colour) image.data.set([...colour, strength], 4 * i);
+    }
+    this.over.getContext("2d").putImageData(image, 0, 0);
+  }
+
+  // Superpixels in sight: those dragged over, the one under the pointer, and all borders on demand.
+  lit() {
+    const { superpixels, shape } = this.picture;
+    const [width, height] = shape;
+    const image = new ImageData(width, height);
+    const hover = this.tool === "superpixel" ? this.hover : -1;
+    if (hover < 0 && !this.drag.size && !this.borders) return null;
+    for (let i = 0; i < superpixels.length; i++) {
+      const own = superpixels[i];
+      if (this.drag.has(own)) image.data.set([255, 255, 0, 150], 4 * i);
+      else if (own === hover) image.data.set([255, 255, 255, 90], 4 * i);
+      else if (this.borders && (superpixels[i + 1] !== own || superpixels[i + width] !== own)) {
+        image.data.set([255, 255, 255, 110], 4 * i);
+      }
+    }
+    this.light.getContext("2d").putImageData(image, 0, 0);
+    return this.light;
+  }
+
+  draw() {
+    cancelAnimationFrame(this.frame);
+    this.frame = requestAnimationFrame(() => this.paint());
+  }
+
+  paint() {
+    const { pen, canvas, picture } = this;
+    pen.setTransform(1, 0, 0, 1, 0, 0);
+    pen.clearRect(0, 0, canvas.width, canvas.height);
+    if (!picture) return;
+    const [width, height] = picture.size;
+    pen.setTransform(this.zoom, 0, 0, this.zoom, this.left, this.top);
+    pen.imageSmoothingEnabled = this.zoom < 3;
+    pen.drawImage(picture.bitmap, 0, 0, width, height);
+    pen.imageSmoothingEnabled = false;
+    if (!this.hidden) {
+      pen.globalAlpha = this.opacity;
+      pen.drawImage(this.over, 0, 0, width, height);
+      pen.globalAlpha = 1;
+    }
+    const light = this.lit();
+    if (light) pen.drawImage(light, 0, 0, width, height);
+    for (const stroke of [...this.pending, ...this.drawn]) this.outline(stroke);
+    if (this.polygon.length) this.outline({ points: this.polygon, open: true });
+    this.mark();
+  }
+
+  // A stroke that is being drawn, or is on its way to the server.
+  outline({ points, radius, open }) {
+    if (!points?.length) return;
+    const { pen } = this;
+    pen.beginPath();
+    for (const [x, y] of points) pen.lineTo(x + 0.5, y + 0.5);
+    if (!radius && !open) pen.closePath();
+    pen.lineCap = pen.lineJoin = "round";
+    pen.lineWidth = radius ? 2 * radius + 1 : 2 / this.zoom;
+    pen.strokeStyle = radius ? "rgb(255 255 0 / .5)" : "rgb(255 255 0)";
+    if (radius && points.length === 1) pen.lineTo(points[0][0] + 0.51, points[0][1] + 0.5);
+    pen.stroke();
+    if (radius) return;
+    pen.fillStyle = "rgb(255 255 0)";
+    for (const [x, y] of points) {
+      pen.fillRect(x + 0.5 - 3 / this.zoom, y + 0.5 - 3 / this.zoom, 6 / this.zoom, 6 / this.zoom);
+    }
+  }
+
+  // The cross of the keyboard, or the ring of the brush.
+  mark() {
+    if (!this.cross) return;
+    const { pen } = this;
+    const [x, y] = this.cross.map((value) => value + 0.5);
+    const arm = 12 / this.zoom;
+    for (const [colour, width] of [["rgb(0 0 0 / .7)", 4], ["rgb(255 255 255)", 1.5]]) {
+      pen.strokeStyle = colour;
+      pen.lineWidth = width / this.zoom;
+      pen.beginPath();
+      if (this.tool === "brush") pen.arc(x, y, this.radius + 0.5, 0, 2 * Math.PI);
+      pen.moveTo(x - arm, y);
+      pen.lineTo(x + arm, y);
+      pen.moveTo(x, y - arm);
+      pen.lineTo(x, y + arm);
+      pen.stroke();
+    }
+  }
+}

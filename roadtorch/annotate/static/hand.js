@@ -1,0 +1,161 @@
+// The hand on the picture: tools, and the pointers and keys that use them.
+
+export class Hand {
+  // stage: what is drawn on. send(act): what a tool made. ready(): whether a picture is shown.
+  constructor(stage, send, ready) {
+    Object.assign(this, { stage, send, ready, saying: "road", drawing: false, panning: false });
+    this.pointers = new Map();
+    this.spread = 0;
+    const { canvas } = stage;
+    canvas.addEventListener("pointerdown", (event) => this.down(event));
+    canvas.addEventListener("pointermove", (event) => this.moved(event));
+    canvas.addEventListener("pointerup", (event) => this.up(event));
+    canvas.addEventListener("pointercancel", (event) => this.up(event));
+    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+    canvas.addEventListener("dblclick", () => stage.tool === "polygon" && this.closePolygon());
+    canvas.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      stage.zoomBy(event.deltaY < 0 ? 1.15 : 1 / 1.15, ...stage.at(event));
+    }, { passive: false });
+  }
+
+  choose(tool) {
+    this.stage.tool = tool;
+    this.drop();
+  }
+
+  drop() {
+    this.stage.polygon = [];
+    this.stage.draw();
+  }
+
+  // --- tools ----------------------------------------------------------------------------
+
+  begin(point) {
+    const { stage } = this;
+    if (stage.tool === "superpixel") stage.drag.add(stage.superpixel(point));
+    if (stage.tool === "brush") stage.drawn = [{ points: [point], radius: stage.radius }];
+    if (stage.tool === "polygon") {
+      const first = stage.polygon[0];
+      const near = first && Math.hypot(first[0] - point[0], first[1] - point[1]) * stage.zoom < 10;
+      if (near && stage.polygon.length >= 3) return this.closePolygon();
+      stage.polygon.push(point);
+    }
+    stage.draw();
+  }
+
+  goOn(point) {
+    const { stage } = this;
+    if (stage.tool === "superpixel") stage.drag.add(stage.superpixel(point));
+    if (stage.tool === "brush") stage.drawn[0]?.points.push(point);
+  }
+
+  end() {
+    const { stage, saying } = this;
+    if (stage.tool === "superpixel") {
+      const segments = [...stage.drag].filter((one) => one >= 0);
+      stage.drag.clear();
+      if (segments.length) this.send({ kind: "superpixel", saying, segments });
+    }
+    if (stage.tool === "brush") {
+      const points = rounded(stage.drawn[0]?.points ?? []);
+      stage.drawn = [];
+      if (points.length) this.send({ kind: "brush", saying, points, radius: stage.radius });
+    }
+  }
+
+  closePolygon() {
+    const points = rounded(this.stage.polygon);
+    this.drop();
+    if (points.length >= 3) this.send({ kind: "polygon", saying: this.saying, points });
+  }
+
+  // --- pointers -------------------------------------------------------------------------
+
+  move(point) {
+    this.stage.cross = point;
+    this.stage.hover = this.stage.superpixel(point);
+  }
+
+  down(event) {
+    const { stage, pointers } = this;
+    if (!this.ready()) return;
+    stage.canvas.focus({ preventScroll: true });
+    stage.canvas.setPointerCapture(event.pointerId);
+    pointers.set(event.pointerId, stage.at(event));
+    this.panning = event.button === 1 || event.button === 2 || pointers.size > 1;
+    if (pointers.size > 1) {
+      Object.assign(stage, { drawn: [], drag: new Set() });
+      this.drawing = false;
+      this.spread = this.distance();
+    } else if (!this.panning) {
+      this.drawing = true;
+      this.move(stage.onPicture(stage.at(event)));
+      this.begin(stage.cross);
+    }
+    event.preventDefault();
+  }
+
+  distance() {
+    const [[x, y], [u, v]] = [...this.pointers.values()];
+    return Math.hypot(x - u, y - v);
+  }
+
+  moved(event) {
+    const { stage, pointers } = this;
+    if (!this.ready()) return;
+    const point = stage.at(event);
+    const before = pointers.get(event.pointerId);
+    if (before && this.panning) return this.drag(event, point, before);
+    this.move(stage.onPicture(point));
+    if (this.drawing) this.goOn(stage.cross);
+    stage.draw();
+  }
+
+  // Move the picture with one pointer, zoom with two.
+  drag(event, point, before) {
+    const { stage, pointers } = this;
+    stage.pan((point[0] - before[0]) / pointers.size, (point[1] - before[1]) / pointers.size);
+    pointers.set(event.pointerId, point);
+    if (pointers.size !== 2) return;
+    const now = this.distance();
+    stage.zoomBy(now / this.spread, point[0], point[1]);
+    this.spread = now;
+  }
+
+  up(event) {
+    this.pointers.delete(event.pointerId);
+    if (this.drawing && event.type === "pointerup") this.end();
+    this.drawing = false;
+    if (!this.pointers.size) this.panning = false;
+    this.stage.draw();
+  }
+
+  // --- keys -----------------------------------------------------------------------------
+
+  nudge(x, y, fine) {
+    if (!this.ready()) return;
+    const { stage } = this;
+    const [width, height] = stage.picture.size;
+    const step = fine ? 1 : width / 80;
+    const inside = (value, most) => Math.min(Math.max(value, 0), most - 1);
+    this.move([inside(stage.cross[0] + x * step, width), inside(stage.cross[1] + y * step, height)]);
+    stage.draw();
+  }
+
+  click() {
+    if (!this.ready()) return;
+    this.begin(this.stage.cross);
+    this.end();
+  }
+
+  resize(factor) {
+    const { stage } = this;
+    stage.radius = Math.min(400, Math.max(1, Math.round(stage.radius * factor + (factor > 1))));
+    stage.draw();
+  }
+}
+
+function rounded(points) {
+  return points.map((point) => point.map((value) => Math.round(value * 10) / 10));
+}

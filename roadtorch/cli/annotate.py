@@ -1,0 +1,106 @@
+"""roadtorch annotate: correct machine labels in a page, report on it, bring labels in and out."""
+
+from pathlib import Path
+
+import click
+
+from roadtorch.cli.options import CONFIG, ONE_DETECTOR, PATH, SETTING
+
+FORMATS = ("labelme", "xml", "png", "cvat", "label-studio")
+
+
+@click.command()
+@click.argument("folder", type=PATH)
+@click.option("--out", type=PATH, help="Where corrections are kept. [FOLDER/corrections]")
+@click.option("--port", type=click.IntRange(1, 65535), help="Port of the page. [a free one]")
+@ONE_DETECTOR
+@SETTING
+@CONFIG
+@click.option("--report", "reports", is_flag=True, help="Say what was corrected, and stop.")
+@click.option("--export", "exported", type=click.Choice(FORMATS), help="Write corrections to --to.")
+@click.option("--to", type=PATH, help="Folder for --export.")
+@click.option("--import", "imported", type=click.Choice(FORMATS), help="Read labels from --from.")
+@click.option("--from", "origin", type=PATH, help="Folder of --import.")
+@click.option("--user", default="imported", show_default=True, help="Who --import is.")
+@click.pass_context
+def annotate(
+    context: click.Context,
+    folder: Path,
+    out: Path | None,
+    port: int | None,
+    detector: str | None,
+    assignments: tuple[str, ...],
+    config: Path | None,
+    reports: bool,
+    exported: str | None,
+    to: Path | None,
+    imported: str | None,
+    origin: Path | None,
+    user: str,
+) -> None:
+    """Correct the machine's labels of the pictures in FOLDER, in a page in your browser.
+
+    The page is for this computer alone, and for who has its address. Every stroke is on disk
+    at once; a second run goes on where the first one stopped.
+    """
+    out = out or folder / "corrections"
+    if reports:
+        from roadtorch.annotate.report import corrections_report
+
+        click.echo(corrections_report(out, folder))
+    elif exported:
+        _export(out, folder, exported, _given(to, "--to"))
+    elif imported:
+        _import(context, out, folder, imported, _given(origin, "--from"), user)
+    else:
+        _serve(context, folder, out, port, (detector, assignments, config))
+
+
+def _given(path: Path | None, option: str) -> Path:
+    if path is None:
+        raise click.UsageError(f"Missing option '{option}'")
+    return path
+
+
+def _export(out: Path, folder: Path, name: str, to: Path) -> None:
+    from roadtorch.data.correction_formats import FORMATS as KNOWN
+    from roadtorch.data.corrections import read_corrections
+
+    found = read_corrections(out, folder)
+    KNOWN[name].write(found, to)
+    click.echo(f"{len(found)} pictures written to {to}")
+
+
+def _import(
+    context: click.Context, out: Path, folder: Path, name: str, origin: Path, user: str
+) -> None:
+    from roadtorch.annotate.bringing import bring_in
+    from roadtorch.cli.claim import claimed
+
+    context.with_resource(claimed(out))
+    count = bring_in(name, origin, folder, out, user)
+    click.echo(f"{count} pictures brought in as {user}")
+
+
+def _serve(
+    context: click.Context,
+    folder: Path,
+    out: Path,
+    port: int | None,
+    choice: tuple[str | None, tuple[str, ...], Path | None],
+) -> None:
+    from roadtorch.annotate.serving import opened_session, page_server
+    from roadtorch.cli import config as configuration
+    from roadtorch.cli.claim import claimed
+    from roadtorch.detectors.catalogue import load_detector
+    from roadtorch.sources.pictures import find_images
+
+    detector, assignments, config = choice
+    count = len(find_images([folder], out))
+    name, values = configuration.chosen_detector(detector, config, assignments, None)
+    context.with_resource(claimed(out))
+    session = opened_session(folder, out, load_detector(name, **values))
+    server = page_server(session, port)
+    click.echo(f"{count} pictures; corrections are kept in {out}")
+    click.echo(f"Open {server.address.url}  (Ctrl-C ends it)")
+    server.run()

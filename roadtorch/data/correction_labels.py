@@ -1,0 +1,77 @@
+"""What a person can say about a pixel, and what several sayings come to.
+
+A pixel has one of eight labels. Each means something for the road (road, not road, void) and for
+the layout (sky, vertical, horizontal); what was not said stays open. Ours: the two questions are
+asked with one set of keys, and what follows is drawn: road is horizontal, sky and vertical things
+are not road.
+"""
+
+import numpy as np
+
+from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
+
+LABELS = (
+    "untouched",
+    "road",
+    "not_road",
+    "void",
+    "sky",
+    "vertical",
+    "horizontal",
+    "not_road_horizontal",
+)
+"""The names of the labels; a label's number is its place."""
+
+SAYINGS = LABELS[1:7]
+"""What a person says; the last label is what two sayings come to: a pavement, a verge."""
+
+NOT_ROAD, ROAD_SAID, VOID_SAID, OPEN = 0, 1, 254, 255
+"""The values of ``road_layer``; ``OPEN`` is where nobody said anything."""
+
+_ROAD = np.array(
+    [OPEN, ROAD_SAID, NOT_ROAD, VOID_SAID, NOT_ROAD, NOT_ROAD, OPEN, NOT_ROAD], np.uint8
+)
+_LAYOUT = np.array(
+    [
+        *(UNLABELLED, HORIZONTAL, UNLABELLED, UNLABELLED),
+        *(SKY, VERTICAL, HORIZONTAL, HORIZONTAL),
+    ],
+    np.uint8,
+)
+
+# The label after a saying, by the label before. Road, void, sky and vertical replace what was
+# there; "not road" leaves a layout that agrees with it, "horizontal" a road or a "not road".
+_AFTER = {
+    "road": (1,) * 8,
+    "not_road": (2, 2, 2, 2, 4, 5, 7, 7),
+    "void": (3,) * 8,
+    "sky": (4,) * 8,
+    "vertical": (5,) * 8,
+    "horizontal": (6, 1, 7, 6, 6, 6, 6, 7),
+}
+
+
+def road_layer(labels: np.ndarray) -> np.ndarray:
+    """uint8, of labels of any shape: 1 road, 0 not road, 254 void, 255 where nothing is said."""
+    return _ROAD[labels]
+
+
+def layout_layer(labels: np.ndarray) -> np.ndarray:
+    """uint8, of labels of any shape: 0 sky, 1 vertical, 2 horizontal, 255 where not said."""
+    return _LAYOUT[labels]
+
+
+def after_saying(labels: np.ndarray, saying: str) -> np.ndarray:
+    """The labels, uint8 of any shape, after one of ``SAYINGS`` was said about all of them."""
+    return np.array(_AFTER[saying], np.uint8)[labels]
+
+
+def labels_of(road: np.ndarray, layout: np.ndarray) -> np.ndarray:
+    """Labels uint8 from their two layers; what the road says counts where they contradict."""
+    table = np.zeros((256, 256), np.uint8)
+    table[NOT_ROAD] = LABELS.index("not_road")
+    table[ROAD_SAID] = LABELS.index("road")
+    table[VOID_SAID] = LABELS.index("void")
+    for number in reversed(range(len(LABELS))):
+        table[_ROAD[number], _LAYOUT[number]] = number
+    return table[road, layout]

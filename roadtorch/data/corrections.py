@@ -1,0 +1,150 @@
+"""Corrections by people: what was said about each picture, by whom, in what time.
+
+``read_corrections`` is what training and reports start from. Nobody's stroke is lost where people
+disagree: each has a journal, and a pixel on which they contradict each other is void.
+"""
+
+import os
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from roadtorch.data.correction_labels import (
+    OPEN,
+    VOID_SAID,
+    labels_of,
+    layout_layer,
+    road_layer,
+)
+from roadtorch.data.journal import ENDING, Journal, find_journals, read_journal
+from roadtorch.data.strokes import Right, folded, standing
+from roadtorch.errors import DatasetError, InputError
+from roadtorch.layout.classes import UNLABELLED
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What people said about one picture.
+
+    picture: its file. name: relative to the folder of pictures, with ending. labels: uint8 (H,W),
+    numbers of ``LABELS``. confirmed: somebody said that it is right as it is, so that every
+    pixel's road is known. users: sorted. seconds: at work on it, of all of them. clicks: acts of
+    all of them, those taken back among them. agreement: share of the pixels that two or more
+    spoke of on which all of them agree about the road; None where there are none.
+    """
+
+    picture: Path
+    name: str
+    labels: np.ndarray
+    confirmed: bool
+    users: tuple[str, ...]
+    seconds: float
+    clicks: int
+    agreement: float | None = None
+
+    @property
+    def road(self) -> np.ndarray:
+        """uint8 (H,W): 1 road, 0 not road, 254 void, 255 untouched."""
+        return road_layer(self.labels)
+
+    @property
+    def layout(self) -> np.ndarray:
+        """uint8 (H,W): 0 sky, 1 vertical, 2 horizontal, 255 untouched."""
+        return layout_layer(self.labels)
+
+
+def read_corrections(folder: Path, pictures: Path | None = None) -> list[Correction]:
+    """What is known of each picture that was worked on, sorted by name.
+
+    folder: where ``roadtorch annotate`` keeps its journals. pictures: their folder, if it moved;
+    else the journals know. Pictures on which every stroke was taken back are left out. Raises
+    DatasetError for a folder without journals, and for a broken one.
+    """
+    by_picture: dict[str, list[tuple[Path, Journal]]] = defaultdict(list)
+    for path in find_journals(folder):
+        journal = read_journal(path)
+        name = path.relative_to(folder).as_posix().removesuffix(f".{journal.head.user}{ENDING}")
+        by_picture[name].append((path, journal))
+    if not by_picture:
+        raise DatasetError(folder, "holds no corrections", "make some with roadtorch annotate")
+    found = []
+    for name, journals in sorted(by_picture.items()):
+        known = folder / journals[0][1].head.picture
+        picture = pictures / name if pictures else Path(os.path.normpath(known))
+        correction = corrected(picture, name, journals)
+        if (correction.labels > 0).any():
+            found.append(correction)
+    return found
+
+
+def corrected(picture: Path, name: str, journals: Sequence[tuple[Path, Journal]]) -> Correction:
+    """What one or more journals of a picture come to.
+
+    Raises DatasetError where two are for pictures of different sizes or acts do not fit theirs.
+    """
+    sizes = {(one.head.height, one.head.width) for _, one in journals}
+    if len(sizes) > 1:
+        what = f"is for another picture size than {journals[0][0].name}"
+        raise DatasetError(journals[-1][0], what, "correct one version of the picture")
+    said = [_folded(path, journal, sizes.copy().pop()) for path, journal in journals]
+    acts = [act for _, journal in journals for act in journal.acts]
+    return Correction(
+        picture,
+        name,
+        agreed_labels(said),
+        any(isinstance(act, Right) for _, one in journals for act in standing(one.acts)),
+        tuple(sorted(one.head.user for _, one in journals)),
+        sum(act.seconds for act in acts),
+        len({act.id for act in acts}),
+        agreement_share(said),
+    )
+
+
+def _folded(path: Path, journal: Journal, size: tuple[int, int]) -> np.ndarray:
+    try:
+        return folded(journal.acts, size)
+    except InputError as problem:
+        what = f"has an act that does not fit: {problem.where} {problem.what}"
+        raise DatasetError(path, what, "give the picture that was corrected") from None
+
+
+# --- several people ---------------------------------------------------------------------
+
+
+def agreed_labels(said: Sequence[np.ndarray]) -> np.ndarray:
+    """Labels uint8 (H,W) of several people's: void where those who spoke contradict each other.
+
+    Ours: training is better without a pixel than with a wrong one.
+    """
+    if len(said) == 1:
+        return said[0]
+    road = _agreed([road_layer(each) for each in said], OPEN, VOID_SAID)
+    layout = _agreed([layout_layer(each) for each in said], UNLABELLED, UNLABELLED)
+    return labels_of(road, layout)
+
+
+def _agreed(layers: Sequence[np.ndarray], silent: int, contradiction: int) -> np.ndarray:
+    found = np.full_like(layers[0], silent)
+    for layer in layers:
+        spoke = layer != silent
+        found = np.where(
+            spoke & (found != silent) & (found != layer),
+            contradiction,
+            np.where(spoke & (found == silent), layer, found),
+        ).astype(np.uint8)
+    return found
+
+
+def agreement_share(said: Sequence[np.ndarray]) -> float | None:
+    """Share of the pixels that two or more spoke of on which all say the same of the road."""
+    road = np.stack([road_layer(each) for each in said])
+    spoke = road != OPEN
+    several = spoke.sum(0) > 1
+    if not several.any():
+        return None
+    low = np.where(spoke, road, 255).min(0)
+    high = np.where(spoke, road, 0).max(0)
+    return float((low == high)[several].mean())

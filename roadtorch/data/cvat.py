@@ -1,0 +1,124 @@
+"""CVAT's "Segmentation mask 1.1": one colour a class, and one colour an object.
+
+    labelmap.txt                      name:red,green,blue:parts:actions
+    ImageSets/Segmentation/default.txt   names of pictures, without ending
+    SegmentationClass/NAME.png        RGB
+    SegmentationObject/NAME.png       RGB, objects counted in Pascal VOC's colours
+
+What CVAT stumbles over is not written: colours of objects are those that it counts itself (issues
+5137, 6830), every connected part is an object of its own (7458), masks are RGB, so that no index is
+taken for a class (7847), and ``background`` is black, and stands for what nobody touched (8995).
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from roadtorch.data.correction_labels import LABELS
+from roadtorch.data.corrections import Correction
+from roadtorch.data.labels import colour_indices, read_colours
+from roadtorch.data.painted import connected_parts
+from roadtorch.errors import DatasetError
+from roadtorch.files import make_folder, write_text
+from roadtorch.image import write_colours
+from roadtorch.outside import read_regular
+
+Colour = tuple[int, int, int]
+
+BACKGROUND = "background"
+
+COLOURS: Mapping[str, Colour] = {
+    BACKGROUND: (0, 0, 0),
+    "road": (128, 64, 128),
+    "not_road": (220, 20, 60),
+    "void": (96, 96, 96),
+    "sky": (70, 130, 180),
+    "vertical": (190, 153, 153),
+    "horizontal": (152, 251, 152),
+    "not_road_horizontal": (244, 35, 232),
+}
+
+MOST_OBJECTS = 2**24 - 1  # colours there are
+
+LIST = Path("ImageSets/Segmentation/default.txt")
+
+
+def voc_colour(number: int) -> Colour:
+    """The colour of Pascal VOC's palette at a number: its bits, dealt to red, green and blue."""
+    channels = [0, 0, 0]
+    for place in range(8):
+        for channel in range(3):
+            channels[channel] |= (number >> (3 * place + channel) & 1) << (7 - place)
+    return channels[0], channels[1], channels[2]
+
+
+def write_cvat(corrections: Sequence[Correction], folder: Path) -> None:
+    """Write corrections as a folder that, zipped, CVAT takes as "Segmentation mask 1.1"."""
+    make_folder(folder / LIST.parent)
+    lines = ["# label:color_rgb:parts:actions"]
+    lines += [f"{name}:{','.join(map(str, colour))}::" for name, colour in COLOURS.items()]
+    write_text(folder / "labelmap.txt", "\n".join(lines) + "\n")
+    table = np.array(list(COLOURS.values()), np.uint8)
+    names = []
+    for one in corrections:
+        name = Path(one.name).with_suffix("").as_posix()
+        names.append(name)
+        _write_colours(folder / "SegmentationClass" / f"{name}.png", table[one.labels])
+        _write_colours(folder / "SegmentationObject" / f"{name}.png", object_colours(one.labels))
+    write_text(folder / LIST, "".join(f"{name}\n" for name in names))
+
+
+def object_colours(labels: np.ndarray) -> np.ndarray:
+    """Colours uint8 (H,W,3): every connected part in one of its own, counted from 1."""
+    colours = np.zeros((*labels.shape, 3), np.uint8)
+    for number, (_, mask) in enumerate(connected_parts(labels), start=1):
+        colours[mask] = voc_colour(number)
+    return colours
+
+
+def _write_colours(path: Path, colours: np.ndarray) -> None:
+    make_folder(path.parent)
+    write_colours(path, torch.from_numpy(colours).permute(2, 0, 1) / 255)
+
+
+def read_labelmap(path: Path) -> dict[Colour, str]:
+    """The classes of a labelmap.txt by colour; DatasetError naming the line that is wrong."""
+    try:
+        lines = read_regular(path).decode().splitlines()
+    except (OSError, UnicodeDecodeError) as problem:
+        raise DatasetError(path, f"cannot be read: {problem}", "export from CVAT anew") from None
+    found: dict[Colour, str] = {}
+    for number, line in enumerate(lines, start=1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        name, _, rest = line.partition(":")
+        try:
+            red, green, blue = (int(part) for part in rest.split(":")[0].split(","))
+        except ValueError:
+            what = "has no colour as red,green,blue"
+            raise DatasetError(f"{path}:{number}", what, "mend that line") from None
+        if (red, green, blue) in found:
+            what = f"has the colour of {found[red, green, blue]}"
+            raise DatasetError(f"{path}:{number}", what, "give each class its own")
+        found[red, green, blue] = name.strip()
+    return found
+
+
+def read_cvat_mask(path: Path, classes: Mapping[Colour, str]) -> np.ndarray:
+    """The labels uint8 (H,W) of SegmentationClass/NAME.png.
+
+    Raises DatasetError naming unknown colours and counting their pixels, and for a class that is
+    used and has none of our names.
+    """
+    known = tuple(classes) if (0, 0, 0) in classes else (*classes, (0, 0, 0))
+    indices = colour_indices(read_colours(path), known, path)
+    numbers = np.zeros(len(known), np.uint8)
+    for place in np.unique(indices).tolist():
+        name = classes.get(known[place], BACKGROUND)
+        if name != BACKGROUND and name not in LABELS:
+            what = f"has the class {name!r}, which says nothing about the road"
+            raise DatasetError(path, what, f"name it one of {', '.join(LABELS[1:])}")
+        numbers[place] = 0 if name == BACKGROUND else LABELS.index(name)
+    return numbers[indices]

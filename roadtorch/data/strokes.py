@@ -1,0 +1,224 @@
+"""What a person did to the labels of a picture, one act at a time, as it is kept on disk.
+
+Positions are in pixels of the picture, x to the right, y down, pixel centres at whole numbers.
+Regions are runs: start, length, start, length, … of pixels counted row by row.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import Annotated, Literal
+
+import cv2
+import numpy as np
+import pydantic
+from pydantic import Field
+
+from roadtorch.data.correction_labels import LABELS, after_saying
+from roadtorch.data.polygons import Polygon
+from roadtorch.errors import InputError
+from roadtorch.settings import Settings
+
+MOST_POINTS = 20_000  # of one stroke; ours: a hand draws some hundreds
+
+MOST_RADIUS = 2000  # pixels of a brush
+
+LONGEST = 600.0  # seconds that one act may have taken; the page counts no idle minute
+
+Point = tuple[
+    Annotated[float, Field(ge=-1e5, le=1e5)],
+    Annotated[float, Field(ge=-1e5, le=1e5)],
+]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+Saying = Literal["road", "not_road", "void", "sky", "vertical", "horizontal"]
+Runs = Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(description="start, length, …")]
+
+
+class Act(Settings):
+    """One line of a journal.
+
+    id: made where the act was done; the same id twice is the same act, sent again. time: seconds
+    since 1970. seconds: how long the person was at it.
+    """
+
+    id: Name
+    time: float = Field(default=0.0, ge=0)
+    seconds: float = Field(default=0.0, ge=0, le=LONGEST)
+
+
+class SuperpixelStroke(Act):
+    """Superpixels clicked or dragged over; ``runs`` are their pixels, whoever cuts them later."""
+
+    kind: Literal["superpixel"]
+    saying: Saying
+    segments: tuple[Annotated[int, Field(ge=0)], ...]
+    cut: str = Field(default="", max_length=64, description="digest of the segmentation")
+    runs: Runs = ()
+
+
+class PolygonStroke(Act):
+    """A closed polygon, its border included."""
+
+    kind: Literal["polygon"]
+    saying: Saying
+    points: tuple[Point, ...] = Field(min_length=3, max_length=MOST_POINTS)
+
+
+class BrushStroke(Act):
+    """A line drawn with a round brush."""
+
+    kind: Literal["brush"]
+    saying: Saying
+    points: tuple[Point, ...] = Field(min_length=1, max_length=MOST_POINTS)
+    radius: float = Field(gt=0, le=MOST_RADIUS)
+
+
+class Right(Act):
+    """ "Right as it is": what was not said is as shown; ``runs`` are the pixels shown as road."""
+
+    kind: Literal["right"]
+    runs: Runs = ()
+
+
+class Brought(Act):
+    """Labels from another program: the runs of each label, by its name."""
+
+    kind: Literal["brought"]
+    labels: dict[str, Runs]
+
+
+class Undo(Act):
+    """Takes an act back."""
+
+    kind: Literal["undo"]
+    of: Name
+
+
+class Redo(Act):
+    """Does an act again that was taken back."""
+
+    kind: Literal["redo"]
+    of: Name
+
+
+Stroke = SuperpixelStroke | PolygonStroke | BrushStroke
+AnyAct = SuperpixelStroke | PolygonStroke | BrushStroke | Right | Brought | Undo | Redo
+
+_ADAPTER: pydantic.TypeAdapter[AnyAct] = pydantic.TypeAdapter(
+    Annotated[AnyAct, Field(discriminator="kind")]
+)
+
+
+def parse_act(text: str | bytes, where: object) -> AnyAct:
+    """An act from its JSON; InputError naming ``where`` and the first thing that is wrong."""
+    try:
+        return _ADAPTER.validate_json(text)
+    except pydantic.ValidationError as problem:
+        error = problem.errors()[0]
+        place = ".".join(str(part) for part in error["loc"]) or "the line"
+        what = f"is no act of a correction: {place}: {error['msg']}"
+        raise InputError(where, what, "give one as docs/annotate.md has it") from None
+
+
+def act_text(act: AnyAct) -> str:
+    """The act as one line of JSON, without its line end."""
+    return act.model_dump_json()
+
+
+# --- regions ----------------------------------------------------------------------------
+
+
+def runs_of(mask: np.ndarray) -> tuple[int, ...]:
+    """The runs of a mask bool (H,W)."""
+    flat = np.concatenate([[False], mask.reshape(-1), [False]])
+    edges = np.flatnonzero(flat[1:] != flat[:-1])
+    starts, ends = edges[::2], edges[1::2]
+    return tuple(np.stack([starts, ends - starts], 1).reshape(-1).tolist())
+
+
+def run_pixels(runs: Sequence[int], size: tuple[int, int]) -> np.ndarray:
+    """The pixels int64 (k,) of runs, counted row by row; InputError where they do not fit."""
+    if len(runs) % 2:
+        raise InputError("runs", "have an odd number of values", "give start, length, …")
+    starts, lengths = np.array(runs, np.int64).reshape(-1, 2).T
+    pixels = size[0] * size[1]
+    if len(starts) and ((starts > pixels) | (lengths > pixels - starts)).any():
+        raise InputError("runs", f"reach beyond {pixels} pixels", "they are of another picture")
+    if lengths.sum() > pixels:
+        raise InputError("runs", "cover pixels twice", "give each pixel once")
+    first = np.repeat(starts - lengths.cumsum() + lengths, lengths)
+    return first + np.arange(len(first))
+
+
+def mask_of(runs: Sequence[int], size: tuple[int, int]) -> np.ndarray:
+    """The mask bool (H,W) of runs; InputError where they do not fit the picture."""
+    mask = np.zeros(size, np.bool_)
+    mask.reshape(-1)[run_pixels(runs, size)] = True
+    return mask
+
+
+def stroke_pixels(stroke: Stroke, size: tuple[int, int]) -> np.ndarray:
+    """The pixels int64 (k,) that a stroke speaks of; what is outside the picture is cut off."""
+    if isinstance(stroke, SuperpixelStroke):
+        return run_pixels(stroke.runs, size)
+    height, width = size
+    points = np.array(stroke.points, np.float64)
+    points = points.clip([-width, -height], [2 * width, 2 * height])
+    canvas = np.zeros(size, np.uint8)
+    if isinstance(stroke, PolygonStroke):
+        Polygon(points).fill(canvas, 1)
+        return np.flatnonzero(canvas)
+    corners, radius = np.floor(points + 0.5).astype(np.int32), round(stroke.radius)
+    cv2.polylines(canvas, [corners], isClosed=False, color=1, thickness=2 * radius + 1)
+    for corner in (corners[0], corners[-1]):
+        cv2.circle(canvas, (int(corner[0]), int(corner[1])), radius, 1, -1)
+    return np.flatnonzero(canvas)
+
+
+# --- folding ----------------------------------------------------------------------------
+
+
+def standing(acts: Iterable[AnyAct]) -> list[Stroke | Right | Brought]:
+    """The acts that hold, in their order: each once, without those taken back."""
+    kept: dict[str, Stroke | Right | Brought] = {}
+    undone: set[str] = set()
+    for act in acts:
+        if isinstance(act, Undo):
+            undone.add(act.of)
+        elif isinstance(act, Redo):
+            undone.discard(act.of)
+        else:
+            kept.setdefault(act.id, act)
+    return [act for act in kept.values() if act.id not in undone]
+
+
+def apply_act(labels: np.ndarray, act: Stroke | Right | Brought) -> None:
+    """Change labels uint8 (H,W) in place as one act says; InputError for what does not fit."""
+    size, flat = (labels.shape[0], labels.shape[1]), labels.reshape(-1)
+    if isinstance(act, Right):
+        _settle(labels, mask_of(act.runs, size))
+    elif isinstance(act, Brought):
+        for name, runs in act.labels.items():
+            if name not in LABELS:
+                raise InputError(name, "is no label", f"known: {', '.join(LABELS)}")
+            flat[run_pixels(runs, size)] = LABELS.index(name)
+    else:
+        where = stroke_pixels(act, size)
+        flat[where] = after_saying(flat[where], act.saying)
+
+
+def _settle(labels: np.ndarray, road: np.ndarray) -> None:
+    """Say of every pixel whose road is open what is shown of it."""
+    for open_label, road_label, other in (
+        ("untouched", "road", "not_road"),
+        ("horizontal", "road", "not_road_horizontal"),
+    ):
+        where = labels == LABELS.index(open_label)
+        labels[where & road] = LABELS.index(road_label)
+        labels[where & ~road] = LABELS.index(other)
+
+
+def folded(acts: Iterable[AnyAct], size: tuple[int, int]) -> np.ndarray:
+    """The labels uint8 (H,W) that all acts of one person come to."""
+    labels = np.zeros(size, np.uint8)
+    for act in standing(acts):
+        apply_act(labels, act)
+    return labels

@@ -1,0 +1,395 @@
+"""The page in a real browser: headless Chromium, driven by Playwright, over a real server."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from roadtorch.annotate.serving import opened_session, page_server
+from roadtorch.data.corrections import Correction, read_corrections
+from roadtorch.detectors.catalogue import load_detector
+from tests.annotate.conftest import write_streets
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, BrowserContext, Page
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium (apt: chromium)")
+
+PATIENCE = 60_000  # milliseconds; a loaded machine is slow
+
+ROOT = Path(__file__).parents[2]
+
+
+class Server:
+    """A folder of pictures with its page, in a thread of this process."""
+
+    def __init__(self, folder: Path, out: Path) -> None:
+        self.folder, self.out = folder, out
+        out.mkdir(exist_ok=True)
+        session = opened_session(folder, out, load_detector("prior:triangle"))
+        self._server = page_server(session)
+        self._thread = threading.Thread(target=self._server.run, daemon=True)
+        self._thread.start()
+        self.url = self._server.address.url
+
+    def stop(self) -> None:
+        self._server.stop()
+        self._thread.join(30)
+
+    def corrections(self) -> list[Correction]:
+        return read_corrections(self.out, self.folder)
+
+
+class Process:
+    """The same as a process of its own, ``roadtorch annotate``, which can be killed."""
+
+    def __init__(self, folder: Path, out: Path) -> None:
+        self.folder, self.out = folder, out
+        self.process: subprocess.Popen[str] | None = None
+        self.url = ""
+        self.start()
+
+    def start(self) -> None:
+        command = [sys.executable, "-m", "roadtorch", "annotate", str(self.folder)]
+        command += ["--out", str(self.out), "--detector", "prior:triangle"]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment
+        )
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            if line.startswith("Open "):
+                self.url = line.split()[1]
+                return
+        raise AssertionError("the server did not start")
+
+    def stop(self, how: int = signal.SIGKILL) -> int | None:
+        if self.process is None:
+            return None
+        self.process.send_signal(how)
+        code = self.process.wait(60)
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+        self.process = None
+        return code
+
+    def corrections(self) -> list[Correction]:
+        return read_corrections(self.out, self.folder)
+
+
+@pytest.fixture
+def server(streets: Path, tmp_path: Path) -> Iterator[Server]:
+    one = Server(streets, tmp_path / "corrections")
+    yield one
+    one.stop()
+
+
+@pytest.fixture
+def process(streets: Path, tmp_path: Path) -> Iterator[Process]:
+    one = Process(streets, tmp_path / "corrections")
+    yield one
+    one.stop()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator["Browser"]:
+    with sync_api.sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield chromium
+        chromium.close()
+
+
+Open = Callable[..., "Page"]
+
+
+@pytest.fixture
+def visit(browser: "Browser") -> Iterator[Open]:
+    """``visit(server, user, width, height)``: a window of its own, at the first picture."""
+    contexts: list[BrowserContext] = []
+    mistakes: list[str] = []
+
+    def opened(
+        server: Server | Process, user: str = "ann", width: int = 1000, height: int = 700
+    ) -> "Page":
+        context = browser.new_context(viewport={"width": width, "height": height})
+        contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(PATIENCE)
+        page.on("pageerror", lambda error: mistakes.append(str(error)))
+        page.goto(server.url)
+        page.fill("#user", user)
+        page.keyboard.press("Enter")
+        page.wait_for_selector("body[data-picture]")
+        return page
+
+    yield opened
+    for context in contexts:
+        context.close()
+    assert mistakes == []
+
+
+def at_version(page: "Page", version: int) -> None:
+    page.wait_for_function(
+        "version => document.body.dataset.version === String(version)", arg=version
+    )
+
+
+def shown(page: "Page", name: str) -> None:
+    page.wait_for_function("name => document.body.dataset.picture === name", arg=name)
+
+
+def click(page: "Page", across: float, down: float) -> None:
+    box = page.locator("#stage").bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + across * box["width"], box["y"] + down * box["height"])
+
+
+def notices(page: "Page", words: str) -> None:
+    page.wait_for_function(
+        "words => document.getElementById('notice').textContent.includes(words)", arg=words
+    )
+
+
+# --- correcting -------------------------------------------------------------------------
+
+
+def test_correct_undo_redo_reload(visit: Open, server: Server) -> None:
+    page = visit(server)
+    page.keyboard.press("2")
+    click(page, 0.5, 0.9)
+    at_version(page, 1)
+    (one,) = server.corrections()
+    assert 0 < (one.road == 0).sum() < one.road.size / 4
+    assert not (one.road == 1).any()
+    page.keyboard.press("z")
+    at_version(page, 2)
+    assert server.corrections() == []
+    page.keyboard.press("Control+y")
+    at_version(page, 3)
+    page.reload()
+    at_version(page, 3)
+    assert "3 clicks" in page.locator("#facts").inner_text()
+    assert (server.corrections()[0].labels == one.labels).all()
+
+
+def test_drag_polygon_and_brush(visit: Open, server: Server) -> None:
+    page = visit(server)
+    box = page.locator("#stage").bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.9 * box["height"])
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.7 * box["width"], box["y"] + 0.9 * box["height"], steps=12)
+    page.mouse.up()
+    at_version(page, 1)
+    page.keyboard.press("p")
+    page.keyboard.press("4")
+    for place in ((0.3, 0.1), (0.7, 0.1), (0.7, 0.3)):
+        click(page, *place)
+    page.keyboard.press("Enter")
+    at_version(page, 2)
+    page.keyboard.press("b")
+    page.keyboard.press("5")
+    click(page, 0.5, 0.5)
+    at_version(page, 3)
+    (one,) = server.corrections()
+    assert (one.road == 1).sum() > 100
+    assert {0, 1, 2} <= set(one.layout.reshape(-1).tolist())
+
+
+def test_right_as_it_is_in_one_key_and_the_next_comes(visit: Open, server: Server) -> None:
+    page = visit(server)
+    shown(page, "street_0.png")
+    page.keyboard.press("Enter")
+    shown(page, "street_1.png")
+    (one,) = server.corrections()
+    assert (one.name, one.confirmed, one.clicks) == ("street_0.png", True, 1)
+    page.wait_for_function(
+        "() => document.getElementById('progress').textContent.startsWith('1 of 3 right')"
+    )
+
+
+def test_the_keyboard_alone_is_enough(browser: "Browser", server: Server) -> None:
+    context = browser.new_context()
+    page = context.new_page()
+    page.set_default_timeout(PATIENCE)
+    page.goto(server.url)
+    page.keyboard.type("keys")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("body[data-picture]")
+    page.keyboard.press("?")
+    assert page.locator("#help").is_visible()
+    assert "Space" in page.locator("#keys").inner_text()
+    page.keyboard.press("Escape")
+    page.wait_for_selector("#help", state="hidden")
+    page.keyboard.press("ArrowDown")
+    page.keyboard.press("3")
+    page.keyboard.press("Space")
+    at_version(page, 1)
+    page.keyboard.press("p")
+    for arrow in ("ArrowUp", "ArrowRight", "ArrowDown"):
+        for _ in range(12):
+            page.keyboard.press(arrow)
+        page.keyboard.press("Space")
+    page.keyboard.press("Enter")
+    at_version(page, 2)
+    for key in ("+", "-", "0", "o", "O", "v", "v", "g", "l", "l", "Control+ArrowLeft", "]", "["):
+        page.keyboard.press(key)
+    page.keyboard.press("n")
+    shown(page, "street_1.png")
+    page.keyboard.press("k")
+    shown(page, "street_0.png")
+    page.keyboard.press("m")
+    page.keyboard.press("ArrowDown")
+    shown(page, "street_1.png")
+    (one,) = server.corrections()
+    assert one.users == ("keys",)
+    assert (one.road == 254).any()
+    context.close()
+
+
+def test_a_narrow_window_has_everything_in_reach(visit: Open, server: Server) -> None:
+    page = visit(server, width=360, height=640)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 360
+    assert not page.locator("#side").is_visible()
+    page.locator("button", has_text="not road").click()
+    click(page, 0.5, 0.55)
+    at_version(page, 1)
+    page.locator("#show-list").click()
+    page.locator(".row", has_text="street_2").click()
+    shown(page, "street_2.png")
+    assert not page.locator("#side").is_visible()
+    assert (server.corrections()[0].road == 0).any()
+
+
+# --- several windows and people ---------------------------------------------------------
+
+
+def test_two_windows_of_one_person_lose_nothing(visit: Open, server: Server) -> None:
+    one, other = visit(server, "ann"), visit(server, "ann")
+    click(one, 0.5, 0.9)
+    at_version(one, 1)
+    at_version(other, 1)  # it comes by itself
+    other.keyboard.press("2")
+    click(other, 0.5, 0.2)
+    at_version(other, 2)
+    at_version(one, 2)
+    (found,) = server.corrections()
+    assert (found.road == 1).any()
+    assert (found.road == 0).any()
+
+
+def test_two_people_see_how_far_they_agree(visit: Open, server: Server) -> None:
+    ann, bob = visit(server, "ann"), visit(server, "bob")
+    click(ann, 0.5, 0.9)
+    at_version(ann, 1)
+    click(bob, 0.5, 0.9)
+    at_version(bob, 1)
+    assert "agreement 100.0 %" in bob.locator("#facts").inner_text()
+    assert server.corrections()[0].users == ("ann", "bob")
+    bob.wait_for_function(
+        "() => document.querySelector('.row small').textContent.includes('ann 1, bob 1')"
+    )
+
+
+# --- what goes wrong --------------------------------------------------------------------
+
+
+def test_a_server_that_is_killed_and_started_again_gets_what_waits(
+    visit: Open, process: Process
+) -> None:
+    page = visit(process)
+    click(page, 0.5, 0.9)
+    at_version(page, 1)
+    process.stop()
+    page.keyboard.press("2")
+    click(page, 0.5, 0.2)
+    notices(page, "1 act waits here")
+    click(page, 0.2, 0.2)
+    old = process.url
+    process.start()
+    assert process.url == old
+    at_version(page, 3)
+    page.wait_for_selector("#notice", state="hidden")
+    (one,) = process.corrections()
+    assert (one.road == 1).any()
+    assert (one.road == 0).any()
+    assert process.stop(signal.SIGINT) in (0, 130)
+
+
+def test_what_waits_outlives_a_reload(visit: Open, server: Server) -> None:
+    page = visit(server)
+    page.route("**/api/act*", lambda route: route.abort())
+    click(page, 0.5, 0.9)
+    notices(page, "1 act waits here")
+    page.unroute("**/api/act*")
+    page.route("**/api/act*", lambda route: route.abort(), times=1)
+    page.reload()
+    at_version(page, 1)
+    assert len(server.corrections()) == 1
+
+
+def test_a_folder_that_changes_while_open(visit: Open, server: Server) -> None:
+    page = visit(server)
+    shutil.copy(server.folder / "street_0.png", server.folder / "later.png")
+    page.wait_for_selector(".row:has-text('later.png')")
+    (server.folder / "street_0.png").unlink()
+    notices(page, "no longer in the folder")
+    click(page, 0.5, 0.9)
+    at_version(page, 1)
+    page.keyboard.press("n")
+    page.wait_for_function("() => document.body.dataset.picture !== 'street_0.png'")
+    assert server.corrections()[0].name == "street_0.png"
+
+
+def test_a_refused_stroke_is_told_and_the_next_one_goes_through(
+    visit: Open, server: Server
+) -> None:
+    page = visit(server)
+    page.route("**/api/act*", lambda route: route.fulfill(
+        status=413, content_type="application/json", body='{"error": "stroke: is too long (x)"}'
+    ), times=1)  # fmt: skip
+    click(page, 0.5, 0.9)
+    notices(page, "Not kept: stroke")
+    click(page, 0.5, 0.9)
+    at_version(page, 1)
+    page.wait_for_selector("#notice", state="hidden")
+
+
+def test_without_the_token_there_is_no_page(browser: "Browser", server: Server) -> None:
+    page = browser.new_page()
+    answer = page.goto(server.url.partition("?")[0])
+    assert answer is not None
+    assert answer.status == 403
+    page.close()
+
+
+def test_a_thousand_pictures(browser: "Browser", tmp_path: Path) -> None:
+    folder = write_streets(tmp_path / "many", 1)
+    for number in range(1, 1000):
+        os.link(folder / "street_0.png", folder / f"street_{number}.png")
+    server = Server(folder, tmp_path / "corrections")
+    page = browser.new_page()
+    page.set_default_timeout(PATIENCE)
+    page.goto(server.url)
+    page.fill("#user", "ann")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("body[data-picture]")
+    assert "of 1000" in page.locator("#progress").inner_text()
+    assert page.locator(".row").count() < 40
+    page.evaluate("document.getElementById('list').scrollTop = 1e6")
+    page.locator(".row", has_text="street_999.png").click()
+    shown(page, "street_999.png")
+    assert page.locator(".row").count() < 40
+    page.close()
+    server.stop()

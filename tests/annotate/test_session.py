@@ -1,0 +1,256 @@
+"""A session without its server: views, work, several people, what a restart finds."""
+
+import shutil
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roadtorch.annotate.bringing import bring_in
+from roadtorch.annotate.machine import AnnotationSettings
+from roadtorch.annotate.report import corrections_report
+from roadtorch.annotate.serving import (
+    Address,
+    bound_socket,
+    keep_address,
+    last_address,
+    opened_session,
+)
+from roadtorch.annotate.session import Session, look_at_all
+from roadtorch.data.correction_formats import FORMATS
+from roadtorch.data.corrections import read_corrections
+from roadtorch.data.strokes import BrushStroke, Redo, Right, SuperpixelStroke, Undo
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.errors import ConfigError, DatasetError, InputError
+
+NAME = "street_0.png"
+
+
+def superpixel(identity: str, saying: str, *segments: int) -> SuperpixelStroke:
+    return SuperpixelStroke.model_validate(
+        {"kind": "superpixel", "id": identity, "saying": saying, "segments": segments}
+    )
+
+
+def reopened(session: Session) -> Session:
+    return opened_session(session.pictures.root, session.out, load_detector("prior:triangle"))
+
+
+def test_a_stroke_is_on_disk_and_a_restart_finds_it(session: Session) -> None:
+    told = session.act(NAME, "ann", superpixel("a", "road", 0, 1))
+    again = reopened(session).state(NAME, "ann")
+    assert again["layers"] == told["layers"]
+    assert again["version"] == 1
+    (one,) = read_corrections(session.out)
+    view = session.view(NAME)
+    assert (one.road == 1).sum() == int((view.labels < 2).sum())
+
+
+def test_undo_and_redo_are_told(session: Session) -> None:
+    before = session.state(NAME, "ann")["layers"]
+    first = session.act(NAME, "ann", superpixel("a", "road", 0))
+    undone = session.act(NAME, "ann", Undo(kind="undo", id="b", of="a"))
+    assert undone["layers"] == before
+    assert undone["redo"] == ["a"]
+    assert undone["acts"] == []
+    again = session.act(NAME, "ann", Redo(kind="redo", id="c", of="a"))
+    assert again["layers"] == first["layers"]
+    assert again["redo"] == []
+    assert again["clicks"] == 3
+
+
+def test_the_same_act_sent_again_counts_once(session: Session) -> None:
+    session.act(NAME, "ann", superpixel("a", "road", 0))
+    assert session.act(NAME, "ann", superpixel("a", "road", 0))["version"] == 1
+
+
+def test_right_as_it_is_keeps_what_was_shown(session: Session) -> None:
+    shown = session.state(NAME, "ann")["layers"]
+    told = session.act(NAME, "ann", Right(kind="right", id="a"))
+    assert told["right"]
+    (one,) = read_corrections(session.out)
+    assert one.confirmed
+    assert set(np.unique(one.road)) <= {0, 1}
+    road = np.frombuffer(shown, np.uint8).reshape(48, 64) >> 3 & 1
+    assert (one.road == road).all()
+
+
+def test_two_users_have_work_of_their_own_and_agree_in_part(session: Session) -> None:
+    session.act(NAME, "ann", superpixel("a", "road", 0, 1))
+    assert session.state(NAME, "bob")["acts"] == []
+    told = session.act(NAME, "bob", superpixel("b", "road", 0))
+    assert told["agreement"] == 1
+    assert session.act(NAME, "bob", superpixel("c", "not_road", 1))["agreement"] < 1
+    users = session.listing()[0]["users"]
+    assert users == {
+        "ann": {"acts": 1, "right": False, "version": 1},
+        "bob": {"acts": 2, "right": False, "version": 2},
+    }
+
+
+@pytest.mark.parametrize("user", ["", "a b", "../x", "a" * 33, "a.b"])
+def test_a_user_who_cannot_be_a_file_is_refused(session: Session, user: str) -> None:
+    with pytest.raises(InputError, match="is no name for a user"):
+        session.state(NAME, user)
+
+
+@pytest.mark.parametrize("name", ["../secret.png", "/etc/passwd", "", "a\0.png", "street_0.txt"])
+def test_a_path_outside_is_refused(session: Session, name: str) -> None:
+    with pytest.raises(InputError, match="is no picture of this folder"):
+        session.state(name, "ann")
+
+
+def test_a_link_that_leads_outside_is_no_picture(session: Session, tmp_path: Path) -> None:
+    shutil.copy(session.pictures.root / NAME, tmp_path / "secret.png")
+    (session.pictures.root / "link.png").symlink_to(tmp_path / "secret.png")
+    assert "link.png" not in session.pictures.names()
+    with pytest.raises(InputError, match="is no picture of this folder"):
+        session.state("link.png", "ann")
+
+
+def test_a_picture_deleted_meanwhile_loses_no_stroke(session: Session) -> None:
+    session.act(NAME, "ann", superpixel("a", "road", 0))
+    (session.pictures.root / NAME).unlink()
+    assert session.act(NAME, "ann", superpixel("b", "road", 1))["version"] == 2
+    with pytest.raises(InputError, match="is no longer there"):
+        reopened(session).state(NAME, "ann")
+    assert read_corrections(session.out)[0].clicks == 2
+
+
+def test_a_picture_that_changed_its_size_keeps_its_corrections(session: Session) -> None:
+    session.act(NAME, "ann", superpixel("a", "road", 0))
+    from roadtorch.scenes import write_picture
+    from tests.streets import scene
+
+    write_picture(session.pictures.root / NAME, scene(1, 40, 64))
+    with pytest.raises(InputError, match="was corrected at 64 by 48 pixels"):
+        reopened(session).act(NAME, "ann", superpixel("b", "road", 1))
+
+
+def test_a_superpixel_that_there_is_not_is_refused(session: Session) -> None:
+    with pytest.raises(InputError, match="a higher number was clicked"):
+        session.act(NAME, "ann", superpixel("a", "road", 10_000))
+    assert session.state(NAME, "ann")["version"] == 0
+
+
+def test_a_full_disk_is_told_and_nothing_half_done(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session.act(NAME, "ann", superpixel("a", "road", 0))
+    before = session.state(NAME, "ann")["layers"]
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("roadtorch.data.journal.os.fsync", full)
+    with pytest.raises(InputError, match="cannot be written: No space left"):
+        session.act(NAME, "ann", superpixel("b", "road", 1))
+    assert session.state(NAME, "ann")["layers"] == before
+
+
+def test_many_at_once_lose_nothing(session: Session) -> None:
+    def strokes(start: int) -> None:
+        for number in range(start, start + 10):
+            session.act(NAME, "ann", superpixel(f"s{number}", "road", number % 5))
+
+    workers = [threading.Thread(target=strokes, args=(10 * n,)) for n in range(4)]
+    for one in workers:
+        one.start()
+    for one in workers:
+        one.join()
+    assert reopened(session).state(NAME, "ann")["version"] == 40
+
+
+def test_the_background_looks_at_all_and_at_new_ones(session: Session) -> None:
+    (session.pictures.root / "broken.png").write_bytes(b"no picture")
+    stop = threading.Event()
+    thread = threading.Thread(target=look_at_all, args=(session, stop))
+    thread.start()
+    for _ in range(300):
+        if len(session.trusts) == 3:
+            break
+        stop.wait(0.05)
+    stop.set()
+    thread.join()
+    assert sorted(session.trusts) == ["street_0.png", "street_1.png", "street_2.png"]
+    assert all((session.out / ".machine" / f"{name}.npz").is_file() for name in session.trusts)
+
+
+def test_a_folder_that_changes_is_seen(session: Session) -> None:
+    names = session.pictures.names()
+    shutil.copy(session.pictures.root / NAME, session.pictures.root / "zz.png")
+    session.pictures._listed -= 10
+    assert session.pictures.names() == (*names, "zz.png")
+
+
+def test_corrections_inside_the_folder_are_no_pictures(streets: Path) -> None:
+    out = streets / "corrections"
+    out.mkdir()
+    inside = opened_session(streets, out, load_detector("prior:rows"), AnnotationSettings())
+    shutil.copy(streets / NAME, out / "a.png")
+    assert len(inside.pictures.names()) == 3
+
+
+def test_a_broken_journal_is_told_before_the_page_opens(session: Session) -> None:
+    session.act(NAME, "ann", superpixel("a", "road", 0))
+    with (session.out / f"{NAME}.ann.strokes.jsonl").open("a") as file:
+        file.write("nonsense\n")
+    with pytest.raises(DatasetError, match=r"jsonl:3: is no act"):
+        reopened(session)
+
+
+# --- formats, report --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_out_and_in_again_as_another_user(session: Session, tmp_path: Path, name: str) -> None:
+    session.act(NAME, "ann", superpixel("a", "road", 0, 1))
+    brush = BrushStroke(kind="brush", id="b", saying="sky", points=((30.0, 5.0),), radius=4.0)
+    session.act(NAME, "ann", brush)
+    (before,) = read_corrections(session.out)
+    FORMATS[name].write([before], tmp_path / "elsewhere")
+    out = tmp_path / "second"
+    assert bring_in(name, tmp_path / "elsewhere", session.pictures.root, out, "bob") == 1
+    (after,) = read_corrections(out)
+    assert (after.labels == before.labels).all()
+    assert after.users == ("bob",)
+    assert after.picture == session.pictures.root / NAME
+
+
+def test_the_report_says_what_the_time_bought(session: Session) -> None:
+    stroke = superpixel("a", "road", 0).model_copy(update={"seconds": 30.0})
+    session.act(NAME, "ann", stroke)
+    session.act(NAME, "ann", Right(kind="right", id="b", seconds=30.0))
+    lines = corrections_report(session.out).splitlines()
+    assert lines[1].split()[:4] == [NAME, "ann", "2", "60"]
+    assert "1 pictures, 1 confirmed; 2 clicks, 1.0 minutes" in lines[3]
+    assert "mean F" in lines[5]
+    assert lines[6].startswith("ten minutes buy 10.0 confirmed pictures, 20 clicks")
+
+
+# --- addresses --------------------------------------------------------------------------
+
+
+def test_the_address_is_found_again_and_is_the_owners_alone(tmp_path: Path) -> None:
+    assert last_address(tmp_path) is None
+    address = Address(port=8765, token="t" * 30)
+    keep_address(tmp_path, address)
+    assert last_address(tmp_path) == address
+    assert (tmp_path / ".session.json").stat().st_mode & 0o077 == 0
+    (tmp_path / ".session.json").write_text("{")
+    assert last_address(tmp_path) is None
+
+
+def test_a_port_that_is_taken_is_told_or_passed_over() -> None:
+    taken = bound_socket(None, None)
+    port = taken.getsockname()[1]
+    try:
+        with pytest.raises(ConfigError, match=f"--port: {port} is taken"):
+            bound_socket(port, None)
+        other = bound_socket(None, port)
+        assert other.getsockname()[1] != port
+        assert other.getsockname()[0] == "127.0.0.1"
+        other.close()
+    finally:
+        taken.close()

@@ -1,0 +1,236 @@
+"""What a run of ``infer`` leaves beside the pictures' files, where they are, and how it ends."""
+
+import json
+import sys
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from roadtorch.cli import engines, results
+from roadtorch.cli.threads import Threads
+from roadtorch.data.labelme import open_labelme
+from roadtorch.scenes import render_scene, write_picture
+from tests.cli.conftest import Call, save_picture
+from tests.cli.test_infer import ROWS, bytes_in, files_in, rows_of
+
+# --- polygons and facts -----------------------------------------------------------------
+
+
+def test_polygons_are_the_mask_and_coco_has_all_pictures(call: Call, tmp_path: Path) -> None:
+    pictures, out = tmp_path / "in", tmp_path / "out"
+    pictures.mkdir()
+    for seed in (1, 2):
+        write_picture(pictures / f"{seed}.png", render_scene(seed, 60, 80))
+
+    call("infer", pictures / "1.png", "--detector", "cpf", "--out", out, "--save", "polygons,mask")
+    first = json.loads((out / "coco.json").read_text())
+    call("infer", pictures, "--detector", "cpf", "--out", out, "--save", "polygons,mask")
+
+    coco = json.loads((out / "coco.json").read_text())
+    assert [one["file_name"] for one in first["images"]] == ["1.png"]
+    assert [one["file_name"] for one in coco["images"]] == ["1.png", "2.png"]
+    for seed in (1, 2):
+        (out / f"{seed}.labelme.json").rename(pictures / f"{seed}.labelme.json")
+    dataset = open_labelme(pictures, "all")
+    for item, one in zip(dataset.items, coco["annotations"], strict=True):
+        mask = np.asarray(Image.open(out / f"{item.name}.mask.png")) == 255
+        assert np.array_equal(dataset.reader.truth(item).road.numpy(), mask)
+        assert one["area"] == mask.sum() > 0
+
+
+def test_facts_of_a_picture_do_not_depend_on_the_run(
+    call: Call, footage: Path, tmp_path: Path
+) -> None:
+    for out in ("one", "two"):
+        call("infer", footage, *ROWS, "--out", tmp_path / out, "--save", "json,polygons")
+
+    facts = json.loads((tmp_path / "one" / "sub" / "c.json").read_text())
+
+    assert bytes_in(tmp_path / "one") == bytes_in(tmp_path / "two")
+    assert facts["file"] == "sub/c.png"
+    assert (facts["width"], facts["height"], facts["detector"]) == (64, 48, "prior:rows")
+    assert facts["trust"] is None
+    assert facts["road_share"] == pytest.approx(0.5, abs=0.05)
+
+
+# --- run.json ---------------------------------------------------------------------------
+
+
+def test_run_json_says_how_the_results_were_made(call: Call, footage: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    (footage / "bad.png").write_bytes(b"no picture")
+
+    call("infer", footage, *ROWS, "--out", out, "--threshold", "0.4")
+
+    record = json.loads((out / "run.json").read_text())
+    assert record["versions"]["torch"] == torch.__version__
+    assert record["detector"] == "prior:rows"
+    assert record["settings"]["threshold"] == 0.4
+    assert record["pictures"] == {"all": 4, "done": 3, "doubtful": 0, "failed": 1, "not_tried": 0}
+    assert record["exit_status"] == 1
+    assert record["index_sha256"] == sha256((out / "index.csv").read_bytes()).hexdigest()
+    assert record["started"] < record["ended"]
+    lines = [f"{row['sha256']}  {name}\n" for name, row in rows_of(out).items() if row["sha256"]]
+    assert record["inputs_sha256"] == sha256("".join(lines).encode()).hexdigest()
+
+
+def test_an_interrupted_run_says_so(
+    call: Call, footage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(results.Inference, "__call__", interrupted)
+
+    call("infer", footage, *ROWS, "--out", tmp_path / "out")
+
+    record = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert record["exit_status"] == 130
+    assert record["pictures"]["not_tried"] == 3
+
+
+# --- how it goes ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_fail_fast_ends_at_the_first_failure_and_goes_on_later(
+    call: Call, footage: Path, tmp_path: Path, jobs: int
+) -> None:
+    out = tmp_path / "out"
+    (footage / "aa.png").write_bytes(b"no picture")
+    for letter in "defghi":
+        save_picture(footage / f"{letter}.png")
+    command = ("infer", footage, *ROWS, "--out", out, "--jobs", jobs)
+
+    stopped = call(*command, "--fail-fast")
+    kept = rows_of(out)
+    again = call(*command)
+
+    assert stopped.exit_code == 1
+    assert list(kept) == ["a.jpg", "aa.png"]
+    assert stopped.stderr.endswith(
+        f"roadtorch: 1 done, 1 failed, 8 not tried (--fail-fast); results in {out}\n"
+    )
+    assert again.exit_code == 1
+    assert len(rows_of(out)) == 10
+
+
+def test_threads_are_set_and_recorded(call: Call, footage: Path, tmp_path: Path) -> None:
+    before = Threads.of_now()
+    try:
+        result = call("infer", footage, *ROWS, "--out", tmp_path / "out", "--threads", "1")
+        record = json.loads((tmp_path / "out" / "run.json").read_text())
+    finally:
+        before.set()
+
+    assert result.exit_code == 0
+    assert record["threads"] == {"torch": 1, "opencv": 1}
+
+
+def test_the_cpu_as_device_is_the_default(call: Call, footage: Path, tmp_path: Path) -> None:
+    call("infer", footage, *ROWS, "--out", tmp_path / "one")
+    call("infer", footage, *ROWS, "--out", tmp_path / "two", "--device", "cpu")
+
+    assert bytes_in(tmp_path / "one") == bytes_in(tmp_path / "two")
+
+
+@pytest.mark.parametrize("device", ["cuda", "meta", "gpu", "cuda:99"])
+def test_a_device_that_is_not_there_is_refused(
+    call: Call, footage: Path, tmp_path: Path, device: str
+) -> None:
+    if device == "cuda" and torch.cuda.is_available():
+        pytest.skip("there is one")
+
+    result = call("infer", footage, *ROWS, "--out", tmp_path / "out", "--device", device)
+
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"roadtorch: error: --device {device}: ")
+    assert result.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+# --- elsewhere --------------------------------------------------------------------------
+
+
+def test_urls_give_the_same_files_and_rows(call: Call, footage: Path, tmp_path: Path) -> None:
+    (footage / "bad.png").write_bytes(b"no picture")
+    here, there = tmp_path / "here", tmp_path / "there"
+    kinds = ("--save", "likelihood,mask,cues,polygons,json")
+
+    call("infer", footage, *ROWS, "--out", here, *kinds)
+    result = call("infer", footage.as_uri(), *ROWS, "--out", there.as_uri(), *kinds)
+    again = call("infer", footage.as_uri(), *ROWS, "--out", there.as_uri(), *kinds)
+
+    assert result.stderr.splitlines()[0] == (
+        f"roadtorch: failed: {footage.as_uri()}/bad.png: is not a picture "
+        "(give JPEG, PNG, TIFF, WebP or BMP)"
+    )
+    assert bytes_in(here) == bytes_in(there)
+    assert files_in(here) == files_in(there)
+    told, expected = rows_of(there), rows_of(here)
+    for name, row in expected.items():
+        ignored = {"ms", "status"} if row["status"].startswith("failed") else {"ms"}
+        assert {key for key in row if row[key] != told[name][key]} <= ignored
+    assert "3 skipped (done before), 1 failed" in again.stderr
+
+
+def test_a_picture_that_changed_behind_its_url_is_done_anew(
+    call: Call, footage: Path, tmp_path: Path
+) -> None:
+    command = ("infer", footage, *ROWS, "--out", (tmp_path / "out").as_uri())
+    call(*command)
+    save_picture(footage / "a.jpg", 9)
+
+    again = call(*command)
+
+    assert again.stderr.startswith("roadtorch: 1 done (1 anew), 2 skipped")
+
+
+def test_other_settings_behind_a_url_are_refused(call: Call, footage: Path, tmp_path: Path) -> None:
+    out = (tmp_path / "out").as_uri()
+    call("infer", footage, *ROWS, "--out", out)
+
+    refused = call("infer", footage, *ROWS, "--out", out, "--threshold", "0.9")
+
+    assert refused.exit_code == 2
+    assert "holds results of other settings" in refused.stderr
+
+
+def test_two_urls_for_one_result_are_refused(call: Call, footage: Path, tmp_path: Path) -> None:
+    save_picture(footage / "sub" / "a.jpg")
+
+    refused = call("infer", footage.as_uri(), (footage / "sub").as_uri(), "--out", tmp_path / "o")
+
+    assert refused.exit_code == 2
+    assert "both would write" in refused.stderr
+
+
+# --- engines ----------------------------------------------------------------------------
+
+
+def test_an_address_is_for_ray(call: Call, footage: Path, tmp_path: Path) -> None:
+    refused = call("infer", footage, *ROWS, "--out", tmp_path / "out", "--address", "x:1")
+
+    assert refused.stderr.startswith("roadtorch: error: --address: is for Ray alone (")
+    assert refused.exit_code == 2
+
+
+def test_ray_that_is_not_installed_is_told_with_its_extra(
+    call: Call, footage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+
+    refused = call("infer", footage, *ROWS, "--out", tmp_path / "out", "--engine", "ray")
+
+    assert refused.exit_code == 2
+    assert refused.stderr == (
+        "roadtorch: error: --engine ray: Ray is not installed (pip install 'roadtorch[ray]')\n"
+    )
+
+
+def test_devices_are_checked_by_name() -> None:
+    engines.check_device("cpu")

@@ -1,0 +1,276 @@
+"""Corrections: what sayings come to, journals that survive a crash, several people."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roadtorch.data.correction_labels import (
+    LABELS,
+    SAYINGS,
+    after_saying,
+    labels_of,
+    layout_layer,
+    road_layer,
+)
+from roadtorch.data.corrections import agreement_share, read_corrections
+from roadtorch.data.journal import (
+    JournalHead,
+    append_act,
+    journal_path,
+    read_journal,
+    start_journal,
+)
+from roadtorch.data.strokes import (
+    AnyAct,
+    BrushStroke,
+    PolygonStroke,
+    Redo,
+    Right,
+    SuperpixelStroke,
+    Undo,
+    folded,
+    mask_of,
+    parse_act,
+    runs_of,
+    stroke_pixels,
+)
+from roadtorch.errors import DatasetError, InputError
+
+SIZE = (20, 30)
+
+
+def number(name: str) -> int:
+    return LABELS.index(name)
+
+
+def box(identity: str, saying: str, left: int, top: int, right: int, bottom: int) -> PolygonStroke:
+    corners = ((left, top), (right, top), (right, bottom), (left, bottom))
+    points = tuple((float(x), float(y)) for x, y in corners)
+    return PolygonStroke.model_validate(
+        {"kind": "polygon", "id": identity, "saying": saying, "points": points}
+    )
+
+
+def journal(folder: Path, picture: str, user: str, *acts: AnyAct) -> Path:
+    path = journal_path(folder, picture, user)
+    start_journal(
+        path, JournalHead(picture=f"../{picture}", user=user, height=SIZE[0], width=SIZE[1])
+    )
+    for act in acts:
+        append_act(path, act)
+    return path
+
+
+# --- labels -----------------------------------------------------------------------------
+
+
+def test_every_label_comes_back_from_its_two_layers() -> None:
+    labels = np.arange(len(LABELS), dtype=np.uint8)
+    assert (labels_of(road_layer(labels), layout_layer(labels)) == labels).all()
+
+
+@pytest.mark.parametrize("saying", SAYINGS)
+@pytest.mark.parametrize("before", range(len(LABELS)))
+def test_a_saying_holds_whatever_was_there(saying: str, before: int) -> None:
+    after = after_saying(np.array([before], np.uint8), saying)
+    road, layout = int(road_layer(after)[0]), int(layout_layer(after)[0])
+    expected = {
+        "road": (1, 2),
+        "not_road": (0, layout),
+        "void": (254, 255),
+        "sky": (0, 0),
+        "vertical": (0, 1),
+        "horizontal": (road, 2),
+    }
+    assert (road, layout) == expected[saying]
+    if saying == "horizontal":  # it takes back no verdict on a road, only what sky or wall implied
+        kept = int(road_layer(np.array([before], np.uint8))[0])
+        assert road == (kept if LABELS[before] in ("road", "not_road") or before == 7 else 255)
+
+
+# --- acts -------------------------------------------------------------------------------
+
+
+def test_runs_are_the_mask() -> None:
+    mask = np.random.default_rng(0).random(SIZE) > 0.5
+    assert (mask_of(runs_of(mask), SIZE) == mask).all()
+    assert runs_of(np.zeros(SIZE, np.bool_)) == ()
+
+
+@pytest.mark.parametrize("runs", [(1,), (599, 2), (0, 601), (10**9, 1), (0, 500, 0, 500)])
+def test_runs_of_another_picture_are_refused(runs: tuple[int, ...]) -> None:
+    with pytest.raises(InputError, match="runs"):
+        mask_of(runs, SIZE)
+
+
+def test_a_brush_is_round_and_stays_in_the_picture() -> None:
+    stroke = BrushStroke(kind="brush", id="b", saying="road", points=((0.0, 0.0),), radius=3.0)
+    canvas = np.zeros(SIZE, np.bool_)
+    canvas.reshape(-1)[stroke_pixels(stroke, SIZE)] = True
+    assert canvas[0, 3]
+    assert canvas[3, 0]
+    assert not canvas[3, 3]
+    assert not canvas[:, 6:].any()
+
+
+def test_far_points_cost_no_memory() -> None:
+    stroke = BrushStroke(
+        kind="brush", id="b", saying="road", points=((-1e5, 1e5), (1e5, -1e5)), radius=2000.0
+    )
+    assert len(stroke_pixels(stroke, SIZE)) == SIZE[0] * SIZE[1]
+
+
+def test_undo_and_redo_are_acts_of_their_own() -> None:
+    first, second = box("a", "road", 0, 0, 9, 9), box("b", "not_road", 5, 0, 9, 9)
+    both = folded([first, second], SIZE)
+    assert both[0, 4] == number("road")
+    assert both[0, 5] == number("not_road")
+    undone = [first, second, Undo(kind="undo", id="c", of="b")]
+    assert (folded(undone, SIZE) == folded([first], SIZE)).all()
+    assert (folded([*undone, Redo(kind="redo", id="d", of="b")], SIZE) == both).all()
+
+
+def test_an_act_that_is_sent_twice_counts_once() -> None:
+    act = box("a", "road", 0, 0, 9, 9)
+    later = box("b", "void", 0, 0, 9, 9)
+    assert (folded([act, later, act], SIZE) == folded([act, later], SIZE)).all()
+
+
+def test_right_as_it_is_settles_what_is_open() -> None:
+    road = np.zeros(SIZE, np.bool_)
+    road[10:] = True
+    acts = [
+        box("a", "void", 0, 0, 3, 3),
+        box("b", "not_road", 0, 15, 3, 19),
+        box("c", "horizontal", 20, 8, 25, 12),
+        Right(kind="right", id="d", runs=runs_of(road)),
+    ]
+    labels = folded(acts, SIZE)
+    assert (road_layer(labels) != 255).all()
+    assert labels[0, 0] == number("void")
+    assert labels[19, 0] == number("not_road")
+    assert labels[19, 10] == number("road")
+    assert labels[8, 22] == number("not_road_horizontal")
+    assert labels[12, 22] == number("road")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{}",
+        '{"kind":"brush","id":"a","saying":"road","points":[[1,2]],"radius":-1}',
+        '{"kind":"brush","id":"a","saying":"rode","points":[[1,2]],"radius":1}',
+        '{"kind":"brush","id":"a/../b","saying":"road","points":[[1,2]],"radius":1}',
+        '{"kind":"polygon","id":"a","saying":"road","points":[[1,2],[NaN,3],[4,5]]}',
+        '{"kind":"polygon","id":"a","saying":"road","points":[[1,2],[3,4]]}',
+        '{"kind":"undo","id":"a","of":"b","extra":1}',
+    ],
+)
+def test_what_is_no_act_is_refused_in_a_line(text: str) -> None:
+    with pytest.raises(InputError, match=r"^stroke: is no act") as caught:
+        parse_act(text, "stroke")
+    assert "\n" not in str(caught.value)
+
+
+# --- journals ---------------------------------------------------------------------------
+
+
+def test_half_a_line_of_a_crash_is_passed_over_and_cut_off(tmp_path: Path) -> None:
+    path = journal(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 9, 9))
+    with path.open("ab") as file:
+        file.write(b'{"kind":"pol')
+    assert [act.id for act in read_journal(path).acts] == ["a"]
+    append_act(path, box("b", "void", 0, 0, 2, 2))
+    assert [act.id for act in read_journal(path).acts] == ["a", "b"]
+
+
+def test_a_broken_line_is_named(tmp_path: Path) -> None:
+    path = journal(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 9, 9))
+    with path.open("ab") as file:
+        file.write(b"nonsense\n")
+    with pytest.raises(DatasetError, match=r"a\.jpg\.ann\.strokes\.jsonl:3: is no act"):
+        read_journal(path)
+
+
+def test_a_file_that_is_no_journal_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.jpg.ann.strokes.jsonl").write_text("{}\n")
+    with pytest.raises(DatasetError, match="does not begin as a journal"):
+        read_corrections(tmp_path)
+
+
+# --- corrections ------------------------------------------------------------------------
+
+
+def test_corrections_say_what_training_needs(tmp_path: Path) -> None:
+    stroke = box("a", "road", 0, 10, 29, 19).model_copy(update={"seconds": 4.0})
+    journal(tmp_path / "corrections", "sub/a.jpg", "ann", stroke, box("b", "sky", 0, 0, 29, 4))
+    (one,) = read_corrections(tmp_path / "corrections")
+    assert one.name == "sub/a.jpg"
+    assert one.users == ("ann",)
+    assert (one.seconds, one.clicks, one.confirmed) == (4.0, 2, False)
+    assert one.road.dtype == one.layout.dtype == np.uint8
+    assert one.road[15, 0] == 1
+    assert one.road[2, 0] == 0
+    assert one.road[7, 0] == 255
+    assert one.layout[15, 0] == 2
+    assert one.layout[2, 0] == 0
+    assert one.layout[7, 0] == 255
+    (moved,) = read_corrections(tmp_path / "corrections", tmp_path / "elsewhere")
+    assert moved.picture == tmp_path / "elsewhere/sub/a.jpg"
+
+
+def test_the_journal_knows_where_its_picture_is(tmp_path: Path) -> None:
+    journal(tmp_path / "corrections", "a.jpg", "ann", box("a", "road", 0, 0, 9, 9))
+    (one,) = read_corrections(tmp_path / "corrections")
+    assert one.picture == tmp_path / "a.jpg"
+
+
+def test_a_picture_on_which_all_was_taken_back_is_left_out(tmp_path: Path) -> None:
+    journal(
+        tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 9, 9), Undo(kind="undo", id="b", of="a")
+    )
+    assert read_corrections(tmp_path) == []
+
+
+def test_where_two_contradict_each_other_is_void(tmp_path: Path) -> None:
+    journal(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 19, 9))
+    journal(
+        tmp_path, "a.jpg", "bob", box("b", "not_road", 10, 0, 29, 9), box("c", "road", 10, 0, 14, 9)
+    )
+    (one,) = read_corrections(tmp_path)
+    assert one.users == ("ann", "bob")
+    assert one.road[0].tolist() == [1] * 15 + [254] * 5 + [0] * 10
+    assert one.agreement == pytest.approx(0.5)
+
+
+def test_nobody_agrees_alone() -> None:
+    assert agreement_share([np.ones(SIZE, np.uint8), np.zeros(SIZE, np.uint8)]) is None
+
+
+def test_journals_of_two_sizes_are_refused(tmp_path: Path) -> None:
+    journal(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 9, 9))
+    path = journal(tmp_path, "a.jpg", "bob", box("b", "road", 0, 0, 9, 9))
+    lines = path.read_text().splitlines()
+    lines[0] = json.dumps({**json.loads(lines[0]), "width": 31})
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(DatasetError, match=r"bob.*another picture size"):
+        read_corrections(tmp_path)
+
+
+def test_a_superpixel_stroke_of_another_size_is_told(tmp_path: Path) -> None:
+    stroke = SuperpixelStroke(
+        kind="superpixel", id="a", saying="road", segments=(1,), runs=(0, 9999)
+    )
+    journal(tmp_path, "a.jpg", "ann", stroke)
+    with pytest.raises(DatasetError, match="does not fit"):
+        read_corrections(tmp_path)
+
+
+def test_a_folder_without_corrections_is_told(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="holds no corrections"):
+        read_corrections(tmp_path)
+    with pytest.raises(DatasetError, match="is no folder"):
+        read_corrections(tmp_path / "missing")

@@ -1,0 +1,100 @@
+"""A device that every machine has: tensors that say they are on ``meta`` and are on the CPU.
+
+As on a GPU, an operation on tensors of both devices is refused (but for scalars, and indices that
+are on the CPU), and so is NumPy's view of one. Results are those of the CPU, to the bit.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves, tree_map
+
+DEVICE = torch.device("meta")
+
+
+class Pretended(Tensor):
+    """A tensor of the pretended device; ``inner`` is what it is of the CPU."""
+
+    inner: Tensor
+
+    @staticmethod
+    def __new__(cls, inner: Tensor) -> "Pretended":
+        return torch.Tensor._make_wrapper_subclass(  # type: ignore[attr-defined]
+            cls,
+            inner.shape,
+            strides=inner.stride(),
+            storage_offset=inner.storage_offset(),
+            dtype=inner.dtype,
+            device=DEVICE,
+        )
+
+    def __init__(self, inner: Tensor) -> None:
+        self.inner = inner
+
+    def new_tensor(self, data: Any, **options: Any) -> Tensor:
+        """Without torch's own shortcut, which makes a tensor of the real ``meta``."""
+        return Pretended(self.inner.new_tensor(data, **options))
+
+    def tolist(self) -> Any:
+        return self.inner.tolist()
+
+    def __repr__(self, **_: Any) -> str:
+        return f"Pretended({self.inner!r})"
+
+    @classmethod
+    def __torch_dispatch__(
+        cls, operation: Any, types: Any, values: Sequence[Any] = (), named: Any = None
+    ) -> Any:
+        return _done(operation, values, named or {})
+
+
+class PretendedDevice(TorchDispatchMode):
+    """Within the block the pretended device is there."""
+
+    def __torch_dispatch__(
+        self, operation: Any, types: Any, values: Sequence[Any] = (), named: Any = None
+    ) -> Any:
+        return _done(operation, values, named or {})
+
+
+def moved(module: nn.Module) -> nn.Module:
+    """A module with its parameters and buffers on the pretended device."""
+    for part in module.modules():
+        for name, value in part._parameters.items():
+            if value is not None:
+                part._parameters[name] = nn.Parameter(Pretended(value.detach()), False)
+        for name, value in part._buffers.items():
+            if value is not None:
+                part._buffers[name] = Pretended(value)
+    return module
+
+
+def _done(operation: Any, values: Sequence[Any], named: Mapping[str, Any]) -> Any:
+    asked = named.get("device")
+    device = None if asked is None else torch.device(asked).type
+    given = [one for one in tree_leaves((values, named)) if isinstance(one, Tensor)]
+    there = any(isinstance(one, Pretended) for one in given)
+    own = {**named, "device": torch.device("cpu")} if device == DEVICE.type else named
+    found = operation(*tree_map(_inner, values), **tree_map(_inner, own))
+    scalar = not isinstance(found, Tensor | tuple | list)
+    if scalar or device == "cpu" or not (there or device == DEVICE.type):
+        return found
+    if device is None:
+        _refuse_mixing(operation, given)
+    if operation._schema.name.endswith("_") and isinstance(values[0], Pretended):
+        return values[0]
+    return tree_map(lambda one: Pretended(one) if isinstance(one, Tensor) else one, found)
+
+
+def _inner(value: Any) -> Any:
+    return value.inner if isinstance(value, Pretended) else value
+
+
+def _refuse_mixing(operation: Any, given: Sequence[Tensor]) -> None:
+    if "index" in operation._schema.name or "copy_" in operation._schema.name:
+        return
+    if any(one.ndim > 0 and not isinstance(one, Pretended) for one in given):
+        raise RuntimeError(f"{operation}: tensors on the pretended device and on the CPU")

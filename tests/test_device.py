@@ -1,0 +1,39 @@
+"""Detectors work where their tensors are: on a pretended device, as on a GPU, nothing is mixed."""
+
+import pytest
+import torch
+
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.scenes import render_scene
+from tests.pretended_device import Pretended, PretendedDevice, moved
+from tests.representatives import representatives
+
+IMAGE = render_scene(5, 48, 64).image
+
+
+@pytest.mark.parametrize("name", representatives())
+def test_a_detector_works_on_another_device(name: str) -> None:
+    here = load_detector(name).detect(IMAGE)
+    detector = moved(load_detector(name))
+
+    with PretendedDevice():
+        there = detector.detect(Pretended(IMAGE))  # type: ignore[attr-defined]
+
+    assert isinstance(there.likelihood, Pretended)
+    assert isinstance(there.mask, Pretended)
+    # On the CPU it is OpenCV that enlarges maps: equal but for rounding.
+    torch.testing.assert_close(there.likelihood.inner, here.likelihood, atol=1e-6, rtol=0)
+    assert torch.equal(there.mask.inner, here.mask)
+    assert there.trust == (None if here.trust is None else pytest.approx(here.trust, abs=1e-4))
+    assert there.doubt == here.doubt
+    assert set(there.cues) == set(here.cues)
+
+
+def test_mixing_is_refused() -> None:
+    with PretendedDevice(), pytest.raises(RuntimeError, match="and on the CPU"):
+        _ = Pretended(torch.ones(3)) + torch.ones(3)
+
+
+def test_numpy_cannot_look_at_it() -> None:
+    with pytest.raises(RuntimeError):
+        Pretended(torch.ones(3)).numpy()
