@@ -2,12 +2,15 @@
 
     python scripts/export_parity.py ../shared/data/many --pictures 20
 
-Of all pictures below the given folders it takes some, evenly over their sorted names.
+Of all pictures below the given folders it takes some, evenly over their sorted names. Times are
+medians of the processor's, a picture by the file and by Python in turn (the network alone, and
+``layout:cnn-7`` whole), on as many threads as torch has: OMP_NUM_THREADS says how many.
 """
 
 import argparse
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -18,13 +21,13 @@ import torch
 
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.export.export import export_detector
-from roadtorch.export.exportable import CAN, exportable
+from roadtorch.export.exportable import CAN, Reference, exportable
 from roadtorch.export.onnx_file import open_onnx
 from roadtorch.export.openvino_file import open_openvino
 from roadtorch.export.parity import BOUND, Run, parity
-from roadtorch.image import read_image, to_pixels
+from roadtorch.image import from_pixels, read_image, to_pixels
 
-HEADER = ("detector", "file", "runtime", "pictures", "most", "mean", "where")
+HEADER = ("detector", "file", "runtime", "pictures", "most", "mean", "ms", "Python", "where")
 
 
 def chosen(folders: Sequence[Path], most: int) -> list[Path]:
@@ -45,6 +48,20 @@ def runs(name: str, folder: Path) -> Iterator[tuple[str, str, Run]]:
     yield xml.suffix, "OpenVINO", open_openvino(xml, threads)
 
 
+def times(run: Run, reference: Reference, pictures: Sequence[np.ndarray]) -> tuple[float, float]:
+    """Milliseconds of processor time for a picture: by the file, and by Python."""
+    seen: list[tuple[float, float]] = []
+    for pixels in (*pictures[:2], *pictures):
+        image = from_pixels(pixels)
+        begin = time.process_time()
+        run(pixels[None])
+        middle = time.process_time()
+        reference(image)
+        seen.append((middle - begin, time.process_time() - middle))
+    file, python = np.median(seen[2:], axis=0) * 1000  # the first two warm up
+    return file, python
+
+
 def main() -> int:
     """Print a line for each detector, file and runtime; 1 where one is off by more than allowed."""
     parser = argparse.ArgumentParser(
@@ -59,7 +76,7 @@ def main() -> int:
         parser.error("no pictures images/*.jpg below these folders")
     pictures = [to_pixels(read_image(path)) for path in paths]
     print("sizes:", *sorted({f"{one.shape[1]}×{one.shape[0]}" for one in pictures}))
-    print("{:<13} {:<6} {:<13} {:>8} {:>9} {:>9}  {}".format(*HEADER))
+    print("{:<13} {:<6} {:<13} {:>8} {:>8} {:>8} {:>6} {:>6}  {}".format(*HEADER))
     worst = 0.0
     with tempfile.TemporaryDirectory() as folder:
         for name in arguments.detector or CAN:
@@ -67,8 +84,10 @@ def main() -> int:
             for file, runtime, run in runs(name, Path(folder)):
                 found = parity(run, reference, (one[None] for one in pictures))
                 worst = max(worst, found.most)
-                figures = f"{found.pictures:>8} {found.most:>9.1e} {found.mean:>9.1e}"
-                print(f"{name:<13} {file:<6} {runtime:<13} {figures}  {found.where}", flush=True)
+                ms, python = times(run, reference, pictures)
+                figures = f"{found.pictures:>8} {found.most:>8.1e} {found.mean:>8.1e}"
+                figures += f" {ms:>6.1f} {python:>6.1f}  {found.where}"
+                print(f"{name:<13} {file:<6} {runtime:<13} {figures}", flush=True)
     return int(worst > BOUND)
 
 

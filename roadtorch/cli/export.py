@@ -33,7 +33,7 @@ def export(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> Non
     detector = load_detector(name, **parse_assignments(assignments))
     exported = export_detector(detector, out, kind)
     for file in exported.files:
-        click.echo(f"{file}: {file.stat().st_size / 1e6:.1f} MB")
+        click.echo(f"{file}: {file.stat().st_size / 1e6:.2f} MB")
     click.echo(f"{name}: {exported.notes['part']}")
     for key, text in exported.notes.items():
         if key not in ("roadtorch", "detector", "part"):
