@@ -174,4 +174,6 @@ def _continued_down(maps: Tensor, ego: Tensor) -> tuple[Tensor, Tensor]:
     step = (row - above - 1).clamp_min(0) % (2 * run)
     step = torch.minimum(step, 2 * run - 1 - step)
     source = torch.where(ego & (free >= 0), above - step, row)
-    return maps.gather(1, source.expand_as(maps)), ego & (free < 0)
+    place = source * ego.shape[1] + torch.arange(ego.shape[1], device=ego.device)
+    found = maps.reshape(len(maps), -1).index_select(1, place.reshape(-1))
+    return found.reshape(maps.shape), ego & (free < 0)

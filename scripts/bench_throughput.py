@@ -28,7 +28,7 @@ from roadtorch.cli.batch import Job, plan
 from roadtorch.cli.footage_results import USUAL_OF_PICTURES
 from roadtorch.cli.index import Row
 from roadtorch.cli.results import Inference, suffixes, write_files
-from roadtorch.cli.threads import Threads
+from roadtorch.cli.threads import Threads, keep_freed_memory
 from roadtorch.cli.workers import processors, rows_of_workers
 from roadtorch.detector import Detection, Detector
 from roadtorch.detectors.catalogue import load_detector
@@ -76,6 +76,7 @@ def rate(jobs: Sequence[Job], work: Callable[[Job], Row], workers: int) -> float
 def measure(given: argparse.Namespace, out: Path) -> dict[str, float]:
     """Medians by what was done."""
     Threads(1, 1).set()
+    keep_freed_memory()
     detector = load_detector(given.detector)
     jobs = plan([str(given.images)], out, suffixes(USUAL_OF_PICTURES))[: given.pictures]
     images = [read_image(job.picture.path) for job in jobs[:KEPT]]

@@ -15,7 +15,7 @@ from roadtorch.cli.coco import COCO, annotation_name, write_coco
 from roadtorch.cli.index import INDEX, read_index
 from roadtorch.cli.options import Cut, Means
 from roadtorch.cli.remote import Fetched, Mirror, plan_remote
-from roadtorch.cli.threads import Threads
+from roadtorch.cli.threads import Threads, keep_freed_memory
 from roadtorch.cli.workers import rows_of_workers, usual_workers
 from roadtorch.errors import ConfigError
 from roadtorch.sinks.remote_folder import RemoteFolder
@@ -26,8 +26,9 @@ from roadtorch.sources.remote import is_url
 
 
 def prepare(means: Means) -> None:
-    """Set the threads; ConfigError for a device that is not there."""
+    """Set threads and memory; ConfigError for a device that is not there."""
     Threads(means.threads, means.threads).set()
+    keep_freed_memory()
     check_device(means.device)
 
 

@@ -165,8 +165,9 @@ class Fusion(nn.Module):
         learned = self.network.cues(image)
         ego = ego_found(learned["ego"])
         if ego.any():
-            image = continued(image, ego)
-            learned = {name: continued(each, ego) for name, each in learned.items()}
+            known = torch.cat([image, learned["layout"], learned["road"][None]])
+            image, layout, road = continued(known, ego).split([3, CLASSES, 1])
+            learned = {"layout": layout, "road": road[0]}
         street = look_at(image, settings)
         labels, count = street.labels, len(street.layout)
         taught = segment_mean(torch.cat([learned["layout"], learned["road"][None]]), labels, count)
