@@ -302,7 +302,8 @@ class Detector(nn.Module):
             return None, ""
         size = (analysed["likelihood"].shape[-2], analysed["likelihood"].shape[-1])
         ego = torch.zeros_like(mask) if ego is None else ego
-        found = ChainMap({"ego": at_picture_size(ego, size)}, analysed)  # nothing is made yet
+        ego = at_picture_size(ego, size)
+        found = ChainMap({"ego": ego}, analysed)  # type: ignore[arg-type]  # nothing is made yet
         return self.analysis.judge(at_picture_size(mask, size), found)
 
     def forward(self, images: Tensor) -> Tensor:
