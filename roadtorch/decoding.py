@@ -66,7 +66,7 @@ def decode(data: bytes) -> np.ndarray:
             _check_tiff(header)
         if header.format == "TIFF" and max(_tiff_tag(header, BITS_PER_SAMPLE)) > 8:
             return _opencv_told(data, cv2.IMREAD_UNCHANGED)[0]  # turns TIFFs upright itself
-        return _pillow(header)
+        return pillow_pixels(header)
 
 
 def open_picture(data: bytes, formats: tuple[str, ...] = FORMATS) -> Image.Image:
@@ -195,11 +195,18 @@ def _first_scan(data: bytes) -> int:
 # --- the other formats ------------------------------------------------------------------
 
 
-def _pillow(picture: Image.Image) -> np.ndarray:
-    """Decode 8-bit pictures of every kind with Pillow, upright, as RGB or RGBA."""
+def pillow_pixels(picture: Image.Image) -> np.ndarray:
+    """The pixels of a picture of Pillow's, upright: uint8 RGB or RGBA, or uint16 (H,W).
+
+    Raises ValueError for 32 bits, whose white nobody has agreed on, and what Pillow raises.
+    """
     with without_warnings():
         picture.load()
         upright = ImageOps.exif_transpose(picture)
+        if upright.mode in ("I", "F"):
+            raise ValueError(f"Pillow's mode {upright.mode} has no agreed white")
+        if upright.mode.startswith("I;16"):
+            return np.array(upright).astype(np.uint16)
         return np.array(upright.convert("RGBA" if upright.has_transparency_data else "RGB"))
 
 

@@ -9,28 +9,24 @@ is ``Detector``, here, once; it knows none of them.
 from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import (
-    Annotated,
-    Any,
-    ClassVar,
-    Literal,
-    NamedTuple,
-    Protocol,
-    runtime_checkable,
-)
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, runtime_checkable
 
+import numpy as np
 import torch
 from pydantic import Field
 from torch import Tensor, nn
 
 from roadtorch.ego import Ego, continued, ego_car, is_given, read_ego_mask
 from roadtorch.errors import ConfigError, InputError
+from roadtorch.image import Order, Picture, as_image, overlay_pixels, png_bytes
 from roadtorch.seed_area import SeedArea, remove_isolated, seed_rectangle
 from roadtorch.settings import Settings
 from roadtorch.trust import Judgement
 from roadtorch.working_size import WorkingSize, at_picture_size, at_working_size
 
 SMALLEST_SIDE = 16  # pixels; below it, superpixels and the seed area have no meaning
+
+NOTEBOOK_SIDE = 960  # pixels of the longer side of what notebooks show; ours: the width of a page
 
 Threshold = Annotated[float, Field(ge=0, le=1, description="road from this likelihood on")]
 Isolated = Annotated[
@@ -141,8 +137,8 @@ class Detection:
     cues: the maps the decision rests on, by name; (H,W) or (C,H,W).
     trust: the expected F of the mask, in [0,1]; None where the detector does not say.
     doubt: why the mask should be looked at before it is used, in words; empty where it need not.
-    name, seconds, image: of the frame, where a source gave it: its name, the time since the source
-    began, and the image (3,H,W) that was looked at.
+    name, seconds: of the frame, where a source gave it: its name, the time since the source began.
+    image: (3,H,W) in [0,1], what was looked at; None where a Detection is made without one.
     """
 
     likelihood: Tensor
@@ -153,6 +149,31 @@ class Detection:
     name: str = ""
     seconds: float | None = None
     image: Tensor | None = None
+
+    @property
+    def caption(self) -> str:
+        """What an overlay says of it; nothing where the detector does not judge itself."""
+        return "" if self.trust is None else f"trust {self.trust:.2f}"
+
+    def overlay(self) -> np.ndarray:
+        """The image with its road tinted and outlined, uint8 (H,W,3) RGB, as ``infer`` draws it.
+
+        Raises InputError where there is no image.
+        """
+        if self.image is None:
+            raise InputError("image", "is not part of this detection", "give Detection(image=…)")
+        return overlay_pixels(self.image, self.mask, self.cues.get("ego"), self.caption)
+
+    def __repr__(self) -> str:
+        """One line: size, share of road, and how far it can be trusted."""
+        height, width = self.mask.shape
+        told = [f"{width}×{height}", f"road {float(self.mask.double().mean()):.0%}", self.caption]
+        doubt = f" ({self.doubt})" if self.doubt else ""
+        return f"<Detection {', '.join(filter(None, told))}{doubt}>"
+
+    def _repr_png_(self) -> bytes | None:
+        """What notebooks show."""
+        return None if self.image is None else png_bytes(self.overlay(), NOTEBOOK_SIDE)
 
 
 @runtime_checkable
@@ -169,6 +190,7 @@ class Found(NamedTuple):
 
     analysed: Mapping[str, Tensor]
     maps: Mapping[str, Tensor]
+    image: Tensor
 
 
 @dataclass(frozen=True)
@@ -230,17 +252,19 @@ class Detector(nn.Module):
             raise ConfigError(entry.name, what, remedy)
         self.analysis = analysis
 
-    def detect(self, image: Tensor) -> Detection:
-        """Find the road in one image (3,H,W), floating point in [0,1], from 16×16 up.
+    def detect(self, image: Picture, order: Order | None = None) -> Detection:
+        """Find the road in one picture, from 16×16 up.
 
-        Raises InputError when the image is anything else, and when what the detector makes of
-        it is not finite: there is no decision on NaN.
+        image: RGB as tensor (3,H,W), floating point in [0,1] or uint8; a NumPy array uint8 (H,W,3)
+        with the ``order`` of its colours; a Pillow image; a path. Raises InputError when it is
+        anything else, and when what the detector makes of it is not finite: there is no
+        decision on NaN.
         """
-        return self.conclude(self.find(image))
+        return self.conclude(self.find(as_image(image, order)))
 
     @torch.no_grad()
     def find(self, image: Tensor) -> Found:
-        """The first half of ``detect``: the likelihood and the cues; it raises what that does."""
+        """The first half of ``detect``: likelihood and cues of an image (3,H,W) in [0,1]."""
         return self._find(checked_image(image))
 
     @torch.no_grad()
@@ -253,7 +277,7 @@ class Detector(nn.Module):
         of those found, as when frames of a video steady one another. Trust still rests on the
         frame's own.
         """
-        analysed, maps = found
+        analysed, maps, image = found
         if ego is not None:
             maps = ChainMap({"ego": ego}, maps)  # type: ignore[arg-type]  # it is only read
         ego, seed = maps.get("ego"), analysed.get("seed_area")
@@ -267,7 +291,8 @@ class Detector(nn.Module):
             mask = decide(likelihood, self.settings, seed)
         else:
             mask = decide_beside(likelihood, ego, self.settings, seed)
-        return Detection(likelihood, mask, Cues(maps), *self._judge(mask, ego, analysed))
+        trust, doubt = self._judge(mask, ego, analysed)
+        return Detection(likelihood, mask, Cues(maps), trust, doubt, image=image)
 
     def _judge(
         self, mask: Tensor, ego: Tensor | None, analysed: Mapping[str, Tensor]
@@ -277,17 +302,15 @@ class Detector(nn.Module):
             return None, ""
         size = (analysed["likelihood"].shape[-2], analysed["likelihood"].shape[-1])
         ego = torch.zeros_like(mask) if ego is None else ego
-        found = ChainMap({"ego": at_picture_size(ego, size)}, analysed)  # nothing is made yet
+        ego = at_picture_size(ego, size)
+        found = ChainMap({"ego": ego}, analysed)  # type: ignore[arg-type]  # nothing is made yet
         return self.analysis.judge(at_picture_size(mask, size), found)
 
     def forward(self, images: Tensor) -> Tensor:
         """Likelihoods (B,H,W) of a batch (B,3,H,W); each equals that of ``detect``."""
         if images.ndim != 4:
-            raise InputError(
-                "images",
-                f"have the shape {tuple(images.shape)}",
-                "give a batch (B, 3, height, width)",
-            )
+            what = f"have the shape {tuple(images.shape)}"
+            raise InputError("images", what, "give a batch (B, 3, height, width)")
         if not len(images):
             return images.new_empty((0, *images.shape[-2:]), dtype=torch.float32)
         return torch.stack(
@@ -307,16 +330,16 @@ class Detector(nn.Module):
             raise InputError("image", what, "check the weights and the settings; else report it")
         cars = [car for car in (given, maps.get("ego")) if car is not None]
         if not cars:
-            return Found(analysed, maps)
-        return Found(analysed, WithoutEgo(maps, torch.stack(cars).any(0)))
+            return Found(analysed, maps, image)
+        return Found(analysed, WithoutEgo(maps, torch.stack(cars).any(0)), image)
 
-    def _analyse(self, image: Tensor) -> Found:
+    def _analyse(self, image: Tensor) -> tuple[Mapping[str, Tensor], Mapping[str, Tensor]]:
         """What the analysis finds, as it comes and at the size of the image."""
         if not isinstance(self.settings, WorkingSettings):
             analysed = self.analysis(image)
-            return Found(analysed, analysed)
+            return analysed, analysed
         maps = at_working_size(self.analysis, image, self.settings.working)
-        return Found(maps.analysed, maps)
+        return maps.analysed, maps
 
     def extra_repr(self) -> str:
         """The name and settings, for ``print(detector)``."""

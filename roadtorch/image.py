@@ -2,16 +2,16 @@
 
 import os
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import cv2
 import numpy as np
 import torch
-from PIL import UnidentifiedImageError
+from PIL import Image, UnidentifiedImageError
 from torch import Tensor
 
-from roadtorch.decoding import MEGAPIXELS_VARIABLE, TooLargeError, decode
-from roadtorch.errors import InputError
+from roadtorch.decoding import MEGAPIXELS_VARIABLE, TooLargeError, decode, pillow_pixels
+from roadtorch.errors import InputError, unknown_name
 from roadtorch.files import atomic
 from roadtorch.outside import read_regular, reason
 
@@ -36,6 +36,12 @@ JPEG_OPTIONS = (cv2.IMWRITE_JPEG_QUALITY, 92)
 
 MAP_OPTIONS = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
 """Of PNGs of smooth maps: a quarter smaller than OpenCV's default, and written faster."""
+
+Order = Literal["rgb", "bgr"]
+"""The order of colours in an array: OpenCV's is ``bgr``, nearly everybody else's ``rgb``."""
+
+Picture = Tensor | np.ndarray | Image.Image | str | os.PathLike[str]
+"""What programs have of a picture, see ``as_image``."""
 
 # --- in ---------------------------------------------------------------------------------
 
@@ -95,6 +101,52 @@ def from_pixels(pixels: np.ndarray) -> Tensor:
     planes = torch.from_numpy(np.array(pixels.transpose(2, 0, 1), order="C"))
     image = planes[:3].to(torch.float32).div_(levels)
     return image if len(planes) == 3 else image.mul_(planes[3].to(torch.float32).div_(levels))
+
+
+def as_image(picture: Picture, order: Order | None = None) -> Tensor:
+    """What a program has of a picture, as image (3,H,W) in [0,1].
+
+    A tensor (3,H,W) is RGB: floating point stays as it is, uint8 is divided by 255. A NumPy array
+    is uint8 (H,W,3), and its order of colours is told, not guessed. A Pillow image is turned and
+    converted as ``read_image`` does, which reads a path. Whether a tensor is an image is for
+    ``detect`` to say.
+
+    Raises InputError for anything else, for an order told of what needs none, and as ``read_image``
+    does; ConfigError for an order that is none.
+    """
+    if isinstance(picture, np.ndarray):
+        return from_pixels(_as_rgb(picture, order))
+    if order is not None:
+        what = f"is told for {type(picture).__name__}"
+        raise InputError("order", what, "leave it out: only NumPy arrays need it")
+    if isinstance(picture, Tensor):
+        return picture.to(torch.float32).div_(255) if picture.dtype == torch.uint8 else picture
+    if isinstance(picture, Image.Image):
+        try:
+            return from_pixels(pillow_pixels(picture))
+        except Exception as problem:
+            what = f"cannot be decoded: {reason(problem)}"
+            raise InputError("image", what, "give another one") from None
+    if isinstance(picture, str | os.PathLike):
+        return read_image(picture)
+    remedy = "give a tensor, a NumPy array, a Pillow image or a path"
+    raise InputError("image", f"is {type(picture).__name__}", remedy)
+
+
+def _as_rgb(pixels: np.ndarray, order: Order | None) -> np.ndarray:
+    """Pixels uint8 (H,W,3) of an order as RGB; InputError or ConfigError where they are not."""
+    if pixels.dtype != np.uint8:
+        remedy = "give uint8 from 0 to 255, or a float tensor (3, height, width) in [0, 1]"
+        raise InputError("image", f"is an array of {pixels.dtype}", remedy)
+    if pixels.ndim != 3 or pixels.shape[2] != 3:
+        what = f"is an array of the shape {pixels.shape}"
+        raise InputError("image", what, "give (height, width, 3)")
+    if order is None:
+        what = "is an array whose order of colours is not told"
+        raise InputError("image", what, 'give order="rgb", or order="bgr" if it is from OpenCV')
+    if order not in get_args(Order):
+        raise unknown_name("order of colours", order, get_args(Order))
+    return pixels if order == "rgb" else pixels[..., ::-1]
 
 
 # --- out --------------------------------------------------------------------------------
@@ -205,9 +257,23 @@ def _bgr(pixels: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
 
 
+def png_bytes(pixels: np.ndarray, longest: int) -> bytes:
+    """Pixels uint8 (H,W,3) RGB as the bytes of a PNG, made smaller to have that side at most."""
+    height, width = pixels.shape[:2]
+    scale = longest / max(height, width)
+    if scale < 1:
+        size = max(1, round(width * scale)), max(1, round(height * scale))
+        pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    return bytes(_encoded(".png", _bgr(pixels)))
+
+
+def _encoded(kind: str, pixels: np.ndarray, *options: int) -> memoryview:
+    return cv2.imencode(kind, np.ascontiguousarray(pixels), list(options))[1].data
+
+
 def _write_encoded(
     path: str | os.PathLike[str], kind: str, pixels: np.ndarray, *options: int
 ) -> None:
-    encoded = cv2.imencode(kind, np.ascontiguousarray(pixels), list(options))[1]
+    encoded = _encoded(kind, pixels, *options)
     with atomic(path) as temporary:
-        temporary.write_bytes(encoded.data)
+        temporary.write_bytes(encoded)

@@ -146,7 +146,7 @@ def _concluded(look: _Look, detector: Detector, steady: Steadying | None) -> See
     else:
         steadied = steady(image, found.maps["likelihood"], found.maps.get("ego"))
         detection = detector.conclude(found, steadied, steady.hidden)
-    named = replace(detection, name=frame.name, seconds=frame.seconds, image=image)
+    named = replace(detection, name=frame.name, seconds=frame.seconds)
     return Seen(frame, image, named, ms + 1000 * (perf_counter() - start))
 
 

@@ -153,7 +153,7 @@ def what_is_no_image_is_refused(detector: Detector, _: Detector) -> None:
         "a batch": torch.zeros(1, 3, 32, 32),
         "15 pixels high": torch.zeros(3, 15, 32),
         "empty": torch.zeros(3, 32, 0),
-        "bytes": torch.zeros(3, 32, 32, dtype=torch.uint8),
+        "whole numbers": torch.zeros(3, 32, 32, dtype=torch.int64),
         "a list": [[0.5]],
     }
     for kind, image in wrong.items():

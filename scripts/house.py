@@ -73,6 +73,7 @@ ROWS = (
     Row("detectors", ("detectors",)),
     Row("pictures in", ("sources", "scene_canvas", "scenes", "scene_drives", "testing")),
     Row("footage through", ("sinks", "stream")),
+    Row("out of Python", ("export",)),
     Row("labelled sets", ("data",)),
     Row("evaluation", ("evaluation",)),
     Row("report", ("report",)),

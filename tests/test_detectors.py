@@ -1,17 +1,24 @@
 """What every registered detector keeps to, and the door that leads to them."""
 
+import io
 import os
+import re
 import signal
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import EntryPoint
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
+from PIL import Image
 from torch import Tensor, nn
 
 import roadtorch.plugins
 from roadtorch.detector import (
+    Detection,
     Detector,
     DetectorGrid,
     DetectorSettings,
@@ -30,6 +37,7 @@ from roadtorch.detectors.catalogue import (
 )
 from roadtorch.detectors.fusion import Fusion
 from roadtorch.errors import ConfigError, InputError
+from roadtorch.image import overlay_pixels, to_pixels
 from roadtorch.settings import Settings
 from roadtorch.testing import broken_promises, street
 from tests.representatives import representatives
@@ -73,10 +81,10 @@ def with_value(value: float) -> Tensor:
         (street(32, 32)[None], "has the shape (1, 3, 32, 32)"),
         (street(15, 15), "is 15×15 pixels"),
         (torch.zeros(3, 32, 0), "is 0×32 pixels"),
-        (torch.zeros(3, 32, 32, dtype=torch.uint8), "is torch.uint8"),
+        (torch.zeros(3, 32, 32, dtype=torch.int32), "is torch.int32"),
         ([[0.5]], "is list"),
     ],
-    ids=["nan", "inf", "bright", "negative", "grey", "batch", "small", "none", "bytes", "list"],
+    ids=["nan", "inf", "bright", "negative", "grey", "batch", "small", "none", "int", "list"],
 )
 def test_what_is_no_image_is_refused_with_the_reason(image: Any, what: str) -> None:
     with pytest.raises(InputError) as caught:
@@ -372,3 +380,59 @@ def test_a_likelihood_that_is_not_finite_is_refused(
         detector.detect(street(32, 32))
     with pytest.raises(InputError, match="not finite"):
         detector(street(32, 32)[None])
+
+
+# --- what is taken, and what a detection shows --------------------------------------------
+
+
+def test_detect_takes_arrays_pillow_images_and_paths_as_it_takes_tensors(tmp_path: Path) -> None:
+    detector = loaded("fusion")
+    pixels = to_pixels(street(48, 64))
+    image = torch.from_numpy(pixels).permute(2, 0, 1).float() / 255
+    path = tmp_path / "street.png"
+    Image.fromarray(pixels).save(path)
+    wanted = detector.detect(image)
+
+    said = [
+        detector.detect(torch.from_numpy(pixels).permute(2, 0, 1)),
+        detector.detect(pixels, order="rgb"),
+        detector.detect(pixels[..., ::-1], order="bgr"),
+        detector.detect(Image.fromarray(pixels)),
+        detector.detect(path),
+        detector.detect(str(path)),
+    ]
+
+    for one in said:
+        assert torch.equal(one.likelihood, wanted.likelihood)
+        assert one.image is not None
+        assert torch.equal(one.image, image)
+
+
+def test_an_overlay_is_what_infer_draws(tmp_path: Path) -> None:
+    detection = loaded("fusion").detect(street(96, 128))
+    assert detection.image is not None
+    ego, caption = detection.cues["ego"], f"trust {detection.trust:.2f}"
+
+    drawn = detection.overlay()
+
+    assert (drawn.dtype, drawn.shape) == (np.uint8, (96, 128, 3))
+    assert np.array_equal(drawn, overlay_pixels(detection.image, detection.mask, ego, caption))
+
+
+def test_a_detection_without_its_image_has_no_overlay() -> None:
+    detection = Detection(torch.zeros(16, 16), torch.zeros(16, 16).bool(), {})
+
+    assert detection._repr_png_() is None
+    with pytest.raises(InputError, match="is not part of this detection"):
+        detection.overlay()
+
+
+def test_notebooks_show_a_line_and_the_overlay() -> None:
+    detection = loaded("prior:rows").detect(street(40, 2000))
+    shown = detection._repr_png_()
+
+    assert re.fullmatch(r"<Detection 2000×40, road \d+%>", repr(detection))
+    assert shown is not None
+    assert Image.open(io.BytesIO(shown)).size == (960, 19)
+    doubtful = replace(detection, trust=0.314, doubt="no road found")
+    assert repr(doubtful).endswith(", trust 0.31 (no road found)>")

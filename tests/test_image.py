@@ -16,10 +16,12 @@ from hypothesis import strategies as st
 from PIL import Image
 from torch import Tensor
 
-from roadtorch.errors import InputError
+from roadtorch.errors import ConfigError, InputError
 from roadtorch.files import atomic
 from roadtorch.image import (
     ORANGE,
+    as_image,
+    png_bytes,
     read_image,
     tint_mask,
     write_colours,
@@ -281,6 +283,107 @@ def test_jpeg_takes_little_longer_than_opencv_alone(tmp_path: Path) -> None:
     ]
     ours, theirs = (sorted(times)[2] for times in zip(*pairs, strict=True))
     assert ours < 4 * theirs  # the rest is float32 and (3,H,W)
+
+
+# --- what programs have -------------------------------------------------------------------
+
+
+def test_arrays_tensors_pillow_images_and_paths_give_the_same_image(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.png", Image.fromarray(PIXELS))
+    wanted = as_tensor(PIXELS)
+
+    for picture in (path, str(path), Image.open(path), torch.from_numpy(PIXELS).permute(2, 0, 1)):
+        assert torch.equal(as_image(picture), wanted)
+    assert torch.equal(as_image(PIXELS, "rgb"), wanted)
+    assert torch.equal(as_image(np.asarray(cv2.imread(str(path))), "bgr"), wanted)
+    assert as_image(wanted) is wanted
+
+
+@pytest.mark.parametrize(
+    "mode", ["1", "L", "P", "LA", "PA", "RGBA", "CMYK", "YCbCr", "HSV", "I;16"]
+)
+def test_pillow_images_of_any_mode_are_converted(mode: str) -> None:
+    grey = Image.fromarray(np.full((20, 24), 51, np.uint8))
+    picture = (
+        Image.fromarray(np.full((20, 24), 51 * 257, np.uint16))
+        if mode == "I;16"
+        else grey.convert("RGB").convert(mode)
+    )
+
+    image = as_image(picture)
+
+    assert picture.mode == mode
+    assert image.shape == (3, 20, 24)
+    if mode not in ("1", "CMYK"):  # black and white only; inks
+        assert torch.allclose(image, torch.full((3, 20, 24), 0.2), atol=0.005)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_pillow_images_are_turned_upright_as_files_are(tmp_path: Path, orientation: int) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    path = save(tmp_path / "a.png", Image.fromarray(PIXELS), exif=exif)
+
+    with Image.open(path) as picture:
+        assert torch.equal(as_image(picture), read_image(path))
+
+
+def test_see_through_pixels_of_pillow_images_are_black_as_those_of_files_are(
+    tmp_path: Path,
+) -> None:
+    picture = Image.fromarray(np.dstack([PIXELS, np.full((5, 7), 128, np.uint8)]))
+
+    assert torch.equal(as_image(picture), read_image(save(tmp_path / "a.png", picture)))
+
+
+@pytest.mark.parametrize(
+    ("picture", "order", "what"),
+    [
+        (PIXELS, None, "whose order of colours is not told"),
+        (PIXELS.astype(np.float32) / 255, "rgb", "is an array of float32"),
+        (PIXELS.astype(np.uint16), "rgb", "is an array of uint16"),
+        (PIXELS[..., 0], "rgb", "shape (5, 7)"),
+        (PIXELS.transpose(2, 0, 1), "rgb", "shape (3, 5, 7)"),
+        (np.zeros((5, 7, 4), np.uint8), "bgr", "shape (5, 7, 4)"),
+        (as_tensor(PIXELS), "rgb", "order: is told for Tensor"),
+        ("a.png", "bgr", "order: is told for str"),
+        (Image.new("F", (20, 20)), None, "mode F has no agreed white"),
+        (Image.new("I", (20, 20)), None, "mode I has no agreed white"),
+        (Image.new("RGB", (20, 20)), "rgb", "order: is told for Image"),
+        (b"\x89PNG", None, "is bytes"),
+        (None, None, "is NoneType"),
+        ("missing.png", None, "does not exist"),
+    ],
+)
+def test_what_a_program_has_that_is_no_picture_is_refused(
+    picture: Any, order: Any, what: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        as_image(picture, order)
+
+    assert what in str(caught.value)
+
+
+def test_an_order_that_is_none_is_refused() -> None:
+    with pytest.raises(ConfigError, match="RGB: unknown order of colours"):
+        as_image(PIXELS, "RGB")  # type: ignore[arg-type]
+
+
+def test_a_pillow_image_that_cannot_be_decoded_is_refused(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.png", Image.fromarray(PIXELS.repeat(20, 0).repeat(20, 1)))
+    path.write_bytes(path.read_bytes()[:90])
+
+    with Image.open(path) as picture, pytest.raises(InputError, match="cannot be decoded"):
+        as_image(picture)
+
+
+@pytest.mark.parametrize(("longest", "size"), [(100, (7, 5)), (4, (4, 3))])
+def test_a_png_in_memory_is_no_larger_than_asked(longest: int, size: tuple[int, int]) -> None:
+    shown = Image.open(io.BytesIO(png_bytes(PIXELS, longest)))
+
+    assert shown.size == size
+    if size == (7, 5):
+        assert np.array_equal(np.array(shown), PIXELS)
 
 
 # --- writing ------------------------------------------------------------------------------

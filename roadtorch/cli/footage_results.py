@@ -17,7 +17,6 @@ from roadtorch.cli.claim import ELSEWHERE
 from roadtorch.cli.index import FAILED, Row
 from roadtorch.detector import Detector
 from roadtorch.files import make_folder
-from roadtorch.image import overlay_pixels
 from roadtorch.sinks.bags import BagSink
 from roadtorch.sinks.gif import GifSink
 from roadtorch.sinks.video import VideoSink
@@ -35,9 +34,7 @@ CAMERA_FRAME = "camera"
 
 def _overlay(seen: Seen) -> np.ndarray:
     """uint8 (H,W,3)."""
-    detection = seen.detection
-    caption = results.caption_of(detection)
-    return overlay_pixels(seen.image, detection.mask, detection.cues.get("ego"), caption)
+    return seen.detection.overlay()
 
 
 def _mask(seen: Seen) -> np.ndarray:

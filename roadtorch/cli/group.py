@@ -22,6 +22,7 @@ COMMANDS = {
     "camera": ("roadtorch.cli.camera:camera", "Find what stays the same in one camera's footage."),
     "detectors": ("roadtorch.cli.detectors:detectors", "List the detectors, or explain one."),
     "evaluate": ("roadtorch.cli.evaluate:evaluate", "Score detectors on labelled pictures."),
+    "export": ("roadtorch.cli.export:export", "Write a network as a file that needs no Python."),
     "grid": ("roadtorch.cli.grid:grid", "Map the road in pictures onto the ground, in metres."),
     "infer": ("roadtorch.cli.infer:infer", "Find the road in pictures."),
     "label": ("roadtorch.cli.label:label", "Label pictures as sky, vertical and horizontal."),

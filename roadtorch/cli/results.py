@@ -153,7 +153,7 @@ def write_files(
         write_mask(output(SUFFIXES["mask"]), detection.mask)
     if "overlay" in kinds:
         path, ego = output(SUFFIXES["overlay"]), detection.cues.get("ego")
-        write_overlay(path, image, detection.mask, ego, caption_of(detection))
+        write_overlay(path, image, detection.mask, ego, detection.caption)
     if "npy" in kinds:
         write_npy(output(SUFFIXES["npy"]), detection.likelihood)
     for name, cue in detection.cues.items():
@@ -176,11 +176,6 @@ def write_documents(
         write_json(output(SUFFIXES["polygons"]), outline)
     if "json" in kinds:
         write_json(output(SUFFIXES["json"]), facts(file, detection, detector))
-
-
-def caption_of(detection: Detection) -> str:
-    """What an overlay says of a detection; nothing where the detector does not judge itself."""
-    return "" if detection.trust is None else f"trust {detection.trust:.2f}"
 
 
 def facts(file: str, detection: Detection, detector: Detector) -> dict[str, object]:

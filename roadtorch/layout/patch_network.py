@@ -179,15 +179,19 @@ class PatchNetwork(nn.Module):
         (Giusti et al., "Fast Image Scanning with Deep Max-Pooling Convolutional Neural
         Networks", ICIP 2013, in its dilated form). Past the border the picture is reflected.
         """
+        return self.everywhere(pixels[None])[0]
+
+    def everywhere(self, pixels: Tensor) -> Tensor:
+        """``dense`` for pictures (B,3,H,W): potentials (B,3,H,W)."""
         shape = self.settings.topology
-        maps = self._seen(reflected(pixels, shape.patch)[None])
+        maps = self._seen(reflected(pixels, shape.patch))
         maps = _pooled_everywhere(self.first(maps).tanh(), 1, shape.pooling)
         weight = self.second.weight * self.table
         maps = F.conv2d(maps, weight, self.second.bias, dilation=2).tanh_()
         if shape.subsamplings == 2:
             maps = _pooled_everywhere(maps, 2, shape.pooling)
         maps = F.conv2d(maps, self.last.weight, self.last.bias, dilation=shape.stride)
-        return self._squashed(maps)[0]
+        return self._squashed(maps)
 
     @torch.no_grad()
     def cues(self, image: Tensor) -> Mapping[str, Tensor]:
@@ -237,9 +241,11 @@ def reflected(pixels: Tensor, patch: int) -> Tensor:
 
 def _bounced(length: int, before: int, behind: int) -> Tensor:
     """-before … length+behind-1, thrown back at 0 and length-1 like a ball between walls."""
-    period = max(1, 2 * (length - 1))
-    place = torch.arange(-before, length + behind).remainder(period)
-    return torch.minimum(place, period - place).clamp_max(length - 1)
+    place = torch.arange(-before, length + behind)
+    last = torch.full_like(place, length - 1)  # a tensor, as is the length in an exported graph
+    period = (2 * last).clamp_min(1)
+    place = place.remainder(period)
+    return torch.minimum(torch.minimum(place, period - place), last)
 
 
 def _pooled_everywhere(maps: Tensor, apart: int, pooling: str) -> Tensor:

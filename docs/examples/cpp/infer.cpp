@@ -1,0 +1,78 @@
+// The road in one picture by an exported network, with ONNX Runtime: no Python.
+//
+//   roadtorch export fusion --out road.onnx
+//   g++ -std=c++17 -O2 infer.cpp -I ORT/include -L ORT/lib -lonnxruntime -o infer
+//   ./infer road.onnx street.ppm road.pgm
+//
+// ORT is a release of ONNX Runtime. Pictures are binary PPM (P6), which any program for pictures
+// writes, so that nothing else is needed; with OpenCV, image.data of a cv::Mat in RGB takes the
+// place of `rgb`.
+
+#include <onnxruntime_cxx_api.h>
+
+#include <array>
+#include <cstdint>
+#include <cstdlib>
+#include <fstream>
+#include <iostream>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+struct Picture {
+    int64_t height = 0, width = 0;
+    std::vector<uint8_t> rgb;  // row by row, red, green, blue
+};
+
+Picture read_ppm(const std::string& path) {
+    std::ifstream file(path, std::ios::binary);
+    std::string kind;
+    int64_t levels = 0;
+    Picture picture;
+    file >> kind >> picture.width >> picture.height >> levels;
+    file.get();
+    if (!file || kind != "P6" || levels != 255) throw std::runtime_error(path + ": no binary PPM");
+    picture.rgb.resize(picture.height * picture.width * 3);
+    file.read(reinterpret_cast<char*>(picture.rgb.data()), picture.rgb.size());
+    if (!file) throw std::runtime_error(path + ": is cut");
+    return picture;
+}
+
+int main(int count, char** words) try {
+    if (count != 4) throw std::runtime_error("usage: infer MODEL.onnx PICTURE.ppm MAP.pgm");
+
+    Ort::Env environment(ORT_LOGGING_LEVEL_ERROR, "roadtorch");
+    Ort::SessionOptions options;
+    options.SetIntraOpNumThreads(1);
+    Ort::Session session(environment, words[1], options);
+
+    Ort::AllocatorWithDefaultOptions allocator;
+    auto threshold =
+        session.GetModelMetadata().LookupCustomMetadataMapAllocated("threshold", allocator);
+    if (!threshold) throw std::runtime_error(std::string(words[1]) + ": not of roadtorch export");
+
+    Picture picture = read_ppm(words[2]);
+    const std::array<int64_t, 4> shape = {1, picture.height, picture.width, 3};
+    auto memory = Ort::MemoryInfo::CreateCpu(OrtArenaAllocator, OrtMemTypeDefault);
+    auto input = Ort::Value::CreateTensor<uint8_t>(
+        memory, picture.rgb.data(), picture.rgb.size(), shape.data(), shape.size());
+
+    const char* given[] = {"image"};
+    const char* wanted[] = {"likelihood"};
+    auto found = session.Run(Ort::RunOptions{nullptr}, given, &input, 1, wanted, 1);
+    const float* likelihood = found[0].GetTensorData<float>();  // height × width, 0 to 1
+
+    std::ofstream map(words[3], std::ios::binary);
+    map << "P5\n" << picture.width << " " << picture.height << "\n255\n";
+    const int64_t pixels = picture.height * picture.width;
+    int64_t road = 0;
+    for (int64_t at = 0; at < pixels; ++at) {
+        road += likelihood[at] >= std::atof(threshold.get());
+        map.put(static_cast<char>(likelihood[at] * 255 + 0.5f));
+    }
+    std::cout << picture.width << "x" << picture.height << ", road " << 100 * road / pixels
+              << " %\n";
+} catch (const std::exception& problem) {
+    std::cerr << "infer: error: " << problem.what() << "\n";
+    return 1;
+}

@@ -1,0 +1,45 @@
+"""roadtorch export: networks as files that run without Python."""
+
+from pathlib import Path
+
+import click
+
+from roadtorch.cli.options import PATH, SETTING
+
+
+@click.command()
+@click.argument("name")
+@click.option("--out", type=PATH, required=True, help="File: NAME.onnx, or NAME.xml for OpenVINO.")
+@click.option(
+    "--format",
+    "kind",
+    type=click.Choice(["onnx", "openvino"]),
+    default="onnx",
+    show_default=True,
+    help="OpenVINO's has its weights in a second file, NAME.bin.",
+)
+@SETTING
+def export(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> None:
+    """Write what of a detector can run without Python: fusion, layout, layout:cnn-7.
+
+    The file takes pictures as bytes (N, height, width, 3) in RGB, of any size, and gives maps of
+    that size: all that happens before and behind the network is inside. Of fusion it is the
+    learned road. What it says is compared with Python before it is written.
+    """
+    from roadtorch.detectors.catalogue import load_detector
+    from roadtorch.export.export import BOUND, export_detector
+    from roadtorch.settings import parse_assignments
+
+    detector = load_detector(name, **parse_assignments(assignments))
+    exported = export_detector(detector, out, kind)
+    for file in exported.files:
+        click.echo(f"{file}: {file.stat().st_size / 1e6:.2f} MB")
+    click.echo(f"{name}: {exported.notes['part']}")
+    for key, text in exported.notes.items():
+        if key not in ("roadtorch", "detector", "part"):
+            click.echo(f"  {key:<18} {text}")
+    found = exported.parity
+    click.echo(
+        f"parity with Python on {found.pictures} rendered pictures: at most {found.most:.1e} off "
+        f"({found.where}), {found.mean:.1e} in the mean; allowed {BOUND:g}"
+    )

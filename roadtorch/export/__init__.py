@@ -1,0 +1,1 @@
+"""Networks as files that run without Python: their pre- and post-processing is inside."""

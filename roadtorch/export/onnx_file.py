@@ -1,0 +1,78 @@
+"""ONNX files: written by torch's exporter, run by ONNX Runtime."""
+
+import logging
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from roadtorch.export.graph import EveryPixel, WholePictures
+from roadtorch.export.parity import Run
+from roadtorch.version import __version__
+
+OPSET = 18
+
+EXAMPLE = (2, 240, 320, 3)
+"""The shape of the pictures that the graph is traced with; no number of it stays but the 3."""
+
+LOGGERS = ("torch.onnx", "onnxscript", "onnx_ir", "torch.export")
+
+
+def write_onnx(module: WholePictures | EveryPixel, notes: Mapping[str, str], path: Path) -> None:
+    """Write a module of ``graph`` with notes about it; needs onnx and onnxscript.
+
+    The same module and notes give the same bytes, wherever they are made.
+    """
+    with _quiet(), torch.no_grad():
+        program = torch.onnx.export(
+            module,
+            (torch.zeros(EXAMPLE, dtype=torch.uint8),),
+            input_names=["image"],
+            output_names=list(module.outputs),
+            dynamic_shapes=({0: "N", 1: "H", 2: "W"},),
+            opset_version=OPSET,
+            dynamo=True,
+            verbose=False,
+        )
+    assert program is not None
+    program.model.producer_name, program.model.producer_version = "roadtorch", __version__
+    program.model.metadata_props.update(notes)
+    for node in program.model.graph.all_nodes():
+        node.metadata_props.clear()  # where in the sources on this machine it came from
+    program.save(str(path))
+
+
+def open_onnx(path: Path, threads: int) -> Run:
+    """What runs an ONNX file on so many threads, by ONNX Runtime."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3  # errors
+    options.intra_op_num_threads = threads
+    session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    names = [output.name for output in session.get_outputs()]
+
+    def run(pictures: np.ndarray) -> dict[str, np.ndarray]:
+        found: list[Any] = list(session.run(names, {"image": pictures}))
+        return dict(zip(names, found, strict=True))
+
+    return run
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """torch's exporter without its remarks on itself."""
+    before = {name: logging.getLogger(name).level for name in LOGGERS}
+    for name in before:
+        logging.getLogger(name).setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        for name, level in before.items():
+            logging.getLogger(name).setLevel(level)

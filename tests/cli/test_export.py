@@ -1,0 +1,30 @@
+from pathlib import Path
+
+from tests.cli.conftest import Call
+from tests.networks import write_ego_network
+
+
+def test_export_tells_what_it_wrote_and_nothing_else(call: Call, tmp_path: Path) -> None:
+    weights = write_ego_network(tmp_path / "own.safetensors", bottom=0.2)
+    out = tmp_path / "new" / "road.onnx"
+
+    result = call("export", "fusion", "--out", out, "--set", f"weights.file={weights}")
+
+    assert result.exit_code == 0, result.stderr
+    assert out.is_file()
+    assert result.stderr == ""
+    first, what, *notes, last = result.stdout.splitlines()
+    assert first.startswith(f"{out}: ")
+    assert what.startswith("fusion: its learned road")
+    assert {line.split()[0] for line in notes} >= {"colour_order", "threshold", "terms"}
+    assert last.startswith("parity with Python on 6 rendered pictures: at most ")
+
+
+def test_export_says_in_one_line_what_cannot_be_exported(call: Call, tmp_path: Path) -> None:
+    result = call("export", "lbp", "--out", tmp_path / "a.onnx")
+
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr == (
+        "roadtorch: error: lbp: cannot be exported (those that can: fusion, layout, layout:cnn-7)\n"
+    )
