@@ -1,7 +1,7 @@
 """A whole run: pictures made ready, rounds trained, weights written; cut short, gone on with."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from signal import SIGTERM, Signals
@@ -10,12 +10,16 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
+from roadtorch.data.corrections import Correction
 from roadtorch.errors import InputError, WeightsError
+from roadtorch.files import write_text
 from roadtorch.layout.weights import LayoutNetwork, fill, load_network, save_network
 from roadtorch.signals import stop_on_signals
 from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.train.average import AverageWeights
+from roadtorch.train.cards import card_of, corrections_behind
 from roadtorch.train.config import Training, as_values
+from roadtorch.train.corrections import corrections_by_picture, keep_corrections, told_of
 from roadtorch.train.folder import CHECKPOINT, NO_CHECKPOINT, WEIGHTS, RunFolder, config_hash
 from roadtorch.train.loop import (
     RunContext,
@@ -27,10 +31,10 @@ from roadtorch.train.loop import (
 )
 from roadtorch.train.prepared import PreparedFolder, PreparedPicture
 from roadtorch.train.processes import join_processes
-from roadtorch.train.recipe import Recipe, recipe_of
+from roadtorch.train.recipe import PreparedFiles, Recipe, recipe_of
 from roadtorch.version import __version__
 
-PREPARED = "prepared"
+PREPARED, SAID = "prepared", "corrections"
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,7 @@ class Request:
     """What a run is asked for.
 
     images: a folder, a file or a quoted glob. prepared: where pictures made ready are kept;
-    None for a folder inside ``out``.
+    None for a folder inside ``out``. corrections: what people said of some of the pictures.
     """
 
     images: str
@@ -46,6 +50,7 @@ class Request:
     resume: bool = False
     prepared: Path | None = None
     quiet: bool = False
+    corrections: Sequence[Correction] = ()
 
 
 @dataclass(frozen=True)
@@ -69,12 +74,15 @@ def train(training: Training, request: Request) -> Outcome:
         context = RunContext(processes, folder, stop, request.quiet)
         config = as_values(training)
         recipe = recipe_of(training)
-        folder.begin(config, pictures, request.resume)
+        corrections = corrections_by_picture(pictures, request.corrections)
+        told = told_of(corrections)
+        folder.begin(config, pictures, told, request.resume)
         state = folder.read_checkpoint()
         processes.gather(None)  # all have looked before the first one writes
         if processes.leads:
-            folder.claim(config, pictures, __version__)
-        return _Run(recipe, request, context, config).go(pictures, state)
+            folder.claim(config, pictures, told, __version__)
+        behind = [*corrections_behind(training), *([told] if told else [])]
+        return _Run(recipe, request, context, config, corrections, behind).go(pictures, state)
 
 
 @dataclass(frozen=True)
@@ -83,6 +91,8 @@ class _Run:
     request: Request
     context: RunContext
     config: dict[str, Any]
+    corrections: Mapping[str, Correction]
+    behind: Sequence[Mapping[str, Any]]
 
     def go(self, pictures: Sequence[Picture], state: dict[str, Any] | None) -> Outcome:
         processes, folder, stop, quiet = self.context
@@ -96,7 +106,7 @@ class _Run:
         skipped = sum(item.file is None for item in prepared)
         if processes.any(stop.asked):
             return Outcome(None, stop.signal or SIGTERM, skipped)
-        files = self._usable(prepared)
+        files = PreparedFiles(self._usable(prepared), self._said(prepared))
         progress = _progress_of(state, folder.path / CHECKPOINT) if state else TrainingProgress()
         while True:
             self._round(files, progress, state)
@@ -118,8 +128,18 @@ class _Run:
             tqdm.write(text, file=sys.stderr)
         return files
 
+    def _said(self, prepared: Sequence[PreparedPicture]) -> dict[Path, Path]:
+        """What people said of the prepared pictures, each process with a copy of its own."""
+        files = {
+            item.file: self.corrections[item.name]
+            for item in prepared
+            if item.file is not None and item.name in self.corrections
+        }
+        own = self.context.folder.path / SAID / f"process-{self.context.processes.rank}"
+        return keep_corrections(own, files, self.recipe.shrink) if files else {}
+
     def _round(
-        self, files: Sequence[Path], progress: TrainingProgress, state: dict[str, Any] | None
+        self, files: PreparedFiles, progress: TrainingProgress, state: dict[str, Any] | None
     ) -> None:
         """Train one round, or what is left of it, and write its weights."""
         number, folder = progress.round, self.context.folder
@@ -144,7 +164,7 @@ class _Run:
         if not state:
             save_checkpoint(setup, progress, self.context)
         train_round(setup, progress, self.context)
-        self._write(average.network.eval(), progress, len(files))
+        self._write(average.network.eval(), progress, len(files.files))
         self.context.processes.gather(None)  # the next round reads what the first one writes
 
     def _write(self, network: LayoutNetwork, progress: TrainingProgress, used: int) -> None:
@@ -162,7 +182,10 @@ class _Run:
             "round": progress.round + 1,
             "epochs": progress.epoch,
             "finished": progress.finished,
+            "corrections": list(self.behind),
         }
+        if self.behind:
+            write_text((folder.path / WEIGHTS).with_suffix(".md"), card_of(self.behind))
         save_network(folder.path / WEIGHTS, network, origin)
         if progress.finished:
             save_network(folder.path / _weights_of(progress.round), network, origin)
