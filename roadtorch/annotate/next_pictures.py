@@ -50,12 +50,13 @@ def random_pictures(
 def least_trusted(
     candidates: Candidates, corrected: Collection[int], count: int, seed: int = 0
 ) -> list[int]:
-    """Those with the least trust, each another scene than those before it in the batch.
+    """Those with the least trust, each another scene than those corrected or before it.
 
     Where scenes run out, the rest follows by trust alone; unknown trust comes last.
     """
     order = candidates.trust.nan_to_num(torch.inf).argsort(stable=True).tolist()
-    return unlike([one for one in order if one not in corrected], candidates.features, count)
+    waiting = [one for one in order if one not in corrected]
+    return unlike(waiting, candidates.features, corrected, count)
 
 
 def most_different(
@@ -83,19 +84,25 @@ def most_different(
     return chosen[:count]
 
 
-def unlike(order: Sequence[int], features: Tensor, count: int) -> list[int]:
-    """The first of an order that are no two of one scene, then the rest of it, ``count`` in all."""
-    if len(order) < 2:
+def unlike(
+    order: Sequence[int], features: Tensor, corrected: Collection[int], count: int
+) -> list[int]:
+    """The first of an order that repeat no scene, then the rest of it, ``count`` in all.
+
+    features: (n,d) of all pictures; no scene of ``corrected`` ones is repeated either.
+    """
+    if len(features) < 2:
         return list(order[:count])
     distance = torch.cdist(features, features)
     rows, columns = torch.triu_indices(len(features), len(features), 1)
     apart = APART * float(distance[rows, columns].median())
-    chosen: list[int] = []
+    known, chosen = list(corrected), []
     for one in order:
         if len(chosen) == count:
             break
-        if not chosen or float(distance[one, chosen].min()) >= apart:
+        if not known or float(distance[one, known].min()) >= apart:
             chosen.append(one)
+            known.append(one)
     rest = [one for one in order if one not in set(chosen)]
     return [*chosen, *rest][:count]
 
