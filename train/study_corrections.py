@@ -39,8 +39,7 @@ from roadtorch.evaluation.scoring import read_scene
 from roadtorch.layout.weights import shipped_weights
 from roadtorch.settings import merge, parse_assignments, read_settings_file
 from roadtorch.train.config import build_training
-from roadtorch.train.road_centre import fitted_centre, said_odds, uncalibrated
-from roadtorch.train.run import Request, train
+from roadtorch.train.run import FUSION, Request, train
 
 CONFIG = Path(__file__).parents[1] / "configs" / "corrections.toml"
 COUNTS, DRAWS = (5, 10, 20, 50), 5
@@ -138,8 +137,7 @@ class Study:
         weights, centre = shipped_weights("layout"), RoadCalibration().centre
         if people:
             weights = self._trained(curve, people, draw)
-            odds = said_odds(uncalibrated(weights), people)
-            centre = fitted_centre(odds, RoadCalibration())
+            centre = read_settings_file(weights.with_name(FUSION))["calibration"]["centre"]
         values: dict[str, Any] = {"weights": {"file": str(weights)}}
         found = score(load_detector("fusion", **values), curve)
         moved = score(load_detector("fusion", **values, calibration={"centre": centre}), curve)

@@ -68,10 +68,10 @@ def compare(
 
 
 def _tell_people(rivals: "Sequence[Contender]") -> None:
-    from roadtorch.evaluation.rivals import people_of
+    from roadtorch.layout.weights import corrected_pictures
 
     for one in rivals:
-        if count := people_of(one.settings):
+        if count := corrected_pictures(one.settings):
             text = f"{one.name} was trained with {count} pictures that people corrected: not "
             click.echo(f"roadtorch: {text}label-free, and no news on those pictures", err=True)
 

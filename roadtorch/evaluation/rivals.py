@@ -1,16 +1,14 @@
 """Two to be compared: weights, configs, folders of maps or detectors by name."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from roadtorch.detectors.catalogue import list_detectors
 from roadtorch.errors import ConfigError
 from roadtorch.evaluation.contenders import Contender, maps_from, named_detector
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
-from roadtorch.layout.weights import load_network, people_behind
+from roadtorch.layout.weights import load_network
 from roadtorch.outside import printable
 from roadtorch.settings import read_settings_file
 
@@ -48,10 +46,3 @@ def _own_name(path: Path) -> str:
 
 def _called(one: Contender, letter: str, name: str) -> Contender:
     return replace(one, name=f"{letter}:{printable(name)}")
-
-
-def people_of(settings: Mapping[str, Any]) -> int:
-    """How many pictures that people corrected are behind a contender; 0 for label-free ones."""
-    weights = settings.get("weights")
-    file = weights.get("file") if isinstance(weights, Mapping) else None
-    return sum(int(one.get("pictures", 0)) for one in people_behind(file)) if file else 0

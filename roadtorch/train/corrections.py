@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import adaptive_avg_pool2d
 
 from roadtorch.data.correction_labels import NOT_ROAD, ROAD_SAID, VOID_SAID
 from roadtorch.data.corrections import Correction
@@ -20,7 +21,7 @@ from roadtorch.sources.pictures import Picture
 from roadtorch.train.arrays import Arrays, to_bytes, write_arrays
 from roadtorch.train.prepared import name_of
 from roadtorch.train.targets import Targets
-from roadtorch.working_size import at_picture_size, resized
+from roadtorch.working_size import at_picture_size
 
 HALF = 0.5
 """Share of a cell's pixels that have to be said before the cell counts as said."""
@@ -100,7 +101,7 @@ def said_planes(correction: Correction, size: tuple[int, int]) -> Arrays:
     planes = [road == value for value in (ROAD_SAID, NOT_ROAD, VOID_SAID)]
     planes += [layout == number for number in range(CLASSES)]
     planes.append(torch.from_numpy(correction.labels > 0))
-    return {"said": to_bytes(resized(torch.stack(planes).to(torch.float32), size).clamp(0, 1))}
+    return {"said": to_bytes(adaptive_avg_pool2d(torch.stack(planes).to(torch.float32), size))}
 
 
 def corrected_targets(targets: Targets, said: Tensor, weight: float) -> Targets:

@@ -18,9 +18,11 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.fusion import RoadCalibration
 from roadtorch.errors import ConfigError
 from roadtorch.evaluation.metrics import RoadCounts, count_levels, max_f
+from roadtorch.files import write_text
 from roadtorch.fusion import log_odds
 from roadtorch.image import read_image
 from roadtorch.otsu import otsu_threshold
+from roadtorch.settings import toml_lines
 
 LEVELS = 4096
 """Of the likelihoods that are counted."""
@@ -80,3 +82,22 @@ def _counts(one: SaidOdds, own: float) -> RoadCounts:
     """Corrected pixels by level of what the centre is compared with."""
     moved = one.odds - own * otsu_threshold(one.odds)
     return count_levels(moved.sigmoid(), one.road, one.known, LEVELS)
+
+
+def write_calibrated(path: Path, weights: Path, corrections: Sequence[Correction]) -> bool:
+    """Write a file for ``--config``: ``fusion`` with these weights and the centre that fits.
+
+    False, and nothing written, where people said of no pixel that it is road.
+    """
+    odds = said_odds(uncalibrated(weights), corrections)
+    if not odds:
+        return False
+    centre = fitted_centre(odds, RoadCalibration())
+    lines = [
+        f"# The centre fits {len(odds)} pictures that people corrected: not label-free.",
+        'detector = "fusion"',
+        *toml_lines({"weights": {"file": str(weights.resolve())}}),
+        *toml_lines({"calibration": {"centre": centre}}),
+    ]
+    write_text(path, "\n".join([*lines, ""]))
+    return True

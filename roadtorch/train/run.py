@@ -13,6 +13,7 @@ from tqdm import tqdm
 from roadtorch.data.corrections import Correction
 from roadtorch.errors import InputError, WeightsError
 from roadtorch.files import write_text
+from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import LayoutNetwork, fill, load_network, save_network
 from roadtorch.signals import stop_on_signals
 from roadtorch.sources.pictures import Picture, find_images
@@ -32,9 +33,13 @@ from roadtorch.train.loop import (
 from roadtorch.train.prepared import PreparedFolder, PreparedPicture
 from roadtorch.train.processes import join_processes
 from roadtorch.train.recipe import PreparedFiles, Recipe, recipe_of
+from roadtorch.train.road_centre import write_calibrated
 from roadtorch.version import __version__
 
 PREPARED, SAID = "prepared", "corrections"
+
+FUSION = "fusion.toml"
+"""A config for the detector ``fusion`` with the weights of a run with corrections."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +111,8 @@ class _Run:
         skipped = sum(item.file is None for item in prepared)
         if processes.any(stop.asked):
             return Outcome(None, stop.signal or SIGTERM, skipped)
-        files = PreparedFiles(self._usable(prepared), self._said(prepared))
+        people = self._people(prepared)
+        files = PreparedFiles(self._usable(prepared), self._said(people))
         progress = _progress_of(state, folder.path / CHECKPOINT) if state else TrainingProgress()
         while True:
             self._round(files, progress, state)
@@ -114,6 +120,7 @@ class _Run:
             if not progress.finished:
                 return Outcome(None, stop.signal or SIGTERM, skipped)
             if progress.round + 1 == self.recipe.rounds:
+                self._calibrate(list(people.values()))
                 return Outcome(folder.path / WEIGHTS, None, skipped)
             progress.begin_round(progress.round + 1)
 
@@ -128,15 +135,25 @@ class _Run:
             tqdm.write(text, file=sys.stderr)
         return files
 
-    def _said(self, prepared: Sequence[PreparedPicture]) -> dict[Path, Path]:
-        """What people said of the prepared pictures, each process with a copy of its own."""
-        files = {
+    def _people(self, prepared: Sequence[PreparedPicture]) -> dict[Path, Correction]:
+        """The corrections of the pictures that can be used, by the prepared file."""
+        return {
             item.file: self.corrections[item.name]
             for item in prepared
             if item.file is not None and item.name in self.corrections
         }
+
+    def _said(self, people: Mapping[Path, Correction]) -> dict[Path, Path]:
+        """What people said, at the network's size; each process has a copy of its own."""
         own = self.context.folder.path / SAID / f"process-{self.context.processes.rank}"
-        return keep_corrections(own, files, self.recipe.shrink) if files else {}
+        return keep_corrections(own, people, self.recipe.shrink) if people else {}
+
+    def _calibrate(self, people: Sequence[Correction]) -> None:
+        """A config of ``fusion`` beside the weights, where corrections say what road is."""
+        weights = self.context.folder.path / WEIGHTS
+        whole = self.config["kind"] == PictureNetwork.kind
+        if people and whole and self.context.processes.leads:
+            write_calibrated(weights.with_name(FUSION), weights, people)
 
     def _round(
         self, files: PreparedFiles, progress: TrainingProgress, state: dict[str, Any] | None
