@@ -7,8 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from click.testing import CliRunner
 
+from roadtorch.annotate.bringing import brought
+from roadtorch.annotate.work import open_work
+from roadtorch.cli.train import train as command_of_train
 from roadtorch.data.corrections import Correction
+from roadtorch.data.journal import JournalHead, journal_path
 from roadtorch.detectors.fusion import RoadCalibration
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.layout.weights import corrected_pictures, people_behind
@@ -28,7 +33,7 @@ from roadtorch.train.recipe import start_file
 from roadtorch.train.road_centre import SaidOdds, fitted_centre
 from roadtorch.train.run import FUSION, Request, train
 from roadtorch.train.targets import Targets
-from tests.train.runs import request_of, training_of
+from tests.train.runs import PATCHES, request_of, training_of, write_config
 
 UNTOUCHED, ROAD, NOT_ROAD, VOID, SKY = range(5)
 
@@ -153,6 +158,23 @@ def test_weights_say_that_people_corrected_pictures(
         values = read_settings_file(tmp_path / "run" / FUSION)
         assert values["detector"] == "fusion"
         assert values["weights"]["file"] == str(outcome.weights)
+
+
+def test_the_command_reads_what_annotate_kept(streets: Path, kept: Path, tmp_path: Path) -> None:
+    name, journals = "street_1.png", tmp_path / "corrections"
+    head = JournalHead(picture=f"elsewhere/{name}", user="ann", height=60, width=80)
+    open_work(journal_path(journals, name, "ann"), head).add(
+        brought(quarters(60, 80).astype(np.uint8))
+    )
+    config = write_config(tmp_path / "train.toml", PATCHES)
+    words = ["--config", config, "--images", streets, "--out", tmp_path / "run", "--quiet"]
+    words += ["--corrections", journals, "--pictures", streets]
+
+    result = CliRunner().invoke(command_of_train, [str(word) for word in words])
+
+    assert result.exit_code == 0, result.output
+    (told,) = people_behind(tmp_path / "run" / "weights.safetensors")
+    assert told["pictures"] == 1
 
 
 def test_what_goes_on_from_corrected_weights_is_not_label_free_either(
