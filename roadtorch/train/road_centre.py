@@ -3,8 +3,9 @@
 Few corrected pictures say well what parts road from background on their camera: it is one number.
 """
 
-import math
 from collections.abc import Iterable, Sequence
+from functools import reduce
+from operator import add
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ from roadtorch.detector import Detector
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.fusion import RoadCalibration
 from roadtorch.errors import ConfigError
-from roadtorch.evaluation.metrics import RoadCounts, count_levels, max_f
+from roadtorch.evaluation.metrics import RoadCounts, count_levels, f_curve
 from roadtorch.files import write_text
 from roadtorch.fusion import log_odds
 from roadtorch.image import read_image
@@ -27,8 +28,14 @@ from roadtorch.settings import toml_lines
 LEVELS = 4096
 """Of the likelihoods that are counted."""
 
-PRIOR = 3.0
-"""Pictures' worth of the centre that is the default: a few pictures do not move it all the way."""
+WITHIN = (1 / LEVELS, 1 - 1 / LEVELS)
+"""Likelihoods that are told apart from 0 and 1."""
+
+SPREAD = 1.5
+"""Standard deviation of the centre from camera to camera, log odds; ours, from a few cameras."""
+
+AS_GOOD = 0.002
+"""F that may be lost: of all centres within it of the best, the middle is taken."""
 
 
 class SaidOdds(NamedTuple):
@@ -57,25 +64,30 @@ def said_odds(detector: Detector, corrections: Iterable[Correction]) -> list[Sai
     return found
 
 
-def fitted_centre(
-    pictures: Sequence[SaidOdds], calibration: RoadCalibration, prior: float = PRIOR
-) -> float:
+def fitted_centre(pictures: Sequence[SaidOdds], calibration: RoadCalibration) -> float:
     """The centre with which F at 0.5 is highest on corrected pixels, all pictures together.
 
-    Drawn to the default by ``prior`` pictures. Raises ConfigError without a pixel of road, and
-    where each picture's own threshold leaves nothing to choose.
+    Drawn to the default as far as the pictures' own centres differ (empirical Bayes; Efron and
+    Morris, 1973): few or unlike pictures move it little. Raises ConfigError without a pixel of
+    road, and where each picture's own threshold leaves nothing to choose.
     """
     if not pictures or calibration.own >= 1:
         raise ConfigError("corrections", "say of no pixel that it is road", "correct some more")
-    counts = sum(
-        (_counts(one, calibration.own) for one in pictures),
-        RoadCounts(torch.zeros(LEVELS, dtype=torch.int64), torch.zeros(LEVELS, dtype=torch.int64)),
-    )
-    level = min(max(float(max_f(counts)[1]), 1 / LEVELS), 1 - 1 / LEVELS)
-    best = math.log(level / (1 - level)) / (1 - calibration.own)
-    count = len(pictures)
-    centre = (count * best + prior * calibration.centre) / (count + prior)
-    return round(min(max(centre, -20), 20), 3)
+    counts = [_counts(one, calibration.own) for one in pictures]
+    total = reduce(add, counts)
+    each = torch.tensor([best_centre(one) for one in counts]) / (1 - calibration.own)
+    doubt = float(each.var()) / len(each) if len(each) > 1 else SPREAD**2
+    trusted = SPREAD**2 / (SPREAD**2 + doubt)
+    best = best_centre(total) / (1 - calibration.own)
+    return round(trusted * best + (1 - trusted) * calibration.centre, 3)
+
+
+def best_centre(counts: RoadCounts) -> float:
+    """The log odds, in the middle of those as good, from which on road is best told."""
+    curve = f_curve(counts)
+    good = (curve >= curve.max() - AS_GOOD).nonzero()[:, 0].double() / (counts.levels - 1)
+    low, high = (torch.logit(end.clamp(*WITHIN)) for end in (good[0], good[-1]))
+    return float((low + high) / 2)
 
 
 def _counts(one: SaidOdds, own: float) -> RoadCounts:

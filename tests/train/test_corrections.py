@@ -16,6 +16,7 @@ from roadtorch.data.corrections import Correction
 from roadtorch.data.journal import JournalHead, journal_path
 from roadtorch.detectors.fusion import RoadCalibration
 from roadtorch.errors import ConfigError, InputError
+from roadtorch.evaluation.metrics import count_levels
 from roadtorch.layout.weights import corrected_pictures, people_behind
 from roadtorch.settings import read_settings_file
 from roadtorch.train.config import Training
@@ -30,7 +31,7 @@ from roadtorch.train.corrections import (
     told_of,
 )
 from roadtorch.train.recipe import start_file
-from roadtorch.train.road_centre import SaidOdds, fitted_centre
+from roadtorch.train.road_centre import SaidOdds, best_centre, fitted_centre
 from roadtorch.train.run import FUSION, Request, train
 from roadtorch.train.targets import Targets
 from tests.train.runs import PATCHES, request_of, training_of, write_config
@@ -234,7 +235,17 @@ def test_the_centre_is_where_people_part_road_from_background() -> None:
     seen = SaidOdds(odds, odds > 1.5, known)
     plain = RoadCalibration(own=0)
 
-    assert fitted_centre([seen], plain, prior=0) == pytest.approx(1.5, abs=0.05)
-    assert fitted_centre([seen] * 3, plain, prior=3) == pytest.approx((1.5 - 0.75) / 2, abs=0.05)
+    alike, unlike = SaidOdds(odds, odds > 1.4, known), SaidOdds(odds, odds > -3, known)
+
+    assert fitted_centre([seen, seen, alike], plain) == pytest.approx(1.45, abs=0.06)
+    assert fitted_centre([seen], plain) == pytest.approx((1.5 - 0.75) / 2, abs=0.05)
+    doubtful = fitted_centre([seen, unlike], plain)
+    assert abs(doubtful + 0.75) < abs(best_centre_of([seen, unlike]) + 0.75)
     with pytest.raises(ConfigError, match="no pixel"):
         fitted_centre([], plain)
+
+
+def best_centre_of(pictures: list[SaidOdds]) -> float:
+    """Without the pull to the default: of one picture made of all."""
+    both = [torch.cat(parts) for parts in zip(*pictures, strict=True)]
+    return best_centre(count_levels(both[0].sigmoid(), both[1], both[2], 4096))
