@@ -47,7 +47,7 @@ def random_pictures(
     return [one for one in order if one not in corrected][:count]
 
 
-def least_trusted(
+def least_trust_first(
     candidates: Candidates, corrected: Collection[int], count: int, seed: int = 0
 ) -> list[int]:
     """Those with the least trust, each another scene than those corrected or before it.
@@ -108,7 +108,7 @@ def unlike(
 
 
 RULES: Mapping[str, Rule] = {
-    "least-trust": least_trusted,
+    "least-trust": least_trust_first,
     "random": random_pictures,
     "different": most_different,
 }

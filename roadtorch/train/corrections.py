@@ -55,7 +55,7 @@ def corrections_by_picture(
     return found
 
 
-def told_of(corrections: Mapping[str, Correction]) -> dict[str, Any] | None:
+def corrections_told(corrections: Mapping[str, Correction]) -> dict[str, Any] | None:
     """What is kept of the corrections that a run uses; None without any.
 
     pictures, people and pixels: how many. sha256: of all that was said.

@@ -20,7 +20,7 @@ from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.train.average import AverageWeights
 from roadtorch.train.cards import card_of, corrections_behind
 from roadtorch.train.config import Training, as_values
-from roadtorch.train.corrections import corrections_by_picture, keep_corrections, told_of
+from roadtorch.train.corrections import corrections_by_picture, corrections_told, keep_corrections
 from roadtorch.train.folder import CHECKPOINT, NO_CHECKPOINT, WEIGHTS, RunFolder, config_hash
 from roadtorch.train.loop import (
     RunContext,
@@ -80,7 +80,7 @@ def train(training: Training, request: Request) -> Outcome:
         config = as_values(training)
         recipe = recipe_of(training)
         corrections = corrections_by_picture(pictures, request.corrections)
-        told = told_of(corrections)
+        told = corrections_told(corrections)
         folder.begin(config, pictures, told, request.resume)
         state = folder.read_checkpoint()
         processes.gather(None)  # all have looked before the first one writes

@@ -25,10 +25,10 @@ from roadtorch.train.corrections import (
     corrected_shares,
     corrected_sites,
     corrected_targets,
+    corrections_told,
     repeated,
     said_layout,
     said_planes,
-    told_of,
 )
 from roadtorch.train.recipe import start_file
 from roadtorch.train.road_centre import SaidOdds, best_centre, fitted_centre
@@ -215,8 +215,8 @@ def test_corrections_of_other_pictures_are_refused(
 
 
 def test_nothing_is_told_without_corrections_and_all_that_was_said_counts() -> None:
-    assert told_of({}) is None
-    one, other = (told_of({"a.png": correction(quarters() * factor)}) for factor in (1, 0))
+    assert corrections_told({}) is None
+    one, other = (corrections_told({"a.png": correction(quarters() * factor)}) for factor in (1, 0))
     assert one is not None
     assert other is not None
     assert one["sha256"] != other["sha256"]
