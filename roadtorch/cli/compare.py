@@ -128,7 +128,7 @@ def _disagree(
     out = context.params["out"]
     dataset = every_kth(unlabelled_set(find_images(images, out)), limit)
     seen = tqdm(
-        disagreements(dataset, *rivals),
+        disagreements(dataset, rivals[0], rivals[1]),
         total=len(dataset.items),
         unit="image",
         disable=True if quiet else None,
@@ -140,7 +140,7 @@ def _disagree(
         click.echo(f"failed: {one.image}: {one.reason}", err=True)
     if not found:
         raise InputError(images[0], "has no picture that both could look at", "see above")
-    rivalry = Rivalry(dataset, *rivals, worst_first(found), failures)
+    rivalry = Rivalry(dataset, rivals[0], rivals[1], worst_first(found), failures)
     click.echo(rivalry_text(rivalry))
     if out is not None:
         write_rivalry(out, rivalry, worst, command_line(context))

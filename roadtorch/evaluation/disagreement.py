@@ -48,11 +48,14 @@ def unlabelled_set(pictures: Iterable[Picture]) -> Dataset:
 
 def disagreement(item: Item, first: Tensor, second: Tensor) -> Disagreement:
     """What two masks bool (H,W) of one picture differ in."""
-    only_first, only_second = (
-        float(one.double().mean()) for one in (first & ~second, second & ~first)
-    )
-    shares = (float(one.double().mean()) for one in (first, second))
-    return Disagreement(item, only_first + only_second, *shares, only_first, only_second)
+    only_first, only_second = share_of(first & ~second), share_of(second & ~first)
+    differs = only_first + only_second
+    return Disagreement(item, differs, share_of(first), share_of(second), only_first, only_second)
+
+
+def share_of(mask: Tensor) -> float:
+    """The share of a mask bool (H,W) that is set."""
+    return float(mask.double().mean())
 
 
 def disagreements(

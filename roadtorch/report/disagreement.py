@@ -62,10 +62,10 @@ def _percent(share: float) -> str:
 
 def write_rivalry(out: Path, rivalry: Rivalry, worst: int, command: str = "") -> None:
     """Write disagreement.html with the ``worst`` first pictures, and disagreement.csv with all."""
-    rows = [
-        dict(zip(COLUMNS, (one.item.name, *(f"{v:.6f}" for v in _figures(one)), "ok"), strict=True))
-        for one in rivalry.found
-    ]
+    rows: list[dict[str, str]] = []
+    for one in rivalry.found:
+        cells = [one.item.name, *(f"{value:.6f}" for value in _figures(one)), "ok"]
+        rows.append({str(name): cell for name, cell in zip(COLUMNS, cells, strict=True)})
     rows += [{"image": one.image, "status": one.reason} for one in rivalry.failures]
     write_text(out / "disagreement.csv", csv_text(COLUMNS, rows))
     page = template("disagreement.html").render(

@@ -122,7 +122,8 @@ class PatchRecipe:
 
     def shrink(self, correction: Correction) -> Arrays:
         """The layout that people named, at working size."""
-        size = working_size(*correction.labels.shape, self._training.network.working)
+        height, width = correction.labels.shape
+        size = working_size(height, width, self._training.network.working)
         return said_layout(correction, size)
 
     def network(self, number: int, last: LayoutNetwork | None) -> LayoutNetwork:
@@ -136,7 +137,7 @@ class PatchRecipe:
         self, files: PreparedFiles, number: int, last: LayoutNetwork | None, context: RunContext
     ) -> PatchSamples:
         """The varied patches of the pictures; corrected ones are visited more often."""
-        often = repeated(*files, self._training.corrections.share)
+        often = repeated(files.files, files.said, self._training.corrections.share)
         return PatchSamples(often, self._training, context.processes, files.said)
 
 
