@@ -9,7 +9,8 @@ layout. The rest of the pool has machine labels. IDD: 150 pictures of the pool a
 CamVid drive: the pool is its first part, the test begins 60 s after it (0001TP lasts 61 s in all,
 so it was for choosing settings and is not reported). A folder of many/: every second picture; they
 are no recordings. A line a run is appended to OUT/runs.jsonl, and what is there is not run again;
-``--budget`` ends after so many minutes with the run that is under way.
+``--budget`` starts no run after so many minutes. CNN-7: ``--config configs/corrections-cnn7.toml
+--label cnn-7``; its "road head" is the detector itself.
 """
 
 import argparse
@@ -38,10 +39,12 @@ from roadtorch.evaluation.metrics import Decisions, RoadCounts
 from roadtorch.evaluation.scoring import read_scene
 from roadtorch.layout.weights import shipped_weights
 from roadtorch.settings import merge, parse_assignments, read_settings_file
-from roadtorch.train.config import build_training
+from roadtorch.train.config import Training, build_training
 from roadtorch.train.run import FUSION, Request, train
 
 CONFIG = Path(__file__).parents[1] / "configs" / "corrections.toml"
+DETECTORS = {"pictures": ("fusion", "layout"), "patches": ("layout:cnn-7", "cnn-7")}
+"""The detector that is scored, and the weights of no correction, by the kind of training."""
 COUNTS, DRAWS = (5, 10, 20, 50), 5
 GAP = 60.0  # seconds between the last picture that may be corrected and the first of the test
 RATE = 30.0  # CamVid's frames a second
@@ -114,6 +117,7 @@ class Study:
     """Where runs are kept, with which settings they train, and what they are called."""
 
     out: Path
+    config: Path
     assignments: Sequence[str]
     label: str
 
@@ -134,13 +138,17 @@ class Study:
         key = {"curve": curve.name, "label": self.label, "rule": rule, "n": count, "draw": draw}
         places = RULES[rule](self.candidates(curve), [], count, draw) if count else []
         people = [corrected(curve.dataset, curve.pool[place]) for place in places]
-        weights, centre = shipped_weights("layout"), RoadCalibration().centre
+        values = merge(read_settings_file(self.config), parse_assignments(self.assignments))
+        training = build_training(merge(values, {"random_seed": draw}))
+        detector, shipped = DETECTORS[training.name]
+        weights, centre = shipped_weights(shipped), RoadCalibration().centre
         if people:
-            weights = self._trained(curve, people, draw)
+            weights = self._trained(curve, people, training)
+        own: dict[str, Any] = {"weights": {"file": str(weights)}}
+        found = moved = score(load_detector(detector, **own), curve)
+        if people and training.name == "pictures":
             centre = read_settings_file(weights.with_name(FUSION))["calibration"]["centre"]
-        values: dict[str, Any] = {"weights": {"file": str(weights)}}
-        found = score(load_detector("fusion", **values), curve)
-        moved = score(load_detector("fusion", **values, calibration={"centre": centre}), curve)
+            moved = score(load_detector(detector, **own, calibration={"centre": centre}), curve)
         line = {**key, "centre": centre, **found, "f_centre": moved["f"]}
         line |= {"counts_centre": moved["counts"], "corrected": [one.name for one in people]}
         line["seconds"] = round(time.monotonic() - start, 1)
@@ -148,17 +156,18 @@ class Study:
             file.write(json.dumps(line) + "\n")
         print(*key.values(), *(f"{name} {line[name]:.4f}" for name in SHOWN), flush=True)
 
-    def _trained(self, curve: Curve, people: Sequence[Correction], draw: int) -> Path:
-        values = merge(read_settings_file(CONFIG), parse_assignments(self.assignments))
-        training = build_training(merge(values, {"random_seed": draw}))
+    def _trained(self, curve: Curve, people: Sequence[Correction], training: Training) -> Path:
         pictures, out = self._pictures(curve), self.out / "run"
         if out.exists():
             rmtree(out)  # of the last run of this script; its line is kept
-        request = Request(str(pictures), out, False, self.out / curve.name / "prepared", True)
+        request = Request(str(pictures), out, False, self._prepared(curve, training), True)
         outcome = train(training, Request(**{**vars(request), "corrections": people}))
         if outcome.weights is None:
             raise KeyboardInterrupt
         return outcome.weights
+
+    def _prepared(self, curve: Curve, training: Training) -> Path:
+        return self.out / curve.name / f"prepared-{training.name}"
 
     def _pictures(self, curve: Curve) -> Path:
         """A folder with links to the pool."""
@@ -196,7 +205,7 @@ def score(detector: Detector, curve: Curve) -> dict[str, Any]:
     for item in curve.test:
         scene = read_scene(curve.dataset, item)
         truth, found = scene.truth, detector.detect(scene.image)
-        learned = found.cues["learned_road"]
+        learned = found.cues.get("learned_road", found.likelihood)
         for kept, likelihood in ((maps, found.likelihood), (head, learned)):
             kept.append(metrics.count_levels(likelihood, truth.road, truth.valid, LEVELS))
         counts.append(metrics.count_mask(found.mask, truth.road, truth.valid))
@@ -267,10 +276,11 @@ def main() -> None:
     parser.add_argument("--counts", nargs="+", type=int, default=COUNTS)
     parser.add_argument("--draws", type=int, default=DRAWS)
     parser.add_argument("--budget", type=float, default=1e9, help="minutes")
+    parser.add_argument("--config", type=Path, default=CONFIG, help="of training")
     parser.add_argument("--set", dest="assignments", nargs="+", default=[], help="of training")
     parser.add_argument("--label", default="", help="name of the settings, where they are tried")
     given = parser.parse_args()
-    study = Study(given.out, given.assignments, given.label)
+    study = Study(given.out, given.config, given.assignments, given.label)
     if given.what == "table":
         print(table(study.done()))
         return
