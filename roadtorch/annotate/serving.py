@@ -13,6 +13,7 @@ import pydantic
 from pydantic import Field
 
 from roadtorch.annotate.machine import AnnotationSettings
+from roadtorch.annotate.order import PictureOrder
 from roadtorch.annotate.pictures import PictureFolder
 from roadtorch.annotate.session import Session, look_at_all
 from roadtorch.annotate.views import VIEWS, ViewStore
@@ -88,14 +89,18 @@ def _bound(port: int) -> socket.socket | None:
 
 
 def opened_session(
-    folder: Path, out: Path, detector: Detector, settings: AnnotationSettings | None = None
+    folder: Path,
+    out: Path,
+    detector: Detector,
+    settings: AnnotationSettings | None = None,
+    order: PictureOrder | None = None,
 ) -> Session:
     """A session for a folder; DatasetError where a journal in ``out`` cannot be read."""
     settings = settings or AnnotationSettings()
     for path in find_journals(out):
         read_journal(path)
     views = ViewStore(out / VIEWS, lambda: detector, settings)
-    return Session(PictureFolder(folder, out), views, out, settings)
+    return Session(PictureFolder(folder, out), views, out, settings, order=order)
 
 
 @dataclass

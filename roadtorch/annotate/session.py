@@ -20,6 +20,7 @@ from roadtorch.annotate.machine import (
     said_of_segments,
     shown_road,
 )
+from roadtorch.annotate.order import PictureOrder
 from roadtorch.annotate.pictures import PictureFolder
 from roadtorch.annotate.views import ViewStore
 from roadtorch.annotate.work import Work, open_work
@@ -43,13 +44,17 @@ def checked_user(user: str) -> str:
 
 @dataclass
 class Session:
-    """What the page asks for. pictures: their folder; views: the machine's; out: the journals."""
+    """What the page asks for. pictures: their folder; views: the machine's; out: the journals.
+
+    order: in which pictures are offered; None for the least trust first.
+    """
 
     pictures: PictureFolder
     views: ViewStore
     out: Path
     settings: AnnotationSettings
     trusts: dict[str, float] = field(default_factory=dict)
+    order: PictureOrder | None = None
     _works: OrderedDict[tuple[str, str], Work] = field(default_factory=OrderedDict, repr=False)
     _lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
     _summaries: dict[Path, tuple[int, int, bool, int]] = field(default_factory=dict, repr=False)
@@ -57,11 +62,17 @@ class Session:
     # --- what there is ------------------------------------------------------------------
 
     def listing(self) -> list[dict[str, Any]]:
-        """Every picture: its name, trust if known, and each person's acts and verdict."""
-        work = self._work_by_picture()
+        """Every picture: its name, trust and turn if known, each person's acts and verdict."""
+        work, names = self._work_by_picture(), self.pictures.names()
+        turns = self.order.turns(names, self.trusts, work) if self.order else {}
         return [
-            {"name": name, "trust": self._trust(name), "users": work.get(name, {})}
-            for name in self.pictures.names()
+            {
+                "name": name,
+                "trust": self._trust(name),
+                "turn": turns.get(name),
+                "users": work.get(name, {}),
+            }
+            for name in names
         ]
 
     def _trust(self, name: str) -> float | None:
@@ -214,7 +225,10 @@ def look_at_all(session: Session, stop: threading.Event) -> None:
 
 def _trust_of(session: Session, name: str) -> float:
     """The trust of a picture, looked at now if it was not; NaN where the detector gives none."""
-    trust = session.views.trust(name, session.pictures.path(name))
+    path = session.pictures.path(name)
+    if session.order is not None:
+        session.order.look(name, path, session.view(name))
+    trust = session.views.trust(name, path)
     if trust is None:
         seen = session.view(name).trust
         trust = np.nan if seen is None else seen

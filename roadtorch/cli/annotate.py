@@ -6,6 +6,8 @@ import click
 
 from roadtorch.cli.options import CONFIG, ONE_DETECTOR, PATH, SETTING
 
+ORDERS = ("least-trust", "random", "different")
+
 FORMATS = ("labelme", "xml", "png", "cvat", "label-studio")
 
 
@@ -13,6 +15,13 @@ FORMATS = ("labelme", "xml", "png", "cvat", "label-studio")
 @click.argument("folder", type=PATH)
 @click.option("--out", type=PATH, help="Where corrections are kept. [FOLDER/corrections]")
 @click.option("--port", type=click.IntRange(1, 65535), help="Port of the page. [a free one]")
+@click.option(
+    "--order",
+    type=click.Choice(ORDERS),
+    default=ORDERS[0],
+    show_default=True,
+    help="Which picture comes next; different: most unlike those corrected.",
+)
 @ONE_DETECTOR
 @SETTING
 @CONFIG
@@ -28,6 +37,7 @@ def annotate(
     folder: Path,
     out: Path | None,
     port: int | None,
+    order: str,
     detector: str | None,
     assignments: tuple[str, ...],
     config: Path | None,
@@ -53,7 +63,7 @@ def annotate(
     elif imported:
         _import(context, out, folder, imported, _given(origin, "--from"), user)
     else:
-        _serve(context, folder, out, port, (detector, assignments, config))
+        _serve(context, folder, out, port, order, (detector, assignments, config))
 
 
 def _given(path: Path | None, option: str) -> Path:
@@ -87,8 +97,10 @@ def _serve(
     folder: Path,
     out: Path,
     port: int | None,
+    order: str,
     choice: tuple[str | None, tuple[str, ...], Path | None],
 ) -> None:
+    from roadtorch.annotate.order import PictureOrder
     from roadtorch.annotate.serving import opened_session, page_server
     from roadtorch.cli import config as configuration
     from roadtorch.cli.claim import claimed
@@ -99,7 +111,7 @@ def _serve(
     count = len(find_images([folder], out))
     name, values = configuration.chosen_detector(detector, config, assignments, None)
     context.with_resource(claimed(out))
-    session = opened_session(folder, out, load_detector(name, **values))
+    session = opened_session(folder, out, load_detector(name, **values), order=PictureOrder(order))
     server = page_server(session, port)
     click.echo(f"{count} pictures; corrections are kept in {out}")
     click.echo(f"Open {server.address.url}  (Ctrl-C ends it)")

@@ -20,6 +20,7 @@ from roadtorch.version import __version__
 COMMANDS = {
     "annotate": ("roadtorch.cli.annotate:annotate", "Correct machine labels in a page."),
     "camera": ("roadtorch.cli.camera:camera", "Find what stays the same in one camera's footage."),
+    "compare": ("roadtorch.cli.compare:compare", "Compare two weights, configs or map folders."),
     "detectors": ("roadtorch.cli.detectors:detectors", "List the detectors, or explain one."),
     "evaluate": ("roadtorch.cli.evaluate:evaluate", "Score detectors on labelled pictures."),
     "export": ("roadtorch.cli.export:export", "Write a network as a file that needs no Python."),

@@ -20,7 +20,7 @@ from roadtorch.cli.threads import Threads
 from roadtorch.detector import Detector
 from roadtorch.errors import RoadtorchError
 from roadtorch.files import digest_of, write_json
-from roadtorch.layout.weights import tensors_hash
+from roadtorch.layout.weights import corrected_pictures, tensors_hash
 from roadtorch.signals import Terminated
 from roadtorch.version import __version__
 
@@ -60,11 +60,13 @@ class RunRecord:
     def _document(self, started: str, status: int) -> dict[str, object]:
         rows = read_index(self.folder / INDEX)
         own = [rows[file] for file in self.files if file in rows]
+        settings = self.detector.settings.model_dump(mode="json")
         return {
             "versions": versions(),
             "command": shlex.join(["roadtorch", *sys.argv[1:]]),
             "detector": self.detector.name,
-            "settings": self.detector.settings.model_dump(mode="json"),
+            "settings": settings,
+            "corrected_pictures": corrected_pictures(settings),
             "weights_sha256": tensors_hash(self.detector.state_dict()),
             "threads": vars(Threads.of_now()),
             "options": self.given,

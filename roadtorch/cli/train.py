@@ -12,6 +12,8 @@ from roadtorch.cli.options import PATH, SETTING
 @click.option("--config", type=PATH, required=True, help="TOML file: what is trained, and how.")
 @click.option("--images", required=True, help="Folder, file or quoted glob of pictures.")
 @click.option("--out", type=PATH, required=True, help="Folder of this run.")
+@click.option("--corrections", type=PATH, help="What roadtorch annotate kept: it counts as truth.")
+@click.option("--pictures", type=PATH, help="Folder of the corrected pictures, if it moved.")
 @click.option("--resume", is_flag=True, help="Go on with the run in --out.")
 @SETTING
 @click.option(
@@ -27,6 +29,8 @@ def train(
     config: Path,
     images: str,
     out: Path,
+    corrections: Path | None,
+    pictures: Path | None,
     resume: bool,
     assignments: tuple[str, ...],
     prepared: Path | None,
@@ -35,6 +39,9 @@ def train(
 ) -> None:
     """Train a layout network on machine labels of pictures that nobody labelled.
 
+    With --corrections, what people said of some of them counts as truth; then the weights and
+    the card beside them say so, and what they find is not label-free.
+
     \b
     The folder --out gets
       weights.safetensors  the network; also after an interruption, as far as it is
@@ -42,9 +49,11 @@ def train(
       pictures.csv         which pictures were used, and why others were not
       checkpoint.pt        where --resume goes on; Ctrl-C and SIGTERM leave one
       prepared/            small copies of the pictures with their labels, made once
+      weights.md           with --corrections: the card that says so
     """
     import torch
 
+    from roadtorch.data.corrections import read_corrections
     from roadtorch.settings import merge, parse_assignments, read_settings_file
     from roadtorch.train.config import build_training
     from roadtorch.train.run import Request
@@ -55,7 +64,8 @@ def train(
     leads = os.environ.get("RANK", "0") == "0"  # torchrun numbers its processes
     values = merge(read_settings_file(config), parse_assignments(assignments))
     training = build_training(values)
-    outcome = run(training, Request(images, out, resume, prepared, quiet))
+    said = read_corrections(corrections, pictures) if corrections else []
+    outcome = run(training, Request(images, out, resume, prepared, quiet, said))
     if outcome.interrupted:
         if leads:
             text = f"roadtorch: stopped by {outcome.interrupted.name}; go on with --resume"

@@ -63,13 +63,7 @@ def read_corrections(folder: Path, pictures: Path | None = None) -> list[Correct
     else the journals know. Pictures on which every stroke was taken back are left out. Raises
     DatasetError for a folder without journals, and for a broken one.
     """
-    by_picture: dict[str, list[tuple[Path, Journal]]] = defaultdict(list)
-    for path in find_journals(folder):
-        journal = read_journal(path)
-        name = path.relative_to(folder).as_posix().removesuffix(f".{journal.head.user}{ENDING}")
-        by_picture[name].append((path, journal))
-    if not by_picture:
-        raise DatasetError(folder, "holds no corrections", "make some with roadtorch annotate")
+    by_picture = journals_by_picture(folder)
     found = []
     for name, journals in sorted(by_picture.items()):
         known = folder / journals[0][1].head.picture
@@ -77,6 +71,18 @@ def read_corrections(folder: Path, pictures: Path | None = None) -> list[Correct
         correction = corrected(picture, name, journals)
         if (correction.labels > 0).any():
             found.append(correction)
+    return found
+
+
+def journals_by_picture(folder: Path) -> dict[str, list[tuple[Path, Journal]]]:
+    """The journals below a folder by the picture's name with ending; DatasetError without any."""
+    found: dict[str, list[tuple[Path, Journal]]] = defaultdict(list)
+    for path in find_journals(folder):
+        journal = read_journal(path)
+        name = path.relative_to(folder).as_posix().removesuffix(f".{journal.head.user}{ENDING}")
+        found[name].append((path, journal))
+    if not found:
+        raise DatasetError(folder, "holds no corrections", "make some with roadtorch annotate")
     return found
 
 

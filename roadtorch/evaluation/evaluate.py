@@ -60,6 +60,24 @@ def evaluate(
     """
     contenders = contenders_for(dataset, detectors, settings or {}, maps or {}, mean_from)
     given = earlier_thresholds(threshold_from, contenders) if threshold_from else {}
+    return evaluated(dataset, contenders, given, limit, against, measures, jobs, keep_in, watch)
+
+
+def evaluated(
+    dataset: Dataset,
+    contenders: Sequence[Contender],
+    given: Mapping[str, float],
+    limit: int | None = None,
+    against: str | None = None,
+    measures: Sequence[Measure] = MEASURES,
+    jobs: int = 1,
+    keep_in: Path | None = None,
+    watch: Watch = unwatched,
+) -> Evaluation:
+    """Score contenders as they are; given: thresholds of earlier runs by contender and drive.
+
+    The rest, and what it raises, as for ``evaluate``.
+    """
     names = [one.name for one in contenders]
     comparison.check_against(names, against)
     pictures = every_kth(dataset, limit)

@@ -94,6 +94,23 @@ def read_origin(path: str | os.PathLike[str]) -> dict[str, Any]:
     return _read(Path(path))[0]["origin"]
 
 
+def people_behind(path: str | os.PathLike[str]) -> list[Mapping[str, Any]]:
+    """The corrections of people that weights were trained with, run by run; none: label-free.
+
+    Each says how many ``pictures``, ``people`` and ``pixels``. WeightsError as for
+    ``load_network``.
+    """
+    found = read_origin(path).get("corrections")
+    return [one for one in found if isinstance(one, dict)] if isinstance(found, list) else []
+
+
+def corrected_pictures(settings: Mapping[str, Any]) -> int:
+    """How many pictures that people corrected are behind a detector's settings; 0: label-free."""
+    weights = settings.get("weights")
+    file = weights.get("file") if isinstance(weights, Mapping) else None
+    return sum(int(one.get("pictures", 0)) for one in people_behind(file)) if file else 0
+
+
 def fill(network: nn.Module, tensors: Mapping[str, Tensor], path: str | os.PathLike[str]) -> None:
     """Give a network its weights.
 

@@ -87,6 +87,20 @@ class Sites(Settings):
     )
 
 
+class PeoplesShare(Settings):
+    """What corrections of people count against machine labels, where a run is given some."""
+
+    weight: float = Field(
+        default=1.0, gt=0, le=100, description="of a corrected pixel; a machine's counts 1 or less"
+    )
+    share: float = Field(
+        default=0.5,
+        gt=0,
+        le=1,
+        description="of the visits that go to corrected pictures, while there are others",
+    )
+
+
 class Beginning(Settings):
     """Where every training begins."""
 
@@ -94,8 +108,11 @@ class Beginning(Settings):
 
     random_seed: int = Field(default=0, ge=0, le=2**31, description="of everything that is drawn")
     start: str = Field(
-        default="", description="weight file of the same network to start from; none: new weights"
+        default="",
+        description="weight file of the same network to start from, or the name of one that is "
+        "shipped, such as layout; none: new weights",
     )
+    corrections: PeoplesShare = PeoplesShare()
 
 
 class PatchTraining(Beginning):
@@ -303,6 +320,9 @@ class PictureTraining(Beginning):
     shadows: Shadows = Shadows()
     nights: Nights = Nights()
     heads: HeadWeights = HeadWeights()
+    visits: int = Field(
+        default=0, ge=0, le=10**7, description="pictures of an epoch; 0: as many as there are"
+    )
     descent: Descent = Descent(method="adam", rate=0.003, schedule="cosine", batch=16)
     stopping: Stopping = Stopping(epochs=15, rule="epochs")
 

@@ -62,11 +62,17 @@ class RunFolder:
         """The folder of what the network of the round before says, for round ``number``."""
         return self.path / f"{LABELS}{number + 1}"
 
-    def begin(self, config: Mapping[str, Any], pictures: Sequence[Picture], resume: bool) -> None:
+    def begin(
+        self,
+        config: Mapping[str, Any],
+        pictures: Sequence[Picture],
+        corrections: Mapping[str, Any] | None,
+        resume: bool,
+    ) -> None:
         """Check that this run may write here; nothing is written yet.
 
-        A fresh run wants a folder without files of ours; ``resume`` wants the same settings
-        and pictures as before, or an empty folder. Raises ConfigError, InputError.
+        A fresh run wants a folder without files of ours; ``resume`` wants the same settings,
+        pictures and corrections as before, or an empty folder. Raises ConfigError, InputError.
         """
         record = self._record()
         if record is None:
@@ -82,8 +88,17 @@ class RunFolder:
         if record["pictures"] != pictures_hash(pictures):
             what = "holds a run on other pictures"
             raise ConfigError(self.path, what, "give the same --images, or another --out")
+        if record.get("corrections") != corrections:
+            what = "holds a run with other corrections"
+            raise ConfigError(self.path, what, "give the same --corrections, or another --out")
 
-    def claim(self, config: Mapping[str, Any], pictures: Sequence[Picture], version: str) -> None:
+    def claim(
+        self,
+        config: Mapping[str, Any],
+        pictures: Sequence[Picture],
+        corrections: Mapping[str, Any] | None,
+        version: str,
+    ) -> None:
         """Remove what killed runs left half-written, and write what this one was told."""
         remove_leftovers([self.path, *self.path.glob(f"{LABELS}*")])
         record = {
@@ -92,6 +107,7 @@ class RunFolder:
             "config_sha256": config_hash(config),
             "count": len(pictures),
             "pictures": pictures_hash(pictures),
+            "corrections": corrections,
         }
         write_text(self.path / RUN, json.dumps(record, indent=1) + "\n")
 

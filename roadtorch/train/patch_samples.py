@@ -3,8 +3,9 @@
 P2, section 3.1: squared error to the label; no hard examples.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import torch
 from torch import Tensor, nn
@@ -15,6 +16,7 @@ from roadtorch.layout.normalisation import normalise
 from roadtorch.train.arrays import from_bytes, read_arrays
 from roadtorch.train.batches import Batch
 from roadtorch.train.config import PatchTraining
+from roadtorch.train.corrections import LabelledSites, corrected_sites
 from roadtorch.train.generators import JITTER, PATCH_ORDER, SITES, generator_at
 from roadtorch.train.patches import Draw, add_noise, cut_patches, draw_jitter, draw_noise
 from roadtorch.train.processes import Processes
@@ -32,9 +34,13 @@ class PatchSamples:
     """
 
     def __init__(
-        self, files: Sequence[Path], training: PatchTraining, processes: Processes
+        self,
+        files: Sequence[Path],
+        training: PatchTraining,
+        processes: Processes,
+        said: Mapping[Path, Path] = MappingProxyType({}),
     ) -> None:
-        self._files = files
+        self._files, self._said = files, said
         self._training = training
         self._processes = processes
         self._weights = class_weights(files, training)
@@ -55,13 +61,13 @@ class PatchSamples:
         members = order[group * training.mix :][: training.mix].tolist()
         sites = [self._sites_of(member, epoch, visit) for member in members]
         generator = generator_at(training.random_seed, JITTER, epoch, chunk)
-        centres, classes = (torch.cat(parts) for parts in zip(*sites, strict=True))
+        centres, classes, counts = (torch.cat(parts) for parts in zip(*sites, strict=True))
         draw = draw_jitter(centres, training.jitter, generator)
         noises = draw_noise(training.network.topology.patch, generator)
         shuffled = torch.randperm(len(classes), generator=generator)
         steps = shuffled.tensor_split(max(1, round(len(classes) / training.descent.batch)))
         picture = torch.arange(len(members)).repeat_interleave(
-            torch.tensor([len(part) for _, part in sites])
+            torch.tensor([len(part) for _, part, _ in sites])
         )
         mine = torch.cat([self._mine(step) for step in steps])
         by_picture = picture[mine].argsort(stable=True)
@@ -69,10 +75,11 @@ class PatchSamples:
         place, at = by_picture.argsort(), 0
         for step in steps:
             count = len(self._mine(step))
-            targets = classes[mine[at : at + count]].long()
+            own = mine[at : at + count]
+            targets = classes[own].long()
             part = self._room.index_select(0, place[at : at + count])
             if len(step):
-                yield Batch(part, targets, self._weights[targets], len(step))
+                yield Batch(part, targets, self._weights[targets] * counts[own], len(step))
             at += count
 
     def _cut(self, members: list[int], picture: Tensor, draw: Draw, noises: Tensor) -> None:
@@ -89,12 +96,16 @@ class PatchSamples:
                     own, room = draw.at(index), self._room[index[0] : index[-1] + 1]
                     add_noise(cut_patches(pixels, own, patch), own, noises, gain, room)
 
-    def _sites_of(self, member: int, epoch: int, visit: int) -> tuple[Tensor, Tensor]:
-        """Centres (n,2) and classes (n,) of one picture at one visit in an epoch."""
+    def _sites_of(self, member: int, epoch: int, visit: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Centres (n,2), classes and weights (n,) of one picture at one visit in an epoch."""
         arrays = read_arrays(self._files[member], "sites", "classes")
-        order = self._shuffled(len(arrays["classes"]), SITES, epoch, member)
+        sites = LabelledSites(arrays["sites"], arrays["classes"], torch.ones(len(arrays["sites"])))
+        if (said := self._said.get(self._files[member])) is not None:
+            planes = read_arrays(said, "layout", "known")
+            sites = corrected_sites(sites, planes, self._training.corrections.weight)
+        order = self._shuffled(len(sites.classes), SITES, epoch, member)
         order = order[visit :: self._training.passes]
-        return arrays["sites"][order], arrays["classes"][order]
+        return sites.centres[order], sites.classes[order], sites.weights[order]
 
     def _mine(self, step: Tensor) -> Tensor:
         return step[self._processes.rank :: self._processes.size]

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import torch
@@ -12,6 +13,7 @@ from roadtorch.layout.normalisation import normalise
 from roadtorch.train.arrays import from_bytes, read_arrays
 from roadtorch.train.batches import Batch
 from roadtorch.train.config import PictureTraining
+from roadtorch.train.corrections import corrected_targets
 from roadtorch.train.ego_cars import laid_over, lent, varied
 from roadtorch.train.generators import PICTURE_ORDER, VARIATION, generator_at
 from roadtorch.train.processes import Processes
@@ -24,13 +26,14 @@ class Prepared(NamedTuple):
 
     files: image, teacher's maps and ego car of each. labels: the last network's maps, in the
     same order; none in the first round. shares: how often each is visited, against the others.
-    ego_cars: the files that show an ego car, by recording.
+    ego_cars: the files that show an ego car, by recording. said: by file, what people said.
     """
 
     files: Sequence[Path]
     labels: Sequence[Path]
     shares: Tensor
     ego_cars: Mapping[str, Sequence[Path]]
+    said: Mapping[Path, Path] = MappingProxyType({})
 
 
 class PictureSamples:
@@ -45,7 +48,11 @@ class PictureSamples:
     @property
     def chunks(self) -> int:
         """Batches of one epoch."""
-        return max(1, round(len(self._prepared.files) / self._training.descent.batch))
+        return max(1, round(self._visits / self._training.descent.batch))
+
+    @property
+    def _visits(self) -> int:
+        return self._training.visits or len(self._prepared.files)
 
     def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
         """This process's pictures of one batch. Targets are the ``Targets``, eight planes.
@@ -54,7 +61,7 @@ class PictureSamples:
         """
         training, place = self._training, (self._round, epoch)
         generator = generator_at(training.random_seed, PICTURE_ORDER, *place)
-        order = visits(self._prepared.shares, generator)
+        order = visits(self._prepared.shares, self._visits, generator)
         members = order.tensor_split(self.chunks)[chunk].tolist()
         size = (training.network.height, training.network.width)
         generator = generator_at(training.random_seed, VARIATION, *place, chunk)
@@ -79,6 +86,10 @@ class PictureSamples:
         targets = targets_of(
             arrays["maps"], arrays["ego"][None], network, training.teacher, training.rounds
         )
+        said = self._prepared.said.get(self._prepared.files[member])
+        if said is not None:
+            planes = from_bytes(read_arrays(said, "said")["said"])[None]
+            targets = corrected_targets(targets, planes, training.corrections.weight)
         seen = reframed(torch.cat(targets, 1), frame, "zeros")
         image = reframed(arrays["image"], frame, "border")
         if float(torch.rand((), generator=at)) < training.surfaces.share:
@@ -99,15 +110,14 @@ class PictureSamples:
         return normalise(image[0], training.network.normalisation).pixels[None], seen
 
 
-def visits(shares: Tensor, at: torch.Generator) -> Tensor:
-    """As many members as there are, in a random order, each as often as its share of the sum says.
+def visits(shares: Tensor, count: int, at: torch.Generator) -> Tensor:
+    """So many members, in a random order, each as often as its share of the sum says.
 
-    shares: (n,), positive. Returns int64 (n,). Systematic sampling: a member whose fair number
-    of visits is 1.6 gets one or two, and with equal shares everyone gets one.
+    shares: (n,), positive. Returns int64 (count,). Systematic sampling: a member whose fair number
+    of visits is 1.6 gets one or two; with equal shares and n visits everyone gets one.
     """
-    count = len(shares)
     fair = shares.to(torch.float64).cumsum(0)
     fair = fair / fair[-1] * count
     steps = torch.arange(count, dtype=torch.float64) + float(torch.rand((), generator=at)) * 0.999
-    chosen = torch.searchsorted(fair, steps + 5e-4).clamp(max=count - 1)
+    chosen = torch.searchsorted(fair, steps + 5e-4).clamp(max=len(shares) - 1)
     return chosen[torch.randperm(count, generator=at)]

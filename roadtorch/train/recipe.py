@@ -3,19 +3,26 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
+from roadtorch.data.corrections import Correction
 from roadtorch.errors import WeightsError
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
-from roadtorch.layout.weights import LayoutNetwork, load_network
+from roadtorch.layout.weights import LayoutNetwork, load_network, shipped_weights
 from roadtorch.sources.pictures import Picture
 from roadtorch.train.arrays import Arrays
 from roadtorch.train.batches import ErrorFunction, Samples
 from roadtorch.train.config import Descent, PatchTraining, PictureTraining, Stopping, Training
+from roadtorch.train.corrections import (
+    corrected_shares,
+    repeated,
+    said_layout,
+    said_planes,
+)
 from roadtorch.train.generators import seeded
 from roadtorch.train.loop import RunContext
 from roadtorch.train.patch_samples import PatchSamples, squared_error
@@ -29,9 +36,17 @@ from roadtorch.train.teachers import (
     load_teachers,
     prepare_picture,
 )
+from roadtorch.working_size import working_size
 
 EGO_CARS = "ego-cars"
 """The folder, beside the prepared pictures, with what recordings show of the ego car."""
+
+
+class PreparedFiles(NamedTuple):
+    """The prepared pictures of a run, and for those with corrections what people said."""
+
+    files: Sequence[Path]
+    said: Mapping[Path, Path]
 
 
 class Recipe(Protocol):
@@ -59,6 +74,10 @@ class Recipe(Protocol):
         """What is kept of an image (3,H,W), the picture called ``name``."""
         ...
 
+    def shrink(self, correction: Correction) -> Arrays:
+        """What is kept of a correction; samples find it by the prepared picture's file."""
+        ...
+
     def network(self, number: int, last: LayoutNetwork | None) -> LayoutNetwork:
         """The network with which round ``number`` starts.
 
@@ -67,7 +86,7 @@ class Recipe(Protocol):
         ...
 
     def samples(
-        self, files: Sequence[Path], number: int, last: LayoutNetwork | None, context: RunContext
+        self, files: PreparedFiles, number: int, last: LayoutNetwork | None, context: RunContext
     ) -> Samples:
         """The samples of round ``number``."""
         ...
@@ -101,6 +120,12 @@ class PatchRecipe:
         """The picture at working size, its sites and their classes."""
         return prepare_patches(image, self._training)
 
+    def shrink(self, correction: Correction) -> Arrays:
+        """The layout that people named, at working size."""
+        height, width = correction.labels.shape
+        size = working_size(height, width, self._training.network.working)
+        return said_layout(correction, size)
+
     def network(self, number: int, last: LayoutNetwork | None) -> LayoutNetwork:
         """A new patch network, or the one to start from."""
         if last is not None:
@@ -109,10 +134,11 @@ class PatchRecipe:
             return PatchNetwork(self._training.network)
 
     def samples(
-        self, files: Sequence[Path], number: int, last: LayoutNetwork | None, context: RunContext
+        self, files: PreparedFiles, number: int, last: LayoutNetwork | None, context: RunContext
     ) -> PatchSamples:
-        """The varied patches of the pictures."""
-        return PatchSamples(files, self._training, context.processes)
+        """The varied patches of the pictures; corrected ones are visited more often."""
+        often = repeated(files.files, files.said, self._training.corrections.share)
+        return PatchSamples(often, self._training, context.processes, files.said)
 
 
 class PictureRecipe:
@@ -152,6 +178,11 @@ class PictureRecipe:
         ego = ego_of(self._recordings.get(name), image)
         return prepare_picture(image, ego, self._teachers, self._training)
 
+    def shrink(self, correction: Correction) -> Arrays:
+        """What people said, at the network's size."""
+        network = self._training.network
+        return said_planes(correction, (network.height, network.width))
+
     def network(self, number: int, last: LayoutNetwork | None) -> PictureNetwork:
         """A new network, or the last one where rounds continue."""
         if isinstance(last, PictureNetwork) and self._training.rounds.start == "continued":
@@ -160,14 +191,17 @@ class PictureRecipe:
             return PictureNetwork(self._training.network)
 
     def samples(
-        self, files: Sequence[Path], number: int, last: LayoutNetwork | None, context: RunContext
+        self, files: PreparedFiles, number: int, last: LayoutNetwork | None, context: RunContext
     ) -> PictureSamples:
         """Varied pictures; from round 2 on with what the last network says of them."""
         labels: list[Path] = []
         if isinstance(last, PictureNetwork):
             folder = context.folder.labels_of(number)
-            labels = label_with_network(files, folder, last.eval(), context)
-        prepared = Prepared(files, labels, *self._footage(files))
+            labels = label_with_network(files.files, folder, last.eval(), context)
+        shares, cars = self._footage(files.files)
+        corrected = torch.tensor([file in files.said for file in files.files])
+        shares = corrected_shares(shares, corrected, self._training.corrections.share)
+        prepared = Prepared(files.files, labels, shares, cars, files.said)
         return PictureSamples(prepared, number, self._training, context.processes)
 
     def _footage(self, files: Sequence[Path]) -> tuple[Tensor, dict[str, list[Path]]]:
@@ -186,14 +220,27 @@ class PictureRecipe:
 
 
 def load_start(path: str, like: LayoutNetwork) -> LayoutNetwork | None:
-    """The network of a weight file; None for no file. WeightsError when it is not one ``like``."""
+    """The network of a weight file, or of a name that is shipped; None for no file.
+
+    WeightsError when it is not one ``like``.
+    """
     if not path:
         return None
-    network = load_network(path)
+    network = load_network(start_file(path))
     if network.settings != like.settings:
         what = "holds a network with other settings than this training"
         raise WeightsError(path, what, "give the same [network] settings, or leave start out")
     return network
+
+
+def start_file(start: str) -> Path:
+    """The weight file that ``start`` names: a file, or else one that is shipped."""
+    shipped = shipped_weights(start)
+    return (
+        shipped
+        if "/" not in start and not Path(start).exists() and shipped.exists()
+        else Path(start)
+    )
 
 
 def recipe_of(training: Training) -> Recipe:

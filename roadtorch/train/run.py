@@ -1,7 +1,7 @@
 """A whole run: pictures made ready, rounds trained, weights written; cut short, gone on with."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from signal import SIGTERM, Signals
@@ -10,13 +10,17 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
+from roadtorch.data.corrections import Correction
 from roadtorch.errors import InputError, WeightsError
-from roadtorch.files import shared
+from roadtorch.files import shared, write_text
+from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import LayoutNetwork, fill, load_network, save_network
 from roadtorch.signals import stop_on_signals
 from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.train.average import AverageWeights
+from roadtorch.train.cards import card_of, corrections_behind
 from roadtorch.train.config import Training, as_values
+from roadtorch.train.corrections import corrections_by_picture, corrections_told, keep_corrections
 from roadtorch.train.folder import CHECKPOINT, NO_CHECKPOINT, WEIGHTS, RunFolder, config_hash
 from roadtorch.train.loop import (
     RunContext,
@@ -28,10 +32,14 @@ from roadtorch.train.loop import (
 )
 from roadtorch.train.prepared import PreparedFolder, PreparedPicture
 from roadtorch.train.processes import join_processes
-from roadtorch.train.recipe import Recipe, recipe_of
+from roadtorch.train.recipe import PreparedFiles, Recipe, recipe_of
+from roadtorch.train.road_centre import write_calibrated
 from roadtorch.version import __version__
 
-PREPARED = "prepared"
+PREPARED, SAID = "prepared", "corrections"
+
+FUSION = "fusion.toml"
+"""A config for the detector ``fusion`` with the weights of a run with corrections."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +47,7 @@ class Request:
     """What a run is asked for.
 
     images: a folder, a file or a quoted glob. prepared: where pictures made ready are kept;
-    None for a folder inside ``out``.
+    None for a folder inside ``out``. corrections: what people said of some of the pictures.
     """
 
     images: str
@@ -47,6 +55,7 @@ class Request:
     resume: bool = False
     prepared: Path | None = None
     quiet: bool = False
+    corrections: Sequence[Correction] = ()
 
 
 @dataclass(frozen=True)
@@ -71,12 +80,15 @@ def train(training: Training, request: Request) -> Outcome:
         config = as_values(training)
         recipe = recipe_of(training)
         with processes.led(folder.held()):
-            folder.begin(config, pictures, request.resume)
+            corrections = corrections_by_picture(pictures, request.corrections)
+            told = corrections_told(corrections)
+            folder.begin(config, pictures, told, request.resume)
             state = folder.read_checkpoint()
             processes.gather(None)  # all have looked before the first one writes
             if processes.leads:
-                folder.claim(config, pictures, __version__)
-            return _Run(recipe, request, context, config).go(pictures, state)
+                folder.claim(config, pictures, told, __version__)
+            behind = [*corrections_behind(training), *([told] if told else [])]
+            return _Run(recipe, request, context, config, corrections, behind).go(pictures, state)
 
 
 @dataclass(frozen=True)
@@ -85,6 +97,8 @@ class _Run:
     request: Request
     context: RunContext
     config: dict[str, Any]
+    corrections: Mapping[str, Correction]
+    behind: Sequence[Mapping[str, Any]]
 
     def go(self, pictures: Sequence[Picture], state: dict[str, Any] | None) -> Outcome:
         processes, folder, stop, _ = self.context
@@ -92,7 +106,8 @@ class _Run:
         skipped = sum(item.file is None for item in prepared)
         if processes.any(stop.asked):
             return Outcome(None, stop.signal or SIGTERM, skipped)
-        files = self._usable(prepared)
+        people = self._people(prepared)
+        files = PreparedFiles(self._usable(prepared), self._said(people))
         progress = _progress_of(state, folder.path / CHECKPOINT) if state else TrainingProgress()
         while True:
             self._round(files, progress, state)
@@ -100,6 +115,7 @@ class _Run:
             if not progress.finished:
                 return Outcome(None, stop.signal or SIGTERM, skipped)
             if progress.round + 1 == self.recipe.rounds:
+                self._calibrate(list(people.values()))
                 return Outcome(folder.path / WEIGHTS, None, skipped)
             progress.begin_round(progress.round + 1)
 
@@ -126,8 +142,28 @@ class _Run:
             tqdm.write(text, file=sys.stderr)
         return files
 
+    def _people(self, prepared: Sequence[PreparedPicture]) -> dict[Path, Correction]:
+        """The corrections of the pictures that can be used, by the prepared file."""
+        return {
+            item.file: self.corrections[item.name]
+            for item in prepared
+            if item.file is not None and item.name in self.corrections
+        }
+
+    def _said(self, people: Mapping[Path, Correction]) -> dict[Path, Path]:
+        """What people said, at the network's size; each process has a copy of its own."""
+        own = self.context.folder.path / SAID / f"process-{self.context.processes.rank}"
+        return keep_corrections(own, people, self.recipe.shrink) if people else {}
+
+    def _calibrate(self, people: Sequence[Correction]) -> None:
+        """A config of ``fusion`` beside the weights, where corrections say what road is."""
+        weights = self.context.folder.path / WEIGHTS
+        whole = self.config["kind"] == PictureNetwork.kind
+        if people and whole and self.context.processes.leads:
+            write_calibrated(weights.with_name(FUSION), weights, people)
+
     def _round(
-        self, files: Sequence[Path], progress: TrainingProgress, state: dict[str, Any] | None
+        self, files: PreparedFiles, progress: TrainingProgress, state: dict[str, Any] | None
     ) -> None:
         """Train one round, or what is left of it, and write its weights."""
         number, folder = progress.round, self.context.folder
@@ -152,7 +188,7 @@ class _Run:
         if not state:
             save_checkpoint(setup, progress, self.context)
         train_round(setup, progress, self.context)
-        self._write(average.network.eval(), progress, len(files))
+        self._write(average.network.eval(), progress, len(files.files))
         self.context.processes.gather(None)  # the next round reads what the first one writes
 
     def _write(self, network: LayoutNetwork, progress: TrainingProgress, used: int) -> None:
@@ -170,7 +206,10 @@ class _Run:
             "round": progress.round + 1,
             "epochs": progress.epoch,
             "finished": progress.finished,
+            "corrections": list(self.behind),
         }
+        if self.behind:
+            write_text((folder.path / WEIGHTS).with_suffix(".md"), card_of(self.behind))
         save_network(folder.path / WEIGHTS, network, origin)
         if progress.finished:
             save_network(folder.path / _weights_of(progress.round), network, origin)

@@ -146,7 +146,7 @@ def test_where_no_footage_shows_one_a_share_changes_nothing(files: list[Path]) -
 
 @given(st.integers(1, 400), st.floats(1e-3, 1e3), st.integers(0, 2**31))
 def test_with_equal_shares_everyone_is_visited_once(count: int, share: float, seed: int) -> None:
-    order = visits(torch.full((count,), share), seeded(seed))
+    order = visits(torch.full((count,), share), count, seeded(seed))
 
     assert sorted(order.tolist()) == list(range(count))
 
@@ -154,7 +154,7 @@ def test_with_equal_shares_everyone_is_visited_once(count: int, share: float, se
 def test_the_order_is_drawn() -> None:
     at, shares = seeded(1), torch.ones(50)
 
-    assert not torch.equal(visits(shares, at), visits(shares, at))
+    assert not torch.equal(visits(shares, len(shares), at), visits(shares, len(shares), at))
 
 
 @given(st.lists(st.floats(0.01, 10), min_size=1, max_size=60), st.integers(0, 2**31))
@@ -163,7 +163,7 @@ def test_nobody_is_visited_a_whole_time_more_or_less_than_is_fair(
 ) -> None:
     shares = torch.tensor(values)
 
-    found = visits(shares, seeded(seed)).bincount(minlength=len(shares))
+    found = visits(shares, len(shares), seeded(seed)).bincount(minlength=len(shares))
 
     fair = shares.double() / shares.double().sum() * len(shares)
     assert found.sum() == len(shares)
@@ -173,7 +173,7 @@ def test_nobody_is_visited_a_whole_time_more_or_less_than_is_fair(
 def test_shares_of_one_and_three_are_visited_in_that_ratio() -> None:
     shares, at = torch.tensor([1.0, 3.0]).repeat(5), seeded(2)
 
-    drawn = sum(visits(shares, at).bincount(minlength=10) for _ in range(2000))
+    drawn = sum(visits(shares, len(shares), at).bincount(minlength=10) for _ in range(2000))
 
     assert isinstance(drawn, torch.Tensor)
     fair = torch.tensor([0.5, 1.5]).repeat(5)

@@ -38,7 +38,7 @@ def test_recordings_are_told_by_the_names_of_pictures_wherever_they_are_kept(
     monkeypatch.setattr(recipe, "PictureSamples", lambda prepared, *_: given.append(prepared))
 
     made.survey([], folder, context)
-    made.samples(files, 0, None, context)
+    made.samples(recipe.PreparedFiles(files, {}), 0, None, context)
 
     assert given[0].shares.tolist() == pytest.approx([share, share, share, 1, 1])
     assert given[0].ego_cars == {"a": files[1:3], "b": files[3:4], "c": files[4:]}

@@ -71,12 +71,13 @@ async function open(name) {
   }
 }
 
-// The pictures that wait for a verdict, the least certain first; unknown ones at the end.
+// The pictures that wait for a verdict: those with a turn, then the least certain first; unknown
+// ones at the end.
 function sorted() {
-  const key = (one) => [one.users[user]?.right ? 1 : 0, one.trust ?? 2];
+  const key = (one) => [one.users[user]?.right ? 1 : 0, one.turn ?? 1e9, one.trust ?? 2];
   pictures.sort((a, b) => {
     const [x, y] = [key(a), key(b)];
-    return x[0] - y[0] || x[1] - y[1] || (a.name < b.name ? -1 : 1);
+    return x[0] - y[0] || x[1] - y[1] || x[2] - y[2] || (a.name < b.name ? -1 : 1);
   });
   list.show(pictures, current?.name ?? null);
 }

@@ -1,0 +1,114 @@
+"""Which pictures to correct next: at random, the least trusted, or those unlike what is corrected.
+
+Pure functions of what is known of n pictures. A batch does not repeat one scene: neighbouring
+frames of a recording teach a network nearly the same, and cost a person as much.
+"""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from roadtorch.working_size import resized
+
+GRID = (4, 5)
+"""Rows and columns of the cells over which a picture's features are averaged."""
+
+APART = 0.5
+"""Share of the median distance between pictures from which two are different scenes."""
+
+
+class Candidates(NamedTuple):
+    """What is known of n pictures. trust: (n,), NaN unknown; features: (n,d), see below."""
+
+    trust: Tensor
+    features: Tensor
+
+
+def picture_features(image: Tensor, maps: Tensor) -> Tensor:
+    """What a picture looks like, (d,): colours of an image (3,H,W) and maps (C,h,w), all in [0,1].
+
+    Means over the cells of a coarse grid, so that distance is about what stands where. Ours.
+    """
+    return torch.cat([resized(part, GRID).flatten() for part in (image, maps)]).float()
+
+
+Rule = Callable[[Candidates, Collection[int], int, int], list[int]]
+"""What is known, which are corrected, how many are wanted, and a seed → places, the first first."""
+
+
+def random_pictures(
+    candidates: Candidates, corrected: Collection[int], count: int, seed: int = 0
+) -> list[int]:
+    """So many of those that are not corrected, at random; the rule that others have to beat."""
+    generator = torch.Generator().manual_seed(seed)
+    order = torch.randperm(len(candidates.trust), generator=generator).tolist()
+    return [one for one in order if one not in corrected][:count]
+
+
+def least_trust_first(
+    candidates: Candidates, corrected: Collection[int], count: int, seed: int = 0
+) -> list[int]:
+    """Those with the least trust, each another scene than those corrected or before it.
+
+    Where scenes run out, the rest follows by trust alone; unknown trust comes last.
+    """
+    order = candidates.trust.nan_to_num(torch.inf).argsort(stable=True).tolist()
+    waiting = [one for one in order if one not in corrected]
+    return unlike(waiting, candidates.features, corrected, count)
+
+
+def most_different(
+    candidates: Candidates, corrected: Collection[int], count: int, seed: int = 0
+) -> list[int]:
+    """Each the farthest from all that are corrected or chosen before it.
+
+    The greedy k-centre of Gonzalez (1985), as Sener and Savarese choose a core set, "Active
+    Learning for Convolutional Neural Networks: A Core-Set Approach", ICLR 2018. Where nothing is
+    corrected it begins with the picture nearest to the mean.
+    """
+    features, chosen = candidates.features, []
+    if not corrected and len(features):
+        chosen.append(int((features - features.mean(0)).square().sum(1).argmin()))
+    known = [*corrected, *chosen]
+    far = torch.full((len(features),), torch.inf)
+    if known:
+        far = torch.cdist(features, features[known]).amin(1)
+    far[known] = -1
+    while len(chosen) < min(count, len(features) - len(corrected)):
+        best = int(far.argmax())
+        chosen.append(best)
+        far = far.minimum(torch.cdist(features, features[best : best + 1])[:, 0])
+        far[best] = -1
+    return chosen[:count]
+
+
+def unlike(
+    order: Sequence[int], features: Tensor, corrected: Collection[int], count: int
+) -> list[int]:
+    """The first of an order that repeat no scene, then the rest of it, ``count`` in all.
+
+    features: (n,d) of all pictures; no scene of ``corrected`` ones is repeated either.
+    """
+    if len(features) < 2:
+        return list(order[:count])
+    distance = torch.cdist(features, features)
+    rows, columns = torch.triu_indices(len(features), len(features), 1)
+    apart = APART * float(distance[rows, columns].median())
+    known, chosen = list(corrected), []
+    for one in order:
+        if len(chosen) == count:
+            break
+        if not known or float(distance[one, known].min()) >= apart:
+            chosen.append(one)
+            known.append(one)
+    rest = [one for one in order if one not in set(chosen)]
+    return [*chosen, *rest][:count]
+
+
+RULES: Mapping[str, Rule] = {
+    "least-trust": least_trust_first,
+    "random": random_pictures,
+    "different": most_different,
+}

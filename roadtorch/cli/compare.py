@@ -1,0 +1,147 @@
+"""roadtorch compare: two results against each other, with labels, corrections, or neither."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from roadtorch.cli.options import JOBS, PATH, QUIET
+
+if TYPE_CHECKING:
+    from roadtorch.data.dataset import Dataset
+    from roadtorch.evaluation.contenders import Contender
+
+
+@click.command()
+@click.argument("first", metavar="A")
+@click.argument("second", metavar="B")
+@click.option("--labelled", help="A labelled set: NAME:ROOT, as roadtorch evaluate has them.")
+@click.option("--corrections", type=PATH, help="What roadtorch annotate kept: the truth it is.")
+@click.option("--pictures", type=PATH, help="Folder of the corrected pictures, if it moved.")
+@click.option("--images", multiple=True, help="Folder, file or glob without labels.")
+@click.option("--out", type=PATH, help="Folder for the page and the figures.")
+@click.option("--limit", type=click.IntRange(min=1), help="Look at this many pictures only.")
+@click.option(
+    "--worst",
+    type=click.IntRange(min=0),
+    default=12,
+    show_default=True,
+    help="Pictures on the page, the worst first.",
+)
+@JOBS
+@QUIET
+@click.pass_context
+def compare(
+    context: click.Context,
+    first: str,
+    second: str,
+    labelled: str | None,
+    corrections: Path | None,
+    pictures: Path | None,
+    images: tuple[str, ...],
+    out: Path | None,
+    limit: int | None,
+    worst: int,
+    jobs: int,
+    quiet: bool,
+) -> None:
+    """Compare A and B: weights, configs, folders of maps, or detectors, each at its own threshold.
+
+    With --labelled or --corrections: figures with intervals, and B less A. With --images: where
+    they disagree most.
+    """
+    from roadtorch.cli.claim import claimed
+    from roadtorch.evaluation.rivals import rival
+
+    if sum((labelled is not None, corrections is not None, bool(images))) != 1:
+        raise click.UsageError("give one of --labelled, --corrections and --images")
+    rivals = rival(first, "A"), rival(second, "B")
+    if out is not None:
+        context.with_resource(claimed(out))
+    _tell_people(rivals)
+    if images:
+        code = _disagree(context, rivals, images, limit, worst, quiet)
+    else:
+        code = _score(context, rivals, _opened(labelled, corrections, pictures), limit, jobs)
+    context.exit(code)
+
+
+def _tell_people(rivals: "Sequence[Contender]") -> None:
+    from roadtorch.layout.weights import corrected_pictures
+
+    for one in rivals:
+        if count := corrected_pictures(one.settings):
+            text = f"{one.name} was trained with {count} pictures that people corrected: not "
+            click.echo(f"roadtorch: {text}label-free, and no news on those pictures", err=True)
+
+
+def _opened(labelled: str | None, corrections: Path | None, pictures: Path | None) -> "Dataset":
+    from roadtorch.data.catalogue import open_named
+    from roadtorch.data.corrected_set import open_corrections
+
+    if corrections is not None:
+        return open_corrections(corrections, pictures)
+    return open_named(str(labelled))
+
+
+def _score(
+    context: click.Context,
+    rivals: "Sequence[Contender]",
+    dataset: "Dataset",
+    limit: int | None,
+    jobs: int,
+) -> int:
+    from roadtorch.cli.labelled import command_line, tell_failures, watched
+    from roadtorch.evaluation.evaluate import evaluated
+    from roadtorch.report.screen import screen
+
+    against = rivals[0].name
+    found = evaluated(dataset, rivals, {}, limit=limit, against=against, jobs=jobs, watch=watched)
+    click.echo(screen(found))
+    tell_failures(found)
+    if (out := context.params["out"]) is not None:
+        from roadtorch.report.files import write
+
+        write(found, out, command_line(context), context.params["worst"])
+    return 1 if found.failures else 0
+
+
+def _disagree(
+    context: click.Context,
+    rivals: "Sequence[Contender]",
+    images: Sequence[str],
+    limit: int | None,
+    worst: int,
+    quiet: bool,
+) -> int:
+    from tqdm import tqdm
+
+    from roadtorch.cli.labelled import command_line
+    from roadtorch.data.dataset import every_kth
+    from roadtorch.errors import InputError
+    from roadtorch.evaluation.disagreement import disagreements, unlabelled_set, worst_first
+    from roadtorch.evaluation.result import Failure
+    from roadtorch.report.disagreement import Rivalry, rivalry_text, write_rivalry
+    from roadtorch.sources.pictures import find_images
+
+    out = context.params["out"]
+    dataset = every_kth(unlabelled_set(find_images(images, out)), limit)
+    seen = tqdm(
+        disagreements(dataset, rivals[0], rivals[1]),
+        total=len(dataset.items),
+        unit="image",
+        disable=True if quiet else None,
+    )
+    found, failures = [], []
+    for one in seen:
+        (failures if isinstance(one, Failure) else found).append(one)
+    for one in failures:
+        click.echo(f"failed: {one.image}: {one.reason}", err=True)
+    if not found:
+        raise InputError(images[0], "has no picture that both could look at", "see above")
+    rivalry = Rivalry(dataset, rivals[0], rivals[1], worst_first(found), failures)
+    click.echo(rivalry_text(rivalry))
+    if out is not None:
+        write_rivalry(out, rivalry, worst, command_line(context))
+    return 1 if failures else 0

@@ -1,0 +1,109 @@
+"""The page on which two detectors disagree: pictures side by side, the worst first."""
+
+import base64
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from roadtorch.data.dataset import Dataset
+from roadtorch.evaluation.contenders import Contender
+from roadtorch.evaluation.disagreement import Disagreement
+from roadtorch.evaluation.result import Failure
+from roadtorch.files import csv_text, write_text
+from roadtorch.image import read_image, tint_mask, to_pixels
+from roadtorch.image_cache import image_cache
+from roadtorch.report.montage import BLUE, TILE_WIDTH, VERMILLION, captioned
+from roadtorch.report.screen import align
+from roadtorch.report.templates import template
+from roadtorch.version import __version__
+
+QUALITY = 80  # of JPEG
+
+COLUMNS = ("image", "differs", "road_first", "road_second", "only_first", "only_second", "status")
+
+
+@dataclass(frozen=True)
+class Rivalry:
+    """Two contenders on a set without labels. found: the worst first."""
+
+    dataset: Dataset
+    first: Contender
+    second: Contender
+    found: Sequence[Disagreement]
+    failures: Sequence[Failure]
+
+
+def rivalry_text(rivalry: Rivalry, most: int = 10) -> str:
+    """The screen: how much differs in all, and the pictures that differ most."""
+    first, second = rivalry.first.name, rivalry.second.name
+    rows = [["picture", "differs", f"road {first}", f"road {second}", "only A", "only B"]]
+    rows += [[one.item.name, *map(_percent, _figures(one))] for one in rivalry.found[:most]]
+    differs = [one.differs for one in rivalry.found]
+    lines = [
+        f"{len(differs)} pictures: {_percent(statistics.mean(differs))} of the pixels differ, "
+        f"median {_percent(statistics.median(differs))}",
+        f"only A: {_percent(statistics.mean(one.only_first for one in rivalry.found))}, "
+        f"only B: {_percent(statistics.mean(one.only_second for one in rivalry.found))} (means)",
+    ]
+    return "\n".join([align(rows), "", *lines])
+
+
+def _figures(one: Disagreement) -> tuple[float, ...]:
+    return one.differs, one.first, one.second, one.only_first, one.only_second
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
+
+
+def write_rivalry(out: Path, rivalry: Rivalry, worst: int, command: str = "") -> None:
+    """Write disagreement.html with the ``worst`` first pictures, and disagreement.csv with all."""
+    rows: list[dict[str, str]] = []
+    for one in rivalry.found:
+        cells = [one.item.name, *(f"{value:.6f}" for value in _figures(one)), "ok"]
+        rows.append({str(name): cell for name, cell in zip(COLUMNS, cells, strict=True)})
+    rows += [{"image": one.image, "status": one.reason} for one in rivalry.failures]
+    write_text(out / "disagreement.csv", csv_text(COLUMNS, rows))
+    page = template("disagreement.html").render(
+        rivalry=rivalry,
+        shown=list(zip(rivalry.found, _sheets(rivalry, worst), strict=False)),
+        percent=_percent,
+        summary=rivalry_text(rivalry, 0).rsplit("\n\n", 1)[-1],
+        version=__version__,
+        command=command,
+    )
+    write_text(out / "disagreement.html", page)
+
+
+def _sheets(rivalry: Rivalry, worst: int) -> list[str]:
+    """A JPEG in base64 for each of the first pictures: both overlays, and what differs."""
+    rivals = (rivalry.first, rivalry.second)
+    looks = {one.name: one.prepare(rivalry.dataset) for one in rivals}
+    sheets = []
+    for one in rivalry.found[:worst]:
+        image = read_image(one.item.image)
+        with image_cache():
+            masks = {name: look(image, one.item).mask for name, look in looks.items()}
+        pixels = to_pixels(image)
+        tiles = {name: tint_mask(pixels, mask.numpy()) for name, mask in masks.items()}
+        tiles["only A blue, only B orange"] = differing(
+            pixels, *(m.numpy() for m in masks.values())
+        )
+        height = round(pixels.shape[0] * TILE_WIDTH / pixels.shape[1])
+        sheet = np.concatenate([captioned(t, text, height) for text, t in tiles.items()], axis=1)
+        options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
+        encoded = cv2.imencode(".jpg", np.ascontiguousarray(sheet[..., ::-1]), options)[1]
+        sheets.append(base64.b64encode(encoded.tobytes()).decode())
+    return sheets
+
+
+def differing(pixels: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Pixels uint8 (H,W,3), grey, with what one mask bool (H,W) alone has in blue or orange."""
+    grey = np.repeat(pixels.mean(2, keepdims=True), 3, axis=2) * 0.7
+    for mask, colour in ((first & ~second, BLUE), (second & ~first, VERMILLION)):
+        grey[mask] = 0.35 * grey[mask] + 0.65 * np.array(colour)
+    return grey.round().astype(np.uint8)

@@ -1,0 +1,186 @@
+"""Corrections of people in training: what they said is the truth, machine labels fill the rest."""
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import adaptive_avg_pool2d
+
+from roadtorch.data.correction_labels import NOT_ROAD, ROAD_SAID, VOID_SAID
+from roadtorch.data.corrections import Correction
+from roadtorch.data.labelme import picture_size
+from roadtorch.errors import InputError
+from roadtorch.files import make_folder
+from roadtorch.layout.classes import CLASSES, UNLABELLED
+from roadtorch.sources.pictures import Picture
+from roadtorch.train.arrays import Arrays, to_bytes, write_arrays
+from roadtorch.train.prepared import name_of
+from roadtorch.train.targets import Targets
+from roadtorch.working_size import at_picture_size
+
+HALF = 0.5
+"""Share of a cell's pixels that have to be said before the cell counts as said."""
+
+SPACING = 8
+"""Pixels, at working size, between the patches that are taken where people spoke: as far apart as
+superpixels are."""
+
+# --- which ------------------------------------------------------------------------------
+
+
+def corrections_by_picture(
+    pictures: Sequence[Picture], corrections: Iterable[Correction]
+) -> dict[str, Correction]:
+    """The correction of each picture that has one, by the picture's name with ending.
+
+    Raises InputError where none of them is of these pictures, or one has another size by now.
+    """
+    given = list(corrections)
+    by_path = {one.picture.resolve(): one for one in given}
+    found = {}
+    for picture in pictures:
+        if (one := by_path.get(picture.path.resolve())) is not None:
+            if picture_size(picture.path) != one.labels.shape:
+                what = "has another size than when it was corrected"
+                raise InputError(picture.path, what, "give the pictures that were corrected")
+            found[name_of(picture)] = one
+    if given and not found:
+        what = f"and {len(given) - 1} others are corrected, and none of them is among --images"
+        raise InputError(given[0].picture, what, "give the pictures that were corrected")
+    return found
+
+
+def corrections_told(corrections: Mapping[str, Correction]) -> dict[str, Any] | None:
+    """What is kept of the corrections that a run uses; None without any.
+
+    pictures, people and pixels: how many. sha256: of all that was said.
+    """
+    if not corrections:
+        return None
+    digest = sha256()
+    for name, one in sorted(corrections.items()):
+        digest.update(json.dumps([name, one.labels.shape]).encode())
+        digest.update(np.ascontiguousarray(one.labels).tobytes())
+    return {
+        "pictures": len(corrections),
+        "people": len({user for one in corrections.values() for user in one.users}),
+        "pixels": sum(int((one.labels > 0).sum()) for one in corrections.values()),
+        "sha256": digest.hexdigest(),
+    }
+
+
+Shrink = Callable[[Correction], Arrays]
+"""What training needs of one correction, at the size at which the network works."""
+
+
+def keep_corrections(
+    folder: Path, files: Mapping[Path, Correction], shrink: Shrink
+) -> dict[Path, Path]:
+    """Write what training needs of the corrections; the written file of each prepared one."""
+    make_folder(folder)
+    said = {file: folder / f"{number:06d}.npz" for number, file in enumerate(sorted(files))}
+    for file, path in said.items():
+        write_arrays(path, shrink(files[file]))
+    return said
+
+
+# --- whole pictures ---------------------------------------------------------------------
+
+
+def said_planes(correction: Correction, size: tuple[int, int]) -> Arrays:
+    """``said``, uint8 (7,h,w) as 255ths: shares of a cell's pixels that people said something of.
+
+    Road, not road, void; sky, vertical, horizontal; the last plane is 0 where nothing was said.
+    """
+    road, layout = torch.from_numpy(correction.road), torch.from_numpy(correction.layout)
+    planes = [road == value for value in (ROAD_SAID, NOT_ROAD, VOID_SAID)]
+    planes += [layout == number for number in range(CLASSES)]
+    planes.append(torch.from_numpy(correction.labels > 0))
+    return {"said": to_bytes(adaptive_avg_pool2d(torch.stack(planes).to(torch.float32), size))}
+
+
+def corrected_targets(targets: Targets, said: Tensor, weight: float) -> Targets:
+    """Targets in which what people said replaces the machine's; said: (B,7,H,W) of ``said_planes``.
+
+    Where they said void, neither counts. Where they said road there is no ego car.
+    """
+    road, other, void = said[:, 0:1], said[:, 1:2], said[:, 2:3]
+    known, left_out = road + other >= HALF, void > HALF
+    share = road / (road + other).clamp_min(1e-6)
+    told = said[:, 3 : 3 + CLASSES]
+    told_share = told.sum(1, keepdim=True)
+    layout_known = told_share >= HALF
+    no_ego = road >= HALF
+
+    def weighed(own: Tensor, where: Tensor) -> Tensor:
+        return torch.where(where, weight, own).masked_fill(left_out, 0)
+
+    return Targets(
+        torch.where(layout_known, told / told_share.clamp_min(1e-6), targets.layout),
+        weighed(targets.layout_weight, layout_known),
+        torch.where(known, share, targets.road),
+        weighed(targets.road_weight, known),
+        torch.where(no_ego, 0, targets.ego),
+        torch.where(no_ego, weight, targets.ego_weight),
+    )
+
+
+def corrected_shares(shares: Tensor, corrected: Tensor, share: float) -> Tensor:
+    """Shares (n,) of visits of which the corrected pictures, bool (n,), get ``share`` together.
+
+    Unchanged where all pictures are corrected, or none.
+    """
+    if not corrected.any() or corrected.all():
+        return shares
+    own, others = shares[corrected].sum(), shares[~corrected].sum()
+    return torch.where(corrected, shares * (share / own), shares * ((1 - share) / others))
+
+
+# --- patches ----------------------------------------------------------------------------
+
+
+class LabelledSites(NamedTuple):
+    """Where patches are taken: centres int16 (n,2), classes uint8 (n,), weights float32 (n,)."""
+
+    centres: Tensor
+    classes: Tensor
+    weights: Tensor
+
+
+def said_layout(correction: Correction, size: tuple[int, int]) -> Arrays:
+    """``layout``, uint8 (h,w): 0, 1, 2, 255 not said; ``known``: 1 where no machine label counts.
+
+    Who says void, or "not road", says nothing of the layout; void counts as known all the same.
+    """
+    layout = at_picture_size(torch.from_numpy(correction.layout), size)
+    void = at_picture_size(torch.from_numpy(correction.road == VOID_SAID), size)
+    return {"layout": layout, "known": ((layout != UNLABELLED) | void).to(torch.uint8)}
+
+
+def corrected_sites(sites: LabelledSites, said: Arrays, weight: float) -> LabelledSites:
+    """The machine's sites where nobody spoke, and a grid of places where somebody named a class."""
+    layout, known = said["layout"], said["known"].bool()
+    rows, columns = (sites.centres[:, axis].long() for axis in (0, 1))
+    kept = ~known[rows, columns]
+    places = torch.zeros_like(known)
+    places[SPACING // 2 :: SPACING, SPACING // 2 :: SPACING] = True
+    found = (places & (layout != UNLABELLED)).nonzero()
+    return LabelledSites(
+        torch.cat([sites.centres[kept], found.to(sites.centres.dtype)]),
+        torch.cat([sites.classes[kept], layout[found[:, 0], found[:, 1]].to(sites.classes.dtype)]),
+        torch.cat([sites.weights[kept], torch.full((len(found),), weight)]),
+    )
+
+
+def repeated(files: Sequence[Path], said: Mapping[Path, Path], share: float) -> list[Path]:
+    """The files, corrected ones so often that they are about ``share`` of all, once at least."""
+    corrected, others = len(said), len(files) - len(said)
+    if not corrected or not others or share == 1:
+        return [file for file in files if share < 1 or not said or file in said]
+    times = max(1, round(share * others / ((1 - share) * corrected)))
+    return [file for file in files for _ in range(times if file in said else 1)]

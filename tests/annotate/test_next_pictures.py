@@ -1,0 +1,92 @@
+"""Which picture next: three rules, and batches that do not repeat a scene."""
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadtorch.annotate.next_pictures import RULES, Candidates, picture_features, unlike
+from roadtorch.annotate.order import PictureOrder
+from roadtorch.annotate.session import Session, look_at_all
+
+
+def scenes_of(*places: float) -> torch.Tensor:
+    """Features (n,1) of pictures at places on a line."""
+    return torch.tensor(places, dtype=torch.float32)[:, None]
+
+
+def candidates(count: int, seed: int = 0) -> Candidates:
+    at = torch.Generator().manual_seed(seed)
+    trust = torch.rand(count, generator=at)
+    trust[::4] = torch.nan
+    return Candidates(trust, torch.rand(count, 6, generator=at))
+
+
+@given(st.sampled_from(sorted(RULES)), st.integers(0, 30), st.integers(0, 40), st.data())
+def test_a_batch_has_no_picture_twice_and_none_that_is_corrected(
+    rule: str, pictures: int, count: int, data: st.DataObject
+) -> None:
+    corrected = data.draw(st.sets(st.integers(0, pictures - 1))) if pictures else set()
+    found = RULES[rule](candidates(pictures), corrected, count, 0)
+    assert len(found) == min(count, pictures - len(corrected)) == len(set(found))
+    assert not set(found) & corrected
+    assert found == RULES[rule](candidates(pictures), corrected, count, 0)
+
+
+def test_the_least_trusted_come_first_but_no_scene_twice() -> None:
+    features = scenes_of(0, 0.1, 5, 5.1, 10)
+    known = Candidates(torch.tensor([0.1, 0.2, 0.4, 0.3, torch.nan]), features)
+    assert RULES["least-trust"](known, [], 3, 0) == [0, 3, 4]
+    assert RULES["least-trust"](known, [], 5, 0) == [0, 3, 4, 1, 2]  # scenes ran out
+    assert RULES["least-trust"](known, [1], 2, 0) == [3, 4]  # 0 is the scene of what is corrected
+
+
+def test_the_most_different_is_the_farthest_from_all_that_are_known() -> None:
+    known = Candidates(torch.full((5,), torch.nan), scenes_of(0, 1, 4, 9, 10))
+    assert RULES["different"](known, [0], 3, 0) == [4, 2, 1]
+    assert RULES["different"](known, [], 2, 0) == [2, 4]  # begins nearest to the mean
+
+
+def test_random_draws_differ_by_seed_alone() -> None:
+    known = candidates(30)
+    assert RULES["random"](known, [], 30, 0) != RULES["random"](known, [], 30, 1)
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_few_pictures_are_no_trouble(count: int) -> None:
+    assert unlike(list(range(count)), torch.zeros(count, 3), [], 5) == list(range(count))
+
+
+def test_features_tell_what_stands_where() -> None:
+    image = torch.zeros(3, 40, 50)
+    image[:, 20:] = 1
+    same, turned = (picture_features(one, torch.zeros(2, 8, 10)) for one in (image, image.flip(-2)))
+    assert same.shape == (5 * 20,)
+    assert float((same - turned).norm()) > 1
+
+
+def test_the_page_is_told_turns_once_pictures_were_looked_at(session: Session) -> None:
+    session.order = PictureOrder("different")
+    assert [one["turn"] for one in session.listing()] == [None, None, None]
+
+    class Once:
+        """Stops the looking after one time through all pictures."""
+
+        def is_set(self) -> bool:
+            return len(session.trusts) == 3
+
+        def wait(self, _: float) -> None: ...
+
+    look_at_all(session, Once())  # type: ignore[arg-type]
+
+    assert sorted(one["turn"] for one in session.listing()) == [0, 1, 2]
+    session.act("street_1.png", "ann", _road())
+    turns = {one["name"]: one["turn"] for one in session.listing()}
+    assert turns["street_1.png"] is None
+    assert sorted(turn for turn in turns.values() if turn is not None) == [0, 1]
+
+
+def _road():
+    from tests.annotate.test_session import superpixel
+
+    return superpixel("a", "road", 0)

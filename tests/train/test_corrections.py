@@ -1,0 +1,251 @@
+"""Training with corrections of people: what they said is the target, and the weights say so."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from click.testing import CliRunner
+
+from roadtorch.annotate.bringing import brought
+from roadtorch.annotate.work import open_work
+from roadtorch.cli.train import train as command_of_train
+from roadtorch.data.corrections import Correction
+from roadtorch.data.journal import JournalHead, journal_path
+from roadtorch.detectors.fusion import RoadCalibration
+from roadtorch.errors import ConfigError, InputError
+from roadtorch.evaluation.metrics import count_levels
+from roadtorch.layout.weights import corrected_pictures, people_behind
+from roadtorch.settings import read_settings_file
+from roadtorch.train.config import Training
+from roadtorch.train.corrections import (
+    LabelledSites,
+    corrected_shares,
+    corrected_sites,
+    corrected_targets,
+    corrections_told,
+    repeated,
+    said_layout,
+    said_planes,
+)
+from roadtorch.train.recipe import start_file
+from roadtorch.train.road_centre import SaidOdds, best_centre, fitted_centre
+from roadtorch.train.run import FUSION, Request, train
+from roadtorch.train.targets import Targets
+from tests.train.runs import PATCHES, request_of, training_of, write_config
+
+UNTOUCHED, ROAD, NOT_ROAD, VOID, SKY = range(5)
+
+
+def correction(labels: np.ndarray, picture: Path = Path("street.png")) -> Correction:
+    return Correction(picture, picture.name, labels.astype(np.uint8), False, ("ann",), 1.0, 1)
+
+
+def quarters(height: int = 8, width: int = 8) -> np.ndarray:
+    """Above sky and untouched, below road and not road."""
+    labels = np.full((height, width), UNTOUCHED)
+    labels[: height // 2, : width // 2] = SKY
+    labels[height // 2 :, : width // 2] = ROAD
+    labels[height // 2 :, width // 2 :] = NOT_ROAD
+    return labels
+
+
+def machine(size: int = 4) -> Targets:
+    """Vertical, half road, all ego, each with weight 0.25."""
+    layout = torch.zeros(1, 3, size, size)
+    layout[:, 1] = 1
+    quarter, half, one = (torch.full((1, 1, size, size), value) for value in (0.25, 0.5, 1.0))
+    return Targets(layout, quarter, half, quarter, one, quarter)
+
+
+def planes(labels: np.ndarray, size: int = 4) -> torch.Tensor:
+    return said_planes(correction(labels), (size, size))["said"][None] / 255
+
+
+def test_what_was_said_replaces_the_machines_target_and_has_its_weight() -> None:
+    found = corrected_targets(machine(), planes(quarters()), 3.0)
+
+    assert found.road[0, 0, 2:].tolist() == [[1, 1, 0, 0]] * 2
+    assert found.road_weight[0, 0, 2:].eq(3).all()
+    assert found.road[0, 0, :2, :2].eq(0).all()  # sky is no road
+    assert found.road[0, 0, :2, 2:].eq(0.5).all()
+    assert found.road_weight[0, 0, :2, 2:].eq(0.25).all()
+    assert found.layout[0, 0, :2, :2].eq(1).all()
+    assert found.layout[0, 2, 2:, :2].eq(1).all()  # road is horizontal
+    assert found.layout[0, 1, 2:, 2:].eq(1).all()  # "not road" says nothing of the layout
+    assert found.ego[0, 0, 2:, :2].eq(0).all()
+    assert found.ego[0, 0, 2:, 2:].eq(1).all()
+
+
+def test_void_counts_for_nothing() -> None:
+    labels = quarters()
+    labels[4:, :4] = VOID
+
+    found = corrected_targets(machine(), planes(labels), 1.0)
+
+    assert found.road_weight[0, 0, 2:, :2].eq(0).all()
+    assert found.layout_weight[0, 0, 2:, :2].eq(0).all()
+
+
+def test_nothing_said_changes_nothing() -> None:
+    before = machine()
+    for one, other in zip(
+        corrected_targets(before, planes(quarters() * 0), 5.0), before, strict=True
+    ):
+        assert torch.equal(one, other)
+
+
+def test_corrected_pictures_get_their_share_of_the_visits() -> None:
+    shares = torch.tensor([1.0, 3.0, 2.0, 2.0])
+    corrected = torch.tensor([True, False, False, True])
+
+    found = corrected_shares(shares, corrected, 0.7)
+
+    assert float(found[corrected].sum() / found.sum()) == pytest.approx(0.7)
+    assert float(found[3] / found[0]) == pytest.approx(2)
+    assert torch.equal(corrected_shares(shares, corrected | True, 0.7), shares)
+    assert torch.equal(corrected_shares(shares, corrected & False, 0.7), shares)
+
+
+def test_files_are_repeated_until_corrected_ones_are_their_share() -> None:
+    files = [Path(name) for name in "abcdefgh"]
+    said = {files[2]: Path("said")}
+
+    assert repeated(files, said, 0.5).count(files[2]) == 7
+    assert len(repeated(files, said, 0.5)) == 14
+    assert repeated(files, said, 1.0) == [files[2]]
+    assert repeated(files, {}, 0.5) == repeated(files, {}, 1.0) == files
+
+
+def test_patches_are_taken_where_people_named_a_class() -> None:
+    said = said_layout(correction(quarters(48, 64)), (48, 64))
+    sites = LabelledSites(
+        torch.tensor([[2, 2], [2, 60], [40, 2], [40, 60]], dtype=torch.int16),
+        torch.tensor([1, 1, 1, 1], dtype=torch.uint8),
+        torch.ones(4),
+    )
+
+    found = corrected_sites(sites, said, 2.5)
+
+    assert found.centres[:2].tolist() == [[2, 60], [40, 60]]  # the others were spoken of
+    assert set(found.classes[2:].tolist()) == {0, 2}
+    assert len(found.classes) == 2 + 24
+    assert found.weights.tolist() == [1, 1, *[2.5] * 24]
+
+
+def corrected_street(streets: Path, number: int = 0) -> Correction:
+    return correction(quarters(60, 80), streets / f"street_{number}.png")
+
+
+@pytest.mark.parametrize("kind", ["patches", "pictures"])
+def test_weights_say_that_people_corrected_pictures(
+    kind: str, streets: Path, kept: Path, tmp_path: Path
+) -> None:
+    request = request_of(streets, kept, tmp_path / "run", kind)
+    given = replace(request, corrections=[corrected_street(streets)])
+
+    outcome = train(training_of(kind, tmp_path), given)
+
+    assert outcome.weights is not None
+    (told,) = people_behind(outcome.weights)
+    assert (told["pictures"], told["people"], told["pixels"]) == (1, 1, 3 * 60 * 80 // 4)
+    assert "not label-free" in outcome.weights.with_suffix(".md").read_text()
+    assert corrected_pictures({"weights": {"file": str(outcome.weights)}}) == 1
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["corrections"] == told
+    assert (tmp_path / "run" / FUSION).exists() == (kind == "pictures")
+    if kind == "pictures":
+        values = read_settings_file(tmp_path / "run" / FUSION)
+        assert values["detector"] == "fusion"
+        assert values["weights"]["file"] == str(outcome.weights)
+
+
+def test_the_command_reads_what_annotate_kept(streets: Path, kept: Path, tmp_path: Path) -> None:
+    name, journals = "street_1.png", tmp_path / "corrections"
+    head = JournalHead(picture=f"elsewhere/{name}", user="ann", height=60, width=80)
+    open_work(journal_path(journals, name, "ann"), head).add(
+        brought(quarters(60, 80).astype(np.uint8))
+    )
+    config = write_config(tmp_path / "train.toml", PATCHES)
+    words = ["--config", config, "--images", streets, "--out", tmp_path / "run", "--quiet"]
+    words += ["--corrections", journals, "--pictures", streets]
+
+    result = CliRunner().invoke(command_of_train, [str(word) for word in words])
+
+    assert result.exit_code == 0, result.output
+    (told,) = people_behind(tmp_path / "run" / "weights.safetensors")
+    assert told["pictures"] == 1
+
+
+def test_what_goes_on_from_corrected_weights_is_not_label_free_either(
+    streets: Path, kept: Path, tmp_path: Path
+) -> None:
+    request = request_of(streets, kept, tmp_path / "first", "patches")
+    train(
+        training_of("patches", tmp_path), replace(request, corrections=[corrected_street(streets)])
+    )
+    start = tmp_path / "first" / "weights.safetensors"
+    training = training_of("patches", tmp_path, f"start={start}")
+
+    outcome = train(training, request_of(streets, kept, tmp_path / "second", "patches"))
+
+    assert outcome.weights is not None
+    assert people_behind(outcome.weights) == people_behind(start) != []
+
+
+def test_resuming_wants_the_same_corrections(
+    finished: tuple[Training, Request], streets: Path
+) -> None:
+    training, request = finished
+    with pytest.raises(ConfigError, match="other corrections"):
+        train(training, replace(request, corrections=[corrected_street(streets)]))
+
+
+def test_corrections_of_other_pictures_are_refused(
+    streets: Path, kept: Path, tmp_path: Path
+) -> None:
+    request = request_of(streets, kept, tmp_path / "run", "patches")
+    training = training_of("patches", tmp_path)
+    with pytest.raises(InputError, match="none of them is among --images"):
+        train(training, replace(request, corrections=[correction(quarters(), tmp_path / "x.png")]))
+    small = correction(quarters(), streets / "street_0.png")
+    with pytest.raises(InputError, match="another size"):
+        train(training, replace(request, corrections=[small]))
+
+
+def test_nothing_is_told_without_corrections_and_all_that_was_said_counts() -> None:
+    assert corrections_told({}) is None
+    one, other = (corrections_told({"a.png": correction(quarters() * factor)}) for factor in (1, 0))
+    assert one is not None
+    assert other is not None
+    assert one["sha256"] != other["sha256"]
+
+
+def test_a_shipped_network_is_started_from_by_its_name(tmp_path: Path) -> None:
+    assert start_file("layout").name == "layout.safetensors"
+    assert start_file("layout").is_file()
+    assert start_file("./layout") == Path("layout")
+    assert start_file(str(tmp_path / "mine.safetensors")) == tmp_path / "mine.safetensors"
+
+
+def test_the_centre_is_where_people_part_road_from_background() -> None:
+    odds = torch.linspace(-4, 4, 400).reshape(20, 20)
+    known = torch.ones(20, 20, dtype=torch.bool)
+    seen = SaidOdds(odds, odds > 1.5, known)
+    plain = RoadCalibration(own=0)
+
+    alike, unlike = SaidOdds(odds, odds > 1.4, known), SaidOdds(odds, odds > -3, known)
+
+    assert fitted_centre([seen, seen, alike], plain) == pytest.approx(1.45, abs=0.06)
+    assert fitted_centre([seen], plain) == pytest.approx((1.5 - 0.75) / 2, abs=0.05)
+    doubtful = fitted_centre([seen, unlike], plain)
+    assert abs(doubtful + 0.75) < abs(best_centre_of([seen, unlike]) + 0.75)
+    with pytest.raises(ConfigError, match="no pixel"):
+        fitted_centre([], plain)
+
+
+def best_centre_of(pictures: list[SaidOdds]) -> float:
+    """Without the pull to the default: of one picture made of all."""
+    both = [torch.cat(parts) for parts in zip(*pictures, strict=True)]
+    return best_centre(count_levels(both[0].sigmoid(), both[1], both[2], 4096))
