@@ -82,4 +82,5 @@ def borders(labels: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
     each = torch.cat(values).cpu().numpy() + 1j
     found = coo_array((each, at), shape=(count, count)).tocsr().tocoo()
     pairs = torch.from_numpy(np.stack([found.row, found.col]).astype(np.int64))
-    return pairs.to(labels.device), torch.from_numpy(found.data.real / found.data.imag).to(plane)
+    sums = np.asarray(found.data, dtype=np.complex128)
+    return pairs.to(labels.device), torch.from_numpy(sums.real / sums.imag).to(plane)

@@ -160,5 +160,5 @@ def make_record(folder: Path, draw: random.Random) -> Path:
 
 def read_record(path: Path) -> bool:
     """Begin a run where there is one; it is refused, as this one has other pictures."""
-    told_of(path, lambda: RunFolder(path.parent).begin(RECORD["config"], [], resume=True))
+    told_of(path, lambda: RunFolder(path.parent).begin(RECORD["config"], [], None, resume=True))
     return False

@@ -28,7 +28,8 @@ from roadtorch.camera.ground_grid import GridSettings, Rays, ground_rays
 from roadtorch.camera.horizon import horizon_of
 from roadtorch.cli.grids import decided
 from roadtorch.errors import InputError
-from roadtorch.scenes import CAMERA_HEIGHT, draw_street, render_scene
+from roadtorch.scene_canvas import CAMERA_HEIGHT
+from roadtorch.scenes import draw_street, render_scene
 
 DISTANCES = (5, 10, 15, 20, 30)
 ERRORS = (0.0, 1.0, -1.0, 2.0, -2.0)

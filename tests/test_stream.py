@@ -119,7 +119,9 @@ def test_what_steadies_sees_the_frames_in_order_and_decides() -> None:
             self.hidden = torch.zeros(48, 64, dtype=torch.bool)
             self.hidden[:, :8] = True
 
-        def __call__(self, image: Tensor, likelihood: Tensor, _: Tensor | None = None) -> Tensor:
+        def __call__(
+            self, image: Tensor, likelihood: Tensor, hidden: Tensor | None = None
+        ) -> Tensor:
             self.seen.append(image)
             return torch.zeros_like(likelihood)
 

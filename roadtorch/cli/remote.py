@@ -46,7 +46,7 @@ class RemoteJob:
         """Whether all files exist whose names are known beforehand."""
         return all(self.out.has(self.picture.name + end) for end in self.suffixes.values())
 
-    def has_all(self, _: Row) -> bool:
+    def has_all(self, row: Row) -> bool:
         """The same: what is behind a URL is asked for by names that are known beforehand."""
         return self.is_complete
 

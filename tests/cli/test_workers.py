@@ -33,7 +33,7 @@ class Number:
     def is_complete(self) -> bool:
         return False
 
-    def has_all(self, _: Row) -> bool:
+    def has_all(self, row: Row) -> bool:
         return False
 
     def digest(self) -> str:
