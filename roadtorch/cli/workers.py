@@ -8,18 +8,17 @@ with them every byte.
 
 import os
 import signal
-import threading
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import get_all_start_methods, get_context, parent_process
+from multiprocessing import get_all_start_methods, get_context
 from typing import Any
 
 from roadtorch.cli.batch import Rows, Task, Work
 from roadtorch.cli.index import FAILED, Row
-from roadtorch.signals import SIGNALS
+from roadtorch.signals import SIGNALS, end_with_parent
 
 FEWEST = 4
 """Pictures a worker, from which making one pays; ours: it costs as much as one picture."""
@@ -99,14 +98,7 @@ def _begin(work: Work) -> None:
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     _WORK[:] = [work]
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+    end_with_parent()
 
 
 def _do(task: Any) -> Row:
