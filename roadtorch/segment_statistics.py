@@ -37,19 +37,16 @@ def segment_median(values: Tensor, labels: Tensor, count: int) -> Tensor:
 
 
 def segment_histogram(
-    levels: Tensor, labels: Tensor, count: int, bins: int, weight: Tensor | None = None
+    levels: Tensor, labels: Tensor, count: int, bins: int, usable: Tensor | None = None
 ) -> Tensor:
     """How often each level occurs in each segment: float32 (count, bins).
 
-    levels: int64 (H,W) in 0…bins-1. weight: (H,W) or None; pixels with weight 0 do not count.
+    levels: int64 (H,W) in 0…bins-1. usable: bool (H,W), the pixels that count; None for all.
     """
     index = (labels * bins).add_(levels).reshape(-1)
-    if weight is not None and weight.dtype == torch.bool:
-        # Counted behind all others: faster than sums of 0 and 1.
-        index = index.where(weight.reshape(-1), count * bins)
-        weight = None
-    weights = None if weight is None else weight.reshape(-1).to(torch.float64)
-    counts = torch.bincount(index, weights=weights, minlength=count * bins)[: count * bins]
+    if usable is not None:
+        index = index.where(usable.reshape(-1), count * bins)  # counted behind all others
+    counts = torch.bincount(index, minlength=count * bins)[: count * bins]
     return counts.reshape(count, bins).to(torch.float32)
 
 

@@ -151,7 +151,9 @@ class Saturation(Settings):
     )
 
 
-def segment_histograms(levels: Tensor, labels: Tensor, bins: int, usable: Tensor) -> Tensor:
+def segment_histograms(
+    levels: Tensor, labels: Tensor, bins: int, usable: Tensor | None = None
+) -> Tensor:
     """Histograms (n,bins) of levels (H,W) over the usable pixels of the n segments of labels."""
     return segment_histogram(levels, labels, int(labels.max()) + 1, bins, usable)
 

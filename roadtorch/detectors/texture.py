@@ -131,8 +131,7 @@ class GreyUniformity(nn.Module):
         settings = self.settings
         labels = settings.superpixels.cut(image)
         levels = quantise(plane(image, "grey"), settings.bins, 0, 1)
-        everywhere = torch.ones_like(labels)
-        values = uniformity(segment_histograms(levels, labels, settings.bins, everywhere))
+        values = uniformity(segment_histograms(levels, labels, settings.bins))
         painted = paint(values, labels)
         likelihood = uniformity_likelihood(painted, settings.even)
         return {"likelihood": likelihood, "uniformity": painted, "segments": labels}
@@ -150,7 +149,7 @@ class Lbp(nn.Module):
         patterns_of, codes = PATTERNS[self.settings.patterns]
         labels = self.settings.superpixels.cut(image)
         patterns = patterns_of(plane(image, "grey"))
-        counts = segment_histograms(patterns, labels, codes, torch.ones_like(labels))
+        counts = segment_histograms(patterns, labels, codes)
         area = seed_area(labels.shape[-2], labels.shape[-1], self.settings.seed_area)
         reference = torch.bincount(patterns[area].flatten(), minlength=codes).to(counts)
         likelihood = paint(similarity(counts, reference), labels)
