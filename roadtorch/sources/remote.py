@@ -77,10 +77,8 @@ def _behind(given: str) -> list[RemotePicture]:
             root, files = PurePosixPath(path), system.find(path)
         else:
             return [RemotePicture(given, PurePosixPath(path).stem)]
-        found = [
-            PurePosixPath(file) for file in sorted(files) if names_picture(PurePosixPath(file).name)
-        ]
-        shown = [file for file in found if not _is_hidden(file.relative_to(root))]
+        found = [path for path in map(PurePosixPath, sorted(files)) if names_picture(path.name)]
+        shown = [path for path in found if not _is_hidden(path.relative_to(root))]
     if not shown:
         raise InputError(given, "holds no pictures", f"give {READABLE} files")
     return [

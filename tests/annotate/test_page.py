@@ -174,7 +174,7 @@ def test_correct_undo_redo_reload(visit: Open, server: Server) -> None:
     assert not (one.road == 1).any()
     page.keyboard.press("z")
     at_version(page, 2)
-    assert server.corrections() == []
+    assert not list(server.out.rglob("*.jsonl"))
     page.keyboard.press("Control+y")
     at_version(page, 3)
     page.reload()
@@ -361,9 +361,11 @@ def test_a_refused_stroke_is_told_and_the_next_one_goes_through(
     ), times=1)  # fmt: skip
     click(page, 0.5, 0.9)
     notices(page, "Not kept: stroke")
+    assert not list(server.out.rglob("*.jsonl"))
     click(page, 0.5, 0.9)
     at_version(page, 1)
     page.wait_for_selector("#notice", state="hidden")
+    assert [one.clicks for one in server.corrections()] == [1]
 
 
 def test_without_the_token_there_is_no_page(browser: "Browser", server: Server) -> None:
