@@ -16,6 +16,7 @@ Records are JSON: a list of {"name", "value", "unit", "command"}.
 
 import json
 import re
+import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -130,7 +131,7 @@ def stale(text: str, records: Records, tables: Tables) -> list[Stale]:
         if key not in records:
             found.append(Stale(line, f"{said}: no record is called {key}"))
         elif not _agrees(said, records[key].value):
-            command = records[key].command
+            command = textwrap.shorten(records[key].command, 80, placeholder=" …")
             found.append(Stale(line, f"{said}: {key} is {records[key].value} ({command})"))
     for one in TABLE.finditer(text):
         line, name = _line(text, one.start()), one["name"]

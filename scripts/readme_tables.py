@@ -23,7 +23,7 @@ CAMERAS = (
     "ycor",
 )
 
-CONDITIONS = ("day", "offroad", "rain", "bonnet", "dusk", "night")
+CONDITIONS = ("day", "offroad", "rain", "bonnet", "underexposed", "shadow", "dusk", "night")
 
 LAYOUTS = ("layout", "labeller", "layout:cnn-7")
 

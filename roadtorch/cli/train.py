@@ -28,7 +28,9 @@ if TYPE_CHECKING:
     help="Where labelled pictures are kept, for several runs. [OUT/prepared]",
 )
 @click.option("--threads", type=click.IntRange(min=1), help="Threads; the result depends on it.")
-@click.option("--labelled", help="Labelled set NAME:ROOT for F before and after; its labels teach nothing.")
+@click.option(
+    "--labelled", help="Labelled set NAME:ROOT for F before and after; its labels teach nothing."
+)
 @click.option(
     "--compared",
     type=click.IntRange(min=1),

@@ -107,12 +107,12 @@ def score_lines(evaluation: Evaluation) -> Iterator[Line]:
     for measure in evaluation.shown_in("pairs"):
         if measure.key not in found:
             continue
-        texts, notes = zip(*(_scored(evaluation, name, measure) for name in names), strict=True)
+        before, after = (_scored(evaluation, name, measure) for name in names)
         difference = found[measure.key]
         note = _interval(difference.interval, signed)
         under = measure.key.rpartition("/")[0].replace("/", ", ")
         what = f"{under}, {measure.line}" if under else measure.line
-        yield Line(what, *texts, signed(difference.value), (*notes, note))
+        yield Line(what, before[0], after[0], signed(difference.value), (before[1], after[1], note))
 
 
 def _scored(evaluation: Evaluation, name: str, measure: Measure) -> tuple[str, str]:

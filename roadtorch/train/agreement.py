@@ -33,4 +33,5 @@ def teacher_agreement(
         where = torch.stack([targets.layout_weight[:, 0], targets.road_weight[:, 0]]) > 0
         same += (torch.stack([layout, road]) & where).flatten(1).sum(1)
         known += where.flatten(1).sum(1)
-    return Agreement(*(same / known).tolist(), len(files))
+    shares = same / known
+    return Agreement(float(shares[0]), float(shares[1]), len(files))

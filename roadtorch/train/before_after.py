@@ -99,7 +99,10 @@ def _looked_at(
     found: list[Change] = []
     failures: list[Failure] = []
     for one in seen:
-        (failures if isinstance(one, Failure) else found).append(one)
+        if isinstance(one, Failure):
+            failures.append(one)
+        else:
+            found.append(one)
     return found, failures
 
 
