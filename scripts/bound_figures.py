@@ -224,7 +224,9 @@ class Table(NamedTuple):
     sort: str = ""
 
     def __call__(self, records: Records) -> str:
-        """Markdown lines; KeyError for a record that is not there."""
+        """Markdown lines; KeyError for a missing record, ValueError for a missing header."""
+        if len(self.header) != 1 + len(self.cells):
+            raise ValueError(f"{len(self.header)} headers over {1 + len(self.cells)} columns")
         rows = self.rows
         if self.sort:
             rows = tuple(sorted(rows, key=lambda row: -_number(records, self.sort, row[1])))

@@ -104,6 +104,11 @@ def test_rows_fall_by_the_record_they_are_sorted_by() -> None:
     assert of_group(records).splitlines()[2:] == ["| B at x | .50 |"]
 
 
+def test_a_table_has_a_header_for_every_column() -> None:
+    with pytest.raises(ValueError, match="1 headers over 2 columns"):
+        SCORES._replace(header=("detector",))(RECORDS)
+
+
 def test_a_table_names_the_record_that_is_missing() -> None:
     table = SCORES._replace(cells=("[[{row}.maxf|.000]]",))
     text = f"<!-- table: scores -->\n{WRITTEN}<!-- end -->"
