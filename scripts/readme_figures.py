@@ -3,6 +3,7 @@
     python scripts/readme_figures.py evaluate DATA   # score, write the documents, check
     python scripts/readme_figures.py write           # documents as docs/figures have them
     python scripts/readme_figures.py --check         # is every figure as its source has it?
+    python scripts/readme_figures.py free PAGE       # the figures of a page without a source
     python scripts/readme_figures.py make DATA       # docs/pictures: the steps, the video
 
 DATA holds many/, camvid/, idd_lite/ and unlabelled_free/. ``evaluate`` takes about ten minutes on
@@ -28,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 FIGURES = Path("docs/figures")
 """Where the records lie, a file a run."""
 
-WHOLLY_BOUND = ("README.md", "docs/results.md", "docs/many.md")
+WHOLLY_BOUND = ("README.md", "docs/adapting.md", "docs/many.md", "docs/results.md")
 """Documents in which a figure without a source is an error."""
 
 
@@ -107,16 +108,22 @@ def arguments_of(words: Sequence[str] | None) -> argparse.Namespace:
     scored.add_argument("--only", nargs="*", choices=every, default=[run.name for run in RUNS])
     scored.add_argument("--jobs", type=int, default=2)
     tasks.add_parser("write", help="documents from records")
+    listed = tasks.add_parser("free", help="figures without a source")
+    listed.add_argument("page", type=Path)
     made = tasks.add_parser("make", help="the pictures")
     made.add_argument("data", type=Path)
     given = parser.parse_args(words)
     if given.check == (given.task is not None):
-        parser.error("give --check, or one of evaluate, write, make")
+        parser.error("give --check, or one of evaluate, write, free, make")
     return given
 
 
 def main(words: Sequence[str] | None = None) -> int:
     given = arguments_of(words)
+    if given.task == "free":
+        found = bound_figures.unbound(given.page.read_text(encoding="utf-8"))
+        print("\n".join(f"{given.page}:{line}: {number}" for line, number in found))
+        return 0
     if given.task == "make":
         readme_pictures.make(given.data, ROOT / "docs" / "pictures")
         return 0

@@ -175,7 +175,16 @@ def test_the_pictures_are_small_and_their_sources_named() -> None:
     assert all(word in README for word in ("MIT", "CC BY 4.0", "docs/pictures/sources.csv"))
 
 
+def test_the_figures_of_a_page_without_a_source_are_listed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "page.md").write_text("F .5\n\n.6<!-- figure: x --> and 7\n")
+    assert readme_figures.main(["free", str(tmp_path / "page.md")]) == 0
+    told = capsys.readouterr().out.splitlines()
+    assert [line.rpartition("page.md:")[2] for line in told] == ["1: .5", "3: 7"]
+
+
 def test_a_figure_of_neither_task_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         readme_figures.main([])
-    assert "give --check, or one of evaluate, write, make" in capsys.readouterr().err
+    assert "give --check, or one of evaluate, write, free, make" in capsys.readouterr().err
