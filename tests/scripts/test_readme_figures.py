@@ -5,11 +5,13 @@ import re
 import shutil
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from roadtorch.scenes import render_scene, write_picture
-from scripts import readme_figures
-from scripts.readme_evaluations import RUNS, SLOW_RUNS, facts, records_of
+from scripts import bound_figures, readme_evaluations, readme_figures
+from scripts.readme_evaluations import RUNS, SLOW_RUNS, Run, facts, records_of
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -137,6 +139,29 @@ def test_every_run_compares_with_fusion_and_keeps_its_figures_apart() -> None:
         assert words[-1] == f"O/{run.name}"
         assert not [word for word in words if "DATA" in word or "OUT" in word]
         assert "fusion" in run.detectors
+
+
+def test_a_run_is_made_and_its_used_figures_are_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for camera in ("a", "b"):
+        (tmp_path / "many" / camera / "masks").mkdir(parents=True)
+        for seed in range(2):
+            street = render_scene(seed, 48, 64)
+            write_picture(tmp_path / "many" / camera / "images" / f"{seed}.png", street)
+            mask = street.road.numpy().astype(np.uint8) * 255
+            cv2.imwrite(str(tmp_path / "many" / camera / "masks" / f"{seed}.png"), mask)
+    run = Run("many", ("folder", "DATA/many"), ("fusion",))
+    monkeypatch.setattr(readme_evaluations, "RUNS", (run,))
+
+    readme_evaluations.evaluate(tmp_path, tmp_path / "out", ["many"], jobs=1)
+    used = {"many.fusion.f_mask", "many.fusion.f_mask@a", "other.figure"}
+    (path,) = readme_evaluations.collect(tmp_path / "out", tmp_path / "figures", used)
+
+    found = bound_figures.read_records([path])
+    assert set(found) == {"many.fusion.f_mask", "many.fusion.f_mask@a"}
+    assert 0 < float(found["many.fusion.f_mask"].value) <= 1
+    assert found["many.fusion.f_mask"].command.startswith("roadtorch evaluate folder DATA/many")
 
 
 # --- the front page --------------------------------------------------------------------------
