@@ -2,10 +2,16 @@
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from roadtorch.cli.labelled import command_line
 from roadtorch.cli.options import PATH, SETTING
+
+if TYPE_CHECKING:
+    from roadtorch.data.dataset import Dataset
+    from roadtorch.train.config import Training
 
 
 @click.command()
@@ -22,6 +28,16 @@ from roadtorch.cli.options import PATH, SETTING
     help="Where labelled pictures are kept, for several runs. [OUT/prepared]",
 )
 @click.option("--threads", type=click.IntRange(min=1), help="Threads; the result depends on it.")
+@click.option(
+    "--labelled", help="Labelled set NAME:ROOT for F before and after; its labels teach nothing."
+)
+@click.option(
+    "--compared",
+    type=click.IntRange(min=1),
+    default=60,
+    show_default=True,
+    help="Pictures that the page compares before and after, evenly spread.",
+)
 @click.option("--quiet", is_flag=True, help="No progress, only what goes wrong.")
 @click.pass_context
 def train(
@@ -35,6 +51,8 @@ def train(
     assignments: tuple[str, ...],
     prepared: Path | None,
     threads: int | None,
+    labelled: str | None,
+    compared: int,
     quiet: bool,
 ) -> None:
     """Train a layout network on machine labels of pictures that nobody labelled.
@@ -50,11 +68,13 @@ def train(
       checkpoint.pt        where --resume goes on; Ctrl-C and SIGTERM leave one
       prepared/            small copies of the pictures with their labels, made once
       weights.md           with --corrections: the card that says so
+      adaptation.html      with start in the config: pictures, trust, agreement before and after
     """
     import torch
 
     from roadtorch.data.corrections import read_corrections
     from roadtorch.settings import merge, parse_assignments, read_settings_file
+    from roadtorch.train.before_after import show_change
     from roadtorch.train.config import build_training
     from roadtorch.train.run import Request
     from roadtorch.train.run import train as run
@@ -65,7 +85,9 @@ def train(
     values = merge(read_settings_file(config), parse_assignments(assignments))
     training = build_training(values)
     said = read_corrections(corrections, pictures) if corrections else []
-    outcome = run(training, Request(images, out, resume, prepared, quiet, said))
+    scored = _labelled_set(labelled, training)
+    request = Request(images, out, resume, prepared, quiet, said)
+    outcome = run(training, request)
     if outcome.interrupted:
         if leads:
             text = f"roadtorch: stopped by {outcome.interrupted.name}; go on with --resume"
@@ -74,4 +96,22 @@ def train(
     if leads and not quiet:
         skipped = f"; {outcome.skipped} skipped, see pictures.csv" if outcome.skipped else ""
         click.echo(f"roadtorch: weights in {outcome.weights}{skipped}", err=True)
+    if leads and training.start:
+        command = command_line(context)
+        page = show_change(training, request, outcome, compared, scored, command)
+        if page is not None and not quiet:
+            click.echo(f"roadtorch: before and after in {page}", err=True)
     context.exit(1 if outcome.skipped else 0)
+
+
+def _labelled_set(labelled: str | None, training: "Training") -> "Dataset | None":
+    """The set that the page scores; ConfigError without weights to start from."""
+    from roadtorch.data.catalogue import open_named
+    from roadtorch.errors import ConfigError
+
+    if labelled is None:
+        return None
+    if not training.start:
+        what = "is for runs that start from weights: there is no before"
+        raise ConfigError("--labelled", what, "give --set start=WEIGHTS, or leave it out")
+    return open_named(labelled)

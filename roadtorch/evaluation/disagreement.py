@@ -3,10 +3,12 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from torch import Tensor
 
 from roadtorch.data.dataset import Dataset, Item, Truth
+from roadtorch.detector import Detection
 from roadtorch.errors import DatasetError, RoadtorchError
 from roadtorch.evaluation.contenders import Contender
 from roadtorch.evaluation.result import Failure
@@ -62,13 +64,33 @@ def disagreements(
     dataset: Dataset, first: Contender, second: Contender
 ) -> Iterator[Disagreement | Failure]:
     """Each picture as two contenders decide on it, each at its own threshold; or why not."""
+    for seen in seen_by_both(dataset, first, second):
+        yield (
+            seen
+            if isinstance(seen, Failure)
+            else disagreement(seen.item, seen.first.mask, seen.second.mask)
+        )
+
+
+class SeenByBoth(NamedTuple):
+    """A picture and what two contenders found in it."""
+
+    item: Item
+    first: Detection
+    second: Detection
+
+
+def seen_by_both(
+    dataset: Dataset, first: Contender, second: Contender
+) -> Iterator[SeenByBoth | Failure]:
+    """Each picture as two contenders see it, or why not."""
     looks = [one.prepare(dataset) for one in (first, second)]
     for item in dataset.items:
         try:
             image = read_image(item.image)
             with image_cache():
-                masks = [look(image, item).mask for look in looks]
-            yield disagreement(item, *masks)
+                one, other = (look(image, item) for look in looks)
+            yield SeenByBoth(item, one, other)
         except RoadtorchError as problem:
             yield Failure(item.name, None, str(problem))
 

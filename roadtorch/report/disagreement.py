@@ -2,14 +2,14 @@
 
 import base64
 import statistics
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from roadtorch.data.dataset import Dataset
+from roadtorch.data.dataset import Dataset, Item
 from roadtorch.evaluation.contenders import Contender
 from roadtorch.evaluation.disagreement import Disagreement
 from roadtorch.evaluation.result import Failure
@@ -80,19 +80,24 @@ def write_rivalry(out: Path, rivalry: Rivalry, worst: int, command: str = "") ->
 
 
 def _sheets(rivalry: Rivalry, worst: int) -> list[str]:
-    """A JPEG in base64 for each of the first pictures: both overlays, and what differs."""
-    rivals = (rivalry.first, rivalry.second)
-    looks = {one.name: one.prepare(rivalry.dataset) for one in rivals}
+    items = [one.item for one in rivalry.found[:worst]]
+    caption = "only A blue, only B orange"
+    return both_sheets(rivalry.dataset, (rivalry.first, rivalry.second), items, caption)
+
+
+def both_sheets(
+    dataset: Dataset, rivals: tuple[Contender, Contender], items: Iterable[Item], caption: str
+) -> list[str]:
+    """A JPEG in base64 for each item: the overlays of both, and what differs, so captioned."""
+    looks = {one.name: one.prepare(dataset) for one in rivals}
     sheets = []
-    for one in rivalry.found[:worst]:
-        image = read_image(one.item.image)
+    for item in items:
+        image = read_image(item.image)
         with image_cache():
-            masks = {name: look(image, one.item).mask for name, look in looks.items()}
+            masks = {name: look(image, item).mask.numpy() for name, look in looks.items()}
         pixels = to_pixels(image)
-        tiles = {name: tint_mask(pixels, mask.numpy()) for name, mask in masks.items()}
-        tiles["only A blue, only B orange"] = differing(
-            pixels, *(m.numpy() for m in masks.values())
-        )
+        tiles = {name: tint_mask(pixels, mask) for name, mask in masks.items()}
+        tiles[caption] = differing(pixels, *masks.values())
         height = round(pixels.shape[0] * TILE_WIDTH / pixels.shape[1])
         sheet = np.concatenate([captioned(t, text, height) for text, t in tiles.items()], axis=1)
         options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]

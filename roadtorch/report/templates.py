@@ -9,10 +9,18 @@ import jinja2
 
 def template(path: str) -> jinja2.Template:
     """A template by its path in this package, "page/report.html"."""
-    environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(_text_of),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     environment.filters["sha256"] = _sha256
-    text = files("roadtorch.report").joinpath(path).read_text(encoding="utf-8")
-    return environment.from_string(text)
+    return environment.get_template(path)
+
+
+def _text_of(path: str) -> str:
+    return files("roadtorch.report").joinpath(path).read_text(encoding="utf-8")
 
 
 def _sha256(script: str) -> str:

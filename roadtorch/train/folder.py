@@ -21,17 +21,18 @@ from roadtorch.train.prepared import PreparedPicture, bytes_of, name_of
 FORMAT = 1
 """Of checkpoints; raised when older code could not go on with them."""
 
-RUN, CHECKPOINT, LOG, CURVE, PICTURES = (
+RUN, CHECKPOINT, LOG, CURVE, PICTURES, PAGE = (
     "run.json",
     "checkpoint.pt",
     "log.csv",
     "curve.png",
     "pictures.csv",
+    "adaptation.html",
 )
 WEIGHTS, LABELS = "weights.safetensors", "labels-"
 ELSEWHERE = "give another --out"
 NO_CHECKPOINT = ("is damaged or no checkpoint", "start again in another --out")
-OURS = (RUN, CHECKPOINT, LOG, CURVE, PICTURES, WEIGHTS)
+OURS = (RUN, CHECKPOINT, LOG, CURVE, PICTURES, WEIGHTS, PAGE)
 
 
 def config_hash(values: Mapping[str, Any]) -> str:

@@ -1,0 +1,147 @@
+"""What a run that started from weights has changed: measured, and written as a page."""
+
+import csv
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from roadtorch.data.dataset import Dataset, every_kth
+from roadtorch.evaluation.adaptation import (
+    Change,
+    Taught,
+    changes,
+    mean_change,
+    most_and_spread,
+)
+from roadtorch.evaluation.contenders import Contender
+from roadtorch.evaluation.disagreement import unlabelled_set
+from roadtorch.evaluation.evaluate import evaluated
+from roadtorch.evaluation.result import Evaluation, Failure
+from roadtorch.evaluation.rivals import rival
+from roadtorch.layout.picture_network import PictureNetwork
+from roadtorch.layout.weights import load_network
+from roadtorch.report.adaptation import Adaptation, write_adaptation
+from roadtorch.sources.pictures import find_images
+from roadtorch.train.agreement import teacher_agreement
+from roadtorch.train.config import PictureTraining, Training
+from roadtorch.train.folder import LOG, PAGE
+from roadtorch.train.prepared import name_of
+from roadtorch.train.recipe import start_file
+from roadtorch.train.run import FUSION, PREPARED, Outcome, Request
+
+SHOWN = 10
+"""Pictures on the page, half of them those that changed most."""
+
+NAMES = ("before", "after")
+
+
+def show_change(
+    training: Training,
+    request: Request,
+    outcome: Outcome,
+    compared: int,
+    labelled: Dataset | None = None,
+    command: str = "",
+) -> Path | None:
+    """Write the page of a finished run beside its weights; None where nothing could be seen.
+
+    The run has to have a ``start``. compared: pictures that are looked at, evenly spread.
+    labelled: a set that scores both; nothing is learned from it.
+    """
+    if outcome.weights is None:
+        return None
+    start = start_file(training.start)
+    rivals = _rivals(start, outcome.weights)
+    dataset = every_kth(unlabelled_set(find_images([request.images], request.out)), compared)
+    found, failures = _looked_at(dataset, rivals, request.quiet)
+    if not found:
+        return None
+    adaptation = Adaptation(
+        dataset=dataset,
+        rivals=rivals,
+        files=(start, outcome.weights),
+        means=mean_change(found),
+        found=found,
+        shown=most_and_spread(found, SHOWN),
+        failures=failures,
+        taught=_taught(training, request, compared, (start, outcome.weights)),
+        rows=_rows(request.out / LOG),
+        labelled=_scored(labelled, rivals),
+    )
+    write_adaptation(request.out / PAGE, adaptation, command)
+    return request.out / PAGE
+
+
+def _rivals(start: Path, weights: Path) -> tuple[Contender, Contender]:
+    """The detectors with the weights of before and after, called so."""
+    calibrated = weights.with_name(FUSION)
+    last = calibrated if calibrated.exists() else weights
+    one, other = rival(str(start), ""), rival(str(last), "")
+    return replace(one, name=NAMES[0]), replace(other, name=NAMES[1])
+
+
+def _looked_at(
+    dataset: Dataset, rivals: tuple[Contender, Contender], quiet: bool
+) -> tuple[list[Change], list[Failure]]:
+    seen = tqdm(
+        changes(dataset, *rivals),
+        "before and after",
+        total=len(dataset.items),
+        unit="image",
+        disable=True if quiet else None,
+        file=sys.stderr,
+    )
+    found: list[Change] = []
+    failures: list[Failure] = []
+    for one in seen:
+        if isinstance(one, Failure):
+            failures.append(one)
+        else:
+            found.append(one)
+    return found, failures
+
+
+def _taught(
+    training: Training, request: Request, most: int, files: tuple[Path, Path]
+) -> Taught | None:
+    """The agreement with the teacher before and after; None for networks without its maps."""
+    if not isinstance(training, PictureTraining):
+        return None
+    folder = request.prepared or request.out / PREPARED
+    prepared = _prepared_of(request, folder)
+    step = max(1, math.ceil(len(prepared) / most))
+    found = []
+    for file in files:
+        network = load_network(file)
+        if not isinstance(network, PictureNetwork):
+            return None
+        found.append(teacher_agreement(network.eval(), prepared[::step], training))
+    return Taught(training.teacher.detector, *found)
+
+
+def _prepared_of(request: Request, folder: Path) -> Sequence[Path]:
+    """The prepared files of this run's pictures, those that were skipped left out."""
+    pictures = find_images([request.images], request.out)
+    files = [folder / f"{name_of(one)}.npz" for one in pictures]
+    return [file for file in files if file.exists()]
+
+
+def _rows(path: Path) -> list[dict[str, Any]]:
+    """Round, epoch and error of each epoch, as the run's log has them."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return [
+            {"round": int(row["round"]), "epoch": int(row["epoch"]), "error": float(row["error"])}
+            for row in csv.DictReader(file)
+        ]
+
+
+def _scored(labelled: Dataset | None, rivals: tuple[Contender, Contender]) -> Evaluation | None:
+    """Both scored on a labelled set, the second compared with the first."""
+    if labelled is None:
+        return None
+    return evaluated(labelled, rivals, {}, against=NAMES[0])

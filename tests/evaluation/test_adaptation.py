@@ -1,0 +1,55 @@
+"""What further training changed: means, and the pictures that are chosen to be looked at."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from roadtorch.data.dataset import Item
+from roadtorch.evaluation.adaptation import Change, mean_change, most_and_spread
+from roadtorch.evaluation.disagreement import Disagreement
+
+
+def change(number: int, differs: float, before: float = 0.5, after: float = 0.6) -> Change:
+    item = Item(f"picture_{number:02d}", Path("x.png"), Path("x.png"))
+    return Change(Disagreement(item, differs, 0.3, 0.3 + differs, 0.0, differs), before, after)
+
+
+def numbers(found: list[Change]) -> list[int]:
+    return [int(one.masks.item.name[-2:]) for one in found]
+
+
+def test_half_changed_most_and_the_others_are_spread_down_to_the_least() -> None:
+    found = [change(number, number / 100) for number in range(25)]
+
+    chosen = most_and_spread(found, 10)
+
+    # 24 to 20 changed most; of the twenty others every fourth, the least changed included.
+    assert numbers(chosen) == [24, 23, 22, 21, 20, 16, 12, 8, 4, 0]
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7, 10, 11])
+@pytest.mark.parametrize("pictures", [1, 2, 7, 10, 11, 12])
+def test_no_picture_is_chosen_twice_and_none_is_missing(pictures: int, count: int) -> None:
+    found = [change(number, number / 100) for number in range(pictures)]
+    chosen = numbers(most_and_spread(found, count))
+    assert len(chosen) == len(set(chosen)) == min(pictures, count)
+    assert chosen[0] == pictures - 1
+
+
+def test_the_means_leave_out_pictures_without_trust() -> None:
+    found = [change(0, 0.1, 0.5, 0.7), change(1, 0.3, 0.6, 0.5), change(2, 0.2, math.nan, math.nan)]
+
+    means = mean_change(found)
+
+    assert (means.pictures, means.grown, means.shrunk) == (3, 1, 1)
+    assert means.differs == pytest.approx(0.2)
+    assert (means.median, means.most) == (0.2, 0.3)
+    assert (means.road_before, means.road_after) == pytest.approx((0.3, 0.5))
+    assert (means.trust_before, means.trust_after) == pytest.approx((0.55, 0.6))
+
+
+def test_without_any_trust_there_is_no_mean_of_it() -> None:
+    means = mean_change([change(0, 0.1, math.nan, math.nan)])
+    assert math.isnan(means.trust_before)
+    assert (means.grown, means.shrunk) == (0, 0)

@@ -1,0 +1,163 @@
+"""The page at the end of a run that started from weights."""
+
+import re
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from click.testing import CliRunner, Result
+
+from roadtorch.cli.train import train as train_command
+from roadtorch.errors import ConfigError, RoadtorchError
+from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
+from roadtorch.layout.weights import save_network
+from roadtorch.scenes import write_picture
+from roadtorch.train.agreement import teacher_agreement
+from roadtorch.train.arrays import read_arrays, write_arrays
+from roadtorch.train.config import PictureTraining
+from tests.streets import scene
+from tests.train.runs import PICTURES, training_of, write_config
+
+NETWORK = PictureNetworkSettings(height=32, width=40, narrow=8, wide=8)
+HOSTILE = "<img src=x onerror=alert(1)>"
+
+
+@pytest.fixture(scope="module")
+def start(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("start") / "first.safetensors"
+    save_network(path, PictureNetwork(NETWORK), {})
+    return path
+
+
+@pytest.fixture(scope="module")
+def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Rendered streets with their road, as the set ``folder`` is laid out."""
+    root = tmp_path_factory.mktemp("labelled")
+    for seed in range(3):
+        street = scene(seed, 60, 80)
+        write_picture(root / "images" / f"s{seed}.png", street)
+        mask = np.where(street.road.numpy(), 255, 0).astype(np.uint8)
+        (root / "masks").mkdir(exist_ok=True)
+        cv2.imwrite(str(root / "masks" / f"s{seed}.png"), mask)
+    return root
+
+
+def run(*arguments: object) -> Result:
+    result = CliRunner().invoke(train_command, [str(one) for one in arguments])
+    if result.exception and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def words(tmp_path: Path, images: Path, kept: Path, *more: object) -> list[object]:
+    config = write_config(tmp_path / "pictures.toml", PICTURES)
+    return [
+        *("--config", config, "--images", images, "--out", tmp_path / "run"),
+        *("--prepared", kept / "pictures", "--set", "rounds.count=1"),
+        *("--set", "rounds.start=continued", *more),
+    ]
+
+
+def test_a_run_from_weights_ends_with_a_page(
+    streets: Path, kept: Path, start: Path, labelled: Path, tmp_path: Path
+) -> None:
+    more = ("--set", f"start={start}", "--labelled", f"folder:{labelled}")
+    result = run(*words(tmp_path, streets, kept, *more))
+
+    assert "before and after in" in result.output
+    page = (tmp_path / "run" / "adaptation.html").read_text()
+    assert "The same 5 pictures" in page
+    assert page.count("data:image/jpeg;base64") == 5
+    assert "All there are, the most changed first." in page
+    assert "agrees with the teacher on layout" in page
+    assert "The teacher is the detector labeller" in page
+    assert 'aria-label="Mean error of the epochs"' in page
+    assert 'aria-label="Trust of each picture before and after"' in page
+    # With labels: F before and after, and the paired interval.
+    assert "folder" in page
+    assert re.search(r"F of mask</th><td>0\.\d{3}.*?to.*?</td><td>0\.\d{3}", page, re.S)
+    assert "Nobody labelled these" not in page
+    # It asks for nothing.
+    assert "default-src 'none'" in page
+    assert not re.findall(r"(?:src|href)=\"(?!data:|#)", page)
+    assert "<script" not in page
+
+
+def test_what_others_named_is_text_on_the_page(kept: Path, start: Path, tmp_path: Path) -> None:
+    images = tmp_path / "footage"
+    write_picture(images / "plain.png", scene(0, 60, 80))
+    shutil.copy(images / "plain.png", images / f"{HOSTILE}.png")
+    config = write_config(tmp_path / "pictures.toml", PICTURES)
+    run("--config", config, "--images", images, "--out", tmp_path / "run", "--quiet",
+        "--set", "rounds.count=1", "--set", f"start={start}")  # fmt: skip
+
+    page = (tmp_path / "run" / "adaptation.html").read_text()
+    assert HOSTILE not in page
+    assert "&lt;img src=x onerror=alert(1)&gt;" in page
+
+
+def test_a_run_from_new_weights_has_no_before(streets: Path, kept: Path, tmp_path: Path) -> None:
+    run(*words(tmp_path, streets, kept))
+    assert not (tmp_path / "run" / "adaptation.html").exists()
+
+
+def test_labels_without_a_before_are_refused_before_anything_is_made(
+    streets: Path, kept: Path, labelled: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigError, match="--labelled: is for runs that start from weights"):
+        run(*words(tmp_path, streets, kept, "--labelled", f"folder:{labelled}"))
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_labelled_set_that_is_not_there_is_told_before_the_training(
+    streets: Path, kept: Path, start: Path, tmp_path: Path
+) -> None:
+    more = ("--set", f"start={start}", "--labelled", f"folder:{tmp_path / 'nothing'}")
+    with pytest.raises(RoadtorchError, match="is not a folder"):
+        run(*words(tmp_path, streets, kept, *more))
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_page_is_written_again_when_a_finished_run_is_resumed(
+    streets: Path, kept: Path, start: Path, tmp_path: Path
+) -> None:
+    given = words(tmp_path, streets, kept, "--set", f"start={start}", "--quiet", "--compared", 2)
+    run(*given)
+    page = tmp_path / "run" / "adaptation.html"
+    before = page.read_text()
+    page.unlink()
+
+    run(*given, "--resume")
+
+    assert "The same 2 pictures" in before
+    assert page.read_text().split("How it was made")[0] == before.split("How it was made")[0]
+
+
+# --- agreement with the teacher ------------------------------------------------------------------
+
+
+def test_agreement_counts_the_pixels_where_the_teacher_is_sure(tmp_path: Path) -> None:
+    training = training_of("pictures", tmp_path)
+    assert isinstance(training, PictureTraining)
+    network = PictureNetwork(NETWORK).eval()
+    for weight in network.parameters():
+        torch.nn.init.zeros_(weight)  # it says sky, and no road, nowhere more than elsewhere
+    maps = torch.zeros(4, 32, 40, dtype=torch.uint8)
+    maps[0, :16], maps[1, 16:24] = 255, 255  # sky; vertical; below, the teacher is in doubt
+    maps[3, 24:] = 255  # road
+    ego = torch.zeros(32, 40, dtype=torch.uint8)
+    ego[:, 36:] = 255
+    image = torch.zeros(3, 32, 40, dtype=torch.uint8)
+    write_arrays(tmp_path / "a.npz", {"image": image, "maps": maps, "ego": ego})
+
+    found = teacher_agreement(network, [tmp_path / "a.npz"] * 2, training)
+
+    assert read_arrays(tmp_path / "a.npz", "ego")["ego"].shape == (32, 40)
+    assert found.pictures == 2
+    assert found.layout == pytest.approx(16 / 24)
+    # Odds of nothing are 0.5, which is road: right in the last quarter without the ego car.
+    assert found.road == pytest.approx(8 * 36 / (32 * 40))
