@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from roadtorch.cli.suggestions import suggest_detectors
+
 if TYPE_CHECKING:
     from roadtorch.detector import Entry
 
@@ -17,7 +19,7 @@ GAP = "  "
 
 
 @click.command()
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=suggest_detectors)
 def detectors(name: str | None) -> None:
     """List the detectors; with a NAME, its settings and their meaning.
 
