@@ -25,7 +25,7 @@ step() { # LINES COMMAND…: runs it, shows so many lines of the end of what it 
   local lines=$1 start status=0
   shift
   start=$(date +%s.%N)
-  echo "\$ $*" | sed "s#$place/##g"
+  echo "\$ $*" | sed -e "s#$place/##g" -e "s#$python#python#g"
   "$@" >"$place/said" 2>&1 || status=$?
   tail -n "$lines" "$place/said" | sed "s#$place/##g"
   echo "# $(seconds_since "$start") s, exit code $status"
@@ -36,18 +36,26 @@ size_of() {
   du -sk "$1" | awk '{ printf "%.2f GB", $1 * 1024 / 1e9 }'
 }
 
+in_gigabytes() { # of pip's lines that end in (526.6 MB), what they say together
+  awk -F'[()]' '{ split($(NF - 1), s, " "); u["B"] = 1; u["kB"] = 1e3; u["MB"] = 1e6; u["GB"] = 1e9
+    sum += s[1] * u[s[2]] } END { printf "%.2f GB", sum / 1e9 }'
+}
+
 git clone --quiet . "$place/roadtorch"
 cd "$place/roadtorch"
 echo "# $("$python" --version), $installer, $(uname -sm), $(nproc 2>/dev/null || echo '?') processors"
 PYTHON=$python choose_index
 if [ "$installer" = uv ]; then
   step 1 uv venv --quiet --python "$python" "$place/env"
-  step 3 uv pip install --quiet ${INDEX[@]+--torch-backend cpu} -c constraints.txt .
+  step 0 uv pip install --quiet ${INDEX[@]+--torch-backend cpu} -c constraints.txt .
+  fetched="$(size_of "$place/cache") unpacked"
 else
   step 1 "$python" -m venv "$place/env"
-  step 3 "$place/env/bin/pip" install --quiet ${INDEX[@]+"${INDEX[@]}"} -c constraints.txt .
+  step 0 "$place/env/bin/pip" install --progress-bar off ${INDEX[@]+"${INDEX[@]}"} \
+    -c constraints.txt .
+  fetched=$(grep -oE 'Downloading .*\([0-9.]+ [kMG]?B\)' "$place/said" | in_gigabytes)
 fi
-echo "# env: $(size_of "$place/env"); downloaded: $(size_of "$place/cache")"
+echo "# env: $(size_of "$place/env"); fetched: $fetched"
 echo "# torch $("$place/env/bin/python" -c 'from importlib.metadata import version as v; print(v("torch"))')"
 cd "$place"
 PATH=$place/env/bin:$PATH

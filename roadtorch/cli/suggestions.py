@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.shell_completion import CompletionItem
 
+from roadtorch.cli.setting_rows import describe
 from roadtorch.errors import RoadtorchError
 
 if TYPE_CHECKING:
@@ -101,8 +102,6 @@ def suggest_settings(
     context: click.Context, _: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
     """``KEY=`` of the detector, the labeller or the training at hand, then the key's values."""
-    from roadtorch.cli.detectors import describe
-
     key, assigned, _value = incomplete.partition("=")
     rows: list[tuple[str, ...]] = []
     with suppress(RoadtorchError):  # of a detector or a config that is not there
