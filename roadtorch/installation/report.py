@@ -14,7 +14,7 @@ SECTIONS = {
     "extras": "roadtorch.installation.packages:check_extras",
     "codecs": "roadtorch.installation.codecs:check_codecs",
     "weights": "roadtorch.installation.weights:check_weights",
-    "self-test": "roadtorch.installation.self_test:check_detection",
+    "self-test": "roadtorch.installation.self_test:check_self_test",
 }
 """What is looked at, in this order: names, so that what cannot be imported breaks itself alone."""
 

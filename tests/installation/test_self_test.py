@@ -6,7 +6,7 @@ from roadtorch.installation import self_test
 
 
 def test_fusion_finds_the_rendered_street() -> None:
-    (check,) = self_test.check_detection()
+    (check,) = self_test.check_self_test()
 
     assert check.state == "ok"
     assert check.figures["f"] > 0.9
@@ -20,7 +20,7 @@ def test_a_detector_that_is_wrong_or_wavers_is_broken(monkeypatch: pytest.Monkey
     monkeypatch.setattr(self_test, "SECONDS", 0.0)  # one round
     monkeypatch.setattr(self_test, "LEAST_F", 0.999)
 
-    (wrong,) = self_test.check_detection()
+    (wrong,) = self_test.check_self_test()
 
     monkeypatch.setattr(self_test, "LEAST_F", 0.5)
 
@@ -30,7 +30,7 @@ def test_a_detector_that_is_wrong_or_wavers_is_broken(monkeypatch: pytest.Monkey
         return detection
 
     monkeypatch.setattr(Detector, "detect", wavering)
-    (unsteady,) = self_test.check_detection()
+    (unsteady,) = self_test.check_self_test()
 
     assert (wrong.state, unsteady.state) == ("broken", "broken")
     assert wrong.what.endswith("; F is to be 0.999")
