@@ -1,3 +1,4 @@
+# shellcheck shell=bash
 # Sourced by demo.sh and test.sh: goes to the repository's root and makes .venv ready.
 # After `prepare_venv [EXTRA]`, $PYTHON is an interpreter with roadtorch and that extra.
 
