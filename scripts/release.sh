@@ -49,7 +49,8 @@ said "version $version; CITATION.cff and CHANGELOG.md have it; Unreleased has $u
 [ -z "$(git status --porcelain)" ] || refuse . "has changes that no commit has" "commit them"
 said "clean tree at $(git rev-parse --short HEAD)"
 
-"$(find_python)" -m venv "$place/build"
+python=$(find_python)
+"$python" -m venv "$place/build"
 "$place/build/bin/pip" install --quiet build
 rm -rf dist
 git archive --prefix=source/ HEAD | tar -x -C "$place" # what is committed, and nothing else
@@ -59,7 +60,7 @@ git archive --prefix=source/ HEAD | tar -x -C "$place" # what is committed, and 
 wheel=$(echo dist/*.whl)
 
 said "installing $wheel in a fresh environment"
-"$(find_python)" -m venv "$place/env"
+"$python" -m venv "$place/env"
 PYTHON=$place/env/bin/python choose_index
 "$place/env/bin/pip" install --quiet ${INDEX[@]+"${INDEX[@]}"} -c constraints.txt "$wheel"
 here=$PWD
