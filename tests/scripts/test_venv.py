@@ -15,6 +15,15 @@ SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "venv.sh"
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere no index is asked")
 
 
+def test_the_address_of_the_index_stands_in_one_script() -> None:
+    root = SCRIPT.parents[1]
+    texts = [*root.glob("scripts/*"), root / "Dockerfile", *root.glob(".ci/*")]
+
+    having = [one for one in texts if one.is_file() and b"download.pytorch.org" in one.read_bytes()]
+
+    assert having == [SCRIPT]
+
+
 class Index(http.server.BaseHTTPRequestHandler):
     """Knows torch and nothing else."""
 
