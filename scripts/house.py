@@ -56,7 +56,7 @@ ROWS = (
         "foundations",
         (
             *("errors", "settings", "signals", "plugins", "outside", "files", "version"),
-            "image_cache",
+            *("image_cache", "shipped_configs"),
         ),
     ),
     Row(
@@ -79,6 +79,7 @@ ROWS = (
     Row("report", ("report",)),
     Row("training", ("train",)),
     Row("correction", ("annotate",)),
+    Row("installation", ("installation",)),
     Row("ways in", ("cli", "__main__", "__init__")),
 )
 """From top to bottom. A room that is not built yet may have its place."""

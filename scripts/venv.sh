@@ -1,9 +1,12 @@
+# shellcheck shell=bash
 # Sourced by demo.sh and test.sh: goes to the repository's root and makes .venv ready.
 # After `prepare_venv [EXTRA]`, $PYTHON is an interpreter with roadtorch and that extra.
 
 cd "$(dirname "${BASH_SOURCE[0]}")/.." || exit 1
 PYTHON=.venv/bin/python
 STAMP=.venv/roadtorch-installed # holds the extras and the checksum of what was asked for
+CPU_INDEX=${ROADTORCH_CPU_INDEX:-https://download.pytorch.org/whl/cpu} # or a mirror of it
+CPU_INDEX_SECONDS=3
 
 find_python() {
   local candidate
@@ -21,10 +24,49 @@ checksum() {
   cat pyproject.toml constraints.txt | cksum
 }
 
+# Succeeds when the index of CPU wheels knows torch, and says so within CPU_INDEX_SECONDS; the
+# thread is there because no time limit of Python's own covers the look-up of a name.
+cpu_index_answers() {
+  "$PYTHON" - "$CPU_INDEX/torch/" "$CPU_INDEX_SECONDS" <<'PYTHON'
+import os, sys, threading, urllib.request
+
+answers = []
+
+def ask(address, seconds):
+    try:
+        with urllib.request.urlopen(address, timeout=seconds) as reply:
+            answers.append(reply.status == 200)
+    except (OSError, ValueError):
+        pass
+
+seconds = float(sys.argv[2])
+asking = threading.Thread(target=ask, args=(sys.argv[1], seconds), daemon=True)
+asking.start()
+asking.join(seconds)
+os._exit(0 if any(answers) else 1)
+PYTHON
+}
+
+# Sets INDEX, pip's options that say where torch comes from. pip takes the CPU wheels of that
+# index (2.13.0+cpu) before those of the package index (2.13.0), the version being higher.
+choose_index() {
+  INDEX=()
+  if [ "$(uname -s)" != Linux ]; then
+    return # the package index has CPU wheels there
+  fi
+  if cpu_index_answers; then
+    INDEX=(--extra-index-url "$CPU_INDEX")
+    echo "torch: CPU wheels from $CPU_INDEX (0.2 GB)" >&2
+  else
+    echo "torch: $CPU_INDEX does not answer within $CPU_INDEX_SECONDS seconds. Unless pip has a" \
+      "CPU wheel on disk, torch comes with CUDA: 2.8 GB to fetch, 5 GB on disk" >&2
+  fi
+}
+
 # Installs only when something changed since the last time. Extras that are already
 # there are kept, so that demo.sh and test.sh do not undo each other's work.
 prepare_venv() {
-  local extras=${1:-} had="" asked="" python wanted
+  local extras=${1:-} had="" asked="" python wanted INDEX
   if [ -f "$STAMP" ]; then
     { read -r had && read -r asked; } <"$STAMP"
   fi
@@ -43,6 +85,8 @@ prepare_venv() {
   fi
   wanted=".${extras:+[$extras]}"
   echo "installing roadtorch${wanted#.} into .venv (some minutes the first time)" >&2
-  "$PYTHON" -m pip install --quiet --disable-pip-version-check -c constraints.txt -e "$wanted"
+  choose_index
+  "$PYTHON" -m pip install --quiet --disable-pip-version-check ${INDEX[@]+"${INDEX[@]}"} \
+    -c constraints.txt -e "$wanted"
   printf '%s\n%s\n' "$extras" "$(checksum)" >"$STAMP"
 }

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from roadtorch.cli.options import PATH
+from roadtorch.cli.suggestions import suggest_files
 
 if TYPE_CHECKING:
     from roadtorch.camera.camera import Camera
@@ -14,7 +15,9 @@ SHOWN = 12  # frames that the mean in the picture is made of
 
 
 @click.command()
-@click.argument("footage", metavar="FOOTAGE...", nargs=-1, required=True)
+@click.argument(
+    "footage", metavar="FOOTAGE...", nargs=-1, required=True, shell_complete=suggest_files
+)
 @click.option("--out", type=PATH, default=Path("camera.toml"), show_default=True, help="Its file.")
 @click.option(
     "--frames",

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from roadtorch.cli.options import JOBS, PATH, QUIET
+from roadtorch.cli.suggestions import suggest_files, suggest_rivals, suggest_rooted_datasets
 
 if TYPE_CHECKING:
     from roadtorch.data.dataset import Dataset
@@ -14,12 +15,21 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("first", metavar="A")
-@click.argument("second", metavar="B")
-@click.option("--labelled", help="A labelled set: NAME:ROOT, as roadtorch evaluate has them.")
+@click.argument("first", metavar="A", shell_complete=suggest_rivals)
+@click.argument("second", metavar="B", shell_complete=suggest_rivals)
+@click.option(
+    "--labelled",
+    shell_complete=suggest_rooted_datasets,
+    help="A labelled set: NAME:ROOT, as roadtorch evaluate has them.",
+)
 @click.option("--corrections", type=PATH, help="What roadtorch annotate kept: the truth it is.")
 @click.option("--pictures", type=PATH, help="Folder of the corrected pictures, if it moved.")
-@click.option("--images", multiple=True, help="Folder, file or glob without labels.")
+@click.option(
+    "--images",
+    multiple=True,
+    shell_complete=suggest_files,
+    help="Folder, file or glob without labels.",
+)
 @click.option("--out", type=PATH, help="Folder for the page and the figures.")
 @click.option("--limit", type=click.IntRange(min=1), help="Look at this many pictures only.")
 @click.option(

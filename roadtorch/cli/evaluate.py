@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from roadtorch.cli.options import CAMERA, PATH, labelled_set
+from roadtorch.cli.suggestions import suggest_detectors, suggest_rooted_datasets
 
 if TYPE_CHECKING:
     from roadtorch.data.dataset import Dataset
@@ -19,9 +20,17 @@ if TYPE_CHECKING:
 @click.option("--bev", is_flag=True, help="Score in bird's-eye view (kitti-road).")
 @click.option("--conditions", type=PATH, help="CSV with each picture's conditions, for ROOT's own.")
 @click.option("--out", type=PATH, help="Folder for metrics.json, report.html, curves and rows.")
-@click.option("--mean-from", help="Learn prior:mean on another set: NAME:ROOT.")
+@click.option(
+    "--mean-from",
+    shell_complete=suggest_rooted_datasets,
+    help="Learn prior:mean on another set: NAME:ROOT.",
+)
 @click.option("--threshold-from", type=PATH, help="Thresholds that an earlier metrics.json chose.")
-@click.option("--against", help="Compare all with this detector; the best one if not given.")
+@click.option(
+    "--against",
+    shell_complete=suggest_detectors,
+    help="Compare all with this detector; the best one if not given.",
+)
 @click.option(
     "--montage",
     type=click.IntRange(min=0),

@@ -5,10 +5,11 @@ from pathlib import Path
 import click
 
 from roadtorch.cli.options import PATH, SETTING
+from roadtorch.cli.suggestions import suggest_detectors
 
 
 @click.command()
-@click.argument("name")
+@click.argument("name", shell_complete=suggest_detectors)
 @click.option("--out", type=PATH, required=True, help="File: NAME.onnx, or NAME.xml for OpenVINO.")
 @click.option(
     "--format",

@@ -16,6 +16,7 @@ from roadtorch.cli.options import (
     Cut,
     with_cut,
 )
+from roadtorch.cli.suggestions import suggest_files
 
 
 def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, float]:
@@ -34,7 +35,7 @@ def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, fl
 
 
 @click.command()
-@click.argument("inputs", metavar="INPUT...", nargs=-1, required=True)
+@click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, shell_complete=suggest_files)
 @click.option("--out", type=PATH, required=True, help="Folder for the grids.")
 @click.option("--height", type=float, help="Of the camera above the ground, metres.")
 @click.option("--pitch", type=float, help="Degrees, positive looks down. [from the layout]")

@@ -21,7 +21,9 @@ COMMANDS = {
     "annotate": ("roadtorch.cli.annotate:annotate", "Correct machine labels in a page."),
     "camera": ("roadtorch.cli.camera:camera", "Find what stays the same in one camera's footage."),
     "compare": ("roadtorch.cli.compare:compare", "Compare two weights, configs or map folders."),
+    "completion": ("roadtorch.cli.completion:completion", "Make a shell complete what is typed."),
     "detectors": ("roadtorch.cli.detectors:detectors", "List the detectors, or explain one."),
+    "doctor": ("roadtorch.cli.doctor:doctor", "Look at this installation, and try it."),
     "evaluate": ("roadtorch.cli.evaluate:evaluate", "Score detectors on labelled pictures."),
     "export": ("roadtorch.cli.export:export", "Write a network as a file that needs no Python."),
     "grid": ("roadtorch.cli.grid:grid", "Map the road in pictures onto the ground, in metres."),
@@ -58,7 +60,7 @@ class CommandGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """The command that the first argument names; misspelt, the nearest ones are told."""
-        if args[0] not in COMMANDS and not args[0].startswith("-"):
+        if args[0] not in COMMANDS and not (ctx.resilient_parsing or args[0].startswith("-")):
             near = get_close_matches(args[0], COMMANDS, n=3, cutoff=0.5)
             remedy = f"did you mean {', '.join(near)}?" if near else "see roadtorch --help"
             raise _Mistake(f"{args[0]}: no such command ({remedy})")
@@ -91,6 +93,8 @@ class CommandGroup(click.Group):
         try:
             with terminated_in_words(), interruption_first():
                 _settle_process()
+                if "_ROADTORCH_COMPLETE" in os.environ:  # a shell asks what could come next
+                    importlib.import_module("roadtorch.cli.completion")  # knows our bash
                 code = super().main(args, **extra)
         except (click.Abort, KeyboardInterrupt) as problem:
             click.echo("roadtorch: interrupted; what was finished is kept", err=True)

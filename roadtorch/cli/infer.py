@@ -17,6 +17,7 @@ from roadtorch.cli.options import (
     with_cut,
     with_means,
 )
+from roadtorch.cli.suggestions import suggest_files
 
 KINDS = ("likelihood", "mask", "overlay", "cues", "npy", "polygons", "json")
 FOOTAGE_KINDS = ("overlay-frames", "mask-video", "likelihood-video", "bag")
@@ -56,7 +57,7 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
 
 
 @click.command()
-@click.argument("inputs", metavar="INPUT...", nargs=-1)
+@click.argument("inputs", metavar="INPUT...", nargs=-1, shell_complete=suggest_files)
 @ONE_DETECTOR
 @click.option("--out", default="roads", show_default=True, help="Folder or URL for results.")
 @click.option(

@@ -5,10 +5,11 @@ from pathlib import Path
 import click
 
 from roadtorch.cli.options import JOBS, OVERWRITE, PATH, QUIET, SETTING
+from roadtorch.cli.suggestions import suggest_files
 
 
 @click.command()
-@click.argument("inputs", metavar="INPUT...", nargs=-1, required=True)
+@click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, shell_complete=suggest_files)
 @click.option("--out", type=PATH, required=True, help="Folder for the labels.")
 @click.option(
     "--support",

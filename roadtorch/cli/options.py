@@ -8,16 +8,49 @@ from typing import Any
 
 import click
 
+from roadtorch.cli.suggestions import (
+    suggest_datasets,
+    suggest_detector_configs,
+    suggest_detectors,
+    suggest_settings,
+    suggest_splits,
+)
+
 PATH = click.Path(path_type=Path)
 Command = Callable[..., Any]
 
+
+class ConfigFile(click.ParamType):
+    """A TOML file, or the name of a config that is shipped."""
+
+    name = "path"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """The file; ConfigError for a name that is neither."""
+        from roadtorch.shipped_configs import config_file
+
+        return config_file(str(value))
+
+
 ONE_DETECTOR = click.option(
-    "--detector", help="Name of the detector; see roadtorch detectors. [fusion]"
+    "--detector",
+    shell_complete=suggest_detectors,
+    help="Name of the detector; see roadtorch detectors. [fusion]",
 )
 SETTING = click.option(
-    "--set", "assignments", multiple=True, metavar="KEY=VALUE", help="One setting."
+    "--set",
+    "assignments",
+    multiple=True,
+    metavar="KEY=VALUE",
+    shell_complete=suggest_settings,
+    help="One setting.",
 )
-CONFIG = click.option("--config", type=PATH, help="TOML file with the detector and its settings.")
+CONFIG = click.option(
+    "--config",
+    type=ConfigFile(),
+    shell_complete=suggest_detector_configs,
+    help="TOML file with the detector and its settings, or a shipped one's name.",
+)
 CAMERA = click.option(
     "--camera", type=PATH, help="What roadtorch camera wrote about the camera of the pictures."
 )
@@ -143,19 +176,28 @@ def with_cut(command: Command) -> Command:
 
 
 LABELLED_SET = (
-    click.argument("dataset"),
+    click.argument("dataset", shell_complete=suggest_datasets),
     click.argument("root", type=PATH),
-    click.option("--split", help="Part of the data set; camvid: dev (default), train, val, test."),
+    click.option(
+        "--split",
+        shell_complete=suggest_splits,
+        help="Part of the data set; camvid: dev (default), train, val, test.",
+    ),
     click.option(
         "--detector",
         "names",
         multiple=True,
         default=("fusion",),
         show_default=True,
+        shell_complete=suggest_detectors,
         help="Detector; may be given several times, with wildcards ('cpf*').",
     ),
     click.option(
-        "--set", "assignments", multiple=True, help="Setting of the detectors: key=value."
+        "--set",
+        "assignments",
+        multiple=True,
+        shell_complete=suggest_settings,
+        help="Setting of the detectors: key=value.",
     ),
     click.option(
         "--leave-out",

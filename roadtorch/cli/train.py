@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import click
 
 from roadtorch.cli.labelled import command_line
-from roadtorch.cli.options import PATH, SETTING
+from roadtorch.cli.options import PATH, SETTING, ConfigFile
+from roadtorch.cli.suggestions import suggest_files, suggest_training_configs
 
 if TYPE_CHECKING:
     from roadtorch.data.dataset import Dataset
@@ -15,8 +16,19 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.option("--config", type=PATH, required=True, help="TOML file: what is trained, and how.")
-@click.option("--images", required=True, help="Folder, file or quoted glob of pictures.")
+@click.option(
+    "--config",
+    type=ConfigFile(),
+    required=True,
+    shell_complete=suggest_training_configs,
+    help="What is trained, and how: a TOML file, or a shipped one's name, such as adapt.",
+)
+@click.option(
+    "--images",
+    required=True,
+    shell_complete=suggest_files,
+    help="Folder, file or quoted glob of pictures.",
+)
 @click.option("--out", type=PATH, required=True, help="Folder of this run.")
 @click.option("--corrections", type=PATH, help="What roadtorch annotate kept: it counts as truth.")
 @click.option("--pictures", type=PATH, help="Folder of the corrected pictures, if it moved.")

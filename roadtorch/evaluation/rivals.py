@@ -11,6 +11,7 @@ from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import load_network
 from roadtorch.outside import printable
 from roadtorch.settings import read_settings_file
+from roadtorch.shipped_configs import SUFFIX, THRESHOLDS, config_file
 
 BY_NETWORK = {PictureNetwork.kind: "fusion", PatchNetwork.kind: "layout:cnn-7"}
 """The detector that weights alone stand for, by the kind of their network."""
@@ -19,7 +20,7 @@ BY_NETWORK = {PictureNetwork.kind: "fusion", PatchNetwork.kind: "layout:cnn-7"}
 def rival(text: str, letter: str) -> Contender:
     """The contender that a text stands for, called ``LETTER:NAME``.
 
-    text: a weight file, a TOML file for ``--config``, a folder of likelihood maps, or the name of
+    text: a weight file, what ``--config`` takes, a folder of likelihood maps, or the name of
     a detector. Raises ConfigError for anything else; WeightsError and InputError for a file that
     cannot be used.
     """
@@ -29,8 +30,8 @@ def rival(text: str, letter: str) -> Contender:
     if path.suffix == ".safetensors":
         name, values = BY_NETWORK[load_network(path).kind], {"weights": {"file": text}}
         return _called(named_detector(name, values), letter, _own_name(path))
-    if path.suffix == ".toml":
-        values = read_settings_file(path)
+    if path.suffix == SUFFIX or text.startswith(THRESHOLDS):
+        values = read_settings_file(config_file(text))
         name = str(values.pop("detector", "fusion"))
         return _called(named_detector(name, values), letter, _own_name(path))
     if text not in list_detectors() and ("/" in text or path.suffix):

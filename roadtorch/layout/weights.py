@@ -31,6 +31,9 @@ LARGEST = 1e6
 """The largest weight that is believed; ours: those that ship stay below 3, and the convolutions
 of a network a million times larger overflow."""
 
+SHIPPED = Path(__file__).parents[1] / "weights"
+"""Where the weights lie that come with roadtorch."""
+
 STATED = re.compile(r"^\|\s*sha256\s*\|\s*`([0-9a-f]{64})`\s*\|", re.MULTILINE)
 """The row of a card, NAME.md beside NAME.safetensors, that states the hash of the file."""
 
@@ -86,7 +89,12 @@ def load_network(path: str | os.PathLike[str]) -> LayoutNetwork:
 
 def shipped_weights(name: str) -> Path:
     """The weight file that comes with roadtorch under that name, such as ``cnn-7``."""
-    return Path(__file__).parents[1] / "weights" / f"{name}.safetensors"
+    return SHIPPED / f"{name}.safetensors"
+
+
+def list_shipped_weights() -> list[str]:
+    """The names of all that come with roadtorch, sorted."""
+    return sorted(path.stem for path in SHIPPED.glob("*.safetensors"))
 
 
 def read_origin(path: str | os.PathLike[str]) -> dict[str, Any]:

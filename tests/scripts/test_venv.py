@@ -1,0 +1,101 @@
+"""scripts/venv.sh: where torch comes from, asked of indices of our own on the loopback."""
+
+import http.server
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "venv.sh"
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere no index is asked")
+
+
+def test_the_address_of_the_index_stands_in_one_script() -> None:
+    root = SCRIPT.parents[1]
+    texts = [*root.glob("scripts/*"), root / "Dockerfile", *root.glob(".ci/*")]
+
+    having = [one for one in texts if one.is_file() and b"download.pytorch.org" in one.read_bytes()]
+
+    assert having == [SCRIPT]
+
+
+class Index(http.server.BaseHTTPRequestHandler):
+    """Knows torch and nothing else."""
+
+    def do_GET(self) -> None:
+        self.send_response(200 if self.path == "/torch/" else 404)
+        self.end_headers()
+
+    def log_message(self, format: str, *args: object) -> None: ...
+
+
+@pytest.fixture
+def index() -> Iterator[str]:
+    with http.server.HTTPServer(("127.0.0.1", 0), Index) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+
+
+@pytest.fixture
+def silent() -> Iterator[str]:
+    """Takes connections and never answers."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield f"http://127.0.0.1:{server.getsockname()[1]}"
+
+
+def chosen(index: str) -> tuple[list[str], str]:
+    """pip's options for an index, and what is told."""
+    code = (
+        f'source "{SCRIPT}"; PYTHON={sys.executable}; choose_index; printf "%s\\n" "${{INDEX[@]}}"'
+    )
+    done = subprocess.run(
+        ["bash", "-euc", code],
+        env={"PATH": "/usr/bin:/bin", "ROADTORCH_CPU_INDEX": index},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+    )
+    return done.stdout.split(), done.stderr
+
+
+@LINUX
+def test_an_index_of_cpu_wheels_that_answers_is_taken(index: str) -> None:
+    options, told = chosen(index)
+
+    assert options == ["--extra-index-url", index]
+    assert told == f"torch: CPU wheels from {index} (0.2 GB)\n"
+
+
+@LINUX
+def test_an_index_without_torch_is_not_taken(index: str) -> None:
+    options, told = chosen(f"{index}/elsewhere")
+
+    assert options == []
+    assert "2.8 GB to fetch, 5 GB on disk" in told
+
+
+@LINUX
+@pytest.mark.parametrize("address", ["http://127.0.0.1:9", "no address", "http://none.invalid"])
+def test_no_index_falls_back_with_the_size(address: str) -> None:
+    options, told = chosen(address)
+
+    assert options == []
+    assert told.startswith(f"torch: {address} does not answer within 3 seconds.")
+    assert "2.8 GB to fetch, 5 GB on disk" in told
+
+
+@LINUX
+def test_an_index_that_keeps_one_waiting_is_left_after_three_seconds(silent: str) -> None:
+    start = time.perf_counter()
+    options, told = chosen(silent)
+
+    assert options == []
+    assert "does not answer" in told
+    assert 3 <= time.perf_counter() - start < 60  # a busy machine adds some
