@@ -8,7 +8,7 @@ have it as a circle.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Literal
 
 import torch
@@ -116,10 +116,10 @@ def arranged(planes: Tensor, axes: Axes, hue: Hue, means: Tensor) -> Tensor:
     if hue == "linear" or not any(axes.circular):
         return planes
     if hue == "unrolled":
-        seen = planes.clone()  # the one copy; the rest happens in place
-        for row, mean, circular in zip(seen, means, axes.circular, strict=True):
+        seen = planes - means[:, None]  # the one copy; means of what is not circular are 0
+        for row, circular in zip(seen, axes.circular, strict=True):
             if circular:
-                unroll(row, mean)
+                row.sub_(row.round())
         return seen
     rows: list[Tensor] = []
     for row, circular in zip(planes, axes.circular, strict=True):
@@ -133,6 +133,7 @@ def chord(hues: Tensor) -> list[Tensor]:
     return [angle.cos() / (2 * math.pi), angle.sin() / (2 * math.pi)]
 
 
+@cache
 def arranged_axes(axes: Axes, hue: Hue) -> Axes:
     """The axes of arranged planes."""
     radius = 1 / (2 * math.pi)
