@@ -163,7 +163,8 @@ class Fitted(nn.Module):
         """How far pixels (n,d) are from what was learned: float32 (n,), ≥ 0.
 
         Infinite for pixels with a value that is not finite. Fastest where pixels are a view
-        of planes, ``planes.flatten(1).T``. Memory beyond the result does not grow with n.
+        of planes, ``planes.flatten(1).T``. Memory grows with the result alone, which many pixels
+        take twice.
         Raises InputError for another number of planes than that of the samples.
         """
         _check_table("pixels", pixels, len(self.axes))
