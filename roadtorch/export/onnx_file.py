@@ -27,7 +27,7 @@ def write_onnx(module: WholePictures | EveryPixel, notes: Mapping[str, str], pat
 
     The same module and notes give the same bytes, wherever they are made.
     """
-    with _quiet(), torch.no_grad():
+    with quiet_exporter(), torch.no_grad():
         program = torch.onnx.export(
             module,
             (torch.zeros(EXAMPLE, dtype=torch.uint8),),
@@ -64,7 +64,7 @@ def open_onnx(path: Path, threads: int) -> Run:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def quiet_exporter() -> Iterator[None]:
     """torch's exporter without its remarks on itself."""
     before = {name: logging.getLogger(name).level for name in LOGGERS}
     for name in before:

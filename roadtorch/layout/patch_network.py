@@ -18,7 +18,9 @@ from torch.nn import functional as F
 from roadtorch.color import plane
 from roadtorch.errors import ConfigError
 from roadtorch.layout.classes import CLASSES
+from roadtorch.layout.fragments import Layer, Layers
 from roadtorch.layout.normalisation import Normalisation, normalise
+from roadtorch.layout.reflection import reflected
 from roadtorch.settings import Settings
 from roadtorch.working_size import WorkingSize, at_working_size
 
@@ -171,18 +173,30 @@ class PatchNetwork(nn.Module):
             maps = pool(maps, 2)
         return self._squashed(self.last(maps))
 
+    @torch.no_grad()
     def dense(self, pixels: Tensor) -> Tensor:
-        """Potentials (3,H,W) for each pixel of a normalised picture (3,H,W).
+        """Potentials (3,H,W) for each pixel of a normalised picture (3,H,W); no gradient.
 
-        Equal to ``forward`` on the patch around each pixel, computed once for all: instead of
-        dropping three of four places, every later step takes neighbours twice as far apart
-        (Giusti et al., "Fast Image Scanning with Deep Max-Pooling Convolutional Neural
-        Networks", ICIP 2013, in its dilated form). Past the border the picture is reflected.
+        Equal to ``forward`` on the patch around each pixel, computed once for all, fragment by
+        fragment (see ``fragments``). Past the border the picture is reflected.
         """
-        return self.everywhere(pixels[None])[0]
+        shape = self.settings.topology
+        layers = Layers(
+            Layer(self.first.weight, self.first.bias),
+            Layer(self.second.weight * self.table, self.second.bias),
+            Layer(self.last.weight, self.last.bias),
+            shape.patch,
+            shape.pooling,
+            shape.subsamplings,
+        )
+        return self._squashed(layers.scores(self._seen(pixels))[None])[0]
 
     def everywhere(self, pixels: Tensor) -> Tensor:
-        """``dense`` for pictures (B,3,H,W): potentials (B,3,H,W)."""
+        """``dense`` for pictures (B,3,H,W), as a graph can hold it: potentials (B,3,H,W).
+
+        Instead of dropping three of four places, every later step takes neighbours twice as far
+        apart (Giusti et al., ICIP 2013, in its dilated form).
+        """
         shape = self.settings.topology
         maps = self._seen(reflected(pixels, shape.patch))
         maps = _pooled_everywhere(self.first(maps).tanh(), 1, shape.pooling)
@@ -226,26 +240,6 @@ def connection_table(k1: int, k2: int, connections: int) -> Tensor:
     """
     apart = (torch.arange(k1) - torch.arange(k2)[:, None]).remainder(k1)
     return apart < (connections or k1)
-
-
-def reflected(pixels: Tensor, patch: int) -> Tensor:
-    """Pixels (…,H,W) with a frame, so that each has its patch: patch/2 before, one less behind.
-
-    Reflected at the outermost pixels, as often as it takes; a picture of one row is repeated.
-    """
-    for axis in (-2, -1):
-        index = _bounced(pixels.shape[axis], patch // 2, patch - patch // 2 - 1)
-        pixels = pixels.index_select(axis, index.to(pixels.device))
-    return pixels
-
-
-def _bounced(length: int, before: int, behind: int) -> Tensor:
-    """-before … length+behind-1, thrown back at 0 and length-1 like a ball between walls."""
-    place = torch.arange(-before, length + behind)
-    last = torch.full_like(place, length - 1)  # a tensor, as is the length in an exported graph
-    period = (2 * last).clamp_min(1)
-    place = place.remainder(period)
-    return torch.minimum(torch.minimum(place, period - place), last)
 
 
 def _pooled_everywhere(maps: Tensor, apart: int, pooling: str) -> Tensor:

@@ -8,7 +8,7 @@ have it as a circle.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Literal
 
 import torch
@@ -73,14 +73,16 @@ def circular_mean(hues: Tensor, weights: Tensor | None = None) -> Tensor:
 
     0 where the directions cancel. Where all weights are 0 they do not count.
     """
-    if weights is None or not float(weights.sum()) > 0:
-        weights = torch.ones_like(hues)
     angle = 2 * math.pi * hues.double()
-    share = weights.double() / weights.double().sum()
-    sine, cosine = (share * angle.sin()).sum(), (share * angle.cos()).sum()
-    mean = torch.atan2(sine, cosine) / (2 * math.pi)
-    mean = torch.where(torch.hypot(sine, cosine) < FAINT, 0, mean)
-    mean = mean.remainder(1).to(hues.dtype)
+    share = torch.ones_like(angle) if weights is None else weights.double()
+    total = float(share.sum())
+    if not total > 0:
+        share, total = torch.ones_like(angle), float(len(angle))
+    # Two numbers are left, and plain ones cost less than tensors of one value.
+    sine, cosine = (float(torch.dot(share, part)) / total for part in (angle.sin(), angle.cos()))
+    if math.hypot(sine, cosine) < FAINT:
+        return hues.new_zeros(())
+    mean = hues.new_tensor(math.atan2(sine, cosine) / (2 * math.pi) % 1)
     return torch.where(mean < 1, mean, 0)  # a tiny negative one is rounded to a whole turn
 
 
@@ -99,13 +101,12 @@ def mean_hues(planes: Tensor, axes: Axes) -> Tensor:
 
 def unrolled(hues: Tensor, mean: Tensor | float) -> Tensor:
     """Hues in turns as their distance along the circle from a mean: -0.5 to 0.5."""
-    return unroll(hues.clone(), mean)
+    return rounded_off(hues - mean)
 
 
-def unroll(hues: Tensor, mean: Tensor | float) -> Tensor:
-    """The same in place."""
-    hues.sub_(mean)
-    return hues.sub_(hues.round())  # several times faster than a remainder
+def rounded_off(turns: Tensor) -> Tensor:
+    """Turns less whole ones, in place: -0.5 to 0.5."""
+    return turns.sub_(turns.round())  # several times faster than a remainder
 
 
 def arranged(planes: Tensor, axes: Axes, hue: Hue, means: Tensor) -> Tensor:
@@ -116,10 +117,10 @@ def arranged(planes: Tensor, axes: Axes, hue: Hue, means: Tensor) -> Tensor:
     if hue == "linear" or not any(axes.circular):
         return planes
     if hue == "unrolled":
-        seen = planes.clone()  # the one copy; the rest happens in place
-        for row, mean, circular in zip(seen, means, axes.circular, strict=True):
+        seen = planes - means[:, None]  # the one copy; means of what is not circular are 0
+        for row, circular in zip(seen, axes.circular, strict=True):
             if circular:
-                unroll(row, mean)
+                rounded_off(row)
         return seen
     rows: list[Tensor] = []
     for row, circular in zip(planes, axes.circular, strict=True):
@@ -133,6 +134,7 @@ def chord(hues: Tensor) -> list[Tensor]:
     return [angle.cos() / (2 * math.pi), angle.sin() / (2 * math.pi)]
 
 
+@cache
 def arranged_axes(axes: Axes, hue: Hue) -> Axes:
     """The axes of arranged planes."""
     radius = 1 / (2 * math.pi)

@@ -163,7 +163,8 @@ class Fitted(nn.Module):
         """How far pixels (n,d) are from what was learned: float32 (n,), ≥ 0.
 
         Infinite for pixels with a value that is not finite. Fastest where pixels are a view
-        of planes, ``planes.flatten(1).T``. Memory beyond the result does not grow with n.
+        of planes, ``planes.flatten(1).T``. Memory grows with the result alone, which many pixels
+        take twice.
         Raises InputError for another number of planes than that of the samples.
         """
         _check_table("pixels", pixels, len(self.axes))
@@ -171,17 +172,17 @@ class Fitted(nn.Module):
         return self._in_chunks(planes, lambda part: arranged(part, self.axes, self.hue, self.hues))
 
     def _in_chunks(self, planes: Tensor, arrange: Callable[[Tensor], Tensor]) -> Tensor:
-        found, state = planes.new_empty(planes.shape[1]), self.state
+        found, state = [], self.state
         block, length = (max(1, CHUNK // max(1, each)) for each in (len(planes), self.floats))
-        for part, into in zip(planes.split(block, 1), found.split(block), strict=True):
+        for part in planes.split(block, 1):
             # A sum is finite where all its parts are (values near 1e38 do not occur).
             broken = None if math.isfinite(float(part.sum())) else ~part.sum(0).isfinite()
             seen = arrange(part if broken is None else torch.where(broken, 0, part))
-            for piece, place in zip(seen.split(length, 1), into.split(length), strict=True):
-                place.copy_(self.classifier.distance(state, piece))
+            pieces = [self.classifier.distance(state, piece) for piece in seen.split(length, 1)]
             if broken is not None:
-                into.masked_fill_(broken, math.inf)
-        return found
+                pieces = [torch.cat(pieces).masked_fill_(broken, math.inf)]
+            found += pieces
+        return found[0] if len(found) == 1 else torch.cat(found)
 
     def score(self, pixels: Tensor) -> Tensor:
         """Minus the distance of pixels (n,d): higher is more road-like, ≤ 0, float32 (n,)."""

@@ -125,7 +125,8 @@ def gaussian_distance(state: State, pixels: Tensor) -> Tensor:
     P3 announces the density G(x, μ, σ) and writes down (x-μ)ᵀΣ⁻¹(x-μ); both rank alike.
     """
     if len(pixels) == 1:
-        return (pixels[0] - state["mean"]).mul_(state["whitening"][0]).abs_()
+        slope = float(state["whitening"])  # a factor of the sum, which takes no pass of its own
+        return torch.add(state["offset"][0], pixels[0], alpha=slope).abs_()
     return length_of(torch.addmm(state["offset"], state["whitening"], pixels))
 
 

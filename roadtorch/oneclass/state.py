@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import fields
+from functools import cache
 from typing import NamedTuple, get_args
 
 from torch import Tensor
@@ -26,6 +27,7 @@ class About(NamedTuple):
     shapes: tuple[tuple[str, tuple[int, ...]], ...]
 
 
+@cache
 def about_as_bytes(about: About) -> bytes:
     """What a state says that it is: JSON as bytes, so that a state holds tensors alone."""
     axes = {field.name: getattr(about.axes, field.name) for field in fields(Axes)}

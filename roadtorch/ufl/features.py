@@ -44,7 +44,8 @@ class DictionarySettings(Settings):
 
 def extract_patches(image: Tensor, side: int) -> Tensor:
     """Every patch (n,d) of an image (3,H,W); n = (H-side+1)·(W-side+1)."""
-    return F.unfold(image[None], side)[0].T.contiguous()
+    windows = image.unfold(1, side, 1).unfold(2, side, 1)  # (3,rows,columns,side,side), a view
+    return windows.permute(1, 2, 0, 3, 4).reshape(-1, len(image) * side**2)
 
 
 def normalise_contrast(patches: Tensor, epsilon: float) -> Tensor:
@@ -53,9 +54,10 @@ def normalise_contrast(patches: Tensor, epsilon: float) -> Tensor:
     Mean and variance (d - 1) over all values of a patch, its three channels together
     (Coates et al. 2011, to which P1 refers).
     """
-    centred = patches - patches.mean(1, keepdim=True)
-    variance = centred.square().sum(1, keepdim=True) / (patches.shape[1] - 1)
-    return centred.mul_((variance + epsilon).rsqrt_())
+    values = patches.shape[1]
+    share = (values - 1) / values  # layer_norm, which does it in one pass, divides by d
+    scale = patches.new_full((values,), share**0.5)
+    return F.layer_norm(patches, (values,), scale, eps=epsilon * share)
 
 
 def zca_whitening(patches: Tensor, epsilon: float) -> tuple[Tensor, Tensor]:
@@ -96,9 +98,11 @@ def assign(patches: Tensor, dictionary: Tensor) -> Tensor:
     The nearest base has the greatest x·c - c·c/2, so that one matrix product finds it.
     """
     half = dictionary.square().sum(1) / -2
-    blocks = [
-        _first_maximum(torch.addmm(half, block, dictionary.T)) for block in patches.split(BLOCK)
-    ]
+    products = patches.new_empty(min(BLOCK, len(patches)), len(dictionary))  # the same for all
+    blocks = []
+    for block in patches.split(BLOCK):
+        seen = torch.mm(block, dictionary.T, out=products[: len(block)])
+        blocks.append(_first_maximum(seen.add_(half)))  # addmm would first write half everywhere
     return torch.cat(blocks).to(patches.device)
 
 

@@ -15,8 +15,8 @@ from roadtorch.layout.patch_network import (
     Topology,
     connection_table,
     fitting_topologies,
-    reflected,
 )
+from roadtorch.layout.reflection import reflected
 from roadtorch.settings import build_settings
 from tests.reference import network as reference
 from tests.streets import scene

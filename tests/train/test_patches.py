@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from roadtorch.layout.patch_network import reflected
+from roadtorch.layout.reflection import reflected
 from roadtorch.train.config import Jitter
 from roadtorch.train.patches import Draw, add_noise, cut_patches, draw_jitter, draw_noise
 from tests.reference import network as reference
