@@ -56,7 +56,7 @@ ROWS = (
         "foundations",
         (
             *("errors", "settings", "signals", "plugins", "outside", "files", "version"),
-            "image_cache",
+            *("image_cache", "openmp"),
         ),
     ),
     Row(

@@ -15,6 +15,7 @@ from typing import Any, NoReturn
 import click
 
 from roadtorch.errors import RoadtorchError
+from roadtorch.openmp import WAIT_POLICY
 from roadtorch.signals import Terminated, interruption_first, terminated_in_words
 from roadtorch.version import __version__
 
@@ -162,7 +163,7 @@ def _settle_process() -> None:
             stream.reconfigure(errors="backslashreplace")
     # Read by OpenMP when torch is loaded. Its threads would otherwise spin while they
     # wait, which costs many times the work wherever the cores have other work too.
-    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    os.environ.setdefault(WAIT_POLICY, "passive")
     _spare_collector()
     open_streams()
 
