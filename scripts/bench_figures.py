@@ -55,6 +55,8 @@ def part_table(figures: Iterable[Figure], part: str) -> str:
         _, row, column = one["name"].split("/", 2)
         cells.setdefault(row, {})[column] = _shown(one)
         columns[column] = None
+    if not own:
+        return "Not measured yet."
     lines = ["| | " + " | ".join(columns) + " |", "|---|" + "---:|" * len(columns)]
     lines += [
         f"| {row} | " + " | ".join(found.get(column, "") for column in columns) + " |"

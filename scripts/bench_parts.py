@@ -95,6 +95,11 @@ def lraspp(image: Tensor) -> Callable[[], Any]:
     return run
 
 
+def quick_detectors() -> list[str]:
+    """All but the slow ones and the grid."""
+    return [name for name in list_detectors() if "<" not in name and name not in SLOW]
+
+
 def detects(names: Sequence[str], image: Tensor) -> Calls:
     """``detect`` of detectors, by their names."""
     return {name: partial(load_detector(name).detect, image) for name in names}
@@ -110,8 +115,7 @@ def superpixels(image: Tensor) -> Calls:
 def measure_detectors(threads: int, rounds: int) -> list[Figure]:
     """Every detector but the slow ones and the grid, beside LRASPP and scikit-image's slic."""
     image = street(640, 480)
-    names = [name for name in list_detectors() if "<" not in name and name not in SLOW]
-    calls = detects(names, image) | {LRASPP: lraspp(image)} | superpixels(image)
+    calls = detects(quick_detectors(), image) | {LRASPP: lraspp(image)} | superpixels(image)
     return compared("detectors", calls, threads, rounds)
 
 
