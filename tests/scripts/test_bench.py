@@ -75,7 +75,7 @@ def test_a_planted_stale_figure_is_found(tmp_path: Path) -> None:
     done = run("--check", page, "--json", kept)
 
     assert done.returncode == 1
-    assert done.stdout == f"{page}: line 6: | fusion | 28.5 | (measured: | fusion | 31.5 |)\n"
+    assert done.stdout == f"{page}: line 7: | fusion | 28.5 | (measured: | fusion | 31.5 |)\n"
 
 
 def test_a_table_that_the_page_lacks_is_told() -> None:
