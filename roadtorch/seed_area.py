@@ -19,6 +19,9 @@ NEARNESS = 4.0
 FAR = 100.0
 """Log odds that keep the upper half out, unless there is nothing else."""
 
+STRIP = 256
+"""Rows in which regions are looked up at a time; ours: a megabyte or so of a photograph."""
+
 
 class SeedArea(Settings):
     """The rectangle at the middle of the bottom edge that is taken to be road.
@@ -83,17 +86,27 @@ def remove_isolated(mask: Tensor, seed: Tensor) -> Tensor:
     """Keep the 4-connected regions of a mask (H,W) that touch the seed area bool (H,W).
 
     Where none does, the mask comes back unchanged: then it says nothing about which
-    region is the road. P2, section 6.2 (isolated areas are discarded).
+    region is the road. P2, section 6.2 (isolated areas are discarded). Strip by strip: NumPy
+    makes 8 bytes of every number of a region that it looks up.
     """
-    pixels = np.ascontiguousarray(mask.cpu().numpy(), dtype=np.uint8)
+    rows = mask.any(1).nonzero()[:, 0]
+    if not len(rows):
+        return mask
+    filled = slice(int(rows[0]), int(rows[-1]) + 1)  # above is sky: what it costs is left out
+    pixels = mask[filled].cpu().contiguous().numpy().view(np.uint8)
     count, found = cv2.connectedComponents(pixels, connectivity=4)
-    regions = np.asarray(found, dtype=np.int32)
+    regions, within = np.asarray(found, dtype=np.int32), seed[filled].cpu().numpy()
     kept = np.zeros(count, dtype=bool)
-    kept[regions.reshape(-1)[np.flatnonzero(seed.cpu().numpy())]] = True
+    strips = [slice(at, at + STRIP) for at in range(0, len(regions), STRIP)]
+    for strip in strips:
+        kept[regions[strip][within[strip]]] = True
     kept[0] = False  # the background
     if not kept.any() or kept[1:].all():
         return mask
-    return torch.from_numpy(kept.take(regions)).to(mask.device)
+    left = torch.zeros_like(mask, device="cpu")
+    for strip in strips:
+        left[filled][strip] = torch.from_numpy(kept.take(regions[strip]))
+    return left.to(mask.device)
 
 
 def seed_segments(labels: Tensor, seed: Tensor) -> Tensor:

@@ -1,13 +1,16 @@
-"""Time every stage of the detector ``fusion`` beside its peers, interleaved in one process.
+"""Time all detectors, their stages and their peers: the figures of docs/performance.md.
 
-    python scripts/bench.py
-    python scripts/bench.py --picture street.jpg --sizes 640x480,960x720 --rounds 40 --json t.json
+    python scripts/bench.py --write docs/performance.md              # all parts: ten minutes
+    python scripts/bench.py --only stages,networks --threads 1       # some of them
+    python scripts/bench.py --resume --write docs/performance.md     # what this commit lacks
+    python scripts/bench.py --check docs/performance.md              # is the page as measured?
 
-Each round runs every contestant once, in an order that moves on by one from round to round;
-figures are medians over the rounds with quartiles, and the fastest round. A ratio is the
-median of the rounds' ratios: what slows the whole machine for a while slows both sides of it.
-Other work on the same cores does not: threads that wait for one another suffer far more than
-code on one thread. On a busy machine only the fastest rounds say something.
+Every part runs in a process of its own for each number of threads, takes about a minute at most,
+and is kept in docs/performance.json as soon as it is there. Within a part each round runs every
+contestant once, in an order that moves on by one from round to round; figures are medians
+over the rounds, with quartiles in the file. A ratio is the median of the rounds' ratios: what
+slows the whole machine for a while slows both sides of it. Other work on the same cores does not:
+threads that wait for one another suffer far more than code on one thread.
 
 The stages are timed inside ``detect`` itself, by a stopwatch around the functions it calls.
 """
@@ -22,7 +25,9 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from functools import partial, wraps
+from datetime import date
+from functools import wraps
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
@@ -31,7 +36,6 @@ from unittest.mock import patch
 
 import cv2
 import numpy as np
-import skimage
 import torch
 from torch import Tensor
 from tqdm import tqdm
@@ -40,13 +44,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the scripts 
 
 from roadtorch import detector, superpixels, working_size
 from roadtorch.detectors import fusion
-from roadtorch.detectors.catalogue import load_detector
-from roadtorch.errors import RoadtorchError
 from roadtorch.image import read_image
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.scenes import render_scene
-from roadtorch.superpixels import slic
-from scripts.torchvision_shim import torchvision
+from scripts.bench_figures import Figure, Parts, merged, read_figures, stale, write_figures, written
 
 Stages = Mapping[str, tuple[tuple[ModuleType | type, str], ...]]
 STAGES: Stages = {
@@ -78,14 +79,21 @@ STAGES: Stages = {
 }
 """The functions that make up each stage, by the module in which ``fusion`` looks them up."""
 
-SEGMENTS = 400
 WARM_UP = 2  # rounds that are not counted
-QUICK = 5  # rounds of --quick
 
-FUSION, LRASPP = "fusion, end to end", "lraspp_mobilenet_v3_large"
-OURS, THEIRS = f"roadtorch slic, {SEGMENTS} segments", f"skimage slic, {SEGMENTS} segments"
 SUM = "sum of the stages"
-RATIOS = {"fusion / lraspp": (FUSION, LRASPP), "skimage slic / our slic": (THEIRS, OURS)}
+
+FIGURES = Path(__file__).resolve().parents[1] / "docs" / "performance.json"
+
+ALONE = {
+    "start": "scripts.bench_start",
+    "first": "scripts.bench_start",
+    "busy": "scripts.bench_busy",
+    "training-pictures": "scripts.bench_training",
+    "training-patches": "scripts.bench_training",
+    "size": "scripts.bench_size",
+}
+"""The parts that start processes of their own and say there how many threads those have."""
 
 Clock = Callable[[], float]
 """Seconds, from any start."""
@@ -150,29 +158,6 @@ def time_call(name: str, call: Callable[[], Any], clock: Clock = time.perf_count
     return {name: (clock() - start) * 1000}
 
 
-def contestants(image: Tensor) -> list[Callable[[], Round]]:
-    """What is timed once a round: the stages, ``fusion`` as users call it, and the peers."""
-    torch.manual_seed(0)
-    network = torchvision.models.segmentation.lraspp_mobilenet_v3_large(
-        weights=None, weights_backbone=None
-    ).eval()
-    detect = load_detector("fusion").detect
-    rows = np.ascontiguousarray(image.permute(1, 2, 0).numpy())
-
-    @torch.inference_mode()
-    def lraspp() -> Any:
-        return network(image[None])
-
-    skimage_slic = partial(skimage.segmentation.slic, rows, SEGMENTS, compactness=10)
-    return [
-        partial(time_stages, detect, image),
-        partial(time_call, FUSION, partial(detect, image)),
-        partial(time_call, LRASPP, lraspp),
-        partial(time_call, OURS, partial(slic, image, SEGMENTS)),
-        partial(time_call, THEIRS, skimage_slic),
-    ]
-
-
 def run_rounds(calls: Sequence[Callable[[], Round]], rounds: int, title: str) -> list[Round]:
     """The counted rounds of the contestants; each begins with the next one in turn."""
     counted = []
@@ -235,7 +220,7 @@ def machine() -> dict[str, Any]:
         "torch": torch.__version__,
         "torch threads": torch.get_num_threads(),
         "opencv threads": cv2.getNumThreads(),
-        "torchvision": torchvision.__version__,
+        "torchvision": version("torchvision"),
         "scikit-image": version("scikit-image"),
         "commit": commit(),
     }
@@ -281,33 +266,135 @@ def picture_at(path: Path | None, width: int, height: int) -> Tensor:
     return working_size.resized(read_image(path), (height, width)).clamp(0, 1)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--picture", type=Path, help="a street picture (default: a rendered one)")
-    parser.add_argument("--sizes", type=sizes, default="640x480,960x720", help="width x height, …")
+def part_names() -> list[str]:
+    """All parts, in the order of their tables."""
+    return [*all_parts(), *ALONE]
+
+
+def all_parts() -> Parts:
+    """The parts that are measured once for each number of threads."""
+    from scripts import bench_parts, bench_stages
+
+    return {**bench_parts.PARTS, **bench_stages.PARTS}
+
+
+def measured(part: str, threads: int, rounds: int) -> list[Figure]:
+    """The figures of one part, measured in this process."""
+    if part in ALONE:
+        return import_module(ALONE[part]).PARTS[part](threads, rounds)
+    torch.set_num_threads(threads)
+    cv2.setNumThreads(threads)
+    return all_parts()[part](threads, rounds)
+
+
+def child(part: str, threads: int, rounds: int) -> list[Figure]:
+    """The figures of one part, measured in a process of its own, with what made them."""
+    words = ["--only", part, "--threads", str(threads)]
+    load = round(os.getloadavg()[0], 1)
+    done = subprocess.run(
+        [sys.executable, str(Path(__file__)), *words, "--rounds", str(rounds), "--in-process"],
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    made = {
+        "rounds": rounds,
+        "threads": threads,
+        "command": " ".join(["python scripts/bench.py", *words]),
+        "date": date.today().isoformat(),
+        "machine": machine_in_words(),
+        "commit": commit(),
+        "load": load,
+    }
+    return [made | one for one in json.loads(done.stdout.splitlines()[-1])]
+
+
+def machine_in_words() -> str:
+    """Processor, cores and torch, as figures name them."""
+    return f"{cores()} cores, {processor()}, torch {torch.__version__.partition('+')[0]}"
+
+
+def processor() -> str:
+    """The processor's name, where the system tells it; else its architecture."""
+    told = Path("/proc/cpuinfo")
+    lines = told.read_text().splitlines() if told.is_file() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()
+
+
+def runs(given: argparse.Namespace) -> list[tuple[str, int]]:
+    """The parts that are asked for, each with its threads; what measures itself has one run."""
+    chosen = given.only or part_names()
+    return [
+        (part, threads)
+        for part in chosen
+        for threads in (given.threads[:1] if part in ALONE else given.threads)
+    ]
+
+
+def names_of_parts(text: str) -> list[str]:
+    """``stages,start`` → names of parts."""
+    chosen = text.split(",")
+    if unknown := [name for name in chosen if name not in part_names()]:
+        raise argparse.ArgumentTypeError(f"{unknown[0]}: give some of {', '.join(part_names())}")
+    return chosen
+
+
+def thread_counts(text: str) -> list[int]:
+    """``1,2`` → [1, 2]."""
+    return [positive(part) for part in text.split(",")]
+
+
+def arguments() -> argparse.Namespace:
+    """What the command line asks for."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", type=names_of_parts, help="some parts, such as stages,start")
+    parser.add_argument("--threads", type=thread_counts, default=[1, 2])
     parser.add_argument("--rounds", type=positive, default=20, help="counted rounds")
-    parser.add_argument("--threads", type=positive, default=2)
-    parser.add_argument("--json", type=Path, help="write all figures to this file")
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK} rounds: under a minute")
-    given = parser.parse_args()
-    torch.set_num_threads(given.threads)
-    cv2.setNumThreads(given.threads)
-    results: dict[str, Any] = {"machine": machine(), "sizes": {}}
-    print(", ".join(f"{name}: {value}" for name, value in results["machine"].items()))
-    rounds = QUICK if given.quick else given.rounds
-    for width, height in given.sizes:
-        size = f"{width}x{height}"
-        try:
-            image = picture_at(given.picture, width, height)
-        except RoadtorchError as problem:
-            parser.error(str(problem))
-        counted = run_rounds(contestants(image), rounds, size)
-        figures = summary(counted, [*STAGES, SUM, FUSION, LRASPP, OURS, THEIRS], RATIOS)
-        results["sizes"][size] = figures | {"rounds": counted}
-        print(f"\n{table(size, figures)}", flush=True)
-    if given.json:
-        given.json.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    parser.add_argument("--json", type=Path, default=FIGURES, help="where figures are kept")
+    parser.add_argument("--resume", action="store_true", help="skip what this commit has measured")
+    parser.add_argument("--write", type=Path, help="put the tables into this page")
+    parser.add_argument("--check", type=Path, help="measure nothing: is this page as measured?")
+    parser.add_argument("--in-process", action="store_true", help=argparse.SUPPRESS)
+    return parser.parse_args()
+
+
+def measure_all(given: argparse.Namespace) -> None:
+    """Measure the parts in turn, and keep each as soon as it is there."""
+    for part, threads in runs(given):
+        figures, now = read_figures(given.json), commit()
+        own = [one for one in figures if is_of(one, part, threads) and one["commit"] == now]
+        if given.resume and own:
+            continue
+        start = time.monotonic()
+        new = child(part, threads, given.rounds)
+        write_figures(given.json, merged(figures, new, new[0]["command"]))
+        print(f"{part}, threads {threads}: {time.monotonic() - start:.0f} s", file=sys.stderr)
+
+
+def is_of(one: Figure, part: str, threads: int) -> bool:
+    """Whether a figure comes from the run of a part on so many threads."""
+    return one["command"].endswith(f"--only {part} --threads {threads}")
+
+
+def main() -> int:
+    """Measure, write or check; 1 where the page says something else than the figures."""
+    given = arguments()
+    if given.check:
+        faults = stale(given.check.read_text("utf-8"), read_figures(given.json))
+        print("\n".join(f"{given.check}: {fault}" for fault in faults), end="\n" if faults else "")
+        return 1 if faults else 0
+    if given.in_process:
+        print(json.dumps(measured(given.only[0], given.threads[0], given.rounds)))
+        return 0
+    measure_all(given)
+    if given.write:
+        page = given.write.read_text("utf-8")
+        given.write.write_text(written(page, read_figures(given.json)), "utf-8")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

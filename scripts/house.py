@@ -56,7 +56,7 @@ ROWS = (
         "foundations",
         (
             *("errors", "settings", "signals", "plugins", "outside", "files", "version"),
-            *("image_cache", "shipped_configs"),
+            *("image_cache", "openmp", "shipped_configs"),
         ),
     ),
     Row(

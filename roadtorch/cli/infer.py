@@ -41,11 +41,11 @@ def _kinds(_: click.Context, __: click.Parameter, value: str | None) -> tuple[st
 
 def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[float, ...] | None:
     """Start and end of a stretch, in seconds, of START:END."""
+    if value is None:
+        return None
     from roadtorch.errors import ConfigError
     from roadtorch.sinks.gif import LONGEST
 
-    if value is None:
-        return None
     try:
         start, end = map(float, value.split(":"))
     except ValueError:

@@ -230,6 +230,8 @@ class WeightsFile(Settings):
 def network_of(weights: WeightsFile, shipped: str, kind: type[Network]) -> Network:
     """The network with the weights of a file, or with those shipped under a name.
 
+    One for whole pictures, which are all of one size to it, has run once: torch makes the programs
+    of its convolutions in the first run, which takes twice as long as a later one.
     Raises WeightsError for a file that cannot be used, or holds another kind of network.
     """
     path = weights.file or shipped_weights(shipped)
@@ -237,4 +239,6 @@ def network_of(weights: WeightsFile, shipped: str, kind: type[Network]) -> Netwo
     if not isinstance(network, kind):
         what = f"holds a network for {network.kind}, not for {kind.kind}"
         raise WeightsError(path, what, "use weights of that kind of training")
+    if isinstance(network, PictureNetwork):
+        network.cues(torch.zeros(3, network.settings.height, network.settings.width))
     return network

@@ -13,7 +13,7 @@ from torch.nn import functional as F
 
 from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.normalisation import normalise
-from roadtorch.train.arrays import from_bytes, read_arrays
+from roadtorch.train.arrays import from_bytes, kept_arrays, read_arrays
 from roadtorch.train.batches import Batch
 from roadtorch.train.config import PatchTraining
 from roadtorch.train.corrections import LabelledSites, corrected_sites
@@ -30,7 +30,8 @@ class PatchSamples:
     """The patches of prepared pictures, shuffled over ``mix`` pictures at a time.
 
     One chunk holds the patches of ``mix`` pictures, at each visit another part of them: about
-    ``mix`` / ``passes`` pictures' worth of memory, however many pictures there are.
+    ``mix`` / ``passes`` pictures' worth of memory, and what ``kept_arrays`` keeps, however many
+    pictures there are.
     """
 
     def __init__(
@@ -43,6 +44,7 @@ class PatchSamples:
         self._files, self._said = files, said
         self._training = training
         self._processes = processes
+        self._read = kept_arrays()
         self._weights = class_weights(files, training)
         self._groups = -(-len(files) // training.mix)
         patch = training.network.topology.patch
@@ -89,7 +91,7 @@ class PatchSamples:
         if len(self._room) < len(picture):
             self._room = torch.empty(len(picture), 3, patch, patch)
         for number, member in enumerate(members):
-            image = from_bytes(read_arrays(self._files[member], "image")["image"])
+            image = from_bytes(self._read(self._files[member], "image")["image"])
             pixels, gain = normalise(image, network.normalisation)
             for index in (picture == number).nonzero()[:, 0].split(BLOCK):
                 if len(index):
@@ -98,7 +100,7 @@ class PatchSamples:
 
     def _sites_of(self, member: int, epoch: int, visit: int) -> tuple[Tensor, Tensor, Tensor]:
         """Centres (n,2), classes and weights (n,) of one picture at one visit in an epoch."""
-        arrays = read_arrays(self._files[member], "sites", "classes")
+        arrays = self._read(self._files[member], "sites", "classes")
         sites = LabelledSites(arrays["sites"], arrays["classes"], torch.ones(len(arrays["sites"])))
         if (said := self._said.get(self._files[member])) is not None:
             planes = read_arrays(said, "layout", "known")

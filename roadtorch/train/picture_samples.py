@@ -10,7 +10,7 @@ from torch import Tensor
 
 from roadtorch.layout.classes import HORIZONTAL, SKY
 from roadtorch.layout.normalisation import normalise
-from roadtorch.train.arrays import from_bytes, read_arrays
+from roadtorch.train.arrays import from_bytes, kept_arrays, read_arrays
 from roadtorch.train.batches import Batch
 from roadtorch.train.config import PictureTraining
 from roadtorch.train.corrections import corrected_targets
@@ -44,6 +44,7 @@ class PictureSamples:
     ) -> None:
         self._prepared, self._round = prepared, number
         self._training, self._processes = training, processes
+        self._read = kept_arrays()
 
     @property
     def chunks(self) -> int:
@@ -78,11 +79,11 @@ class PictureSamples:
     def _one(self, member: int, frame: Tensor, seed: int) -> tuple[Tensor, Tensor]:
         """One varied picture (1,3,H,W), normalised, and its targets (1,8,H,W)."""
         training, at = self._training, torch.Generator().manual_seed(seed)
-        arrays = read_arrays(self._prepared.files[member], "image", "maps", "ego")
+        arrays = self._read(self._prepared.files[member], "image", "maps", "ego")
         arrays = {name: from_bytes(values)[None] for name, values in arrays.items()}
         network = None
         if self._prepared.labels:
-            network = from_bytes(read_arrays(self._prepared.labels[member], "maps")["maps"])[None]
+            network = from_bytes(self._read(self._prepared.labels[member], "maps")["maps"])[None]
         targets = targets_of(
             arrays["maps"], arrays["ego"][None], network, training.teacher, training.rounds
         )
