@@ -6,10 +6,11 @@ like from the segments that are believed to belong to it. This is the part they 
 
 from dataclasses import dataclass
 
+import cv2
+import numpy as np
 import torch
 from pydantic import Field
 from torch import Tensor
-from torch.nn import functional as F
 
 from roadtorch.color import planes
 from roadtorch.image_cache import cached_per_image
@@ -94,9 +95,10 @@ def border_contrast(lab: Tensor) -> Tensor:
 
 def mean_of_nine(planes: Tensor) -> Tensor:
     """Means of 3×3 pixels of planes (C,H,W); the edge pixels are repeated beyond the edge."""
-    padded = F.pad(planes[None], (1, 1, 1, 1), mode="replicate")[0]
-    of_rows = padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]
-    return (of_rows[..., :-2] + of_rows[..., 1:-1] + of_rows[..., 2:]) / 9
+    each = [
+        cv2.blur(plane, (3, 3), borderType=cv2.BORDER_REPLICATE) for plane in planes.cpu().numpy()
+    ]
+    return torch.from_numpy(np.stack(each)).to(planes.device)
 
 
 def gradient_length(planes: Tensor) -> Tensor:
