@@ -138,31 +138,27 @@ def _metric(step: float) -> Tensor:
     return torch.block_diag(lab.T @ lab, step**2 * torch.eye(2))
 
 
-def _points(images: Tensor, grid: CellGrid, stride: int) -> Tensor:
-    """Every ``stride``-th pixel of images (B,3,H,W): (B·cells, 6, pixels of a cell).
+def _cells(maps: Tensor, grid: CellGrid, stride: int) -> Tensor:
+    """Every ``stride``-th pixel of maps (B,C,H,W): (B, rows, columns, C, pixels, pixels) of cells.
 
-    R, G, B, row and column from the middle of the cell, 1; beyond the picture all are 0.
+    0 beyond the picture.
     """
-    maps = images[..., ::stride, ::stride]
+    maps = maps[..., ::stride, ::stride]
     tall, wide = grid.height // stride, grid.width // stride
-    rows = -(-images.shape[-2] // grid.height)
-    rest = (0, grid.columns * wide - maps.shape[-1], 0, rows * tall - maps.shape[-2])
+    rows = -(-maps.shape[-2] // tall)
+    beyond = grid.columns * wide - maps.shape[-1], rows * tall - maps.shape[-2]
+    if any(beyond):
+        maps = F.pad(maps, (0, beyond[0], 0, beyond[1]))
+    blocks = maps.reshape(len(maps), -1, rows, tall, grid.columns, wide)
+    return blocks.permute(0, 2, 4, 1, 3, 5)
 
-    def cells(maps: Tensor) -> Tensor:
-        blocks = F.pad(maps, rest).reshape(-1, maps.shape[1], rows, tall, grid.columns, wide)
-        return blocks.permute(0, 2, 4, 1, 3, 5)
 
-    inside = cells(images.new_ones(1, 1, *maps.shape[-2:]))
-    row, column = (
-        torch.arange(0, side, stride).to(images) - (side - 1) / 2
-        for side in (grid.height, grid.width)
-    )
-    points = images.new_empty(len(images), rows, grid.columns, 6, tall, wide)
-    points[:, :, :, :3] = cells(maps)
-    points[:, :, :, 3:4] = inside * row[:, None]
-    points[:, :, :, 4:5] = inside * column
-    points[:, :, :, 5:] = inside
-    return points.reshape(-1, 6, tall * wide)
+@lru_cache(maxsize=16)
+def _places(grid: CellGrid, stride: int) -> Tensor:
+    """(3, pixels, pixels) of a cell: row and column from its middle, and 1."""
+    row, column = (torch.arange(0, side, stride) - (side - 1) / 2 for side in grid[2:4])
+    one = torch.ones(len(row), len(column))
+    return torch.stack([row[:, None] * one, column * one, one])
 
 
 @lru_cache(maxsize=16)
@@ -178,7 +174,7 @@ def _shifts(grid: CellGrid) -> Tensor:
     """(9,5): from the middle of a cell to those around it, in R, G, B, row, column."""
     number = torch.arange(NEIGHBOURS)
     row, column = grid.height * (number // 3 - 1), grid.width * (number % 3 - 1)
-    return F.pad(torch.stack([row, column], 1), (3, 0))
+    return F.pad(torch.stack([row, column], 1), (3, 0)).to(torch.float32)
 
 
 def _tables(sums: Tensor, grid: CellGrid, metric: Tensor) -> Tensor:
@@ -209,7 +205,12 @@ def _move_centres(images: Tensor, grid: CellGrid, metric: Tensor, iterations: in
 
     Rows and columns are those from the middle of the segment's own cell.
     """
-    points = _points(images, grid, grid.stride)
+    ones = images.new_ones(1, 1, *images.shape[-2:])
+    places = _cells(ones, grid, grid.stride) * _places(grid, grid.stride).to(images)
+    points = torch.cat(
+        [_cells(images, grid, grid.stride), places.expand(len(images), *places.shape[1:])], 3
+    )
+    points = points.flatten(0, 2).flatten(2)
     cells, shifts = grid.rows * grid.columns, _shifts(grid).to(images)
     # To the cell above on the left this one is the one below on the right, and so on.
     opposite = NEIGHBOURS * _neighbours(grid) + torch.arange(NEIGHBOURS - 1, -1, -1)
@@ -238,13 +239,19 @@ def _assign(images: Tensor, centres: Tensor, grid: CellGrid, metric: Tensor) -> 
     shape = (batch, grid.rows, grid.height, grid.columns, grid.width)
     labels = np.empty(shape, dtype=np.int32)
     most = max(1, CHUNK // (NEIGHBOURS * labels[:, 0].size))
-    for top in range(0, grid.rows, most):
-        strip = slice(top, top + most)
-        pixels = images[..., top * grid.height : (top + most) * grid.height, :]
-        nearest = _nearest(tables[:, strip].reshape(-1, NEIGHBOURS, 6), _points(pixels, grid, 1))
-        nearest = nearest.reshape(batch, -1, grid.columns, grid.height, grid.width)
-        owner = move.take(nearest.cpu().numpy()).transpose(0, 1, 3, 2, 4)
-        np.add(owner, cells[strip], out=labels[:, strip])
+    strips = images.split(most * grid.height, 2)
+    size = (batch, min(most, grid.rows), grid.columns, 6, grid.height, grid.width)
+    points = images.new_empty(size)  # the last strip may fill less of it
+    points[:, :, :, 3:] = _places(grid, 1).to(images)
+    for top, strip in zip(range(0, grid.rows, most), strips, strict=True):
+        rows = min(most, grid.rows - top)
+        points[:, :rows, :, :3] = _cells(strip, grid, 1)
+        factors = tables[:, top : top + rows].reshape(-1, NEIGHBOURS, 6)
+        nearest = _nearest(factors, points[:, :rows].flatten(0, 2).flatten(2)).cpu().numpy()
+        owner = move.take(nearest.reshape(batch, rows, *shape[3:4], grid.height, grid.width))
+        np.add(
+            owner.transpose(0, 1, 3, 2, 4), cells[top : top + rows], out=labels[:, top : top + rows]
+        )
     whole = labels.reshape(batch, grid.rows * grid.height, grid.columns * grid.width)
     return torch.from_numpy(np.ascontiguousarray(whole[:, :height, :width]))
 
@@ -290,8 +297,7 @@ def connect(labels: Tensor, smallest: float = 1.0) -> Tensor:
     picture = label // stride
     settled = _largest_of(label, size) & (size >= smallest) | _largest_of(picture, size)
     number = _numbers_within(picture, settled)[region]
-    flat, empty = number.repeat(length), (number < 0).repeat(length)
-    grown = _grow(flat.reshape(pictures.shape), np.flatnonzero(empty))
+    grown = _grow(number.repeat(length).reshape(pictures.shape))
     return torch.from_numpy(grown).to(labels.device)
 
 
@@ -331,8 +337,8 @@ def _numbers_within(picture: np.ndarray, settled: np.ndarray) -> np.ndarray:
     return number
 
 
-def _grow(numbers: np.ndarray, empty: np.ndarray) -> np.ndarray:
-    """Fill the pixels -1 of maps (B,H,W), at the places ``empty``, from their 4 neighbours: int64.
+def _grow(numbers: np.ndarray) -> np.ndarray:
+    """Fill the pixels -1 of maps (B,H,W) from their 4 neighbours: int64.
 
     Round by round; each takes the highest number it touches, so that the result does not depend
     on an order.
@@ -341,8 +347,7 @@ def _grow(numbers: np.ndarray, empty: np.ndarray) -> np.ndarray:
     framed = np.full((batch, height + 2, width + 2), -2, dtype=np.int64)
     framed[:, 1:-1, 1:-1] = numbers
     flat, wide = framed.reshape(-1), width + 2
-    row = empty // width
-    empty = empty + 2 * row + wide + 1 + 2 * wide * (row // height)
+    empty = np.flatnonzero(flat == -1)
     while len(empty):
         highest = flat[empty - wide]
         for move in (-1, 1, wide):
