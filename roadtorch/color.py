@@ -44,6 +44,16 @@ class Channels:
         return self.red + self.green + self.blue
 
     @cached_property
+    def black(self) -> Tensor:
+        """1 where all channels are 0, else 0."""
+        return (self.total <= 0).to(self.total.dtype)
+
+    @cached_property
+    def divisor(self) -> Tensor:
+        """R+G+B, 1 where that is 0."""
+        return self.total + self.black
+
+    @cached_property
     def highest(self) -> Tensor:
         """max(R, G, B)."""
         return torch.maximum(torch.maximum(self.red, self.green), self.blue)
@@ -92,7 +102,7 @@ def _power(base: Tensor, exponent: float) -> Tensor:
 
 def _over_total(channels: Channels, values: Tensor) -> Tensor:
     """values / (R+G+B); written so that 3 · grey / (grey + grey + grey) is 1 to the bit."""
-    return torch.where(channels.total > 0, 3 * values / channels.total, 1).div_(3).clamp_max_(1)
+    return (3 * values).add_(channels.black).div_(channels.divisor).div_(3).clamp_max_(1)
 
 
 def _hue(channels: Channels) -> Tensor:
@@ -107,7 +117,7 @@ def _hue(channels: Channels) -> Tensor:
 
 
 def _saturation(channels: Channels) -> Tensor:
-    return torch.where(channels.highest > 0, channels.chroma / channels.highest, 0)
+    return channels.chroma / (channels.highest + channels.black)
 
 
 def _grey(channels: Channels) -> Tensor:

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from roadtorch.color import planes
 from roadtorch.image_cache import cached_per_image
-from roadtorch.segment_statistics import borders, segment_mean
+from roadtorch.segment_statistics import borders, segment_mean, segment_size
 from roadtorch.settings import Settings
 
 LIGHTNESS_SHARE = 0.3
@@ -77,7 +77,7 @@ def measure_segments(image: Tensor, labels: Tensor) -> Segments:
     maps = [lab, lab[:1].square(), gradient_length(lab[:1]), rows[None], columns[None]]
     mean = segment_mean(torch.cat(maps), labels, count)
     pairs, between = borders(labels, border_contrast(lab))
-    size = torch.bincount(labels.reshape(-1), minlength=count).to(image) / labels.numel()
+    size = segment_size(labels, count).to(image) / labels.numel()
     deviation = (mean[3] - mean[0].square()).clamp_min(0).sqrt()
     return Segments(labels, mean[:3], mean[4], deviation, mean[5], mean[6], size, pairs, between)
 
@@ -89,8 +89,11 @@ def border_contrast(lab: Tensor) -> Tensor:
     ``LIGHTNESS_SHARE``.
     """
     weights = lab.new_tensor([LIGHTNESS_SHARE, 1, 1])[:, None, None]
-    across, down = central_differences(mean_of_nine(lab * weights))
-    return (across.square().sum(0) + down.square().sum(0)).sqrt()
+    squares = lab.new_zeros(lab.shape[1:])
+    for differences in central_differences(mean_of_nine(lab * weights)):
+        for plane in differences:
+            squares.addcmul_(plane, plane)
+    return squares.sqrt_()
 
 
 def mean_of_nine(planes: Tensor) -> Tensor:

@@ -55,7 +55,7 @@ def segment_histogram(
     index = (labels * bins).add_(levels).reshape(-1)
     if usable is not None:
         index = index.where(usable.reshape(-1), count * bins)  # counted behind all others
-    counts = torch.bincount(index, minlength=count * bins)[: count * bins]
+    counts = segment_size(index, count * bins)[: count * bins]
     return counts.reshape(count, bins).to(torch.float32)
 
 

@@ -121,6 +121,8 @@ def at_picture_size(cue: Tensor, size: tuple[int, int]) -> Tensor:
         return resized(cue, size)
     rows = torch.arange(size[0], device=cue.device) * cue.shape[-2] // size[0]
     columns = torch.arange(size[1], device=cue.device) * cue.shape[-1] // size[1]
+    if size[0] > cue.shape[-2]:  # the fewer pixels first
+        return cue.index_select(-1, columns).index_select(-2, rows)
     return cue.index_select(-2, rows).index_select(-1, columns)
 
 
