@@ -210,7 +210,9 @@ def in_order(scores: Tensor, labels: Tensor, order: ColumnOrder) -> Tensor:
     middle = min(order.step, *labels.shape) // 2  # inside, whatever the step
     grid = labels[middle :: order.step, middle :: order.step].cpu().numpy()
     local = np.maximum(softmax(order.weight * scores.to(torch.float64).cpu().numpy(), 1), 1e-4)
-    posterior = _chain_posterior(local.take(grid, 0), _moves(order)).reshape(-1, CLASSES)
+    posterior = _chain_posterior(local.take(grid, 0), _moves(order.change, order.breach)).reshape(
+        -1, CLASSES
+    )
     samples = grid.reshape(-1)
     seen = np.bincount(samples, minlength=len(local))[:, None]
     sums = [np.bincount(samples, each, minlength=len(local)) for each in posterior.T]
@@ -221,13 +223,13 @@ def in_order(scores: Tensor, labels: Tensor, order: ColumnOrder) -> Tensor:
 
 
 @lru_cache(maxsize=8)
-def _moves(order: ColumnOrder) -> np.ndarray:
+def _moves(change: float, breach: float) -> np.ndarray:
     """Chances (6,6) of a step: read from the top (3,3), and beside them from the bottom."""
-    move = np.full((CLASSES, CLASSES), order.breach)
-    move[SKY, VERTICAL] = move[VERTICAL, HORIZONTAL] = order.change
+    move = np.full((CLASSES, CLASSES), breach)
+    move[SKY, VERTICAL] = move[VERTICAL, HORIZONTAL] = change
     np.fill_diagonal(move, 0)
     np.fill_diagonal(move, 1 - move.sum(1))
-    return block_diag(move, move.T)
+    return np.asarray(block_diag(move, move.T))
 
 
 def _chain_posterior(evidence: np.ndarray, moves: np.ndarray) -> np.ndarray:

@@ -230,4 +230,4 @@ def network_of(weights: WeightsFile, shipped: str, kind: type[Network]) -> Netwo
     if not isinstance(network, kind):
         what = f"holds a network for {network.kind}, not for {kind.kind}"
         raise WeightsError(path, what, "use weights of that kind of training")
-    return network.to(memory_format=torch.channels_last)
+    return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # stubs lack it
