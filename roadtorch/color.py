@@ -26,6 +26,10 @@ XYZ_OF_RGB = tuple(tuple(value / sum(row) for value in row) for row in _XYZ)
 """Linear sRGB to CIE XYZ for D65, over the white point. Rows sum to 1, so grey has a = b = 0;
 with the tabulated white (0.95047, 1, 1.08883) a and b would be off by up to 5e-5."""
 
+STRAIGHT_LIGHT, STRAIGHT_CODE = 216 / 24389, 0.04045
+"""Where the curves of CIE f and of sRGB begin; below they are straight. Each is written as the
+curve from there on plus the straight piece up to there: what is beyond has no part in it."""
+
 
 class Channels:
     """What several planes of one image (…,3,H,W) share, each computed when first asked for."""
@@ -38,6 +42,16 @@ class Channels:
     def total(self) -> Tensor:
         """R+G+B, 0…3."""
         return self.red + self.green + self.blue
+
+    @cached_property
+    def black(self) -> Tensor:
+        """1 where all channels are 0, else 0."""
+        return (self.total <= 0).to(self.total.dtype)
+
+    @cached_property
+    def divisor(self) -> Tensor:
+        """R+G+B, 1 where that is 0."""
+        return self.total + self.black
 
     @cached_property
     def highest(self) -> Tensor:
@@ -70,22 +84,25 @@ class Channels:
 
 def _root(light: Tensor) -> Tensor:
     """CIE f: the cube root, with a straight piece near black."""
-    return torch.where(light > 216 / 24389, _power(light, 1 / 3), light * (841 / 108) + 4 / 29)
+    straight = light.clamp_max(STRAIGHT_LIGHT).sub_(STRAIGHT_LIGHT)
+    return _power(light.clamp_min(STRAIGHT_LIGHT), 1 / 3).add_(straight, alpha=841 / 108)
 
 
 def _linear(image: Tensor) -> Tensor:
     """Light of gamma-encoded values (sRGB, IEC 61966-2-1)."""
-    return torch.where(image > 0.04045, _power((image + 0.055) / 1.055, 2.4), image / 12.92)
+    straight = image.clamp_max(STRAIGHT_CODE).sub_(STRAIGHT_CODE)
+    above = image.clamp_min(STRAIGHT_CODE).add_(0.055).div_(1.055)
+    return _power(above, 2.4).add_(straight, alpha=1 / 12.92)
 
 
 def _power(base: Tensor, exponent: float) -> Tensor:
-    """base ** exponent for base > 0; for 0 the result is finite and replaced by the caller."""
-    return base.clamp_min(1e-6).log2_().mul_(exponent).exp2_()
+    """base ** exponent for base > 0, in place."""
+    return base.log2_().mul_(exponent).exp2_()
 
 
 def _over_total(channels: Channels, values: Tensor) -> Tensor:
     """values / (R+G+B); written so that 3 · grey / (grey + grey + grey) is 1 to the bit."""
-    return torch.where(channels.total > 0, 3 * values / channels.total, 1).div_(3).clamp_max_(1)
+    return (3 * values).add_(channels.black).div_(channels.divisor).div_(3).clamp_max_(1)
 
 
 def _hue(channels: Channels) -> Tensor:
@@ -100,7 +117,7 @@ def _hue(channels: Channels) -> Tensor:
 
 
 def _saturation(channels: Channels) -> Tensor:
-    return torch.where(channels.highest > 0, channels.chroma / channels.highest, 0)
+    return channels.chroma / (channels.highest + channels.black)
 
 
 def _grey(channels: Channels) -> Tensor:

@@ -6,14 +6,15 @@ like from the segments that are believed to belong to it. This is the part they 
 
 from dataclasses import dataclass
 
+import cv2
+import numpy as np
 import torch
 from pydantic import Field
 from torch import Tensor
-from torch.nn import functional as F
 
 from roadtorch.color import planes
 from roadtorch.image_cache import cached_per_image
-from roadtorch.segment_statistics import borders, segment_mean
+from roadtorch.segment_statistics import borders, segment_mean, segment_size
 from roadtorch.settings import Settings
 
 LIGHTNESS_SHARE = 0.3
@@ -76,7 +77,7 @@ def measure_segments(image: Tensor, labels: Tensor) -> Segments:
     maps = [lab, lab[:1].square(), gradient_length(lab[:1]), rows[None], columns[None]]
     mean = segment_mean(torch.cat(maps), labels, count)
     pairs, between = borders(labels, border_contrast(lab))
-    size = torch.bincount(labels.reshape(-1), minlength=count).to(image) / labels.numel()
+    size = segment_size(labels, count).to(image) / labels.numel()
     deviation = (mean[3] - mean[0].square()).clamp_min(0).sqrt()
     return Segments(labels, mean[:3], mean[4], deviation, mean[5], mean[6], size, pairs, between)
 
@@ -88,15 +89,19 @@ def border_contrast(lab: Tensor) -> Tensor:
     ``LIGHTNESS_SHARE``.
     """
     weights = lab.new_tensor([LIGHTNESS_SHARE, 1, 1])[:, None, None]
-    across, down = central_differences(mean_of_nine(lab * weights))
-    return (across.square().sum(0) + down.square().sum(0)).sqrt()
+    squares = lab.new_zeros(lab.shape[1:])
+    for differences in central_differences(mean_of_nine(lab * weights)):
+        for plane in differences:
+            squares.addcmul_(plane, plane)
+    return squares.sqrt_()
 
 
 def mean_of_nine(planes: Tensor) -> Tensor:
     """Means of 3×3 pixels of planes (C,H,W); the edge pixels are repeated beyond the edge."""
-    padded = F.pad(planes[None], (1, 1, 1, 1), mode="replicate")[0]
-    of_rows = padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]
-    return (of_rows[..., :-2] + of_rows[..., 1:-1] + of_rows[..., 2:]) / 9
+    each = [
+        cv2.blur(plane, (3, 3), borderType=cv2.BORDER_REPLICATE) for plane in planes.cpu().numpy()
+    ]
+    return torch.from_numpy(np.stack(each)).to(planes.device)
 
 
 def gradient_length(planes: Tensor) -> Tensor:

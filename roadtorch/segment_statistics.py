@@ -2,25 +2,34 @@
 
 import numpy as np
 import torch
-from scipy.sparse import coo_array
+from scipy.sparse import csc_array
 from torch import Tensor
 
 
 def segment_sum(values: Tensor, labels: Tensor, count: int) -> Tensor:
     """Sum of values (C,H,W) over each of ``count`` segments of labels (H,W): (C,count).
 
-    Added up in float64: a large segment would lose what a pixel adds to it.
+    One product of a sparse matrix, which pixel is in which segment, with all channels. Added
+    up in float64: a large segment would lose what a pixel adds to it.
     """
-    index = labels.reshape(-1)
-    flat = values.reshape(values.shape[0], -1).to(torch.float64)
-    sums = [torch.bincount(index, weights=channel, minlength=count) for channel in flat]
-    return torch.stack(sums).to(values.dtype)
+    segment = labels.reshape(-1).cpu().numpy()
+    pixels = np.arange(len(segment) + 1)
+    member = csc_array((np.ones(len(segment)), segment, pixels), shape=(count, len(segment)))
+    flat = values.reshape(values.shape[0], -1).cpu().numpy()
+    sums = member @ np.ascontiguousarray(flat.T, dtype=np.float64)
+    return torch.from_numpy(sums.T).to(values)
 
 
 def segment_mean(values: Tensor, labels: Tensor, count: int) -> Tensor:
     """Mean of values (C,H,W) over each of ``count`` segments of labels (H,W): (C,count)."""
-    size = torch.bincount(labels.reshape(-1), minlength=count).to(values.dtype)
+    size = segment_size(labels, count).to(values.dtype)
     return segment_sum(values, labels, count) / size.clamp_min(1)
+
+
+def segment_size(labels: Tensor, count: int) -> Tensor:
+    """Pixels of each of ``count`` segments of labels (H,W): int64 (count,)."""
+    size = np.bincount(labels.reshape(-1).cpu().numpy(), minlength=count)
+    return torch.from_numpy(size).to(labels.device)
 
 
 def segment_median(values: Tensor, labels: Tensor, count: int) -> Tensor:
@@ -46,7 +55,7 @@ def segment_histogram(
     index = (labels * bins).add_(levels).reshape(-1)
     if usable is not None:
         index = index.where(usable.reshape(-1), count * bins)  # counted behind all others
-    counts = torch.bincount(index, minlength=count * bins)[: count * bins]
+    counts = segment_size(index, count * bins)[: count * bins]
     return counts.reshape(count, bins).to(torch.float32)
 
 
@@ -63,21 +72,23 @@ def borders(labels: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
     border of the larger of their two values.
     """
     count = int(labels.max()) + 1
-    firsts, seconds, values = [], [], []
-    for axis in (0, 1):
-        length = labels.shape[axis] - 1
-        one, two = labels.narrow(axis, 0, length), labels.narrow(axis, 1, length)
-        place = (one != two).reshape(-1).nonzero()[:, 0]
-        one, two = one.reshape(-1)[place], two.reshape(-1)[place]
-        value = torch.maximum(plane.narrow(axis, 0, length), plane.narrow(axis, 1, length))
-        firsts.append(torch.minimum(one, two))
-        seconds.append(torch.maximum(one, two))
-        values.append(value.reshape(-1)[place])
-    # A sparse matrix adds up what falls on one place, faster than sorting does; the sum of the
-    # values is the real part, how many there are the imaginary one.
-    at = torch.cat(firsts).cpu().numpy(), torch.cat(seconds).cpu().numpy()
-    each = torch.cat(values).cpu().numpy() + 1j
-    found = coo_array((each, at), shape=(count, count)).tocsr().tocoo()
-    pairs = torch.from_numpy(np.stack([found.row, found.col]).astype(np.int64))
-    sums = np.asarray(found.data, dtype=np.complex128)
-    return pairs.to(labels.device), torch.from_numpy(sums.real / sums.imag).to(plane)
+    found = [_steps(labels, plane, axis) for axis in (0, 1)]
+    # Both numbers in one, so that sorting brings together what belongs to one pair.
+    pair, value = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    order = pair.argsort()
+    pair, value = pair[order], value[order].astype(np.float64)
+    start = np.flatnonzero(np.diff(pair, prepend=-1))
+    mean = np.add.reduceat(value, start) / np.diff(start, append=len(pair)) if len(pair) else value
+    pairs = np.stack(np.divmod(pair[start], count))
+    return torch.from_numpy(pairs).to(labels.device), torch.from_numpy(mean).to(plane)
+
+
+def _steps(labels: Tensor, plane: Tensor, axis: int) -> tuple[np.ndarray, np.ndarray]:
+    """Steps along an axis from one segment to another: smaller number · n + larger, and value."""
+    length, count = labels.shape[axis] - 1, int(labels.max()) + 1
+    one, two = (labels.narrow(axis, at, length).cpu().numpy() for at in (0, 1))
+    here, there = (plane.narrow(axis, at, length).cpu().numpy() for at in (0, 1))
+    place = np.flatnonzero(one != two)
+    one, two = one.reshape(-1)[place], two.reshape(-1)[place]
+    value = np.maximum(here, there).reshape(-1)[place]
+    return np.minimum(one, two) * count + np.maximum(one, two), value

@@ -2,18 +2,20 @@
 
 Every pixel is compared with the nine segment centres around its grid cell. Ordered
 cell by cell, that is one small matrix product a cell; the centres are updated by a
-second one. Achanta et al., "SLIC Superpixels Compared to State-of-the-art Superpixel
-Methods", PAMI 2012, stands in for the TurboPixels of P2 and P3: both give compact
-segments of about equal size that follow edges.
+second one. Colours stay RGB: Lab is in the metric between them. Achanta et al., "SLIC
+Superpixels Compared to State-of-the-art Superpixel Methods", PAMI 2012, stands in for
+the TurboPixels of P2 and P3: both give compact segments of about equal size that
+follow edges.
 """
 
-from collections.abc import Iterator
+from functools import lru_cache
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 import torch
 from pydantic import Field
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -32,8 +34,9 @@ LAB_TANGENT = (
 """Derivative of (L,a,b)/100 by gamma-encoded (R,G,B) at mid grey: Lab without its roots.
 Street pictures are nearly grey, boundary recall stays within 0.01, and it is 6 times faster."""
 
-COARSE = 2
-"""Centres move by every second pixel of every second row: a quarter of the work."""
+SAMPLES = 5
+"""Rows and columns of pixels by which a centre moves at least: every second or fourth of both,
+where a segment has so many. A quarter of the work, or a sixteenth."""
 
 CHUNK = 1 << 18
 """Distances held at a time: one megabyte."""
@@ -41,8 +44,11 @@ CHUNK = 1 << 18
 SMALLEST = 0.02
 """Regions below this share of the mean segment size are merged into a neighbour."""
 
-OUTSIDE = 1e6
-"""The squared distance to a centre beyond the grid: never the smallest."""
+FAR = 1e3
+"""Every coordinate of a centre beyond the grid, or of no pixels: never the nearest."""
+
+LONGEST = 4.0
+"""No colour is as far from black, squared: see ``_tables``."""
 
 
 class Superpixels(Settings):
@@ -78,12 +84,16 @@ def squares(height: int, width: int, size: int) -> Tensor:
 
 
 class CellGrid(NamedTuple):
-    """The initial grid: rows and columns of cells, and a cell's height and width in pixels."""
+    """The initial grid: rows and columns of cells, and a cell's height and width in pixels.
+
+    stride: centres move by every so many-th pixel of every so many-th row; divides a cell's sides.
+    """
 
     rows: int
     columns: int
     height: int
     width: int
+    stride: int
 
 
 def slic(
@@ -103,129 +113,171 @@ def slic(
     batch = image if image.ndim == 4 else image[None]
     height, width = batch.shape[-2:]
     grid = _grid(height, width, segments)
-    features = _features(batch, grid, compactness * (segments / (height * width)) ** 0.5)
-    centres = _move_centres(features, grid, iterations)
-    labels = _assign(features, centres, grid)[:, :height, :width]
-    labels = connect(labels, SMALLEST * height * width / segments)
+    metric = _metric(compactness * (segments / (height * width)) ** 0.5).to(batch)
+    centres = _move_centres(batch, grid, metric, iterations)
+    labels = connect(_assign(batch, centres, grid, metric), SMALLEST * height * width / segments)
+    labels = labels.to(image.device)
     return labels if image.ndim == 4 else labels[0]
 
 
 def _grid(height: int, width: int, segments: int) -> CellGrid:
     """About ``segments`` nearly square cells of even size that cover the picture."""
     side = (height * width / segments) ** 0.5
+    stride = 4 if side >= 4 * SAMPLES else 2
 
     def cell(length: int) -> int:
-        return COARSE * max(1, round(length / max(1, round(length / side)) / COARSE))
+        return stride * max(1, round(length / max(1, round(length / side)) / stride))
 
     tall, wide = cell(height), cell(width)
-    return CellGrid(-(-height // tall), -(-width // wide), tall, wide)
+    return CellGrid(-(-height // tall), -(-width // wide), tall, wide, stride)
 
 
-def _features(images: Tensor, grid: CellGrid, step: float) -> Tensor:
-    """(B,7,H',W'), padded with 0: nearly L, a, b, then row·step, column·step, |·|² of the five, 1.
+def _metric(step: float) -> Tensor:
+    """M (5,5): |f-c|² = (f-c)ᵀM(f-c) of R, G, B, row, column; nearly Lab/100, and pixels·step."""
+    lab = torch.tensor(LAB_TANGENT)
+    return torch.block_diag(lab.T @ lab, step**2 * torch.eye(2))
 
-    The last two make a squared distance one matrix product (see ``_tables``).
+
+def _cells(maps: Tensor, grid: CellGrid, stride: int) -> Tensor:
+    """Every ``stride``-th pixel of maps (B,C,H,W): (B, rows, columns, C, pixels, pixels) of cells.
+
+    0 beyond the picture.
     """
-    batch, _, height, width = images.shape
-    rows = torch.linspace(-0.5, 0.5, height).to(images)[:, None] * (height - 1) * step
-    columns = torch.linspace(-0.5, 0.5, width).to(images) * (width - 1) * step
-    color = torch.tensor(LAB_TANGENT).to(images) @ images.reshape(batch, 3, -1)
-    size = (batch, 7, grid.rows * grid.height, grid.columns * grid.width)
-    padded = images.new_zeros(size)
-    features = padded[:, :, :height, :width]
-    features[:, :3] = color.reshape(images.shape)
-    features[:, 3] = rows
-    features[:, 4] = columns
-    for channel in features[:, :5].unbind(1):
-        features[:, 5].addcmul_(channel, channel)
-    features[:, 6] = 1
-    return padded
+    maps = maps[..., ::stride, ::stride]
+    tall, wide = grid.height // stride, grid.width // stride
+    rows = -(-maps.shape[-2] // tall)
+    beyond = grid.columns * wide - maps.shape[-1], rows * tall - maps.shape[-2]
+    if any(beyond):
+        maps = F.pad(maps, (0, beyond[0], 0, beyond[1]))
+    blocks = maps.reshape(len(maps), -1, rows, tall, grid.columns, wide)
+    return blocks.permute(0, 2, 4, 1, 3, 5)
 
 
-def _cells(maps: Tensor, grid: CellGrid) -> Tensor:
-    """(B,C,H',W') → (B·rows·columns, C, pixels of a cell)."""
-    batch, channels = maps.shape[:2]
-    blocks = maps.reshape(
-        batch, channels, grid.rows, -1, grid.columns, maps.shape[3] // grid.columns
-    )
-    return blocks.permute(0, 2, 4, 1, 3, 5).reshape(batch * grid.rows * grid.columns, channels, -1)
+@lru_cache(maxsize=16)
+def _places(grid: CellGrid, stride: int) -> Tensor:
+    """(3, pixels, pixels) of a cell: row and column from its middle, and 1."""
+    row, column = (torch.arange(0, side, stride) - (side - 1) / 2 for side in grid[2:4])
+    one = torch.ones(len(row), len(column))
+    return torch.stack([row[:, None] * one, column * one, one])
 
 
-def _neighbours(grid: CellGrid, device: torch.device) -> Tensor:
+@lru_cache(maxsize=16)
+def _neighbours(grid: CellGrid) -> Tensor:
     """(cells, 9) int64: the cells around each, itself in the middle; ``cells`` beyond the grid."""
     cells = grid.rows * grid.columns
-    numbers = torch.arange(cells, device=device).reshape(grid.rows, grid.columns)
-    framed = F.pad(numbers, (1, 1, 1, 1), value=cells)
+    framed = F.pad(torch.arange(cells).reshape(grid.rows, grid.columns), (1, 1, 1, 1), value=cells)
     return framed.unfold(0, 3, 1).unfold(1, 3, 1).reshape(cells, NEIGHBOURS)
 
 
-def _tables(sums: Tensor, neighbours: Tensor) -> Tensor:
-    """(B,cells,7) sums over segments → (B·cells, 9, 7) factors of the squared distances.
+@lru_cache(maxsize=16)
+def _shifts(grid: CellGrid) -> Tensor:
+    """(9,5): from the middle of a cell to those around it, in R, G, B, row, column."""
+    number = torch.arange(NEIGHBOURS)
+    row, column = grid.height * (number // 3 - 1), grid.width * (number % 3 - 1)
+    return F.pad(torch.stack([row, column], 1), (3, 0)).to(torch.float32)
 
-    |f-c|² + 1 = -2 f·c + 1·|f|² + (|c|²+1)·1; the 1 keeps rounding from making it negative.
+
+def _tables(sums: Tensor, grid: CellGrid, metric: Tensor) -> Tensor:
+    """(B,cells,6) sums over segments → (B·cells, 9, 6) factors of the squared distances.
+
+    |f-c|² - fᵀMf = -2 cᵀM f + cᵀMc: fᵀMf is the same for all nine. More than it can be is added,
+    so that all are positive.
     """
-    size = sums[..., 6:]
-    centre = sums[..., :5] / size.clamp_min(torch.finfo(sums.dtype).tiny)
-    offset = centre.square().sum(-1, keepdim=True) + 1
-    offset = torch.where(size > 0, offset, OUTSIDE)
-    factors = torch.cat([-2 * centre, torch.ones_like(offset), offset], -1)
-    beyond = factors.new_tensor([0, 0, 0, 0, 0, 0, OUTSIDE]).expand(len(sums), 1, 7)
-    return torch.cat([factors, beyond], 1)[:, neighbours].reshape(-1, NEIGHBOURS, 7)
+    size = sums[..., 5:]
+    centre = torch.where(size > 0, sums[..., :5] / size, FAR)
+    around = F.pad(centre, (0, 0, 0, 1), value=FAR)
+    around = around.index_select(1, _neighbours(grid).to(sums.device).reshape(-1))
+    around = around.reshape(-1, NEIGHBOURS, 5) + _shifts(grid).to(sums)
+    scaled = around @ metric
+    most = LONGEST + float(metric[3, 3]) * (grid.height**2 + grid.width**2) / 4
+    return torch.cat([-2 * scaled, (scaled * around).sum(-1, keepdim=True) + most], -1)
 
 
-def _keys(tables: Tensor, pixels: Tensor) -> Tensor:
-    """(cells, 9, pixels) int32 whose order is that of the distances, ties to the first centre.
+def _member_sums(tables: Tensor, points: Tensor) -> Tensor:
+    """(cells, 9, 6): a cell's points summed by the centre nearest to them (where two are: both)."""
+    distances = torch.bmm(tables, points)
+    member = distances.eq_(distances.amin(1, keepdim=True))  # 0 and 1, without another copy
+    return torch.bmm(member, points.transpose(1, 2))
+
+
+def _move_centres(images: Tensor, grid: CellGrid, metric: Tensor, iterations: int) -> Tensor:
+    """(B,cells,6): sums of the points over each segment after k-means on the grid.
+
+    Rows and columns are those from the middle of the segment's own cell.
+    """
+    ones = images.new_ones(1, 1, *images.shape[-2:])
+    places = _cells(ones, grid, grid.stride) * _places(grid, grid.stride).to(images)
+    points = torch.cat(
+        [_cells(images, grid, grid.stride), places.expand(len(images), *places.shape[1:])], 3
+    )
+    points = points.flatten(0, 2).flatten(2)
+    cells, shifts = grid.rows * grid.columns, _shifts(grid).to(images)
+    # To the cell above on the left this one is the one below on the right, and so on.
+    opposite = NEIGHBOURS * _neighbours(grid) + torch.arange(NEIGHBOURS - 1, -1, -1)
+    opposite = opposite.reshape(-1).to(images.device)
+    sums = points.sum(2).reshape(-1, cells, 6)
+    most = max(1, CHUNK // (NEIGHBOURS * points.shape[2]))
+    for _ in range(iterations):
+        chunks = zip(_tables(sums, grid, metric).split(most), points.split(most), strict=True)
+        parts = torch.cat([_member_sums(*chunk) for chunk in chunks])
+        parts[..., :5] -= parts[..., 5:] * shifts
+        parts = F.pad(parts.reshape(-1, cells * NEIGHBOURS, 6), (0, 0, 0, NEIGHBOURS))
+        sums = parts.index_select(1, opposite).reshape(-1, cells, NEIGHBOURS, 6).sum(2)
+    return sums
+
+
+def _assign(images: Tensor, centres: Tensor, grid: CellGrid, metric: Tensor) -> Tensor:
+    """(B,H,W) int32 on the CPU: for each pixel the grid cell whose centre is nearest.
+
+    Strip by strip: points and distances stay in the cache, and memory is linear in pixels.
+    """
+    batch, _, height, width = images.shape
+    tables = _tables(centres, grid, metric).reshape(batch, grid.rows, grid.columns, NEIGHBOURS, 6)
+    cells = np.arange(grid.rows * grid.columns, dtype=np.int32)
+    cells = cells.reshape(grid.rows, 1, grid.columns, 1)
+    move = np.add.outer([-grid.columns, 0, grid.columns], [-1, 0, 1]).astype(np.int32)
+    shape = (batch, grid.rows, grid.height, grid.columns, grid.width)
+    labels = np.empty(shape, dtype=np.int32)
+    most = max(1, CHUNK // (NEIGHBOURS * labels[:, 0].size))
+    strips = images.split(most * grid.height, 2)
+    size = (batch, min(most, grid.rows), grid.columns, 6, grid.height, grid.width)
+    points = images.new_empty(size)  # the last strip may fill less of it
+    points[:, :, :, 3:] = _places(grid, 1).to(images)
+    for top, strip in zip(range(0, grid.rows, most), strips, strict=True):
+        rows = min(most, grid.rows - top)
+        points[:, :rows, :, :3] = _cells(strip, grid, 1)
+        factors = tables[:, top : top + rows].reshape(-1, NEIGHBOURS, 6)
+        nearest = _nearest(factors, points[:, :rows].flatten(0, 2).flatten(2)).cpu().numpy()
+        owner = move.take(nearest.reshape(batch, rows, *shape[3:4], grid.height, grid.width))
+        np.add(
+            owner.transpose(0, 1, 3, 2, 4), cells[top : top + rows], out=labels[:, top : top + rows]
+        )
+    whole = labels.reshape(batch, grid.rows * grid.height, grid.columns * grid.width)
+    return torch.from_numpy(np.ascontiguousarray(whole[:, :height, :width]))
+
+
+def _nearest(tables: Tensor, points: Tensor) -> Tensor:
+    """(cells, pixels) int32, 0…8: which of the nine centres is nearest; the first if several are.
 
     Positive floats sort like their bits; the lowest four give way to the centre's number,
     which costs 2⁻¹⁹ of the distance and makes argmin a plain minimum (30 times faster).
     """
-    distances = torch.bmm(tables, pixels).to(torch.float32)
+    distances = torch.bmm(tables, points).to(torch.float32)
     number = torch.arange(NEIGHBOURS, dtype=torch.int32, device=distances.device)
-    return distances.view(torch.int32).bitwise_and_(~15).bitwise_or_(number[:, None])
+    keys = distances.view(torch.int32).bitwise_and_(~15).bitwise_or_(number[:, None])
+    return keys.amin(1).bitwise_and_(15)
 
 
-def _in_chunks(tables: Tensor, pixels: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
-    """Pieces of a few cells whose distances stay in the cache and whose memory is reused."""
-    cells = max(1, CHUNK // (NEIGHBOURS * pixels.shape[2]))
-    return zip(tables.split(cells), pixels.split(cells), strict=True)
+class Runs(NamedTuple):
+    """Horizontal runs of equal label in pictures (B,H,W), in reading order.
 
+    start: place of the first pixel of each among all pixels; length: pixels; region: the number
+    of the 4-connected region that it is part of, from 0, as they are met.
+    """
 
-def _member_sums(tables: Tensor, pixels: Tensor) -> Tensor:
-    """(cells, 9, 7): the features of a cell's pixels summed by the centre nearest to them."""
-    # Seen as the floats they were, keys become 0 and 1 in place, without another copy.
-    keys = _keys(tables, pixels).view(torch.float32)
-    member = keys.eq_(keys.amin(1, keepdim=True)).to(pixels.dtype)
-    return torch.bmm(member, pixels.transpose(1, 2))
-
-
-def _move_centres(features: Tensor, grid: CellGrid, iterations: int) -> Tensor:
-    """(B,cells,7): sums of the features over each segment after k-means on the grid."""
-    pixels = _cells(features[..., ::COARSE, ::COARSE], grid)
-    neighbours = _neighbours(grid, features.device)
-    batch, cells = len(features), len(neighbours)
-    # To the cell above on the left this one is the one below on the right, and so on.
-    opposite = torch.arange(NEIGHBOURS - 1, -1, -1, device=features.device)
-    sums = pixels.sum(2).reshape(batch, cells, 7)
-    for _ in range(iterations):
-        chunks = _in_chunks(_tables(sums, neighbours), pixels)
-        parts = torch.cat([_member_sums(*chunk) for chunk in chunks])
-        parts = F.pad(parts.reshape(batch, cells, NEIGHBOURS, 7), (0, 0, 0, 0, 0, 1))
-        sums = parts[:, neighbours, opposite].sum(2)
-    return sums
-
-
-def _assign(features: Tensor, centres: Tensor, grid: CellGrid) -> Tensor:
-    """(B,H',W') int32: for each pixel the grid cell whose centre is nearest."""
-    neighbours = _neighbours(grid, features.device)
-    chunks = _in_chunks(_tables(centres, neighbours), _cells(features, grid))
-    nearest = torch.cat([_keys(*chunk).amin(1) & 15 for chunk in chunks])
-    cells = torch.arange(grid.rows * grid.columns, dtype=torch.int32, device=features.device)
-    row, column = torch.meshgrid(torch.arange(-1, 2), torch.arange(-1, 2), indexing="ij")
-    move = (row * grid.columns + column).reshape(-1).to(cells)[nearest]
-    owner = move.reshape(len(features), len(cells), -1) + cells[:, None]
-    blocks = owner.reshape(-1, grid.rows, grid.columns, grid.height, grid.width)
-    size = (grid.rows * grid.height, grid.columns * grid.width)
-    return blocks.permute(0, 1, 3, 2, 4).reshape(-1, *size)
+    start: np.ndarray
+    length: np.ndarray
+    region: np.ndarray
 
 
 def connect(labels: Tensor, smallest: float = 1.0) -> Tensor:
@@ -238,29 +290,33 @@ def connect(labels: Tensor, smallest: float = 1.0) -> Tensor:
     pictures = labels.cpu().numpy().astype(np.int32)
     stride = int(pictures.max()) + 1
     pictures += np.arange(len(pictures), dtype=np.int32)[:, None, None] * stride
-    region, count = _regions(pictures)
-    size = np.bincount(region.ravel(), minlength=count)
-    label = np.empty(count, dtype=np.int32)
-    label[region.ravel()] = pictures.ravel()
+    start, length, region = _runs(pictures)
+    size = np.bincount(region, length).astype(np.int64)
+    label = np.empty(len(size), dtype=np.int32)
+    label[region] = pictures.reshape(-1)[start]
     picture = label // stride
     settled = _largest_of(label, size) & (size >= smallest) | _largest_of(picture, size)
-    grown = _grow(_numbers_within(picture, settled)[region])
-    return torch.from_numpy(grown).to(labels.device, torch.int64)
+    number = _numbers_within(picture, settled)[region]
+    grown = _grow(number.repeat(length).reshape(pictures.shape))
+    return torch.from_numpy(grown).to(labels.device)
 
 
-def _regions(labels: np.ndarray) -> tuple[np.ndarray, int]:
-    """4-connected regions of equal label, (B,H,W) numbered from 0, and how many there are.
-
-    OpenCV labels binary pictures only: so one is drawn with a point between each two
-    neighbours, set where their labels agree, and an empty row under each picture.
-    """
-    batch, height, width = labels.shape
-    joined = np.zeros((batch, 2 * height, 2 * width - 1), dtype=np.uint8)
-    joined[:, ::2, ::2] = 1
-    joined[:, ::2, 1::2] = labels[:, :, 1:] == labels[:, :, :-1]
-    joined[:, 1:-1:2, ::2] = labels[:, 1:] == labels[:, :-1]
-    count, found = cv2.connectedComponents(joined.reshape(-1, 2 * width - 1), connectivity=4)
-    return found.reshape(joined.shape)[:, ::2, ::2] - 1, count - 1
+def _runs(pictures: np.ndarray) -> Runs:
+    """The runs of pictures (B,H,W) whose labels differ from picture to picture."""
+    begins = np.ones(pictures.shape, dtype=bool)
+    np.not_equal(pictures[..., 1:], pictures[..., :-1], out=begins[..., 1:])
+    start = np.flatnonzero(begins)
+    length = np.diff(start, append=begins.size)
+    run = np.arange(len(start), dtype=np.int32).repeat(length)
+    # Where either of two runs begins that lie above one another: once for each such pair. The
+    # first row of a picture has no labels in common with the last one of the picture before.
+    rows, begins = pictures.reshape(-1, pictures.shape[2]), begins.reshape(-1, pictures.shape[2])
+    above = np.flatnonzero((rows[1:] == rows[:-1]) & (begins[1:] | begins[:-1]))
+    one, two = run[above], run[above + pictures.shape[2]]
+    first = np.zeros(len(start) + 1, dtype=np.int32)
+    np.cumsum(np.bincount(one, minlength=len(start)), out=first[1:])
+    touching = csr_array((np.ones(len(one), dtype=np.int8), two, first), shape=(len(start),) * 2)
+    return Runs(start, length, connected_components(touching, directed=False)[1])
 
 
 def _largest_of(group: np.ndarray, size: np.ndarray) -> np.ndarray:
@@ -282,15 +338,20 @@ def _numbers_within(picture: np.ndarray, settled: np.ndarray) -> np.ndarray:
 
 
 def _grow(numbers: np.ndarray) -> np.ndarray:
-    """Fill the pixels -1 of maps (B,H,W) from their 4 neighbours, round by round.
+    """Fill the pixels -1 of maps (B,H,W) from their 4 neighbours: int64.
 
-    Each takes the highest number it touches, so that the result does not depend on an order.
+    Round by round; each takes the highest number it touches, so that the result does not depend
+    on an order.
     """
-    framed = np.pad(numbers, ((0, 0), (1, 1), (1, 1)), constant_values=-2)
-    flat, width = framed.reshape(-1), framed.shape[2]
+    batch, height, width = numbers.shape
+    framed = np.full((batch, height + 2, width + 2), -2, dtype=np.int64)
+    framed[:, 1:-1, 1:-1] = numbers
+    flat, wide = framed.reshape(-1), width + 2
     empty = np.flatnonzero(flat == -1)
     while len(empty):
-        beside = [flat[empty + move] for move in (-width, -1, 1, width)]
-        flat[empty] = np.maximum.reduce(beside)
-        empty = empty[flat[empty] < 0]
-    return framed[:, 1:-1, 1:-1]
+        highest = flat[empty - wide]
+        for move in (-1, 1, wide):
+            np.maximum(highest, flat[empty + move], out=highest)
+        flat[empty] = highest
+        empty = empty[highest < 0]
+    return np.ascontiguousarray(framed[:, 1:-1, 1:-1])

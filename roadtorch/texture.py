@@ -13,7 +13,7 @@ from torch import Tensor
 from roadtorch.color import PLANES, each_plane, planes
 from roadtorch.errors import unknown_name
 from roadtorch.order_statistics import order_statistic
-from roadtorch.segment_statistics import segment_histogram
+from roadtorch.segment_statistics import segment_histogram, segment_size
 from roadtorch.settings import Settings
 
 VARIANCE_FLOOR = 1e-12
@@ -59,7 +59,7 @@ def value_range(plane: Tensor, usable: Tensor, tail: float) -> tuple[float, floa
     The range that ``quantise`` cuts into levels. The fused plane has no natural bounds, so
     they come from the picture, as grey levels do from the camera's exposure (ours).
     """
-    values = plane.reshape(-1) if usable.all() else plane[usable]
+    values = plane.reshape(-1) if usable.all() else samples_of(plane[None], usable)[0]
     count = len(values)
     if not count:
         return 0.0, 1.0
@@ -196,7 +196,7 @@ def unsaturated_uniformity(
     """
     clipped = saturated(image, saturation.dark, saturation.bright)
     fused, values = fused_uniformity(image, labels, ~clipped, seed, settings)
-    size = torch.bincount(labels.reshape(-1))
-    lost = torch.bincount(labels[clipped], minlength=len(size))
+    size = segment_size(labels, len(values))
+    lost = segment_size(labels.reshape(-1)[clipped.reshape(-1).nonzero()[:, 0]], len(values))
     kept = size - lost >= saturation.least * size
     return fused, values * kept, clipped

@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from pydantic import Field
 from torch import Tensor
@@ -74,7 +75,9 @@ def signs_of(likelihood: Tensor, mask: Tensor, found: Mapping[str, Tensor]) -> S
     """
     free, learned = ~found["ego"], found["learned_road"]
     inside = mask & free
-    low, high = (int(((likelihood > level) & free).sum()) for level in LOW_AND_HIGH)
+    low, high = (
+        np.count_nonzero(((likelihood > level) & free).cpu().numpy()) for level in LOW_AND_HIGH
+    )
     mean = mean_over(learned, inside, 0.0)
     return Signs(
         high / max(low, 1),

@@ -1,6 +1,8 @@
 """The size at which detectors think, and the way back to the size of the picture."""
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -14,6 +16,9 @@ from roadtorch.settings import Settings
 
 SHORTEST = 16
 """Pixels that a long, thin picture keeps on its short side."""
+
+ROWS, COLUMNS = 8, 16
+"""New rows and columns that one matrix product averages: a narrow matrix, and not too small."""
 
 
 class WorkingSize(Settings):
@@ -44,34 +49,86 @@ def resized(maps: Tensor, size: tuple[int, int]) -> Tensor:
     before = (maps.shape[-2], maps.shape[-1])
     if before == tuple(size):
         return maps
-    if size[0] >= before[0] and size[1] >= before[1] and _is_plain(maps):
-        return _enlarged(maps, size)
+    if _is_plain(maps):
+        larger = size[0] >= before[0] and size[1] >= before[1]
+        flat = maps.reshape(-1, *before)
+        found = _enlarged(flat, size) if larger else _averaged(flat, size)
+        return found.reshape(*maps.shape[:-2], *size)
     batch = maps.reshape(1, -1, *maps.shape[-2:])
     batch = F.interpolate(batch, size=size, mode="bilinear", antialias=True)
     return batch.reshape(*maps.shape[:-2], *size)
 
 
 def _is_plain(maps: Tensor) -> bool:
-    """Whether OpenCV can take maps as they are: on the CPU, float32, no gradient asked for."""
+    """Whether maps can be resized faster than by torch: on the CPU, float32, no gradient."""
     return maps.device.type == "cpu" and maps.dtype == torch.float32 and not maps.requires_grad
 
 
 def _enlarged(maps: Tensor, size: tuple[int, int]) -> Tensor:
-    """The same by OpenCV, which enlarges four to eight times faster: equal but for rounding."""
-    flat = maps.reshape(-1, *maps.shape[-2:]).numpy()
-    large = np.empty((len(flat), *size), dtype=np.float32)
-    for plane, target in zip(flat, large, strict=True):
+    """Maps (N,H,W) by OpenCV, which enlarges four to eight times faster: equal but for rounding."""
+    large = np.empty((len(maps), *size), dtype=np.float32)
+    for plane, target in zip(maps.numpy(), large, strict=True):
         cv2.resize(plane, size[::-1], dst=target, interpolation=cv2.INTER_LINEAR)
-    return torch.from_numpy(large).reshape(*maps.shape[:-2], *size)
+    return torch.from_numpy(large)
+
+
+def _averaged(maps: Tensor, size: tuple[int, int]) -> Tensor:
+    """Maps (N,H,W) averaged by matrix products, twice as fast: equal but for rounding."""
+    count, height, width = maps.shape
+    rows = maps.new_empty(count, size[0], width)
+    for band in averaging_bands(height, size[0], ROWS):
+        weights = band.weights.expand(count, -1, -1)
+        torch.bmm(weights, maps[:, band.before], out=rows[:, band.after])
+    averaged = maps.new_empty(count * size[0], size[1])
+    flat = rows.reshape(-1, width)
+    for band in averaging_bands(width, size[1], COLUMNS):
+        torch.mm(flat[:, band.before], band.weights.T, out=averaged[:, band.after])
+    return averaged.reshape(count, *size)
+
+
+class Band(NamedTuple):
+    """Some new pixels of a side, the old ones they are made of, and the weights (new,old)."""
+
+    after: slice
+    before: slice
+    weights: Tensor
+
+
+@lru_cache(maxsize=32)
+def averaging_bands(before: int, after: int, most: int) -> tuple[Band, ...]:
+    """How a side of ``before`` pixels becomes one of ``after``, at most that many in a band.
+
+    Around the place of each new pixel lies a triangle two pixels wide, old or new ones, whichever
+    are wider, over its sum: Pillow's and torch's antialiased bilinear filter.
+    """
+    scale = before / after
+    reach = max(scale, 1.0)
+    bands = []
+    for start in range(0, after, most):
+        centre = (torch.arange(start, min(start + most, after), dtype=torch.float64) + 0.5) * scale
+        low = max(0, int(centre[0] - reach))
+        high = min(before, int(centre[-1] + reach) + 1)
+        away = (torch.arange(low, high) + 0.5 - centre[:, None]).abs()
+        triangle = (1 - away / reach).clamp_min(0)
+        weights = (triangle / triangle.sum(1, keepdim=True)).to(torch.float32)
+        bands.append(Band(slice(start, start + len(centre)), slice(low, high), weights))
+    return tuple(bands)
 
 
 def at_picture_size(cue: Tensor, size: tuple[int, int]) -> Tensor:
     """A cue (…,H,W) at the picture's own size: values smoothly, labels and masks by pixels."""
     if cue.is_floating_point():
         return resized(cue, size)
-    rows = torch.arange(size[0], device=cue.device) * cue.shape[-2] // size[0]
-    columns = torch.arange(size[1], device=cue.device) * cue.shape[-1] // size[1]
-    return cue.index_select(-2, rows).index_select(-1, columns)
+    rows, columns = (
+        np.arange(after) * before // after
+        for after, before in zip(size, cue.shape[-2:], strict=True)
+    )
+    # NumPy picks from labels and masks faster than torch; the fewer pixels go first.
+    steps = [(rows, -2), (columns, -1)]
+    found = cue.cpu().numpy()
+    for places, axis in steps if size[0] < cue.shape[-2] else reversed(steps):
+        found = found.take(places, axis)
+    return torch.from_numpy(found).to(cue.device)
 
 
 class FullSize(Mapping[str, Tensor]):

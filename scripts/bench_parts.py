@@ -17,6 +17,8 @@ from roadtorch.color import REPRESENTATIONS
 from roadtorch.detectors.catalogue import list_detectors, load_detector
 from roadtorch.export.exportable import exportable
 from roadtorch.export.onnx_file import open_onnx, write_onnx
+from roadtorch.layout.patch_network import PatchNetwork
+from roadtorch.layout.weights import WeightsFile, network_of
 from roadtorch.scenes import render_scene
 from roadtorch.superpixels import slic
 from scripts.bench import Round, run_rounds, spread, time_call
@@ -169,8 +171,8 @@ def measure_networks(threads: int, rounds: int) -> list[Figure]:
         calls = network_calls("layout", image, threads, Path(folder))
         working = {"pixels": image[0].numel()}
         calls |= network_calls("layout:cnn-7", image, threads, Path(folder), working=working)
-        dense = load_detector("layout:cnn-7").analysis.network.dense  # type: ignore[union-attr]
-        calls |= {"dense of layout:cnn-7 alone": torch.no_grad()(partial(dense, image))}
+        dense = network_of(WeightsFile(), "cnn-7", PatchNetwork).dense
+        calls |= {"dense of layout:cnn-7 alone": partial(dense, image)}
         product = f"product of {SIDE}² matrices"
         calls |= {product: partial(torch.mm, square, square)}
         work = {name: operations_of(call) for name, call in calls.items() if "(" not in name}

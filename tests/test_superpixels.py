@@ -194,20 +194,25 @@ def test_each_pixel_goes_to_the_nearest_of_the_nine_centres_around_its_cell(
     height: int, width: int
 ) -> None:
     # Inside slic, because its result is repaired by ``connect`` before it comes out.
-    grid = superpixels._grid(height, width, 20)
-    features = superpixels._features(textured(height, width)[None], grid, 0.1 * 0.12)
-    sums = superpixels._move_centres(features, grid, 3)
-    owner = superpixels._assign(features, sums, grid)[0].numpy()
+    grid, image = superpixels._grid(height, width, 20), textured(height, width)
+    metric = superpixels._metric(0.1 * 0.12)
+    sums = superpixels._move_centres(image[None], grid, metric, 3)
+    owner = superpixels._assign(image[None], sums, grid, metric)[0].numpy()
 
-    sums = sums[0].double().numpy().T.reshape(7, grid.rows, grid.columns)
-    centres = sums[:5] / sums[6]
+    root = np.linalg.cholesky(metric.double().numpy()).T  # |f-c| in the metric is |root(f-c)|
+    sums = sums[0].double().numpy().T.reshape(6, grid.rows, grid.columns)
+    centres = sums[:5] / sums[5]
+    centres[3] += (np.arange(grid.rows)[:, None] + 0.5) * grid.height - 0.5
+    centres[4] += (np.arange(grid.columns) + 0.5) * grid.width - 0.5
+    centres = np.einsum("ij,jrc->irc", root, centres)
+    most = superpixels.LONGEST + metric[3, 3].item() * (grid.height**2 + grid.width**2) / 4
     for row, column in np.ndindex(height, width):
-        pixel = features[0, :5, row, column].double().numpy()
+        pixel = root @ np.array([*image[:, row, column].double(), row, column])
         cell = (row // grid.height, column // grid.width)
         squared = reference.nine_distances(pixel, cell, centres)
         chosen = squared[divmod(int(owner[row, column]), grid.columns)]
-        # 2⁻¹⁹ of the distance plus one is given away on purpose, 2⁻²⁰ is room for rounding.
-        assert chosen + 1 <= (min(squared.values()) + 1) * (1 + 2**-19 + 2**-20)
+        # What is compared is below twice ``most``; 2⁻¹⁹ of it is given away on purpose.
+        assert chosen <= min(squared.values()) + 2 * most * (2**-19 + 2**-20)
 
 
 # --- connect ------------------------------------------------------------------------------

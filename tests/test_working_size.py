@@ -5,6 +5,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
+from torch.nn import functional as F
 
 from roadtorch.errors import ConfigError
 from roadtorch.settings import build_settings
@@ -76,6 +77,16 @@ def test_a_map_of_the_right_size_is_handed_through() -> None:
     maps = torch.rand(3, 7, 9)
 
     assert resized(maps, (7, 9)) is maps
+
+
+@given(SIDES.filter(lambda side: side < 400), st.integers(1, 300), st.integers(0, 9))
+def test_averaging_is_torchs_antialiased_filter(height: int, tall: int, seed: int) -> None:
+    maps = torch.rand(2, height, 37, generator=torch.Generator().manual_seed(seed))
+
+    result = resized(maps, (tall, 16))
+
+    batch = F.interpolate(maps[None], size=(tall, 16), mode="bilinear", antialias=True)
+    torch.testing.assert_close(result, batch[0], atol=2e-5, rtol=0)
 
 
 @pytest.mark.parametrize("shape", [(20, 30), (3, 20, 30), (2, 3, 20, 30)])

@@ -87,6 +87,12 @@ class Topology(Settings):
         return 2**self.subsamplings
 
 
+def _layer(convolution: nn.Conv2d) -> Layer:
+    """What a convolution of ours learned; all have a bias."""
+    assert convolution.bias is not None
+    return Layer(convolution.weight, convolution.bias)
+
+
 def _last_side(patch: int, size1: int, size2: int, size3: int, subsamplings: int) -> int | None:
     """The side of the last map; None where a map is empty or an odd one would be halved."""
     side = patch
@@ -182,9 +188,9 @@ class PatchNetwork(nn.Module):
         """
         shape = self.settings.topology
         layers = Layers(
-            Layer(self.first.weight, self.first.bias),
-            Layer(self.second.weight * self.table, self.second.bias),
-            Layer(self.last.weight, self.last.bias),
+            _layer(self.first),
+            _layer(self.second)._replace(weight=self.second.weight * self.table),
+            _layer(self.last),
             shape.patch,
             shape.pooling,
             shape.subsamplings,

@@ -1,0 +1,112 @@
+"""Time the stages of ``fusion`` in two checkouts of roadtorch, in turn in one process.
+
+    git worktree add /tmp/before main
+    python scripts/bench_against.py /tmp/before
+    python scripts/bench_against.py /tmp/before --size 960x720 --rounds 40 --threads 2
+
+Both are loaded beside each other and every round runs both; the one that begins changes from round
+to round. A ratio is the median of the rounds' ratios, this checkout's time over the other's. On
+one thread it is the process's own time that counts, which other work on the same cores lengthens
+but little; on more it is the time on the clock.
+"""
+
+import argparse
+import importlib
+import statistics
+import sys
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from types import ModuleType
+
+import cv2
+import torch
+from torch import Tensor
+
+HERE = Path(__file__).resolve().parents[1]
+OURS = ("roadtorch", "scripts")  # the packages that each checkout has its own of
+WARM_UP = 2  # rounds that are not counted
+SLIC = "slic, 400 segments"
+
+Clock = Callable[[], float]
+"""Seconds, from any start."""
+
+Round = dict[str, float]
+"""Milliseconds by stage."""
+
+
+def bench_of(checkout: Path) -> ModuleType:
+    """The module scripts.bench of a checkout, with the roadtorch beside it; others stay loaded."""
+
+    def loaded() -> dict[str, ModuleType]:
+        return {name: sys.modules[name] for name in sys.modules if name.partition(".")[0] in OURS}
+
+    others = loaded()
+    for name in others:
+        del sys.modules[name]
+    sys.path.insert(0, str(checkout))
+    try:
+        return importlib.import_module("scripts.bench")
+    finally:
+        sys.path.remove(str(checkout))
+        for name in loaded():
+            del sys.modules[name]
+        sys.modules.update(others)
+
+
+def time_once(
+    bench: ModuleType, detect: Callable[[Tensor], object], image: Tensor, clock: Clock
+) -> Round:
+    """All stages inside one ``detect``, another as a whole, and the superpixels of the picture."""
+    times = bench.time_stages(detect, image, clock=clock)
+    times |= bench.time_call(bench.FUSION, partial(detect, image), clock)
+    return times | bench.time_call(SLIC, partial(bench.slic, image, bench.SEGMENTS), clock)
+
+
+def in_turn(
+    benches: Sequence[ModuleType], image: Tensor, rounds: int, threads: int
+) -> list[list[Round]]:
+    """The counted rounds, each with the times of every checkout in the order given."""
+    clock = time.process_time if threads == 1 else time.perf_counter
+    calls = [
+        partial(time_once, bench, bench.load_detector("fusion").detect, image, clock)
+        for bench in benches
+    ]
+    counted = []
+    for number in range(WARM_UP + rounds):
+        turn = number % 2
+        found = [call() for call in (calls[::-1] if turn else calls)]
+        if number >= WARM_UP:
+            counted.append(found[::-1] if turn else found)
+    return counted
+
+
+def table(rounds: Sequence[Sequence[Round]]) -> str:
+    """Medians of both and of their ratios, as a Markdown table."""
+    lines = ["| ms | before | now | ratio |", "|---|---:|---:|---:|"]
+    for name in rounds[0][0]:
+        before, now = ([both[place][name] for both in rounds] for place in (0, 1))
+        ratio = statistics.median(two / one for one, two in zip(before, now, strict=True))
+        times = (f"{statistics.median(values):.1f}" for values in (before, now))
+        lines.append(f"| {name} | {' | '.join(times)} | {ratio:.2f} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("before", type=Path, help="the other checkout")
+    parser.add_argument("--size", default="640x480", help="width x height of a rendered street")
+    parser.add_argument("--rounds", type=int, default=20)
+    parser.add_argument("--threads", type=int, default=1)
+    given = parser.parse_args()
+    torch.set_num_threads(given.threads)
+    cv2.setNumThreads(given.threads)
+    before, now = (bench_of(checkout.resolve()) for checkout in (given.before, HERE))
+    ((width, height),) = now.sizes(given.size)
+    image = now.picture_at(None, width, height)
+    print(table(in_turn([before, now], image, given.rounds, given.threads)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,25 @@
+"""Two checkouts in turn: each loads its own package, and ratios are those of the rounds."""
+
+import sys
+from pathlib import Path
+
+from scripts import bench, bench_against
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+
+
+def test_a_checkout_has_its_own_package_and_others_stay_loaded() -> None:
+    before = dict(sys.modules)
+
+    found = bench_against.bench_of(CHECKOUT)
+
+    assert found is not bench
+    assert found.slic is not bench.slic
+    assert sys.modules["scripts.bench"] is before["scripts.bench"]
+    assert sys.modules["roadtorch"] is before["roadtorch"]
+
+
+def test_a_ratio_is_the_median_of_the_rounds_ratios() -> None:
+    rounds = [[{"road": 2.0}, {"road": 1.0}], [{"road": 4.0}, {"road": 3.0}]]
+
+    assert bench_against.table(rounds).splitlines()[-1] == "| road | 3.0 | 2.0 | 0.62 |"
