@@ -28,6 +28,7 @@ extensions = [
 exclude_patterns = ["_extensions", "_static", "examples"]
 root_doc = "index"
 highlight_language = "none"
+smartquotes = False  # --out is two hyphens
 nitpicky = True
 nitpick_ignore_regex = [
     # What other packages define: their documentation is not at hand without a network.

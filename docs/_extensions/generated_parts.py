@@ -17,6 +17,7 @@ pages they become plain names, for a site has no repository beside it.
 """
 
 import importlib
+import inspect
 import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -67,12 +68,11 @@ def command_section(name: str) -> Iterator[str]:
 
 def help_text(command: click.Command) -> Iterator[str]:
     """The paragraphs of a command's help; those that it marks as unwrapped stay as they are."""
-    for paragraph in (command.help or "").split("\n\n"):
-        kept = paragraph.lstrip("\n")
-        if kept.startswith("\b"):
-            yield from ("```text", kept.removeprefix("\b").strip("\n"), "```", "")
+    for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
+        if paragraph.startswith("\b"):
+            yield from ("```text", paragraph.removeprefix("\b").strip("\n"), "```", "")
         else:
-            yield from (escaped(" ".join(kept.split())), "")
+            yield from (escaped(paragraph), "")
 
 
 def escaped(text: str) -> str:

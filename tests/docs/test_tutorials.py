@@ -75,7 +75,8 @@ def test_what_is_the_same_stays_as_it_was_written() -> None:
 
 
 def test_a_page_with_a_planted_fault_comes_back_mended() -> None:
-    page = "```console\n$ echo 3 roads\n4 roads\n```\n```python\nx = 1\nprint(x)\n```\n```text\n2\n```\n"
+    page = "```console\n$ echo 3 roads\n4 roads\n```\n"
+    page += "```python\nx = 1\nprint(x)\n```\n```text\n2\n```\n"
     right = page.replace("4 roads", "3 roads").replace("text\n2", "text\n1")
 
     code = "import sys; from scripts.tutorials import run_page; "
