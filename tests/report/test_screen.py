@@ -38,7 +38,7 @@ def test_the_columns_are_those_of_the_measures_that_ask_for_one() -> None:
     assert "F of mask  IoU of mask   MaxF " in road
     assert trust.split()[:5] == ["trust", "rank", "corr.", "of", "trust"]
     assert layout.split()[:6] == ["layout", "drive", "sky", "vertical", "horizontal", "mean"]
-    assert pairs.split()[:7] == ["less", "fusion", "F", "of", "mask", "95", "%"]
+    assert pairs.split()[:7] == ["minus", "fusion", "F", "of", "mask", "95", "%"]
 
 
 def test_columns_line_up() -> None:
