@@ -28,7 +28,7 @@ class WorkingSize(Settings):
         default=320 * 240,
         ge=SHORTEST**2,
         le=10**9,
-        description="pixels at most: 320x240, which P2 names for its times alone",
+        description="pixels at most: 320x240, which Álvarez 2012 names for its times alone",
     )
 
 

@@ -30,7 +30,12 @@ FORMATS = ("labelme", "xml", "png", "cvat", "label-studio")
 @click.option("--to", type=PATH, help="Folder for --export.")
 @click.option("--import", "imported", type=click.Choice(FORMATS), help="Read labels from --from.")
 @click.option("--from", "origin", type=PATH, help="Folder of --import.")
-@click.option("--user", default="imported", show_default=True, help="Who --import is.")
+@click.option(
+    "--user",
+    default="imported",
+    show_default=True,
+    help="Name of the person whose labels --import reads.",
+)
 @click.pass_context
 def annotate(
     context: click.Context,
@@ -50,7 +55,7 @@ def annotate(
 ) -> None:
     """Correct the machine's labels of the pictures in FOLDER, in a page in your browser.
 
-    The page is for this computer alone, and for who has its address. Every stroke is on disk
+    The page is served to this computer alone, to whoever has its address. Every stroke is on disk
     at once; a second run goes on where the first one stopped.
     """
     out = out or folder / "corrections"

@@ -18,7 +18,9 @@ SHOWN = 12  # frames that the mean in the picture is made of
 @click.argument(
     "footage", metavar="FOOTAGE...", nargs=-1, required=True, shell_complete=suggest_files
 )
-@click.option("--out", type=PATH, default=Path("camera.toml"), show_default=True, help="Its file.")
+@click.option(
+    "--out", type=PATH, default=Path("camera.toml"), show_default=True, help="File to write."
+)
 @click.option(
     "--frames",
     "most",

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     shell_complete=suggest_rooted_datasets,
     help="A labelled set: NAME:ROOT, as roadtorch evaluate has them.",
 )
-@click.option("--corrections", type=PATH, help="What roadtorch annotate kept: the truth it is.")
+@click.option("--corrections", type=PATH, help="What roadtorch annotate kept; it counts as truth.")
 @click.option("--pictures", type=PATH, help="Folder of the corrected pictures, if it moved.")
 @click.option(
     "--images",
@@ -58,8 +58,8 @@ def compare(
 ) -> None:
     """Compare A and B: weights, configs, folders of maps, or detectors, each at its own threshold.
 
-    With --labelled or --corrections: figures with intervals, and B less A. With --images: where
-    they disagree most.
+    With --labelled or --corrections: figures with intervals, and the difference of B to A. With
+    --images: where they disagree most.
     """
     from roadtorch.cli.claim import claimed
     from roadtorch.evaluation.rivals import rival

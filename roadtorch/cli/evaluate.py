@@ -61,8 +61,9 @@ def evaluate(
 ) -> None:
     """Score detectors on the labelled pictures of DATASET (camvid, kitti-road, …) at ROOT.
 
-    Every picture is read once and shown to every detector. The floors prior:rows,
-    prior:triangle and, where other drives can teach it, prior:mean stand beside them.
+    Every picture is read once and shown to every detector. Beside them stand blind
+    baselines, which never look at the picture: prior:rows, prior:triangle and, where other
+    drives can teach it, prior:mean.
     A run that is interrupted goes on where it was when it is started again.
     """
     from roadtorch.cli.claim import claimed

@@ -21,7 +21,7 @@ from roadtorch.cli.suggestions import suggest_detectors
 )
 @SETTING
 def export(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> None:
-    """Write what of a detector can run without Python: fusion, layout, layout:cnn-7.
+    """Write the part of a detector that runs without Python: fusion, layout, layout:cnn-7.
 
     The file takes pictures as bytes (N, height, width, 3) in RGB, of any size, and gives maps of
     that size: all that happens before and behind the network is inside. Of fusion it is the

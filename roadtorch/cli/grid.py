@@ -37,9 +37,16 @@ def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, fl
 @click.command()
 @click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, shell_complete=suggest_files)
 @click.option("--out", type=PATH, required=True, help="Folder for the grids.")
-@click.option("--height", type=float, help="Of the camera above the ground, metres.")
-@click.option("--pitch", type=float, help="Degrees, positive looks down. [from the layout]")
-@click.option("--roll", type=float, default=0.0, help="Degrees, positive: right side lower. [0]")
+@click.option("--height", type=float, help="Height of the camera above the ground, in metres.")
+@click.option(
+    "--pitch", type=float, help="Pitch in degrees; positive looks down. [from the layout]"
+)
+@click.option(
+    "--roll",
+    type=float,
+    default=0.0,
+    help="Roll in degrees; positive: the right side is lower. [0]",
+)
 @click.option("--fov", type=float, help="What the camera sees from side to side, degrees.")
 @click.option("--camera-info", type=PATH, help="ROS camera_info as YAML, with its distortion.")
 @click.option("--calibration", type=PATH, help="KITTI's calibration file; it has the height.")
@@ -59,7 +66,10 @@ def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, fl
 @click.option("--picture", is_flag=True, help="Also write NAME.grid.jpg, to look at.")
 @with_cut
 @click.option(
-    "--frame-id", default="base_link", show_default=True, help="Of the robot, in bags of grids."
+    "--frame-id",
+    default="base_link",
+    show_default=True,
+    help="Frame of the robot in bags of grids.",
 )
 @JOBS
 @OVERWRITE

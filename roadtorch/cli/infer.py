@@ -71,14 +71,20 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
     "--steady/--no-steady",
     default=True,
     show_default=True,
-    help="Of footage: carry along the motion what earlier frames said.",
+    help="In footage, carry what earlier frames said along the motion.",
 )
 @click.option("--gif", callback=_stretch, metavar="START:END", help="Seconds to show as a GIF.")
 @SETTING
 @CONFIG
 @CAMERA
 @click.option("--threshold", type=float, help="Likelihood from which a pixel is road.")
-@click.option("--depth", type=click.Choice(["8", "16"]), default="8", show_default=True)
+@click.option(
+    "--depth",
+    type=click.Choice(["8", "16"]),
+    default="8",
+    show_default=True,
+    help="Bits of likelihood maps.",
+)
 @with_means
 @OVERWRITE
 @QUIET

@@ -96,7 +96,7 @@ MEANS = (
         show_default=True,
         help="Processes of this machine, or actors on Ray (extra: ray).",
     ),
-    click.option("--address", help="A Ray cluster's; without it one is started here."),
+    click.option("--address", help="Address of a Ray cluster; without it one is started here."),
     click.option(
         "--workers",
         type=click.IntRange(min=1),
@@ -112,7 +112,10 @@ MEANS = (
         help="Threads within a picture; likelihoods differ in the seventh digit.",
     ),
     click.option(
-        "--device", default="cpu", show_default=True, help="Where tensors are: cpu, cuda, cuda:1."
+        "--device",
+        default="cpu",
+        show_default=True,
+        help="Device of the tensors: cpu, cuda, cuda:1.",
     ),
     click.option("--fail-fast", is_flag=True, help="End at the first picture that fails."),
 )
@@ -135,11 +138,24 @@ class Cut:
 
 
 CUT = (
-    click.option("--every", type=click.IntRange(min=1), default=1, help="One frame of so many."),
-    click.option("--start", type=click.FloatRange(min=0), default=0.0, help="Of footage: seconds."),
-    click.option("--end", type=click.FloatRange(min=0), help="Of footage: seconds, left out."),
-    click.option("--limit", type=click.IntRange(min=1), help="At most so many frames or pictures."),
-    click.option("--topic", help="Of bags: the images to look at, where there are several."),
+    click.option(
+        "--every", type=click.IntRange(min=1), default=1, help="Look at one frame in this many."
+    ),
+    click.option(
+        "--start",
+        type=click.FloatRange(min=0),
+        default=0.0,
+        help="Where to begin in footage, in seconds.",
+    ),
+    click.option(
+        "--end",
+        type=click.FloatRange(min=0),
+        help="Where to end in footage, in seconds; that frame is left out.",
+    ),
+    click.option(
+        "--limit", type=click.IntRange(min=1), help="At most this many frames or pictures."
+    ),
+    click.option("--topic", help="Image topic, where a bag has several."),
     click.option(
         "--patience",
         type=click.FloatRange(min=0.1),
@@ -204,7 +220,7 @@ LABELLED_SET = (
         "left_out",
         multiple=True,
         metavar="GROUP",
-        help="Score a drive or folder, but count it in no mean and no choice.",
+        help="Score this drive or folder, but leave it out of means and choices.",
     ),
     click.option("--limit", type=click.IntRange(min=1), help="Look at this many pictures only."),
     JOBS,

@@ -27,7 +27,7 @@ def tune(
 
     The threshold with the highest F, averaged over the drives, goes into OUT/NAME.toml
     together with the detector's settings and this command; use it with infer --config.
-    What such a choice is worth is shown beside it: F and IoU of each drive at the
+    Shown beside it is how well such a choice carries over: F and IoU of each drive at the
     threshold that the other drives choose.
     """
     from roadtorch.cli.claim import claimed

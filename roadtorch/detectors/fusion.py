@@ -337,7 +337,7 @@ ENTRIES = (
     ),
     Entry(
         "fusion:paper",
-        "layout of CNN-7 times uniformity, as the paper has it (P2)",
+        "layout of CNN-7 times uniformity, as the paper has it (Álvarez 2012)",
         PaperFusionSettings,
         PaperFusion,
     ),

@@ -102,7 +102,7 @@ ENTRIES = (
         LayoutSettings,
         Layout,
     ),
-    Entry("layout:cnn-7", "ground of the layout by CNN-7 (P2)", Cnn7Settings, Cnn7),
+    Entry("layout:cnn-7", "ground of the layout by CNN-7 (Álvarez 2012)", Cnn7Settings, Cnn7),
     Entry(
         "labeller",
         "ground of the machine-made scene layout, no training",

@@ -31,7 +31,7 @@ def _name(classifier: Classifier, planes: str) -> str:
 
 GRID = DetectorGrid(
     "oneclass:<classifier>:<planes>",
-    "colours like those ahead of the car, learned from the one picture (P3)",
+    "colours like those ahead of the car, learned from the one picture (Álvarez 2014)",
     {
         _name(classifier, planes): reason
         for classifier in CLASSIFIERS.values()
@@ -140,7 +140,7 @@ def _entries() -> Iterator[Entry]:
 def _entry(classifier: Classifier, planes: str) -> Entry:
     return Entry(
         _name(classifier, planes),
-        f"{classifier.summary}, in {planes} (P3)",
+        f"{classifier.summary}, in {planes} (Álvarez 2014)",
         settings_of(classifier),
         partial(OneClass, classifier=classifier, planes=planes),
         GRID,

@@ -175,14 +175,20 @@ def _texture_cues(labels: Tensor, fused: Tensor, values: Tensor, even: float) ->
 
 
 ENTRIES = (
-    Entry("cpf", "uniformity of fused colour planes over superpixels (P2)", CpfSettings, Cpf),
-    Entry("cpf:v2", "the same without saturated pixels (P2)", CpfV2Settings, CpfV2),
-    Entry("cpf:squares", "the same as cpf over squares (P2)", CpfSquaresSettings, CpfSquares),
+    Entry(
+        "cpf", "uniformity of fused colour planes over superpixels (Álvarez 2012)", CpfSettings, Cpf
+    ),
+    Entry("cpf:v2", "the same without saturated pixels (Álvarez 2012)", CpfV2Settings, CpfV2),
+    Entry(
+        "cpf:squares", "the same as cpf over squares (Álvarez 2012)", CpfSquaresSettings, CpfSquares
+    ),
     Entry(
         "grey-uniformity",
-        "uniformity of the grey image (P2)",
+        "uniformity of the grey image (Álvarez 2012)",
         GreyUniformitySettings,
         GreyUniformity,
     ),
-    Entry("lbp", "local binary patterns like those of the seed area (P2)", LbpSettings, Lbp),
+    Entry(
+        "lbp", "local binary patterns like those of the seed area (Álvarez 2012)", LbpSettings, Lbp
+    ),
 )

@@ -54,7 +54,7 @@ class OriginalUflSettings(DetectorSettings):
 
 
 class KittiSmoothing(Smoothing):
-    """The blur of P1's Table II."""
+    """The blur of the paper's Table II."""
 
     sigma: float = Field(default=2.5, gt=0, le=50, description=SIGMA)
 
@@ -144,7 +144,9 @@ def _image_mask(road: Tensor, settings: OriginalUflSettings) -> Tensor:
 
 
 ENTRIES = (
-    Entry("ufl", "features learned from the picture, regions chosen (P1)", UflSettings, Ufl),
-    Entry("ufl:kitti", "ufl:original with the blur of P1's Table II", KittiUflSettings, Ufl),
+    Entry(
+        "ufl", "features learned from the picture, regions chosen (Zhang 2016)", UflSettings, Ufl
+    ),
+    Entry("ufl:kitti", "ufl:original with the blur of the paper's Table II", KittiUflSettings, Ufl),
     Entry("ufl:original", "the same as the authors' program has it", OriginalUflSettings, Ufl),
 )

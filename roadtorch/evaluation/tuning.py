@@ -70,7 +70,7 @@ def choose_threshold(
 def _mean_figures(
     groups: Mapping[str, RoadCounts], thresholds: Mapping[str, float]
 ) -> tuple[float, float]:
-    """F and IoU at each drive's threshold, the mean over drives with road; NaN without any."""
+    """F and IoU at each drive's threshold, averaged over the drives with road; NaN without any."""
     outcomes = [
         metrics.decisions_at(groups[group], threshold)
         for group, threshold in thresholds.items()

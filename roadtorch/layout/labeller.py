@@ -116,7 +116,8 @@ class LabellerSettings(Settings):
         description="by how much the best potential must lead to give a label",
     )
     support: Literal["margin", "maximum"] = Field(
-        default="margin", description="leave doubtful segments unlabelled, or label all as P2 does"
+        default="margin",
+        description="leave doubtful segments unlabelled, or label all as the paper does",
     )
 
 

@@ -40,11 +40,14 @@ class Topology(Settings):
 
     patch: Literal[32, 48, 64] = Field(default=32, description="pixels of the patch's side")
     input: Literal["colour", "grey"] = Field(
-        default="colour", description="three planes, or their luma alone (P2, section 6.1)"
+        default="colour",
+        description="three planes, or their luma alone (Álvarez 2012, section 6.1)",
     )
-    k1: int = Field(default=4, ge=1, le=64, description="kernels of the first layer; P2: 4 or 6")
+    k1: int = Field(
+        default=4, ge=1, le=64, description="kernels of the first layer; Álvarez 2012: 4 or 6"
+    )
     k2: int = Field(
-        default=16, ge=1, le=256, description="kernels of the second layer; P2: 10 to 130"
+        default=16, ge=1, le=256, description="kernels of the second layer; Álvarez 2012: 10 to 130"
     )
     connections: int = Field(
         default=0,

@@ -72,13 +72,13 @@ class ClassifierSettings(Settings):
         default=0.025,
         ge=0,
         le=1,
-        description="fraction of the training samples beyond the threshold; P3 gives 0.025 for "
-        "the Gaussians and nothing for the others",
+        description="fraction of the training samples beyond the threshold; the paper has 0.025 "
+        "for the Gaussians and nothing for the others",
     )
     hue: Hue = Field(
         default="unrolled",
-        description="hue along the circle from the mean hue, as a plain number (as P3's results "
-        "suggest), or as a point on a circle",
+        description="hue along the circle from the mean hue, as a plain number (as the paper's "
+        "results suggest), or as a point on a circle",
     )
 
 

@@ -263,8 +263,8 @@ class LinearSettings(ClassifierSettings):
 
     dissimilarity: Literal["toolbox", "euclid", "euclid_sigmoid"] = Field(
         default="toolbox",
-        description="sigmoid of the squared distance (dd_tools; P3's results ask for it), the "
-        "distance (P3's words), or the sigmoid of the distance",
+        description="sigmoid of the squared distance (dd_tools; the paper's results ask for it), "
+        "the distance (the paper's words), or the sigmoid of the distance",
     )
     threshold: Literal["margin", "quantile"] = Field(
         default="margin",

@@ -27,8 +27,8 @@ class HistogramSettings(ClassifierSettings):
     bins: int = Field(default=64, ge=2, le=4096, description="bins per plane over its whole range")
     planes: Literal["joint", "product"] = Field(
         default="joint",
-        description="one histogram over all planes, or the product of one for each (which P3 "
-        "suggests but did not do)",
+        description="one histogram over all planes, or the product of one for each (which the "
+        "paper suggests but did not do)",
     )
 
 

@@ -48,7 +48,7 @@ class MixtureSettings(ClassifierSettings):
     restarts: int = Field(default=5, ge=1, le=100, description="starts, of which the best is kept")
     formula: Literal["density", "paper"] = Field(
         default="density",
-        description="the density of a mixture, or P3's formula, which lacks the 1/2 in the "
+        description="the density of a mixture, or the paper's formula, which lacks the 1/2 in the "
         "exponent and the determinants",
     )
 
@@ -65,8 +65,9 @@ class BestMixtureSettings(MixtureSettings):
     components: int = Field(default=6, ge=1, le=64, description="the largest number tried")
     select: Literal["bic", "aic", "cv", "consistent"] = Field(
         default="bic",
-        description="how the number is chosen (P3 does not say): by an information criterion, by "
-        "the likelihood of held-out tenths, or the largest that rejects as few of these as asked",
+        description="how the number is chosen (the paper does not say): by an information "
+        "criterion, by the likelihood of held-out tenths, or the largest that rejects as few of "
+        "these as asked",
     )
 
 

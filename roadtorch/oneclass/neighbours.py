@@ -61,8 +61,8 @@ class NearestSettings(ClassifierSettings):
 
     reading: Literal["distance", "ratio"] = Field(
         default="distance",
-        description="distance to the nearest sample (P3), or that over the distance from there "
-        "to the next sample (the toolbox dd_tools)",
+        description="distance to the nearest sample (the paper), or that over the distance from "
+        "there to the next sample (the toolbox dd_tools)",
     )
 
 

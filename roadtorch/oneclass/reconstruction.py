@@ -30,7 +30,7 @@ class ComponentSettings(ClassifierSettings):
     """Principal components."""
 
     variance: float = Field(
-        default=0.95, ge=0, le=1, description="share of the variance that is kept; P3: 95 %"
+        default=0.95, ge=0, le=1, description="share of the variance that is kept; the paper: 95 %"
     )
     full: Literal["cap", "strict", "mean"] = Field(
         default="cap",
@@ -90,7 +90,7 @@ def residual_distance(state: State, pixels: Tensor) -> Tensor:
 class CentreSettings(ClassifierSettings):
     """A few centres."""
 
-    centres: int = Field(default=5, ge=1, le=1000, description="how many; P3 does not say")
+    centres: int = Field(default=5, ge=1, le=1000, description="how many; the paper does not say")
     restarts: int = Field(default=10, ge=1, le=1000, description="starts, the best is kept")
 
 

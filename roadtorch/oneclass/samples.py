@@ -64,7 +64,10 @@ class SampleSettings(Settings):
         description="one sample per superpixel of the seed area, per cell of a grid, or each pixel",
     )
     segments: int = Field(
-        default=90, ge=1, le=10**5, description="superpixels or cells to aim at; P3: about 90"
+        default=90,
+        ge=1,
+        le=10**5,
+        description="superpixels or cells to aim at; the paper: about 90",
     )
     central: Literal["median", "medoid"] = Field(
         default="median",

@@ -114,7 +114,7 @@ def part_text(title: str, rows: Sequence[PartRow], measures: Sequence[Measure]) 
     counting = [row for row in rows if row.counts]
     shown = [*counting[:MOST_ROWS], *(row for row in rows if not row.counts)]
     known = [one for one in measures if any(one.key in row.figures for row in rows)]
-    table = [[title, *(one.line for one in known), "MaxF of floor"]]
+    table = [[title, *(one.line for one in known), "MaxF of baseline"]]
     table += [
         [
             row.name,
@@ -166,9 +166,9 @@ def _with_mean(one: DetectorFigures) -> dict[str, Figures]:
 
 
 def pair_table(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]) -> str:
-    """Each detector less the one it is compared with, with 95 % intervals; empty for one."""
+    """Each detector minus the one it is compared with, with 95 % intervals; empty for one."""
     comparison, measures = evaluation.comparison, evaluation.shown_in("screen pairs")
-    header = [f"less {comparison.against}"]
+    header = [f"minus {comparison.against}"]
     header += [text for one in measures for text in (one.line, "95 %")]
     rows = [
         [name, *(text for one in measures for text in _change(changes[one.key]))]

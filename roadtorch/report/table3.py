@@ -31,8 +31,8 @@ HALVES = {"single planes": SINGLE, "combinations": COMBINED}
 ROBUST = "robust_gaussian"
 
 WEIGHTS = {
-    "reweighted": "a weight of ours; P3's text is classifier.method=huber",
-    "huber": "the weight of P3's text",
+    "reweighted": "a weight of ours; the paper's is classifier.method=huber",
+    "huber": "the weight of the paper's text",
 }
 """Whose the method of the robust Gaussian is."""
 
@@ -123,11 +123,11 @@ def table_text(evaluation: Evaluation) -> str:
     parts = [_heading(evaluation)]
     for half, columns in HALVES.items():
         if lines := table_lines(ours, paper, columns):
-            parts.append("\n".join([f"{half}: ours/P3, * best of the column", *lines]))
+            parts.append("\n".join([f"{half}: ours/the paper's, * best of the column", *lines]))
     if note := robust_note(evaluation):
         parts.append(note)
     ranks = [f"  {name} ({n}): {value:+.2f}" for name, n, value in rank_correlations(ours, paper)]
-    return "\n\n".join([*parts, "\n".join(["Spearman's rank correlation with P3", *ranks])])
+    return "\n\n".join([*parts, "\n".join(["Spearman's rank correlation with the paper", *ranks])])
 
 
 def _heading(evaluation: Evaluation) -> str:
@@ -137,7 +137,7 @@ def _heading(evaluation: Evaluation) -> str:
         for name, one in evaluation.detectors.items()
         if one.is_floor and not math.isnan(value := AUC_MEAN.of(one.headline))
     ]
-    beside = f"; floors: {', '.join(floors)}" if floors else ""
+    beside = f"; blind baselines: {', '.join(floors)}" if floors else ""
     set_ = " ".join(filter(None, (evaluation.dataset.name, evaluation.dataset.split)))
     pictures = f"mean AUC of {evaluation.images} pictures of {set_}"
     return f"One-class classifiers, {pictures}{over}{beside}"

@@ -20,7 +20,7 @@ class Descent(Settings):
     """How the weights move."""
 
     method: Literal["sgd", "adam"] = Field(
-        default="sgd", description="plain gradient descent as in P2, or Adam"
+        default="sgd", description="plain gradient descent as in Álvarez 2012, or Adam"
     )
     rate: float = Field(default=0.1, gt=0, le=100, description="step length at the start")
     momentum: float = Field(default=0.0, ge=0, lt=1, description="of plain gradient descent")
@@ -54,7 +54,8 @@ class Stopping(Settings):
     epochs: int = Field(default=60, ge=1, le=10**5, description="epochs at most, in each round")
     rule: Literal["fall", "epochs"] = Field(
         default="fall",
-        description="when an epoch's error falls by no more than ``fall`` (P2), or at the end",
+        description="when an epoch's error falls by no more than ``fall`` (Álvarez 2012), or at "
+        "the end",
     )
     fall: float = Field(default=0.001, ge=0, le=10, description="of the mean squared error")
 
@@ -126,7 +127,7 @@ class PatchTraining(Beginning):
     sites: Sites = Sites()
     jitter: Jitter = Jitter()
     balance: Literal["none", "classes"] = Field(
-        default="none", description="every patch counts the same (P2), or every class"
+        default="none", description="every patch counts the same (Álvarez 2012), or every class"
     )
     mix: int = Field(
         default=16, ge=1, le=10**4, description="pictures whose patches are shuffled together"

@@ -70,7 +70,7 @@ def test_two_are_scored_on_corrections_with_intervals(corrections: Path, tmp_pat
 
     assert result.exit_code == 0
     lines = result.stdout.splitlines()
-    assert any(line.startswith("less A:prior:triangle") for line in lines)
+    assert any(line.startswith("minus A:prior:triangle") for line in lines)
     pairs = next(line for line in lines if line.startswith("B:prior:rows") and " to " in line)
     assert pairs.split()[1].startswith(("+", "-"))
     assert (out / "report.html").is_file()

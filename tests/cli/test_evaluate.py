@@ -59,7 +59,7 @@ def test_table_and_metrics_with_the_floors_beside(whole):
     assert lines[1].split()[:5] == [ORACLE, "1.000", "1.000", "1.000", "1.000"]
     floors = {"prior:rows", "prior:triangle", "prior:mean"}
     assert {line.split()[0] for line in lines[2:5]} == floors
-    assert f"less {ORACLE}" in result.stdout
+    assert f"minus {ORACLE}" in result.stdout
     found = metrics(out)
     assert (found["dataset"], found["split"], found["images"]) == ("camvid", "dev", 6)
     assert found["void"] == "ignored"

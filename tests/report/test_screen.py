@@ -10,7 +10,7 @@ def test_a_few_detectors_are_all_on_the_screen_in_both_tables() -> None:
     text = screen(evaluation)
 
     assert all(text.count(name) >= 1 for name in evaluation.detectors)
-    assert "less fusion" in text
+    assert "minus fusion" in text
     assert "more detectors" not in text
 
 
@@ -38,7 +38,7 @@ def test_the_columns_are_those_of_the_measures_that_ask_for_one() -> None:
     assert "F of mask  IoU of mask   MaxF " in road
     assert trust.split()[:5] == ["trust", "rank", "corr.", "of", "trust"]
     assert layout.split()[:6] == ["layout", "drive", "sky", "vertical", "horizontal", "mean"]
-    assert pairs.split()[:7] == ["less", "fusion", "F", "of", "mask", "95", "%"]
+    assert pairs.split()[:7] == ["minus", "fusion", "F", "of", "mask", "95", "%"]
 
 
 def test_columns_line_up() -> None:
@@ -67,7 +67,7 @@ def test_many_drives_have_a_table_with_the_worst_on_top() -> None:
 
     header, first, *_, last, mean, more = table.splitlines()
     assert header.startswith("fusion by drive  pictures  F of mask  IoU of mask ")
-    assert header.endswith("MaxF of floor")
+    assert header.endswith("MaxF of baseline")
     assert first.split()[:2] == ["camera0", "10"]
     assert first.split()[-1] == f"{many.detectors['prior:rows'].drives['camera0']['maxf']:.3f}"
     assert (last.split()[0], mean.split()[0]) == ("camera19", "mean")

@@ -102,7 +102,8 @@ def test_text_has_the_layout_the_floors_and_the_best() -> None:
     text = table_text(evaluation)
 
     lines = text.splitlines()
-    assert "30 pictures of camvid dev, mean over 0001TP, 0006R0, 0016E5; floors: prior:rows" in text
+    of = "30 pictures of camvid dev, mean over 0001TP, 0006R0, 0016E5"
+    assert f"{of}; blind baselines: prior:rows" in text
     assert [line.split() for line in lines if line.startswith("classifier")] == [
         ["classifier", "S"],
         ["classifier", "RGB"],
@@ -128,7 +129,7 @@ def test_a_run_without_the_family_has_no_table(tmp_path) -> None:
 
 @pytest.mark.parametrize(
     ("method", "words"),
-    [("reweighted", "a weight of ours"), ("huber", "P3's text"), ("mcd", "another reading")],
+    [("reweighted", "a weight of ours"), ("huber", "the paper's text"), ("mcd", "another reading")],
 )
 def test_a_table_says_whose_the_robust_weight_is(method, words) -> None:
     name = "oneclass:robust_gaussian:RGB"

@@ -48,7 +48,7 @@ def score_chart(series: Sequence[Series], evaluation: Evaluation, measure: Measu
         _name_rows(axes, shown)
         if floors:
             axes.axvline(max(floors), color=FLOOR, linewidth=1, dashes=(4, 3))
-            axes.annotate(f"best floor {max(floors):.3f}", (max(floors), 1), (0, 3),
+            axes.annotate(f"best baseline {max(floors):.3f}", (max(floors), 1), (0, 3),
                           xycoords=("data", "axes fraction"), textcoords="offset points",
                           ha="center", va="bottom", color=FLOOR, fontsize=9)  # fmt: skip
         for row, one in enumerate(shown):
@@ -105,7 +105,7 @@ def difference_chart(series: Sequence[Series], comparison: Comparison) -> str:
             change = changes[one.name]
             _dot_with_interval(axes, row, one, change.value, change.interval)
         axes.xaxis.set_major_formatter(FuncFormatter(_difference))
-        axes.set_xlabel(f"MaxF less that of {short(comparison.against)}")
+        axes.set_xlabel(f"MaxF minus that of {short(comparison.against)}")
         axes.margins(x=0.08)
 
     label = "Paired differences in MaxF with 95 % intervals"

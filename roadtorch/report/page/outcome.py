@@ -28,7 +28,7 @@ def outcome(evaluation: Evaluation) -> list[str]:
 
 
 def _floor_alone(name: str, score: float) -> str:
-    return f"Only floors were scored; the best is {name} with a MaxF of {share(score)}."
+    return f"Only blind baselines were scored; the best is {name} with a MaxF of {share(score)}."
 
 
 def _first(
@@ -38,12 +38,15 @@ def _first(
     interval = f" (95 % interval {share(ends.low)} to {share(ends.high)})" if ends.is_known else ""
     text = f"{name} is best: MaxF {share(score)}{interval}"
     if floor is None:
-        return f"{text}. No floor was scored beside it."
+        return f"{text}. No blind baseline was scored beside it."
     distance = score - floor[1]
     if round(distance, 3) <= 0:
-        text = f"No detector is above the floors: {name} has a MaxF of {share(score)}{interval}"
+        text = f"No detector is above the blind baselines: {name} has a MaxF of {share(score)}"
+        text += interval
         return f"{text}, {share(-distance)} below {floor[0]} ({share(floor[1])})."
-    return f"{text}, {share(distance)} above the best floor, {floor[0]} ({share(floor[1])})."
+    return (
+        f"{text}, {share(distance)} above the best blind baseline, {floor[0]} ({share(floor[1])})."
+    )
 
 
 def _mask(figures: DetectorFigures) -> list[str]:
@@ -76,7 +79,7 @@ def _drives(name: str, evaluation: Evaluation) -> list[str]:
     if not compared:
         return [f"{text}."]
     above = sum(scores[drive] > value for drive, value in compared.items())
-    return [f"{text}; above every floor on {above} of {len(compared)} drives."]
+    return [f"{text}; above every blind baseline on {above} of {len(compared)} drives."]
 
 
 def _floor_of_drive(drive: str, evaluation: Evaluation) -> float | None:

@@ -32,7 +32,7 @@ def part_table(rows: Sequence[PartRow], measures: Sequence[Measure]) -> Table:
         if any(one.key in row.figures for row in rows):
             _add(table, one, rows)
     floors = [number_cell(share(row.floor), row.floor) for row in rows]
-    table.add("MaxF of\nfloor", "MaxF of the best floor there.", floors)
+    table.add("MaxF of\nbaseline", "MaxF of the best blind baseline there.", floors)
     return table
 
 

@@ -170,8 +170,8 @@ def _above_floor(
     values = {name: MAXF.of(figures) for name, figures in part.items()}
     floor = best_floor(evaluation, values)
     above = [value - floor[1] if floor else math.nan for value in values.values()]
-    hint = "MaxF less that of the best floor, a detector that never looks at the picture."
-    return "above\nfloor", hint, [number_cell(signed(value), value) for value in above]
+    hint = "MaxF minus that of the best blind baseline, which never looks at the picture."
+    return "above\nbaseline", hint, [number_cell(signed(value), value) for value in above]
 
 
 # --- differences ------------------------------------------------------------------------

@@ -91,7 +91,7 @@ def test_maxf_is_written_beside_every_row_and_floors_stand_among_them(run, drawn
         assert name in found
         assert f"{figures.headline['maxf']:.3f}" in found
     best_floor = run[0].detectors["prior:mean"].headline["maxf"]
-    assert f"best floor {best_floor:.3f}" in found
+    assert f"best baseline {best_floor:.3f}" in found
     assert set(DRIVES) <= set(found)
 
 

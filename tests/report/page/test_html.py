@@ -147,7 +147,7 @@ def test_the_best_is_first_and_floors_are_marked(page):
 def test_the_distance_to_the_best_floor_stands_beside_every_score(page):
     scores = {name: one.headline["maxf"] for name, one in made_run()[0].detectors.items()}
 
-    found = column(page, "scores", "above floor")
+    found = column(page, "scores", "above baseline")
 
     assert found["prior:mean"] == "+0.000"
     for name, text in found.items():
@@ -218,7 +218,7 @@ def test_the_worst_drive_is_on_top_and_its_figures_stand_out():
         "mean": f"{evaluation.detectors['fusion'].headline['f_mask']:.3f}",
         "camera5 (left out)": f"{evaluation.detectors['fusion'].drive('camera5')['f_mask']:.3f}",
     }
-    assert column(page, "worst", "MaxF of floor")["camera0"] == f"{rows['camera0']['maxf']:.3f}"
+    assert column(page, "worst", "MaxF of baseline")["camera0"] == f"{rows['camera0']['maxf']:.3f}"
     assert f"<b>{fusion['camera0']['f_mask']:.3f}</b>" in page.source.split('id="worst"')[1]
     assert "camera5 left out of every mean and choice" in page.text["head"]
     assert "camera5 (left out)" in page.text["drives"]
@@ -390,7 +390,7 @@ def test_undefined_figures_are_dashes():
 
     assert set(column(page, "scores", "MaxF mean").values()) == {"–"}
     assert set(column(page, "scores", "95 %").values()) == {"–"}
-    assert set(column(page, "scores", "above floor").values()) == {"–"}
+    assert set(column(page, "scores", "above baseline").values()) == {"–"}
     assert page.charts() == []
     assert not re.search(r"\bnan\b|None", "".join(page.text.values()))
 
@@ -399,7 +399,7 @@ def test_one_detector_without_drives():
     page = render(*made_run(["it"], drives=[]))
 
     assert column(page, "scores", "MaxF") == {"it": "0.950"}
-    assert "No floor was scored beside it." in page.text["head"]
+    assert "No blind baseline was scored beside it." in page.text["head"]
     assert "drives" not in page.tables
     assert len(page.charts()) == 7  # nobody to compare with
 

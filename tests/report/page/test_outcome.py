@@ -23,8 +23,8 @@ def test_the_best_detector_and_its_distance_to_the_best_floor():
     first, second = outcome(evaluation)
 
     assert first == (
-        "b is best: MaxF 0.900 (95 % interval 0.880 to 0.915), 0.050 above the best floor, "
-        "prior:rows (0.850)."
+        "b is best: MaxF 0.900 (95 % interval 0.880 to 0.915), 0.050 above the best blind "
+        "baseline, prior:rows (0.850)."
     )
     assert second == "Next is a, 0.100 behind."
 
@@ -33,16 +33,19 @@ def test_the_best_detector_and_its_distance_to_the_best_floor():
 def test_a_detector_below_the_floors_or_level_with_them_is_not_praised(floor, below):
     first = outcome(named(a=0.9, p_rows=floor))[0]
 
-    assert first.startswith("No detector is above the floors: a has a MaxF of 0.900, ")
+    assert first.startswith("No detector is above the blind baselines: a has a MaxF of 0.900, ")
     assert below in first
 
 
 @pytest.mark.parametrize(
     ("evaluation", "text"),
     [
-        (named(a=0.9), "a is best: MaxF 0.900. No floor was scored beside it."),
+        (named(a=0.9), "a is best: MaxF 0.900. No blind baseline was scored beside it."),
         (named(a=None), "No detector has a score."),
-        (named(p_rows=0.8), "Only floors were scored; the best is prior:rows with a MaxF of"),
+        (
+            named(p_rows=0.8),
+            "Only blind baselines were scored; the best is prior:rows with a MaxF of",
+        ),
         (named(a=math.nan), "No detector has a score."),
     ],
 )
@@ -61,7 +64,7 @@ def test_drives_are_compared_with_their_own_best_floor():
         evaluation = changed(evaluation, name, drives=found)
 
     assert outcome(evaluation)[1] == (
-        "By drive from 0.850 (x) to 0.950 (y); above every floor on 1 of 2 drives."
+        "By drive from 0.850 (x) to 0.950 (y); above every blind baseline on 1 of 2 drives."
     )
 
 

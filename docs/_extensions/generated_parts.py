@@ -1,0 +1,272 @@
+"""Parts of pages that are made of the code and of other files, when a page is read.
+
+A line ``{{ KIND WORDS… }}`` alone in a page stands for Markdown that this module makes:
+
+- ``{{ commands }}``: every command of the command line, with what ``--help`` says.
+- ``{{ settings MODULE… }}``: every setting of the detectors of modules of roadtorch.detectors.
+- ``{{ classifiers }}``: of the one-class classifiers; ``{{ training }}``: of ``roadtorch train``.
+- ``{{ api MODULE… }}``: what the docstrings of modules say.
+- ``{{ public }}``: the names of ``roadtorch.__all__`` and where each is explained.
+- ``{{ file PATH }}``: a Markdown file of the repository, its heading included.
+- ``{{ contents NAME… }}``: a table of contents of pages right under docs/; a name that ends in
+  ``?`` is of a page that may be missing.
+- ``{{ unlisted }}``: a table of contents of the pages there that no other page lists.
+
+Links to files of the repository are changed to lead to pages of the site; to files that are no
+pages they become plain names, for a site has no repository beside it.
+"""
+
+import importlib
+import inspect
+import re
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+from sphinx.application import Sphinx
+
+from roadtorch.cli.detectors import describe
+from roadtorch.cli.group import COMMANDS
+from roadtorch.settings import Settings
+
+DOCS = Path(__file__).resolve().parents[1]
+ROOT = DOCS.parent
+
+PLACEHOLDER = re.compile(r"^\{\{ (\w+)((?: \S+)*) \}\}$", re.M)
+LINK = re.compile(r"(!?)\[([^\]]*)\]\((?!https?:|mailto:|#|/)([^)#\s]+)(#[^)\s]*)?\)")
+FENCE = re.compile(r"^( *)(`{3,})[^`\n]*\n.*?^\1\2 *$", re.M | re.S)
+
+
+# --- the command line --------------------------------------------------------------------
+
+
+def commands(_: Sequence[str]) -> str:
+    """A section for each command, in the order of ``roadtorch --help``."""
+    return "\n".join(line for name in sorted(COMMANDS) for line in command_section(name))
+
+
+def command_named(name: str) -> click.Command:
+    """The click command of a name in ``COMMANDS``."""
+    module, attribute = COMMANDS[name][0].split(":")
+    return getattr(importlib.import_module(module), attribute)
+
+
+def command_section(name: str) -> Iterator[str]:
+    """Heading, usage, help text and options of one command."""
+    command = command_named(name)
+    context = click.Context(command, info_name=f"roadtorch {name}")
+    usage = " ".join(command.collect_usage_pieces(context))
+    yield from (f"(command-{name})=", f"## `roadtorch {name}`", "", COMMANDS[name][1], "")
+    yield from ("```text", f"roadtorch {name} {usage}", "```", "")
+    yield from help_text(command)
+    for parameter in command.get_params(context):
+        record = parameter.get_help_record(context)
+        if record and record[1]:
+            yield from (f"`{record[0]}`", f": {escaped(record[1])}", "")
+
+
+def help_text(command: click.Command) -> Iterator[str]:
+    """The paragraphs of a command's help; those that it marks as unwrapped stay as they are."""
+    for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
+        if paragraph.startswith("\b"):
+            yield from ("```text", paragraph.removeprefix("\b").strip("\n"), "```", "")
+        else:
+            yield from (escaped(paragraph), "")
+
+
+def escaped(text: str) -> str:
+    """Text of which Markdown makes nothing but that text, on one line."""
+    return re.sub(r"([\\*_<>|`\[\]{}$~#])", r"\\\1", " ".join(text.split()))
+
+
+# --- settings ------------------------------------------------------------------------------
+
+
+def settings(modules: Sequence[str]) -> str:
+    """A section for each detector of the named modules of roadtorch.detectors."""
+    lines: list[str] = []
+    for name in modules:
+        for entry in importlib.import_module(f"roadtorch.detectors.{name}").ENTRIES:
+            lines += [f"(settings-{entry.name.replace(':', '-')})=", f"## `{entry.name}`", ""]
+            lines += [escaped(entry.summary) + ".", "", *settings_list(entry.settings)]
+    return "\n".join(lines)
+
+
+def classifiers(_: Sequence[str]) -> str:
+    """What all one-class detectors have, and a section for what each classifier has beside it."""
+    from roadtorch.detectors.oneclass import ENTRIES
+    from roadtorch.oneclass import CLASSIFIERS
+
+    lines = ["## All of them", "", *settings_list(ENTRIES[0].settings, leave_out="classifier.")]
+    for name, classifier in CLASSIFIERS.items():
+        lines += [f"## `{name}`", "", escaped(classifier.summary) + ".", ""]
+        lines += settings_list(classifier.settings, before="classifier.")
+    return "\n".join(lines)
+
+
+def training(_: Sequence[str]) -> str:
+    """The settings of both kinds of training."""
+    from roadtorch.train.config import PatchTraining, PictureTraining
+
+    lines: list[str] = []
+    for title, kind in (("pictures", PictureTraining), ("patches", PatchTraining)):
+        lines += [f'## `kind = "{title}"`', "", *settings_list(kind)]
+    return "\n".join(lines)
+
+
+def settings_list(kind: type[Settings], before: str = "", leave_out: str = "-") -> list[str]:
+    """A list of the settings of a kind: name, type, default, what is allowed; below it the meaning.
+
+    before: what is put before their names. leave_out: names that begin so are left out.
+    """
+    lines: list[str] = []
+    for key, of_type, default, allowed, meaning in describe(kind.model_json_schema()):
+        if not key.startswith(leave_out):
+            shown = f"default {code(default)}" if default else "no default"
+            facts = ", ".join(filter(None, (escaped(of_type), shown, escaped(allowed))))
+            lines += [
+                f"{code(before + key)} {facts}",
+                f": {escaped(meaning) or '(a group of its own)'}",
+                "",
+            ]
+    return lines
+
+
+def code(text: str) -> str:
+    """Text as code."""
+    return f"`{text}`"
+
+
+# --- Python --------------------------------------------------------------------------------
+
+
+def api(modules: Sequence[str]) -> str:
+    """What the docstrings of some modules say, a section for each."""
+    lines: list[str] = []
+    for name in modules:
+        lines += [f"## `{name}`", "", "```{eval-rst}", f".. automodule:: {name}", "```", ""]
+    return "\n".join(lines)
+
+
+def public(_: Sequence[str]) -> str:
+    """A table of the public names: what each is, with a link to where it is explained."""
+    import roadtorch
+
+    lines = ["| name | what it is |", "|---|---|"]
+    for name in roadtorch.__all__:
+        if not name.startswith("__"):
+            found = getattr(roadtorch, name)
+            first = (found.__doc__ or "").strip().split("\n\n")[0]
+            lines.append(f"| {{py:obj}}`{name} <{home_of(found)}>` | {escaped(first)} |")
+    return "\n".join(lines)
+
+
+def home_of(found: Any) -> str:
+    """The full name of a class or function, by the module that defines it."""
+    return f"{found.__module__}.{found.__qualname__}"
+
+
+# --- files ---------------------------------------------------------------------------------
+
+
+def repository_file(words: Sequence[str]) -> str:
+    """A Markdown file of the repository, its links seen from the root of docs/."""
+    path = ROOT / words[0]
+    return linked(path.read_text(encoding="utf-8"), path.parent)
+
+
+def contents(names: Sequence[str]) -> str:
+    """A table of contents of pages right under docs/."""
+    pages = [name for name in names if not name.endswith("?")]
+    optional = [name.rstrip("?") for name in names if name.endswith("?")]
+    there = {*pages, *(name for name in optional if (DOCS / f"{name}.md").exists())}
+    shown = [name.rstrip("?") for name in names if name.rstrip("?") in there]
+    return "\n".join(["```{toctree}", ":maxdepth: 1", "", *(f"/{n}" for n in shown), "```"])
+
+
+def unlisted(_: Sequence[str]) -> str:
+    """A table of contents of the pages right under docs/ that no page's text lists."""
+    listed = {
+        word.removeprefix("/").rstrip("?") for path in DOCS.rglob("*.md") for word in tocs(path)
+    }
+    missing = [path.stem for path in sorted(DOCS.glob("*.md")) if path.stem not in listed]
+    missing.remove("index")
+    return contents(missing) if missing else ""
+
+
+def tocs(path: Path) -> Iterator[str]:
+    """What a page's tables of contents list of docs/ itself."""
+    text = path.read_text(encoding="utf-8")
+    yield from (w for names in re.findall(r"\{\{ contents (.*?) \}\}", text) for w in names.split())
+    for table in re.findall(r"\{toctree\}(.*?)```", text, re.S):
+        yield from (w for w in table.split() if path.parent == DOCS or w.startswith("/"))
+
+
+PAGES = {
+    "CONTRIBUTING.md": "/contributing",
+    "CHANGELOG.md": "/changelog",
+    "train/README.md": "/studies",
+    "roadtorch/weights/layout.md": "/weights_layout",
+    "roadtorch/weights/cnn-7.md": "/weights_cnn-7",
+}
+"""Files outside of docs/ that are pages of the site."""
+
+
+def linked(text: str, folder: Path) -> str:
+    """Text whose relative links, seen from a folder, lead to pages of the site."""
+
+    def changed(match: re.Match[str]) -> str:
+        picture, words, target, anchor = match.groups(default="")
+        path = (folder / target).resolve()
+        inside = path.relative_to(ROOT).as_posix() if path.is_relative_to(ROOT) else ""
+        if words.endswith(".md") and target.endswith(words.rpartition("/")[2]):
+            words = ""  # the title of the page, not its file
+        if inside in PAGES:
+            return f"[{words}]({PAGES[inside]}.md{anchor})"
+        if inside.startswith("docs/"):
+            return f"{picture}[{words}](/{inside.removeprefix('docs/')}{anchor})"
+        return f"{words} (`{inside}`)" if path.exists() and inside else match[0]
+
+    return outside_fences(text, lambda part: LINK.sub(changed, part))
+
+
+def outside_fences(text: str, change: Callable[[str], str]) -> str:
+    """Text changed everywhere but in blocks of code."""
+    parts, end = [], 0
+    for block in FENCE.finditer(text):
+        parts += [change(text[end : block.start()]), block[0]]
+        end = block.end()
+    return "".join([*parts, change(text[end:])])
+
+
+# --- Sphinx --------------------------------------------------------------------------------
+
+KINDS: dict[str, Callable[[Sequence[str]], str]] = {
+    "commands": commands,
+    "settings": settings,
+    "classifiers": classifiers,
+    "training": training,
+    "api": api,
+    "public": public,
+    "file": repository_file,
+    "contents": contents,
+    "unlisted": unlisted,
+}
+
+
+def filled(text: str) -> str:
+    """A page's text with its placeholders replaced."""
+    return PLACEHOLDER.sub(lambda match: KINDS[match[1]](match[2].split()), text)
+
+
+def fill_page(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Put the parts into a page before it is parsed."""
+    path = Path(app.env.doc2path(docname))
+    source[0] = filled(linked(source[0], path.parent))
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Have every page filled as it is read."""
+    app.connect("source-read", fill_page)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

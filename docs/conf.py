@@ -1,0 +1,77 @@
+"""How Sphinx builds the site: ``python scripts/site.py`` calls it.
+
+Nothing is fetched, neither while building nor while reading: equations become MathML (see
+``_extensions/native_math.py``), the search is Sphinx's own, fonts are those of the system.
+"""
+
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE / "_extensions"))
+sys.path.insert(0, str(HERE.parent))
+
+from roadtorch.version import __version__  # noqa: E402
+
+project = "roadtorch"
+author = "the roadtorch authors"
+project_copyright = "the roadtorch authors"
+version = release = __version__
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "generated_parts",
+    "native_math",
+    "plain_docstrings",
+]
+exclude_patterns = ["_extensions", "_static", "examples"]
+root_doc = "index"
+highlight_language = "none"
+smartquotes = False  # --out is two hyphens
+nitpicky = True
+nitpick_ignore_regex = [
+    # What other packages define: their documentation is not at hand without a network.
+    ("py:.*", r"(torch|np|numpy|pydantic|click|cv2|PIL|av|rosbags|fsspec|safetensors|onnx)(\..*)?"),
+    ("py:.*", r"(collections|typing|pathlib|os|enum|datetime|types|fractions|subprocess)(\..*)?"),
+    ("py:.*", r"(AnyReader|Typestore|InputContainer|VideoFrame|VideoStream)"),
+    ("py:class", r"(dict|list)\[.*"),  # halves of aliases
+    # Type variables, and what is inside rooms whose inside is not in the reference.
+    ("py:.*", r"roadtorch\..*\.(Network|AnySettings|Picture|Item|Result|Source)"),
+    ("py:.*", r"roadtorch\.(scene_canvas|camera\.birds_eye|data\.journal|sources\.live)\..*"),
+    ("py:.*", r"roadtorch\.evaluation\.(contenders|parts|scoring|tally|uncertainty)\..*"),
+]
+
+myst_enable_extensions = ["deflist", "dollarmath"]
+myst_heading_anchors = 4
+myst_links_external_new_tab = False
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+autodoc_default_options = {"members": True, "show-inheritance": False}
+autodoc_preserve_defaults = True
+python_maximum_signature_line_length = 88
+
+html_theme = "pydata_sphinx_theme"
+html_title = "roadtorch"
+html_static_path = ["_static"]
+html_css_files = ["quiet.css"]
+html_show_sourcelink = False
+html_copy_source = True  # the search shows excerpts of it
+html_math_renderer = "mathml"
+html_theme_options = {
+    "navbar_align": "left",
+    "navbar_end": ["theme-switcher"],
+    "header_links_before_dropdown": 7,
+    "show_prev_next": True,
+    "collapse_navigation": True,
+    "navigation_depth": 2,
+    "secondary_sidebar_items": {"**": ["page-toc"], "papers": []},
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "navigation_with_keys": False,
+    "pygments_light_style": "a11y-high-contrast-light",
+    "pygments_dark_style": "a11y-high-contrast-dark",
+}
+html_context = {"default_mode": "auto"}

@@ -1,0 +1,293 @@
+"""Execute the tutorials: each page in an empty folder, block after block, as a reader would.
+
+    python scripts/tutorials.py check docs/tutorials/*.md    # say where the output is another
+    python scripts/tutorials.py write docs/tutorials/*.md    # put the output there is
+
+A block ``console`` holds commands after ``$ `` with what they print, both streams. A block
+``python`` is executed, in one namespace for the page; what it prints stands in a block ``text``
+right behind it. A line or an end of a line ``…`` stands for anything. Numbers may differ by a
+little, times by anything: see ``same_line``. The folder has a link to ``configs``.
+
+Commands of roadtorch run in copies of this process, which has imported everything once.
+"""
+
+import argparse
+import contextlib
+import io
+import os
+import re
+import runpy
+import shlex
+import sys
+import tempfile
+import traceback
+import warnings
+from collections.abc import Iterator, Sequence
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+ANYTHING = "…"
+BLOCK = re.compile(r"^```(console|python|text)\n(.*?)^```$", re.M | re.S)
+SPLIT = re.compile(r"([+\-\u2212]?(?:\d+(?:,\d{3})*(?:\.\d+)?|\.\d+))")
+TIMES = re.compile(r"^ ?(ms|s|seconds|minutes|MB|kB)\b")
+SHARE = 0.03  # of a number that it may differ by
+STEPS = 3  # of the last decimal that it may differ by
+
+
+class Block(NamedTuple):
+    """A block of a page: its kind, its text, and where the text stands."""
+
+    kind: str
+    text: str
+    start: int
+    end: int
+
+
+# --- comparing ---------------------------------------------------------------------------
+
+
+def same(expected: Sequence[str], found: Sequence[str]) -> bool:
+    """Whether the lines found are those expected, ``…`` being any lines."""
+    if not expected:
+        return not found
+    if expected[0].strip() == ANYTHING:
+        return any(same(expected[1:], found[at:]) for at in range(len(found) + 1))
+    return bool(found) and same_line(expected[0], found[0]) and same(expected[1:], found[1:])
+
+
+def same_line(expected: str, found: str) -> bool:
+    """Whether two lines are the same but for spaces and numbers that may differ a little."""
+    if expected.rstrip().endswith(ANYTHING):
+        expected = expected.rstrip().removesuffix(ANYTHING).rstrip()
+        expected, found = cut_alike(" ".join(expected.split()), " ".join(found.split()))
+    parts, others = (SPLIT.split(" ".join(line.split())) for line in (expected, found))
+    if parts[0::2] != others[0::2]:
+        return False
+    units = parts[2::2]
+    triples = zip(parts[1::2], others[1::2], units, strict=True)
+    return all(bool(TIMES.match(unit)) or near(one, other) for one, other, unit in triples)
+
+
+def cut_alike(expected: str, found: str) -> tuple[str, str]:
+    """Both lines as far as the expected one goes, counted in words."""
+    return expected, " ".join(found.split()[: len(expected.split())])
+
+
+def near(expected: str, found: str) -> bool:
+    """Whether a number is near another: by ``SHARE``, or ``STEPS`` of its last decimal.
+
+    Whole numbers have no decimals: below 34 they have to be equal.
+    """
+    one, other = (float(text.replace(",", "").replace("\u2212", "-")) for text in (expected, found))
+    decimals = len(expected.partition(".")[2])
+    steps = STEPS * 10.0**-decimals if decimals else 0.0
+    return abs(one - other) <= max(SHARE * abs(one), steps) + 1e-12
+
+
+# --- executing ---------------------------------------------------------------------------
+
+
+def blocks_of(page: str) -> list[Block]:
+    """The blocks of a page that are executed or compared."""
+    return [Block(m[1], m[2], m.start(2), m.end(2)) for m in BLOCK.finditer(page)]
+
+
+def commands_of(text: str) -> Iterator[tuple[str, list[str]]]:
+    """The commands of a console block, each with the lines that follow it.
+
+    A command whose line ends in a backslash goes on in the next one.
+    """
+    command, output, more = "", [], False
+    for line in text.splitlines():
+        if more:
+            command, more = f"{command}\n{line}", line.endswith("\\")
+        elif line.startswith("$ "):
+            if command:
+                yield command, output
+            command, output, more = line[2:], [], line.endswith("\\")
+        else:
+            output.append(line)
+    if command:
+        yield command, output
+
+
+def printed_by(command: str) -> list[str]:
+    """Run a command in a copy of this process; the lines that it prints."""
+    with tempfile.TemporaryFile() as printed:
+        child = os.fork()
+        if not child:
+            os.dup2(printed.fileno(), 1)
+            os.dup2(printed.fileno(), 2)
+            status = 1
+            try:
+                status = run(command)
+            finally:
+                sys.stdout.flush()
+                sys.stderr.flush()
+                os._exit(status)
+        os.waitpid(child, 0)
+        printed.seek(0)
+        return printed.read().decode().rstrip("\n").splitlines()
+
+
+def run(command: str) -> int:
+    """Run a command here; those of roadtorch and of its modules without a new interpreter."""
+    words = shlex.split(command.replace("\\\n", " "), comments=True)
+    simple = not set(command.replace("\\\n", " ")) & set("|>;&`")
+    try:
+        if simple and words[0] == "roadtorch":
+            from roadtorch.cli.group import main
+
+            main(words[1:])
+        if simple and words[:2] == ["python", "-m"]:
+            sys.argv = words[2:]
+            warnings.simplefilter("ignore", RuntimeWarning)  # it is imported already
+            runpy.run_module(words[2], run_name="__main__", alter_sys=True)
+            return 0
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else 0
+    except Exception:
+        traceback.print_exc()
+        return 1
+    os.execvp("bash", ["bash", "-c", command])
+
+
+class Python:
+    """Python that keeps its names from block to block, in a copy of this process.
+
+    Not in this process itself: libraries that have worked have threads, which its copies lack.
+    """
+
+    def __init__(self, where: str) -> None:
+        context = get_context("fork")
+        self._pipe, other = context.Pipe()
+        self._process = context.Process(target=execute_all, args=(other, where), daemon=True)
+        self._process.start()
+
+    def printed_by(self, code: str) -> list[str]:
+        """Execute code; the lines that it prints, a traceback among them."""
+        self._pipe.send(code)
+        return self._pipe.recv()
+
+    def stop(self) -> None:
+        """End the process."""
+        self._pipe.send(None)
+        self._process.join()
+
+
+def execute_all(pipe: Connection, where: str) -> None:
+    """Execute each piece of code that comes through a pipe, and send back what it prints."""
+    names: dict[str, object] = {"__name__": "tutorial"}
+    while (code := pipe.recv()) is not None:
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            try:
+                exec(compile(code, where, "exec"), names)
+            except Exception:
+                traceback.print_exc(file=printed)
+        pipe.send(printed.getvalue().rstrip("\n").splitlines())
+
+
+def executed(page: str, python: Python) -> Iterator[tuple[Block, str]]:
+    """Each block of a page that holds output, with its text as it would be now."""
+    printed: list[str] = []
+    for block in blocks_of(page):
+        if printed and block.kind != "text":
+            raise ValueError(f"this is printed, and no block `text` has it: {printed}")
+        if block.kind == "python":
+            printed = python.printed_by(block.text)
+        elif block.kind == "text":
+            yield block, output_as_shown(block.text.splitlines(), printed)
+            printed = []
+        else:
+            yield block, console_as_run(block.text)
+
+
+def console_as_run(text: str) -> str:
+    """A console block with what its commands print now."""
+    lines = ""
+    for command, expected in commands_of(text):
+        lines += f"$ {command}\n" + output_as_shown(expected, printed_by(command))
+    return lines
+
+
+def output_as_shown(expected: Sequence[str], found: Sequence[str]) -> str:
+    """The expected lines where the found ones are the same, the found ones otherwise."""
+    kept = [line.rstrip() for line in expected]
+    while kept and not kept[-1]:
+        kept.pop()
+    shown = expected if same(kept, found) else found
+    return "".join(f"{line}\n" for line in shown)
+
+
+def run_page(page: str, name: str) -> str:
+    """A page with the output that it has now, executed in an empty folder."""
+    before = Path.cwd()
+    with tempfile.TemporaryDirectory() as folder:
+        os.symlink(ROOT / "configs", Path(folder, "configs"))
+        os.chdir(folder)
+        python = Python(name)
+        try:
+            made = list(executed(page, python))
+        finally:
+            python.stop()
+            os.chdir(before)
+    changes = [(block, text) for block, text in made if text != block.text]
+    for block, text in reversed(changes):
+        page = page[: block.start] + text + page[block.end :]
+    return page
+
+
+# --- the command ---------------------------------------------------------------------------
+
+
+def prepare() -> None:
+    """Import what commands need, once for all of them, with one thread."""
+    os.environ["OMP_NUM_THREADS"] = "1"
+    os.environ["OMP_WAIT_POLICY"] = "passive"
+    os.environ["PYTHONPATH"] = str(ROOT)
+    os.environ["PATH"] = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    import torch
+
+    import roadtorch.detectors.catalogue
+    import roadtorch.evaluation.evaluate
+    import roadtorch.scene_drives  # noqa: F401
+
+    torch.set_num_threads(1)
+
+
+def differences(before: str, after: str) -> str:
+    """What changed, as a unified diff."""
+    import difflib
+
+    return "\n".join(difflib.unified_diff(before.splitlines(), after.splitlines(), lineterm=""))
+
+
+def main() -> int:
+    """Check or write the given pages; 1 where a page says something else than happens."""
+    parser = argparse.ArgumentParser(description="Execute the tutorials.")
+    parser.add_argument("act", choices=("check", "write"))
+    parser.add_argument("pages", nargs="+", type=Path)
+    given = parser.parse_args()
+    prepare()
+    wrong = 0
+    for path in given.pages:
+        before, begin = path.read_text(encoding="utf-8"), sum(os.times()[:4])
+        after = run_page(before, path.name)
+        took = sum(os.times()[:4]) - begin  # of the processor, children's too
+        print(f"{path.name}: {'as written' if before == after else 'differs'}, {took:.1f} s")
+        if before != after:
+            wrong += 1
+            print(differences(before, after))
+            if given.act == "write":
+                path.write_text(after, encoding="utf-8")
+    return 1 if wrong and given.act == "check" else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,156 @@
+"""The site: it builds without a warning, its links lead somewhere, the reference is complete."""
+
+import shutil
+import zlib
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+import roadtorch
+from roadtorch.cli.group import COMMANDS
+from roadtorch.detectors.catalogue import ENTRIES
+from roadtorch.oneclass import CLASSIFIERS
+from scripts.build_site import broken_links
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+PATIENCE = 60_000  # milliseconds; a loaded machine is slow
+
+in_a_browser = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium (apt: chromium)")
+
+
+# --- pages --------------------------------------------------------------------------------
+
+
+def test_no_link_inside_leads_nowhere_and_nothing_is_loaded_from_elsewhere(site: Path) -> None:
+    assert list(broken_links(site)) == []
+
+
+@pytest.mark.parametrize(
+    ("body", "wrong"),
+    [
+        ('<a href="none.html">x</a>', "there is no such file"),
+        ('<a href="#none">x</a>', "there is no such place in it"),
+        ('<script src="https://cdn.example/x.js"></script>', "is loaded from elsewhere"),
+        ('<link rel="stylesheet" href="//fonts.example/x.css">', "is loaded from elsewhere"),
+    ],
+)
+def test_a_planted_fault_is_found(tmp_path: Path, body: str, wrong: str) -> None:
+    (tmp_path / "page.html").write_text(body)
+
+    (told,) = broken_links(tmp_path)
+    assert told.endswith(wrong)
+
+
+def test_links_that_are_right_are_let_alone(tmp_path: Path) -> None:
+    body = '<p id="place"><a href="#place">x</a><a href="https://example.org">y</a></p>'
+    (tmp_path / "page.html").write_text(body)
+
+    assert list(broken_links(tmp_path)) == []
+
+
+@cache
+def words_of(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_every_command_is_in_the_reference(site: Path, name: str) -> None:
+    assert f'id="command-{name}"' in words_of(site / "reference" / "commands.html")
+
+
+def test_every_detector_is_in_the_reference(site: Path) -> None:
+    pages = "".join(words_of(path) for path in (site / "reference" / "settings").glob("*.html"))
+    names = [entry.name.replace(":", "-") for entry in ENTRIES if not entry.grid]
+
+    assert [name for name in names if f'id="settings-{name}"' not in pages] == []
+    assert [name for name in CLASSIFIERS if f'id="{name.replace("_", "-")}"' not in pages] == []
+
+
+def inventory(site: Path) -> str:
+    """What objects.inv lists: a line for each name that can be linked to."""
+    packed = (site / "objects.inv").read_bytes().split(b"\n", 4)[4]
+    return zlib.decompress(packed).decode()
+
+
+def test_every_public_name_is_explained(site: Path) -> None:
+    known = {line.split(" ")[0] for line in inventory(site).splitlines()}
+    public = [getattr(roadtorch, name) for name in roadtorch.__all__ if name != "__version__"]
+
+    assert [one for one in public if f"{one.__module__}.{one.__qualname__}" not in known] == []
+
+
+def test_equations_are_mathml(site: Path) -> None:
+    for name in ("layout_texture", "one_class", "features"):
+        assert words_of(site / "how" / f"{name}.html").count("<math ") > 5
+
+
+# --- in a browser -------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def browser() -> "Iterator[Browser]":
+    with sync_api.sync_playwright() as driver:
+        found = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield found
+        found.close()
+
+
+@pytest.fixture
+def page(browser: "Browser") -> "Iterator[Page]":
+    """A page that fails the test where anything but files is asked for."""
+    context = browser.new_context()
+    context.set_default_timeout(PATIENCE)
+    asked: list[str] = []
+    opened = context.new_page()
+    opened.on("request", lambda request: asked.append(request.url))
+    yield opened
+    context.close()
+    assert [url for url in asked if not url.startswith(("file:", "data:"))] == []
+
+
+@in_a_browser
+@pytest.mark.parametrize(
+    ("query", "found"),
+    [
+        ("bonnet", "camera.html"),
+        ("uniformity", "layout_texture.html"),
+        ("--save", "commands.html"),
+        ("minimum_variance_weights", "reference/api/layout.html"),
+    ],
+)
+def test_the_search_works_without_a_network(
+    site: Path, page: "Page", query: str, found: str
+) -> None:
+    page.goto(f"{(site / 'search.html').as_uri()}?q={query}")
+
+    page.wait_for_selector(f'#search-results a[href*="{found}"]')
+
+
+@in_a_browser
+@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize(
+    "name", ["index", "how/features", "results", "papers", "reference/commands"]
+)
+def test_no_page_is_wider_than_its_window(site: Path, page: "Page", name: str, width: int) -> None:
+    page.set_viewport_size({"width": width, "height": 800})
+    page.goto((site / f"{name}.html").as_uri())
+
+    root = "document.documentElement"
+    assert page.evaluate(f"{root}.scrollWidth <= {root}.clientWidth")
+
+
+@in_a_browser
+def test_equations_are_drawn(site: Path, page: "Page") -> None:
+    page.goto((site / "how" / "layout_texture.html").as_uri())
+
+    box = page.locator("div.math mfrac").first.bounding_box()
+    assert box
+    assert box["height"] > 20  # a fraction stands on two lines
