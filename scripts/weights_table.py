@@ -51,7 +51,8 @@ def read_pair(path: Path) -> Pair:
         raise SystemExit(f"{path}: holds {len(others) + 1} detectors (evaluate two)")
     change = found["paired"]["detectors"][others[0]]
     one, other = (found["detectors"][name] for name in (against, others[0]))
-    return Pair(one, other, change, found["images"])
+    counted = sum(group["images"] for group in one.get("groups", {}).values())
+    return Pair(one, other, change, counted or found["images"])
 
 
 def main_table(results: Path) -> Iterator[str]:
