@@ -16,7 +16,7 @@ from roadtorch.layout.picture_network import ROAD, PictureNetwork
 from roadtorch.layout.weights import WeightsFile, terms_of, weights_path
 from roadtorch.version import __version__
 
-CAN = ("fusion", "fusion:free", "layout", "layout:free", "layout:cnn-7")
+CAN = ("fusion", "layout", "layout:cnn-7")
 
 OWN_TERMS = "those of whoever trained them"
 
