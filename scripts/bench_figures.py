@@ -25,14 +25,14 @@ def figure(part: str, row: str, column: str, value: float | str, unit: str = "")
 
 def read_figures(path: Path) -> list[Figure]:
     """The figures of a file; none where there is no file."""
-    return json.loads(path.read_text("utf-8"))["figures"] if path.is_file() else []
+    return json.loads(path.read_text("utf-8")) if path.is_file() else []
 
 
 def write_figures(path: Path, figures: Sequence[Figure]) -> None:
     """Write the figures, one a line, whole or not at all."""
     lines = ",\n".join(json.dumps(one, ensure_ascii=False) for one in figures)
     temporary = path.with_name(path.name + ".new")
-    temporary.write_text(f'{{"figures": [\n{lines}\n]}}\n', "utf-8")
+    temporary.write_text(f"[\n{lines}\n]\n", "utf-8")
     os.replace(temporary, path)
 
 

@@ -101,7 +101,7 @@ TABLES: Mapping[str, Table] = {
         sort="idd.{row}.maxf",
     ),
     "pairs": Table(
-        ("less `fusion`", "CamVid, MaxF (95 %)", "IDD, MaxF (95 %)"),
+        ("minus `fusion`", "CamVid, MaxF (95 %)", "IDD, MaxF (95 %)"),
         _named(("fusion:untrained", "layout", "ufl", "prior:mean")),
         tuple(
             f"[[?{run}.{{row}}.maxf.less|+.000]] ([[?{run}.{{row}}.maxf.less.low|+.000]] to "

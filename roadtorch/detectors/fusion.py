@@ -92,6 +92,12 @@ class FusionSettings(UntrainedFusionSettings):
     trust: TrustSettings = TrustSettings()
 
 
+class FreeFusionSettings(FusionSettings):
+    """The same with weights learned from free pictures alone: anybody may use them."""
+
+    weights: WeightsFile = WeightsFile(file="layout-free")
+
+
 class PaperFusionSettings(WorkingSettings):
     """P2 as it is written: CNN-7, colour plane fusion over superpixels, a uniform prior.
 
@@ -327,6 +333,12 @@ ENTRIES = (
         "fusion",
         "naive Bayes of layout, texture and more: the best we know",
         FusionSettings,
+        Fusion,
+    ),
+    Entry(
+        "fusion:free",
+        "the same with weights that are free to use",
+        FreeFusionSettings,
         Fusion,
     ),
     Entry(

@@ -38,6 +38,12 @@ class LayoutSettings(WorkingSettings):
     share: Share = 0.8
 
 
+class FreeLayoutSettings(LayoutSettings):
+    """The same with weights learned from free pictures alone: anybody may use them."""
+
+    weights: WeightsFile = WeightsFile(file="layout-free")
+
+
 class Labeller(nn.Module):
     """The ground that the labeller finds in the picture itself; no weights."""
 
@@ -100,6 +106,12 @@ ENTRIES = (
         "layout",
         "layout by a network and the labeller: the best we know",
         LayoutSettings,
+        Layout,
+    ),
+    Entry(
+        "layout:free",
+        "the same with weights that are free to use",
+        FreeLayoutSettings,
         Layout,
     ),
     Entry("layout:cnn-7", "ground of the layout by CNN-7 (Álvarez 2012)", Cnn7Settings, Cnn7),

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 from torch import Tensor
 
@@ -14,17 +13,12 @@ from roadtorch.export.graph import OUTPUTS, EveryPixel, WholePictures
 from roadtorch.files import digest_of
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.picture_network import ROAD, PictureNetwork
-from roadtorch.layout.weights import WeightsFile, shipped_weights
+from roadtorch.layout.weights import WeightsFile, terms_of, weights_path
 from roadtorch.version import __version__
 
 CAN = ("fusion", "layout", "layout:cnn-7")
 
-SHIPPED_TERMS = (
-    "research, teaching and private projects: some of the pictures they were learned from are for "
-    "non-commercial use only (see {name}.md beside the weights); the code is Apache-2.0"
-)
-
-OWN_TERMS = "those of whoever trained them; the code is Apache-2.0"
+OWN_TERMS = "those of whoever trained them"
 
 Reference = Callable[[Tensor], Mapping[str, Tensor]]
 """An image (3,H,W) in [0,1] → maps by name, as Python says them."""
@@ -100,8 +94,9 @@ def _refuse_others(settings: DetectorSettings, kept: tuple[str, ...]) -> None:
 
 def notes_of(detector: Detector, part: Exportable) -> dict[str, str]:
     """What the file says about itself, by name."""
-    own = part.weights.file
-    terms = OWN_TERMS if own else SHIPPED_TERMS.format(name=part.shipped)
+    path = weights_path(part.weights.file or part.shipped)
+    stated = terms_of(path)
+    terms = f"{stated} (see {path.stem}.md beside the weights)" if stated else OWN_TERMS
     return {
         "roadtorch": __version__,
         "detector": detector.name,
@@ -112,7 +107,7 @@ def notes_of(detector: Detector, part: Exportable) -> dict[str, str]:
         "smallest_side": str(SMALLEST_SIDE),
         **{f"output.{name}": OUTPUTS[name] for name in part.module.outputs},
         "threshold": f"{detector.settings.threshold:g}",
-        "weights": Path(own).name if own else f"{part.shipped}.safetensors",
-        "weights_sha256": digest_of(Path(own) if own else shipped_weights(part.shipped)),
-        "terms": terms,
+        "weights": path.name,
+        "weights_sha256": digest_of(path),
+        "terms": f"{terms}; the code is Apache-2.0",
     }

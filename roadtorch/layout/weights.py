@@ -37,6 +37,9 @@ SHIPPED = Path(__file__).parents[1] / "weights"
 STATED = re.compile(r"^\|\s*sha256\s*\|\s*`([0-9a-f]{64})`\s*\|", re.MULTILINE)
 """The row of a card, NAME.md beside NAME.safetensors, that states the hash of the file."""
 
+TERMS = re.compile(r"^\|\s*terms\s*\|\s*(.+?)\s*\|$", re.MULTILINE)
+"""The row of a card that says in a few words what the weights may be used for."""
+
 MOST_OF_CARD = 2**20
 """Bytes; ours: cards have thousands."""
 
@@ -97,6 +100,22 @@ def list_shipped_weights() -> list[str]:
     return sorted(path.stem for path in SHIPPED.glob("*.safetensors"))
 
 
+def weights_path(text: str) -> Path:
+    """The file that a setting names: a file, or else one that is shipped under that name."""
+    shipped = shipped_weights(text)
+    named = "/" not in text and not Path(text).exists() and shipped.exists()
+    return shipped if named else Path(text)
+
+
+def terms_of(path: Path) -> str:
+    """What weights may be used for, as the card beside them says; nothing where none does.
+
+    WeightsError for a card that cannot be read.
+    """
+    row = TERMS.search(_card_of(path))
+    return row[1] if row else ""
+
+
 def read_origin(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Where the weights of a file come from; WeightsError as for ``load_network``."""
     return _read(Path(path))[0]["origin"]
@@ -116,7 +135,9 @@ def corrected_pictures(settings: Mapping[str, Any]) -> int:
     """How many pictures that people corrected are behind a detector's settings; 0: label-free."""
     weights = settings.get("weights")
     file = weights.get("file") if isinstance(weights, Mapping) else None
-    return sum(int(one.get("pictures", 0)) for one in people_behind(file)) if file else 0
+    if not file:
+        return 0
+    return sum(int(one.get("pictures", 0)) for one in people_behind(weights_path(file)))
 
 
 def fill(network: nn.Module, tensors: Mapping[str, Tensor], path: str | os.PathLike[str]) -> None:
@@ -185,17 +206,22 @@ def _check_hashes(path: Path, header: Mapping[str, Any], tensors: Mapping[str, T
     if stated is not None and stated != tensors_hash(tensors):
         what = "is damaged: its weights are not those that its header states"
         raise WeightsError(path, what, "fetch or train it again")
+    row = STATED.search(_card_of(path))
+    if row is not None and row[1] != digest_of(path):
+        what = f"is not the file whose SHA-256 {path.stem}.md states"
+        raise WeightsError(path, what, "fetch it again, or remove the card")
+
+
+def _card_of(path: Path) -> str:
+    """The card beside a weight file; nothing where there is none."""
     card = path.with_suffix(".md")
     if not card.is_file():
-        return
+        return ""
     try:
-        row = STATED.search(read_regular(card, MOST_OF_CARD).decode(errors="replace"))
+        return read_regular(card, MOST_OF_CARD).decode(errors="replace")
     except OSError as problem:
         what = f"cannot be read: {problem.strerror}"
         raise WeightsError(card, what, "check the file, or remove it") from None
-    if row is not None and row[1] != digest_of(path):
-        what = f"is not the file whose SHA-256 {card.name} states"
-        raise WeightsError(path, what, "fetch it again, or remove the card")
 
 
 def _checked(path: Path, text: str | None) -> dict[str, Any]:
@@ -223,7 +249,9 @@ class WeightsFile(Settings):
     """Which weights a network has."""
 
     file: str = Field(
-        default="", description="weights of roadtorch train; empty: those that are shipped"
+        default="",
+        description="weights of roadtorch train, or the name of shipped ones, such as layout-free; "
+        "empty: those that the detector comes with",
     )
 
 
@@ -235,7 +263,7 @@ def network_of(weights: WeightsFile, shipped: str, kind: type[Network]) -> Netwo
     side by side in memory, as processors convolve them fastest.
     Raises WeightsError for a file that cannot be used, or holds another kind of network.
     """
-    path = weights.file or shipped_weights(shipped)
+    path = weights_path(weights.file or shipped)
     network = load_network(path)
     if not isinstance(network, kind):
         what = f"holds a network for {network.kind}, not for {kind.kind}"

@@ -1,12 +1,10 @@
 """What weights say of the people behind them, so that nothing they find is called label-free."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
-from roadtorch.layout.weights import people_behind
+from roadtorch.layout.weights import people_behind, weights_path
 from roadtorch.train.config import PictureTraining, Training
-from roadtorch.train.recipe import start_file
 
 
 def corrections_behind(training: Training) -> list[Mapping[str, Any]]:
@@ -14,10 +12,10 @@ def corrections_behind(training: Training) -> list[Mapping[str, Any]]:
 
     WeightsError for a weight file that cannot be used.
     """
-    files = [start_file(training.start)] if training.start else []
-    if isinstance(training, PictureTraining) and training.teacher.weights:
-        files.append(Path(training.teacher.weights))
-    found = [one for file in files for one in people_behind(file)]
+    names = [training.start]
+    if isinstance(training, PictureTraining):
+        names.append(training.teacher.weights)
+    found = [one for name in names if name for one in people_behind(weights_path(name))]
     return [one for number, one in enumerate(found) if one not in found[:number]]
 
 

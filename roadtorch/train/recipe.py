@@ -12,7 +12,7 @@ from roadtorch.data.corrections import Correction
 from roadtorch.errors import WeightsError
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
-from roadtorch.layout.weights import LayoutNetwork, load_network, shipped_weights
+from roadtorch.layout.weights import LayoutNetwork, load_network, weights_path
 from roadtorch.sources.pictures import Picture
 from roadtorch.train.arrays import Arrays
 from roadtorch.train.batches import ErrorFunction, Samples
@@ -226,21 +226,11 @@ def load_start(path: str, like: LayoutNetwork) -> LayoutNetwork | None:
     """
     if not path:
         return None
-    network = load_network(start_file(path))
+    network = load_network(weights_path(path))
     if network.settings != like.settings:
         what = "holds a network with other settings than this training"
         raise WeightsError(path, what, "give the same [network] settings, or leave start out")
     return network
-
-
-def start_file(start: str) -> Path:
-    """The weight file that ``start`` names: a file, or else one that is shipped."""
-    shipped = shipped_weights(start)
-    return (
-        shipped
-        if "/" not in start and not Path(start).exists() and shipped.exists()
-        else Path(start)
-    )
 
 
 def recipe_of(training: Training) -> Recipe:

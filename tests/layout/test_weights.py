@@ -19,6 +19,8 @@ from roadtorch.layout.weights import (
     read_origin,
     save_network,
     shipped_weights,
+    terms_of,
+    weights_path,
 )
 
 NETWORKS = [
@@ -169,7 +171,7 @@ def test_a_card_that_cannot_be_read_is_told(weights: Path, monkeypatch: pytest.M
         load_network(weights)
 
 
-@pytest.mark.parametrize("name", ["cnn-7", "layout"])
+@pytest.mark.parametrize("name", ["cnn-7", "layout", "layout-free"])
 def test_shipped_weights_are_what_their_cards_state(name: str, tmp_path: Path) -> None:
     path = shipped_weights(name)
     load_network(path)
@@ -181,6 +183,33 @@ def test_shipped_weights_are_what_their_cards_state(name: str, tmp_path: Path) -
     (tmp_path / path.name).write_bytes(data)
     with pytest.raises(WeightsError, match="states"):
         load_network(tmp_path / path.name)
+
+
+@pytest.mark.parametrize("name", ["cnn-7", "layout"])
+def test_the_card_of_shipped_weights_says_what_they_may_be_used_for(name: str) -> None:
+    assert "non-commercial" in terms_of(shipped_weights(name))
+
+
+def test_the_free_weights_may_be_used_for_anything_and_began_with_nothing_else() -> None:
+    path = shipped_weights("layout-free")
+    config = read_origin(path)["config"]
+
+    assert terms_of(path).startswith("anything: Apache-2.0")
+    assert config["start"] == config["teacher"]["weights"] == "runs/free-2/weights.safetensors"
+    assert read_origin(path)["pictures"] == 640 + 49
+
+
+def test_weights_without_a_card_state_no_terms(weights: Path) -> None:
+    assert terms_of(weights) == ""
+    weights.with_suffix(".md").write_text("# Mine\n\n| terms | anything |\n| sha256 | later |\n")
+    assert terms_of(weights) == "anything"
+
+
+def test_weights_are_named_by_their_file_or_by_the_name_of_shipped_ones(tmp_path: Path) -> None:
+    assert weights_path("layout") == shipped_weights("layout")
+    assert weights_path("./layout") == Path("layout")
+    assert weights_path("no-such-weights") == Path("no-such-weights")
+    assert weights_path(str(tmp_path / "mine.safetensors")) == tmp_path / "mine.safetensors"
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,6 @@ from roadtorch.train.corrections import (
     said_layout,
     said_planes,
 )
-from roadtorch.train.recipe import start_file
 from roadtorch.train.road_centre import SaidOdds, best_centre, fitted_centre
 from roadtorch.train.run import FUSION, Request, train
 from roadtorch.train.targets import Targets
@@ -220,13 +219,6 @@ def test_nothing_is_told_without_corrections_and_all_that_was_said_counts() -> N
     assert one is not None
     assert other is not None
     assert one["sha256"] != other["sha256"]
-
-
-def test_a_shipped_network_is_started_from_by_its_name(tmp_path: Path) -> None:
-    assert start_file("layout").name == "layout.safetensors"
-    assert start_file("layout").is_file()
-    assert start_file("./layout") == Path("layout")
-    assert start_file(str(tmp_path / "mine.safetensors")) == tmp_path / "mine.safetensors"
 
 
 def test_the_centre_is_where_people_part_road_from_background() -> None:
