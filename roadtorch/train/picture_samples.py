@@ -1,6 +1,7 @@
 """The samples of networks for whole pictures: varied pictures with their targets. Ours."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -19,6 +20,10 @@ from roadtorch.train.generators import PICTURE_ORDER, VARIATION, generator_at
 from roadtorch.train.processes import Processes
 from roadtorch.train.targets import PLANES, Targets, targets_of
 from roadtorch.train.variation import at_night, draw_frames, reframed, relit, resurfaced, shaded
+
+KEPT = 600
+"""Archives, of about 150 KB each, that stay in memory: corrected pictures are visited again and
+again, and unpacking one takes 2 ms."""
 
 
 class Prepared(NamedTuple):
@@ -44,6 +49,7 @@ class PictureSamples:
     ) -> None:
         self._prepared, self._round = prepared, number
         self._training, self._processes = training, processes
+        self._read = lru_cache(KEPT)(read_arrays)
 
     @property
     def chunks(self) -> int:
@@ -78,17 +84,17 @@ class PictureSamples:
     def _one(self, member: int, frame: Tensor, seed: int) -> tuple[Tensor, Tensor]:
         """One varied picture (1,3,H,W), normalised, and its targets (1,8,H,W)."""
         training, at = self._training, torch.Generator().manual_seed(seed)
-        arrays = read_arrays(self._prepared.files[member], "image", "maps", "ego")
+        arrays = self._read(self._prepared.files[member], "image", "maps", "ego")
         arrays = {name: from_bytes(values)[None] for name, values in arrays.items()}
         network = None
         if self._prepared.labels:
-            network = from_bytes(read_arrays(self._prepared.labels[member], "maps")["maps"])[None]
+            network = from_bytes(self._read(self._prepared.labels[member], "maps")["maps"])[None]
         targets = targets_of(
             arrays["maps"], arrays["ego"][None], network, training.teacher, training.rounds
         )
         said = self._prepared.said.get(self._prepared.files[member])
         if said is not None:
-            planes = from_bytes(read_arrays(said, "said")["said"])[None]
+            planes = from_bytes(self._read(said, "said")["said"])[None]
             targets = corrected_targets(targets, planes, training.corrections.weight)
         seen = reframed(torch.cat(targets, 1), frame, "zeros")
         image = reframed(arrays["image"], frame, "border")
