@@ -7,9 +7,9 @@
 A curve has a pool, from which pictures are corrected, and a test part that training never sees.
 "Corrected" is what "right as it is" leaves behind: road, not road and void of every pixel, no
 layout. The rest of the pool has machine labels. IDD: 150 pictures of the pool and 100 others. A
-CamVid drive: the pool is its first part, the test begins 60 s after it (0001TP lasts 61 s in all,
-so it was for choosing settings and is not reported). A folder of many/: every second picture; they
-are no recordings. What matters first is run first (``STAGES``). A line a run is appended to
+CamVid drive: the pool is its first part, the test begins 60 s after it (0001TP lasts 61 s in all:
+it is for choosing settings, ``choose_corrections.py``). A folder of many/: every second picture;
+they are no recordings. What matters first is run first (``STAGES``). A line a run is appended to
 ``--runs``, with the commit and a mark of all settings that it was made with; what was made with the
 same is not run again, what was made with others never stands beside it. ``--budget`` starts no run
 after so many minutes. CNN-7: ``--config configs/corrections-cnn7.toml --label cnn-7``; its "road
@@ -96,7 +96,7 @@ class Curve:
 
 
 def curves(data: Path) -> Iterator[Curve]:
-    """All curves, those that are reported first."""
+    """The curves that are reported."""
     idd = open_dataset("idd-lite", data / "idd_lite")
     parts = [[item for i, item in enumerate(idd.items) if (i % 5 < 3) == here] for here in (1, 0)]
     yield Curve("idd", idd, *parts)
@@ -105,9 +105,6 @@ def curves(data: Path) -> Iterator[Curve]:
         yield drive_curve(camvid, drive, gap)
     many = open_dataset("folder", data / "many")
     for folder in MANY:
-        yield folder_curve(many, folder)
-    yield drive_curve(camvid, "0001TP", 10.0)
-    for folder in ("dn_bdd_drivable", "cityscapes"):
         yield folder_curve(many, folder)
 
 
@@ -149,6 +146,7 @@ class Study:
     file: Path
     values: dict[str, Any]
     label: str
+    commit: str = ""
 
     @property
     def mark(self) -> str:
@@ -174,10 +172,10 @@ class Study:
         training = build_training(merge(self.values, {"random_seed": draw}))
         own: dict[str, Any] = {"weights": {"file": str(self._shipped(training))}}
         if people:
-            own = self._trained(curve, people, training)
+            own = self.trained(curve, people, training)
         line = {**key, **score(load_detector(DETECTORS[training.name][0], **own), curve)}
         line |= {"corrected": [one.name for one in people], "made_with": self.mark}
-        line |= {"commit": commit(), "seconds": round(time.monotonic() - start, 1)}
+        line |= {"commit": self.commit, "seconds": round(time.monotonic() - start, 1)}
         with self.file.open("a") as file:
             file.write(json.dumps(line) + "\n")
         told = (f"{name} {line[name]:.4f}" for name in ("maxf", "f", "head"))
@@ -186,7 +184,7 @@ class Study:
     def _shipped(self, training: Training) -> Path:
         return shipped_weights(DETECTORS[training.name][1])
 
-    def _trained(
+    def trained(
         self, curve: Curve, people: Sequence[Correction], training: Training
     ) -> dict[str, Any]:
         """Settings of the detector that a training leaves behind."""
@@ -282,7 +280,7 @@ def main() -> None:
     parser.add_argument("--label", default="", help="name of the settings, where they are tried")
     given = parser.parse_args()
     values = merge(read_settings_file(given.config), parse_assignments(given.assignments))
-    study = Study(given.out, given.runs, values, given.label)
+    study = Study(given.out, given.runs, values, given.label, commit())
     if given.what == "table":
         print(table(study.done()))
     elif given.what == "figure":
