@@ -17,10 +17,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
+from torch import Tensor
+from torch.nn.functional import max_pool2d
 
 from roadtorch.annotate.next_pictures import RULES
 from roadtorch.data.catalogue import open_dataset
+from roadtorch.detector import Detector
 from roadtorch.detectors.catalogue import load_detector
+from roadtorch.evaluation.scoring import read_scene
 from roadtorch.settings import merge, parse_assignments, read_settings_file
 from roadtorch.train.config import build_training
 from train.study_corrections import (
@@ -36,6 +40,7 @@ from train.study_corrections import (
 
 NEAR = 10.0  # seconds between the two parts of 0001TP
 FOLDERS = ("dn_bdd_drivable", "cityscapes", "dn_cassed", "dn_tas500")
+OUTLINE = 2  # pixels
 DETAILS = (0.5, 1.0, 2.0, 3.0)
 CENTRES: tuple[dict[str, float], ...] = ({}, {"centre": 0.0, "own": 0.0})
 
@@ -60,17 +65,39 @@ def choosing_curves(data: Path) -> Iterator[Curve]:
         yield folder_curve(many, folder)
 
 
-def tried(study: Study, curve: Curve, count: int) -> list[Tried]:
-    """Train from so many random pictures, and score every way to trust what was learned."""
+def learned(study: Study, curve: Curve, count: int) -> dict[str, Any]:
+    """Settings of ``fusion`` after so many random pictures."""
     places = RULES["random"](study.candidates(curve), [], count, 0)
     people = [corrected(curve.dataset, curve.pool[place]) for place in places]
-    weights = study.trained(curve, people, build_training(study.values))["weights"]
+    return study.trained(curve, people, build_training(study.values))
+
+
+def tried(weights: dict[str, Any], curve: Curve) -> list[Tried]:
+    """The scores of every way to trust what was learned."""
     found = []
     for detail, calibration in product(DETAILS, CENTRES):
         own: dict[str, Any] = {"learned": {"detail": detail}, "calibration": calibration}
         told = score(load_detector("fusion", weights=weights, **own), curve)
         found.append(Tried(detail, calibration, told["maxf"], told["f"]))
     return found
+
+
+def outline_share(detector: Detector, curve: Curve) -> float:
+    """Share of the wrong pixels that are at most ``OUTLINE`` pixels from an outline of the road."""
+    near, all_wrong = 0, 0
+    for item in curve.test:
+        scene = read_scene(curve.dataset, item)
+        road, valid = scene.truth.road, scene.truth.valid
+        wrong = (detector.detect(scene.image).mask != road) & valid
+        near += int((wrong & at_outline(road, OUTLINE)).sum())
+        all_wrong += int(wrong.sum())
+    return near / max(1, all_wrong)
+
+
+def at_outline(road: Tensor, reach: int) -> Tensor:
+    """Where road or other ground, bool (H,W), is at most so many pixels away from the other."""
+    window, both = 2 * reach + 1, torch.stack([road, ~road]).to(torch.float32)
+    return max_pool2d(both, window, 1, reach).min(0).values > 0
 
 
 def row(name: str, count: int, found: Sequence[Tried]) -> str:
@@ -97,7 +124,10 @@ def main() -> None:
         if curve.name in (given.curves or (curve.name,)) and given.count <= len(curve.pool):
             shipped = score(load_detector("fusion"), curve)
             print(f"{curve.name}: shipped {shipped['maxf']:.3f} / {shipped['f']:.3f}", flush=True)
-            print(row(curve.name, given.count, tried(study, curve, given.count)), flush=True)
+            own = learned(study, curve, given.count)
+            print(row(curve.name, given.count, tried(own["weights"], curve)))
+            share = outline_share(load_detector("fusion", **own), curve)
+            print(f"{share:.0%} of the wrong pixels within {OUTLINE} of an outline", flush=True)
 
 
 if __name__ == "__main__":

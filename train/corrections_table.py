@@ -12,7 +12,7 @@ from torch import Tensor
 
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.metrics import Decisions
-from roadtorch.report.page.svg import COLOURS, to_svg
+from roadtorch.report.page.svg import COLOURS, PAPER, to_svg
 
 REPLICATES = 2000
 
@@ -92,6 +92,7 @@ def draw_curves(runs: Runs) -> str:
             lines[about][count] = [one["f"] for one in own]
 
     def draw(figure: Figure) -> None:
+        figure.set_facecolor(PAPER)  # it stands by itself
         axes = figure.subplots()
         for place, (about, line) in enumerate(lines.items()):
             _draw_line(axes, about, line, COLOURS[place % len(COLOURS)])
