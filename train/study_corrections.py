@@ -43,7 +43,7 @@ from roadtorch.files import digest_of, write_text
 from roadtorch.layout.weights import shipped_weights
 from roadtorch.settings import merge, parse_assignments, read_settings_file
 from roadtorch.train.config import Training, as_values, build_training
-from roadtorch.train.corrected_fusion import trusted
+from roadtorch.train.corrected_fusion import trust_settings
 from roadtorch.train.run import FUSION, Request, train
 from train.corrections_table import draw_curves, pooled_f, table
 
@@ -152,7 +152,7 @@ class Study:
     def mark(self) -> str:
         """Of all settings on which a run depends, but for its seed, and of the first weights."""
         training = build_training(self.values)
-        known = [as_values(training), trusted(1.0), digest_of(self._shipped(training))]
+        known = [as_values(training), trust_settings(1.0), digest_of(self._shipped(training))]
         known[0].pop("random_seed")
         return sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()[:12]
 

@@ -26,7 +26,7 @@ def pictures_said(corrections: Sequence[Correction]) -> float:
     return float(sum(((road == ROAD_SAID) | (road == NOT_ROAD)).mean() for road in roads))
 
 
-def trusted(pictures: float) -> dict[str, Any]:
+def trust_settings(pictures: float) -> dict[str, Any]:
     """Settings of ``fusion`` after so many corrected pictures (> 0).
 
     The detail grows as a mean does that is drawn to nothing known: n / (n + HALFWAY). True labels
@@ -48,7 +48,7 @@ def write_corrected(path: Path, weights: Path, corrections: Sequence[Correction]
     lines = [
         f"# From {len(corrections)} pictures that people corrected: not label-free.",
         'detector = "fusion"',
-        *toml_lines({"weights": {"file": str(weights.resolve())}, **trusted(said)}),
+        *toml_lines({"weights": {"file": str(weights.resolve())}, **trust_settings(said)}),
     ]
     write_text(path, "\n".join([*lines, ""]))
     return True

@@ -23,7 +23,7 @@ from roadtorch.train.corrected_fusion import (
     HALFWAY,
     MOST,
     pictures_said,
-    trusted,
+    trust_settings,
     write_corrected,
 )
 from roadtorch.train.corrections import (
@@ -237,14 +237,14 @@ def test_a_shipped_network_is_started_from_by_its_name(tmp_path: Path) -> None:
 def test_a_network_is_trusted_more_the_more_of_pictures_was_corrected(tmp_path: Path) -> None:
     whole, half = correction(np.full((8, 8), NOT_ROAD)), correction(quarters())
     assert pictures_said([whole, half]) == 1.75  # sky is not road
-    few, many = (trusted(count)["learned"]["detail"] for count in (5, 50))
+    few, many = (trust_settings(count)["learned"]["detail"] for count in (5, 50))
     assert (few, many) == (MOST * 5 / 15, MOST * 50 / 60)
-    assert trusted(HALFWAY)["learned"]["detail"] == MOST / 2
+    assert trust_settings(HALFWAY)["learned"]["detail"] == MOST / 2
 
     file = tmp_path / "fusion.toml"
     assert write_corrected(file, tmp_path / "weights.safetensors", [whole, half])
     values = read_settings_file(file)
-    assert values["learned"] == trusted(1.75)["learned"]
+    assert values["learned"] == trust_settings(1.75)["learned"]
     assert values["calibration"] == {"centre": 0.0, "own": 0.0}
     load_detector("fusion", learned=values["learned"], calibration=values["calibration"])
 
