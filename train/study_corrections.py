@@ -1,31 +1,34 @@
 """What corrected pictures buy: learning curves simulated with true labels, by rule and draw.
 
-    python train/study_corrections.py run ../shared/data --out out/corrections --budget 8
-    python train/study_corrections.py table --out out/corrections
+    python train/study_corrections.py run ../shared/data --budget 8
+    python train/study_corrections.py table
+    python train/study_corrections.py figure --figure docs/corrections.svg
 
 A curve has a pool, from which pictures are corrected, and a test part that training never sees.
 "Corrected" is what "right as it is" leaves behind: road, not road and void of every pixel, no
 layout. The rest of the pool has machine labels. IDD: 150 pictures of the pool and 100 others. A
-CamVid drive: the pool is its first part, the test begins 60 s after it (0001TP lasts 61 s in all,
-so it was for choosing settings and is not reported). A folder of many/: every second picture; they
-are no recordings. A line a run is appended to OUT/runs.jsonl, and what is there is not run again;
-``--budget`` starts no run after so many minutes. CNN-7: ``--config configs/corrections-cnn7.toml
---label cnn-7``; its "road head" is the detector itself.
+CamVid drive: the pool is its first part, the test begins 60 s after it (0001TP lasts 61 s in all:
+it is for choosing settings, ``choose_corrections.py``). A folder of many/: every second picture;
+they are no recordings. What matters first is run first (``STAGES``). A line a run is appended to
+``--runs``, with the commit and a mark of all settings that it was made with; what was made with the
+same is not run again, what was made with others never stands beside it. ``--budget`` starts no run
+after so many minutes. CNN-7: ``--config configs/corrections-cnn7.toml --label cnn-7``; its "road
+head" is the detector itself.
 """
 
 import argparse
 import json
 import time
-from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from shutil import rmtree
-from typing import Any
+from subprocess import run as run_command
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from roadtorch.annotate.next_pictures import RULES, Candidates, picture_features
 from roadtorch.data.catalogue import open_dataset
@@ -33,24 +36,50 @@ from roadtorch.data.corrections import Correction
 from roadtorch.data.dataset import Dataset, Item
 from roadtorch.detector import Detector
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.detectors.fusion import RoadCalibration
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.metrics import Decisions, RoadCounts
+from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.scoring import read_scene
+from roadtorch.files import digest_of, write_text
 from roadtorch.layout.weights import shipped_weights
 from roadtorch.settings import merge, parse_assignments, read_settings_file
-from roadtorch.train.config import Training, build_training
+from roadtorch.train.config import Training, as_values, build_training
+from roadtorch.train.corrected_fusion import trust_settings
 from roadtorch.train.run import FUSION, Request, train
+from train.corrections_table import draw_curves, pooled_f, table
 
 CONFIG = Path(__file__).parents[1] / "configs" / "corrections.toml"
+RUNS = Path(__file__).with_name("corrections.jsonl")
 DETECTORS = {"pictures": ("fusion", "layout"), "patches": ("layout:cnn-7", "cnn-7")}
 """The detector that is scored, and the weights of no correction, by the kind of training."""
-COUNTS, DRAWS = (5, 10, 20, 50), 5
 GAP = 60.0  # seconds between the last picture that may be corrected and the first of the test
 RATE = 30.0  # CamVid's frames a second
 MANY = ("dn_cityscapes", "dn_makassar", "ycor")
 LEVELS = 1024
-REPLICATES = 2000
+
+
+class Stage(NamedTuple):
+    """Runs that are made together: these curves, rules and numbers, so many draws of each."""
+
+    curves: Sequence[str]
+    rules: Sequence[str]
+    counts: Sequence[int]
+    draws: int
+
+
+REPORTED = ("idd", "0016E5", "0006R0", *MANY)
+ONE = ("random",)
+STAGES = (
+    Stage(REPORTED, ONE, (0,), 1),
+    Stage(("idd", "0016E5", "0006R0", "ycor"), ONE, (20,), 1),
+    Stage(("idd",), ONE, (5, 50, 10), 1),
+    Stage(("dn_cityscapes", "dn_makassar"), ONE, (5,), 1),
+    Stage(("idd",), tuple(RULES), (20,), 3),
+    Stage(("0016E5",), ONE, (20, 5), 2),
+    Stage(("idd",), ONE, (5, 10, 50), 3),
+    Stage(("idd",), tuple(RULES), (20,), 5),
+    Stage(REPORTED, tuple(RULES), (20, 5, 10, 50), 5),
+)
+"""What is run, in this order; what an earlier stage made is not made again."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +96,7 @@ class Curve:
 
 
 def curves(data: Path) -> Iterator[Curve]:
-    """All curves, those that are reported first."""
+    """The curves that are reported."""
     idd = open_dataset("idd-lite", data / "idd_lite")
     parts = [[item for i, item in enumerate(idd.items) if (i % 5 < 3) == here] for here in (1, 0)]
     yield Curve("idd", idd, *parts)
@@ -76,9 +105,6 @@ def curves(data: Path) -> Iterator[Curve]:
         yield drive_curve(camvid, drive, gap)
     many = open_dataset("folder", data / "many")
     for folder in MANY:
-        yield folder_curve(many, folder)
-    yield drive_curve(camvid, "0001TP", 10.0)
-    for folder in ("dn_bdd_drivable", "cityscapes"):
         yield folder_curve(many, folder)
 
 
@@ -114,23 +140,28 @@ def corrected(dataset: Dataset, item: Item) -> Correction:
 
 @dataclass(frozen=True)
 class Study:
-    """Where runs are kept, with which settings they train, and what they are called."""
+    """Where runs are kept, and the settings they train with, which ``label`` names."""
 
     out: Path
-    config: Path
-    assignments: Sequence[str]
+    file: Path
+    values: dict[str, Any]
     label: str
+    commit: str = ""
 
     @property
-    def file(self) -> Path:
-        """One line of JSON a run."""
-        return self.out / "runs.jsonl"
+    def mark(self) -> str:
+        """Of all settings on which a run depends, but for its seed, and of the first weights."""
+        training = build_training(self.values)
+        known = [as_values(training), trust_settings(1.0), digest_of(self._shipped(training))]
+        known[0].pop("random_seed")
+        return sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()[:12]
 
     def done(self) -> list[dict[str, Any]]:
-        """The runs that were made."""
-        return (
-            list(map(json.loads, self.file.read_text().splitlines())) if self.file.exists() else []
-        )
+        """The runs that were made with these settings; others are left out."""
+        if not self.file.exists():
+            return []
+        runs = map(json.loads, self.file.read_text().splitlines())
+        return [one for one in runs if one.get("made_with") == self.mark]
 
     def run(self, curve: Curve, rule: str, count: int, draw: int) -> None:
         """Correct so many pictures of the pool, train, score, and append a line."""
@@ -138,36 +169,36 @@ class Study:
         key = {"curve": curve.name, "label": self.label, "rule": rule, "n": count, "draw": draw}
         places = RULES[rule](self.candidates(curve), [], count, draw) if count else []
         people = [corrected(curve.dataset, curve.pool[place]) for place in places]
-        values = merge(read_settings_file(self.config), parse_assignments(self.assignments))
-        training = build_training(merge(values, {"random_seed": draw}))
-        detector, shipped = DETECTORS[training.name]
-        weights, centre = shipped_weights(shipped), RoadCalibration().centre
+        training = build_training(merge(self.values, {"random_seed": draw}))
+        own: dict[str, Any] = {"weights": {"file": str(self._shipped(training))}}
         if people:
-            weights = self._trained(curve, people, training)
-        own: dict[str, Any] = {"weights": {"file": str(weights)}}
-        found = moved = score(load_detector(detector, **own), curve)
-        if people and training.name == "pictures":
-            centre = read_settings_file(weights.with_name(FUSION))["calibration"]["centre"]
-            moved = score(load_detector(detector, **own, calibration={"centre": centre}), curve)
-        line = {**key, "centre": centre, **found, "f_centre": moved["f"]}
-        line |= {"counts_centre": moved["counts"], "corrected": [one.name for one in people]}
-        line["seconds"] = round(time.monotonic() - start, 1)
+            own = self.trained(curve, people, training)
+        line = {**key, **score(load_detector(DETECTORS[training.name][0], **own), curve)}
+        line |= {"corrected": [one.name for one in people], "made_with": self.mark}
+        line |= {"commit": self.commit, "seconds": round(time.monotonic() - start, 1)}
         with self.file.open("a") as file:
             file.write(json.dumps(line) + "\n")
-        print(*key.values(), *(f"{name} {line[name]:.4f}" for name in SHOWN), flush=True)
+        told = (f"{name} {line[name]:.4f}" for name in ("maxf", "f", "head"))
+        print(*key.values(), *told, line["seconds"], flush=True)
 
-    def _trained(self, curve: Curve, people: Sequence[Correction], training: Training) -> Path:
+    def _shipped(self, training: Training) -> Path:
+        return shipped_weights(DETECTORS[training.name][1])
+
+    def trained(
+        self, curve: Curve, people: Sequence[Correction], training: Training
+    ) -> dict[str, Any]:
+        """Settings of the detector that a training leaves behind."""
         pictures, out = self._pictures(curve), self.out / "run"
         if out.exists():
             rmtree(out)  # of the last run of this script; its line is kept
-        request = Request(str(pictures), out, False, self._prepared(curve, training), True)
-        outcome = train(training, Request(**{**vars(request), "corrections": people}))
+        prepared = self.out / curve.name / f"prepared-{training.name}"
+        outcome = train(training, Request(str(pictures), out, False, prepared, True, people))
         if outcome.weights is None:
             raise KeyboardInterrupt
-        return outcome.weights
-
-    def _prepared(self, curve: Curve, training: Training) -> Path:
-        return self.out / curve.name / f"prepared-{training.name}"
+        if training.name == "patches":
+            return {"weights": {"file": str(outcome.weights)}}
+        settings = read_settings_file(outcome.weights.with_name(FUSION))
+        return {key: value for key, value in settings.items() if key != "detector"}
 
     def _pictures(self, curve: Curve) -> Path:
         """A folder with links to the pool."""
@@ -196,7 +227,17 @@ class Study:
             return Candidates(*(torch.from_numpy(known[name]) for name in ("trust", "features")))
 
 
-SHOWN = ("maxf", "f", "f_centre", "head", "centre")
+def commit() -> str:
+    """The commit of the program, with a + where files differ from it."""
+    here = Path(__file__).parent
+    told = run_command(
+        ["git", "describe", "--always", "--dirty=+", "--match", "nothing"],
+        cwd=here,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return told.stdout.strip()
 
 
 def score(detector: Detector, curve: Curve) -> dict[str, Any]:
@@ -220,92 +261,63 @@ def best(counts: Sequence[RoadCounts]) -> float:
     return float(metrics.max_f(total)[0])
 
 
-def pooled_f(counts: Tensor) -> Tensor:
-    """F (b,) of pictures' true and false positives and false negatives (b,n,3) together."""
-    hit, false, missed = counts.sum(1).unbind(-1)
-    return metrics.f_measure(Decisions(hit, false, missed, torch.zeros_like(hit)))
-
-
-# --- tables -----------------------------------------------------------------------------
-
-
-def table(runs: Sequence[dict[str, Any]]) -> str:
-    """A row for every curve, rule and number: means over draws and intervals of the gains in F.
-
-    The intervals (95 %) draw draws and test pictures anew, the same pictures before and after.
-    """
-    base = {(one["curve"], one["label"]): one for one in runs if one["n"] == 0}
-    cells: dict[tuple[str, str, str, int], list[dict[str, Any]]] = defaultdict(list)
-    for one in runs:
-        cells[one["curve"], one["label"], one["rule"], one["n"]].append(one)
-    lines = ["| pictures | rule | n | draws | MaxF | road head | F | F, centre refitted | gain |"]
-    lines.append("|---|---|---|---|---|---|---|---|---|")
-    for (curve, label, rule, count), own in cells.items():
-        means = [np.mean([one[name] for one in own]) for name in ("maxf", "head", "f", "f_centre")]
-        known = base.get((curve, label))
-        gain = told_gain(known, own) if known and count else ""
-        about = " ".join(filter(None, (curve, label)))
-        shown = " | ".join(f"{mean:.3f}" for mean in means)
-        lines.append(
-            f"| {about} | {rule if count else ''} | {count} | {len(own)} | {shown} | {gain} |"
-        )
-    return "\n".join(lines)
-
-
-def told_gain(before: dict[str, Any], after: Sequence[dict[str, Any]]) -> str:
-    """Gain in F with the refitted centre over the shipped weights, with its interval."""
-    generator = torch.Generator().manual_seed(0)
-    old = torch.tensor(before["counts"], dtype=torch.float64)
-    new = torch.tensor([one["counts_centre"] for one in after], dtype=torch.float64)
-    drawn = torch.randint(len(old), (REPLICATES, len(old)), generator=generator)
-    which = torch.randint(len(new), (REPLICATES, len(new)), generator=generator)
-    f = torch.stack([pooled_f(run[drawn]) for run in new], 1)
-    gains = f.gather(1, which).mean(1) - pooled_f(old[drawn])
-    low, high = gains.quantile(torch.tensor([0.025, 0.975], dtype=torch.float64)).tolist()
-    value = np.mean([one["f_centre"] for one in after]) - before["f"]
-    return f"{value:+.3f} ({low:+.3f} to {high:+.3f})"
+# --- all of them ------------------------------------------------------------------------
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="What do corrected pictures buy?")
-    parser.add_argument("what", choices=("run", "table"))
+    parser.add_argument("what", choices=("run", "table", "figure"))
     parser.add_argument("data", type=Path, nargs="?", help="holds idd_lite/, camvid/ and many/")
-    parser.add_argument("--out", type=Path, default=Path("out/corrections"))
-    parser.add_argument("--curves", nargs="+", help="all that are reported if not given")
+    parser.add_argument("--out", type=Path, default=Path("out/corrections"), help="to work in")
+    parser.add_argument("--runs", type=Path, default=RUNS, help="a line a run")
+    parser.add_argument("--figure", type=Path, default=Path("docs/corrections.svg"))
+    parser.add_argument("--curves", nargs="+", help="only these of the stages'")
     parser.add_argument("--rules", nargs="+", default=list(RULES), choices=list(RULES))
-    parser.add_argument("--counts", nargs="+", type=int, default=COUNTS)
-    parser.add_argument("--draws", type=int, default=DRAWS)
+    parser.add_argument("--counts", nargs="+", type=int, help="only these of the stages'")
     parser.add_argument("--budget", type=float, default=1e9, help="minutes")
     parser.add_argument("--config", type=Path, default=CONFIG, help="of training")
     parser.add_argument("--set", dest="assignments", nargs="+", default=[], help="of training")
     parser.add_argument("--label", default="", help="name of the settings, where they are tried")
     given = parser.parse_args()
-    study = Study(given.out, given.config, given.assignments, given.label)
+    values = merge(read_settings_file(given.config), parse_assignments(given.assignments))
+    study = Study(given.out, given.runs, values, given.label, commit())
     if given.what == "table":
         print(table(study.done()))
-        return
-    torch.set_num_threads(1)
-    run_all(study, given)
+    elif given.what == "figure":
+        write_text(given.figure, draw_curves(study.done()))
+    else:
+        torch.set_num_threads(1)
+        run_all(study, given)
 
 
 def run_all(study: Study, given: argparse.Namespace) -> None:
-    """Every run that is asked for and not there yet, all draws of few pictures first."""
+    """Every run that is asked for and not there yet, by stages."""
     study.out.mkdir(parents=True, exist_ok=True)
     end = time.monotonic() + 60 * given.budget
+    known = {curve.name: curve for curve in curves(given.data)}
     keys = ("curve", "label", "rule", "n", "draw")
-    for curve in curves(given.data):
-        if curve.name not in (given.curves or ("idd", "0016E5", "0006R0", *MANY)):
+    done = {tuple(one[key] for key in keys) for one in study.done()}
+    for name, rule, count, draw in wanted(STAGES):
+        key = (name, study.label, rule, count, draw)
+        asked = name in (given.curves or known) and rule in given.rules
+        asked = asked and count in (given.counts or (count,))
+        if not asked or key in done or count > len(known[name].pool):
             continue
-        wanted = [("random", 0, 0)]
-        wanted += [(r, n, d) for d in range(given.draws) for n in given.counts for r in given.rules]
-        for rule, count, draw in wanted:
-            done = {tuple(one[key] for key in keys) for one in study.done()}
-            # Without chance in a rule every draw corrects the same pictures; training differs.
-            if (curve.name, study.label, rule, count, draw) in done or count > len(curve.pool):
-                continue
-            if time.monotonic() > end:
-                return
-            study.run(curve, rule, count, draw)
+        if time.monotonic() > end:
+            return
+        study.run(known[name], rule, count, draw)
+        done.add(key)
+
+
+def wanted(stages: Sequence[Stage]) -> Iterator[tuple[str, str, int, int]]:
+    """Curve, rule, number and draw of the stages' runs, one draw of all before the next."""
+    for stage in stages:
+        for draw in range(stage.draws):
+            for count in stage.counts:
+                for name in stage.curves:
+                    for rule in stage.rules:
+                        # Without chance in a rule every draw corrects the same; training differs.
+                        yield name, rule, count, draw
 
 
 if __name__ == "__main__":

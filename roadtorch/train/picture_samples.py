@@ -10,7 +10,7 @@ from torch import Tensor
 
 from roadtorch.layout.classes import HORIZONTAL, SKY
 from roadtorch.layout.normalisation import normalise
-from roadtorch.train.arrays import from_bytes, kept_arrays, read_arrays
+from roadtorch.train.arrays import from_bytes, kept_arrays
 from roadtorch.train.batches import Batch
 from roadtorch.train.config import PictureTraining
 from roadtorch.train.corrections import corrected_targets
@@ -89,7 +89,7 @@ class PictureSamples:
         )
         said = self._prepared.said.get(self._prepared.files[member])
         if said is not None:
-            planes = from_bytes(read_arrays(said, "said")["said"])[None]
+            planes = from_bytes(self._read(said, "said")["said"])[None]
             targets = corrected_targets(targets, planes, training.corrections.weight)
         seen = reframed(torch.cat(targets, 1), frame, "zeros")
         image = reframed(arrays["image"], frame, "border")

@@ -20,6 +20,7 @@ from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.train.average import AverageWeights
 from roadtorch.train.cards import card_of, corrections_behind
 from roadtorch.train.config import Training, as_values
+from roadtorch.train.corrected_fusion import write_corrected
 from roadtorch.train.corrections import corrections_by_picture, corrections_told, keep_corrections
 from roadtorch.train.folder import CHECKPOINT, NO_CHECKPOINT, WEIGHTS, RunFolder, config_hash
 from roadtorch.train.loop import (
@@ -33,7 +34,6 @@ from roadtorch.train.loop import (
 from roadtorch.train.prepared import PreparedFolder, PreparedPicture
 from roadtorch.train.processes import join_processes
 from roadtorch.train.recipe import PreparedFiles, Recipe, recipe_of
-from roadtorch.train.road_centre import write_calibrated
 from roadtorch.version import __version__
 
 PREPARED, SAID = "prepared", "corrections"
@@ -115,7 +115,7 @@ class _Run:
             if not progress.finished:
                 return Outcome(None, stop.signal or SIGTERM, skipped)
             if progress.round + 1 == self.recipe.rounds:
-                self._calibrate(list(people.values()))
+                self._trust(list(people.values()))
                 return Outcome(folder.path / WEIGHTS, None, skipped)
             progress.begin_round(progress.round + 1)
 
@@ -155,12 +155,12 @@ class _Run:
         own = self.context.folder.path / SAID / f"process-{self.context.processes.rank}"
         return keep_corrections(own, people, self.recipe.shrink) if people else {}
 
-    def _calibrate(self, people: Sequence[Correction]) -> None:
+    def _trust(self, people: Sequence[Correction]) -> None:
         """A config of ``fusion`` beside the weights, where corrections say what road is."""
         weights = self.context.folder.path / WEIGHTS
         whole = self.config["kind"] == PictureNetwork.kind
         if people and whole and self.context.processes.leads:
-            write_calibrated(weights.with_name(FUSION), weights, people)
+            write_corrected(weights.with_name(FUSION), weights, people)
 
     def _round(
         self, files: PreparedFiles, progress: TrainingProgress, state: dict[str, Any] | None

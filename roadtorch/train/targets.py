@@ -56,7 +56,7 @@ def targets_of(
     if network is not None:
         other, other_road = network[:, :CLASSES], network[:, ROAD : ROAD + 1]
         if rounds.combine == "agreement":
-            agree = (layout.argmax(1, True) == other.argmax(1, True)).to(road)
+            agree = (best_class(layout) == best_class(other)).to(road)
             agree_road = ((road >= 0.5) == (other_road >= 0.5)).to(road)
         own = {"network": 0.0, "teacher": 1.0}.get(rounds.combine, 0.5)
         layout, road = torch.lerp(other, layout, own), torch.lerp(other_road, road, own)
@@ -69,6 +69,14 @@ def targets_of(
     street = (ego < 0.5 + KNOWN).to(road)
     known_road = torch.maximum(sure_road * agree_road, 1 - street)
     return Targets(layout, sure * agree * street, road * street, known_road, ego, sure_ego)
+
+
+def best_class(layout: Tensor) -> Tensor:
+    """The class int64 (B,1,H,W) that leads in potentials (B,3,H,W).
+
+    ``argmax`` says the same, ten times slower where the classes are not the last dimension.
+    """
+    return layout.max(1, keepdim=True).indices
 
 
 def centred_as(likelihood: Tensor, settings: Teacher) -> Tensor:
@@ -104,7 +112,7 @@ class PictureError:
         small = F.adaptive_avg_pool2d(batch.targets, scores.shape[-2:])
         targets = Targets(*small.split(PLANES, 1))
         if self._targets == "hard":
-            best = F.one_hot(targets.layout.argmax(1), CLASSES).permute(0, 3, 1, 2)
+            best = F.one_hot(best_class(targets.layout)[:, 0], CLASSES).permute(0, 3, 1, 2)
             road = (targets.road >= 0.5).to(targets.road)
             targets = targets._replace(layout=best.to(targets.layout), road=road)
         return target_error(scores, targets, self._weights)

@@ -14,12 +14,18 @@ from roadtorch.annotate.work import open_work
 from roadtorch.cli.train import train as command_of_train
 from roadtorch.data.corrections import Correction
 from roadtorch.data.journal import JournalHead, journal_path
-from roadtorch.detectors.fusion import RoadCalibration
+from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.evaluation.metrics import count_levels
 from roadtorch.layout.weights import corrected_pictures, people_behind
 from roadtorch.settings import read_settings_file
 from roadtorch.train.config import Training
+from roadtorch.train.corrected_fusion import (
+    HALFWAY,
+    MOST,
+    pictures_said,
+    trust_settings,
+    write_corrected,
+)
 from roadtorch.train.corrections import (
     LabelledSites,
     corrected_shares,
@@ -30,7 +36,7 @@ from roadtorch.train.corrections import (
     said_layout,
     said_planes,
 )
-from roadtorch.train.road_centre import SaidOdds, best_centre, fitted_centre
+from roadtorch.train.recipe import start_file
 from roadtorch.train.run import FUSION, Request, train
 from roadtorch.train.targets import Targets
 from tests.train.runs import PATCHES, request_of, training_of, write_config
@@ -221,23 +227,30 @@ def test_nothing_is_told_without_corrections_and_all_that_was_said_counts() -> N
     assert one["sha256"] != other["sha256"]
 
 
-def test_the_centre_is_where_people_part_road_from_background() -> None:
-    odds = torch.linspace(-4, 4, 400).reshape(20, 20)
-    known = torch.ones(20, 20, dtype=torch.bool)
-    seen = SaidOdds(odds, odds > 1.5, known)
-    plain = RoadCalibration(own=0)
-
-    alike, unlike = SaidOdds(odds, odds > 1.4, known), SaidOdds(odds, odds > -3, known)
-
-    assert fitted_centre([seen, seen, alike], plain) == pytest.approx(1.45, abs=0.06)
-    assert fitted_centre([seen], plain) == pytest.approx((1.5 - 0.75) / 2, abs=0.05)
-    doubtful = fitted_centre([seen, unlike], plain)
-    assert abs(doubtful + 0.75) < abs(best_centre_of([seen, unlike]) + 0.75)
-    with pytest.raises(ConfigError, match="no pixel"):
-        fitted_centre([], plain)
+def test_a_shipped_network_is_started_from_by_its_name(tmp_path: Path) -> None:
+    assert start_file("layout").name == "layout.safetensors"
+    assert start_file("layout").is_file()
+    assert start_file("./layout") == Path("layout")
+    assert start_file(str(tmp_path / "mine.safetensors")) == tmp_path / "mine.safetensors"
 
 
-def best_centre_of(pictures: list[SaidOdds]) -> float:
-    """Without the pull to the default: of one picture made of all."""
-    both = [torch.cat(parts) for parts in zip(*pictures, strict=True)]
-    return best_centre(count_levels(both[0].sigmoid(), both[1], both[2], 4096))
+def test_a_network_is_trusted_more_the_more_of_pictures_was_corrected(tmp_path: Path) -> None:
+    whole, half = correction(np.full((8, 8), NOT_ROAD)), correction(quarters())
+    assert pictures_said([whole, half]) == 1.75  # sky is not road
+    few, many = (trust_settings(count)["learned"]["detail"] for count in (5, 50))
+    assert (few, many) == (MOST * 5 / 15, MOST * 50 / 60)
+    assert trust_settings(HALFWAY)["learned"]["detail"] == MOST / 2
+
+    file = tmp_path / "fusion.toml"
+    assert write_corrected(file, tmp_path / "weights.safetensors", [whole, half])
+    values = read_settings_file(file)
+    assert values["learned"] == trust_settings(1.75)["learned"]
+    assert values["calibration"] == {"centre": 0.0, "own": 0.0}
+    load_detector("fusion", learned=values["learned"], calibration=values["calibration"])
+
+
+def test_who_says_nothing_of_road_leaves_the_detector_as_it_is(tmp_path: Path) -> None:
+    void = correction(np.full((8, 8), VOID))
+    for one in (void, correction(np.zeros((8, 8)))):
+        assert not write_corrected(tmp_path / "fusion.toml", tmp_path / "w", [one])
+    assert not (tmp_path / "fusion.toml").exists()

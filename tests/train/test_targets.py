@@ -17,6 +17,7 @@ from roadtorch.train.config import (
 from roadtorch.train.targets import (
     PictureError,
     Targets,
+    best_class,
     centred_as,
     target_error,
     targets_of,
@@ -219,3 +220,8 @@ def test_targets_are_averaged_to_the_size_of_the_scores() -> None:
 
     small = Targets(*fine.unfold(2, 2, 2).unfold(3, 2, 2).mean((4, 5)).split((3, 1, 1, 1, 1, 1), 1))
     torch.testing.assert_close(error, target_error(scores, small, training.heads))
+
+
+def test_the_best_class_is_the_one_that_argmax_names() -> None:
+    layout = torch.rand(2, CLASSES, 5, 7, generator=torch.Generator().manual_seed(0))
+    assert best_class(layout).equal(layout.argmax(1, keepdim=True))
