@@ -19,6 +19,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from types import ModuleType
+from typing import NamedTuple
 
 import cv2
 import torch
@@ -27,7 +28,9 @@ from torch import Tensor
 HERE = Path(__file__).resolve().parents[1]
 OURS = ("roadtorch", "scripts")  # the packages that each checkout has its own of
 WARM_UP = 2  # rounds that are not counted
-SLIC = "slic, 400 segments"
+SEGMENTS = 400
+SLIC = f"slic, {SEGMENTS} segments"
+WHOLE = "fusion, end to end"
 
 Clock = Callable[[], float]
 """Seconds, from any start."""
@@ -36,8 +39,16 @@ Round = dict[str, float]
 """Milliseconds by stage."""
 
 
-def bench_of(checkout: Path) -> ModuleType:
-    """The module scripts.bench of a checkout, with the roadtorch beside it; others stay loaded."""
+class Checkout(NamedTuple):
+    """What is timed of a checkout: its bench, its detector and its superpixels."""
+
+    bench: ModuleType
+    detect: Callable[[Tensor], object]
+    slic: Callable[..., Tensor]
+
+
+def checkout_of(root: Path) -> Checkout:
+    """A checkout's own modules; those that are loaded stay loaded."""
 
     def loaded() -> dict[str, ModuleType]:
         return {name: sys.modules[name] for name in sys.modules if name.partition(".")[0] in OURS}
@@ -45,34 +56,33 @@ def bench_of(checkout: Path) -> ModuleType:
     others = loaded()
     for name in others:
         del sys.modules[name]
-    sys.path.insert(0, str(checkout))
+    sys.path.insert(0, str(root))
     try:
-        return importlib.import_module("scripts.bench")
+        bench = importlib.import_module("scripts.bench")
+        catalogue = importlib.import_module("roadtorch.detectors.catalogue")
+        superpixels = importlib.import_module("roadtorch.superpixels")
+        return Checkout(bench, catalogue.load_detector("fusion").detect, superpixels.slic)
     finally:
-        sys.path.remove(str(checkout))
+        sys.path.remove(str(root))
         for name in loaded():
             del sys.modules[name]
         sys.modules.update(others)
 
 
-def time_once(
-    bench: ModuleType, detect: Callable[[Tensor], object], image: Tensor, clock: Clock
-) -> Round:
+def time_once(checkout: Checkout, image: Tensor, clock: Clock) -> Round:
     """All stages inside one ``detect``, another as a whole, and the superpixels of the picture."""
+    bench, detect, slic = checkout
     times = bench.time_stages(detect, image, clock=clock)
-    times |= bench.time_call(bench.FUSION, partial(detect, image), clock)
-    return times | bench.time_call(SLIC, partial(bench.slic, image, bench.SEGMENTS), clock)
+    times |= bench.time_call(WHOLE, partial(detect, image), clock)
+    return times | bench.time_call(SLIC, partial(slic, image, SEGMENTS), clock)
 
 
 def in_turn(
-    benches: Sequence[ModuleType], image: Tensor, rounds: int, threads: int
+    checkouts: Sequence[Checkout], image: Tensor, rounds: int, threads: int
 ) -> list[list[Round]]:
     """The counted rounds, each with the times of every checkout in the order given."""
     clock = time.process_time if threads == 1 else time.perf_counter
-    calls = [
-        partial(time_once, bench, bench.load_detector("fusion").detect, image, clock)
-        for bench in benches
-    ]
+    calls = [partial(time_once, checkout, image, clock) for checkout in checkouts]
     counted = []
     for number in range(WARM_UP + rounds):
         turn = number % 2
@@ -102,9 +112,9 @@ def main() -> None:
     given = parser.parse_args()
     torch.set_num_threads(given.threads)
     cv2.setNumThreads(given.threads)
-    before, now = (bench_of(checkout.resolve()) for checkout in (given.before, HERE))
-    ((width, height),) = now.sizes(given.size)
-    image = now.picture_at(None, width, height)
+    before, now = (checkout_of(root.resolve()) for root in (given.before, HERE))
+    ((width, height),) = now.bench.sizes(given.size)
+    image = now.bench.picture_at(None, width, height)
     print(table(in_turn([before, now], image, given.rounds, given.threads)))
 
 

@@ -95,10 +95,10 @@ from roadtorch.cli.config import chosen_detector
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.shipped_configs import THRESHOLDS, config_file, shipped_configs
 from roadtorch.train.config import read_training
-from roadtorch.train.recipe import start_file
+from roadtorch.layout.weights import weights_path
 
 assert config_file("adapt").is_relative_to(Path.cwd() / "site"), config_file("adapt")
-assert start_file("layout").is_relative_to(Path.cwd() / "site")
+assert weights_path("layout").is_relative_to(Path.cwd() / "site")
 for name in shipped_configs():
     if name.startswith(THRESHOLDS):
         detector, values = chosen_detector(None, config_file(name), (), None)

@@ -208,6 +208,7 @@ PAGES = {
     "CHANGELOG.md": "/changelog",
     "train/README.md": "/studies",
     "roadtorch/weights/layout.md": "/weights_layout",
+    "roadtorch/weights/layout-free.md": "/weights_layout-free",
     "roadtorch/weights/cnn-7.md": "/weights_cnn-7",
 }
 """Files outside of docs/ that are pages of the site."""

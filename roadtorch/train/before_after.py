@@ -24,14 +24,13 @@ from roadtorch.evaluation.evaluate import evaluated
 from roadtorch.evaluation.result import Evaluation, Failure
 from roadtorch.evaluation.rivals import rival
 from roadtorch.layout.picture_network import PictureNetwork
-from roadtorch.layout.weights import load_network
+from roadtorch.layout.weights import load_network, weights_path
 from roadtorch.report.adaptation import Adaptation, write_adaptation
 from roadtorch.sources.pictures import find_images
 from roadtorch.train.agreement import teacher_agreement
 from roadtorch.train.config import PictureTraining, Training
 from roadtorch.train.folder import LOG, PAGE
 from roadtorch.train.prepared import name_of
-from roadtorch.train.recipe import start_file
 from roadtorch.train.run import FUSION, PREPARED, Outcome, Request
 
 SHOWN = 10
@@ -55,7 +54,7 @@ def show_change(
     """
     if outcome.weights is None:
         return None
-    start = start_file(training.start)
+    start = weights_path(training.start)
     rivals = _rivals(start, outcome.weights)
     dataset = every_kth(unlabelled_set(find_images([request.images], request.out)), compared)
     found, failures = _looked_at(dataset, rivals, request.quiet)

@@ -45,7 +45,7 @@ def types(line: str) -> list[str]:
         ("label --set supp", ["support="]),
         ("train --config adapt --set teacher.mar", ["teacher.margin="]),
         ("train --config cnn7 --set sites.", ["sites.around=", "sites.distance="]),
-        ("train --config adapt --set start=", ["start=cnn-7", "start=layout"]),
+        ("train --config adapt --set start=", ["start=cnn-7", "start=layout", "start=layout-free"]),
         ("train --config ad", ["adapt"]),
         (
             "infer --config thresholds/cpf",

@@ -36,7 +36,6 @@ from roadtorch.train.corrections import (
     said_layout,
     said_planes,
 )
-from roadtorch.train.recipe import start_file
 from roadtorch.train.run import FUSION, Request, train
 from roadtorch.train.targets import Targets
 from tests.train.runs import PATCHES, request_of, training_of, write_config
@@ -225,13 +224,6 @@ def test_nothing_is_told_without_corrections_and_all_that_was_said_counts() -> N
     assert one is not None
     assert other is not None
     assert one["sha256"] != other["sha256"]
-
-
-def test_a_shipped_network_is_started_from_by_its_name(tmp_path: Path) -> None:
-    assert start_file("layout").name == "layout.safetensors"
-    assert start_file("layout").is_file()
-    assert start_file("./layout") == Path("layout")
-    assert start_file(str(tmp_path / "mine.safetensors")) == tmp_path / "mine.safetensors"
 
 
 def test_a_network_is_trusted_more_the_more_of_pictures_was_corrected(tmp_path: Path) -> None:

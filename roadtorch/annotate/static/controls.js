@@ -52,7 +52,9 @@ export function onKeys(keys, arrow) {
     const held = event.ctrlKey || event.metaKey;
     const history = held && { z: "z", Z: "y", y: "y" }[event.key];
     if ((held || event.altKey) && !history) return;
-    const onButton = event.target.tagName === "BUTTON" && [" ", "Enter"].includes(event.key);
+    // A dialog's button keeps the focus for a frame after the dialog is closed.
+    const pressed = event.target.tagName === "BUTTON" && event.target.checkVisibility();
+    const onButton = pressed && [" ", "Enter"].includes(event.key);
     const found = keys.find(([name]) => name === (history || event.key));
     if (!found || onButton) return;
     event.preventDefault();
