@@ -269,6 +269,11 @@ def network_of(weights: WeightsFile, shipped: str, kind: type[Network]) -> Netwo
         what = f"holds a network for {network.kind}, not for {kind.kind}"
         raise WeightsError(path, what, "use weights of that kind of training")
     network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # stubs lack it
+    _run_once(network)
+    return network
+
+
+def _run_once(network: LayoutNetwork) -> None:
+    """Have torch make the programs of a network that works at one size; others are left alone."""
     if isinstance(network, PictureNetwork):
         network.cues(torch.zeros(3, network.settings.height, network.settings.width))
-    return network
