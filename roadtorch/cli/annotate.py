@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import CONFIG, ONE_DETECTOR, PATH, SETTING
+from roadtorch.cli.options import PATH, Choice, with_choice
 
 ORDERS = ("least-trust", "random", "different")
 
@@ -22,9 +22,7 @@ FORMATS = ("labelme", "xml", "png", "cvat", "label-studio")
     show_default=True,
     help="Which picture comes next; different: most unlike those corrected.",
 )
-@ONE_DETECTOR
-@SETTING
-@CONFIG
+@with_choice
 @click.option("--report", "reports", is_flag=True, help="Say what was corrected, and stop.")
 @click.option("--export", "exported", type=click.Choice(FORMATS), help="Write corrections to --to.")
 @click.option("--to", type=PATH, help="Folder for --export.")
@@ -43,9 +41,7 @@ def annotate(
     out: Path | None,
     port: int | None,
     order: str,
-    detector: str | None,
-    assignments: tuple[str, ...],
-    config: Path | None,
+    choice: Choice,
     reports: bool,
     exported: str | None,
     to: Path | None,
@@ -68,7 +64,7 @@ def annotate(
     elif imported:
         _import(context, out, folder, imported, _given(origin, "--from"), user)
     else:
-        _serve(context, folder, out, port, order, (detector, assignments, config))
+        _serve(context, folder, out, port, order, choice)
 
 
 def _given(path: Path | None, option: str) -> Path:
@@ -103,18 +99,16 @@ def _serve(
     out: Path,
     port: int | None,
     order: str,
-    choice: tuple[str | None, tuple[str, ...], Path | None],
+    choice: Choice,
 ) -> None:
     from roadtorch.annotate.order import PictureOrder
     from roadtorch.annotate.serving import opened_session, page_server
-    from roadtorch.cli import config as configuration
     from roadtorch.cli.claim import claimed
     from roadtorch.detectors.catalogue import load_detector
     from roadtorch.sources.pictures import find_images
 
-    detector, assignments, config = choice
     count = len(find_images([folder], out))
-    name, values = configuration.chosen_detector(detector, config, assignments, None)
+    name, values = choice.named()
     context.with_resource(claimed(out))
     session = opened_session(folder, out, load_detector(name, **values), order=PictureOrder(order))
     server = page_server(session, port)

@@ -6,14 +6,13 @@ import click
 
 from roadtorch.cli.options import (
     CAMERA,
-    CONFIG,
     JOBS,
-    ONE_DETECTOR,
     OVERWRITE,
     PATH,
     QUIET,
-    SETTING,
+    Choice,
     Cut,
+    with_choice,
     with_cut,
 )
 from roadtorch.cli.suggestions import suggest_files
@@ -58,9 +57,7 @@ def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, fl
 @click.option(
     "--coarsest", type=float, default=10.0, show_default=True, help="Most cells a pixel may cover."
 )
-@ONE_DETECTOR
-@SETTING
-@CONFIG
+@with_choice
 @click.option("--threshold", type=float, help="Likelihood from which a pixel is road.")
 @click.option("--likelihood", is_flag=True, help="Also write NAME.grid.likelihood.npy.")
 @click.option("--picture", is_flag=True, help="Also write NAME.grid.jpg, to look at.")
@@ -91,9 +88,7 @@ def grid(
     ahead: float,
     side: float,
     coarsest: float,
-    detector: str | None,
-    assignments: tuple[str, ...],
-    config: Path | None,
+    choice: Choice,
     threshold: float | None,
     likelihood: bool,
     picture: bool,
@@ -128,7 +123,7 @@ def grid(
     sorted_inputs = sort_inputs(inputs)
     given = grids.Mounting(height, pitch, roll, mount, fov, camera_info, calibration, camera)
     placing, words = footage_grids.placing_of_all(given, sorted_inputs)
-    name, values = configuration.chosen_detector(detector, config, assignments, threshold)
+    name, values = choice.named(threshold)
     known = None if camera is None else Camera.read(camera)
     loaded = load_detector(name, camera=known, **values)
     cells = {"resolution": resolution, "range": ahead, "side": side, "coarsest": coarsest}

@@ -7,13 +7,12 @@ import click
 
 from roadtorch.cli.options import (
     CAMERA,
-    CONFIG,
-    ONE_DETECTOR,
     OVERWRITE,
     QUIET,
-    SETTING,
+    Choice,
     Cut,
     Means,
+    with_choice,
     with_cut,
     with_means,
 )
@@ -58,7 +57,7 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
 
 @click.command()
 @click.argument("inputs", metavar="INPUT...", nargs=-1, shell_complete=suggest_files)
-@ONE_DETECTOR
+@with_choice
 @click.option("--out", default="roads", show_default=True, help="Folder or URL for results.")
 @click.option(
     "--save",
@@ -74,8 +73,6 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
     help="In footage, carry what earlier frames said along the motion.",
 )
 @click.option("--gif", callback=_stretch, metavar="START:END", help="Seconds to show as a GIF.")
-@SETTING
-@CONFIG
 @CAMERA
 @click.option("--threshold", type=float, help="Likelihood from which a pixel is road.")
 @click.option(
@@ -93,14 +90,12 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
 def infer(
     context: click.Context,
     inputs: tuple[str, ...],
-    detector: str | None,
+    choice: Choice,
     out: str,
     save: tuple[str, ...] | None,
     cut: Cut,
     steady: bool,
     gif: tuple[float, float] | None,
-    assignments: tuple[str, ...],
-    config: Path | None,
     camera: Path | None,
     threshold: float | None,
     depth: str,
@@ -128,7 +123,7 @@ def infer(
     """
     from roadtorch.cli import config as configuration
 
-    name, values = configuration.chosen_detector(detector, config, assignments, threshold)
+    name, values = choice.named(threshold)
     if not inputs and not print_config:
         raise click.UsageError("Missing argument 'INPUT...'", context)
 

@@ -32,11 +32,24 @@ class ConfigFile(click.ParamType):
         return config_file(str(value))
 
 
-ONE_DETECTOR = click.option(
-    "--detector",
-    shell_complete=suggest_detectors,
-    help="Name of the detector; see roadtorch detectors. [fusion]",
-)
+@dataclass(frozen=True)
+class Choice:
+    """Which detector a command takes, and its settings; see ``roadtorch.cli.config``.
+
+    detector: its name. assignments: KEY=VALUE each. config: a TOML file.
+    """
+
+    detector: str | None
+    assignments: tuple[str, ...]
+    config: Path | None
+
+    def named(self, threshold: float | None = None) -> tuple[str, dict[str, Any]]:
+        """The detector's name and the values of its settings; see ``chosen_detector``."""
+        from roadtorch.cli.config import chosen_detector
+
+        return chosen_detector(self.detector, self.config, self.assignments, threshold)
+
+
 SETTING = click.option(
     "--set",
     "assignments",
@@ -45,11 +58,19 @@ SETTING = click.option(
     shell_complete=suggest_settings,
     help="One setting.",
 )
-CONFIG = click.option(
-    "--config",
-    type=ConfigFile(),
-    shell_complete=suggest_detector_configs,
-    help="TOML file with the detector and its settings, or a shipped one's name.",
+CHOICE = (
+    click.option(
+        "--detector",
+        shell_complete=suggest_detectors,
+        help="Name of the detector; see roadtorch detectors. [fusion]",
+    ),
+    SETTING,
+    click.option(
+        "--config",
+        type=ConfigFile(),
+        shell_complete=suggest_detector_configs,
+        help="TOML file with the detector and its settings, or a shipped one's name.",
+    ),
 )
 CAMERA = click.option(
     "--camera", type=PATH, help="What roadtorch camera wrote about the camera of the pictures."
@@ -179,6 +200,11 @@ def _gathered(
     for option in reversed(options):
         gathered = option(gathered)
     return gathered
+
+
+def with_choice(command: Command) -> Command:
+    """A command with the options of ``Choice``, which it gets as one argument ``choice``."""
+    return _gathered(command, Choice, "choice", CHOICE)
 
 
 def with_means(command: Command) -> Command:

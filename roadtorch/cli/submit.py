@@ -4,15 +4,13 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import CONFIG, JOBS, ONE_DETECTOR, OVERWRITE, PATH, QUIET, SETTING
+from roadtorch.cli.options import JOBS, OVERWRITE, PATH, QUIET, Choice, with_choice
 
 
 @click.command()
 @click.argument("root", metavar="ROOT", type=PATH)
-@ONE_DETECTOR
+@with_choice
 @click.option("--out", type=PATH, required=True, help="Folder for the maps and the archive.")
-@SETTING
-@CONFIG
 @JOBS
 @OVERWRITE
 @QUIET
@@ -20,10 +18,8 @@ from roadtorch.cli.options import CONFIG, JOBS, ONE_DETECTOR, OVERWRITE, PATH, Q
 def submit(
     context: click.Context,
     root: Path,
-    detector: str | None,
+    choice: Choice,
     out: Path,
-    assignments: tuple[str, ...],
-    config: Path | None,
     jobs: int,
     overwrite: bool,
     quiet: bool,
@@ -37,7 +33,7 @@ def submit(
     """
     from roadtorch.cli import config as configuration
 
-    name, values = configuration.chosen_detector(detector, config, assignments, None)
+    name, values = choice.named()
 
     from roadtorch.cli import batch, results, submission
     from roadtorch.cli.claim import claimed

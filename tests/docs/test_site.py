@@ -131,7 +131,7 @@ def test_the_search_works_without_a_network(
 ) -> None:
     page.goto(f"{(site / 'search.html').as_uri()}?q={query}")
 
-    page.wait_for_selector(f'#search-results a[href*="{found}"]')
+    assert page.wait_for_selector(f'#search-results a[href*="{found}"]')
 
 
 @in_a_browser
