@@ -9,7 +9,7 @@ the documents give. They are loaded when they are first used, so that ``import r
 import importlib
 from typing import TYPE_CHECKING
 
-from roadtorch.openmp import sleeping_threads
+from roadtorch.openmp import brief_waits
 from roadtorch.version import __version__
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def __getattr__(name: str) -> object:
     """Import the module of a public name on its first use."""
     if name not in _HOMES:
         raise AttributeError(f"module 'roadtorch' has no attribute {name!r}")
-    with sleeping_threads():
+    with brief_waits():
         return getattr(importlib.import_module(_HOMES[name]), name)
 
 

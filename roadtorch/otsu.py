@@ -1,5 +1,6 @@
 """Where the values of one picture fall apart in two (Otsu), and log odds centred there."""
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -17,16 +18,16 @@ def otsu_threshold(values: Tensor) -> Tensor:
     low, high = (float(bound) for bound in torch.aminmax(values))
     if low == high:
         return values.new_tensor(low)
-    counts = torch.histc(values, BINS, low, high).to(torch.float64)
-    edges = torch.linspace(low, high, BINS + 1, dtype=torch.float64).to(values.device)
+    counts = torch.histc(values, BINS, low, high).cpu().numpy().astype(np.float64)
+    edges = np.linspace(low, high, BINS + 1)
     share = counts / counts.sum()
-    mean = (share * (edges[:-1] + edges[1:]) / 2).cumsum(0)
-    below = share.cumsum(0)
-    between = (mean[-1] * below - mean).square() / (below * (1 - below)).clamp_min(1e-12)
+    mean = (share * (edges[:-1] + edges[1:]) / 2).cumsum()
+    below = share.cumsum()
+    between = (mean[-1] * below - mean) ** 2 / np.maximum(below * (1 - below), 1e-12)
     best = between >= between.max() * (1 - 1e-9)
-    first = int(best.to(torch.uint8).argmax())
-    gap = best[first:].to(torch.uint8).cummin(0).values.bool()  # is parted in its middle
-    return edges[first + 1 :][gap].mean().to(values.dtype)
+    first = int(best.argmax())
+    gap = np.minimum.accumulate(best[first:])  # is parted in its middle
+    return values.new_tensor(edges[first + 1 :][gap].mean())
 
 
 def centred_odds(odds: Tensor, centre: float, own: float) -> Tensor:

@@ -89,11 +89,12 @@ def remove_isolated(mask: Tensor, seed: Tensor) -> Tensor:
     region is the road. P2, section 6.2 (isolated areas are discarded). Strip by strip: NumPy
     makes 8 bytes of every number of a region that it looks up.
     """
-    rows = mask.any(1).nonzero()[:, 0]
+    pixels = mask.cpu().contiguous().numpy()  # torch takes twenty times as long for ``any``
+    rows = np.flatnonzero(pixels.any(1))
     if not len(rows):
         return mask
     filled = slice(int(rows[0]), int(rows[-1]) + 1)  # above is sky: what it costs is left out
-    pixels = mask[filled].cpu().contiguous().numpy().view(np.uint8)
+    pixels = pixels[filled].view(np.uint8)
     count, found = cv2.connectedComponents(pixels, connectivity=4)
     regions, within = np.asarray(found, dtype=np.int32), seed[filled].cpu().numpy()
     kept = np.zeros(count, dtype=bool)

@@ -71,24 +71,19 @@ def borders(labels: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
     smaller number first, and (E,): the mean over neighbouring pixels on both sides of the
     border of the larger of their two values.
     """
-    count = int(labels.max()) + 1
-    found = [_steps(labels, plane, axis) for axis in (0, 1)]
+    segment, values = (maps.reshape(-1).cpu().numpy() for maps in (labels, plane))
+    count, width = int(segment.max()) + 1, labels.shape[1]
+    beside = np.flatnonzero(segment[1:] != segment[:-1])
+    beside = beside[beside % width != width - 1]  # the next row's first is not beside the last
+    below = np.flatnonzero(segment[width:] != segment[:-width])
+    here, there = np.concatenate([beside, below]), np.concatenate([beside + 1, below + width])
+    one, two = segment.take(here), segment.take(there)
+    value = np.maximum(values.take(here), values.take(there))
     # Both numbers in one, so that sorting brings together what belongs to one pair.
-    pair, value = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    pair = np.minimum(one, two) * count + np.maximum(one, two)
     order = pair.argsort()
     pair, value = pair[order], value[order].astype(np.float64)
     start = np.flatnonzero(np.diff(pair, prepend=-1))
     mean = np.add.reduceat(value, start) / np.diff(start, append=len(pair)) if len(pair) else value
     pairs = np.stack(np.divmod(pair[start], count))
     return torch.from_numpy(pairs).to(labels.device), torch.from_numpy(mean).to(plane)
-
-
-def _steps(labels: Tensor, plane: Tensor, axis: int) -> tuple[np.ndarray, np.ndarray]:
-    """Steps along an axis from one segment to another: smaller number · n + larger, and value."""
-    length, count = labels.shape[axis] - 1, int(labels.max()) + 1
-    one, two = (labels.narrow(axis, at, length).cpu().numpy() for at in (0, 1))
-    here, there = (plane.narrow(axis, at, length).cpu().numpy() for at in (0, 1))
-    place = np.flatnonzero(one != two)
-    one, two = one.reshape(-1)[place], two.reshape(-1)[place]
-    value = np.maximum(here, there).reshape(-1)[place]
-    return np.minimum(one, two) * count + np.maximum(one, two), value

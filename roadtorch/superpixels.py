@@ -14,11 +14,10 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from pydantic import Field
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 from torch.nn import functional as F
 
+from roadtorch.connected_regions import connect
 from roadtorch.errors import ConfigError
 from roadtorch.image_cache import cached_per_image
 from roadtorch.settings import Settings
@@ -114,8 +113,9 @@ def slic(
     height, width = batch.shape[-2:]
     grid = _grid(height, width, segments)
     metric = _metric(compactness * (segments / (height * width)) ** 0.5).to(batch)
-    centres = _move_centres(batch, grid, metric, iterations)
-    labels = connect(_assign(batch, centres, grid, metric), SMALLEST * height * width / segments)
+    moves = _moves(grid, metric, len(batch))
+    tables = _tables(_move_centres(batch, grid, moves, iterations), moves)
+    labels = connect(_assign(batch, tables, grid), SMALLEST * height * width / segments)
     labels = labels.to(image.device)
     return labels if image.ndim == 4 else labels[0]
 
@@ -162,11 +162,14 @@ def _places(grid: CellGrid, stride: int) -> Tensor:
 
 
 @lru_cache(maxsize=16)
-def _neighbours(grid: CellGrid) -> Tensor:
-    """(cells, 9) int64: the cells around each, itself in the middle; ``cells`` beyond the grid."""
-    cells = grid.rows * grid.columns
-    framed = F.pad(torch.arange(cells).reshape(grid.rows, grid.columns), (1, 1, 1, 1), value=cells)
-    return framed.unfold(0, 3, 1).unfold(1, 3, 1).reshape(cells, NEIGHBOURS)
+def _neighbours(grid: CellGrid, batch: int) -> Tensor:
+    """(B·cells, 9) int64: the cells around each of a batch's, itself in the middle.
+
+    ``B·cells`` beyond the grid.
+    """
+    cells = torch.arange(batch * grid.rows * grid.columns)
+    framed = F.pad(cells.reshape(batch, grid.rows, grid.columns), (1, 1, 1, 1), value=len(cells))
+    return framed.unfold(1, 3, 1).unfold(2, 3, 1).reshape(-1, NEIGHBOURS)
 
 
 @lru_cache(maxsize=16)
@@ -177,31 +180,63 @@ def _shifts(grid: CellGrid) -> Tensor:
     return F.pad(torch.stack([row, column], 1), (3, 0)).to(torch.float32)
 
 
-def _tables(sums: Tensor, grid: CellGrid, metric: Tensor) -> Tensor:
-    """(B,cells,6) sums over segments → (B·cells, 9, 6) factors of the squared distances.
+class Moves(NamedTuple):
+    """What turns sums over segments into factors of distances, and sums over cells into those.
+
+    factors: (7,54), of a centre c, cᵀMc and 1: to its nine factors (6), seen from the cells of
+    which it is the 1st, 2nd, … neighbour. sums: (54,6), of the sums that a segment has in the
+    nine cells around it: to all of them, seen from the segment's own cell.
+    around, back: int64 (B·cells·9,): which factors a cell needs, which sums a segment.
+    """
+
+    metric: Tensor
+    factors: Tensor
+    sums: Tensor
+    around: Tensor
+    back: Tensor
+
+
+def _moves(grid: CellGrid, metric: Tensor, batch: int) -> Moves:
+    """The squared distance of a point f is |f-c-s|² where s leads to the middle of c's cell.
 
     |f-c|² - fᵀMf = -2 cᵀM f + cᵀMc: fᵀMf is the same for all nine. More than it can be is added,
     so that all are positive.
     """
-    size = sums[..., 5:]
-    centre = torch.where(size > 0, sums[..., :5] / size, FAR)
-    around = F.pad(centre, (0, 0, 0, 1), value=FAR)
-    around = around.index_select(1, _neighbours(grid).to(sums.device).reshape(-1))
-    around = around.reshape(-1, NEIGHBOURS, 5) + _shifts(grid).to(sums)
-    scaled = around @ metric
+    shifts = _shifts(grid).to(metric)
+    leaning = shifts @ metric
     most = LONGEST + float(metric[3, 3]) * (grid.height**2 + grid.width**2) / 4
-    return torch.cat([-2 * scaled, (scaled * around).sum(-1, keepdim=True) + most], -1)
+    factors = metric.new_zeros(NEIGHBOURS, 7, 6)
+    factors[:, :5, :5] = -2 * metric
+    factors[:, :5, 5] = 2 * leaning
+    factors[:, 5, 5] = 1
+    factors[:, 6, :5] = -2 * leaning
+    factors[:, 6, 5] = (leaning * shifts).sum(1) + most
+    sums = torch.eye(6).to(metric).repeat(NEIGHBOURS, 1, 1)
+    sums[:, 5, :5] = shifts
+    around = _neighbours(grid, batch).to(metric.device)
+    number = torch.arange(NEIGHBOURS, device=metric.device)
+    return Moves(
+        metric,
+        factors.permute(1, 0, 2).reshape(7, -1),
+        sums.reshape(-1, 6),
+        (NEIGHBOURS * around + number).reshape(-1),
+        # To the cell above on the left this one is the one below on the right, and so on.
+        (NEIGHBOURS * around + number.flip(0)).reshape(-1),
+    )
 
 
-def _member_sums(tables: Tensor, points: Tensor) -> Tensor:
-    """(cells, 9, 6): a cell's points summed by the centre nearest to them (where two are: both)."""
-    distances = torch.bmm(tables, points)
-    member = distances.eq_(distances.amin(1, keepdim=True))  # 0 and 1, without another copy
-    return torch.bmm(member, points.transpose(1, 2))
+def _tables(sums: Tensor, moves: Moves) -> Tensor:
+    """(B·cells,6) sums over segments → (B·cells, 9, 6) factors of the squared distances."""
+    size = sums[:, 5:]
+    centre = torch.where(size > 0, sums[:, :5] / size, FAR)
+    centre = F.pad(centre, (0, 0, 0, 1), value=FAR)
+    square = (centre @ moves.metric).mul_(centre).sum(1, keepdim=True)
+    each = torch.cat([centre, square, torch.ones_like(square)], 1) @ moves.factors
+    return each.reshape(-1, 6).index_select(0, moves.around).reshape(-1, NEIGHBOURS, 6)
 
 
-def _move_centres(images: Tensor, grid: CellGrid, metric: Tensor, iterations: int) -> Tensor:
-    """(B,cells,6): sums of the points over each segment after k-means on the grid.
+def _move_centres(images: Tensor, grid: CellGrid, moves: Moves, iterations: int) -> Tensor:
+    """(B·cells,6): sums of the points over each segment after k-means on the grid.
 
     Rows and columns are those from the middle of the segment's own cell.
     """
@@ -211,28 +246,30 @@ def _move_centres(images: Tensor, grid: CellGrid, metric: Tensor, iterations: in
         [_cells(images, grid, grid.stride), places.expand(len(images), *places.shape[1:])], 3
     )
     points = points.flatten(0, 2).flatten(2)
-    cells, shifts = grid.rows * grid.columns, _shifts(grid).to(images)
-    # To the cell above on the left this one is the one below on the right, and so on.
-    opposite = NEIGHBOURS * _neighbours(grid) + torch.arange(NEIGHBOURS - 1, -1, -1)
-    opposite = opposite.reshape(-1).to(images.device)
-    sums = points.sum(2).reshape(-1, cells, 6)
+    turned = points.transpose(1, 2).contiguous()
+    parts = points.new_zeros(len(points) + 1, NEIGHBOURS, 6)  # the last are beyond the grid
     most = max(1, CHUNK // (NEIGHBOURS * points.shape[2]))
+    chunks = [slice(at, at + most) for at in range(0, len(points), most)]
+    sums = points.sum(2)
     for _ in range(iterations):
-        chunks = zip(_tables(sums, grid, metric).split(most), points.split(most), strict=True)
-        parts = torch.cat([_member_sums(*chunk) for chunk in chunks])
-        parts[..., :5] -= parts[..., 5:] * shifts
-        parts = F.pad(parts.reshape(-1, cells * NEIGHBOURS, 6), (0, 0, 0, NEIGHBOURS))
-        sums = parts.index_select(1, opposite).reshape(-1, cells, NEIGHBOURS, 6).sum(2)
+        tables = _tables(sums, moves)
+        for chunk in chunks:
+            distances = torch.bmm(tables[chunk], points[chunk])
+            # To the nearest of the nine (where two are: to both), 0 and 1, without another copy.
+            member = distances.eq_(distances.amin(1, keepdim=True))
+            torch.bmm(member, turned[chunk], out=parts[:-1][chunk])
+        sums = parts.reshape(-1, 6).index_select(0, moves.back)
+        sums = sums.reshape(-1, NEIGHBOURS * 6) @ moves.sums
     return sums
 
 
-def _assign(images: Tensor, centres: Tensor, grid: CellGrid, metric: Tensor) -> Tensor:
+def _assign(images: Tensor, tables: Tensor, grid: CellGrid) -> Tensor:
     """(B,H,W) int32 on the CPU: for each pixel the grid cell whose centre is nearest.
 
     Strip by strip: points and distances stay in the cache, and memory is linear in pixels.
     """
     batch, _, height, width = images.shape
-    tables = _tables(centres, grid, metric).reshape(batch, grid.rows, grid.columns, NEIGHBOURS, 6)
+    tables = tables.reshape(batch, grid.rows, grid.columns, NEIGHBOURS, 6)
     cells = np.arange(grid.rows * grid.columns, dtype=np.int32)
     cells = cells.reshape(grid.rows, 1, grid.columns, 1)
     move = np.add.outer([-grid.columns, 0, grid.columns], [-1, 0, 1]).astype(np.int32)
@@ -266,92 +303,3 @@ def _nearest(tables: Tensor, points: Tensor) -> Tensor:
     number = torch.arange(NEIGHBOURS, dtype=torch.int32, device=distances.device)
     keys = distances.view(torch.int32).bitwise_and_(~15).bitwise_or_(number[:, None])
     return keys.amin(1).bitwise_and_(15)
-
-
-class Runs(NamedTuple):
-    """Horizontal runs of equal label in pictures (B,H,W), in reading order.
-
-    start: place of the first pixel of each among all pixels; length: pixels; region: the number
-    of the 4-connected region that it is part of, from 0, as they are met.
-    """
-
-    start: np.ndarray
-    length: np.ndarray
-    region: np.ndarray
-
-
-def connect(labels: Tensor, smallest: float = 1.0) -> Tensor:
-    """Make every segment 4-connected and number the segments 0…n-1 in each picture.
-
-    labels: integers (B,H,W). Of each label the largest region stays, unless it has fewer
-    than ``smallest`` pixels; the pixels of every other region join a settled segment that
-    they touch, from its border inwards. Returns int64 (B,H,W).
-    """
-    pictures = labels.cpu().numpy().astype(np.int32)
-    stride = int(pictures.max()) + 1
-    pictures += np.arange(len(pictures), dtype=np.int32)[:, None, None] * stride
-    start, length, region = _runs(pictures)
-    size = np.bincount(region, length).astype(np.int64)
-    label = np.empty(len(size), dtype=np.int32)
-    label[region] = pictures.reshape(-1)[start]
-    picture = label // stride
-    settled = _largest_of(label, size) & (size >= smallest) | _largest_of(picture, size)
-    number = _numbers_within(picture, settled)[region]
-    grown = _grow(number.repeat(length).reshape(pictures.shape))
-    return torch.from_numpy(grown).to(labels.device)
-
-
-def _runs(pictures: np.ndarray) -> Runs:
-    """The runs of pictures (B,H,W) whose labels differ from picture to picture."""
-    begins = np.ones(pictures.shape, dtype=bool)
-    np.not_equal(pictures[..., 1:], pictures[..., :-1], out=begins[..., 1:])
-    start = np.flatnonzero(begins)
-    length = np.diff(start, append=begins.size)
-    run = np.arange(len(start), dtype=np.int32).repeat(length)
-    # Where either of two runs begins that lie above one another: once for each such pair. The
-    # first row of a picture has no labels in common with the last one of the picture before.
-    rows, begins = pictures.reshape(-1, pictures.shape[2]), begins.reshape(-1, pictures.shape[2])
-    above = np.flatnonzero((rows[1:] == rows[:-1]) & (begins[1:] | begins[:-1]))
-    one, two = run[above], run[above + pictures.shape[2]]
-    first = np.zeros(len(start) + 1, dtype=np.int32)
-    np.cumsum(np.bincount(one, minlength=len(start)), out=first[1:])
-    touching = csr_array((np.ones(len(one), dtype=np.int8), two, first), shape=(len(start),) * 2)
-    return Runs(start, length, connected_components(touching, directed=False)[1])
-
-
-def _largest_of(group: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Whether a region is the largest of its group; the first one where sizes are equal."""
-    rank = (size + 1) * len(size) - np.arange(len(size))
-    best = np.zeros(group.max() + 1, dtype=rank.dtype)
-    np.maximum.at(best, group, rank)
-    return rank == best[group]
-
-
-def _numbers_within(picture: np.ndarray, settled: np.ndarray) -> np.ndarray:
-    """Settled regions numbered 0…n-1 in each picture, as they are met; -1 for the others."""
-    kept = np.nonzero(settled)[0]
-    kept = kept[np.argsort(picture[kept], kind="stable")]
-    starts = np.searchsorted(picture[kept], picture[kept])
-    number = np.full(len(picture), -1, dtype=np.int32)
-    number[kept] = np.arange(len(kept)) - starts
-    return number
-
-
-def _grow(numbers: np.ndarray) -> np.ndarray:
-    """Fill the pixels -1 of maps (B,H,W) from their 4 neighbours: int64.
-
-    Round by round; each takes the highest number it touches, so that the result does not depend
-    on an order.
-    """
-    batch, height, width = numbers.shape
-    framed = np.full((batch, height + 2, width + 2), -2, dtype=np.int64)
-    framed[:, 1:-1, 1:-1] = numbers
-    flat, wide = framed.reshape(-1), width + 2
-    empty = np.flatnonzero(flat == -1)
-    while len(empty):
-        highest = flat[empty - wide]
-        for move in (-1, 1, wide):
-            np.maximum(highest, flat[empty + move], out=highest)
-        flat[empty] = highest
-        empty = empty[highest < 0]
-    return np.ascontiguousarray(framed[:, 1:-1, 1:-1])

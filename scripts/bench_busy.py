@@ -4,7 +4,8 @@
     python scripts/bench_busy.py torch 2          # one way alone: who loads torch, threads
 
 Who loads torch settles how its threads wait for one another: a program that imports it first has
-threads that spin, one that imports roadtorch first has threads that sleep, as in the commands.
+threads that spin for long, one that imports roadtorch first has threads that soon sleep, as in the
+commands.
 """
 
 import json

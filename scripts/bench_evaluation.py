@@ -19,8 +19,11 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from roadtorch.openmp import unless_told
+
+os.environ.update(unless_told())  # as the command line does, before torch
 
 import cv2
 import torch

@@ -21,6 +21,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the scripts beside
 
+from roadtorch.openmp import BRIEF_WAITS
 from roadtorch.scenes import render_scene
 from roadtorch.signals import stop_on_signals
 from roadtorch.train.arrays import write_arrays
@@ -90,7 +91,7 @@ def run(kind: str, prepared: Path, processes: int, threads: int) -> dict[str, fl
     """``train_for`` in new processes, as the first of them tells it."""
     words = [sys.executable, *(["-m", "torch.distributed.run"] if processes > 1 else [])]
     words += [f"--nproc-per-node={processes}"] if processes > 1 else []
-    environment = os.environ | {"OMP_NUM_THREADS": str(threads), "OMP_WAIT_POLICY": "passive"}
+    environment = os.environ | {"OMP_NUM_THREADS": str(threads)} | BRIEF_WAITS
     done = subprocess.run(
         [*words, str(Path(__file__)), kind, str(prepared)],
         stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, check=True, env=environment,

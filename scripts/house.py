@@ -62,8 +62,9 @@ ROWS = (
     Row(
         "steps",
         (
-            *("decoding", "image", "color", "superpixels", "segment_statistics", "working_size"),
-            *("exposure", "segment_features", "seed_area", "ego", "priors", "seed_distance"),
+            *("decoding", "image", "color", "connected_regions", "superpixels"),
+            *("segment_statistics", "working_size", "exposure", "segment_features", "seed_area"),
+            *("ego", "priors", "seed_distance"),
             *("lbp", "texture", "otsu", "order_statistics", "trust", "fusion", "motion", "steady"),
         ),
     ),

@@ -8,7 +8,9 @@ from typing import Any
 import hypothesis
 import pytest
 
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does, before torch
+from roadtorch.openmp import unless_told
+
+os.environ.update(unless_told())  # as the command line does, before torch
 import torch
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"

@@ -11,6 +11,7 @@ from scipy import ndimage
 from torch import Tensor
 
 from roadtorch import superpixels
+from roadtorch.connected_regions import connect
 from roadtorch.errors import ConfigError
 from roadtorch.segment_statistics import (
     borders,
@@ -20,7 +21,7 @@ from roadtorch.segment_statistics import (
     segment_median,
     segment_sum,
 )
-from roadtorch.superpixels import connect, slic, squares
+from roadtorch.superpixels import slic, squares
 from tests.reference import superpixels as reference
 
 
@@ -196,11 +197,12 @@ def test_each_pixel_goes_to_the_nearest_of_the_nine_centres_around_its_cell(
     # Inside slic, because its result is repaired by ``connect`` before it comes out.
     grid, image = superpixels._grid(height, width, 20), textured(height, width)
     metric = superpixels._metric(0.1 * 0.12)
-    sums = superpixels._move_centres(image[None], grid, metric, 3)
-    owner = superpixels._assign(image[None], sums, grid, metric)[0].numpy()
+    moves = superpixels._moves(grid, metric, 1)
+    sums = superpixels._move_centres(image[None], grid, moves, 3)
+    owner = superpixels._assign(image[None], superpixels._tables(sums, moves), grid)[0].numpy()
 
     root = np.linalg.cholesky(metric.double().numpy()).T  # |f-c| in the metric is |root(f-c)|
-    sums = sums[0].double().numpy().T.reshape(6, grid.rows, grid.columns)
+    sums = sums.double().numpy().T.reshape(6, grid.rows, grid.columns)
     centres = sums[:5] / sums[5]
     centres[3] += (np.arange(grid.rows)[:, None] + 0.5) * grid.height - 0.5
     centres[4] += (np.arange(grid.columns) + 0.5) * grid.width - 0.5

@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 import click
 
 from roadtorch.errors import RoadtorchError
-from roadtorch.openmp import WAIT_POLICY
+from roadtorch.openmp import unless_told
 from roadtorch.signals import Terminated, interruption_first, terminated_in_words
 from roadtorch.version import __version__
 
@@ -160,14 +160,12 @@ def _debug_option() -> click.Option:
 
 
 def _settle_process() -> None:
-    """Warnings in our words, any name tellable, streams that are open, threads that sleep."""
+    """Warnings in our words, any name tellable, streams that are open, brief waits."""
     warnings.showwarning = _show_warning
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # names in any encoding can be told
             stream.reconfigure(errors="backslashreplace")
-    # Read by OpenMP when torch is loaded. Its threads would otherwise spin while they
-    # wait, which costs many times the work wherever the cores have other work too.
-    os.environ.setdefault(WAIT_POLICY, "passive")
+    os.environ.update(unless_told())  # read by OpenMP when torch is loaded
     _spare_collector()
     open_streams()
 

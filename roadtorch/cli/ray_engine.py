@@ -19,6 +19,7 @@ from roadtorch.cli.batch import Engine, Rows, Task, Work
 from roadtorch.cli.index import Row
 from roadtorch.cli.threads import Threads
 from roadtorch.errors import ConfigError, InputError
+from roadtorch.openmp import BRIEF_WAITS
 
 TOGETHER = 16  # jobs that a worker is given at once, and does anew when it dies; ours
 MOST_BLOCKS = 10_000  # that the driver keeps an eye on; ours: Ray's own limit is memory
@@ -204,4 +205,4 @@ def _rows_of_actors(jobs: Sequence[Task], work: Work, cluster: Cluster) -> Rows:
 
 def _worker_environment(threads: Threads) -> dict[str, str]:
     """What OpenMP and BLAS read before torch is loaded; Ray itself would say one thread."""
-    return {"OMP_NUM_THREADS": str(threads.torch), "OMP_WAIT_POLICY": "passive"}
+    return {"OMP_NUM_THREADS": str(threads.torch), **BRIEF_WAITS}

@@ -13,7 +13,6 @@ import numpy as np
 import torch
 from pydantic import Field
 from scipy.linalg import block_diag
-from scipy.special import softmax
 from torch import Tensor
 
 from roadtorch.exposure import Exposure, brightened
@@ -210,16 +209,13 @@ def in_order(scores: Tensor, labels: Tensor, order: ColumnOrder) -> Tensor:
     """
     middle = min(order.step, *labels.shape) // 2  # inside, whatever the step
     grid = labels[middle :: order.step, middle :: order.step].cpu().numpy()
-    local = np.maximum(softmax(order.weight * scores.to(torch.float64).cpu().numpy(), 1), 1e-4)
-    posterior = _chain_posterior(local.take(grid, 0), _moves(order.change, order.breach)).reshape(
-        -1, CLASSES
-    )
-    samples = grid.reshape(-1)
-    seen = np.bincount(samples, minlength=len(local))[:, None]
-    sums = [np.bincount(samples, each, minlength=len(local)) for each in posterior.T]
-    found = np.stack(sums, 1)
-    np.divide(found, seen, out=found, where=seen > 0)
-    np.divide(local, local.sum(1, keepdims=True), out=found, where=seen == 0)
+    local = (order.weight * scores.to(torch.float64)).softmax(1).clamp_min_(1e-4).cpu().numpy()
+    posterior = _chain_posterior(local.take(grid, 0), _moves(order.change, order.breach))
+    place = (CLASSES * grid.reshape(-1, 1) + np.arange(CLASSES)).reshape(-1)
+    found = np.bincount(place, posterior.reshape(-1), minlength=local.size).reshape(local.shape)
+    total = found.sum(1, keepdims=True)  # 1 for each sample; where there is none, its own say
+    found = np.where(total > 0, found, local)
+    found /= np.where(total > 0, total, local.sum(1, keepdims=True))
     return torch.from_numpy(found).to(scores)
 
 
