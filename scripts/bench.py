@@ -83,7 +83,9 @@ WARM_UP = 2  # rounds that are not counted
 
 SUM = "sum of the stages"
 
-FIGURES = Path(__file__).resolve().parents[1] / "docs" / "performance.json"
+ROOT = Path(__file__).resolve().parents[1]
+
+FIGURES = ROOT / "docs" / "performance.json"
 
 ALONE = {
     "start": "scripts.bench_start",
@@ -231,10 +233,9 @@ def cores() -> int | None:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
 
 
-def commit() -> str | None:
-    """The commit of the code, ``+`` where files differ from it; None without git."""
-    root = str(Path(__file__).resolve().parents[1])
-    command = ["git", "-C", root, "describe", "--always", "--dirty=+", "--exclude=*"]
+def commit(root: Path = ROOT) -> str | None:
+    """The commit of a checkout, ``+`` where files differ from it; None without git."""
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty=+", "--exclude=*"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):
@@ -297,16 +298,21 @@ def child(part: str, threads: int, rounds: int) -> list[Figure]:
         text=True,
         check=True,
     )
-    made = {
+    made = made_by(" ".join(["python scripts/bench.py", *words]), threads, rounds, load)
+    return [made | one for one in json.loads(done.stdout.splitlines()[-1])]
+
+
+def made_by(command: str, threads: int, rounds: int, load: float) -> Figure:
+    """What every figure of a run says of it."""
+    return {
         "rounds": rounds,
         "threads": threads,
-        "command": " ".join(["python scripts/bench.py", *words]),
+        "command": command,
         "date": date.today().isoformat(),
         "machine": machine_in_words(),
         "commit": commit(),
         "load": load,
     }
-    return [made | one for one in json.loads(done.stdout.splitlines()[-1])]
 
 
 def machine_in_words() -> str:

@@ -3,6 +3,7 @@
     git worktree add /tmp/before main
     python scripts/bench_against.py /tmp/before
     python scripts/bench_against.py /tmp/before --size 960x720 --rounds 40 --threads 2
+    python scripts/bench_against.py /tmp/before --threads 2 --write docs/performance.md
 
 Both are loaded beside each other and every round runs both; the one that begins changes from round
 to round. A ratio is the median of the rounds' ratios, this checkout's time over the other's. On
@@ -12,7 +13,7 @@ but little; on more it is the time on the clock.
 
 import argparse
 import importlib
-import statistics
+import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -25,8 +26,23 @@ import cv2
 import torch
 from torch import Tensor
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the scripts beside
+
+from scripts.bench import FIGURES, commit, made_by
+from scripts.bench_figures import (
+    Figure,
+    figure,
+    merged,
+    part_table,
+    read_figures,
+    write_figures,
+    written,
+)
+from scripts.bench_parts import ratio, shown, threads_in_words
+
 HERE = Path(__file__).resolve().parents[1]
 OURS = ("roadtorch", "scripts")  # the packages that each checkout has its own of
+PART = "before-after"
 WARM_UP = 2  # rounds that are not counted
 SEGMENTS = 400
 SLIC = f"slic, {SEGMENTS} segments"
@@ -92,15 +108,23 @@ def in_turn(
     return counted
 
 
-def table(rounds: Sequence[Sequence[Round]]) -> str:
-    """Medians of both and of their ratios, as a Markdown table."""
-    lines = ["| ms | before | now | ratio |", "|---|---:|---:|---:|"]
+def figures_of(
+    rounds: Sequence[Sequence[Round]], commits: Sequence[str], words: str
+) -> list[Figure]:
+    """Medians of both and of their ratios, a row a stage.
+
+    commits: of the checkouts; words: how many threads.
+    """
+    columns = [f"before, ms, {words}", f"now, ms, {words}"]
+    found = [figure(PART, "commit", *both) for both in zip(columns, commits, strict=True)]
     for name in rounds[0][0]:
         before, now = ([both[place][name] for both in rounds] for place in (0, 1))
-        ratio = statistics.median(two / one for one, two in zip(before, now, strict=True))
-        times = (f"{statistics.median(values):.1f}" for values in (before, now))
-        lines.append(f"| {name} | {' | '.join(times)} | {ratio:.2f} |")
-    return "\n".join(lines)
+        found += [
+            shown(PART, name, columns[0], before),
+            shown(PART, name, columns[1], now),
+            shown(PART, name, f"ratio, {words}", ratio(now, before), ""),
+        ]
+    return found
 
 
 def main() -> None:
@@ -109,13 +133,25 @@ def main() -> None:
     parser.add_argument("--size", default="640x480", help="width x height of a rendered street")
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--write", type=Path, help="keep the figures, and show them in this page")
     given = parser.parse_args()
     torch.set_num_threads(given.threads)
     cv2.setNumThreads(given.threads)
+    load = round(os.getloadavg()[0], 1)
     before, now = (checkout_of(root.resolve()) for root in (given.before, HERE))
     ((width, height),) = now.bench.sizes(given.size)
     image = now.bench.picture_at(None, width, height)
-    print(table(in_turn([before, now], image, given.rounds, given.threads)))
+    rounds = in_turn([before, now], image, given.rounds, given.threads)
+    command = f"python scripts/bench_against.py BEFORE --threads {given.threads}"
+    made = made_by(command, given.threads, given.rounds, load)
+    commits = [commit(root) or "unknown" for root in (given.before, HERE)]
+    found = figures_of(rounds, commits, threads_in_words(given.threads))
+    found = [made | one for one in found]
+    print(part_table(found, PART))
+    if given.write:
+        figures = merged(read_figures(FIGURES), found, made["command"])
+        write_figures(FIGURES, figures)
+        given.write.write_text(written(given.write.read_text("utf-8"), figures), "utf-8")
 
 
 if __name__ == "__main__":

@@ -36,6 +36,8 @@ SLOW = ("kmeans-road", "ufl", "ufl:kitti", "ufl:original", "vanishing-point")
 """Detectors of more than a tenth of a second: in a part of their own."""
 GRID = ("oneclass:gaussian:RGB", "oneclass:nn:HS", "oneclass:svdd:S")
 """Of the grid of hundreds, the cheapest plane, two planes and three."""
+SMALL = ("fusion", "layout:cnn-7", "ufl")
+"""Of each paper one that has a network or a dictionary of its own."""
 SIDE = 1024
 """Of the matrices whose product shows what rate the machine can reach."""
 
@@ -129,11 +131,24 @@ def measure_slow(threads: int, rounds: int) -> list[Figure]:
 
 
 def measure_large(threads: int, rounds: int) -> list[Figure]:
-    """``fusion`` and its peers on a picture of 960×720, and fusion on one of 480×360."""
-    image, small = street(960, 720), street(480, 360)
+    """``fusion`` and its peers on a picture of 960×720."""
+    image = street(960, 720)
     calls = detects(["fusion"], image) | {LRASPP: lraspp(image)} | superpixels(image)
-    calls |= {"fusion, 480×360": detects(["fusion"], small)["fusion"]}
     return compared("large", calls, threads, rounds)
+
+
+def measure_small(threads: int, rounds: int) -> list[Figure]:
+    """Detectors of the three papers on a picture of 480×360, and how many they look at a second."""
+    words = threads_in_words(threads)
+    calls = detects(SMALL, street(480, 360))
+    return [
+        one
+        for name, values in timed(calls, rounds, f"small, {words}").items()
+        for one in (
+            shown("small", name, f"ms, {words}", values),
+            shown("small", name, f"pictures/s, {words}", [1000 / ms for ms in values], "/s"),
+        )
+    ]
 
 
 # --- networks ---------------------------------------------------------------------------
@@ -214,6 +229,7 @@ def measure_gaussian(threads: int, rounds: int) -> list[Figure]:
 PARTS: Parts = {
     "detectors": measure_detectors,
     "large": measure_large,
+    "small": measure_small,
     "slow-detectors": measure_slow,
     "networks": measure_networks,
     "gaussian": measure_gaussian,

@@ -23,4 +23,9 @@ def test_a_checkout_has_its_own_package_and_others_stay_loaded() -> None:
 def test_a_ratio_is_the_median_of_the_rounds_ratios() -> None:
     rounds = [[{"road": 2.0}, {"road": 1.0}], [{"road": 4.0}, {"road": 3.0}]]
 
-    assert bench_against.table(rounds).splitlines()[-1] == "| road | 3.0 | 2.0 | 0.62 |"
+    found = bench_against.figures_of(rounds, ["a1", "b2"], "1 thread")
+
+    columns = ("before, ms, 1 thread", "now, ms, 1 thread", "ratio, 1 thread")
+    told = {one["name"].removeprefix("before-after/"): one["value"] for one in found}
+    assert [told[f"road/{column}"] for column in columns] == [3.0, 2.0, 0.625]
+    assert [told[f"commit/{column}"] for column in columns[:2]] == ["a1", "b2"]
