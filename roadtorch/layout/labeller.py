@@ -253,8 +253,12 @@ def _scaled(states: np.ndarray) -> np.ndarray:
 
 def decide_layout(potentials: Tensor, settings: LabellerSettings) -> Tensor:
     """Labels (n,) of the largest potentials (n,3); 255 where the margin to the second is small."""
-    best, second = potentials.topk(2, dim=1).values.unbind(1)
-    labels = potentials.argmax(1)
+    # Of three potentials, compared plane by plane: argmax of triples takes ten times as long.
+    sky, vertical, horizontal = potentials.unbind(1)
+    higher, lower = torch.maximum(sky, vertical), torch.minimum(sky, vertical)
+    best = torch.maximum(higher, horizontal)
+    labels = torch.where(sky == best, SKY, torch.where(vertical == best, VERTICAL, HORIZONTAL))
     if settings.support == "maximum":
         return labels
+    second = torch.maximum(lower, torch.minimum(higher, horizontal))
     return torch.where(best - second >= settings.margin, labels, UNLABELLED)
