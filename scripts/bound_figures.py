@@ -26,7 +26,7 @@ MINUS = "\N{MINUS SIGN}"
 
 NUMBER = rf"[+{MINUS}-]?(?:\d{{1,3}}(?:,\d{{3}})+|\d+)?(?:\.\d+|(?<=\d))(?:\s?%)?"
 
-MARK = re.compile(rf"(?P<said>`[^`\n]+`|{NUMBER})<!-- figure: (?P<key>\S+) -->")
+MARK = re.compile(rf"(?P<said>`[^`\n]+`|{NUMBER})<!-- figure: (?P<key>\S[^\n>]*?) -->")
 
 TABLE = re.compile(r"<!-- table: (?P<name>\S+) -->\n(?P<body>.*?)<!-- end -->", re.S)
 
