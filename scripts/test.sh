@@ -3,6 +3,7 @@
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/venv.sh"
 prepare_venv test
+unset PYTHONDONTWRITEBYTECODE # hundreds of processes would each compile the package
 
 "$PYTHON" -m ruff format --check .
 "$PYTHON" -m ruff check .

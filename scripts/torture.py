@@ -236,7 +236,7 @@ COMMANDS = {"infer": infer_words, "evaluate": evaluate_words, "train": train_wor
 
 
 def paint(folder: Path, count: int) -> None:
-    """Write labelled streets; in a process of its own, as threads of torch do not survive forks."""
+    """Write labelled streets; in a copy of this process, as torch's threads survive no fork."""
     (folder / "masks" / "below").mkdir(parents=True)
     for seed in range(count):
         scene = render_scene(seed, 120, 160)
@@ -257,7 +257,7 @@ def load() -> None:
 
 def torture(given: argparse.Namespace, folder: Path) -> Torture:
     """All rounds, with pictures and results in a folder."""
-    context = multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("fork")  # as the runs are, with all that is imported
     painter = context.Process(target=paint, args=(folder / "work", given.pictures))
     painter.start()
     painter.join()

@@ -1,4 +1,4 @@
-"""What holds for every test: no network, settled randomness, two threads."""
+"""What holds for every test: no network, settled randomness, one thread of torch."""
 
 import os
 import socket
@@ -17,7 +17,7 @@ DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 hypothesis.settings.register_profile("settled", derandomize=True, deadline=None, database=None)
 hypothesis.settings.load_profile("settled")
-torch.set_num_threads(2)
+torch.set_num_threads(1)  # with two, many small operations take twice the processor time
 
 
 @pytest.fixture(autouse=True)

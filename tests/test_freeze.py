@@ -5,6 +5,7 @@ from itertools import chain
 from pathlib import Path
 
 import pytest
+import torch
 
 from scripts import freeze
 
@@ -14,7 +15,13 @@ AWAY = 4.0  # 255ths: how far another machine's arithmetic may move a likelihood
 
 @pytest.fixture(scope="module")
 def now() -> dict[str, list[list[int]]]:
-    return freeze.thumbnails()
+    """With two threads, which other tests do without."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        return freeze.thumbnails()
+    finally:
+        torch.set_num_threads(before)
 
 
 @pytest.mark.parametrize("name", FROZEN)

@@ -59,41 +59,37 @@ def test_a_path_follows_its_edge_and_drops_where_there_is_none() -> None:
 # --- the camera -----------------------------------------------------------------------------
 
 
-def test_horizon_and_seed_row_are_those_of_the_street() -> None:
-    camera = camera_of(drive())
+@pytest.fixture(scope="module")
+def camera() -> Camera:
+    return camera_of(drive())
 
+
+def test_horizon_and_seed_row_are_those_of_the_street(camera: Camera) -> None:
     assert (camera.width, camera.height, camera.frames) == (160, 120, 12)
     assert camera.horizon == pytest.approx(0.42, abs=0.06)
     assert camera.seed_row == pytest.approx(0.82, abs=0.03)
 
 
-def test_a_file_gives_the_same_camera_again(tmp_path: Path) -> None:
-    camera = camera_of(drive())
+def test_a_file_gives_the_same_camera_again(camera: Camera, tmp_path: Path) -> None:
     camera.write(tmp_path / "camera.toml")
 
     assert Camera.read(tmp_path / "camera.toml") == camera
 
 
-def test_pictures_of_the_camera_pass_at_any_size() -> None:
-    camera = camera_of(drive())
-
+def test_pictures_of_the_camera_pass_at_any_size(camera: Camera) -> None:
     for image in (*drive(), resized(drive()[3], (240, 320)).clamp(0, 1)):
         camera.check(image)
         assert image_likeness(camera.look, image) >= camera.look.least
 
 
-def test_another_ego_car_and_another_shape_are_refused() -> None:
-    camera = camera_of(drive())
-
+def test_another_ego_car_and_another_shape_are_refused(camera: Camera) -> None:
     with pytest.raises(InputError, match="image: does not show this camera's ego car"):
         camera.check(scene(40, 120, 160).image)
     with pytest.raises(InputError, match="image: is 160×90 pixels, the camera's footage 160×120"):
         camera.check(scene(40, 90, 160).image)
 
 
-def test_detectors_take_what_they_can_of_it() -> None:
-    camera = camera_of(drive())
-
+def test_detectors_take_what_they_can_of_it(camera: Camera) -> None:
     assert set(camera.settings_for(DetectorSettings)) == {"ego"}
     assert camera.settings_for(FusionSettings)["labeller"]["place"]["horizon"] == camera.horizon
     detector = load_detector("fusion", camera=camera, labeller={"place": {"horizon": 0.3}})
@@ -101,9 +97,7 @@ def test_detectors_take_what_they_can_of_it() -> None:
     assert detector.settings.labeller.place.horizon == 0.3  # type: ignore[attr-defined]
 
 
-def test_the_picture_to_check_shows_the_ego_car() -> None:
-    camera = camera_of(drive())
-
+def test_the_picture_to_check_shows_the_ego_car(camera: Camera) -> None:
     picture = check_picture(camera, drive())
 
     assert picture.shape == (3, 480, 1280)

@@ -16,7 +16,7 @@ UNUSED = (
 )
 """What `infer` on one picture has no use for, and would wait for."""
 
-ROUNDS = 4
+ROUNDS = 5  # at most, and two at least
 
 ENVIRONMENT = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
 """In which modules are compiled once, as where roadtorch is installed."""
@@ -67,12 +67,13 @@ def test_one_picture_loads_nothing_that_it_has_no_use_for(tmp_path: Path) -> Non
 @pytest.mark.skipif(not hasattr(os, "wait4"), reason="processor time of a child is not told")
 def test_one_picture_costs_little_more_than_loading_torch(tmp_path: Path) -> None:
     infer = [*infer_words(tmp_path), "--overwrite"]
-    processor_time(infer)  # once, so that everything is compiled and in the system's memory
+    ours, torchs = [], []
 
-    rounds = [(processor_time(infer), processor_time(words("import torch"))) for _ in range(ROUNDS)]
-
-    # Without sparing Python's collector it is 1.5; with it 1.2.
-    assert min(one for one, _ in rounds) < 1.35 * min(other for _, other in rounds)
+    # Without sparing Python's collector it is 1.5; with it 1.2. The first run compiles modules.
+    while len(ours) < 2 or min(ours) >= 1.35 * min(torchs):
+        assert len(ours) < ROUNDS, (ours, torchs)
+        ours.append(processor_time(infer))
+        torchs.append(processor_time(words("import torch")))
 
 
 FIRST = """
@@ -90,6 +91,6 @@ print(times[0] / sorted(times[1:])[4])
 
 
 def test_the_first_picture_takes_hardly_longer_than_a_later_one() -> None:
-    ratios = [float(subprocess.check_output(words(FIRST), text=True)) for _ in range(3)]
+    ratios = (float(subprocess.check_output(words(FIRST), text=True)) for _ in range(3))
 
-    assert min(ratios) < 1.5
+    assert any(ratio < 1.5 for ratio in ratios)

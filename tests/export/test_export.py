@@ -1,8 +1,10 @@
 """Exported files: what they say, what they say about themselves, and what is refused."""
 
 import runpy
+import shutil
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -173,9 +175,13 @@ def test_what_cannot_be_exported_is_told_before_any_work(
 
 
 def test_a_file_that_says_something_else_is_not_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    fusion: Exported, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(export_module, "BOUND", 1e-12)
+    def write(module: object, notes: object, path: Path) -> None:
+        shutil.copyfile(fusion.files[0], path)
+
+    made = replace(export_module.FORMATS["onnx"], write=write)
+    monkeypatch.setattr(export_module, "FORMATS", {"onnx": made})
     weights = write_ego_network(tmp_path / "own.safetensors", bottom=0.25)
     detector = load_detector("layout", weights={"file": str(weights)})
 

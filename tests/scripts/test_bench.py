@@ -5,6 +5,7 @@ import statistics
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -30,9 +31,19 @@ ROOT = SCRIPT.parents[1]
 PAGE = "# Time\n\n<!-- bench: detectors -->\n<!-- end -->\n\nThe end.\n"
 
 
-def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-    words = [sys.executable, str(SCRIPT), *map(str, arguments)]
-    return subprocess.run(words, capture_output=True, text=True, timeout=300)
+Run = Callable[..., tuple[int, list[str]]]
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """``run("--check", page)``: the exit status and the lines printed, in this process."""
+
+    def call(*arguments: object) -> tuple[int, list[str]]:
+        monkeypatch.setattr(sys, "argv", [str(SCRIPT), *map(str, arguments)])
+        status = bench.main()
+        return status, capsys.readouterr().out.splitlines()
+
+    return call
 
 
 def made(command: str, *figures: Figure) -> list[Figure]:
@@ -45,37 +56,35 @@ def one_detector(value: float) -> list[Figure]:
     return made("a", figure("detectors", "fusion", "ms, 1 thread", value, "ms"))
 
 
-def test_a_part_is_measured_kept_written_and_checked(tmp_path: Path) -> None:
+def test_a_part_is_measured_kept_written_and_checked(tmp_path: Path, run: Run) -> None:
     kept, page = tmp_path / "figures.json", tmp_path / "page.md"
     page.write_text(PAGE.replace("detectors", "stages"))
     words = ["--only", "stages", "--threads", "1", "--json", str(kept)]
 
-    done = run(*words, "--rounds", 2, "--write", page)
+    status, _ = run(*words, "--rounds", 2, "--write", page)
 
-    assert done.returncode == 0, done.stderr
+    assert status == 0
     figures = {one["name"]: one for one in json.loads(kept.read_text())}
     assert all(figures[f"stages/{stage}/ms, 1 thread"]["value"] > 0 for stage in bench.STAGES)
     for one in figures.values():
         assert one["command"] == "python scripts/bench.py --only stages --threads 1"
         assert {"value", "unit", "date", "machine", "commit", "rounds"} <= one.keys()
     assert "\n| network | " in page.read_text()
-    assert run("--check", page, "--json", kept).stdout.splitlines() == [
-        f"{page}: no table of machine"
-    ]
+    assert run("--check", page, "--json", kept) == (1, [f"{page}: no table of machine"])
 
 
-def test_a_planted_stale_figure_is_found(tmp_path: Path) -> None:
+def test_a_planted_stale_figure_is_found(tmp_path: Path, run: Run) -> None:
     kept, page = tmp_path / "figures.json", tmp_path / "page.md"
     write_figures(kept, one_detector(31.52))
     page.write_text(written(PAGE, read_figures(kept)))
     assert "| fusion | 31.5 |" in page.read_text()
-    assert run("--check", page, "--json", kept).returncode == 0
+    assert run("--check", page, "--json", kept) == (0, [])
 
     page.write_text(page.read_text().replace("31.5", "28.5"))
-    done = run("--check", page, "--json", kept)
+    status, told = run("--check", page, "--json", kept)
 
-    assert done.returncode == 1
-    assert done.stdout == f"{page}: line 7: | fusion | 28.5 | (measured: | fusion | 31.5 |)\n"
+    assert status == 1
+    assert told == [f"{page}: line 7: | fusion | 28.5 | (measured: | fusion | 31.5 |)"]
 
 
 def test_a_table_that_the_page_lacks_is_told() -> None:

@@ -1,8 +1,6 @@
 """The benchmark of the one-class classifiers: every pair is timed, and peers rank as ours do."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -13,21 +11,23 @@ from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
 from roadtorch.oneclass.samples import SampleSettings, road_samples
 from roadtorch.scenes import render_scene
 from scripts import bench_oneclass
+from tests.scripts.conftest import PrintedBy
 
 
-def test_pairs_and_grid_are_printed_and_written(tmp_path: Path) -> None:
+def test_pairs_and_grid_are_printed_and_written(
+    tmp_path: Path, printed_by: PrintedBy, monkeypatch: pytest.MonkeyPatch
+) -> None:
     figures = tmp_path / "figures.json"
     words = ["--sizes", "64x48,32x32", "--rounds", "1", "--grid-rounds", "1", "--threads", "1"]
-    script = [sys.executable, str(Path(bench_oneclass.__file__)), *words, "--json", str(figures)]
+    monkeypatch.setattr(bench_oneclass, "threadpool_limits", lambda threads: None)  # nor undone
 
-    done = subprocess.run(script, capture_output=True, text=True, timeout=120)
+    printed = printed_by(bench_oneclass, *words, "--json", figures)
 
-    assert done.returncode == 0, done.stderr
     written = json.loads(figures.read_text())
     assert set(written["RGB"]) == set(bench_oneclass.PEERS)
     assert set(written["S"]) == set(bench_oneclass.PEERS) - {"pca"}
     assert written["grid"]["detectors"] == 310
-    assert "The grid of 310 detectors at 32x32" in done.stdout
+    assert "The grid of 310 detectors at 32x32" in printed
 
 
 @pytest.mark.parametrize("name", bench_oneclass.PEERS)

@@ -1,7 +1,5 @@
 """The benchmark of patches: both sides make the same number, and it prints a ratio."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import torch
@@ -9,6 +7,7 @@ import torch
 from roadtorch.train.patch_samples import PatchSamples
 from roadtorch.train.processes import Processes
 from scripts import bench_patches
+from tests.scripts.conftest import PrintedBy
 
 
 def test_both_sides_make_patches_of_the_same_sites(tmp_path: Path) -> None:
@@ -25,12 +24,10 @@ def test_both_sides_make_patches_of_the_same_sites(tmp_path: Path) -> None:
     assert plain[0][0].shape == batches[0].inputs.shape[1:]
 
 
-def test_it_prints_both_speeds_and_their_ratio() -> None:
-    words = [sys.executable, bench_patches.__file__, "--pictures", "1", "--rounds", "1"]
+def test_it_prints_both_speeds_and_their_ratio(printed_by: PrintedBy) -> None:
+    printed = printed_by(bench_patches, "--pictures", "1", "--rounds", "1")
 
-    done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=True)
-
-    assert [line.split("|")[1].strip() for line in done.stdout.splitlines()[2:]] == [
+    assert [line.split("|")[1].strip() for line in printed.splitlines()[2:]] == [
         "plain DataLoader",
         "in one pass",
         "ratio",

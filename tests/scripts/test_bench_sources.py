@@ -1,7 +1,5 @@
 """The benchmark of sources: every source gives the same pictures, and it prints their speeds."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import torch
@@ -10,6 +8,7 @@ from roadtorch.image import read_image, write_colours
 from roadtorch.scenes import render_scene
 from roadtorch.sources.pictures import find_images
 from scripts import bench_sources
+from tests.scripts.conftest import PrintedBy
 
 
 def test_every_source_gives_the_same_pictures(tmp_path: Path) -> None:
@@ -21,13 +20,13 @@ def test_every_source_gives_the_same_pictures(tmp_path: Path) -> None:
         assert torch.equal(frame.read(), read_image(pictures[0].path))
 
 
-def test_it_prints_speeds_and_sizes(tmp_path: Path) -> None:
+def test_it_prints_speeds_and_sizes(tmp_path: Path, printed_by: PrintedBy) -> None:
     for seed in range(2):
         write_colours(tmp_path / f"{seed}.png", render_scene(seed, 48, 64).image)
-    words = [sys.executable, bench_sources.__file__, "--images", str(tmp_path), "--rounds", "1"]
-    words += ["--detector", "prior:rows", "--keep", str(tmp_path / "bags")]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    assert "a.zip" in done.stdout
-    assert "masks and overlays" in done.stdout
+    words = ["--images", tmp_path, "--rounds", "1", "--detector", "prior:rows"]
+
+    printed = printed_by(bench_sources, *words, "--keep", tmp_path / "bags")
+
+    assert "a.zip" in printed
+    assert "masks and overlays" in printed
     assert (tmp_path / "bags" / "masks" / "metadata.yaml").is_file()

@@ -2,8 +2,6 @@
 
 import json
 import statistics
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -11,26 +9,23 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.scenes import render_scene
 from scripts import bench_ufl
 from scripts.bench import SUM, time_stages
+from tests.scripts.conftest import PrintedBy
 
 
-def test_every_stage_and_every_rate_is_printed_and_written(tmp_path: Path) -> None:
+def test_every_stage_and_every_rate_is_printed_and_written(
+    tmp_path: Path, printed_by: PrintedBy
+) -> None:
     figures = tmp_path / "figures.json"
     words = ["--sizes", "32x24", "--rounds", "1", "--threads", "1", "--json", str(figures)]
 
-    done = subprocess.run(
-        [sys.executable, str(Path(bench_ufl.__file__)), *words],
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+    printed = printed_by(bench_ufl, *words)
 
-    assert done.returncode == 0, done.stderr
     size = json.loads(figures.read_text())["sizes"]["32x24"]
     assert all(size["rounds"][0][stage] > 0 for stage in bench_ufl.STAGES)
     patches = 115 * 155  # of 160x120, whatever the size of the picture
     assert size["operations"]["K-means"] == 10 * 2 * patches * 200 * 108
     for name in (*size["ms"], *size["ratios"], *size["operations"]):
-        assert f"\n| {name} | " in done.stdout
+        assert f"\n| {name} | " in printed
 
 
 def test_the_stages_leave_out_little_of_detect() -> None:
