@@ -17,7 +17,7 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from roadtorch.ego import Ego, continued, ego_car, is_given, read_ego_mask
+from roadtorch.ego import Ego, continued, ego_car, is_anywhere, is_given, read_ego_mask
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.image import Order, Picture, as_image, overlay_pixels, png_bytes
 from roadtorch.seed_area import SeedArea, remove_isolated, seed_rectangle
@@ -111,13 +111,14 @@ class WithoutEgo(Mapping[str, Tensor]):
     def __init__(self, found: Mapping[str, Tensor], ego: Tensor) -> None:
         self._found = found
         self._ego = ego
+        self._changed = ("likelihood", "seed_area") if is_anywhere(ego) else ()
 
     def __getitem__(self, name: str) -> Tensor:
         """The map of that name, (H,W) or (C,H,W); KeyError where there is none."""
         if name == "ego":
             return self._ego
         found = self._found[name]
-        return found.masked_fill(self._ego, 0) if name in ("likelihood", "seed_area") else found
+        return found.masked_fill(self._ego, 0) if name in self._changed else found
 
     def __iter__(self) -> Iterator[str]:
         """The names of all maps, ``ego`` the last."""
@@ -288,7 +289,7 @@ class Detector(nn.Module):
             likelihood = likelihood.masked_fill(ego, 0)
         if seed is not None:
             seed = at_picture_size(seed, (likelihood.shape[0], likelihood.shape[1]))
-        if ego is None or not ego.cpu().numpy().any():  # torch takes thirty times as long
+        if ego is None or not is_anywhere(ego):
             mask = decide(likelihood, self.settings, seed)
         else:
             mask = decide_beside(likelihood, ego, self.settings, seed)

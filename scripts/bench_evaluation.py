@@ -11,7 +11,6 @@ of its own, because a process never gives back the most memory it had.
 import argparse
 import json
 import os
-import resource
 import subprocess
 import sys
 import time
@@ -36,6 +35,7 @@ from roadtorch.evaluation.saved_tallies import SavedTallies
 from roadtorch.evaluation.scoring import score
 from roadtorch.evaluation.summary import summarise
 from roadtorch.scenes import render_scene, write_picture
+from scripts.peak_memory import peak_mebibytes
 
 DETECTORS = ("prior:rows", "prior:triangle", "prior:uniform")
 SIZE = (360, 480)
@@ -75,7 +75,7 @@ def measure(many: int) -> dict[str, float]:
         return {
             "ms": 1000 * (whole - detect) / len(DETECTORS),
             "summary_s": (time.perf_counter() - start) / len(DETECTORS),
-            "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+            "peak_mb": peak_mebibytes(),
         }
 
 

@@ -10,7 +10,6 @@ through all sizes.
 """
 
 import json
-import resource
 import subprocess
 import sys
 import time
@@ -20,8 +19,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from torch import Tensor
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the scripts beside
+
+from scripts.peak_memory import peak_mebibytes
+
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))  # for the scripts beside
 
 SIZES = (0.1, 0.3, 1.0, 3.0, 8.0, 20.0, 40.0, 80.0)
 """Megapixels."""
@@ -44,8 +46,8 @@ def detect_at(megapixels: float) -> dict[str, float]:
         start = time.perf_counter()
         detector.detect(image)
         times.append(1000 * (time.perf_counter() - start))
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return {"ms": sorted(times)[len(times) // 2], "MiB": peak, "pixels": height * width}
+    middle = sorted(times)[len(times) // 2]
+    return {"ms": middle, "MiB": peak_mebibytes(), "pixels": height * width}
 
 
 def enlarged(height: int, width: int) -> "Tensor":

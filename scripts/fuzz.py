@@ -15,13 +15,11 @@ kept in --out.
 import argparse
 import faulthandler
 import random
-import resource
 import shutil
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from roadtorch.errors import RoadtorchError
 from scripts import fuzz_labels, fuzz_pictures, fuzz_results, fuzz_settings, fuzz_weights
+from scripts.peak_memory import forget_peak, peak_mebibytes
 
 COUNT, SEED, SECONDS, GIGABYTES = 10_000, 0, 20.0, 2.0
 STDERR = 2  # whatever sys.stderr is meanwhile
@@ -103,7 +102,7 @@ def judge(path: Path, read: Callable[[Path], bool], seconds: float) -> Verdict:
         what = f"crash: {type(problem).__name__}: {str(problem)[:200]}"
     finally:
         faulthandler.cancel_dump_traceback_later()
-    took, most = time.perf_counter() - start, peak_gigabytes()
+    took, most = time.perf_counter() - start, peak_mebibytes() / 2**10
     if most > GIGABYTES:
         what = f"{most:.1f} GiB"
     return Verdict(what, took, most)
@@ -119,21 +118,6 @@ def _of_refusal(told: str, path: Path) -> str:
 
 
 # --- memory -----------------------------------------------------------------------------
-
-
-def forget_peak() -> None:
-    """Let the peak of memory begin anew, where the system (Linux) can."""
-    with suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5")
-
-
-def peak_gigabytes() -> float:
-    """The most memory that this process has held, since ``forget_peak`` where that works."""
-    with suppress(OSError):
-        for line in Path("/proc/self/status").read_text().splitlines():
-            if line.startswith("VmHWM"):
-                return int(line.split()[1]) / 2**20
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
 
 # --- many -------------------------------------------------------------------------------

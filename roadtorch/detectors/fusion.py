@@ -9,7 +9,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from roadtorch.detector import TUNED, Deferred, Entry, Threshold, WorkingSettings
-from roadtorch.ego import continued, ego_found
+from roadtorch.ego import continued, ego_found, is_anywhere
 from roadtorch.exposure import brightened
 from roadtorch.fusion import (
     SegmentRoadSettings,
@@ -170,7 +170,7 @@ class Fusion(nn.Module):
         settings = self.settings
         learned = self.network.cues(image)
         ego = ego_found(learned["ego"])
-        if ego.any():
+        if is_anywhere(ego):
             known = torch.cat([image, learned["layout"], learned["road"][None]])
             image, layout, road = continued(known, ego).split([3, CLASSES, 1])
             learned = {"layout": layout, "road": road[0]}
