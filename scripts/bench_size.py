@@ -124,6 +124,7 @@ def draw(found: list[dict[str, float]], path: Path) -> None:
         axis.grid(True, which="major", color="#dddddd")
         axis.xaxis.set_major_formatter("{x:g}")
         axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter("")
     figure.savefig(path, metadata={"Date": None})
     plt.close(figure)
 
