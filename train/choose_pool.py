@@ -31,8 +31,8 @@ from roadtorch.fusion import log_odds
 from roadtorch.otsu import centred_odds
 from train.choose_many import CENTRES, pictures
 
-SHARES = (0.5, 0.65, 0.8)
-WEIGHTS = (0.25, 0.5, 1.0)
+SHARES = (0.65, 0.8)
+WEIGHTS = (0.5, 1.0)
 DETAILS = (0.0, 0.25, 0.5, 1.0)
 OWNS = (0.0, 0.25, 0.5)
 LEVELS = 1024
