@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from roadtorch import Detection, load_detector
 from roadtorch.data.dataset import Truth
@@ -32,9 +31,9 @@ from roadtorch.otsu import centred_odds
 from train.choose_many import CENTRES, pictures
 
 SHARES = (0.65, 0.8)
-WEIGHTS = (0.5, 1.0)
-DETAILS = (0.0, 0.25, 0.5, 1.0)
-OWNS = (0.0, 0.25, 0.5)
+WEIGHTS = (0.25, 0.5, 1.0)
+DETAILS = (0.25, 0.5, 1.0)
+OWNS = (0.0, 0.25)
 LEVELS = 1024
 """Of the log odds, as likelihoods, at which pixels are counted."""
 
@@ -80,11 +79,13 @@ def tables(root: Path, detector: str) -> Iterator[tuple[Choice, Worth]]:
 
 def counted(found: Detection, truth: Truth) -> Iterator[tuple[tuple[float, float], RoadCounts]]:
     """By detail and own, the pixels of one detection whose calibration is plain."""
-    odds = SPREAD * torch.logit(found.likelihood, eps=1e-6)
+    free = ~found.cues["ego"]  # on the ego car the likelihood is 0, which is far from the others
+    odds = SPREAD * torch.logit(found.likelihood[free], eps=1e-6)
+    learned = log_odds(found.cues["learned_road"])[free]
     for detail, own in product(DETAILS, OWNS):
-        both = odds + detail * log_odds(found.cues["learned_road"])
-        centred = (centred_odds(both, 0.0, own) / SPREAD).sigmoid()
-        seen: Tensor = centred.masked_fill(found.cues["ego"], 0.0)
+        centred = centred_odds(odds + detail * learned, 0.0, own)
+        seen = torch.zeros_like(found.likelihood)
+        seen[free] = (centred / SPREAD).sigmoid()
         yield (detail, own), count_levels(seen, truth.road, truth.valid, LEVELS)
 
 

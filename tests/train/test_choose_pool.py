@@ -39,7 +39,7 @@ def test_what_a_network_says_moves_the_odds_by_its_detail() -> None:
     found = Detection(found.likelihood, found.mask, {**found.cues, "learned_road": sure})
     counts = dict(counted(found, truth))
 
-    assert worth_of({"one": counts[0.0, 0.0]}, 0.0).maxf == pytest.approx(1)
+    assert worth_of({"one": counts[0.25, 0.0]}, 0.0).maxf == pytest.approx(1)
     assert worth_of({"one": counts[1.0, 0.0]}, 0.0).maxf == pytest.approx(2 / 3)
 
 
