@@ -5,6 +5,7 @@
     python train/choose_many.py trust DATA
     python train/choose_many.py ego DATA     (how often it is found, and what road it takes)
 
+``--detector fusion:free`` chooses for it instead of `fusion`.
 DATA holds ``many/`` and ``camvid/``. A camera is a folder of many/ or a drive of CamVid (every
 fourth frame); each counts the same. What is told of a camera was chosen on the others; IDD has
 no part in it. Masks are those of the threshold alone: isolated regions stay.
@@ -53,8 +54,8 @@ LOST = 0.02
 DRIVES = ("0001TP", "0006R0", "0016E5")
 """CamVid's, beside the folders of many/."""
 
-UNCALIBRATED = ("layout", "fusion:untrained", "labeller")
-THRESHOLDS = (0.2, 0.3, 0.39, 0.5, 0.7, 0.82, 0.92, 0.97, 0.99)
+UNCALIBRATED = ("layout", "layout:free", "fusion:untrained", "labeller")
+THRESHOLDS = (0.2, 0.3, 0.39, 0.5, 0.7, 0.82, 0.87, 0.92, 0.95, 0.97, 0.99)
 
 CENTRES = np.arange(-4, 1.01, 0.25)
 OWNS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -73,10 +74,10 @@ def pictures(root: Path, detector: Detector) -> Iterator[tuple[str, Detection, T
 # --- calibration ------------------------------------------------------------------------
 
 
-def choose_calibration(root: Path) -> None:
+def choose_calibration(root: Path, name: str) -> None:
     """Print the best centre and share of Otsu's threshold, and each camera's F by the others'."""
     plain = {"centre": 0.0, "own": 0.0, "temperature": 1.0}
-    detector = load_detector("fusion", calibration=plain)
+    detector = load_detector(name, calibration=plain)
     counts: dict[str, np.ndarray] = {}
     for camera, found, truth in pictures(root, detector):
         counts[camera] = counts.get(camera, 0) + _outcomes(found, truth)
@@ -112,9 +113,9 @@ def _outcomes(found: Detection, truth: Truth) -> np.ndarray:
 # --- thresholds -------------------------------------------------------------------------
 
 
-def choose_thresholds(root: Path) -> None:
+def choose_thresholds(root: Path, only: str) -> None:
     """Print the mean F of those without a calibration, by threshold: all cameras, CamVid alone."""
-    for name in UNCALIBRATED:
+    for name in [only] if only in UNCALIBRATED else UNCALIBRATED:
         levels: dict[str, RoadCounts] = {}
         for camera, found, truth in pictures(root, load_detector(name)):
             counts = count_levels(found.likelihood, truth.road, truth.valid)
@@ -139,9 +140,9 @@ class Judged(NamedTuple):
     camera: np.ndarray
 
 
-def choose_trust(root: Path) -> None:
+def choose_trust(root: Path, name: str) -> None:
     """Print the weights of the signs of trust, and their worth on cameras left out."""
-    judged = judge_all(root)
+    judged = judge_all(root, name)
     expected = np.empty_like(judged.f)
     for camera in np.unique(judged.camera):
         mine = judged.camera == camera
@@ -157,15 +158,15 @@ def choose_trust(root: Path) -> None:
     print("WEIGHTS", [round(float(weight), 2) for weight in model.coef_])
     print("CONSTANT", round(float(model.intercept_), 3))
     print("USUAL", judged.signs.mean(0).round(2).tolist())
-    for number, name in enumerate(Signs._fields):
+    for number, sign in enumerate(Signs._fields):
         alone = rank_correlation(torch.from_numpy(judged.signs[many, number]), f)
-        print(f"{name} alone {alone:+.2f}")
+        print(f"{sign} alone {alone:+.2f}")
 
 
-def judge_all(root: Path) -> Judged:
+def judge_all(root: Path, name: str) -> Judged:
     """The signs and the F of every picture."""
     signs, f, cameras = [], [], []
-    for camera, found, truth in pictures(root, load_detector("fusion")):
+    for camera, found, truth in pictures(root, load_detector(name)):
         of_mask = f_measure(count_mask(found.mask, truth.road, truth.valid))
         signs.append(signs_of(found.likelihood, found.mask, found.cues))
         f.append(float(torch.nan_to_num(of_mask)))
@@ -183,10 +184,10 @@ def _fit(judged: Judged, chosen: np.ndarray) -> Ridge:
 # --- ego car ----------------------------------------------------------------------------
 
 
-def count_ego_cars(root: Path) -> None:
+def count_ego_cars(root: Path, name: str) -> None:
     """Print in how many pictures of each camera an ego car is found, and takes true road."""
     counts: dict[str, np.ndarray] = {}
-    for camera, found, truth in pictures(root, load_detector("fusion")):
+    for camera, found, truth in pictures(root, load_detector(name)):
         ego, road = found.cues["ego"], truth.road & truth.valid
         lost = int((ego & road).sum()) > LOST * int(road.sum())
         counts[camera] = counts.get(camera, 0) + np.array([1, bool(ego.any()), lost])
@@ -206,9 +207,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Choose what many cameras share.")
     parser.add_argument("what", choices=tuple(CHOICES))
     parser.add_argument("data", type=Path, help="the folder that holds many/ and camvid/")
+    parser.add_argument("--detector", default="fusion")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    CHOICES[arguments.what](arguments.data)
+    CHOICES[arguments.what](arguments.data, arguments.detector)
 
 
 if __name__ == "__main__":

@@ -314,9 +314,8 @@ KINDS: Mapping[str, Kind] = {
 }
 
 
-def render_street(kind: str, number: int) -> tuple[RenderedScene, Tensor]:
-    """One picture (3,240,320) of a kind and its ego car, bool (240,320)."""
-    at = np.random.default_rng([sorted(KINDS).index(kind), number])
+def painted_street(kind: str, at: Random) -> Canvas:
+    """A street of a kind on a canvas (480,640), without an ego car."""
     ranges = {"horizon": (0.22, 0.62), **KINDS[kind].ranges}
     street = draw_street(at, **{name: at.uniform(*bounds) for name, bounds in ranges.items()})
     canvas = Canvas(2 * HEIGHT, 2 * WIDTH, street)
@@ -324,6 +323,13 @@ def render_street(kind: str, number: int) -> tuple[RenderedScene, Tensor]:
     paint_other_sky(canvas, at)
     paint_horizon(canvas, at)
     KINDS[kind].paint(canvas, at)
+    return canvas
+
+
+def render_street(kind: str, number: int) -> tuple[RenderedScene, Tensor]:
+    """One picture (3,240,320) of a kind and its ego car, bool (240,320)."""
+    at = np.random.default_rng([sorted(KINDS).index(kind), number])
+    canvas = painted_street(kind, at)
     ego = np.zeros(canvas.classes.shape, bool)
     if at.random() < BONNETS:
         ego = paint_ego_car(canvas, at)
@@ -389,6 +395,13 @@ def truth_of(scene: RenderedScene, ego: Tensor) -> Arrays:
     }
 
 
+def write_scene(name: str, scene: RenderedScene, ego: Tensor, pictures: Path, truth: Path) -> None:
+    """Write a picture and its truth, as a training run prepares it."""
+    write_picture(pictures / name, scene)
+    size = torch.tensor((pictures / name).stat().st_size)
+    write_arrays(truth / f"{name}.npz", truth_of(scene, ego) | {SOURCE: size})
+
+
 def write_streets() -> None:
     """Write pictures and truth; those that are there already are kept."""
     parser = argparse.ArgumentParser(description="Write rendered streets of many kinds.")
@@ -404,9 +417,7 @@ def write_streets() -> None:
             if (given.truth / f"{name}.npz").exists():
                 continue
             scene, ego = render_street(kind, number)
-            write_picture(given.pictures / name, scene)
-            size = torch.tensor((given.pictures / name).stat().st_size)
-            write_arrays(given.truth / f"{name}.npz", truth_of(scene, ego) | {SOURCE: size})
+            write_scene(name, scene, ego, given.pictures, given.truth)
 
 
 if __name__ == "__main__":

@@ -93,9 +93,13 @@ class FusionSettings(UntrainedFusionSettings):
 
 
 class FreeFusionSettings(FusionSettings):
-    """The same with weights learned from free pictures alone: anybody may use them."""
+    """The same with weights learned from free pictures alone: anybody may use them.
+
+    They have seen less and are trusted less (``train/choose_pool.py``).
+    """
 
     weights: WeightsFile = WeightsFile(file="layout-free")
+    learned: LearnedRoad = LearnedRoad(weight=0.5)
 
 
 class PaperFusionSettings(WorkingSettings):

@@ -195,8 +195,8 @@ def test_the_free_weights_may_be_used_for_anything_and_began_with_nothing_else()
     config = read_origin(path)["config"]
 
     assert terms_of(path).startswith("anything: Apache-2.0")
-    assert config["start"] == config["teacher"]["weights"] == "runs/free-2/weights.safetensors"
-    assert read_origin(path)["pictures"] == 640 + 49
+    assert config["start"] == config["teacher"]["weights"] == "runs/free-3/weights.safetensors"
+    assert read_origin(path)["pictures"] == 640 + 390 + 49
 
 
 def test_weights_without_a_card_state_no_terms(weights: Path) -> None:
