@@ -25,8 +25,8 @@ from pathlib import Path
 from typing import Any
 
 DETECTORS = (
-    *("cpf", "cpf:squares", "cpf:v2", "fusion", "fusion:free", "fusion:paper"),
-    *("fusion:untrained", "layout:free"),
+    *("cpf", "cpf:squares", "cpf:v2", "fusion", "fusion:research", "fusion:paper"),
+    *("fusion:untrained", "layout:research"),
     *("grey-uniformity", "labeller", "layout", "layout:cnn-7", "lbp"),
     *("prior:rows", "prior:triangle", "prior:uniform", "ufl", "ufl:kitti", "ufl:original"),
     *("kmeans-road", "vanishing-point"),

@@ -15,7 +15,7 @@ from scripts.bound_figures import Record, Records, write_records
 
 ROOT = Path(__file__).resolve().parents[1]
 
-FUSIONS = ("fusion", "fusion:untrained", "fusion:paper")
+FUSIONS = ("fusion", "fusion:research", "fusion:untrained", "fusion:paper")
 ROAD = (
     *FUSIONS,
     *("layout", "layout:cnn-7", "labeller", "ufl", "ufl:original", "cpf", "cpf:v2", "cpf:squares"),

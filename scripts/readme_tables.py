@@ -29,6 +29,7 @@ LAYOUTS = ("layout", "labeller", "layout:cnn-7")
 
 FRONT_PAGE = {
     "`fusion`": "fusion",
+    "`fusion:research`, with weights for research and private use": "fusion:research",
     "`fusion:untrained`, which needs no weights": "fusion:untrained",
     "`ufl`, after Zhang et al.": "ufl",
     "`fusion:paper`, Álvarez et al. as printed": "fusion:paper",

@@ -5,7 +5,7 @@
     python train/choose_many.py trust DATA
     python train/choose_many.py ego DATA     (how often it is found, and what road it takes)
 
-``--detector fusion:free`` chooses for it instead of `fusion`.
+``--detector fusion:research`` chooses for it instead of `fusion`.
 DATA holds ``many/`` and ``camvid/``. A camera is a folder of many/ or a drive of CamVid (every
 fourth frame); each counts the same. What is told of a camera was chosen on the others; IDD has
 no part in it. Masks are those of the threshold alone: isolated regions stay.
@@ -54,7 +54,7 @@ LOST = 0.02
 DRIVES = ("0001TP", "0006R0", "0016E5")
 """CamVid's, beside the folders of many/."""
 
-UNCALIBRATED = ("layout", "layout:free", "fusion:untrained", "labeller")
+UNCALIBRATED = ("layout", "layout:research", "fusion:untrained", "labeller")
 THRESHOLDS = (0.2, 0.3, 0.39, 0.5, 0.7, 0.82, 0.87, 0.92, 0.95, 0.97, 0.99)
 
 CENTRES = np.arange(-4, 1.01, 0.25)

@@ -1,6 +1,6 @@
 """Choose how far `fusion` trusts its network, and its calibration, for other weights.
 
-    python -m train.choose_pool DATA --detector fusion:free
+    python -m train.choose_pool DATA --detector fusion
 
 DATA holds ``many/`` and ``camvid/``; cameras and masks are those of ``train.choose_many``, and so
 is the rule: the best mean F over the cameras with one calibration for all. Chosen are the ``share``
@@ -112,7 +112,7 @@ def told(choice: Choice, worth: Worth) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description="Choose how far fusion trusts its network.")
     parser.add_argument("data", type=Path, help="the folder that holds many/ and camvid/")
-    parser.add_argument("--detector", default="fusion:free")
+    parser.add_argument("--detector", default="fusion")
     given = parser.parse_args()
     torch.set_num_threads(1)
     found = dict(tables(given.data, given.detector))

@@ -87,19 +87,19 @@ class FusionSettings(UntrainedFusionSettings):
     superpixels: Superpixels = Superpixels(pixels=144)
     weights: WeightsFile = WeightsFile()
     share: Share = 0.8
-    learned: LearnedRoad = LearnedRoad()
+    learned: LearnedRoad = LearnedRoad(weight=0.5)
     calibration: RoadCalibration = RoadCalibration()
     trust: TrustSettings = TrustSettings()
 
 
-class FreeFusionSettings(FusionSettings):
-    """The same with weights learned from free pictures alone: anybody may use them.
+class ResearchFusionSettings(FusionSettings):
+    """The same with weights for research and private use, learned from more pictures.
 
-    They have seen less and are trusted less (``train/choose_pool.py``).
+    They have seen more and are trusted more (``train/choose_pool.py``).
     """
 
-    weights: WeightsFile = WeightsFile(file="layout-free")
-    learned: LearnedRoad = LearnedRoad(weight=0.5)
+    weights: WeightsFile = WeightsFile(file="layout")
+    learned: LearnedRoad = LearnedRoad(weight=1.0)
 
 
 class PaperFusionSettings(WorkingSettings):
@@ -167,7 +167,7 @@ class Fusion(nn.Module):
     def __init__(self, settings: FusionSettings) -> None:
         super().__init__()
         self.settings = settings
-        self.network = network_of(settings.weights, "layout", PictureNetwork)
+        self.network = network_of(settings.weights, "layout-free", PictureNetwork)
 
     def forward(self, image: Tensor) -> Mapping[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
@@ -340,9 +340,9 @@ ENTRIES = (
         Fusion,
     ),
     Entry(
-        "fusion:free",
-        "the same with weights that are free to use",
-        FreeFusionSettings,
+        "fusion:research",
+        "the same with weights for research and private use",
+        ResearchFusionSettings,
         Fusion,
     ),
     Entry(

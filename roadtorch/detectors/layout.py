@@ -38,10 +38,10 @@ class LayoutSettings(WorkingSettings):
     share: Share = 0.8
 
 
-class FreeLayoutSettings(LayoutSettings):
-    """The same with weights learned from free pictures alone: anybody may use them."""
+class ResearchLayoutSettings(LayoutSettings):
+    """The same with weights for research and private use, learned from more pictures."""
 
-    weights: WeightsFile = WeightsFile(file="layout-free")
+    weights: WeightsFile = WeightsFile(file="layout")
 
 
 class Labeller(nn.Module):
@@ -80,7 +80,7 @@ class Layout(nn.Module):
     def __init__(self, settings: LayoutSettings) -> None:
         super().__init__()
         self.settings = settings
-        self.network = network_of(settings.weights, "layout", PictureNetwork)
+        self.network = network_of(settings.weights, "layout-free", PictureNetwork)
 
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
@@ -109,9 +109,9 @@ ENTRIES = (
         Layout,
     ),
     Entry(
-        "layout:free",
-        "the same with weights that are free to use",
-        FreeLayoutSettings,
+        "layout:research",
+        "the same with weights for research and private use",
+        ResearchLayoutSettings,
         Layout,
     ),
     Entry("layout:cnn-7", "ground of the layout by CNN-7 (Álvarez 2012)", Cnn7Settings, Cnn7),

@@ -73,7 +73,7 @@ def _whole_pictures(
         return {"likelihood": likelihood, "layout": found["layout"], "ego": found["ego"]}
 
     module = WholePictures(network, place)
-    return Exportable(what, module, learned, ("weights", "threshold"), "layout", weights)
+    return Exportable(what, module, learned, ("weights", "threshold"), "layout-free", weights)
 
 
 def _detected(detector: Detector) -> Reference:

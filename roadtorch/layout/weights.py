@@ -250,7 +250,7 @@ class WeightsFile(Settings):
 
     file: str = Field(
         default="",
-        description="weights of roadtorch train, or the name of shipped ones, such as layout-free; "
+        description="weights of roadtorch train, or the name of shipped ones, such as layout; "
         "empty: those that the detector comes with",
     )
 
