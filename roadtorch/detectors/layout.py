@@ -41,6 +41,7 @@ class LayoutSettings(WorkingSettings):
 class FreeLayoutSettings(LayoutSettings):
     """The same with weights learned from free pictures alone: anybody may use them."""
 
+    threshold: Threshold = 0.95
     weights: WeightsFile = WeightsFile(file="layout-free")
 
 
