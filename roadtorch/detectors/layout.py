@@ -31,7 +31,7 @@ class Cnn7Settings(WorkingSettings):
 class LayoutSettings(WorkingSettings):
     """The layout by a network for whole pictures and by the labeller."""
 
-    threshold: Threshold = Field(default=0.817, description=TUNED)
+    threshold: Threshold = Field(default=0.95, description=TUNED)
     superpixels: Superpixels = Superpixels()
     labeller: LabellerSettings = LabellerSettings()
     weights: WeightsFile = WeightsFile()
@@ -41,6 +41,7 @@ class LayoutSettings(WorkingSettings):
 class ResearchLayoutSettings(LayoutSettings):
     """The same with weights for research and private use, learned from more pictures."""
 
+    threshold: Threshold = 0.817
     weights: WeightsFile = WeightsFile(file="layout")
 
 
