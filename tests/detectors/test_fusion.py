@@ -151,7 +151,7 @@ def test_the_paper_takes_another_descriptor_and_a_prior_where_told() -> None:
 
 def test_the_layout_is_a_pool_of_two_opinions() -> None:
     own = load_detector("labeller").detect(street()).cues["layout"]
-    network = load_network(shipped_weights("layout"))
+    network = load_network(shipped_weights("layout-free"))
     learned = network.cues(street())["layout"]
 
     ends = [load_detector("layout", share=share).detect(street()) for share in (0.0, 1.0)]

@@ -114,7 +114,7 @@ def test_files_say_what_they_take_and_where_they_come_from(
 
     assert told == fusion.notes
     assert other == cnn7.notes
-    for notes, weights in ((told, "layout"), (other, "cnn-7")):
+    for notes, weights in ((told, "layout-free"), (other, "cnn-7")):
         check_notes(notes, weights)
 
 
