@@ -94,6 +94,14 @@ class PictureNetwork(nn.Module):
         return {"layout": potentials[:CLASSES], "road": potentials[ROAD], "ego": potentials[EGO]}
 
 
+def network_at(network: PictureNetwork, height: int, width: int) -> PictureNetwork:
+    """The same weights for pictures of another size, multiples of 8: convolutions know no size."""
+    sized = network.settings.model_copy(update={"height": height, "width": width})
+    other = PictureNetwork(sized)
+    other.load_state_dict(network.state_dict())
+    return other.train(network.training)
+
+
 class Residual(nn.Module):
     """x + a convolution of x, both of the same width."""
 

@@ -100,6 +100,13 @@ class PeoplesShare(Settings):
         le=1,
         description="of the visits that go to corrected pictures, while there are others",
     )
+    halfway: float = Field(
+        default=0.0,
+        ge=0,
+        le=10**6,
+        description="corrected pictures that bring half of the step length ``descent.rate``; "
+        "0: the whole of it, however few they are",
+    )
 
 
 class Beginning(Settings):

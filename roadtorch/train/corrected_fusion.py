@@ -34,7 +34,10 @@ def trust_settings(pictures: float) -> dict[str, Any]:
     the picture's own (Otsu) is asked.
     """
     detail = MOST * pictures / (pictures + HALFWAY)
-    return {"learned": {"detail": round(detail, 3)}, "calibration": {"centre": 0.0, "own": 0.0}}
+    return {
+        "learned": {"weight": 1.0, "detail": round(detail, 3)},
+        "calibration": {"centre": 0.0, "own": 0.0},
+    }
 
 
 def write_corrected(path: Path, weights: Path, corrections: Sequence[Correction]) -> bool:

@@ -11,7 +11,7 @@ from torch import Tensor
 from roadtorch.data.corrections import Correction
 from roadtorch.errors import WeightsError
 from roadtorch.layout.patch_network import PatchNetwork
-from roadtorch.layout.picture_network import PictureNetwork
+from roadtorch.layout.picture_network import PictureNetwork, network_at
 from roadtorch.layout.weights import LayoutNetwork, load_network, weights_path
 from roadtorch.sources.pictures import Picture
 from roadtorch.train.arrays import Arrays
@@ -222,11 +222,14 @@ class PictureRecipe:
 def load_start(path: str, like: LayoutNetwork) -> LayoutNetwork | None:
     """The network of a weight file, or of a name that is shipped; None for no file.
 
-    WeightsError when it is not one ``like``.
+    One for whole pictures may have learned at another size; it goes on at that of ``like``.
+    WeightsError when it is not one ``like`` otherwise.
     """
     if not path:
         return None
     network = load_network(weights_path(path))
+    if isinstance(network, PictureNetwork) and isinstance(like, PictureNetwork):
+        network = network_at(network, like.settings.height, like.settings.width)
     if network.settings != like.settings:
         what = "holds a network with other settings than this training"
         raise WeightsError(path, what, "give the same [network] settings, or leave start out")

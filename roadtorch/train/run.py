@@ -21,7 +21,12 @@ from roadtorch.train.average import AverageWeights
 from roadtorch.train.cards import card_of, corrections_behind
 from roadtorch.train.config import Training, as_values
 from roadtorch.train.corrected_fusion import write_corrected
-from roadtorch.train.corrections import corrections_by_picture, corrections_told, keep_corrections
+from roadtorch.train.corrections import (
+    corrections_by_picture,
+    corrections_told,
+    keep_corrections,
+    paced,
+)
 from roadtorch.train.folder import CHECKPOINT, NO_CHECKPOINT, WEIGHTS, RunFolder, config_hash
 from roadtorch.train.loop import (
     RunContext,
@@ -82,6 +87,8 @@ def train(training: Training, request: Request) -> Outcome:
         with processes.led(folder.held()):
             corrections = corrections_by_picture(pictures, request.corrections)
             told = corrections_told(corrections)
+            halfway = training.corrections.halfway
+            recipe.descent = paced(recipe.descent, halfway, len(corrections))
             folder.begin(config, pictures, told, request.resume)
             state = folder.read_checkpoint()
             processes.gather(None)  # all have looked before the first one writes

@@ -7,6 +7,7 @@ from roadtorch.layout.picture_network import (
     OUTPUTS,
     PictureNetwork,
     PictureNetworkSettings,
+    network_at,
     place_planes,
     potentials_of,
 )
@@ -78,3 +79,16 @@ def test_scores_become_shares_a_road_and_an_ego_car() -> None:
     torch.testing.assert_close(potentials[:3], torch.tensor([1.0, 2.0, 3.0]).softmax(0))
     assert potentials[3] == 0.5
     assert potentials[4] == torch.tensor(1.0).sigmoid()
+
+
+def test_the_same_weights_see_pictures_of_another_size() -> None:
+    network = PictureNetwork(SMALL).eval()
+    pixels = torch.rand(1, 3, 64, 88, generator=torch.Generator().manual_seed(0))
+
+    other = network_at(network, 64, 88)
+
+    assert (other.settings.height, other.settings.width) == (64, 88)
+    assert other.settings.wide == SMALL.wide
+    assert not other.training
+    torch.testing.assert_close(other(pixels), network(pixels))
+    assert network.settings == SMALL

@@ -16,9 +16,9 @@ from roadtorch.data.corrections import Correction
 from roadtorch.data.journal import JournalHead, journal_path
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.layout.weights import corrected_pictures, people_behind
+from roadtorch.layout.weights import corrected_pictures, load_network, people_behind
 from roadtorch.settings import read_settings_file
-from roadtorch.train.config import Training
+from roadtorch.train.config import Descent, Training
 from roadtorch.train.corrected_fusion import (
     HALFWAY,
     MOST,
@@ -32,10 +32,12 @@ from roadtorch.train.corrections import (
     corrected_sites,
     corrected_targets,
     corrections_told,
+    paced,
     repeated,
     said_layout,
     said_planes,
 )
+from roadtorch.train.recipe import recipe_of
 from roadtorch.train.run import FUSION, Request, train
 from roadtorch.train.targets import Targets
 from tests.train.runs import PATCHES, request_of, training_of, write_config
@@ -141,6 +143,32 @@ def test_patches_are_taken_where_people_named_a_class() -> None:
 
 def corrected_street(streets: Path, number: int = 0) -> Correction:
     return correction(quarters(60, 80), streets / f"street_{number}.png")
+
+
+def test_few_corrected_pictures_shorten_the_steps() -> None:
+    descent = Descent(rate=0.3, batch=7)
+    assert paced(descent, 10, 0) == descent
+    assert paced(descent, 0, 5) == descent
+    assert paced(descent, 10, 5).rate == pytest.approx(0.1)
+    assert paced(descent, 10, 5).batch == 7
+    assert paced(descent, 10, 1000).rate < descent.rate
+
+
+def test_a_run_paces_its_steps_by_the_corrected_pictures(
+    streets: Path, kept: Path, tmp_path: Path
+) -> None:
+    """One corrected picture and a far halfway: next to no step is taken."""
+    runs = {}
+    for halfway in (1e6, 0.0):
+        training = training_of("pictures", tmp_path, f"corrections.halfway={halfway}")
+        request = request_of(streets, kept, tmp_path / f"run-{halfway}", "pictures")
+        outcome = train(training, replace(request, corrections=[corrected_street(streets)]))
+        assert outcome.weights is not None
+        runs[halfway] = load_network(outcome.weights).state_dict()
+    start = recipe_of(training_of("pictures", tmp_path)).network(1, None).state_dict()
+    for name, weight in start.items():
+        torch.testing.assert_close(runs[1e6][name], weight, atol=1e-6, rtol=0)
+    assert any(not torch.allclose(runs[0.0][name], weight) for name, weight in start.items())
 
 
 @pytest.mark.parametrize("kind", ["patches", "pictures"])

@@ -15,6 +15,7 @@ from roadtorch.cli import main
 from roadtorch.errors import ConfigError, InputError, WeightsError
 from roadtorch.files import locked
 from roadtorch.layout.patch_network import PatchNetwork
+from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import load_network, read_origin, save_network
 from roadtorch.train import loop
 from roadtorch.train.arrays import read_arrays
@@ -188,6 +189,24 @@ def test_a_run_can_start_from_the_weights_of_another(
     for name, weight in one.state_dict().items():
         torch.testing.assert_close(two.state_dict()[name], weight, atol=1e-6, rtol=0)
     assert (tmp_path / "run" / "labels-1").exists() == (kind == "pictures")
+
+
+def test_a_run_can_start_from_weights_that_learned_at_another_size(
+    streets: Path, kept: Path, tmp_path: Path
+) -> None:
+    first, run = tmp_path / "first.safetensors", tmp_path / "run"
+    larger = PictureNetworkSettings(height=40, width=48, narrow=8, wide=8)
+    save_network(first, PictureNetwork(larger), {})
+    changes = [f"start={json.dumps(str(first))}", "descent.rate=1e-9"]
+    changes += ["rounds.count=1", "rounds.start=continued"]
+
+    train(training_of("pictures", tmp_path, *changes), request_of(streets, kept, run, "pictures"))
+
+    one, two = (load_network(path) for path in (first, run / "weights.safetensors"))
+    assert isinstance(two, PictureNetwork)
+    assert (two.settings.height, two.settings.width) == (32, 40)
+    for name, weight in one.state_dict().items():
+        torch.testing.assert_close(two.state_dict()[name], weight, atol=1e-6, rtol=0)
 
 
 def test_weights_of_another_network_are_no_start(streets: Path, kept: Path, tmp_path: Path) -> None:
