@@ -226,8 +226,9 @@ def wipers(canvas: Canvas, edge: np.ndarray, at: Random) -> None:
         foot = at.uniform(0, 1)
         row = canvas.height * (1 - float(edge[int(foot * (canvas.width - 1))]))
         tip = (foot + at.uniform(-0.5, 0.5), row - canvas.height * at.uniform(-0.01, 0.06))
-        ends = [(int(foot * canvas.width), int(row)), (int(tip[0] * canvas.width), int(tip[1]))]
-        cv2.line(canvas.rgb, *ends, (0.04, 0.04, 0.04), int(at.integers(2, 7)), cv2.LINE_AA)
+        first, last = ((int(x * canvas.width), int(y)) for x, y in ((foot, row), tip))
+        thick = int(at.integers(2, 7))
+        cv2.line(canvas.rgb, first, last, (0.04, 0.04, 0.04), thick, cv2.LINE_AA)
 
 
 # --- what is written --------------------------------------------------------------------
