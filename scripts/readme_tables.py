@@ -103,7 +103,7 @@ TABLES: Mapping[str, Table] = {
     ),
     "pairs": Table(
         ("minus `fusion`", "CamVid, MaxF (95 %)", "IDD, MaxF (95 %)"),
-        _named(("fusion:untrained", "layout", "ufl", "prior:mean")),
+        _named(("fusion:research", "fusion:untrained", "layout", "ufl", "prior:mean")),
         tuple(
             f"[[?{run}.{{row}}.maxf.less|+.000]] ([[?{run}.{{row}}.maxf.less.low|+.000]] to "
             f"[[?{run}.{{row}}.maxf.less.high|+.000]])"
@@ -185,6 +185,7 @@ TABLES: Mapping[str, Table] = {
         _named(
             (
                 "fusion",
+                "fusion:research",
                 "fusion:untrained",
                 "layout",
                 "labeller",

@@ -81,7 +81,7 @@ def tried(weights: dict[str, Any], curve: Curve) -> list[Tried]:
     found = []
     for detail, calibration in product(DETAILS, CENTRES):
         own: dict[str, Any] = {"learned": {"detail": detail}, "calibration": calibration}
-        told = score(load_detector("fusion:research", weights=weights, **own), curve)
+        told = score(load_detector("fusion", weights=weights, **own), curve)
         found.append(Tried(detail, calibration, told["maxf"], told["f"]))
     return found
 
@@ -141,13 +141,13 @@ def main() -> None:
     study = Study(given.out, given.out / "none", values, "")
     for curve in choosing_curves(given.data):
         if curve.name in (given.curves or (curve.name,)) and given.count <= len(curve.pool):
-            shipped = score(load_detector("fusion:research"), curve)
+            shipped = score(load_detector("fusion"), curve)
             print(f"{curve.name}: shipped {shipped['maxf']:.3f} / {shipped['f']:.3f}", flush=True)
             own = learned(study, curve, given.count)
             print(row(curve.name, given.count, tried(own["weights"], curve)))
             print(f"wrong pixels up to {REACHES} pixels from an outline, farther, all:")
             print(
-                *told_wrong(wrong_pixels(load_detector("fusion:research", **own), curve)), sep="\n"
+                *told_wrong(wrong_pixels(load_detector("fusion", **own), curve)), sep="\n"
             )
 
 

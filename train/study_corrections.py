@@ -49,7 +49,7 @@ from train.corrections_table import draw_curves, pooled_f, table
 
 CONFIG = Path(__file__).parents[1] / "configs" / "corrections.toml"
 RUNS = Path(__file__).with_name("corrections.jsonl")
-DETECTORS = {"pictures": ("fusion:research", "layout"), "patches": ("layout:cnn-7", "cnn-7")}
+DETECTORS = {"pictures": ("fusion", "layout-free"), "patches": ("layout:cnn-7", "cnn-7")}
 """The detector that is scored, and the weights of no correction, by the kind of training."""
 GAP = 60.0  # seconds between the last picture that may be corrected and the first of the test
 RATE = 30.0  # CamVid's frames a second
@@ -211,11 +211,11 @@ class Study:
         return folder
 
     def candidates(self, curve: Curve) -> Candidates:
-        """Trust and features of the pool, by ``fusion:research`` as it is shipped; kept on disk."""
+        """Trust and features of the pool, by ``fusion`` as it is shipped; kept on disk."""
         path = self.out / curve.name / "candidates.npz"
         if not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
-            detector, seen = load_detector("fusion:research"), []
+            detector, seen = load_detector("fusion"), []
             for item in curve.pool:
                 image = curve.dataset.read(item)[0]
                 detection = detector.detect(image)
