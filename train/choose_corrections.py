@@ -146,9 +146,7 @@ def main() -> None:
             own = learned(study, curve, given.count)
             print(row(curve.name, given.count, tried(own["weights"], curve)))
             print(f"wrong pixels up to {REACHES} pixels from an outline, farther, all:")
-            print(
-                *told_wrong(wrong_pixels(load_detector("fusion", **own), curve)), sep="\n"
-            )
+            print(*told_wrong(wrong_pixels(load_detector("fusion", **own), curve)), sep="\n")
 
 
 if __name__ == "__main__":
