@@ -61,6 +61,7 @@ def test_pictures_of_a_batch_do_not_touch_each_other() -> None:
 
 
 def test_every_output_sees_almost_the_whole_picture() -> None:
+    torch.manual_seed(0)  # one random network in hundreds is dead at this very place
     network = PictureNetwork(PictureNetworkSettings(narrow=8, wide=16))
     pixels = torch.randn(1, 3, 120, 160, requires_grad=True)
 
