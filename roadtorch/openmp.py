@@ -8,7 +8,7 @@ from contextlib import contextmanager
 BRIEF_WAITS = {"OMP_WAIT_POLICY": "passive", "GOMP_SPINCOUNT": "2000"}
 """Threads that wait spin for some microseconds, then sleep. A detector has hundreds of short waits:
 threads that sleep at once take twice as long on a quiet machine, and threads that spin for
-milliseconds, as by default, up to thirty times as long on a busy one (docs/performance.md)."""
+milliseconds, as by default, many times as long on a busy one (docs/performance.md)."""
 
 TOLD_BY = (*BRIEF_WAITS, "KMP_BLOCKTIME")
 """The variables by which somebody may have said how threads wait."""

@@ -38,15 +38,14 @@ from scripts.bench_figures import (
     write_figures,
     written,
 )
-from scripts.bench_parts import ratio, shown, threads_in_words
+from scripts.bench_parts import OURS as SLIC
+from scripts.bench_parts import SEGMENTS, ratio, shown, threads_in_words
+from scripts.bench_stages import FUSION
 
 HERE = Path(__file__).resolve().parents[1]
 OURS = ("roadtorch", "scripts")  # the packages that each checkout has its own of
 PART = "before-after"
 WARM_UP = 2  # rounds that are not counted
-SEGMENTS = 400
-SLIC = f"slic, {SEGMENTS} segments"
-WHOLE = "fusion, end to end"
 
 Clock = Callable[[], float]
 """Seconds, from any start."""
@@ -89,7 +88,7 @@ def time_once(checkout: Checkout, image: Tensor, clock: Clock) -> Round:
     """All stages inside one ``detect``, another as a whole, and the superpixels of the picture."""
     bench, detect, slic = checkout
     times = bench.time_stages(detect, image, clock=clock)
-    times |= bench.time_call(WHOLE, partial(detect, image), clock)
+    times |= bench.time_call(FUSION, partial(detect, image), clock)
     return times | bench.time_call(SLIC, partial(slic, image, SEGMENTS), clock)
 
 

@@ -24,7 +24,7 @@ from roadtorch.layout.labeller import LabellerSettings, decide_layout, segment_l
 from roadtorch.layout.opinion_pool import Share, pooled
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
-from roadtorch.layout.weights import WeightsFile, network_of
+from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of
 from roadtorch.otsu import centred_odds
 from roadtorch.priors import prior_rows, prior_triangle, prior_uniform
 from roadtorch.seed_area import likely_seed, seed_rectangle, seed_segments
@@ -167,7 +167,7 @@ class Fusion(nn.Module):
     def __init__(self, settings: FusionSettings) -> None:
         super().__init__()
         self.settings = settings
-        self.network = network_of(settings.weights, "layout-free", PictureNetwork)
+        self.network = network_of(settings.weights, FOR_PICTURES, PictureNetwork)
 
     def forward(self, image: Tensor) -> Mapping[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""

@@ -9,7 +9,7 @@ from roadtorch.layout.labeller import LabellerSettings, decide_layout, label_who
 from roadtorch.layout.opinion_pool import Share, pooled
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
-from roadtorch.layout.weights import WeightsFile, network_of
+from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of
 from roadtorch.superpixels import Superpixels
 
 
@@ -81,7 +81,7 @@ class Layout(nn.Module):
     def __init__(self, settings: LayoutSettings) -> None:
         super().__init__()
         self.settings = settings
-        self.network = network_of(settings.weights, "layout-free", PictureNetwork)
+        self.network = network_of(settings.weights, FOR_PICTURES, PictureNetwork)
 
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""

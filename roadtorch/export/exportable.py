@@ -13,7 +13,7 @@ from roadtorch.export.graph import OUTPUTS, EveryPixel, WholePictures
 from roadtorch.files import digest_of
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.picture_network import ROAD, PictureNetwork
-from roadtorch.layout.weights import WeightsFile, terms_of, weights_path
+from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, terms_of, weights_path
 from roadtorch.version import __version__
 
 CAN = ("fusion", "layout", "layout:cnn-7")
@@ -73,7 +73,7 @@ def _whole_pictures(
         return {"likelihood": likelihood, "layout": found["layout"], "ego": found["ego"]}
 
     module = WholePictures(network, place)
-    return Exportable(what, module, learned, ("weights", "threshold"), "layout-free", weights)
+    return Exportable(what, module, learned, ("weights", "threshold"), FOR_PICTURES, weights)
 
 
 def _detected(detector: Detector) -> Reference:

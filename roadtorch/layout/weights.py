@@ -245,6 +245,10 @@ def _checked(path: Path, text: str | None) -> dict[str, Any]:
 Network = TypeVar("Network", PatchNetwork, PictureNetwork)
 
 
+FOR_PICTURES = "layout-free"
+"""The shipped weights that `fusion` and `layout` take unless told otherwise."""
+
+
 class WeightsFile(Settings):
     """Which weights a network has."""
 
