@@ -17,6 +17,7 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
+from roadtorch.comparison import at_least
 from roadtorch.ego import Ego, continued, ego_car, is_anywhere, is_given, read_ego_mask
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.image import Order, Picture, as_image, overlay_pixels, png_bytes
@@ -378,7 +379,7 @@ def decide(likelihood: Tensor, settings: DetectorSettings, seed: Tensor | None =
 
     seed: the seed area bool (H,W), where a detector has found it; else its rectangle.
     """
-    mask = likelihood >= settings.threshold
+    mask = at_least(likelihood, settings.threshold)
     if settings.isolated == "keep":
         return mask
     if seed is None:
@@ -395,4 +396,4 @@ def decide_beside(
     does, that says nothing about which region is the road, and no region is dropped.
     """
     mask = decide(continued(likelihood, ego), settings, seed) & ~ego
-    return mask if mask.any() else (likelihood >= settings.threshold) & ~ego
+    return mask if mask.any() else at_least(likelihood, settings.threshold) & ~ego

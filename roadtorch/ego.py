@@ -12,6 +12,7 @@ import torch
 from pydantic import Field, field_validator
 from torch import Tensor
 
+from roadtorch.comparison import above
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.image import read_image
 from roadtorch.image_cache import cached_per_image
@@ -133,7 +134,7 @@ def ego_found(potential: Tensor) -> Tensor:
     only half believed.
     """
     height = potential.shape[0]
-    ego = potential > 0.5
+    ego = above(potential, 0.5)
     if not is_anywhere(ego):
         return ego
     below = ego.flip(0).cumsum(0, dtype=torch.int32).flip(0)

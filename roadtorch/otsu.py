@@ -15,12 +15,14 @@ def otsu_threshold(values: Tensor) -> Tensor:
     where all values are equal. Otsu, "A Threshold Selection Method from Gray-Level
     Histograms", IEEE Trans. SMC 9(1), 1979, eq. 18.
     """
-    low, high = (float(bound) for bound in torch.aminmax(values))
+    known = values.detach().reshape(-1).cpu().numpy()
+    low, high = known.min(), known.max()
     if low == high:
-        return values.new_tensor(low)
-    counts = torch.histc(values, BINS, low, high).cpu().numpy().astype(np.float64)
-    edges = np.linspace(low, high, BINS + 1)
-    share = counts / counts.sum()
+        return values.new_tensor(float(low))
+    place = ((known - low) / (high - low) * BINS).astype(np.int64)
+    counts = np.bincount(place.clip(max=BINS - 1), minlength=BINS)
+    edges = np.linspace(low, high, BINS + 1, dtype=np.float64)
+    share = counts / len(known)
     mean = (share * (edges[:-1] + edges[1:]) / 2).cumsum()
     below = share.cumsum()
     between = (mean[-1] * below - mean) ** 2 / np.maximum(below * (1 - below), 1e-12)

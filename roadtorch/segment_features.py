@@ -48,6 +48,8 @@ class Segments:
 
     labels: Tensor
     """int64 (H,W), 0…n-1."""
+    pixels: Tensor
+    """int64 (n,): how many each has."""
     color: Tensor
     """(3,n): mean L, a, b, each divided by 100."""
     gradient: Tensor
@@ -75,11 +77,21 @@ def measure_segments(image: Tensor, labels: Tensor) -> Segments:
     rows = ((torch.arange(height).to(image) + 0.5) / height)[:, None].expand(height, width)
     columns = ((torch.arange(width).to(image) + 0.5) / width).expand(height, width)
     maps = [lab, lab[:1].square(), gradient_length(lab[:1]), rows[None], columns[None]]
-    mean = segment_mean(torch.cat(maps), labels, count)
+    pixels = segment_size(labels, count)
+    mean = segment_mean(torch.cat(maps), labels, pixels)
     pairs, between = borders(labels, border_contrast(lab))
-    size = segment_size(labels, count).to(image) / labels.numel()
-    deviation = (mean[3] - mean[0].square()).clamp_min(0).sqrt()
-    return Segments(labels, mean[:3], mean[4], deviation, mean[5], mean[6], size, pairs, between)
+    return Segments(
+        labels,
+        pixels,
+        color=mean[:3],
+        gradient=mean[4],
+        contrast=(mean[3] - mean[0].square()).clamp_min(0).sqrt(),
+        row=mean[5],
+        column=mean[6],
+        size=pixels.to(image) / labels.numel(),
+        pairs=pairs,
+        contrast_between=between,
+    )
 
 
 def border_contrast(lab: Tensor) -> Tensor:
@@ -89,33 +101,31 @@ def border_contrast(lab: Tensor) -> Tensor:
     ``LIGHTNESS_SHARE``.
     """
     weights = lab.new_tensor([LIGHTNESS_SHARE, 1, 1])[:, None, None]
-    squares = lab.new_zeros(lab.shape[1:])
-    for differences in central_differences(mean_of_nine(lab * weights)):
-        for plane in differences:
-            squares.addcmul_(plane, plane)
-    return squares.sqrt_()
+    return _difference_squares(mean_of_nine(lab * weights)).sum(0).sqrt_().div_(2)
 
 
 def mean_of_nine(planes: Tensor) -> Tensor:
     """Means of 3×3 pixels of planes (C,H,W); the edge pixels are repeated beyond the edge."""
-    each = [
-        cv2.blur(plane, (3, 3), borderType=cv2.BORDER_REPLICATE) for plane in planes.cpu().numpy()
-    ]
-    return torch.from_numpy(np.stack(each)).to(planes.device)
+    before = planes.cpu().numpy()
+    after = np.empty_like(before)
+    for plane, target in zip(before, after, strict=True):
+        cv2.blur(plane, (3, 3), dst=target, borderType=cv2.BORDER_REPLICATE)
+    return torch.from_numpy(after).to(planes.device)
 
 
 def gradient_length(planes: Tensor) -> Tensor:
     """Length of the gradient of planes (…,H,W): central differences, 0 past the edge."""
-    across, down = central_differences(planes)
-    return (across.square() + down.square()).sqrt()
+    return _difference_squares(planes).sqrt_().div_(2)
 
 
-def central_differences(planes: Tensor) -> tuple[Tensor, Tensor]:
-    """Half the difference of the pixels beside, and above and below; 0 at the edges. (…,H,W)."""
-    across, down = torch.zeros_like(planes), torch.zeros_like(planes)
-    torch.sub(planes[..., 2:], planes[..., :-2], out=across[..., 1:-1]).div_(2)
-    torch.sub(planes[..., 2:, :], planes[..., :-2, :], out=down[..., 1:-1, :]).div_(2)
-    return across, down
+def _difference_squares(planes: Tensor) -> Tensor:
+    """Of the pixels beside, and of those above and below: the sum of both differences squared."""
+    squares = torch.zeros_like(planes)
+    across = planes[..., 2:] - planes[..., :-2]
+    down = planes[..., 2:, :] - planes[..., :-2, :]
+    squares[..., 1:-1].addcmul_(across, across)
+    squares[..., 1:-1, :].addcmul_(down, down)
+    return squares
 
 
 def likeness(segments: Segments, bandwidths: Bandwidths) -> Tensor:
@@ -142,7 +152,7 @@ def class_log_density(alike: Tensor, posterior: Tensor, size: Tensor) -> Tensor:
     alike: (n,n) from ``likeness``; posterior: (n,C), what each segment is believed to be;
     size: (n,). A class with next to no support keeps a finite density.
     """
-    support = posterior * size[:, None]
+    support = posterior.T * size
     # alike is symmetric; from the left, the product is three times as fast.
-    density = (support.T @ alike).T / support.sum(0).clamp_min(1e-3)
-    return density.clamp_min(RAREST).log()
+    density = (support @ alike).div_(support.sum(1, keepdim=True).clamp_min_(1e-3))
+    return density.clamp_min_(RAREST).log_().T

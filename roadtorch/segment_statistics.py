@@ -20,10 +20,12 @@ def segment_sum(values: Tensor, labels: Tensor, count: int) -> Tensor:
     return torch.from_numpy(sums.T).to(values)
 
 
-def segment_mean(values: Tensor, labels: Tensor, count: int) -> Tensor:
-    """Mean of values (C,H,W) over each of ``count`` segments of labels (H,W): (C,count)."""
-    size = segment_size(labels, count).to(values.dtype)
-    return segment_sum(values, labels, count) / size.clamp_min(1)
+def segment_mean(values: Tensor, labels: Tensor, size: Tensor) -> Tensor:
+    """Mean of values (C,H,W) over each of n segments of labels (H,W): (C,n); 0 if empty.
+
+    size: int64 (n,), their pixels, by ``segment_size``.
+    """
+    return segment_sum(values, labels, len(size)) / size.to(values.dtype).clamp_min_(1)
 
 
 def segment_size(labels: Tensor, count: int) -> Tensor:

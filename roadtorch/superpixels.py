@@ -112,8 +112,8 @@ def slic(
     batch = image if image.ndim == 4 else image[None]
     height, width = batch.shape[-2:]
     grid = _grid(height, width, segments)
-    metric = _metric(compactness * (segments / (height * width)) ** 0.5).to(batch)
-    moves = _moves(grid, metric, len(batch))
+    step = compactness * (segments / (height * width)) ** 0.5
+    moves = _moves(grid, step, len(batch)).beside(batch)
     tables = _tables(_move_centres(batch, grid, moves, iterations), moves)
     labels = connect(_assign(batch, tables, grid), SMALLEST * height * width / segments)
     labels = labels.to(image.device)
@@ -161,7 +161,6 @@ def _places(grid: CellGrid, stride: int) -> Tensor:
     return torch.stack([row[:, None] * one, column * one, one])
 
 
-@lru_cache(maxsize=16)
 def _neighbours(grid: CellGrid, batch: int) -> Tensor:
     """(B·cells, 9) int64: the cells around each of a batch's, itself in the middle.
 
@@ -172,7 +171,6 @@ def _neighbours(grid: CellGrid, batch: int) -> Tensor:
     return framed.unfold(1, 3, 1).unfold(2, 3, 1).reshape(-1, NEIGHBOURS)
 
 
-@lru_cache(maxsize=16)
 def _shifts(grid: CellGrid) -> Tensor:
     """(9,5): from the middle of a cell to those around it, in R, G, B, row, column."""
     number = torch.arange(NEIGHBOURS)
@@ -186,7 +184,8 @@ class Moves(NamedTuple):
     factors: (7,54), of a centre c, cᵀMc and 1: to its nine factors (6), seen from the cells of
     which it is the 1st, 2nd, … neighbour. sums: (54,6), of the sums that a segment has in the
     nine cells around it: to all of them, seen from the segment's own cell.
-    around, back: int64 (B·cells·9,): which factors a cell needs, which sums a segment.
+    around: int64 (B·cells·9,): which factors a cell needs; back: int64 ((B·cells+1)·9,): which
+    sums a segment, the last one beyond the grid.
     """
 
     metric: Tensor
@@ -195,14 +194,22 @@ class Moves(NamedTuple):
     around: Tensor
     back: Tensor
 
+    def beside(self, images: Tensor) -> "Moves":
+        """The same on the device of images, floating-point parts in their precision."""
+        kinds = (images.dtype if part.is_floating_point() else part.dtype for part in self)
+        return Moves(
+            *(part.to(images.device, kind) for part, kind in zip(self, kinds, strict=True))
+        )
 
-def _moves(grid: CellGrid, metric: Tensor, batch: int) -> Moves:
+
+@lru_cache(maxsize=16)
+def _moves(grid: CellGrid, step: float, batch: int) -> Moves:
     """The squared distance of a point f is |f-c-s|² where s leads to the middle of c's cell.
 
     |f-c|² - fᵀMf = -2 cᵀM f + cᵀMc: fᵀMf is the same for all nine. More than it can be is added,
-    so that all are positive.
+    so that all are positive. step: see ``_metric``.
     """
-    shifts = _shifts(grid).to(metric)
+    metric, shifts = _metric(step), _shifts(grid)
     leaning = shifts @ metric
     most = LONGEST + float(metric[3, 3]) * (grid.height**2 + grid.width**2) / 4
     factors = metric.new_zeros(NEIGHBOURS, 7, 6)
@@ -211,34 +218,35 @@ def _moves(grid: CellGrid, metric: Tensor, batch: int) -> Moves:
     factors[:, 5, 5] = 1
     factors[:, 6, :5] = -2 * leaning
     factors[:, 6, 5] = (leaning * shifts).sum(1) + most
-    sums = torch.eye(6).to(metric).repeat(NEIGHBOURS, 1, 1)
+    sums = torch.eye(6).repeat(NEIGHBOURS, 1, 1)
     sums[:, 5, :5] = shifts
-    around = _neighbours(grid, batch).to(metric.device)
-    number = torch.arange(NEIGHBOURS, device=metric.device)
+    around, number = _neighbours(grid, batch), torch.arange(NEIGHBOURS)
+    beyond = torch.full((1, NEIGHBOURS), len(around))
     return Moves(
         metric,
         factors.permute(1, 0, 2).reshape(7, -1),
         sums.reshape(-1, 6),
         (NEIGHBOURS * around + number).reshape(-1),
         # To the cell above on the left this one is the one below on the right, and so on.
-        (NEIGHBOURS * around + number.flip(0)).reshape(-1),
+        (NEIGHBOURS * torch.cat([around, beyond]) + number.flip(0)).reshape(-1),
     )
 
 
 def _tables(sums: Tensor, moves: Moves) -> Tensor:
-    """(B·cells,6) sums over segments → (B·cells, 9, 6) factors of the squared distances."""
-    size = sums[:, 5:]
-    centre = torch.where(size > 0, sums[:, :5] / size, FAR)
-    centre = F.pad(centre, (0, 0, 0, 1), value=FAR)
-    square = (centre @ moves.metric).mul_(centre).sum(1, keepdim=True)
-    each = torch.cat([centre, square, torch.ones_like(square)], 1) @ moves.factors
+    """(B·cells+1, 6) sums over segments → (B·cells, 9, 6) factors of the squared distances.
+
+    The last segment is the one beyond the grid, of no pixels.
+    """
+    centre = (sums[:, :5] / sums[:, 5:]).nan_to_num_(FAR)  # 0/0: no pixels
+    square = (centre @ moves.metric).mul_(centre).sum(1)
+    each = torch.addmm(moves.factors[6], centre, moves.factors[:5]).addr_(square, moves.factors[5])
     return each.reshape(-1, 6).index_select(0, moves.around).reshape(-1, NEIGHBOURS, 6)
 
 
 def _move_centres(images: Tensor, grid: CellGrid, moves: Moves, iterations: int) -> Tensor:
-    """(B·cells,6): sums of the points over each segment after k-means on the grid.
+    """(B·cells+1, 6): sums of the points over each segment after k-means on the grid.
 
-    Rows and columns are those from the middle of the segment's own cell.
+    Rows and columns are those from the middle of the segment's own cell; the last sums are 0.
     """
     ones = images.new_ones(1, 1, *images.shape[-2:])
     places = _cells(ones, grid, grid.stride) * _places(grid, grid.stride).to(images)
@@ -250,7 +258,7 @@ def _move_centres(images: Tensor, grid: CellGrid, moves: Moves, iterations: int)
     parts = points.new_zeros(len(points) + 1, NEIGHBOURS, 6)  # the last are beyond the grid
     most = max(1, CHUNK // (NEIGHBOURS * points.shape[2]))
     chunks = [slice(at, at + most) for at in range(0, len(points), most)]
-    sums = points.sum(2)
+    sums = F.pad(points.sum(2), (0, 0, 0, 1))
     for _ in range(iterations):
         tables = _tables(sums, moves)
         for chunk in chunks:

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, Field
 from torch import Tensor
 
 from roadtorch.color import PLANES, each_plane, planes
+from roadtorch.comparison import above, at_least
 from roadtorch.errors import unknown_name
 from roadtorch.order_statistics import order_statistic
 from roadtorch.segment_statistics import segment_histogram, segment_size
@@ -92,7 +93,7 @@ def saturated(image: Tensor, dark: float, bright: float) -> Tensor:
     has no colour left. In both the planes are flat for reasons other than the surface.
     """
     highest = image.amax(-3)
-    return (highest >= bright) | (highest <= dark)
+    return at_least(highest, bright) | ~above(highest, dark)
 
 
 def uniformity_likelihood(values: Tensor, even: float) -> Tensor:

@@ -15,6 +15,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from roadtorch.comparison import above
 from roadtorch.settings import Settings
 
 
@@ -76,7 +77,7 @@ def signs_of(likelihood: Tensor, mask: Tensor, found: Mapping[str, Tensor]) -> S
     free, learned = ~found["ego"], found["learned_road"]
     inside = mask & free
     low, high = (
-        np.count_nonzero(((likelihood > level) & free).cpu().numpy()) for level in LOW_AND_HIGH
+        np.count_nonzero((above(likelihood, level) & free).cpu().numpy()) for level in LOW_AND_HIGH
     )
     mean = mean_over(learned, inside, 0.0)
     return Signs(

@@ -17,8 +17,8 @@ from roadtorch.settings import Settings
 SHORTEST = 16
 """Pixels that a long, thin picture keeps on its short side."""
 
-ROWS, COLUMNS = 8, 16
-"""New rows and columns that one matrix product averages: a narrow matrix, and not too small."""
+ROWS, COLUMNS = 32, 64
+"""Old rows and columns that one matrix product averages, about: narrow, and not too small."""
 
 
 class WorkingSize(Settings):
@@ -95,14 +95,15 @@ class Band(NamedTuple):
 
 
 @lru_cache(maxsize=32)
-def averaging_bands(before: int, after: int, most: int) -> tuple[Band, ...]:
-    """How a side of ``before`` pixels becomes one of ``after``, at most that many in a band.
+def averaging_bands(before: int, after: int, old: int) -> tuple[Band, ...]:
+    """How a side of ``before`` pixels becomes one of ``after``; about ``old`` of them in a band.
 
     Around the place of each new pixel lies a triangle two pixels wide, old or new ones, whichever
     are wider, over its sum: Pillow's and torch's antialiased bilinear filter.
     """
     scale = before / after
     reach = max(scale, 1.0)
+    most = max(1, round(old / scale))
     bands = []
     for start in range(0, after, most):
         centre = (torch.arange(start, min(start + most, after), dtype=torch.float64) + 0.5) * scale

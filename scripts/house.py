@@ -64,7 +64,7 @@ ROWS = (
         (
             *("decoding", "image", "color", "connected_regions", "superpixels"),
             *("segment_statistics", "working_size", "exposure", "segment_features", "seed_area"),
-            *("ego", "priors", "seed_distance"),
+            *("comparison", "ego", "priors", "seed_distance"),
             *("lbp", "texture", "otsu", "order_statistics", "trust", "fusion", "motion", "steady"),
         ),
     ),

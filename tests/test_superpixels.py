@@ -19,6 +19,7 @@ from roadtorch.segment_statistics import (
     segment_histogram,
     segment_mean,
     segment_median,
+    segment_size,
     segment_sum,
 )
 from roadtorch.superpixels import slic, squares
@@ -151,7 +152,7 @@ def test_a_compact_cut_ignores_the_edge_that_a_loose_one_follows() -> None:
 
     def mixed(compactness: float) -> float:
         labels = slic(image, 80, compactness)
-        share = segment_mean(light[None].float(), labels, int(labels.max()) + 1)[0]
+        share = means_of(light[None].float(), labels, int(labels.max()) + 1)[0]
         return float((share.minimum(1 - share)).max())
 
     assert mixed(0.05) < 0.05
@@ -196,10 +197,10 @@ def test_each_pixel_goes_to_the_nearest_of_the_nine_centres_around_its_cell(
 ) -> None:
     # Inside slic, because its result is repaired by ``connect`` before it comes out.
     grid, image = superpixels._grid(height, width, 20), textured(height, width)
-    metric = superpixels._metric(0.1 * 0.12)
-    moves = superpixels._moves(grid, metric, 1)
+    moves = superpixels._moves(grid, 0.1 * 0.12, 1)
     sums = superpixels._move_centres(image[None], grid, moves, 3)
     owner = superpixels._assign(image[None], superpixels._tables(sums, moves), grid)[0].numpy()
+    metric, sums = moves.metric, sums[:-1]
 
     root = np.linalg.cholesky(metric.double().numpy()).T  # |f-c| in the metric is |root(f-c)|
     sums = sums.double().numpy().T.reshape(6, grid.rows, grid.columns)
@@ -317,6 +318,11 @@ def segmented(draw: st.DrawFn) -> tuple[Tensor, Tensor, int]:
     return torch.tensor(flat).reshape(shape), torch.tensor(labels).reshape(shape[1:]), count
 
 
+def means_of(values: Tensor, labels: Tensor, count: int) -> Tensor:
+    """Means of values (C,H,W) over each of ``count`` segments of labels (H,W): (C,count)."""
+    return segment_mean(values, labels, segment_size(labels, count))
+
+
 def expected(statistic, values: Tensor, labels: Tensor, count: int) -> Tensor:
     """A statistic of each channel in each segment; 0 in empty ones."""
     found = reference.segment_values(values.double().numpy(), labels.numpy(), count)
@@ -332,7 +338,7 @@ def test_sums_are_those_of_a_loop(case: tuple[Tensor, Tensor, int]) -> None:
 
 @given(segmented())
 def test_means_are_those_of_a_loop(case: tuple[Tensor, Tensor, int]) -> None:
-    torch.testing.assert_close(segment_mean(*case), expected(np.mean, *case), atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(means_of(*case), expected(np.mean, *case), atol=1e-5, rtol=1e-5)
 
 
 @given(segmented())
@@ -372,7 +378,7 @@ def test_pixels_without_weight_do_not_enter_a_histogram() -> None:
 def test_the_mean_over_a_million_pixels_is_exact_to_five_digits() -> None:
     labels = torch.zeros(1000, 1000, dtype=torch.int64)
 
-    mean = segment_mean(torch.full((1, 1000, 1000), 0.1), labels, 1)
+    mean = means_of(torch.full((1, 1000, 1000), 0.1), labels, 1)
 
     torch.testing.assert_close(mean, torch.tensor([[0.1]]), atol=1e-6, rtol=0.0)
 
@@ -380,7 +386,7 @@ def test_the_mean_over_a_million_pixels_is_exact_to_five_digits() -> None:
 def test_statistics_keep_the_dtype() -> None:
     values, labels = torch.rand(2, 4, 4, dtype=torch.float64), torch.zeros(4, 4, dtype=torch.int64)
 
-    for statistic in (segment_sum, segment_mean, segment_median):
+    for statistic in (segment_sum, means_of, segment_median):
         assert statistic(values, labels, 1).dtype == torch.float64
 
 
@@ -400,9 +406,9 @@ def test_painting_means_and_taking_them_again_changes_nothing() -> None:
     image = textured(33, 47)
     labels = slic(image, 20)
     count = int(labels.max()) + 1
-    means = segment_mean(image, labels, count)
+    means = means_of(image, labels, count)
 
-    again = segment_mean(paint(means, labels), labels, count)
+    again = means_of(paint(means, labels), labels, count)
 
     torch.testing.assert_close(again, means, atol=1e-5, rtol=0.0)
 

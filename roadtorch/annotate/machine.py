@@ -76,9 +76,9 @@ def look_at_picture(image: Tensor, detector: Detector, settings: AnnotationSetti
     odds = _centred(detection.likelihood, detection.mask, detector.settings.threshold, shape)
     layout = torch.zeros(len(segments.size), 0)
     if (potentials := detection.cues.get("layout")) is not None and len(potentials) == CLASSES:
-        mean = segment_mean(resized(potentials, shape), labels, len(segments.size))
+        mean = segment_mean(resized(potentials, shape), labels, segments.pixels)
         layout = log_odds(mean.T)
-    mean = segment_mean(odds[None], labels, len(segments.size))[0]
+    mean = segment_mean(odds[None], labels, segments.pixels)[0]
     graph = segment_graph(segments, settings.propagation)
     return PictureView(size, odds, labels, mean, graph, layout, detection.trust)
 

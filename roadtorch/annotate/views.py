@@ -16,7 +16,7 @@ from roadtorch.annotate.propagation import Graph
 from roadtorch.detector import Detector
 from roadtorch.files import atomic, make_folder
 from roadtorch.image import read_image
-from roadtorch.segment_statistics import segment_mean
+from roadtorch.segment_statistics import segment_mean, segment_size
 
 VIEWS = ".machine"
 """The folder of views in the folder of corrections."""
@@ -133,7 +133,7 @@ def read_view(path: Path, key: str | None = None) -> PictureView | None:
             layout = torch.from_numpy(found["layout"].astype(np.float32))
     except (OSError, ValueError, KeyError):
         return None
-    mean = segment_mean(odds[None], labels, count)[0]
+    mean = segment_mean(odds[None], labels, segment_size(labels, count))[0]
     graph = Graph(sparse.csr_matrix(parts, shape=(count, count)))
     known = None if np.isnan(trust) else trust
     return PictureView((height, width), odds, labels, mean, graph, layout, known)

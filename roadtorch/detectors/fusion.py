@@ -179,8 +179,9 @@ class Fusion(nn.Module):
             image, layout, road = continued(known, ego).split([3, CLASSES, 1])
             learned = {"layout": layout, "road": road[0]}
         street = look_at(image, settings)
-        labels, count = street.labels, len(street.layout)
-        taught = segment_mean(torch.cat([learned["layout"], learned["road"][None]]), labels, count)
+        segments, labels = street.segments, street.labels
+        known = torch.cat([learned["layout"], learned["road"][None]])
+        taught = segment_mean(known, labels, segments.pixels)
         layout = pooled(street.layout.T, taught[:CLASSES], settings.share)
         known = log_odds(taught[CLASSES])
         sources = seed_found(street.segments, layout[HORIZONTAL], known, settings)

@@ -169,9 +169,10 @@ def segment_layout(segments: Segments, settings: LabellerSettings) -> Tensor:
     prior = prior.log_softmax(1)
     alike = likeness(segments, settings.bandwidths)
     belief = prior.exp()
+    samples = column_samples(segments.labels, settings.order.step)
     for _ in range(settings.rounds):
         evidence = class_log_density(alike, belief, segments.size)
-        belief = in_order((prior + settings.sharpness * evidence), segments.labels, settings.order)
+        belief = in_order(prior.add(evidence, alpha=settings.sharpness), samples, settings.order)
     return belief
 
 
@@ -200,18 +201,22 @@ def sky_look(segments: Segments, sky: SkyLook) -> Tensor:
     return sky.light * light + sky.even * even + sky.blue * blue
 
 
-def in_order(scores: Tensor, labels: Tensor, order: ColumnOrder) -> Tensor:
+def column_samples(labels: Tensor, step: int) -> np.ndarray:
+    """Every ``step``-th pixel of labels (H,W), at least one: (R,C)."""
+    middle = min(step, *labels.shape) // 2  # inside, whatever the step
+    return labels[middle::step, middle::step].cpu().numpy()
+
+
+def in_order(scores: Tensor, samples: np.ndarray, order: ColumnOrder) -> Tensor:
     """Beliefs (n,3) from log scores (n,3) when every column should read sky, vertical, ground.
 
-    The picture is sampled every ``order.step`` pixels; each column of samples is a hidden
+    samples: segments (R,C) of a picture, by ``column_samples``; each column is a hidden
     Markov chain that moves from sky to vertical to horizontal. The exact posteriors
     (forwards and backwards) are averaged over each segment. Ours.
     """
-    middle = min(order.step, *labels.shape) // 2  # inside, whatever the step
-    grid = labels[middle :: order.step, middle :: order.step].cpu().numpy()
     local = (order.weight * scores.to(torch.float64)).softmax(1).clamp_min_(1e-4).cpu().numpy()
-    posterior = _chain_posterior(local.take(grid, 0), _moves(order.change, order.breach))
-    place = (CLASSES * grid.reshape(-1, 1) + np.arange(CLASSES)).reshape(-1)
+    posterior = _chain_posterior(local.take(samples, 0), _moves(order.change, order.breach))
+    place = (CLASSES * samples.reshape(-1, 1) + np.arange(CLASSES)).reshape(-1)
     found = np.bincount(place, posterior.reshape(-1), minlength=local.size).reshape(local.shape)
     total = found.sum(1, keepdims=True)  # 1 for each sample; where there is none, its own say
     found = np.where(total > 0, found, local)
@@ -242,7 +247,7 @@ def _chain_posterior(evidence: np.ndarray, moves: np.ndarray) -> np.ndarray:
         states[row] *= before @ moves
     down, up = states[..., :CLASSES], states[::-1, :, CLASSES:]
     posterior = down * up / evidence
-    return posterior / posterior.sum(2, keepdims=True)
+    return posterior / (posterior @ np.ones((CLASSES, 1)))  # its sum over three, sooner
 
 
 def _scaled(states: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
 """What is done to a picture before a network sees it."""
 
+import math
 from typing import Literal, NamedTuple
 
 from pydantic import Field
@@ -38,7 +39,7 @@ def normalise(image: Tensor, normalisation: Normalisation) -> Normalised:
     if normalisation.kind.startswith("brightened"):
         image = brightened(image, normalisation.exposure)
     if normalisation.kind.endswith("picture"):
-        mean = image.mean((1, 2), keepdim=True)
-        gain = float(1 / (image - mean).square().mean().sqrt().clamp_min(FLATTEST))
-        return Normalised((image - mean) * gain, gain)
+        centred = image - image.mean((1, 2), keepdim=True)
+        gain = 1 / max(math.sqrt(centred.square().mean()), FLATTEST)
+        return Normalised(centred * gain, gain)
     return Normalised((image - FIXED_MEAN) * FIXED_GAIN, FIXED_GAIN)

@@ -8,7 +8,7 @@ Networks", 2017). One head says sky, vertical, horizontal, the others road and e
 """
 
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import torch
 from pydantic import Field
@@ -61,14 +61,14 @@ class PictureNetwork(nn.Module):
         super().__init__()
         self.settings = settings or PictureNetworkSettings()
         narrow, wide = self.settings.narrow, self.settings.wide
-        self.first = _stage(3 + 2, narrow, stride=2)
-        self.second = nn.Sequential(_stage(narrow, 2 * narrow, stride=2), Residual(2 * narrow))
-        self.third = _stage(2 * narrow, wide, stride=2)
+        self.first = Stage(3 + 2, narrow, stride=2)
+        self.second = nn.Sequential(Stage(narrow, 2 * narrow, stride=2), Residual(2 * narrow))
+        self.third = Stage(2 * narrow, wide, stride=2)
         self.middle = nn.Sequential(*(Residual(wide, dilation) for dilation in DILATIONS))
         self.narrowed_quarter = nn.Conv2d(wide, 2 * narrow, 1)
-        self.to_quarter = _stage(2 * narrow, 2 * narrow)
+        self.to_quarter = Stage(2 * narrow, 2 * narrow)
         self.narrowed_half = nn.Conv2d(2 * narrow, narrow, 1)
-        self.to_half = _stage(narrow, narrow)
+        self.to_half = Stage(narrow, narrow)
         self.heads = nn.Conv2d(narrow, OUTPUTS, 1)
 
     def forward(self, pixels: Tensor) -> Tensor:
@@ -102,23 +102,36 @@ def network_at(network: PictureNetwork, height: int, width: int) -> PictureNetwo
     return other.train(network.training)
 
 
+class Stage(nn.Sequential):
+    """A convolution, groups of channels normalised, and what is negative cut off.
+
+    In one call: to call each module for itself takes as long as maps so small.
+    """
+
+    def __init__(self, inputs: int, outputs: int, stride: int = 1, dilation: int = 1) -> None:
+        super().__init__(
+            nn.Conv2d(inputs, outputs, 3, stride, dilation, dilation, bias=False),
+            nn.GroupNorm(outputs // GROUP, outputs),
+        )
+
+    def forward(self, maps: Tensor) -> Tensor:
+        """Maps (B,outputs,H/stride,W/stride) of maps (B,inputs,H,W)."""
+        convolution, groups = cast("tuple[nn.Conv2d, nn.GroupNorm]", tuple(self))
+        stride, dilation = convolution.stride, convolution.dilation  # which is the padding too
+        maps = torch.conv2d(maps, convolution.weight, None, stride, dilation, dilation)
+        return torch.group_norm(maps, groups.num_groups, groups.weight, groups.bias).relu_()
+
+
 class Residual(nn.Module):
     """x + a convolution of x, both of the same width."""
 
     def __init__(self, channels: int, dilation: int = 1) -> None:
         super().__init__()
-        self.change = _stage(channels, channels, dilation=dilation)
+        self.change = Stage(channels, channels, dilation=dilation)
 
     def forward(self, maps: Tensor) -> Tensor:
         """Maps (B,C,H,W), changed a little."""
         return maps + self.change(maps)
-
-
-def _stage(inputs: int, outputs: int, stride: int = 1, dilation: int = 1) -> nn.Sequential:
-    convolution = nn.Conv2d(
-        inputs, outputs, 3, stride, padding=dilation, dilation=dilation, bias=False
-    )
-    return nn.Sequential(convolution, nn.GroupNorm(outputs // GROUP, outputs), nn.ReLU())
 
 
 def _doubled(maps: Tensor) -> Tensor:
@@ -128,8 +141,10 @@ def _doubled(maps: Tensor) -> Tensor:
 def place_planes(pixels: Tensor) -> Tensor:
     """|x| and y (B,2,H,W) of pictures (B,3,H,W), from -1 to 1: a mirrored street is a street."""
     batch, _, height, width = pixels.shape
-    rows = (torch.arange(height).to(pixels) + 0.5) / height * 2 - 1
-    columns = (torch.arange(width).to(pixels) + 0.5) / width * 2 - 1
+    rows, columns = (
+        torch.linspace(1 / side - 1, 1 - 1 / side, side, dtype=pixels.dtype, device=pixels.device)
+        for side in (height, width)
+    )
     away = (2 * columns.abs() - 1).expand(height, width)
     down = rows[:, None].expand(height, width)
     return torch.stack([away, down]).expand(batch, 2, height, width)

@@ -13,7 +13,7 @@ from torch import Tensor
 from roadtorch.errors import InputError
 from roadtorch.layout.classes import CLASSES, UNLABELLED
 from roadtorch.layout.labeller import label_layout
-from roadtorch.segment_statistics import segment_mean
+from roadtorch.segment_statistics import segment_mean, segment_size
 from roadtorch.train.arrays import Arrays, read_arrays, to_bytes
 from roadtorch.train.config import PatchTraining, Sites
 from roadtorch.working_size import at_work
@@ -46,8 +46,8 @@ def find_sites(segments: Tensor, sites: Sites) -> Tensor:
     """
     height, width = segments.shape
     places = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-    count = int(segments.max()) + 1
-    centroid = segment_mean(torch.stack(places).to(torch.float32), segments, count).T
+    size = segment_size(segments, int(segments.max()) + 1)
+    centroid = segment_mean(torch.stack(places).to(torch.float32), segments, size).T
     turns = torch.arange(sites.around) * (2 * math.pi / max(1, sites.around))
     around = torch.stack([turns.cos(), turns.sin()], 1) * sites.distance
     moves = torch.cat([torch.zeros(1, 2), around])

@@ -17,6 +17,7 @@ from roadtorch.layout.labeller import (
     LayoutLabels,
     PlacePrior,
     SkyLook,
+    column_samples,
     decide_layout,
     in_order,
     label_layout,
@@ -137,7 +138,7 @@ def test_clouds_below_a_blue_sky_are_sky(seed: int) -> None:
 
 
 def assert_like_every_path(scores: Tensor, labels: Tensor, order: ColumnOrder) -> None:
-    found = in_order(scores, labels, order)
+    found = in_order(scores, column_samples(labels, order.step), order)
 
     move = reference.moves(order.change, order.breach)
     wanted = reference.in_order(
@@ -180,7 +181,7 @@ def test_segments_get_the_mean_of_their_samples_or_their_own_score_where_there_a
 def test_ground_above_sky_is_talked_out_of_it() -> None:
     doubtful = torch.tensor([[2.0, 0, 0], [0.9, 0, 1.0], [2.0, 0, 0], [0, 2.0, 0], [0, 0, 2.0]])
 
-    belief = in_order(doubtful, torch.arange(5)[:, None], ColumnOrder(step=1))
+    belief = in_order(doubtful, np.arange(5)[:, None], ColumnOrder(step=1))
 
     assert belief.argmax(1).tolist() == [SKY, SKY, SKY, VERTICAL, HORIZONTAL]
 
@@ -188,7 +189,7 @@ def test_ground_above_sky_is_talked_out_of_it() -> None:
 def test_long_columns_do_not_underflow() -> None:
     scores = torch.tensor([[50.0, 0, -50], [-50.0, 0, 50]]).repeat(500, 1)
 
-    belief = in_order(scores, torch.arange(1000)[:, None], ColumnOrder(step=1))
+    belief = in_order(scores, np.arange(1000)[:, None], ColumnOrder(step=1))
 
     assert belief.isfinite().all()
     torch.testing.assert_close(belief.sum(1), torch.ones(1000))
@@ -199,7 +200,7 @@ def test_a_picture_smaller_than_a_step_keeps_the_scores(size: tuple[int, int]) -
     scores = torch.tensor([[1.0, 0, 0], [0, 0, 1.0]])
     labels = torch.arange(2)[:, None].repeat_interleave(8, 0).expand(16, 16)[: size[0], : size[1]]
 
-    belief = in_order(scores, labels, ColumnOrder(weight=2, step=64))
+    belief = in_order(scores, column_samples(labels, 64), ColumnOrder(weight=2, step=64))
 
     torch.testing.assert_close(belief, (2 * scores).softmax(1))
 
