@@ -1,11 +1,11 @@
 """What a machine with other work makes of ``detect``: beside two processes that never rest.
 
     python scripts/bench.py --only busy
-    python scripts/bench_busy.py torch 2          # one way alone: who loads torch, threads
+    python scripts/bench_busy.py torch 2 alone    # one way: who loads torch, threads, small maps
 
 Who loads torch settles how its threads wait for one another: a program that imports it first has
 threads that spin for long, one that imports roadtorch first has threads that soon sleep, as in the
-commands.
+commands. Small maps are one thread's work ("alone"); "shared" has all threads work on them.
 """
 
 import json
@@ -21,10 +21,11 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))  # for the scripts beside
 
 WAYS = {
-    "torch imported first, 2 threads": ("torch", 2),
-    "roadtorch imported first, 2 threads": ("roadtorch", 2),
-    "torch imported first, torch.set_num_threads(1)": ("torch", 1),
-    "roadtorch imported first, torch.set_num_threads(1)": ("roadtorch", 1),
+    "torch imported first, 2 threads": ("torch", 2, "alone"),
+    "roadtorch imported first, 2 threads": ("roadtorch", 2, "alone"),
+    "torch imported first, torch.set_num_threads(1)": ("torch", 1, "alone"),
+    "torch imported first, 2 threads share small maps": ("torch", 2, "shared"),
+    "roadtorch imported first, 2 threads share small maps": ("roadtorch", 2, "shared"),
 }
 BUSY = 2  # processes that never rest
 SECONDS = 6.0  # of each way at most
@@ -44,15 +45,17 @@ def busy(processes: int) -> Iterator[None]:
             process.wait()
 
 
-def detect_for(first: str, threads: int) -> list[float]:
+def detect_for(first: str, threads: int, small: str) -> list[float]:
     """Milliseconds of each ``detect`` of ``fusion`` at 640×480."""
     __import__(first)
     import torch
 
-    from roadtorch import load_detector  # before torch, unless ``first`` is torch
+    from roadtorch import load_detector, openmp  # before torch, unless ``first`` is torch
     from roadtorch.scenes import render_scene
 
     torch.set_num_threads(threads)
+    if small == "shared":
+        openmp.SMALL = 0
     detector, image = load_detector("fusion"), render_scene(0, 480, 640).image.contiguous()
     times, end = [], time.perf_counter() + SECONDS
     while len(times) < MOST + 1 and (len(times) < 2 or time.perf_counter() < end):
@@ -62,10 +65,10 @@ def detect_for(first: str, threads: int) -> list[float]:
     return times[1:]
 
 
-def run(first: str, threads: int) -> list[float]:
+def run(first: str, threads: int, small: str) -> list[float]:
     """``detect_for`` in a new process in whose environment nothing is said of threads."""
     rest = {k: v for k, v in os.environ.items() if not k.startswith(("OMP_", "GOMP_", "MKL_"))}
-    words = [sys.executable, str(Path(__file__)), first, str(threads)]
+    words = [sys.executable, str(Path(__file__)), first, str(threads), small]
     return json.loads(subprocess.check_output(words, text=True, env=rest).splitlines()[-1])
 
 
@@ -90,4 +93,4 @@ def measure_busy(threads: int, rounds: int) -> list[dict[str, object]]:
 PARTS = {"busy": measure_busy}
 
 if __name__ == "__main__":
-    print(json.dumps(detect_for(sys.argv[1], int(sys.argv[2]))))
+    print(json.dumps(detect_for(sys.argv[1], int(sys.argv[2]), sys.argv[3])))

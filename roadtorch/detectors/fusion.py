@@ -25,6 +25,7 @@ from roadtorch.layout.opinion_pool import Share, pooled
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of
+from roadtorch.openmp import alone_if_small
 from roadtorch.otsu import centred_odds
 from roadtorch.priors import prior_rows, prior_triangle, prior_uniform
 from roadtorch.seed_area import likely_seed, seed_rectangle, seed_segments
@@ -136,6 +137,7 @@ class UntrainedFusion(nn.Module):
         super().__init__()
         self.settings = settings
 
+    @alone_if_small
     def forward(self, image: Tensor) -> Mapping[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
         settings = self.settings
@@ -169,6 +171,7 @@ class Fusion(nn.Module):
         self.settings = settings
         self.network = network_of(settings.weights, FOR_PICTURES, PictureNetwork)
 
+    @alone_if_small
     def forward(self, image: Tensor) -> Mapping[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
         settings = self.settings

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from roadtorch.color import plane
 from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings
 from roadtorch.lbp import PATTERNS, similarity
+from roadtorch.openmp import alone_if_small
 from roadtorch.seed_area import seed_area, seed_rectangle
 from roadtorch.segment_statistics import paint
 from roadtorch.superpixels import Superpixels, squares
@@ -79,6 +80,7 @@ class Cpf(nn.Module):
         super().__init__()
         self.settings = settings
 
+    @alone_if_small
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
         return _cues_over(self.settings.superpixels.cut(image), image, self.settings)
@@ -91,6 +93,7 @@ class CpfSquares(nn.Module):
         super().__init__()
         self.settings = settings
 
+    @alone_if_small
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
         labels = squares(image.shape[-2], image.shape[-1], self.settings.square)
@@ -104,6 +107,7 @@ class CpfV2(nn.Module):
         super().__init__()
         self.settings = settings
 
+    @alone_if_small
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
         settings = self.settings
@@ -126,6 +130,7 @@ class GreyUniformity(nn.Module):
         super().__init__()
         self.settings = settings
 
+    @alone_if_small
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
         settings = self.settings
@@ -144,6 +149,7 @@ class Lbp(nn.Module):
         super().__init__()
         self.settings = settings
 
+    @alone_if_small
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
         patterns_of, codes = PATTERNS[self.settings.patterns]
