@@ -10,6 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
+from roadtorch.order_statistics import lower_quartile
 from roadtorch.segment_features import Segments
 
 FAINTEST = 0.0034
@@ -26,8 +27,7 @@ def seed_distance(segments: Segments, sources: Tensor) -> Tensor:
     """
     steps = segments.contrast_between
     if len(steps):
-        faint = float(np.quantile(steps.cpu().numpy(), 0.25))  # torch takes four times as long
-        steps = steps / (faint + FAINTEST)
+        steps = steps / (lower_quartile(steps) + FAINTEST)
     return distances(segments.pairs, steps, sources, len(segments.size))
 
 

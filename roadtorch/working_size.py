@@ -122,13 +122,15 @@ def at_picture_size(cue: Tensor, size: tuple[int, int]) -> Tensor:
     """A cue (…,H,W) at the picture's own size: values smoothly, labels and masks by pixels."""
     if cue.is_floating_point():
         return resized(cue, size)
+    found = cue.cpu().numpy()
+    if not found.any():
+        return cue.new_zeros((*cue.shape[:-2], *size))
     rows, columns = (
         np.arange(after) * before // after
         for after, before in zip(size, cue.shape[-2:], strict=True)
     )
     # NumPy picks from labels and masks faster than torch; the fewer pixels go first.
     steps = [(rows, -2), (columns, -1)]
-    found = cue.cpu().numpy()
     for places, axis in steps if size[0] < cue.shape[-2] else reversed(steps):
         found = found.take(places, axis)
     return torch.from_numpy(found).to(cue.device)
