@@ -106,8 +106,11 @@ def fused_log_odds(likelihoods: Sequence[Tensor], weights: Sequence[float]) -> T
     weights 1 that is not P2's eq. 4, which leaves the background out (``likelihood_product``).
     Summed as log odds: no product of small numbers underflows.
     """
-    odds = [weight * log_odds(each) for each, weight in zip(likelihoods, weights, strict=True)]
-    return torch.stack(odds).sum(0)
+    first, *further = zip(likelihoods, weights, strict=True)
+    total = log_odds(first[0]).mul_(first[1])
+    for likelihood, weight in further:
+        total.add_(log_odds(likelihood), alpha=weight)
+    return total
 
 
 def road_place(row: Tensor, column: Tensor, place: RoadPlace) -> Tensor:
@@ -142,13 +145,13 @@ def segment_road(
         )
     )
     alike = likeness(segments, settings.bandwidths)
-    around = neighbour_mean(segments)
+    around = exponents.neighbours * neighbour_mean(segments)
     score = known
     for _ in range(settings.rounds):
         belief = score.sigmoid()
         density = class_log_density(alike, torch.stack([belief, 1 - belief], 1), segments.size)
         look = (density[:, 0] - density[:, 1]).clamp(-STRONGEST_LOOK, STRONGEST_LOOK)
-        score = known + exponents.look * look + exponents.neighbours * (around @ (2 * belief - 1))
+        score = torch.addmv(known, around, 2 * belief - 1).add_(look, alpha=exponents.look)
     return (score / settings.temperature).sigmoid()
 
 

@@ -76,9 +76,9 @@ def measure_segments(image: Tensor, labels: Tensor) -> Segments:
     lab = planes(image, ("L", "a", "b"))
     rows = ((torch.arange(height).to(image) + 0.5) / height)[:, None].expand(height, width)
     columns = ((torch.arange(width).to(image) + 0.5) / width).expand(height, width)
-    maps = [lab, lab[:1].square(), gradient_length(lab[:1]), rows[None], columns[None]]
+    maps = [*lab, lab[0].square(), gradient_length(lab[0]), rows, columns]
     pixels = segment_size(labels, count)
-    mean = segment_mean(torch.cat(maps), labels, pixels)
+    mean = segment_mean(maps, labels, pixels)
     pairs, between = borders(labels, border_contrast(lab))
     return Segments(
         labels,

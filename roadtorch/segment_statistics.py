@@ -1,31 +1,31 @@
 """Statistics of the pixels of each segment, and the borders between segments."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
-from scipy.sparse import csc_array
 from torch import Tensor
 
 
-def segment_sum(values: Tensor, labels: Tensor, count: int) -> Tensor:
-    """Sum of values (C,H,W) over each of ``count`` segments of labels (H,W): (C,count).
+def segment_sum(planes: Sequence[Tensor] | Tensor, labels: Tensor, count: int) -> Tensor:
+    """Sum of each of C planes (H,W) over each of ``count`` segments of labels (H,W): (C,count).
 
-    One product of a sparse matrix, which pixel is in which segment, with all channels. Added
-    up in float64: a large segment would lose what a pixel adds to it.
+    Added up in float64: a large segment would lose what a pixel adds to it.
     """
     segment = labels.reshape(-1).cpu().numpy()
-    pixels = np.arange(len(segment) + 1)
-    member = csc_array((np.ones(len(segment)), segment, pixels), shape=(count, len(segment)))
-    flat = values.reshape(values.shape[0], -1).cpu().numpy()
-    sums = member @ np.ascontiguousarray(flat.T, dtype=np.float64)
-    return torch.from_numpy(sums.T).to(values)
+    sums = [
+        np.bincount(segment, plane.reshape(-1).cpu().numpy(), minlength=count) for plane in planes
+    ]
+    return torch.from_numpy(np.stack(sums)).to(planes[0])
 
 
-def segment_mean(values: Tensor, labels: Tensor, size: Tensor) -> Tensor:
-    """Mean of values (C,H,W) over each of n segments of labels (H,W): (C,n); 0 if empty.
+def segment_mean(planes: Sequence[Tensor] | Tensor, labels: Tensor, size: Tensor) -> Tensor:
+    """Mean of each of C planes (H,W) over each of n segments of labels (H,W): (C,n); 0 if empty.
 
     size: int64 (n,), their pixels, by ``segment_size``.
     """
-    return segment_sum(values, labels, len(size)) / size.to(values.dtype).clamp_min_(1)
+    sums = segment_sum(planes, labels, len(size))
+    return sums / size.to(sums.dtype).clamp_min_(1)
 
 
 def segment_size(labels: Tensor, count: int) -> Tensor:

@@ -183,8 +183,7 @@ class Fusion(nn.Module):
             learned = {"layout": layout, "road": road[0]}
         street = look_at(image, settings)
         segments, labels = street.segments, street.labels
-        known = torch.cat([learned["layout"], learned["road"][None]])
-        taught = segment_mean(known, labels, segments.pixels)
+        taught = segment_mean([*learned["layout"], learned["road"]], labels, segments.pixels)
         layout = pooled(street.layout.T, taught[:CLASSES], settings.share)
         known = log_odds(taught[CLASSES])
         sources = seed_found(street.segments, layout[HORIZONTAL], known, settings)

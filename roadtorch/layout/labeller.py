@@ -218,9 +218,10 @@ def in_order(scores: Tensor, samples: np.ndarray, order: ColumnOrder) -> Tensor:
     posterior = _chain_posterior(local.take(samples, 0), _moves(order.change, order.breach))
     place = (CLASSES * samples.reshape(-1, 1) + np.arange(CLASSES)).reshape(-1)
     found = np.bincount(place, posterior.reshape(-1), minlength=local.size).reshape(local.shape)
-    total = found.sum(1, keepdims=True)  # 1 for each sample; where there is none, its own say
-    found = np.where(total > 0, found, local)
-    found /= np.where(total > 0, total, local.sum(1, keepdims=True))
+    seen = np.bincount(samples.reshape(-1), minlength=len(local))
+    unseen = seen == 0
+    found[unseen] = local[unseen]
+    found /= found @ np.ones((CLASSES, 1))
     return torch.from_numpy(found).to(scores)
 
 
