@@ -47,7 +47,7 @@ from roadtorch.detectors import fusion
 from roadtorch.image import read_image
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.scenes import render_scene
-from scripts.bench_figures import Figure, Parts, merged, read_figures, stale, write_figures, written
+from scripts.bench_figures import Figure, Parts, merged, read_figures, rewrite, stale, write_figures
 
 Stages = Mapping[str, tuple[tuple[ModuleType | type, str], ...]]
 STAGES: Stages = {
@@ -397,8 +397,7 @@ def main() -> int:
         return 0
     measure_all(given)
     if given.write:
-        page = given.write.read_text("utf-8")
-        given.write.write_text(written(page, read_figures(given.json)), "utf-8")
+        rewrite(given.write, read_figures(given.json))
     return 0
 
 

@@ -35,8 +35,8 @@ from scripts.bench_figures import (
     merged,
     part_table,
     read_figures,
+    rewrite,
     write_figures,
-    written,
 )
 from scripts.bench_parts import OURS as SLIC
 from scripts.bench_parts import SEGMENTS, ratio, shown, threads_in_words
@@ -150,7 +150,7 @@ def main() -> None:
     if given.write:
         figures = merged(read_figures(FIGURES), found, made["command"])
         write_figures(FIGURES, figures)
-        given.write.write_text(written(given.write.read_text("utf-8"), figures), "utf-8")
+        rewrite(given.write, figures)
 
 
 if __name__ == "__main__":

@@ -34,8 +34,8 @@ from roadtorch.evaluation.contenders import named_detector
 from roadtorch.evaluation.saved_tallies import SavedTallies
 from roadtorch.evaluation.scoring import score
 from roadtorch.evaluation.summary import summarise
+from roadtorch.installation.peak_memory import peak_mebibytes
 from roadtorch.scenes import render_scene, write_picture
-from scripts.peak_memory import peak_mebibytes
 
 DETECTORS = ("prior:rows", "prior:triangle", "prior:uniform")
 SIZE = (360, 480)

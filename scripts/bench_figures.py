@@ -94,6 +94,11 @@ def written(page: str, figures: Sequence[Figure]) -> str:
     return BLOCK.sub(block, page)
 
 
+def rewrite(path: Path, figures: Sequence[Figure]) -> None:
+    """Put the tables into the page at this path."""
+    path.write_text(written(path.read_text("utf-8"), figures), "utf-8")
+
+
 def stale(page: str, figures: Sequence[Figure]) -> list[str]:
     """What a page says otherwise than the figures, a line each; none: all is as measured."""
     wanted = written(page, figures)

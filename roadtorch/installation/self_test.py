@@ -1,7 +1,6 @@
 """A rendered street, of which everything is known: found, scored and timed."""
 
 import statistics
-import sys
 from time import perf_counter
 
 import torch
@@ -9,6 +8,7 @@ import torch
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation.metrics import count_mask, f_measure
 from roadtorch.installation.check import Check
+from roadtorch.installation.peak_memory import peak_mebibytes
 from roadtorch.scenes import render_scene
 
 SCENE = 0  # its seed
@@ -34,7 +34,7 @@ def check_self_test() -> list[Check]:
         "f": round(float(f_measure(count_mask(first.mask, scene.road, ~scene.void))), 4),
         "ms": round(statistics.median(times), 1),
         "rounds": len(times),
-        "peak_mib": round(peak_bytes() / 2**20),
+        "peak_mib": round(peak_mebibytes()),
     }
     return [_verdict(figures, same)]
 
@@ -50,13 +50,3 @@ def _verdict(figures: dict[str, float], same: bool) -> Check:
     if not same:
         return Check("fusion", "broken", f"{told}; two runs differ", remedy, figures)
     return Check("fusion", "ok", told, "", figures)
-
-
-def peak_bytes() -> int:
-    """The most memory that this process ever had; 0 where the system does not say."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return 0
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else 1024 * peak
