@@ -56,7 +56,7 @@ def alone_if_small(function: Callable[P, Result]) -> Callable[P, Result]:
 
     @wraps(function)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> Result:
-        shapes = (getattr(each, "shape", ()) for each in args)
+        shapes = (getattr(each, "shape", ()) for each in (*args, *kwargs.values()))
         height, width = next(shape for shape in shapes if shape)[-2:]
         with one_thread() if height * width < SMALL else nullcontext():
             return function(*args, **kwargs)

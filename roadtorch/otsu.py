@@ -1,5 +1,7 @@
 """Where the values of one picture fall apart in two (Otsu), and log odds centred there."""
 
+import math
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -12,12 +14,12 @@ def otsu_threshold(values: Tensor) -> Tensor:
     """The value, a scalar, that parts values (…) into two classes that differ most.
 
     It maximises the variance between the classes, w₀ w₁ (μ₀ - μ₁)²; the middle of the range
-    where all values are equal. Otsu, "A Threshold Selection Method from Gray-Level
-    Histograms", IEEE Trans. SMC 9(1), 1979, eq. 18.
+    where all values are equal, and none (NaN or infinite) where one is not finite. Otsu, "A
+    Threshold Selection Method from Gray-Level Histograms", IEEE Trans. SMC 9(1), 1979, eq. 18.
     """
     known = values.detach().reshape(-1).cpu().numpy()
     low, high = known.min(), known.max()
-    if low == high:
+    if not 0 < high - low < math.inf:
         return values.new_tensor(float(low))
     place = ((known - low) / (high - low) * BINS).astype(np.int64)
     counts = np.bincount(place.clip(max=BINS - 1), minlength=BINS)

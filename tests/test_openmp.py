@@ -121,6 +121,7 @@ def test_small_images_are_worked_on_by_one_thread(
     seen = alone_if_small(lambda image, factor: torch.get_num_threads() * factor)
 
     assert seen(torch.zeros(3, *size), factor=10) == 10 * threads
+    assert seen(factor=10, image=torch.zeros(3, *size)) == 10 * threads
 
 
 def test_without_a_runtime_that_can_be_reached_nothing_changes(

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from skimage.filters import threshold_otsu
 
-from roadtorch.otsu import BINS, otsu_threshold
+from roadtorch.otsu import BINS, centred_odds, otsu_threshold
 from tests.reference import otsu as reference
 
 
@@ -84,3 +84,12 @@ def test_the_shape_of_the_values_does_not_matter_and_their_type_stays(kind: torc
     assert found.dtype == kind
     assert torch.equal(found, otsu_threshold(values.flip(0).reshape(1, 10, 12)))
     assert np.isfinite(float(found))
+
+
+@pytest.mark.parametrize("odd", [np.nan, np.inf, -np.inf])
+def test_of_values_that_are_not_finite_no_road_is_made(odd: float) -> None:
+    values = torch.tensor([0.0, 1.0, odd])
+
+    centred = centred_odds(values, 0.0, 0.25)
+
+    assert not centred.sum().isfinite()

@@ -186,11 +186,11 @@ class Fusion(nn.Module):
         taught = segment_mean([*learned["layout"], learned["road"]], labels, segments.pixels)
         layout = pooled(street.layout.T, taught[:CLASSES], settings.share)
         known = log_odds(taught[CLASSES])
-        sources = seed_found(street.segments, layout[HORIZONTAL], known, settings)
+        sources = seed_found(segments, layout[HORIZONTAL], known, settings)
         seed = sources[labels]
         nearby = seen_from(street, seed, sources.nonzero()[:, 0], settings)
         road = segment_road(
-            street.segments,
+            segments,
             layout[HORIZONTAL],
             nearby.near,
             nearby.even,
