@@ -86,26 +86,6 @@ class Cues(Mapping[str, Tensor]):
         return len(self._found) - 1
 
 
-class Deferred(Mapping[str, Tensor]):
-    """Maps by name, of which some are made when they are asked for, and made again each time."""
-
-    def __init__(self, made: Mapping[str, Tensor | Callable[[], Tensor]]) -> None:
-        self._made = made
-
-    def __getitem__(self, name: str) -> Tensor:
-        """The map of that name; KeyError where there is none."""
-        made = self._made[name]
-        return made if isinstance(made, Tensor) else made()
-
-    def __iter__(self) -> Iterator[str]:
-        """The names of all maps."""
-        return iter(self._made)
-
-    def __len__(self) -> int:
-        """How many maps there are."""
-        return len(self._made)
-
-
 class WithoutEgo(Mapping[str, Tensor]):
     """What an analysis found, with neither road nor seed on the ego car bool (H,W): a cue too."""
 

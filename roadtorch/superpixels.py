@@ -154,6 +154,7 @@ def _cells(maps: Tensor, grid: CellGrid, stride: int) -> Tensor:
 
 
 @lru_cache(maxsize=16)
+@torch.inference_mode(False)  # kept for callers in any mode
 def _places(grid: CellGrid, stride: int) -> Tensor:
     """(3, pixels, pixels) of a cell: row and column from its middle, and 1."""
     row, column = (torch.arange(0, side, stride) - (side - 1) / 2 for side in grid[2:4])
@@ -203,6 +204,7 @@ class Moves(NamedTuple):
 
 
 @lru_cache(maxsize=16)
+@torch.inference_mode(False)  # kept for callers in any mode
 def _moves(grid: CellGrid, step: float, batch: int) -> Moves:
     """The squared distance of a point f is |f-c-s|² where s leads to the middle of c's cell.
 

@@ -97,6 +97,7 @@ class Band(NamedTuple):
 
 
 @lru_cache(maxsize=32)
+@torch.inference_mode(False)  # kept for callers in any mode
 def averaging_bands(before: int, after: int, old: int) -> tuple[Band, ...]:
     """How a side of ``before`` pixels becomes one of ``after``; about ``old`` of them in a band.
 

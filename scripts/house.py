@@ -70,7 +70,7 @@ ROWS = (
     ),
     Row("papers", ("layout", "oneclass", "ufl", "vanishing")),
     Row("camera", ("camera",)),
-    Row("what a detector is", ("detector",)),
+    Row("what a detector is", ("analysis", "detector")),
     Row("detectors", ("detectors",)),
     Row("pictures in", ("sources", "scene_canvas", "scenes", "scene_drives", "testing")),
     Row("footage through", ("sinks", "stream")),

@@ -8,7 +8,8 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from roadtorch.detector import TUNED, Deferred, Entry, Threshold, WorkingSettings
+from roadtorch.analysis import lean
+from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings
 from roadtorch.ego import continued, ego_found, is_anywhere
 from roadtorch.exposure import brightened
 from roadtorch.fusion import (
@@ -25,7 +26,6 @@ from roadtorch.layout.opinion_pool import Share, pooled
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of
-from roadtorch.openmp import alone_if_small
 from roadtorch.otsu import centred_odds
 from roadtorch.priors import prior_rows, prior_triangle, prior_uniform
 from roadtorch.seed_area import likely_seed, seed_rectangle, seed_segments
@@ -137,8 +137,8 @@ class UntrainedFusion(nn.Module):
         super().__init__()
         self.settings = settings
 
-    @alone_if_small
-    def forward(self, image: Tensor) -> Mapping[str, Tensor]:
+    @lean
+    def forward(self, image: Tensor) -> Mapping[str, Tensor | Callable[[], Tensor]]:
         """The cues of an image (3,H,W) in [0,1]."""
         settings = self.settings
         street = look_at(image, settings)
@@ -148,15 +148,13 @@ class UntrainedFusion(nn.Module):
         nearby = seen_from(street, rectangle, sources, settings)
         road = segment_road(street.segments, ground, nearby.near, nearby.even, settings.road)
         labels = decide_layout(street.layout, settings.labeller)
-        return Deferred(
-            {
-                "likelihood": paint(road, street.labels),
-                "layout": partial(paint, street.layout.T, street.labels),
-                "layout_labels": partial(paint, labels, street.labels),
-                "seed_area": rectangle,
-                **nearby.cues,
-            }
-        )
+        return {
+            "likelihood": paint(road, street.labels),
+            "layout": partial(paint, street.layout.T, street.labels),
+            "layout_labels": partial(paint, labels, street.labels),
+            "seed_area": rectangle,
+            **nearby.cues,
+        }
 
 
 class Fusion(nn.Module):
@@ -171,8 +169,8 @@ class Fusion(nn.Module):
         self.settings = settings
         self.network = network_of(settings.weights, FOR_PICTURES, PictureNetwork)
 
-    @alone_if_small
-    def forward(self, image: Tensor) -> Mapping[str, Tensor]:
+    @lean
+    def forward(self, image: Tensor) -> Mapping[str, Tensor | Callable[[], Tensor]]:
         """The cues of an image (3,H,W) in [0,1]."""
         settings = self.settings
         learned = self.network.cues(image)
@@ -199,19 +197,17 @@ class Fusion(nn.Module):
         )
         odds = fused_log_odds([paint(road, labels), learned["road"]], [1, settings.learned.detail])
         decided = decide_layout(layout.T, settings.labeller)
-        return Deferred(
-            {
-                "likelihood": calibrated(odds, settings.calibration),
-                "layout": partial(
-                    pooled_layout, street.layout, labels, learned["layout"], settings.share
-                ),
-                "layout_labels": partial(paint, decided, labels),
-                "learned_road": learned["road"],
-                "seed_area": seed,
-                "ego": ego,
-                **nearby.cues,
-            }
-        )
+        return {
+            "likelihood": calibrated(odds, settings.calibration),
+            "layout": partial(
+                pooled_layout, street.layout, labels, learned["layout"], settings.share
+            ),
+            "layout_labels": partial(paint, decided, labels),
+            "learned_road": learned["road"],
+            "seed_area": seed,
+            "ego": ego,
+            **nearby.cues,
+        }
 
     def judge(self, mask: Tensor, found: Mapping[str, Tensor]) -> Judgement:
         """How far a mask bool (H,W) of what was found can be trusted."""

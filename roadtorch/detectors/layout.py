@@ -3,6 +3,7 @@
 from pydantic import Field
 from torch import Tensor, nn
 
+from roadtorch.analysis import lean
 from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import LabellerSettings, decide_layout, label_whole
@@ -10,7 +11,6 @@ from roadtorch.layout.opinion_pool import Share, pooled
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of
-from roadtorch.openmp import alone_if_small
 from roadtorch.superpixels import Superpixels
 
 
@@ -53,7 +53,7 @@ class Labeller(nn.Module):
         super().__init__()
         self.settings = settings
 
-    @alone_if_small
+    @lean
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
         found = label_whole(image, self.settings.labeller, self.settings.superpixels)
@@ -85,7 +85,7 @@ class Layout(nn.Module):
         self.settings = settings
         self.network = network_of(settings.weights, FOR_PICTURES, PictureNetwork)
 
-    @alone_if_small
+    @lean
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
         own = label_whole(image, self.settings.labeller, self.settings.superpixels)

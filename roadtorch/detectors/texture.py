@@ -6,10 +6,10 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
+from roadtorch.analysis import lean
 from roadtorch.color import plane
 from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings
 from roadtorch.lbp import PATTERNS, similarity
-from roadtorch.openmp import alone_if_small
 from roadtorch.seed_area import seed_area, seed_rectangle
 from roadtorch.segment_statistics import paint
 from roadtorch.superpixels import Superpixels, squares
@@ -80,7 +80,7 @@ class Cpf(nn.Module):
         super().__init__()
         self.settings = settings
 
-    @alone_if_small
+    @lean
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
         return _cues_over(self.settings.superpixels.cut(image), image, self.settings)
@@ -93,7 +93,7 @@ class CpfSquares(nn.Module):
         super().__init__()
         self.settings = settings
 
-    @alone_if_small
+    @lean
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
         labels = squares(image.shape[-2], image.shape[-1], self.settings.square)
@@ -107,7 +107,7 @@ class CpfV2(nn.Module):
         super().__init__()
         self.settings = settings
 
-    @alone_if_small
+    @lean
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
         settings = self.settings
@@ -130,7 +130,7 @@ class GreyUniformity(nn.Module):
         super().__init__()
         self.settings = settings
 
-    @alone_if_small
+    @lean
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
         settings = self.settings
@@ -149,7 +149,7 @@ class Lbp(nn.Module):
         super().__init__()
         self.settings = settings
 
-    @alone_if_small
+    @lean
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
         patterns_of, codes = PATTERNS[self.settings.patterns]

@@ -327,6 +327,7 @@ def _one_quantum_away(seen: Tensor, axes: Axes) -> Tensor:
 
 
 @cache
+@torch.inference_mode(False)  # kept for callers in any mode
 def _moves(axes: Axes) -> Tensor:
     """One quantum up and down every plane, float32 (d,1,2d)."""
     steps = torch.diag(axes.quantum).float()

@@ -42,6 +42,7 @@ class GaussianSettings(ClassifierSettings):
 
 
 @cache
+@torch.inference_mode(False)  # kept for callers in any mode
 def floor_of(axes: Axes) -> Tensor:
     """The variance that rounding to 256 levels alone causes, quantum²/12: float64 (d,).
 
