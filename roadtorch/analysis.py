@@ -1,4 +1,4 @@
-"""How the maps of an analysis are made: no more threads and no more bookkeeping than they need."""
+"""How the maps of an analysis are made: without bookkeeping that nobody asked for."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
@@ -7,8 +7,6 @@ from typing import Any
 
 import torch
 from torch import Tensor
-
-from roadtorch.openmp import alone_if_small
 
 
 class Deferred(Mapping[str, Tensor]):
@@ -41,17 +39,15 @@ Forward = Callable[[Any, Tensor], Mapping[str, Tensor | Callable[[], Tensor]]]
 
 
 def lean(forward: Forward) -> Callable[[Any, Tensor], Deferred]:
-    """Mark the ``forward`` of an analysis: one thread does it for a small image.
+    """Mark the ``forward`` of an analysis: in inference mode, where no gradients are asked for.
 
-    On the CPU, where no gradients are asked for, in inference mode: what autograd notes of a
-    thousand small kernels takes a fifteenth of the time.
+    On the CPU: there what autograd notes of a thousand small kernels takes a fifteenth of the time.
     """
-    alone = alone_if_small(forward)
 
     @wraps(forward)
     def wrapped(self: Any, image: Tensor) -> Deferred:
         quick = image.device.type == "cpu" and not torch.is_grad_enabled()
         with torch.inference_mode() if quick else nullcontext():
-            return Deferred(alone(self, image))
+            return Deferred(forward(self, image))
 
     return wrapped

@@ -21,6 +21,7 @@ from roadtorch.comparison import at_least
 from roadtorch.ego import Ego, continued, ego_car, is_anywhere, is_given, read_ego_mask
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.image import Order, Picture, as_image, overlay_pixels, png_bytes
+from roadtorch.openmp import considerate
 from roadtorch.seed_area import SeedArea, remove_isolated, seed_rectangle
 from roadtorch.settings import Settings
 from roadtorch.trust import Judgement
@@ -235,6 +236,8 @@ class Detector(nn.Module):
             raise ConfigError(entry.name, what, remedy)
         self.analysis = analysis
 
+    @considerate
+    @torch.no_grad()
     def detect(self, image: Picture, order: Order | None = None) -> Detection:
         """Find the road in one picture, from 16×16 up.
 
@@ -243,13 +246,15 @@ class Detector(nn.Module):
         anything else, and when what the detector makes of it is not finite: there is no
         decision on NaN.
         """
-        return self.conclude(self.find(as_image(image, order)))
+        return self._conclude(self._find(checked_image(as_image(image, order))))
 
+    @considerate
     @torch.no_grad()
     def find(self, image: Tensor) -> Found:
         """The first half of ``detect``: likelihood and cues of an image (3,H,W) in [0,1]."""
         return self._find(checked_image(image))
 
+    @considerate
     @torch.no_grad()
     def conclude(
         self, found: Found, likelihood: Tensor | None = None, ego: Tensor | None = None
@@ -260,6 +265,11 @@ class Detector(nn.Module):
         of those found, as when frames of a video steady one another. Trust still rests on the
         frame's own.
         """
+        return self._conclude(found, likelihood, ego)
+
+    def _conclude(
+        self, found: Found, likelihood: Tensor | None = None, ego: Tensor | None = None
+    ) -> Detection:
         analysed, maps, image = found
         if ego is not None:
             maps = ChainMap({"ego": ego}, maps)  # type: ignore[arg-type]  # it is only read
@@ -289,6 +299,7 @@ class Detector(nn.Module):
         found = ChainMap({"ego": ego}, analysed)  # type: ignore[arg-type]  # nothing is made yet
         return self.analysis.judge(at_picture_size(mask, size), found)
 
+    @considerate
     def forward(self, images: Tensor) -> Tensor:
         """Likelihoods (B,H,W) of a batch (B,3,H,W); each equals that of ``detect``."""
         if images.ndim != 4:

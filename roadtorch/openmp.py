@@ -1,4 +1,4 @@
-"""The threads of OpenMP, in which torch computes: how they wait, and when one is enough.
+"""The threads of OpenMP, in which torch computes: how they wait, and how many there should be.
 
 How they wait for one another is told when torch is loaded, or never.
 """
@@ -7,8 +7,9 @@ import ctypes
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, suppress
 from functools import cache, wraps
+from pathlib import Path
 from typing import ParamSpec, TypeVar
 
 BRIEF_WAITS = {"OMP_WAIT_POLICY": "passive", "GOMP_SPINCOUNT": "2000"}
@@ -16,10 +17,8 @@ BRIEF_WAITS = {"OMP_WAIT_POLICY": "passive", "GOMP_SPINCOUNT": "2000"}
 threads that sleep at once take twice as long on a quiet machine, and threads that spin for
 milliseconds, as by default, many times as long on a busy one (docs/performance.md)."""
 
-SMALL = 2**19
-"""Pixels below which an image is worked on by one thread alone: a kernel on one is over in
-microseconds, and others would have to be woken for each, or to wait where a machine is busy
-(docs/performance.md)."""
+LOAD, OWN_THREADS = Path("/proc/loadavg"), Path("/proc/self/task")
+"""Where Linux tells how many threads run, on the machine and of this process."""
 
 TOLD_BY = (*BRIEF_WAITS, "KMP_BLOCKTIME")
 """The variables by which somebody may have said how threads wait."""
@@ -51,37 +50,62 @@ P = ParamSpec("P")
 Result = TypeVar("Result")
 
 
-def alone_if_small(function: Callable[P, Result]) -> Callable[P, Result]:
-    """Mark a function or method of an image (…,H,W): one thread does it where that is ``SMALL``."""
+def considerate(function: Callable[P, Result]) -> Callable[P, Result]:
+    """Mark a function that computes with torch: it takes no more threads than there are free cores.
+
+    Threads of OpenMP wait for one another at the end of every kernel. Where one of them has to wait
+    for a core that other work holds, all do, a thousand times in a picture.
+    """
 
     @wraps(function)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> Result:
-        shapes = (getattr(each, "shape", ()) for each in (*args, *kwargs.values()))
-        height, width = next(shape for shape in shapes if shape)[-2:]
-        with one_thread() if height * width < SMALL else nullcontext():
+        import torch
+
+        if torch.get_num_threads() == 1:
+            return function(*args, **kwargs)
+        with at_most(free_cores()):
             return function(*args, **kwargs)
 
     return wrapped
 
 
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Inside the block, what this thread asks of torch is done by this thread alone.
+def free_cores() -> int:
+    """Cores that no other process holds at this moment, one at least; all where nobody tells."""
+    try:
+        running = int(LOAD.read_text().split()[3].partition("/")[0])
+        cores = len(os.sched_getaffinity(0))
+    except (AttributeError, IndexError, OSError, ValueError):  # other systems than Linux
+        return os.cpu_count() or 1
+    return max(1, cores - (running - _own_running() if running > 1 else 0))
 
-    Every other thread keeps what it has. ``torch.set_num_threads`` would also hold for threads
-    that begin meanwhile, and for them it would stay. Where the library that knows the number
-    cannot be reached, nothing changes.
+
+def _own_running() -> int:
+    """Threads of this process that run or wait for a core: those without work spin for a while."""
+    running = 0
+    for thread in os.listdir(OWN_THREADS):
+        with suppress(OSError), open(f"{OWN_THREADS}/{thread}/stat", "rb") as told:  # it may end
+            running += told.read().rpartition(b")")[2][:3] == b" R "
+    return running
+
+
+@contextmanager
+def at_most(threads: int) -> Iterator[None]:
+    """Inside the block, what this thread asks of torch is done by at most so many threads.
+
+    Every other thread of the program keeps what it has. ``torch.set_num_threads`` would also hold
+    for threads that begin meanwhile, and for them it would stay. Where the library that knows
+    the number cannot be reached, nothing changes.
     """
     import torch  # whoever asks has loaded it; ``brief_waits`` comes before
 
     before, runtime = torch.get_num_threads(), _runtime()
-    if before == 1 or runtime is None:
+    if before <= threads or runtime is None:
         yield
         return
     # MKL multiplies matrices, and has a number of its own where ``set_num_threads`` was called.
     of_products = getattr(runtime, "MKL_Set_Num_Threads_Local", lambda number: number)
-    runtime.omp_set_num_threads(1)
-    products = of_products(1)
+    runtime.omp_set_num_threads(threads)
+    products = of_products(threads)
     try:
         yield
     finally:

@@ -12,7 +12,6 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from roadtorch.image_cache import cached_per_image
-from roadtorch.openmp import alone_if_small
 from roadtorch.settings import Settings
 
 SHORTEST = 16
@@ -40,7 +39,6 @@ def working_size(height: int, width: int, working: WorkingSize) -> tuple[int, in
 
 
 @cached_per_image
-@alone_if_small
 def at_work(image: Tensor, working: WorkingSize) -> Tensor:
     """The image (3,H,W) as it is analysed: at its working size, in [0,1]."""
     return resized(image, working_size(image.shape[-2], image.shape[-1], working)).clamp(0, 1)

@@ -1,11 +1,11 @@
 """What a machine with other work makes of ``detect``: beside two processes that never rest.
 
     python scripts/bench.py --only busy
-    python scripts/bench_busy.py torch 2 alone    # one way: who loads torch, threads, small maps
+    python scripts/bench_busy.py torch 2 seen     # one way: loads torch, threads, others
 
 Who loads torch settles how its threads wait for one another: a program that imports it first has
 threads that spin for long, one that imports roadtorch first has threads that soon sleep, as in the
-commands. Small maps are one thread's work ("alone"); "shared" has all threads work on them.
+commands. `detect` takes no more threads than there are free cores ("seen"), or all ("unseen").
 """
 
 import json
@@ -21,11 +21,11 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))  # for the scripts beside
 
 WAYS = {
-    "torch imported first, 2 threads": ("torch", 2, "alone"),
-    "roadtorch imported first, 2 threads": ("roadtorch", 2, "alone"),
-    "torch imported first, torch.set_num_threads(1)": ("torch", 1, "alone"),
-    "torch imported first, 2 threads share small maps": ("torch", 2, "shared"),
-    "roadtorch imported first, 2 threads share small maps": ("roadtorch", 2, "shared"),
+    "torch imported first, 2 threads": ("torch", 2, "seen"),
+    "roadtorch imported first, 2 threads": ("roadtorch", 2, "seen"),
+    "torch imported first, torch.set_num_threads(1)": ("torch", 1, "seen"),
+    "torch imported first, 2 threads whoever else runs": ("torch", 2, "unseen"),
+    "roadtorch imported first, 2 threads whoever else runs": ("roadtorch", 2, "unseen"),
 }
 BUSY = 2  # processes that never rest
 SECONDS = 6.0  # of each way at most
@@ -45,7 +45,7 @@ def busy(processes: int) -> Iterator[None]:
             process.wait()
 
 
-def detect_for(first: str, threads: int, small: str) -> list[float]:
+def detect_for(first: str, threads: int, others: str) -> list[float]:
     """Milliseconds of each ``detect`` of ``fusion`` at 640×480."""
     __import__(first)
     import torch
@@ -54,8 +54,8 @@ def detect_for(first: str, threads: int, small: str) -> list[float]:
     from roadtorch.scenes import render_scene
 
     torch.set_num_threads(threads)
-    if small == "shared":
-        openmp.SMALL = 0
+    if others == "unseen":
+        openmp.free_cores = lambda: threads
     detector, image = load_detector("fusion"), render_scene(0, 480, 640).image.contiguous()
     times, end = [], time.perf_counter() + SECONDS
     while len(times) < MOST + 1 and (len(times) < 2 or time.perf_counter() < end):
@@ -65,10 +65,10 @@ def detect_for(first: str, threads: int, small: str) -> list[float]:
     return times[1:]
 
 
-def run(first: str, threads: int, small: str) -> list[float]:
+def run(first: str, threads: int, others: str) -> list[float]:
     """``detect_for`` in a new process in whose environment nothing is said of threads."""
     rest = {k: v for k, v in os.environ.items() if not k.startswith(("OMP_", "GOMP_", "MKL_"))}
-    words = [sys.executable, str(Path(__file__)), first, str(threads), small]
+    words = [sys.executable, str(Path(__file__)), first, str(threads), others]
     return json.loads(subprocess.check_output(words, text=True, env=rest).splitlines()[-1])
 
 

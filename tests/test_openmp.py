@@ -1,5 +1,5 @@
 """How the threads of torch wait, briefly where this package loads it, else as somebody said; and
-when one computes alone."""
+how many of them there are."""
 
 import os
 import subprocess
@@ -7,13 +7,15 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
 from roadtorch import load_detector, openmp
 from roadtorch.detectors import fusion
-from roadtorch.openmp import alone_if_small, one_thread
+from roadtorch.openmp import at_most, free_cores
 from tests.streets import scene
 
 SAYS = "os.environ.get('OMP_WAIT_POLICY'), os.environ.get('GOMP_SPINCOUNT')"
@@ -60,7 +62,15 @@ def test_what_the_environment_says_stays(variables: dict[str, str], said: str) -
     assert out == f"torch is loaded {said}\nTrue {said}\n"
 
 
-# --- one thread ---------------------------------------------------------------------------
+# --- how many -----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def two_threads() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
 
 
 def processors_used(call: Callable[[], object]) -> float:
@@ -72,14 +82,6 @@ def processors_used(call: Callable[[], object]) -> float:
     return (time.process_time() - spent) / (time.perf_counter() - start)
 
 
-@pytest.fixture
-def two_threads() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    yield
-    torch.set_num_threads(before)
-
-
 @pytest.mark.parametrize(
     "call",
     [
@@ -89,12 +91,12 @@ def two_threads() -> Iterator[None]:
     ],
     ids=["product", "each value", "convolution"],
 )
-def test_one_thread_computes_alone_and_afterwards_all_do(
+def test_at_most_one_thread_computes_alone_and_afterwards_all_do(
     call: Callable[[torch.Tensor], torch.Tensor], two_threads: None
 ) -> None:
     maps = torch.rand(900, 900)
 
-    with one_thread():
+    with at_most(1):
         inside = torch.get_num_threads(), processors_used(lambda: call(maps))
 
     assert inside[0] == 1
@@ -103,25 +105,20 @@ def test_one_thread_computes_alone_and_afterwards_all_do(
 
 
 def test_other_threads_keep_what_they_have_and_new_ones_get_it(two_threads: None) -> None:
-    with one_thread(), ThreadPoolExecutor(1) as pool:
+    with at_most(1), ThreadPoolExecutor(1) as pool:
         assert pool.submit(torch.get_num_threads).result() == 2
 
 
+def test_no_more_threads_are_made_than_the_program_wants(two_threads: None) -> None:
+    with at_most(7):
+        assert torch.get_num_threads() == 2
+
+
 def test_an_error_inside_gives_the_threads_back(two_threads: None) -> None:
-    with pytest.raises(ValueError, match="inside"), one_thread(), one_thread():
+    with pytest.raises(ValueError, match="inside"), at_most(1), at_most(1):
         raise ValueError("inside")
 
     assert torch.get_num_threads() == 2
-
-
-@pytest.mark.parametrize(("size", "threads"), [((16, 16), 1), ((724, 724), 1), ((1024, 512), 2)])
-def test_small_images_are_worked_on_by_one_thread(
-    size: tuple[int, int], threads: int, two_threads: None
-) -> None:
-    seen = alone_if_small(lambda image, factor: torch.get_num_threads() * factor)
-
-    assert seen(torch.zeros(3, *size), factor=10) == 10 * threads
-    assert seen(factor=10, image=torch.zeros(3, *size)) == 10 * threads
 
 
 def test_without_a_runtime_that_can_be_reached_nothing_changes(
@@ -129,21 +126,61 @@ def test_without_a_runtime_that_can_be_reached_nothing_changes(
 ) -> None:
     monkeypatch.setattr(openmp, "_runtime", lambda: None)
 
-    with one_thread():
+    with at_most(1):
         assert torch.get_num_threads() == 2
 
 
-def test_detectors_on_small_maps_compute_alone(
-    two_threads: None, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("running", "own", "free"),
+    [
+        (1, "R", 4),  # this thread alone
+        (3, "RSRS", 3),  # one of another process, and one of ours that spins
+        (4, "RRRR", 4),  # all ours
+        (9, "RS", 1),  # more than there are cores
+    ],
+)
+def test_cores_are_free_that_no_other_process_holds(
+    running: int, own: str, free: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "loadavg").write_text(f"0.52 0.58 0.59 {running}/597 4242\n")
+    for number, state in enumerate(own):
+        (tmp_path / "task" / str(number)).mkdir(parents=True)
+        (tmp_path / "task" / str(number) / "stat").write_text(f"7 (a) R) {state} 1 2 3\n")
+    (tmp_path / "task" / "ended").mkdir()
+    monkeypatch.setattr(openmp, "LOAD", tmp_path / "loadavg")
+    monkeypatch.setattr(openmp, "OWN_THREADS", tmp_path / "task")
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: set(range(4)), raising=False)
+
+    assert free_cores() == free
+
+
+@pytest.mark.parametrize("said", [None, "", "0.1 0.2", "0.1 0.2 0.3 many/9 1"])
+def test_where_nobody_tells_all_cores_are_free(
+    said: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if said is not None:
+        (tmp_path / "loadavg").write_text(said)
+    monkeypatch.setattr(openmp, "LOAD", tmp_path / "loadavg")
+
+    assert free_cores() == os.cpu_count()
+
+
+@pytest.mark.parametrize("free", [1, 2])
+def test_detect_takes_no_more_threads_than_there_are_free_cores(
+    free: int, two_threads: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     detector, image = load_detector("fusion"), scene(1).image
     look, seen = fusion.look_at, []
 
-    def watched(*args: object) -> object:
+    def watched(*args: Any) -> Any:
         seen.append(torch.get_num_threads())
-        return look(*args)  # type: ignore[arg-type]
+        return look(*args)
 
     monkeypatch.setattr(fusion, "look_at", watched)
+    monkeypatch.setattr(openmp, "free_cores", lambda: free)
     detector.detect(image)
+    detector.find(image)
+    detector(image[None])
 
-    assert seen == [1]
+    assert seen == [free] * 3
+    assert torch.get_num_threads() == 2
