@@ -12,10 +12,10 @@ from functools import cache, wraps
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
-BRIEF_WAITS = {"OMP_WAIT_POLICY": "passive", "GOMP_SPINCOUNT": "2000"}
-"""Threads that wait spin for some microseconds, then sleep. A detector has hundreds of short waits:
-threads that sleep at once take twice as long on a quiet machine, and threads that spin for
-milliseconds, as by default, many times as long on a busy one (docs/performance.md)."""
+BRIEF_WAITS = {"OMP_WAIT_POLICY": "passive", "GOMP_SPINCOUNT": "20000"}
+"""Threads that wait spin for about a millisecond, then sleep. A detector has hundreds of short
+waits: threads that sleep sooner take longer on a quiet machine, and threads that spin fifteen times
+as long, as by default, on a busy one (docs/performance.md)."""
 
 LOAD, OWN_THREADS = Path("/proc/loadavg"), Path("/proc/self/task")
 """Where Linux tells how many threads run, on the machine and of this process."""

@@ -41,7 +41,7 @@ def told(code: str, **variables: str) -> str:
 
 
 def test_a_torch_that_the_package_loads_has_threads_that_wait_briefly_and_nothing_stays() -> None:
-    said = "torch is loaded passive 2000\nTrue None None\n"
+    said = "torch is loaded passive 20000\nTrue None None\n"
 
     assert told("from roadtorch import load_detector") == said
 
