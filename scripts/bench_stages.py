@@ -44,6 +44,11 @@ class Counter(TorchDispatchMode):
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         """Run one operator and count it."""
         given = kwargs or {}
+        if func.overloadpacket not in flop_registry:
+            with self:  # in inference mode composed operators come whole: their parts are counted
+                parts = func.decompose(*args, **given)
+            if parts is not NotImplemented:
+                return parts
         result = func(*args, **given)
         inputs = [one for one in tree_leaves((args, given)) if isinstance(one, Tensor)]
         outputs = [one for one in tree_leaves(result) if isinstance(one, Tensor)]
