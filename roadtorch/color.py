@@ -46,7 +46,7 @@ class Channels:
     @cached_property
     def black(self) -> Tensor:
         """1 where all channels are 0, else 0."""
-        return self.total.clone().le_(0)  # in place, as 0 and 1: a third of the time
+        return self.total.clone().le_(0)  # in place, as 0 and 1: a sixth of the time
 
     @cached_property
     def divisor(self) -> Tensor:

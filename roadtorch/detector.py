@@ -236,8 +236,6 @@ class Detector(nn.Module):
             raise ConfigError(entry.name, what, remedy)
         self.analysis = analysis
 
-    @considerate
-    @torch.no_grad()
     def detect(self, image: Picture, order: Order | None = None) -> Detection:
         """Find the road in one picture, from 16×16 up.
 
@@ -246,7 +244,7 @@ class Detector(nn.Module):
         anything else, and when what the detector makes of it is not finite: there is no
         decision on NaN.
         """
-        return self._conclude(self._find(checked_image(as_image(image, order))))
+        return self.conclude(self.find(as_image(image, order)))
 
     @considerate
     @torch.no_grad()
@@ -265,11 +263,6 @@ class Detector(nn.Module):
         of those found, as when frames of a video steady one another. Trust still rests on the
         frame's own.
         """
-        return self._conclude(found, likelihood, ego)
-
-    def _conclude(
-        self, found: Found, likelihood: Tensor | None = None, ego: Tensor | None = None
-    ) -> Detection:
         analysed, maps, image = found
         if ego is not None:
             maps = ChainMap({"ego": ego}, maps)  # type: ignore[arg-type]  # it is only read

@@ -218,8 +218,7 @@ def in_order(scores: Tensor, samples: np.ndarray, order: ColumnOrder) -> Tensor:
     posterior = _chain_posterior(local.take(samples, 0), _moves(order.change, order.breach))
     place = (CLASSES * samples.reshape(-1, 1) + np.arange(CLASSES)).reshape(-1)
     found = np.bincount(place, posterior.reshape(-1), minlength=local.size).reshape(local.shape)
-    seen = np.bincount(samples.reshape(-1), minlength=len(local))
-    unseen = seen == 0
+    unseen = ~found.any(1)  # segments without a sample keep their own say
     found[unseen] = local[unseen]
     found /= found @ np.ones((CLASSES, 1))
     return torch.from_numpy(found).to(scores)
