@@ -9,7 +9,7 @@ the documents give. They are loaded when they are first used, so that ``import r
 import importlib
 from typing import TYPE_CHECKING
 
-from roadtorch.openmp import brief_waits
+from roadtorch.runtime.openmp import brief_waits
 from roadtorch.version import __version__
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from roadtorch.evaluation.evaluate import evaluate
     from roadtorch.evaluation.measure import Measure
     from roadtorch.evaluation.result import Evaluation
-    from roadtorch.image import read_image
+    from roadtorch.io.image import read_image
     from roadtorch.layout.labeller import label_layout
     from roadtorch.sinks.grid import write_grid
     from roadtorch.sources.frame import Frame, Selection, Source
@@ -78,7 +78,7 @@ _HOMES = {
     "mounted": "roadtorch.camera.ground",
     "open_dataset": "roadtorch.data.catalogue",
     "read_camera_info": "roadtorch.camera.calibration",
-    "read_image": "roadtorch.image",
+    "read_image": "roadtorch.io.image",
     "still_ego": "roadtorch.camera.still_ego",
     "write_grid": "roadtorch.sinks.grid",
 }

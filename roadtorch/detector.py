@@ -17,15 +17,15 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from roadtorch.comparison import at_least
-from roadtorch.ego import Ego, continued, ego_car, is_anywhere, is_given, read_ego_mask
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.image import Order, Picture, as_image, overlay_pixels, png_bytes
-from roadtorch.openmp import considerate
-from roadtorch.seed_area import SeedArea, remove_isolated, seed_rectangle
+from roadtorch.imaging.comparison import at_least
+from roadtorch.imaging.resize import WorkingSize, at_picture_size, at_working_size
+from roadtorch.io.image import Order, Picture, as_image, overlay_pixels, png_bytes
+from roadtorch.road.ego import Ego, continued, ego_car, is_anywhere, is_given, read_ego_mask
+from roadtorch.road.seed_area import SeedArea, remove_isolated, seed_rectangle
+from roadtorch.road.trust import Judgement
+from roadtorch.runtime.openmp import considerate
 from roadtorch.settings import Settings
-from roadtorch.trust import Judgement
-from roadtorch.working_size import WorkingSize, at_picture_size, at_working_size
 
 SMALLEST_SIDE = 16  # pixels; below it, superpixels and the seed area have no meaning
 

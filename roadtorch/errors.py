@@ -10,9 +10,19 @@ RoadtorchError
 import difflib
 import os
 from collections.abc import Iterable
+from enum import IntEnum
 
 MOST_LETTERS = 400
 """Of what a refusal repeats of a file's content: a line that can be read, whatever is in there."""
+
+
+class ExitCode(IntEnum):
+    """What the command line ends with; 0 where all went well."""
+
+    SOME_FAILED = 1
+    WRONG_USAGE = 2
+    INTERRUPTED = 130  # as shells say of SIGINT (Ctrl-C)
+    TERMINATED = 143  # and of SIGTERM
 
 
 class RoadtorchError(Exception):

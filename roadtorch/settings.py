@@ -11,7 +11,7 @@ from typing import Any, ClassVar, TypeVar
 import pydantic
 
 from roadtorch.errors import ConfigError, InputError, shortened, unknown_name
-from roadtorch.outside import read_regular
+from roadtorch.io.bounded import read_regular
 
 MOST_PARTS = 32
 """Of a key, and levels of a value: far more than any setting has; deeper ones take minutes."""

@@ -24,7 +24,7 @@ Result = TypeVar("Result")
 
 
 class Steadying(Protocol):
-    """What steadies the likelihoods of one source, frame by frame (``roadtorch.steady``)."""
+    """What steadies the likelihoods of one source, frame by frame (``roadtorch.road.steady``)."""
 
     @property
     def hidden(self) -> Tensor | None:

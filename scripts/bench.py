@@ -42,11 +42,13 @@ from tqdm import tqdm
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the scripts beside
 
-from roadtorch import detector, superpixels, working_size
+from roadtorch import detector
 from roadtorch.detectors import fusion
-from roadtorch.image import read_image
+from roadtorch.imaging import resize as working_size
+from roadtorch.io.image import read_image
 from roadtorch.layout.picture_network import PictureNetwork
-from roadtorch.scenes import render_scene
+from roadtorch.scenes.street import render_scene
+from roadtorch.superpixels import slic as superpixels
 from scripts.bench_figures import Figure, Parts, merged, read_figures, rewrite, stale, write_figures
 
 Stages = Mapping[str, tuple[tuple[ModuleType | type, str], ...]]

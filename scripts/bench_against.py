@@ -75,7 +75,7 @@ def checkout_of(root: Path) -> Checkout:
     try:
         bench = importlib.import_module("scripts.bench")
         catalogue = importlib.import_module("roadtorch.detectors.catalogue")
-        superpixels = importlib.import_module("roadtorch.superpixels")
+        superpixels = importlib.import_module("roadtorch.superpixels.slic")
         return Checkout(bench, catalogue.load_detector("fusion").detect, superpixels.slic)
     finally:
         sys.path.remove(str(root))

@@ -51,11 +51,11 @@ def detect_for(first: str, threads: int, others: str) -> list[float]:
     import torch
 
     from roadtorch import load_detector, openmp  # before torch, unless ``first`` is torch
-    from roadtorch.scenes import render_scene
+    from roadtorch.scenes.street import render_scene
 
     torch.set_num_threads(threads)
     if others == "unseen":
-        openmp.free_cores = lambda: threads
+        setattr(openmp, "free_cores", lambda: threads)  # noqa: B010
     detector, image = load_detector("fusion"), render_scene(0, 480, 640).image.contiguous()
     times, end = [], time.perf_counter() + SECONDS
     while len(times) < MOST + 1 and (len(times) < 2 or time.perf_counter() < end):

@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from roadtorch.openmp import unless_told
+from roadtorch.runtime.openmp import unless_told
 
 os.environ.update(unless_told())  # as the command line does, before torch
 
@@ -35,7 +35,7 @@ from roadtorch.evaluation.saved_tallies import SavedTallies
 from roadtorch.evaluation.scoring import score
 from roadtorch.evaluation.summary import summarise
 from roadtorch.installation.peak_memory import peak_mebibytes
-from roadtorch.scenes import render_scene, write_picture
+from roadtorch.scenes.street import render_scene, write_picture
 
 DETECTORS = ("prior:rows", "prior:triangle", "prior:uniform")
 SIZE = (360, 480)

@@ -38,13 +38,13 @@ from tqdm import tqdm
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the rendered scenes
 
-from roadtorch.color import REPRESENTATIONS, planes
 from roadtorch.detector import Detector
 from roadtorch.detectors.oneclass import ENTRIES
 from roadtorch.errors import RoadtorchError
-from roadtorch.image_cache import image_cache
+from roadtorch.imaging.color import REPRESENTATIONS, planes
 from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
 from roadtorch.oneclass.samples import SampleSettings, road_samples
+from roadtorch.runtime.image_cache import image_cache
 from scripts.bench import machine, picture_at, positive, sizes
 
 SHOWN = ("S", "HS", "RGB")

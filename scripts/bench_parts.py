@@ -13,14 +13,14 @@ import torch
 from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
-from roadtorch.color import REPRESENTATIONS
 from roadtorch.detectors.catalogue import list_detectors, load_detector
 from roadtorch.export.exportable import exportable
 from roadtorch.export.onnx_file import open_onnx, write_onnx
+from roadtorch.imaging.color import REPRESENTATIONS
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import WeightsFile, network_of
-from roadtorch.scenes import render_scene
-from roadtorch.superpixels import slic
+from roadtorch.scenes.street import render_scene
+from roadtorch.superpixels.slic import slic
 from scripts.bench import Round, run_rounds, spread, time_call
 from scripts.bench_figures import Figure, Parts, figure
 from scripts.bench_oneclass import pairs

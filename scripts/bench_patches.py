@@ -25,9 +25,9 @@ from tqdm import tqdm
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the rendered scenes
 
 from roadtorch.errors import RoadtorchError
-from roadtorch.image import read_image
+from roadtorch.io.image import read_image
 from roadtorch.layout.normalisation import normalise
-from roadtorch.scenes import render_scene
+from roadtorch.scenes.street import render_scene
 from roadtorch.sources.pictures import find_images
 from roadtorch.train.arrays import from_bytes, read_arrays, write_arrays
 from roadtorch.train.config import PatchTraining

@@ -54,7 +54,7 @@ def enlarged(height: int, width: int) -> "Tensor":
     """A rendered street (3,H,W) of any size, its pixels repeated."""
     import torch
 
-    from roadtorch.scenes import render_scene
+    from roadtorch.scenes.street import render_scene
 
     small = render_scene(0, 240, 320).image
     rows, columns = torch.arange(height) * 240 // height, torch.arange(width) * 320 // width

@@ -27,7 +27,7 @@ import torch
 
 from roadtorch import load_detector
 from roadtorch.errors import RoadtorchError
-from roadtorch.image import read_image, tint_mask, to_pixels
+from roadtorch.io.image import read_image, tint_mask, to_pixels
 from roadtorch.sinks.bags import BagSink
 from roadtorch.sinks.messages import image_of_pixels, message_types
 from roadtorch.sources.archives import archive_source

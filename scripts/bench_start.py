@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from roadtorch.scenes import render_scene, write_picture
+from roadtorch.scenes.street import render_scene, write_picture
 from scripts.bench import run_rounds, time_call
 from scripts.bench_figures import Figure, Parts
 from scripts.bench_parts import ratio, shown
@@ -18,7 +18,7 @@ FIRST = """
 import sys, time, torch
 torch.set_num_threads(int(sys.argv[1]))
 from roadtorch import load_detector
-from roadtorch.scenes import render_scene
+from roadtorch.scenes.street import render_scene
 image, detector, times = render_scene(0, 480, 640).image.contiguous(), load_detector("fusion"), []
 for _ in range(10):
     start = time.perf_counter()

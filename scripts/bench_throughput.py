@@ -24,15 +24,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package 
 
 from torch import Tensor
 
-from roadtorch.cli.batch import Job, plan
-from roadtorch.cli.footage_results import USUAL_OF_PICTURES
-from roadtorch.cli.index import Row
-from roadtorch.cli.results import Inference, suffixes, write_files
-from roadtorch.cli.threads import Threads, keep_freed_memory
-from roadtorch.cli.workers import processors, rows_of_workers
 from roadtorch.detector import Detection, Detector
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.image import read_image
+from roadtorch.io.image import read_image
+from roadtorch.runs.batch import Job, plan
+from roadtorch.runs.footage_results import USUAL_OF_PICTURES
+from roadtorch.runs.index import Row
+from roadtorch.runs.results import Inference, suffixes, write_files
+from roadtorch.runs.threads import Threads, keep_freed_memory
+from roadtorch.runs.workers import processors, rows_of_workers
 
 KEPT = 8  # images and detections that are in memory; every picture of a drive is about as hard
 KINDS = frozenset(USUAL_OF_PICTURES)

@@ -21,9 +21,9 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the scripts beside
 
-from roadtorch.openmp import BRIEF_WAITS
-from roadtorch.scenes import render_scene
-from roadtorch.signals import stop_on_signals
+from roadtorch.runtime.openmp import BRIEF_WAITS
+from roadtorch.runtime.signals import stop_on_signals
+from roadtorch.scenes.street import render_scene
 from roadtorch.train.arrays import write_arrays
 from roadtorch.train.average import AverageWeights
 from roadtorch.train.batches import Batch

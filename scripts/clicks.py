@@ -27,9 +27,9 @@ from roadtorch.annotate.machine import AnnotationSettings, PictureView, look_at_
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, Truth, every_kth
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.segment_statistics import segment_sum
+from roadtorch.imaging.resize import at_picture_size
 from roadtorch.settings import build_settings, parse_assignments
-from roadtorch.working_size import at_picture_size
+from roadtorch.superpixels.statistics import segment_sum
 
 ENOUGH = 0.98
 MOST = 1500

@@ -25,7 +25,7 @@ from roadtorch.export.exportable import CAN, Reference, exportable
 from roadtorch.export.onnx_file import open_onnx
 from roadtorch.export.openvino_file import open_openvino
 from roadtorch.export.parity import BOUND, Run, parity
-from roadtorch.image import from_pixels, read_image, to_pixels
+from roadtorch.io.image import from_pixels, read_image, to_pixels
 
 HEADER = ("detector", "file", "runtime", "pictures", "most", "mean", "ms", "Python", "where")
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, Truth, every_kth
 from roadtorch.detectors.ufl import OriginalUflSettings, road_cues
-from roadtorch.image import to_pixels
+from roadtorch.io.image import to_pixels
 from roadtorch.settings import build_settings
 from roadtorch.ufl.learned import LearnedFeatures, learn_features
 from roadtorch.ufl.preprocess import WorkingShape, bicubic

@@ -12,8 +12,8 @@ from roadtorch.data.dataset import Dataset
 from roadtorch.detector import Detection
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation import metrics
-from roadtorch.files import atomic
-from roadtorch.image import to_pixels
+from roadtorch.io.atomic import atomic
+from roadtorch.io.image import to_pixels
 from roadtorch.layout.classes import HORIZONTAL, LAYOUT_COLOURS, SKY, VERTICAL, layout_colours
 from scripts.figures_p2_streets import shown_items, streets, tell, write_sheet
 

@@ -9,8 +9,8 @@ import torch
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.curves import Curve, area, roc
-from roadtorch.files import atomic
-from roadtorch.image import tint_mask, to_pixels
+from roadtorch.io.atomic import atomic
+from roadtorch.io.image import tint_mask, to_pixels
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.report.montage import heat
 from scripts.figures_p2_streets import (

@@ -19,8 +19,8 @@ from roadtorch.evaluation import metrics
 from roadtorch.evaluation.contenders import Look
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
 from roadtorch.evaluation.scoring import score_item
-from roadtorch.files import csv_text, write_text
-from roadtorch.image import write_colours
+from roadtorch.io.atomic import csv_text, write_text
+from roadtorch.io.image import write_colours
 from roadtorch.report.montage import TILE_WIDTH, captioned
 from roadtorch.report.screen import align
 

@@ -9,9 +9,9 @@ import torch
 from matplotlib.axes import Axes as Panel
 from torch import Tensor
 
-from roadtorch.color import REPRESENTATIONS, plane, planes
 from roadtorch.data.dataset import Dataset, Item, every_kth
-from roadtorch.image import write_jpeg
+from roadtorch.imaging.color import REPRESENTATIONS, plane, planes
+from roadtorch.io.image import write_jpeg
 from roadtorch.oneclass import CLASSIFIERS, Fitted, axes_of, fit
 from roadtorch.oneclass.samples import (
     AllSampleSettings,

@@ -11,12 +11,12 @@ from matplotlib.figure import Figure
 from PIL import Image
 from torch import Tensor
 
-from roadtorch.color import PLANES
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation.metrics import auc, count_levels
-from roadtorch.files import atomic, csv_text, write_text
+from roadtorch.imaging.color import PLANES
+from roadtorch.io.atomic import atomic, csv_text, write_text
 from roadtorch.oneclass.axes import circular_mean, unrolled
 from roadtorch.report.page.svg import STYLE
 

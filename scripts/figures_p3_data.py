@@ -18,9 +18,9 @@ from roadtorch.data.labelme import AGREEMENTS, PolygonLabels, open_labelme
 from roadtorch.data.polygons import Polygon
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation.metrics import count_mask, iou
-from roadtorch.files import atomic
-from roadtorch.image import read_image, tint_mask, to_pixels, write_colours, write_jpeg
-from roadtorch.scenes import render_scene
+from roadtorch.io.atomic import atomic
+from roadtorch.io.image import read_image, tint_mask, to_pixels, write_colours, write_jpeg
+from roadtorch.scenes.street import render_scene
 from scripts.figures_p3_chart import chart, open_sets, tell
 from scripts.figures_p3_table3 import HUBER, measured
 

@@ -14,9 +14,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from roadtorch.color import plane
 from roadtorch.data.dataset import Dataset, every_kth
-from roadtorch.scenes import RenderedScene, render_scene
+from roadtorch.imaging.color import plane
+from roadtorch.scenes.street import RenderedScene, render_scene
 from scripts.figures_p3_chart import apart, area_of, chart, middle, open_sets, spread, tell
 
 NAMES = ("R", "G", "B", "nr", "ng", "O1", "O2", "L", "a", "b", "H", "S")

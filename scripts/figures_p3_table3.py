@@ -18,12 +18,12 @@ from roadtorch.detector import Detector
 from roadtorch.detectors.catalogue import list_detectors, load_detector
 from roadtorch.evaluation.curves import vertical_average, vertical_sample
 from roadtorch.evaluation.metrics import auc, count_levels
-from roadtorch.files import csv_text, write_text
-from roadtorch.image_cache import image_cache
+from roadtorch.io.atomic import csv_text, write_text
 from roadtorch.oneclass import CLASSIFIERS
 from roadtorch.report.page.roc_families import KEY, ROW, draw_families
 from roadtorch.report.page.svg import WIDTH
 from roadtorch.report.table3 import FAMILY, HALVES, Percents, printed_table, table_lines
+from roadtorch.runtime.image_cache import image_cache
 from scripts.figures_p3_chart import chart, open_sets
 
 PICTURES = 24

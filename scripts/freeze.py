@@ -164,7 +164,7 @@ def thumbnails() -> dict[str, list[list[int]]]:
     import torch
 
     from roadtorch import load_detector
-    from roadtorch.scenes import render_scene
+    from roadtorch.scenes.street import render_scene
 
     images = [render_scene(height=96, width=128, **options).image for options in SCENES]
     found: dict[str, list[list[int]]] = {}

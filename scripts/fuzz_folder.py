@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from roadtorch.outside import printable
+from roadtorch.io.bounded import printable
 from scripts.fuzz_bytes import BYTES, mutated
 from scripts.fuzz_pictures import resize, scene, whole_picture
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from roadtorch.image import read_image
-from roadtorch.scenes import render_scene
+from roadtorch.io.image import read_image
+from roadtorch.scenes.street import render_scene
 from scripts.fuzz_bytes import BYTES, mutated
 
 MODES = ("RGB", "L", "P", "RGBA", "1", "CMYK", "I;16")

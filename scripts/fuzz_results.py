@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from roadtorch.cli.index import Row, read_index, write_index
-from roadtorch.cli.results import keep_config
 from roadtorch.data.dataset import Dataset, Item
 from roadtorch.data.folder import FolderLabels
 from roadtorch.data.maps import CONFIG, deciding_settings, map_likelihood, map_mask
@@ -19,6 +17,8 @@ from roadtorch.evaluation.contenders import Contender, named_detector
 from roadtorch.evaluation.document import earlier_thresholds
 from roadtorch.evaluation.saved_tallies import FILE, SavedTallies
 from roadtorch.evaluation.scoring import score
+from roadtorch.runs.index import Row, read_index, write_index
+from roadtorch.runs.results import keep_config
 from roadtorch.train.config import PatchTraining, as_values
 from roadtorch.train.folder import RUN, RunFolder
 from scripts.fuzz_bytes import BYTES, TEXT, mutated, mutated_json

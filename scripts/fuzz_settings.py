@@ -11,8 +11,8 @@ from roadtorch.camera.camera import Camera
 from roadtorch.camera.look import Look
 from roadtorch.cli.config import as_toml, chosen_detector
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
-from roadtorch.ego import Ego, ego_car
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
+from roadtorch.road.ego import Ego, ego_car
 from roadtorch.settings import build_settings, parse_assignments
 from roadtorch.train.config import build_training
 from scripts.fuzz_bytes import TEXT, a_piece, mutated

@@ -6,8 +6,8 @@
 
 Walls: a road 6 m wide that ends at a wall, seen by a pinhole 1.4 m above it, 480×360 pixels, 60
 degrees, pitched down by 5; rendered by its own ray casting, without the code under test. Streets:
-``roadtorch.scenes``; the boundary of the true mask with the true pitch is the truth there. A pitch
-error is what the grid is told too much (+) or too little (-).
+``roadtorch.scenes.street``; the boundary of the true mask with the true pitch is the truth there. A
+pitch error is what the grid is told too much (+) or too little (-).
 """
 
 import argparse
@@ -26,10 +26,10 @@ from roadtorch import load_detector
 from roadtorch.camera.ground import GroundCamera, Lens, lens_of_view, mounted, pitch_of_horizon
 from roadtorch.camera.ground_grid import GridSettings, Rays, ground_rays
 from roadtorch.camera.horizon import horizon_of
-from roadtorch.cli.grids import decided
 from roadtorch.errors import InputError
-from roadtorch.scene_canvas import CAMERA_HEIGHT
-from roadtorch.scenes import draw_street, render_scene
+from roadtorch.runs.grids import decided
+from roadtorch.scenes.canvas import CAMERA_HEIGHT
+from roadtorch.scenes.street import draw_street, render_scene
 
 DISTANCES = (5, 10, 15, 20, 30)
 ERRORS = (0.0, 1.0, -1.0, 2.0, -2.0)

@@ -52,32 +52,19 @@ class Row:
 
 
 ROWS = (
-    Row(
-        "foundations",
-        (
-            *("errors", "settings", "signals", "plugins", "outside", "files", "version"),
-            *("image_cache", "openmp", "shipped_configs"),
-        ),
-    ),
-    Row(
-        "steps",
-        (
-            *("decoding", "image", "color", "connected_regions", "superpixels"),
-            *("segment_statistics", "working_size", "exposure", "segment_features", "seed_area"),
-            *("comparison", "ego", "priors", "seed_distance"),
-            *("lbp", "texture", "otsu", "order_statistics", "trust", "fusion", "motion", "steady"),
-        ),
-    ),
+    Row("contract", ("errors", "version", "settings", "io", "runtime")),
+    Row("steps", ("imaging", "superpixels", "road")),
     Row("papers", ("layout", "oneclass", "ufl", "vanishing")),
     Row("camera", ("camera",)),
     Row("what a detector is", ("analysis", "detector")),
     Row("detectors", ("detectors",)),
-    Row("pictures in", ("sources", "scene_canvas", "scenes", "scene_drives", "testing")),
+    Row("pictures in", ("sources", "scenes", "testing")),
     Row("footage through", ("sinks", "stream")),
     Row("out of Python", ("export",)),
     Row("labelled sets", ("data",)),
     Row("evaluation", ("evaluation",)),
     Row("report", ("report",)),
+    Row("runs", ("runs",)),
     Row("training", ("train",)),
     Row("correction", ("annotate",)),
     Row("installation", ("installation",)),

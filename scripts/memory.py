@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
 
-from roadtorch.scenes import render_scene, write_picture
+from roadtorch.scenes.street import render_scene, write_picture
 
 COUNTS = (100, 1_000, 5_000)
 STREETS = 20  # rendered; the rest are further names of theirs

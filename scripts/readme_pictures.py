@@ -12,9 +12,9 @@ import numpy as np
 
 from roadtorch import load_detector, read_image
 from roadtorch.detector import Detection, Detector
-from roadtorch.image import to_pixels
+from roadtorch.io.image import to_pixels
 from roadtorch.report.montage import TILE_WIDTH, captioned, cue_tiles, heat
-from roadtorch.scene_drives import render_drive
+from roadtorch.scenes.drives import render_drive
 from roadtorch.sinks.video import VideoSink
 
 CHOSEN = ("udadv_test5.jpg", "mcubes_h07.jpg", "comma10k_0008.jpg", "cat_v11.jpg")

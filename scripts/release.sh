@@ -67,7 +67,7 @@ here=$PWD
 cd "$place" # away from the checkout: what is imported is what was installed
 env/bin/python -c "import roadtorch; print('release: imported from', roadtorch.__file__.partition('/env/')[2])"
 env/bin/roadtorch doctor | tail -n 1
-env/bin/python -m roadtorch.scenes --out scenes --count 2
+env/bin/python -m roadtorch.scenes.street --out scenes --count 2
 env/bin/roadtorch infer scenes --out roads --config thresholds/fusion --quiet
 for result in config.toml index.csv scene_0{0,1}.{likelihood.png,mask.png,overlay.jpg}; do
   [ -s "roads/$result" ] || refuse "roads/$result" "was not made by the demonstration" "mend it"

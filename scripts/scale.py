@@ -39,7 +39,7 @@ def measure(pictures: Path, detector: str, most: int) -> dict[str, float]:
     import torch
 
     from roadtorch.detectors.catalogue import load_detector
-    from roadtorch.image import read_image, write_map, write_mask, write_overlay
+    from roadtorch.io.image import read_image, write_map, write_mask, write_overlay
     from roadtorch.sources.pictures import find_images
 
     torch.set_num_threads(1)

@@ -32,9 +32,9 @@ from roadtorch.evaluation.uncertainty import (
     interval,
     replicate,
 )
-from roadtorch.scenes import render_scene
+from roadtorch.road.steady import Steady, SteadySettings
+from roadtorch.scenes.street import render_scene
 from roadtorch.settings import build_settings, parse_assignments
-from roadtorch.steady import Steady, SteadySettings
 from scripts.steady_footage import (
     CLIPS,
     Figures,

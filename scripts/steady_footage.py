@@ -1,4 +1,4 @@
-"""The sequences that the filter of ``roadtorch.steady`` is chosen and judged on, detected once.
+"""The sequences that ``roadtorch.road.steady`` is chosen and judged on, detected once.
 
 A sequence is kept as one file in the cache: pictures, likelihoods, masks, truth. Remove the cache
 when the detector has changed.
@@ -19,10 +19,10 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.detector import Detector, decide, decide_beside
 from roadtorch.evaluation.flicker import Changes, Followed, count_changes, flicker, followed
 from roadtorch.evaluation.metrics import Decisions, count_mask, f_measure
-from roadtorch.image import read_image
-from roadtorch.scene_drives import render_drive
+from roadtorch.io.image import read_image
+from roadtorch.road.steady import Steady, SteadySettings
+from roadtorch.scenes.drives import render_drive
 from roadtorch.sources.footage import frame_places, read_frames
-from roadtorch.steady import Steady, SteadySettings
 
 CLIPS = (
     *("california_tree_shadows", "forest_road_shade"),

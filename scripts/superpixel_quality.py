@@ -38,7 +38,7 @@ from tqdm import tqdm
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.labels import read_labels
 from roadtorch.errors import RoadtorchError
-from roadtorch.superpixels import slic
+from roadtorch.superpixels.slic import slic
 
 TOLERANCE = 2  # pixels
 VOID = 11

@@ -33,17 +33,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package 
 import torch
 
 from roadtorch.cli import main
-from roadtorch.cli.run_record import RUN
 from roadtorch.detectors.catalogue import list_detectors
 from roadtorch.evaluation import saved_tallies
-from roadtorch.image import write_mask
-from roadtorch.scenes import render_scene, write_picture
+from roadtorch.io.image import write_mask
+from roadtorch.runs.run_record import RUN
+from roadtorch.scenes.street import render_scene, write_picture
 from roadtorch.train import loop
 
 LOADED = (
-    *("roadtorch.camera.camera", "roadtorch.cli.batch", "roadtorch.cli.claim"),
-    *("roadtorch.cli.config", "roadtorch.cli.labelled", "roadtorch.cli.results"),
-    *("roadtorch.cli.engines", "roadtorch.cli.footage", "roadtorch.sources.open"),
+    *("roadtorch.camera.camera", "roadtorch.runs.batch", "roadtorch.runs.claim"),
+    *("roadtorch.cli.config", "roadtorch.cli.labelled", "roadtorch.runs.results"),
+    *("roadtorch.runs.engines", "roadtorch.runs.footage", "roadtorch.sources.open"),
     *("roadtorch.data.catalogue", "roadtorch.evaluation.evaluate", "roadtorch.report.files"),
     *("roadtorch.report.screen", "roadtorch.train.run"),
 )

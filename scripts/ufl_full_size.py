@@ -15,10 +15,10 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth
 from roadtorch.detectors.ufl import ENTRIES, OriginalUflSettings, road_cues
 from roadtorch.evaluation.metrics import count_levels, count_mask, f_measure, max_f
+from roadtorch.imaging.resize import resized
 from roadtorch.ufl.learned import learn_features
 from roadtorch.ufl.preprocess import bicubic
 from roadtorch.ufl.road import AS_CHOSEN, enlarged_likelihood
-from roadtorch.working_size import resized
 
 EVERY = 5
 

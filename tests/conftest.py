@@ -8,7 +8,7 @@ from typing import Any
 import hypothesis
 import pytest
 
-from roadtorch.openmp import unless_told
+from roadtorch.runtime.openmp import unless_told
 
 os.environ.update(unless_told())  # as the command line does, before torch
 import torch

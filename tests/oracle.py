@@ -8,7 +8,7 @@ from torch import nn
 
 from roadtorch.detector import DetectorSettings, Entry
 from roadtorch.detectors.catalogue import list_detectors, register
-from roadtorch.scenes import render_scene
+from roadtorch.scenes.street import render_scene
 from tests.streets import write_camvid
 
 ORACLE = "test-oracle"

@@ -6,12 +6,13 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from roadtorch import load_detector, superpixels
+from roadtorch import load_detector
 from roadtorch.analysis import Deferred, lean
+from roadtorch.imaging.resize import averaging_bands
 from roadtorch.oneclass import base
 from roadtorch.oneclass.axes import axes_of
 from roadtorch.oneclass.density import floor_of
-from roadtorch.working_size import averaging_bands
+from roadtorch.superpixels import slic as superpixels
 from tests.streets import scene
 
 

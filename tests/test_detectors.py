@@ -16,7 +16,7 @@ import torch
 from PIL import Image
 from torch import Tensor, nn
 
-import roadtorch.plugins
+import roadtorch.runtime.plugins
 from roadtorch.detector import (
     Detection,
     Detector,
@@ -37,7 +37,7 @@ from roadtorch.detectors.catalogue import (
 )
 from roadtorch.detectors.fusion import Fusion
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.image import overlay_pixels, to_pixels
+from roadtorch.io.image import overlay_pixels, to_pixels
 from roadtorch.settings import Settings
 from roadtorch.testing import broken_promises, street
 from tests.representatives import representatives
@@ -287,7 +287,7 @@ def offer(monkeypatch: pytest.MonkeyPatch, *attributes: str) -> list[str]:
         EntryPoint(name, f"tests.test_detectors:{name}", "roadtorch.detectors")
         for name in attributes
     ]
-    monkeypatch.setattr(roadtorch.plugins, "entry_points", lambda group: points)
+    monkeypatch.setattr(roadtorch.runtime.plugins, "entry_points", lambda group: points)
     return sorted(catalogue_module._catalogue.__wrapped__())
 
 
@@ -314,7 +314,7 @@ def test_a_package_that_ends_the_process_costs_only_its_own(
         def load(self) -> None:
             raise kind
 
-    monkeypatch.setattr(roadtorch.plugins, "entry_points", lambda group: [Point()])
+    monkeypatch.setattr(roadtorch.runtime.plugins, "entry_points", lambda group: [Point()])
 
     with pytest.warns(RuntimeWarning, match="'deadly' of deadly:ENTRY cannot be used"):
         names = catalogue_module._catalogue.__wrapped__()
@@ -337,7 +337,7 @@ def test_a_ctrl_c_while_a_package_is_imported_is_not_the_packages_own(
                     raise own from None
             return FOREIGN
 
-    monkeypatch.setattr(roadtorch.plugins, "entry_points", lambda group: [Point()])
+    monkeypatch.setattr(roadtorch.runtime.plugins, "entry_points", lambda group: [Point()])
 
     with pytest.raises(KeyboardInterrupt):
         catalogue_module._catalogue.__wrapped__()

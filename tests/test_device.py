@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.scenes import render_scene
+from roadtorch.scenes.street import render_scene
 from tests.pretended_device import Pretended, PretendedDevice, moved
 from tests.representatives import representatives
 

@@ -93,7 +93,7 @@ def test_from_the_wheel_every_config_works_by_name(wheel: Path, tmp_path: Path) 
 from pathlib import Path
 from roadtorch.cli.config import chosen_detector
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.shipped_configs import THRESHOLDS, config_file, shipped_configs
+from roadtorch.runtime.shipped_configs import THRESHOLDS, config_file, shipped_configs
 from roadtorch.train.config import read_training
 from roadtorch.layout.weights import weights_path
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import av
 import numpy as np
 
-from roadtorch.image import to_pixels
+from roadtorch.io.image import to_pixels
 from tests.streets import scene
 
 

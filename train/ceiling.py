@@ -17,7 +17,8 @@ from tqdm import tqdm
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, Item
 from roadtorch.evaluation import metrics
-from roadtorch.files import make_folder
+from roadtorch.imaging.resize import at_work
+from roadtorch.io.atomic import make_folder
 from roadtorch.layout.classes import CLASSES, UNLABELLED
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import save_network
@@ -25,7 +26,6 @@ from roadtorch.train.arrays import to_bytes, write_arrays
 from roadtorch.train.config import PatchTraining, read_training
 from roadtorch.train.patch_study import train_patches
 from roadtorch.train.sites import find_sites
-from roadtorch.working_size import at_work
 
 
 def prepare(dataset: Dataset, item: Item, training: PatchTraining, path: Path) -> None:

@@ -39,8 +39,8 @@ from roadtorch.evaluation.trust import (
     failure_auc,
     rank_correlation,
 )
-from roadtorch.otsu import centred_odds
-from roadtorch.trust import Signs, signs_of
+from roadtorch.road.otsu import centred_odds
+from roadtorch.road.trust import Signs, signs_of
 
 EVERY = 4
 """Every how many-th frame of CamVid is used."""

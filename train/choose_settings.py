@@ -29,7 +29,6 @@ from tqdm import tqdm
 
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, Item, Truth
-from roadtorch.ego import continued, ego_found
 from roadtorch.evaluation.metrics import (
     RoadCounts,
     class_recalls,
@@ -38,8 +37,8 @@ from roadtorch.evaluation.metrics import (
     level_of,
     max_f,
 )
-from roadtorch.exposure import Exposure, brightened
-from roadtorch.fusion import Exponents, RoadPlace, SegmentRoadSettings, segment_road
+from roadtorch.imaging.exposure import Exposure, brightened
+from roadtorch.imaging.resize import WorkingSize, at_picture_size, resized, working_size
 from roadtorch.layout.classes import CLASSES, HORIZONTAL
 from roadtorch.layout.labeller import (
     ColumnOrder,
@@ -50,19 +49,20 @@ from roadtorch.layout.labeller import (
 )
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import WeightsFile, network_of
-from roadtorch.seed_area import seed_rectangle, seed_segments
-from roadtorch.seed_distance import distance_likelihood, seed_distance
-from roadtorch.segment_features import Bandwidths, Segments, measure_segments
-from roadtorch.segment_statistics import segment_histogram
-from roadtorch.settings import Settings, build_settings
-from roadtorch.superpixels import Superpixels
-from roadtorch.texture import (
+from roadtorch.road.ego import continued, ego_found
+from roadtorch.road.fusion import Exponents, RoadPlace, SegmentRoadSettings, segment_road
+from roadtorch.road.seed_area import seed_rectangle, seed_segments
+from roadtorch.road.seed_distance import distance_likelihood, seed_distance
+from roadtorch.road.texture import (
     Saturation,
     TextureSettings,
     uniformity_likelihood,
     unsaturated_uniformity,
 )
-from roadtorch.working_size import WorkingSize, at_picture_size, resized, working_size
+from roadtorch.settings import Settings, build_settings
+from roadtorch.superpixels.features import Bandwidths, Segments, measure_segments
+from roadtorch.superpixels.slic import Superpixels
+from roadtorch.superpixels.statistics import segment_histogram
 
 EVERY = {"0001TP": 3, "0006R0": 5, "0016E5": 10, "ycor": 3, "idd": 6}
 """Every how many-th frame of a camera is used; all of those that are not listed."""

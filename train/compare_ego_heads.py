@@ -17,11 +17,11 @@ import torch
 from torch import Tensor
 
 from roadtorch import read_image
-from roadtorch.ego import ego_found
+from roadtorch.imaging.resize import resized
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import load_network, weights_path
+from roadtorch.road.ego import ego_found
 from roadtorch.train.arrays import from_bytes, read_arrays
-from roadtorch.working_size import resized
 
 SIZE = (120, 160)
 """At which ego cars are compared."""

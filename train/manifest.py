@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from roadtorch.errors import InputError, RoadtorchError
-from roadtorch.files import csv_text, write_text
-from roadtorch.image import read_image
+from roadtorch.io.atomic import csv_text, write_text
+from roadtorch.io.image import read_image
 from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.train.folder import pictures_hash
 from roadtorch.train.prepared import name_of

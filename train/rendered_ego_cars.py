@@ -21,8 +21,8 @@ import torch
 from torch import Tensor
 
 from roadtorch import read_image
-from roadtorch.files import make_folder
-from roadtorch.scene_canvas import CAR, ROAD, Canvas, RenderedScene, cloth, developed
+from roadtorch.io.atomic import make_folder
+from roadtorch.scenes.canvas import CAR, ROAD, Canvas, RenderedScene, cloth, developed
 from train.rendered_streets import KINDS, Random, painted_street, write_scene
 
 NONE = 0.2

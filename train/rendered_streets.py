@@ -7,7 +7,7 @@ motorways, yards). TRUTH is laid into the folder of prepared pictures of a train
 there already is not labelled again, so the truth stands in the machine labels' place
 (configs/layout-free.toml).
 
-What is added to ``roadtorch.scenes`` is variety: tracks with ruts and frayed edges among grass,
+What is added to ``roadtorch.scenes.street`` is variety: tracks with ruts and frayed edges,
 motorways with shoulders and barriers, squares with many cars and lorries, hills and woods on the
 horizon, other skies, and on every third picture an ego car below.
 """
@@ -22,8 +22,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.files import make_folder
-from roadtorch.scene_canvas import (
+from roadtorch.imaging.resize import resized
+from roadtorch.io.atomic import make_folder
+from roadtorch.scenes.canvas import (
     BUILDING,
     CAR,
     PAVEMENT,
@@ -36,7 +37,7 @@ from roadtorch.scene_canvas import (
     draw_street,
     seen_ground,
 )
-from roadtorch.scenes import (
+from roadtorch.scenes.street import (
     Ground,
     paint_cars,
     paint_ground,
@@ -49,7 +50,6 @@ from roadtorch.scenes import (
 )
 from roadtorch.train.arrays import Arrays, to_bytes, write_arrays
 from roadtorch.train.prepared import SOURCE
-from roadtorch.working_size import resized
 
 HEIGHT, WIDTH = 240, 320
 """Of the pictures."""

@@ -39,7 +39,7 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.scoring import read_scene
-from roadtorch.files import digest_of, write_text
+from roadtorch.io.atomic import digest_of, write_text
 from roadtorch.layout.weights import shipped_weights
 from roadtorch.settings import merge, parse_assignments, read_settings_file
 from roadtorch.train.config import Training, as_values, build_training

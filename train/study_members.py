@@ -31,9 +31,9 @@ from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.summary import summarise
 from roadtorch.evaluation.tally import Score, Tally
 from roadtorch.evaluation.thresholds import shared_threshold
-from roadtorch.fusion import fused_log_odds
-from roadtorch.image import read_image, write_npy
-from roadtorch.image_cache import image_cache
+from roadtorch.io.image import read_image, write_npy
+from roadtorch.road.fusion import fused_log_odds
+from roadtorch.runtime.image_cache import image_cache
 
 STEP = slice(1, None, 3)
 WEIGHTS = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)

@@ -20,7 +20,7 @@ from tqdm import tqdm
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the scripts beside
 
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.steady import SteadySettings
+from roadtorch.road.steady import SteadySettings
 from scripts.steady_footage import (
     CLIPS,
     alone,

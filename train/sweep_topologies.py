@@ -37,21 +37,21 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, every_kth
 from roadtorch.errors import RoadtorchError
 from roadtorch.evaluation import metrics
-from roadtorch.image import read_image
+from roadtorch.imaging.resize import resized
+from roadtorch.io.image import read_image
 from roadtorch.layout.labeller import LabellerSettings, label_layout, label_whole
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
 from roadtorch.layout.topologies import P2_TOPOLOGIES, on_grey
 from roadtorch.layout.weights import load_network, read_origin, save_network
-from roadtorch.signals import Stop
+from roadtorch.runtime.signals import Stop
 from roadtorch.sources.pictures import find_images
-from roadtorch.superpixels import Superpixels
+from roadtorch.superpixels.slic import Superpixels
 from roadtorch.train.arrays import Arrays, read_arrays, write_arrays
 from roadtorch.train.config import PatchTraining, as_values, read_training
 from roadtorch.train.patch_study import train_patches
 from roadtorch.train.prepared import PreparedFolder
 from roadtorch.train.processes import Processes
 from roadtorch.train.recipe import PatchRecipe
-from roadtorch.working_size import resized
 from train.topology_table import LABELLER, SIZES, Studied, write_table
 
 EPOCHS, BATCH, SITES_AROUND = 1, 32, 0

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.evaluation import metrics
-from roadtorch.files import atomic, csv_text, write_text
+from roadtorch.io.atomic import atomic, csv_text, write_text
 from roadtorch.layout.patch_network import PATCHES, Topology
 from roadtorch.report.screen import align
 

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 
 from roadtorch.annotate.machine import PictureView
-from roadtorch.image import read_image, to_pixels
-from roadtorch.working_size import WorkingSize, resized, working_size
+from roadtorch.imaging.resize import WorkingSize, resized, working_size
+from roadtorch.io.image import read_image, to_pixels
 
 SHOWN = WorkingSize(pixels=1600 * 1200)
 """What is sent of a picture at most; strokes are in pixels of the whole one."""

@@ -22,14 +22,14 @@ from roadtorch.data.correction_labels import (
     road_layer,
 )
 from roadtorch.detector import Detector
-from roadtorch.fusion import log_odds
-from roadtorch.image_cache import image_cache
+from roadtorch.imaging.resize import WorkingSize, at_picture_size, resized, working_size
 from roadtorch.layout.classes import CLASSES, UNLABELLED
-from roadtorch.segment_features import measure_segments
-from roadtorch.segment_statistics import segment_mean
+from roadtorch.road.fusion import log_odds
+from roadtorch.runtime.image_cache import image_cache
 from roadtorch.settings import Settings
-from roadtorch.superpixels import Superpixels
-from roadtorch.working_size import WorkingSize, at_picture_size, resized, working_size
+from roadtorch.superpixels.features import measure_segments
+from roadtorch.superpixels.slic import Superpixels
+from roadtorch.superpixels.statistics import segment_mean
 
 BARELY = 0.05
 """Log odds of what the threshold says road and the mask leaves out, so that it stays out."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from roadtorch.working_size import resized
+from roadtorch.imaging.resize import resized
 
 GRID = (4, 5)
 """Rows and columns of the cells over which a picture's features are averaged."""

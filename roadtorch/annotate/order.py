@@ -11,10 +11,10 @@ from torch import Tensor
 
 from roadtorch.annotate.machine import PictureView
 from roadtorch.annotate.next_pictures import GRID, RULES, Candidates, picture_features
-from roadtorch.image import read_image
+from roadtorch.imaging.resize import resized
+from roadtorch.io.image import read_image
 from roadtorch.layout.classes import CLASSES
-from roadtorch.segment_statistics import paint
-from roadtorch.working_size import resized
+from roadtorch.superpixels.statistics import paint
 
 BATCH = 20
 """Pictures that have a turn; the rest follows by trust."""

@@ -16,8 +16,8 @@ from scipy import sparse
 from scipy.sparse.linalg import cg
 from torch import Tensor
 
-from roadtorch.segment_features import Segments
 from roadtorch.settings import Settings
+from roadtorch.superpixels.features import Segments
 
 
 class PropagationSettings(Settings):

@@ -11,7 +11,7 @@ from roadtorch.annotate.views import VIEWS, read_view, view_path
 from roadtorch.data.correction_labels import NOT_ROAD, ROAD_SAID
 from roadtorch.data.corrections import Correction, read_corrections
 from roadtorch.evaluation.metrics import count_mask, f_measure
-from roadtorch.working_size import resized
+from roadtorch.imaging.resize import resized
 
 TEN_MINUTES = 600.0  # seconds
 

@@ -20,7 +20,7 @@ from roadtorch.annotate.views import VIEWS, ViewStore
 from roadtorch.data.journal import find_journals, read_journal
 from roadtorch.detector import Detector
 from roadtorch.errors import ConfigError
-from roadtorch.files import atomic
+from roadtorch.io.atomic import atomic
 from roadtorch.settings import Settings
 
 HOST = "127.0.0.1"  # and never another one

@@ -14,9 +14,9 @@ from scipy import sparse
 from roadtorch.annotate.machine import AnnotationSettings, PictureView, look_at_picture
 from roadtorch.annotate.propagation import Graph
 from roadtorch.detector import Detector
-from roadtorch.files import atomic, make_folder
-from roadtorch.image import read_image
-from roadtorch.segment_statistics import segment_mean, segment_size
+from roadtorch.io.atomic import atomic, make_folder
+from roadtorch.io.image import read_image
+from roadtorch.superpixels.statistics import segment_mean, segment_size
 
 VIEWS = ".machine"
 """The folder of views in the folder of corrections."""

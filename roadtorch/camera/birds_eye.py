@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.errors import DatasetError
-from roadtorch.outside import read_regular, reason
+from roadtorch.io.bounded import read_regular, reason
 
 ROWS, COLUMNS = 800, 400
 

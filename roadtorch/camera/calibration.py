@@ -10,7 +10,7 @@ import numpy as np
 from roadtorch.camera.birds_eye import Calibration
 from roadtorch.camera.ground import COEFFICIENTS, GroundCamera, Lens, pose_of
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.outside import read_regular
+from roadtorch.io.bounded import read_regular
 from roadtorch.settings import build_settings
 
 MOST_BYTES = 2**20  # of a camera_info file; ours: they have a thousand

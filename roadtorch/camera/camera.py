@@ -9,9 +9,9 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.camera.look import Look, image_likeness
-from roadtorch.ego import Ego, is_given
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.files import write_text
+from roadtorch.io.atomic import write_text
+from roadtorch.road.ego import Ego, is_given
 from roadtorch.settings import Settings, build_settings, read_settings_file, toml_lines
 
 SAME_SHAPE = 1.06

@@ -6,9 +6,9 @@ import torch
 from torch import Tensor
 
 from roadtorch.camera.camera import Camera
-from roadtorch.ego import ego_car, is_given
-from roadtorch.image import ORANGE, SKY_BLUE, tint_mask, to_pixels
-from roadtorch.working_size import resized
+from roadtorch.imaging.resize import resized
+from roadtorch.io.image import ORANGE, SKY_BLUE, tint_mask, to_pixels
+from roadtorch.road.ego import ego_car, is_given
 
 WIDTH = 640
 """Pixels of each half."""

@@ -12,8 +12,8 @@ from roadtorch.camera.look import Look, ego_look, gradient_likeness, sure_look
 from roadtorch.camera.still import gradients, small_grey, small_size, softened, stillness
 from roadtorch.camera.still_ego import EARLIEST, Footage, ego_rows, look_through
 from roadtorch.camera.vanishing_point import VanishingPoint, crossing, road_lines
-from roadtorch.ego import Ego
 from roadtorch.errors import InputError
+from roadtorch.road.ego import Ego
 
 FEWEST = 5
 """Frames; fewer have edges in common by chance."""

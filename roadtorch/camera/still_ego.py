@@ -20,7 +20,7 @@ from roadtorch.camera.vanishing_point import (
     vanishing_point,
 )
 from roadtorch.errors import InputError
-from roadtorch.working_size import at_picture_size
+from roadtorch.imaging.resize import at_picture_size
 
 LEAST = 0.35
 """Evidence of an edge at which a column neither gains nor loses."""

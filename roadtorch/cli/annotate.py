@@ -86,7 +86,7 @@ def _import(
     context: click.Context, out: Path, folder: Path, name: str, origin: Path, user: str
 ) -> None:
     from roadtorch.annotate.bringing import bring_in
-    from roadtorch.cli.claim import claimed
+    from roadtorch.runs.claim import claimed
 
     context.with_resource(claimed(out))
     count = bring_in(name, origin, folder, out, user)
@@ -103,8 +103,8 @@ def _serve(
 ) -> None:
     from roadtorch.annotate.order import PictureOrder
     from roadtorch.annotate.serving import opened_session, page_server
-    from roadtorch.cli.claim import claimed
     from roadtorch.detectors.catalogue import load_detector
+    from roadtorch.runs.claim import claimed
     from roadtorch.sources.pictures import find_images
 
     count = len(find_images([folder], out))

@@ -38,7 +38,7 @@ def camera(footage: tuple[str, ...], out: Path, most: int) -> None:
     """
     from roadtorch.camera.check_picture import check_picture
     from roadtorch.camera.footage import camera_of
-    from roadtorch.image import write_jpeg
+    from roadtorch.io.image import write_jpeg
     from roadtorch.sources.footage import frame_places, read_frames
 
     picture = out.with_suffix(".jpg")
@@ -53,7 +53,7 @@ def camera(footage: tuple[str, ...], out: Path, most: int) -> None:
 
 def told(camera: "Camera", out: Path, picture: Path) -> list[str]:
     """What was found, in three lines."""
-    from roadtorch.ego import is_given, outline_rows
+    from roadtorch.road.ego import is_given, outline_rows
 
     ego = "ego car: none seen"
     if is_given(camera.ego):

@@ -61,8 +61,8 @@ def compare(
     With --labelled or --corrections: figures with intervals, and the difference of B to A. With
     --images: where they disagree most.
     """
-    from roadtorch.cli.claim import claimed
     from roadtorch.evaluation.rivals import rival
+    from roadtorch.runs.claim import claimed
 
     if sum((labelled is not None, corrections is not None, bool(images))) != 1:
         raise click.UsageError("give one of --labelled, --corrections and --images")

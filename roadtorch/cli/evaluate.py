@@ -66,11 +66,11 @@ def evaluate(
     drives can teach it, prior:mean.
     A run that is interrupted goes on where it was when it is started again.
     """
-    from roadtorch.cli.claim import claimed
     from roadtorch.cli.labelled import camera_settings, opened, watched
     from roadtorch.data.catalogue import open_named
     from roadtorch.data.maps import parse_maps
     from roadtorch.evaluation.evaluate import evaluate as score
+    from roadtorch.runs.claim import claimed
     from roadtorch.settings import merge, parse_assignments
 
     if out is not None:

@@ -11,11 +11,11 @@ from roadtorch.cli.options import (
     PATH,
     QUIET,
     Choice,
-    Cut,
     with_choice,
     with_cut,
 )
 from roadtorch.cli.suggestions import suggest_files
+from roadtorch.runs.options import FrameSelection
 
 
 def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, float]:
@@ -92,7 +92,7 @@ def grid(
     threshold: float | None,
     likelihood: bool,
     picture: bool,
-    cut: Cut,
+    cut: FrameSelection,
     frame_id: str,
     jobs: int,
     overwrite: bool,
@@ -113,10 +113,10 @@ def grid(
     """
     from roadtorch.camera.camera import Camera
     from roadtorch.camera.ground_grid import GridSettings
-    from roadtorch.cli import batch, engines, footage, footage_grids, grids, results
     from roadtorch.cli import config as configuration
-    from roadtorch.cli.claim import claimed
     from roadtorch.detectors.catalogue import load_detector
+    from roadtorch.runs import batch, engines, footage, footage_grids, grids, results
+    from roadtorch.runs.claim import claimed
     from roadtorch.settings import build_settings
     from roadtorch.sources.open import sort_inputs
 

@@ -14,9 +14,9 @@ from typing import Any, NoReturn
 
 import click
 
-from roadtorch.errors import RoadtorchError
-from roadtorch.openmp import unless_told
-from roadtorch.signals import Terminated, interruption_first, terminated_in_words
+from roadtorch.errors import ExitCode, RoadtorchError
+from roadtorch.runtime.openmp import unless_told
+from roadtorch.runtime.signals import Terminated, interruption_first, terminated_in_words
 from roadtorch.version import __version__
 
 # name: (module:attribute, summary). The summary is here so that help imports no command.
@@ -40,9 +40,6 @@ COMMANDS = {
 
 ALLOCATIONS = 50_000
 """New objects after which Python looks for circles, of its own 700; ours: ten pictures' worth."""
-
-FAILED, WRONG_USAGE = 1, 2  # exit codes
-INTERRUPTED, TERMINATED = 130, 143  # those that shells use for SIGINT (Ctrl-C) and SIGTERM
 
 
 class CommandGroup(click.Group):
@@ -105,23 +102,23 @@ class CommandGroup(click.Group):
         except (click.Abort, KeyboardInterrupt) as problem:
             click.echo("roadtorch: interrupted; what was finished is kept", err=True)
             cause = problem.__cause__ or problem  # click makes an Abort of KeyboardInterrupt
-            code = TERMINATED if isinstance(cause, Terminated) else INTERRUPTED
+            code = ExitCode.TERMINATED if isinstance(cause, Terminated) else ExitCode.INTERRUPTED
         except click.exceptions.NoArgsIsHelpError as problem:
             problem.show()
-            code = WRONG_USAGE
+            code = ExitCode.WRONG_USAGE
         except click.ClickException as problem:
             click.echo(f"roadtorch: error: {_one_line(problem)}", err=True)
             code = problem.exit_code
         except OSError as problem:
             click.echo(f"roadtorch: error: {problem}", err=True)
-            code = FAILED
+            code = ExitCode.SOME_FAILED
         sys.exit(code if isinstance(code, int) else 0)
 
 
 class _Mistake(click.ClickException):
     """A mistake that is already told as ``where: what (remedy)``."""
 
-    exit_code = WRONG_USAGE
+    exit_code = ExitCode.WRONG_USAGE
 
 
 def _one_line(problem: click.ClickException) -> str:

@@ -10,13 +10,12 @@ from roadtorch.cli.options import (
     OVERWRITE,
     QUIET,
     Choice,
-    Cut,
-    Means,
     with_choice,
     with_cut,
     with_means,
 )
 from roadtorch.cli.suggestions import suggest_files
+from roadtorch.runs.options import ComputeOptions, FrameSelection
 
 KINDS = ("likelihood", "mask", "overlay", "cues", "npy", "polygons", "json")
 FOOTAGE_KINDS = ("overlay-frames", "mask-video", "likelihood-video", "bag")
@@ -93,13 +92,13 @@ def infer(
     choice: Choice,
     out: str,
     save: tuple[str, ...] | None,
-    cut: Cut,
+    cut: FrameSelection,
     steady: bool,
     gif: tuple[float, float] | None,
     camera: Path | None,
     threshold: float | None,
     depth: str,
-    means: Means,
+    means: ComputeOptions,
     overwrite: bool,
     quiet: bool,
     print_config: bool,
@@ -128,10 +127,10 @@ def infer(
         raise click.UsageError("Missing argument 'INPUT...'", context)
 
     from roadtorch.camera.camera import Camera
-    from roadtorch.cli import batch, engines, footage, results
-    from roadtorch.cli.footage_results import USUAL_OF_PICTURES, FootageResults
-    from roadtorch.cli.run_record import RunRecord
     from roadtorch.detectors.catalogue import load_detector
+    from roadtorch.runs import batch, engines, footage, results
+    from roadtorch.runs.footage_results import USUAL_OF_PICTURES, FootageResults
+    from roadtorch.runs.run_record import RunRecord
     from roadtorch.sources.open import sort_inputs
 
     engines.prepare(means)

@@ -39,8 +39,9 @@ def label(
 
     Each picture gives NAME.png in the folder --out. No weights and no labels are needed.
     """
-    from roadtorch.cli import batch, config, layouts, results
-    from roadtorch.cli.claim import claimed
+    from roadtorch.cli import config
+    from roadtorch.runs import batch, layouts, results
+    from roadtorch.runs.claim import claimed
 
     settings = layouts.labeller_settings(support, assignments)
     suffixes = layouts.SUFFIXES if overlay else {"labels": layouts.SUFFIXES["labels"]}

@@ -17,7 +17,7 @@ def watched(results: "Iterator[Scored]", done: int, total: int) -> "Iterator[Sco
     """The same results under a progress bar; KeyboardInterrupt after the one in hand."""
     from tqdm import tqdm
 
-    from roadtorch.signals import stop_on_signals
+    from roadtorch.runtime.signals import stop_on_signals
 
     if done:
         click.echo(f"roadtorch: going on after {done} of {total} pictures", err=True)

@@ -15,6 +15,7 @@ from roadtorch.cli.suggestions import (
     suggest_settings,
     suggest_splits,
 )
+from roadtorch.runs.options import ComputeOptions, FrameSelection
 
 PATH = click.Path(path_type=Path)
 Command = Callable[..., Any]
@@ -27,7 +28,7 @@ class ConfigFile(click.ParamType):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         """The file; ConfigError for a name that is neither."""
-        from roadtorch.shipped_configs import config_file
+        from roadtorch.runtime.shipped_configs import config_file
 
         return config_file(str(value))
 
@@ -86,24 +87,6 @@ OVERWRITE = click.option("--overwrite", is_flag=True, help="Redo pictures that a
 QUIET = click.option("--quiet", is_flag=True, help="No progress, only failures.")
 
 
-@dataclass(frozen=True)
-class Means:
-    """With what the pictures of a run are worked on.
-
-    jobs: pictures at a time on this machine; None for one a processor. engine: ``local`` or
-    ``ray``. address: of a Ray cluster; None for one of this machine. workers: actors. threads: of
-    torch and OpenCV within a picture. device: of torch. fail_fast: end at the first failure.
-    """
-
-    jobs: int | None
-    engine: str
-    address: str | None
-    workers: int
-    threads: int
-    device: str
-    fail_fast: bool
-
-
 MEANS = (
     click.option(
         "--jobs",
@@ -140,22 +123,6 @@ MEANS = (
     ),
     click.option("--fail-fast", is_flag=True, help="End at the first picture that fails."),
 )
-
-
-@dataclass(frozen=True)
-class Cut:
-    """Which frames and pictures of the inputs are looked at.
-
-    every, start, end, limit: see ``roadtorch.sources.frame.Selection``. topic: of bags. patience:
-    seconds within which a stream has to answer.
-    """
-
-    every: int
-    start: float
-    end: float | None
-    limit: int | None
-    topic: str | None
-    patience: float
 
 
 CUT = (
@@ -208,13 +175,13 @@ def with_choice(command: Command) -> Command:
 
 
 def with_means(command: Command) -> Command:
-    """A command with the options of ``Means``, which it gets as one argument ``means``."""
-    return _gathered(command, Means, "means", MEANS)
+    """A command with the options of ``ComputeOptions``, which it gets as one argument ``means``."""
+    return _gathered(command, ComputeOptions, "means", MEANS)
 
 
 def with_cut(command: Command) -> Command:
-    """A command with the options of ``Cut``, which it gets as one argument ``cut``."""
-    return _gathered(command, Cut, "cut", CUT)
+    """A command with the options of ``FrameSelection``, which it gets as one argument ``cut``."""
+    return _gathered(command, FrameSelection, "cut", CUT)
 
 
 LABELLED_SET = (

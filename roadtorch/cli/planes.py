@@ -9,7 +9,7 @@ CIRCULAR = "; circular"
 def planes() -> None:
     """List the colour planes with their ranges, and the representations made of them."""
     from roadtorch.cli.detectors import columns
-    from roadtorch.color import PLANES, REPRESENTATIONS
+    from roadtorch.imaging.color import PLANES, REPRESENTATIONS
 
     rows = [("plane", "low", "high", "meaning")]
     rows += [

@@ -35,10 +35,10 @@ def submit(
 
     name, values = choice.named()
 
-    from roadtorch.cli import batch, results, submission
-    from roadtorch.cli.claim import claimed
     from roadtorch.data.kitti import base_folder, calib_folder
     from roadtorch.detectors.catalogue import load_detector
+    from roadtorch.runs import batch, results, submission
+    from roadtorch.runs.claim import claimed
 
     loaded = load_detector(name, **values)
     folder = base_folder(root, "testing")

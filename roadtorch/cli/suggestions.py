@@ -80,7 +80,7 @@ def suggest_training_configs(
     context: click.Context, parameter: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
     """Shipped configs of ``roadtorch train``, or else a file."""
-    from roadtorch.shipped_configs import THRESHOLDS, shipped_configs
+    from roadtorch.runtime.shipped_configs import THRESHOLDS, shipped_configs
 
     names = [name for name in shipped_configs() if not name.startswith(THRESHOLDS)]
     found = _beginning(dict.fromkeys(names, ""), incomplete)
@@ -91,7 +91,7 @@ def suggest_detector_configs(
     context: click.Context, parameter: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
     """Shipped configs of detectors, or else a file."""
-    from roadtorch.shipped_configs import THRESHOLDS, shipped_configs
+    from roadtorch.runtime.shipped_configs import THRESHOLDS, shipped_configs
 
     names = [name for name in shipped_configs() if name.startswith(THRESHOLDS)]
     found = _beginning(dict.fromkeys(names, ""), incomplete)

@@ -30,14 +30,14 @@ def tune(
     Shown beside it is how well such a choice carries over: F and IoU of each drive at the
     threshold that the other drives choose.
     """
-    from roadtorch.cli.claim import claimed
     from roadtorch.cli.config import as_toml
     from roadtorch.cli.labelled import command_line, opened, tell_failures, watched
     from roadtorch.evaluation.evaluate import evaluate
     from roadtorch.evaluation.saved_tallies import forget
     from roadtorch.evaluation.tuning import choose_threshold
-    from roadtorch.files import write_text
+    from roadtorch.io.atomic import write_text
     from roadtorch.report.choices import choice_table, provenance
+    from roadtorch.runs.claim import claimed
     from roadtorch.settings import parse_assignments
 
     context.with_resource(claimed(out))

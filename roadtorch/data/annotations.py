@@ -13,9 +13,9 @@ import numpy as np
 from defusedxml import DefusedXmlException, ElementTree
 
 from roadtorch.data.polygons import Disc, Polygon, Shape, Stamp
-from roadtorch.decoding import open_picture
 from roadtorch.errors import DatasetError
-from roadtorch.outside import read_regular, reason
+from roadtorch.io.bounded import read_regular, reason
+from roadtorch.io.decoding import open_picture
 
 CORNERS = 3  # a polygon needs as many to have an area
 

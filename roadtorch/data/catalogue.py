@@ -14,7 +14,7 @@ from roadtorch.data.dataset import Dataset, Kind
 from roadtorch.data.folder import open_folder, open_idd_lite
 from roadtorch.data.labelme import open_labelme
 from roadtorch.errors import ConfigError, DatasetError, unknown_name
-from roadtorch.plugins import load_plugins
+from roadtorch.runtime.plugins import load_plugins
 
 ENTRY_POINT_GROUP = "roadtorch.datasets"
 

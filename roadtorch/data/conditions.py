@@ -14,7 +14,7 @@ from pathlib import Path
 
 from roadtorch.data.dataset import Dataset, Item
 from roadtorch.errors import DatasetError
-from roadtorch.outside import read_regular, reason
+from roadtorch.io.bounded import read_regular, reason
 
 FILE = "pictures.csv"  # in the folder of a set
 

@@ -14,8 +14,8 @@ from roadtorch.data.label_studio import TASKS, read_label_studio, write_label_st
 from roadtorch.data.labels import read_labels
 from roadtorch.data.polygon_files import read_drawn, write_labelme, write_xml
 from roadtorch.errors import DatasetError
-from roadtorch.files import make_folder
-from roadtorch.image import write_labels
+from roadtorch.io.atomic import make_folder
+from roadtorch.io.image import write_labels
 
 Sizes = Mapping[str, tuple[int, int]]
 """(height, width) of pictures by their relative name with ending."""

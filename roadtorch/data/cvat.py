@@ -21,9 +21,9 @@ from roadtorch.data.corrections import Correction
 from roadtorch.data.labels import colour_indices, read_colours
 from roadtorch.data.painted import connected_parts
 from roadtorch.errors import DatasetError
-from roadtorch.files import make_folder, write_text
-from roadtorch.image import write_colours
-from roadtorch.outside import read_regular
+from roadtorch.io.atomic import make_folder, write_text
+from roadtorch.io.bounded import read_regular
+from roadtorch.io.image import write_colours
 
 Colour = tuple[int, int, int]
 

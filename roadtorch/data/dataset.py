@@ -13,7 +13,7 @@ from typing import Protocol
 from torch import Tensor
 
 from roadtorch.errors import ConfigError, DatasetError, unknown_name
-from roadtorch.image import read_image
+from roadtorch.io.image import read_image
 
 
 @dataclass(frozen=True)

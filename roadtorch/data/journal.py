@@ -14,8 +14,8 @@ from pydantic import Field
 
 from roadtorch.data.strokes import AnyAct, Name, act_text, parse_act
 from roadtorch.errors import DatasetError, InputError
-from roadtorch.files import make_folder
-from roadtorch.outside import read_regular
+from roadtorch.io.atomic import make_folder
+from roadtorch.io.bounded import read_regular
 from roadtorch.settings import Settings
 
 ENDING = ".strokes.jsonl"

@@ -17,7 +17,7 @@ from roadtorch.camera.birds_eye import read_calibration, to_birds_eye
 from roadtorch.data.dataset import Dataset, Item
 from roadtorch.data.labels import ColourLabels, NumberLabels
 from roadtorch.errors import ConfigError, DatasetError
-from roadtorch.image import SUFFIXES
+from roadtorch.io.image import SUFFIXES
 
 NAME = "kitti-road"
 

@@ -18,8 +18,8 @@ from roadtorch.data.cvat import COLOURS
 from roadtorch.data.packed_runs import packed_mask, unpacked_mask
 from roadtorch.data.polygons import Polygon
 from roadtorch.errors import DatasetError
-from roadtorch.files import make_folder, write_text
-from roadtorch.outside import read_regular
+from roadtorch.io.atomic import make_folder, write_text
+from roadtorch.io.bounded import read_regular
 
 TASKS, CONFIG = "tasks.json", "label_config.xml"
 

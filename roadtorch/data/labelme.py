@@ -20,10 +20,10 @@ from roadtorch.data.annotations import Annotation, Drawing, read_annotation
 from roadtorch.data.dataset import Dataset, Item, Truth
 from roadtorch.data.labels import is_picture
 from roadtorch.data.polygons import OTHER, ROAD, VOID, Agreement, agree, filled_shapes
-from roadtorch.decoding import open_picture, without_warnings
 from roadtorch.errors import ConfigError, DatasetError
-from roadtorch.image import SUFFIXES
-from roadtorch.outside import read_regular, reason
+from roadtorch.io.bounded import read_regular, reason
+from roadtorch.io.decoding import open_picture, without_warnings
+from roadtorch.io.image import SUFFIXES
 
 ENDINGS = (".xml", ".json")
 

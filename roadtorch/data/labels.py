@@ -9,11 +9,11 @@ import numpy as np
 import torch
 
 from roadtorch.data.dataset import Item, Truth
-from roadtorch.decoding import open_picture, without_warnings
 from roadtorch.errors import ConfigError, DatasetError
-from roadtorch.image import SUFFIXES
+from roadtorch.io.bounded import read_regular, reason
+from roadtorch.io.decoding import open_picture, without_warnings
+from roadtorch.io.image import SUFFIXES
 from roadtorch.layout.classes import UNLABELLED
-from roadtorch.outside import read_regular, reason
 
 SHOWN = 5  # unknown values or colours named in an error
 

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from roadtorch.detector import DetectorSettings, decide
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.image import read_image
-from roadtorch.outside import printable, read_regular, reason
+from roadtorch.io.bounded import printable, read_regular, reason
+from roadtorch.io.image import read_image
 from roadtorch.settings import build_settings, read_settings_file
 
 ENDINGS = (".png", ".likelihood.png", ".npy", ".likelihood.npy")

@@ -17,7 +17,7 @@ from roadtorch.data.corrections import Correction
 from roadtorch.data.painted import painted_regions
 from roadtorch.data.polygons import filled_shapes
 from roadtorch.errors import DatasetError
-from roadtorch.files import make_folder, write_text
+from roadtorch.io.atomic import make_folder, write_text
 
 UNTOUCHED = "ignore"
 

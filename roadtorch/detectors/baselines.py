@@ -5,9 +5,10 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor, nn
 
-from roadtorch.color import plane
 from roadtorch.detector import DetectorSettings, Entry, Isolated, WorkingSettings
-from roadtorch.seed_area import seed_rectangle
+from roadtorch.imaging.color import plane
+from roadtorch.imaging.resize import FullSize, WorkingSize
+from roadtorch.road.seed_area import seed_rectangle
 from roadtorch.ufl.density_peaks import PeakSettings, cluster_pixels
 from roadtorch.ufl.features import DictionarySettings, assign, learn_dictionary, white_patches
 from roadtorch.ufl.maps import MapSettings, select_maps
@@ -17,7 +18,6 @@ from roadtorch.ufl.road import map_to_image, mask_to_image
 from roadtorch.vanishing.borders import BorderSettings, find_borders, road_between
 from roadtorch.vanishing.orientation import GaborBank, dominant_orientation, gabor_responses
 from roadtorch.vanishing.voting import VotingSettings, vote_vanishing_point
-from roadtorch.working_size import FullSize, WorkingSize
 
 KONG_PIXELS = 240 * 180
 """Kong et al. look at pictures of 240x180 pixels."""

@@ -13,7 +13,7 @@ from roadtorch.camera.camera import Camera
 from roadtorch.detector import Detector, DetectorSettings, Entry
 from roadtorch.detectors import baselines, fusion, layout, oneclass, priors, texture, ufl
 from roadtorch.errors import ConfigError, unknown_name
-from roadtorch.plugins import load_plugins
+from roadtorch.runtime.plugins import load_plugins
 from roadtorch.settings import build_settings, merge
 
 ENTRY_POINT_GROUP = "roadtorch.detectors"

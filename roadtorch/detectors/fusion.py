@@ -10,9 +10,16 @@ from torch import Tensor, nn
 
 from roadtorch.analysis import lean
 from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings
-from roadtorch.ego import continued, ego_found, is_anywhere
-from roadtorch.exposure import brightened
-from roadtorch.fusion import (
+from roadtorch.imaging.exposure import brightened
+from roadtorch.imaging.resize import WorkingSize
+from roadtorch.layout.classes import CLASSES, HORIZONTAL
+from roadtorch.layout.labeller import LabellerSettings, decide_layout, segment_layout
+from roadtorch.layout.opinion_pool import Share, pooled
+from roadtorch.layout.patch_network import PatchNetwork
+from roadtorch.layout.picture_network import PictureNetwork
+from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of
+from roadtorch.road.ego import continued, ego_found, is_anywhere
+from roadtorch.road.fusion import (
     SegmentRoadSettings,
     fused_log_odds,
     likelihood_product,
@@ -20,29 +27,22 @@ from roadtorch.fusion import (
     road_place,
     segment_road,
 )
-from roadtorch.layout.classes import CLASSES, HORIZONTAL
-from roadtorch.layout.labeller import LabellerSettings, decide_layout, segment_layout
-from roadtorch.layout.opinion_pool import Share, pooled
-from roadtorch.layout.patch_network import PatchNetwork
-from roadtorch.layout.picture_network import PictureNetwork
-from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of
-from roadtorch.otsu import centred_odds
-from roadtorch.priors import prior_rows, prior_triangle, prior_uniform
-from roadtorch.seed_area import likely_seed, seed_rectangle, seed_segments
-from roadtorch.seed_distance import distance_likelihood, seed_distance
-from roadtorch.segment_features import Segments, measure_segments
-from roadtorch.segment_statistics import paint, segment_mean
-from roadtorch.settings import Settings
-from roadtorch.superpixels import Superpixels
-from roadtorch.texture import (
+from roadtorch.road.otsu import centred_odds
+from roadtorch.road.priors import prior_rows, prior_triangle, prior_uniform
+from roadtorch.road.seed_area import likely_seed, seed_rectangle, seed_segments
+from roadtorch.road.seed_distance import distance_likelihood, seed_distance
+from roadtorch.road.texture import (
     Saturation,
     TextureSettings,
     fused_uniformity,
     uniformity_likelihood,
     unsaturated_uniformity,
 )
-from roadtorch.trust import Judgement, TrustSettings, judgement, signs_of
-from roadtorch.working_size import WorkingSize
+from roadtorch.road.trust import Judgement, TrustSettings, judgement, signs_of
+from roadtorch.settings import Settings
+from roadtorch.superpixels.features import Segments, measure_segments
+from roadtorch.superpixels.slic import Superpixels
+from roadtorch.superpixels.statistics import paint, segment_mean
 
 
 class LearnedRoad(Settings):

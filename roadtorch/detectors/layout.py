@@ -11,7 +11,7 @@ from roadtorch.layout.opinion_pool import Share, pooled
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of
-from roadtorch.superpixels import Superpixels
+from roadtorch.superpixels.slic import Superpixels
 
 
 class LabellerDetectorSettings(WorkingSettings):

@@ -8,8 +8,9 @@ import torch
 from pydantic import Field, create_model
 from torch import Tensor, nn
 
-from roadtorch.color import REPRESENTATIONS
 from roadtorch.detector import DetectorGrid, Entry, Isolated, Threshold, WorkingSettings
+from roadtorch.imaging.color import REPRESENTATIONS
+from roadtorch.imaging.resize import WorkingSize
 from roadtorch.oneclass import CLASSIFIERS
 from roadtorch.oneclass.axes import axes_of
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, fit
@@ -22,7 +23,6 @@ from roadtorch.oneclass.samples import (
     road_samples,
     sample_area,
 )
-from roadtorch.working_size import WorkingSize
 
 
 def _name(classifier: Classifier, planes: str) -> str:

@@ -7,13 +7,11 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from roadtorch.analysis import lean
-from roadtorch.color import plane
 from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings
-from roadtorch.lbp import PATTERNS, similarity
-from roadtorch.seed_area import seed_area, seed_rectangle
-from roadtorch.segment_statistics import paint
-from roadtorch.superpixels import Superpixels, squares
-from roadtorch.texture import (
+from roadtorch.imaging.color import plane
+from roadtorch.road.lbp import PATTERNS, similarity
+from roadtorch.road.seed_area import seed_area, seed_rectangle
+from roadtorch.road.texture import (
     Saturation,
     TextureSettings,
     fused_uniformity,
@@ -23,6 +21,8 @@ from roadtorch.texture import (
     uniformity_likelihood,
     unsaturated_uniformity,
 )
+from roadtorch.superpixels.slic import Superpixels, squares
+from roadtorch.superpixels.statistics import paint
 
 
 class CpfSettings(WorkingSettings):

@@ -7,7 +7,8 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from roadtorch.detector import DetectorSettings, Entry, Isolated, Threshold
-from roadtorch.seed_area import remove_isolated, seed_rectangle
+from roadtorch.imaging.resize import FullSize
+from roadtorch.road.seed_area import remove_isolated, seed_rectangle
 from roadtorch.ufl.features import DictionarySettings
 from roadtorch.ufl.hierarchy import (
     LEAST,
@@ -36,7 +37,6 @@ from roadtorch.ufl.road import (
     stable_pixels,
     widened,
 )
-from roadtorch.working_size import FullSize
 
 THRESHOLD = "road from this likelihood on; at 0.5 the mask is exactly the regions chosen"
 

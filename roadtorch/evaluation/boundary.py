@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.image_cache import cached_per_image
+from roadtorch.runtime.image_cache import cached_per_image
 
 TOLERANCES = (0.0025, 0.005, 0.0075)
 """1.5, 3 and 4.5 pixels at 480x360: Csurka's figure, and two that ask for more."""

@@ -12,8 +12,8 @@ from roadtorch.detector import Detection
 from roadtorch.errors import DatasetError, RoadtorchError
 from roadtorch.evaluation.contenders import Contender
 from roadtorch.evaluation.result import Failure
-from roadtorch.image import read_image
-from roadtorch.image_cache import image_cache
+from roadtorch.io.image import read_image
+from roadtorch.runtime.image_cache import image_cache
 from roadtorch.sources.pictures import Picture
 
 

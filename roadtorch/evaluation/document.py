@@ -10,7 +10,7 @@ from roadtorch.errors import ConfigError, InputError
 from roadtorch.evaluation.contenders import Contender
 from roadtorch.evaluation.measure import Figures, Measure
 from roadtorch.evaluation.result import DetectorFigures, Evaluation
-from roadtorch.outside import read_regular, reason
+from roadtorch.io.bounded import read_regular, reason
 from roadtorch.version import __version__
 
 

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from roadtorch.motion import EXACT, carried, dense_flow, flow_picture, round_trip
-from roadtorch.working_size import at_picture_size
+from roadtorch.imaging.motion import EXACT, carried, dense_flow, flow_picture, round_trip
+from roadtorch.imaging.resize import at_picture_size
 
 MISS = 1.0  # pixels by which a round trip may miss
 WIDTH = 480  # pixels of the pictures in which motion is found

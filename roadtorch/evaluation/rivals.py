@@ -6,12 +6,12 @@ from pathlib import Path
 from roadtorch.detectors.catalogue import list_detectors
 from roadtorch.errors import ConfigError
 from roadtorch.evaluation.contenders import Contender, maps_from, named_detector
+from roadtorch.io.bounded import printable
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import load_network
-from roadtorch.outside import printable
+from roadtorch.runtime.shipped_configs import SUFFIX, THRESHOLDS, config_file
 from roadtorch.settings import read_settings_file
-from roadtorch.shipped_configs import SUFFIX, THRESHOLDS, config_file
 
 BY_NETWORK = {PictureNetwork.kind: "fusion", PatchNetwork.kind: "layout:cnn-7"}
 """The detector that weights alone stand for, by the kind of their network."""

@@ -16,7 +16,7 @@ from roadtorch.errors import ConfigError
 from roadtorch.evaluation.contenders import Contender
 from roadtorch.evaluation.scoring import Scored
 from roadtorch.evaluation.tally import Tally, tally_from, tally_tensors
-from roadtorch.files import atomic
+from roadtorch.io.atomic import atomic
 from roadtorch.layout.weights import tensors_hash
 
 FILE = "progress.safetensors"

@@ -16,8 +16,8 @@ from roadtorch.errors import RoadtorchError
 from roadtorch.evaluation import boundary, metrics
 from roadtorch.evaluation.contenders import Contender, Look
 from roadtorch.evaluation.tally import Score
-from roadtorch.image_cache import ImageCache, image_cache
-from roadtorch.signals import end_with_parent, interrupting_none_started
+from roadtorch.runtime.image_cache import ImageCache, image_cache
+from roadtorch.runtime.signals import end_with_parent, interrupting_none_started
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from roadtorch.export.graph import EveryPixel, WholePictures
 from roadtorch.export.onnx_file import open_onnx, write_onnx
 from roadtorch.export.openvino_file import open_openvino, write_openvino
 from roadtorch.export.parity import BOUND, Parity, Run, parity, rendered_batches
-from roadtorch.files import atomic, make_folder
+from roadtorch.io.atomic import atomic, make_folder
 
 
 @dataclass(frozen=True)

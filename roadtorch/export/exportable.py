@@ -10,7 +10,7 @@ from roadtorch.detectors.fusion import Fusion, FusionSettings
 from roadtorch.detectors.layout import Cnn7, Cnn7Settings, Layout, LayoutSettings
 from roadtorch.errors import ConfigError
 from roadtorch.export.graph import OUTPUTS, EveryPixel, WholePictures
-from roadtorch.files import digest_of
+from roadtorch.io.atomic import digest_of
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.picture_network import ROAD, PictureNetwork
 from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, terms_of, weights_path

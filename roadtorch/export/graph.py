@@ -15,12 +15,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from roadtorch.exposure import DARKEST, STRONGEST, Exposure
+from roadtorch.imaging.exposure import DARKEST, STRONGEST, Exposure
+from roadtorch.imaging.resize import SHORTEST, WorkingSize
 from roadtorch.layout.classes import CLASSES, HORIZONTAL
 from roadtorch.layout.normalisation import FIXED_GAIN, FIXED_MEAN, FLATTEST, Normalisation
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import EGO, PictureNetwork, potentials_of
-from roadtorch.working_size import SHORTEST, WorkingSize
 
 LONGEST = 10**5
 """Pixels of a side at most, so that sizes have a bound when a graph is made."""

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from roadtorch.export.exportable import Reference
-from roadtorch.image import from_pixels, to_pixels
-from roadtorch.scenes import render_scene
+from roadtorch.io.image import from_pixels, to_pixels
+from roadtorch.scenes.street import render_scene
 
 BOUND = 1e-4
 """How far a file may be off. Ours: a fortieth of the step between two grey levels."""

@@ -6,9 +6,9 @@ from importlib.util import find_spec
 import cv2
 import numpy as np
 
-from roadtorch.decoding import decode
 from roadtorch.installation.check import Check
-from roadtorch.outside import reason
+from roadtorch.io.bounded import reason
+from roadtorch.io.decoding import decode
 
 SUFFIXES = (".jpg", ".png", ".tif", ".webp", ".bmp")
 VIDEO = ("h264", "hevc", "vp9", "av1", "mpeg4", "mjpeg")  # that cameras and archives have

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from roadtorch.installation.check import Check
-from roadtorch.outside import reason
+from roadtorch.io.bounded import reason
 from roadtorch.version import __version__
 
 SECTIONS = {

@@ -9,7 +9,7 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation.metrics import count_mask, f_measure
 from roadtorch.installation.check import Check
 from roadtorch.installation.peak_memory import peak_mebibytes
-from roadtorch.scenes import render_scene
+from roadtorch.scenes.street import render_scene
 
 SCENE = 0  # its seed
 HEIGHT, WIDTH = 360, 480  # as the README's table of times

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from roadtorch.errors import WeightsError
-from roadtorch.files import digest_of
 from roadtorch.installation.check import Check
+from roadtorch.io.atomic import digest_of
 from roadtorch.layout.weights import (
     STATED,
     list_shipped_weights,

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from roadtorch.image import SKY_BLUE
+from roadtorch.io.image import SKY_BLUE
 
 SKY, VERTICAL, HORIZONTAL = range(3)
 

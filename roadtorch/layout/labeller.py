@@ -15,20 +15,20 @@ from pydantic import Field
 from scipy.linalg import block_diag
 from torch import Tensor
 
-from roadtorch.exposure import Exposure, brightened
-from roadtorch.image_cache import cached_per_image
+from roadtorch.imaging.exposure import Exposure, brightened
+from roadtorch.imaging.resize import WorkingSize, at_working_size
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, SKY, UNLABELLED, VERTICAL
-from roadtorch.segment_features import (
+from roadtorch.runtime.image_cache import cached_per_image
+from roadtorch.settings import Settings
+from roadtorch.superpixels.features import (
     Bandwidths,
     Segments,
     class_log_density,
     likeness,
     measure_segments,
 )
-from roadtorch.segment_statistics import paint
-from roadtorch.settings import Settings
-from roadtorch.superpixels import Superpixels
-from roadtorch.working_size import WorkingSize, at_working_size
+from roadtorch.superpixels.slic import Superpixels
+from roadtorch.superpixels.statistics import paint
 
 UNSCALED = 32
 """Rows of a chain, of at least 1e-4 each, whose product a float64 still holds; two of them."""

@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.exposure import Exposure, brightened
+from roadtorch.imaging.exposure import Exposure, brightened
 from roadtorch.settings import Settings
 
 FIXED_MEAN, FIXED_GAIN = 0.5, 4.0

@@ -15,14 +15,14 @@ from pydantic import Field, model_validator
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from roadtorch.color import plane
 from roadtorch.errors import ConfigError
+from roadtorch.imaging.color import plane
+from roadtorch.imaging.resize import WorkingSize, at_working_size
 from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.fragments import Layer, Layers
 from roadtorch.layout.normalisation import Normalisation, normalise
 from roadtorch.layout.reflection import reflected
 from roadtorch.settings import Settings
-from roadtorch.working_size import WorkingSize, at_working_size
 
 PATCHES = (32, 48, 64)
 """The sizes of patches that P2 compares (Fig. 3)."""

@@ -15,10 +15,10 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from roadtorch.errors import ConfigError, WeightsError
-from roadtorch.files import atomic, digest_of
+from roadtorch.io.atomic import atomic, digest_of
+from roadtorch.io.bounded import read_regular, regular_size
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
-from roadtorch.outside import read_regular, regular_size
 from roadtorch.settings import Settings, build_settings
 
 FORMAT = 1

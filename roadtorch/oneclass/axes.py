@@ -14,8 +14,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from roadtorch.color import PLANES
 from roadtorch.errors import unknown_name
+from roadtorch.imaging.color import PLANES
 
 Hue = Literal["unrolled", "linear", "chord"]
 """``unrolled``: distance along the circle from the mean hue of the samples, exact for

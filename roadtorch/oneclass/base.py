@@ -32,7 +32,8 @@ from safetensors.torch import save as as_safetensors
 from torch import Tensor, nn
 
 from roadtorch.errors import ConfigError, InputError, WeightsError
-from roadtorch.files import atomic
+from roadtorch.io.atomic import atomic
+from roadtorch.io.bounded import regular_size
 from roadtorch.layout.weights import tensors_hash
 from roadtorch.oneclass.axes import Axes, Hue, arranged, arranged_axes, mean_hues
 from roadtorch.oneclass.state import (
@@ -43,7 +44,6 @@ from roadtorch.oneclass.state import (
     check_parts,
     read_about,
 )
-from roadtorch.outside import regular_size
 from roadtorch.settings import Settings
 
 CHUNK = 700_000

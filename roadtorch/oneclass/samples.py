@@ -12,13 +12,13 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.color import PLANES, plane
-from roadtorch.image_cache import cached_per_image
+from roadtorch.imaging.color import PLANES, plane
 from roadtorch.oneclass.axes import circular_mean, unrolled
-from roadtorch.seed_area import FRAME, SeedArea, seed_area
-from roadtorch.segment_statistics import segment_median
+from roadtorch.road.seed_area import FRAME, SeedArea, seed_area
+from roadtorch.runtime.image_cache import cached_per_image
 from roadtorch.settings import Settings
-from roadtorch.superpixels import slic
+from roadtorch.superpixels.slic import slic
+from roadtorch.superpixels.statistics import segment_median
 
 LEAST = 8
 """Pixels that the seed area has on each side, where the picture has them: a few samples."""

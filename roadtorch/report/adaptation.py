@@ -15,7 +15,7 @@ from roadtorch.evaluation.contenders import Contender
 from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.result import Evaluation, Failure
 from roadtorch.evaluation.uncertainty import Interval
-from roadtorch.files import write_text
+from roadtorch.io.atomic import write_text
 from roadtorch.report.disagreement import both_sheets
 from roadtorch.report.page.svg import COLOURS, DASHES, FLOOR, to_svg
 from roadtorch.report.page.tables import NONE, share, signed

@@ -13,12 +13,12 @@ from roadtorch.data.dataset import Dataset, Item
 from roadtorch.evaluation.contenders import Contender
 from roadtorch.evaluation.disagreement import Disagreement
 from roadtorch.evaluation.result import Failure
-from roadtorch.files import csv_text, write_text
-from roadtorch.image import read_image, tint_mask, to_pixels
-from roadtorch.image_cache import image_cache
+from roadtorch.io.atomic import csv_text, write_text
+from roadtorch.io.image import read_image, tint_mask, to_pixels
 from roadtorch.report.montage import BLUE, TILE_WIDTH, VERMILLION, captioned
 from roadtorch.report.screen import align
 from roadtorch.report.templates import template
+from roadtorch.runtime.image_cache import image_cache
 from roadtorch.version import __version__
 
 QUALITY = 80  # of JPEG

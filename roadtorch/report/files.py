@@ -10,7 +10,7 @@ from roadtorch.evaluation.document import defined, document
 from roadtorch.evaluation.drive_curves import RunCurves, drive_curves
 from roadtorch.evaluation.pictures import PictureRow, picture_rows
 from roadtorch.evaluation.result import Evaluation, Failure
-from roadtorch.files import csv_text, write_json, write_text
+from roadtorch.io.atomic import csv_text, write_json, write_text
 from roadtorch.oneclass import CLASSIFIERS
 from roadtorch.report.montage import write_montages
 from roadtorch.report.page.html import write_page

@@ -16,9 +16,9 @@ from roadtorch.evaluation.pictures import chosen_pictures
 from roadtorch.evaluation.result import Evaluation
 from roadtorch.evaluation.scoring import LabelledPicture, seen_truth
 from roadtorch.evaluation.tally import WHOLE
-from roadtorch.image import to_pixels, write_jpeg
+from roadtorch.io.bounded import printable
+from roadtorch.io.image import to_pixels, write_jpeg
 from roadtorch.layout.classes import layout_colours
-from roadtorch.outside import printable
 
 MOST = 8  # detectors with sheets
 

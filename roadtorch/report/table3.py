@@ -14,9 +14,9 @@ from statistics import fmean
 
 import numpy as np
 
-from roadtorch.color import REPRESENTATIONS
 from roadtorch.evaluation.measures import AUC_MEAN
 from roadtorch.evaluation.result import Evaluation
+from roadtorch.imaging.color import REPRESENTATIONS
 from roadtorch.oneclass import CLASSIFIERS
 from roadtorch.report.templates import template
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from roadtorch.detector import Detection
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.files import REMEDIES, make_folder
+from roadtorch.io.atomic import REMEDIES, make_folder
 from roadtorch.sinks.messages import (
     GRID,
     IMAGE,

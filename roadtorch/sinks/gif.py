@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from roadtorch.files import atomic
+from roadtorch.io.atomic import atomic
 
 WIDEST = 480  # pixels
 

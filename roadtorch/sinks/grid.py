@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from roadtorch.camera.ground_grid import FREE, OCCUPIED, Grid
-from roadtorch.files import atomic, write_text
-from roadtorch.image import write_npy
+from roadtorch.io.atomic import atomic, write_text
+from roadtorch.io.image import write_npy
 
 FREE_GREY, OCCUPIED_GREY, UNKNOWN_GREY = 254, 0, 205
 

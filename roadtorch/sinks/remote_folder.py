@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from roadtorch.errors import InputError
-from roadtorch.files import LEFTOVER
+from roadtorch.io.atomic import LEFTOVER
 from roadtorch.sources.remote import file_system, told_of
 
 RENAMING = ("file", "local", "memory", "sftp", "ssh", "smb", "hdfs")

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from roadtorch.errors import InputError
-from roadtorch.files import REMEDIES, RoomyFile, atomic
+from roadtorch.io.atomic import REMEDIES, RoomyFile, atomic
 from roadtorch.sources.video import import_av, reason_of
 
 TICKS = 60_000

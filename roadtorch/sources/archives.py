@@ -21,8 +21,8 @@ import fsspec.core
 from torch import Tensor
 
 from roadtorch.errors import InputError, unknown_name
-from roadtorch.image import READABLE, decode_image
-from roadtorch.outside import MOST_BYTES, printable, reason
+from roadtorch.io.bounded import MOST_BYTES, printable, reason
+from roadtorch.io.image import READABLE, decode_image
 from roadtorch.sources.frame import Frame, Selection, Source
 from roadtorch.sources.pictures import names_picture
 from roadtorch.sources.tarballs import tar_members

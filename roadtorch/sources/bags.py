@@ -16,7 +16,7 @@ import numpy as np
 from torch import Tensor
 
 from roadtorch.errors import ConfigError, InputError, unknown_name
-from roadtorch.outside import reason
+from roadtorch.io.bounded import reason
 from roadtorch.sources.frame import Frame, Selection, Source
 from roadtorch.sources.image_messages import (
     COMPRESSED,

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from torch import Tensor
 
 from roadtorch.errors import InputError
-from roadtorch.image import read_image
+from roadtorch.io.image import read_image
 from roadtorch.sources.open import sort_inputs, video_files
 from roadtorch.sources.pictures import find_images
 from roadtorch.sources.video import count_frames, video_frames

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 from torch import Tensor
 
-from roadtorch.decoding import MEGAPIXELS_VARIABLE, most_megapixels
 from roadtorch.errors import InputError
-from roadtorch.image import decode_image, from_pixels
-from roadtorch.outside import reason
+from roadtorch.io.bounded import reason
+from roadtorch.io.decoding import MEGAPIXELS_VARIABLE, most_megapixels
+from roadtorch.io.image import decode_image, from_pixels
 
 RAW = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"

@@ -13,7 +13,7 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.errors import InputError
-from roadtorch.image import from_pixels
+from roadtorch.io.image import from_pixels
 from roadtorch.settings import Settings
 from roadtorch.sources.frame import Frame, Selection, Source
 from roadtorch.sources.video import import_av, moving_pictures, reason_of, upright

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from roadtorch.errors import InputError
-from roadtorch.image import READABLE, SUFFIXES, read_image
+from roadtorch.io.image import READABLE, SUFFIXES, read_image
 from roadtorch.sources.frame import Frame, Selection, Source
 
 RESULTS = (".likelihood.png", ".mask.png", ".overlay.jpg")  # ours; never pictures to look at

@@ -9,7 +9,7 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.image import READABLE
+from roadtorch.io.image import READABLE
 from roadtorch.sources.pictures import names_picture
 
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://|[A-Za-z][A-Za-z0-9+.-]+::")

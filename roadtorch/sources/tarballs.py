@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from tempfile import TemporaryFile
 from typing import IO
 
-from roadtorch.outside import MOST_BYTES, reason
+from roadtorch.io.bounded import MOST_BYTES, reason
 
 MOST_GROWTH = 100
 """Of a compressed tar, times its size, if that is more than ``MOST_BYTES``; ours: pictures hardly

@@ -12,7 +12,7 @@ import numpy as np
 from torch import Tensor
 
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.image import from_pixels
+from roadtorch.io.image import from_pixels
 from roadtorch.sources.frame import Frame, Selection, Source
 
 if TYPE_CHECKING:

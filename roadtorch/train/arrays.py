@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from roadtorch.errors import InputError
-from roadtorch.files import atomic
-from roadtorch.outside import read_regular
+from roadtorch.io.atomic import atomic
+from roadtorch.io.bounded import read_regular
 
 Arrays = dict[str, Tensor]
 

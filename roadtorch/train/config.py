@@ -8,12 +8,12 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field
 
 from roadtorch.errors import ConfigError, unknown_name
+from roadtorch.imaging.resize import WorkingSize
 from roadtorch.layout.labeller import LabellerSettings
 from roadtorch.layout.patch_network import PatchNetworkSettings
 from roadtorch.layout.picture_network import PictureNetworkSettings
 from roadtorch.settings import Settings, build_settings, read_settings_file
-from roadtorch.superpixels import Superpixels
-from roadtorch.working_size import WorkingSize
+from roadtorch.superpixels.slic import Superpixels
 
 
 class Descent(Settings):

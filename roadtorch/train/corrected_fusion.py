@@ -10,7 +10,7 @@ from typing import Any
 
 from roadtorch.data.correction_labels import NOT_ROAD, ROAD_SAID
 from roadtorch.data.corrections import Correction
-from roadtorch.files import write_text
+from roadtorch.io.atomic import write_text
 from roadtorch.settings import toml_lines
 
 MOST = 3.0

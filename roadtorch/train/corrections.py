@@ -15,14 +15,14 @@ from roadtorch.data.correction_labels import NOT_ROAD, ROAD_SAID, VOID_SAID
 from roadtorch.data.corrections import Correction
 from roadtorch.data.labelme import picture_size
 from roadtorch.errors import InputError
-from roadtorch.files import make_folder
+from roadtorch.imaging.resize import at_picture_size
+from roadtorch.io.atomic import make_folder
 from roadtorch.layout.classes import CLASSES, UNLABELLED
 from roadtorch.sources.pictures import Picture
 from roadtorch.train.arrays import Arrays, to_bytes, write_arrays
 from roadtorch.train.config import Descent
 from roadtorch.train.prepared import name_of
 from roadtorch.train.targets import Targets
-from roadtorch.working_size import at_picture_size
 
 HALF = 0.5
 """Share of a cell's pixels that have to be said before the cell counts as said."""

@@ -10,10 +10,10 @@ from typing import Any
 
 import torch
 
-from roadtorch.decoding import without_warnings
 from roadtorch.errors import ConfigError, InputError, WeightsError
-from roadtorch.files import atomic, csv_text, locked, make_folder, remove_leftovers, write_text
-from roadtorch.outside import printable, read_regular, regular_size
+from roadtorch.io.atomic import atomic, csv_text, locked, make_folder, remove_leftovers, write_text
+from roadtorch.io.bounded import printable, read_regular, regular_size
+from roadtorch.io.decoding import without_warnings
 from roadtorch.sources.pictures import Picture
 from roadtorch.train.config import as_values, build_training, with_current_names
 from roadtorch.train.prepared import PreparedPicture, bytes_of, name_of

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from roadtorch.errors import ConfigError
-from roadtorch.signals import Stop
+from roadtorch.runtime.signals import Stop
 from roadtorch.train.average import AverageWeights
 from roadtorch.train.batches import Batch, ErrorFunction, Samples
 from roadtorch.train.config import Descent, Stopping

@@ -13,10 +13,10 @@ from tqdm import tqdm
 
 from roadtorch.detector import checked_image
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
-from roadtorch.files import make_folder, write_text
-from roadtorch.image import read_image
-from roadtorch.outside import read_regular
-from roadtorch.signals import Stop
+from roadtorch.io.atomic import make_folder, write_text
+from roadtorch.io.bounded import read_regular
+from roadtorch.io.image import read_image
+from roadtorch.runtime.signals import Stop
 from roadtorch.sources.pictures import Picture
 from roadtorch.train.arrays import Arrays, read_arrays, write_arrays
 from roadtorch.train.processes import Processes

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from roadtorch.data.corrections import Correction
 from roadtorch.errors import WeightsError
+from roadtorch.imaging.resize import working_size
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork, network_at
 from roadtorch.layout.weights import LayoutNetwork, load_network, weights_path
@@ -36,7 +37,6 @@ from roadtorch.train.teachers import (
     load_teachers,
     prepare_picture,
 )
-from roadtorch.working_size import working_size
 
 EGO_CARS = "ego-cars"
 """The folder, beside the prepared pictures, with what recordings show of the ego car."""

@@ -10,13 +10,13 @@ from tqdm import tqdm
 
 from roadtorch.camera.still_ego import still_ego
 from roadtorch.errors import InputError
-from roadtorch.files import make_folder, write_text
-from roadtorch.image import read_image
+from roadtorch.imaging.resize import WorkingSize, at_picture_size, at_work
+from roadtorch.io.atomic import make_folder, write_text
+from roadtorch.io.image import read_image
 from roadtorch.sources.pictures import Picture
 from roadtorch.train.arrays import read_arrays, write_arrays
 from roadtorch.train.config import Recordings
 from roadtorch.train.loop import RunContext
-from roadtorch.working_size import WorkingSize, at_picture_size, at_work
 
 DONE = "done"
 """The file that says that a recording has been looked at."""

@@ -12,10 +12,10 @@ from tqdm import tqdm
 
 from roadtorch.data.corrections import Correction
 from roadtorch.errors import InputError, WeightsError
-from roadtorch.files import shared, write_text
+from roadtorch.io.atomic import shared, write_text
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import LayoutNetwork, fill, load_network, save_network
-from roadtorch.signals import stop_on_signals
+from roadtorch.runtime.signals import stop_on_signals
 from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.train.average import AverageWeights
 from roadtorch.train.cards import card_of, corrections_behind

@@ -11,12 +11,12 @@ import torch
 from torch import Tensor
 
 from roadtorch.errors import InputError
+from roadtorch.imaging.resize import at_work
 from roadtorch.layout.classes import CLASSES, UNLABELLED
 from roadtorch.layout.labeller import label_layout
-from roadtorch.segment_statistics import segment_mean, segment_size
+from roadtorch.superpixels.statistics import segment_mean, segment_size
 from roadtorch.train.arrays import Arrays, read_arrays, to_bytes
 from roadtorch.train.config import PatchTraining, Sites
-from roadtorch.working_size import at_work
 
 
 def prepare_patches(image: Tensor, training: PatchTraining) -> Arrays:

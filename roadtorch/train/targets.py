@@ -7,10 +7,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from roadtorch.fusion import log_odds
 from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.picture_network import EGO, ROAD
-from roadtorch.otsu import centred_odds
+from roadtorch.road.fusion import log_odds
+from roadtorch.road.otsu import centred_odds
 from roadtorch.train.batches import Batch
 from roadtorch.train.config import HeadWeights, PictureTraining, Rounds, Teacher
 

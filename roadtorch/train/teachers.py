@@ -11,15 +11,15 @@ from tqdm import tqdm
 
 from roadtorch.detector import Detector
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.ego import continued
 from roadtorch.errors import ConfigError
-from roadtorch.files import make_folder
+from roadtorch.imaging.resize import resized
+from roadtorch.io.atomic import make_folder
 from roadtorch.layout.normalisation import normalise
 from roadtorch.layout.picture_network import PictureNetwork, potentials_of
+from roadtorch.road.ego import continued
 from roadtorch.train.arrays import Arrays, from_bytes, read_arrays, to_bytes, write_arrays
 from roadtorch.train.config import PictureTraining, Teacher
 from roadtorch.train.loop import RunContext
-from roadtorch.working_size import resized
 
 ACROSS, LEAST_EGO = 0.95, 0.03
 """Shares of the columns and of the picture that an ego car takes which is cut out."""

@@ -8,7 +8,8 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn import functional as F
 
-from roadtorch.priors import APEX
+from roadtorch.imaging.resize import at_picture_size
+from roadtorch.road.priors import APEX
 from roadtorch.settings import Settings
 from roadtorch.ufl.hierarchy import (
     NodeChoice,
@@ -18,7 +19,6 @@ from roadtorch.ufl.hierarchy import (
     select_nodes,
     selected_area,
 )
-from roadtorch.working_size import at_picture_size
 
 Centring = Literal["road", "none", "basis"]
 Place = Literal["symmetric", "from_one", "ahead"]

@@ -8,7 +8,7 @@ from roadtorch.annotate.machine import AnnotationSettings
 from roadtorch.annotate.serving import opened_session
 from roadtorch.annotate.session import Session
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.scenes import write_picture
+from roadtorch.scenes.street import write_picture
 from tests.streets import scene
 
 

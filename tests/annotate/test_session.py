@@ -120,7 +120,7 @@ def test_a_picture_deleted_meanwhile_loses_no_stroke(session: Session) -> None:
 
 def test_a_picture_that_changed_its_size_keeps_its_corrections(session: Session) -> None:
     session.act(NAME, "ann", superpixel("a", "road", 0))
-    from roadtorch.scenes import write_picture
+    from roadtorch.scenes.street import write_picture
     from tests.streets import scene
 
     write_picture(session.pictures.root / NAME, scene(1, 40, 64))

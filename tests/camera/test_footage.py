@@ -14,10 +14,10 @@ from roadtorch.camera.still_ego import best_path, still_ego
 from roadtorch.detector import DetectorSettings
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.fusion import FusionSettings
-from roadtorch.ego import ego_car
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.image import read_image
-from roadtorch.working_size import resized
+from roadtorch.imaging.resize import resized
+from roadtorch.io.image import read_image
+from roadtorch.road.ego import ego_car
 from tests.streets import bonnet, drive, scene
 
 

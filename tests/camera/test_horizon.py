@@ -8,7 +8,7 @@ from torch import Tensor
 from roadtorch.camera.horizon import horizon_of
 from roadtorch.errors import InputError
 from roadtorch.layout.classes import HORIZONTAL
-from roadtorch.scenes import draw_street, render_scene
+from roadtorch.scenes.street import draw_street, render_scene
 
 
 def potentials(layout: Tensor) -> Tensor:

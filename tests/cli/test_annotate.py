@@ -77,7 +77,7 @@ def test_the_packages_are_missing(
 
 
 def test_two_at_once_are_refused(call: Call, footage: Path) -> None:
-    from roadtorch.files import locked
+    from roadtorch.io.atomic import locked
 
     (footage / "corrections").mkdir()
     with locked(footage / "corrections"):

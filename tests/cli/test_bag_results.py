@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roadtorch.cli.batch import Job
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.files import digest_of_folder
+from roadtorch.io.atomic import digest_of_folder
+from roadtorch.runs.batch import Job
 from roadtorch.sources.bags import bag_source
 from roadtorch.sources.pictures import Picture
 from tests.cli.conftest import Call

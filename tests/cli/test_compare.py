@@ -15,10 +15,10 @@ from roadtorch.data.corrected_set import open_corrections
 from roadtorch.data.journal import JournalHead, journal_path
 from roadtorch.errors import ConfigError, DatasetError, WeightsError
 from roadtorch.evaluation.disagreement import disagreement, unlabelled_set
-from roadtorch.image import write_npy
+from roadtorch.io.image import write_npy
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import save_network
-from roadtorch.scenes import write_picture
+from roadtorch.scenes.street import write_picture
 from roadtorch.sources.pictures import Picture
 from tests.streets import scene
 

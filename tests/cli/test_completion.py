@@ -10,7 +10,7 @@ from click.shell_completion import get_completion_class
 from roadtorch.cli import main
 from roadtorch.cli.completion import SHELLS, VARIABLE
 from roadtorch.data.catalogue import list_datasets
-from roadtorch.shipped_configs import shipped_configs
+from roadtorch.runtime.shipped_configs import shipped_configs
 from tests.cli.conftest import Call
 
 

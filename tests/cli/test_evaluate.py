@@ -16,8 +16,8 @@ from roadtorch.cli.labelled import watched
 from roadtorch.errors import ConfigError, DatasetError, InputError
 from roadtorch.evaluation import scoring
 from roadtorch.evaluation.saved_tallies import FILE
-from roadtorch.image import read_image
-from roadtorch.scenes import render_scene
+from roadtorch.io.image import read_image
+from roadtorch.scenes.street import render_scene
 from tests.cli.conftest import Call
 from tests.oracle import DECISION, DRIVES, ORACLE, SCENES, know_oracle, write_set
 from tests.streets import write_camvid

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from roadtorch.cli.group import INTERRUPTED
 from roadtorch.detectors.catalogue import load_detector
+from roadtorch.errors import ExitCode
 from roadtorch.sources.frame import Selection
 from roadtorch.sources.video import video_source
 from tests.cli.conftest import Call, save_picture
@@ -225,7 +225,7 @@ def test_ctrl_c_finishes_the_video(tmp_path: Path) -> None:
     process.send_signal(signal.SIGINT)
     told = process.communicate(timeout=60)[1]
 
-    assert process.returncode == INTERRUPTED
+    assert process.returncode == ExitCode.INTERRUPTED
     assert told.endswith("roadtorch: interrupted; what was finished is kept\n")
     frames = len(stamps_of(out / "drive.overlay.mp4"))
     rows = rows_of(out)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roadtorch.image import to_pixels
+from roadtorch.io.image import to_pixels
 from tests.cli.conftest import Call
 from tests.cli.test_grid import VIEW
 from tests.cli.test_infer import bytes_in, rows_of

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from roadtorch.camera.camera import Camera
-from roadtorch.scenes import render_scene, write_picture
+from roadtorch.scenes.street import render_scene, write_picture
 from tests.cli.conftest import Call
 from tests.sinks.test_grid import loaded
 

@@ -9,10 +9,10 @@ import pytest
 import torch
 from PIL import Image
 
-from roadtorch.cli import batch, results
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.image import read_image, write_jpeg
-from roadtorch.scenes import render_scene
+from roadtorch.io.image import read_image, write_jpeg
+from roadtorch.runs import batch, results
+from roadtorch.scenes.street import render_scene
 from tests.cli.conftest import Call, save_picture
 
 ROWS = ("--detector", "prior:rows")

@@ -1,5 +1,5 @@
-from roadtorch.color import PLANES, REPRESENTATIONS
 from roadtorch.detectors.catalogue import detector_groups, list_detectors
+from roadtorch.imaging.color import PLANES, REPRESENTATIONS
 from roadtorch.oneclass import CLASSIFIERS
 from tests.cli.conftest import Call
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from roadtorch.openmp import BRIEF_WAITS
-from roadtorch.scenes import render_scene
+from roadtorch.runtime.openmp import BRIEF_WAITS
+from roadtorch.scenes.street import render_scene
 
 COMMAND = [sys.executable, "-m", "roadtorch"]
 

@@ -13,7 +13,7 @@ from time import monotonic, sleep
 
 import pytest
 
-from roadtorch.scenes import render_scene, write_picture
+from roadtorch.scenes.street import render_scene, write_picture
 from tests.cli.test_infer import bytes_in, rows_of
 
 COMMAND = [sys.executable, "-m", "roadtorch", "infer"]

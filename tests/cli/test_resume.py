@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from roadtorch.cli import batch, index, results
 from roadtorch.errors import InputError
-from roadtorch.files import reserved
-from roadtorch.image import write_mask
+from roadtorch.io.atomic import reserved
+from roadtorch.io.image import write_mask
+from roadtorch.runs import batch, index, results
 from tests.cli.conftest import Call, save_picture
 from tests.cli.test_infer import ROWS, bytes_in, files_in, rows_of
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from roadtorch.scenes import render_scene, write_picture
+from roadtorch.scenes.street import render_scene, write_picture
 
 UNUSED = (
     *("torchvision", "matplotlib", "skimage", "sklearn", "pandas", "jinja2", "ray", "onnx"),
@@ -80,7 +80,7 @@ FIRST = """
 import sys, time, torch
 torch.set_num_threads(1)
 from roadtorch import load_detector
-from roadtorch.scenes import render_scene
+from roadtorch.scenes.street import render_scene
 image, detector, times = render_scene(0, 480, 640).image.contiguous(), load_detector("fusion"), []
 for _ in range(9):
     start = time.process_time()

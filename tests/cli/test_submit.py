@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from roadtorch.cli import batch, submission
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.image import read_image
-from roadtorch.scenes import render_scene, write_picture
+from roadtorch.io.image import read_image
+from roadtorch.runs import batch, submission
+from roadtorch.scenes.street import render_scene, write_picture
 from tests.cli.conftest import Call
 from tests.reference import bev as reference
 

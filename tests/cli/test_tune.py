@@ -17,7 +17,7 @@ from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.tally import Tally
 from roadtorch.evaluation.thresholds import shared_threshold
 from roadtorch.evaluation.tuning import choose_threshold
-from roadtorch.scenes import render_scene
+from roadtorch.scenes.street import render_scene
 from tests.reports import changed, scored
 from tests.streets import write_camvid
 

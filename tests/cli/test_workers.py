@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from roadtorch.cli.index import Row
-from roadtorch.cli.workers import FEWEST, processors, rows_of_workers, usual_workers
+from roadtorch.runs.index import Row
+from roadtorch.runs.workers import FEWEST, processors, rows_of_workers, usual_workers
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="workers are copies of a process")
 

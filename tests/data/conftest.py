@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from roadtorch.scenes import render_scene
+from roadtorch.scenes.street import render_scene
 from tests.streets import write_camvid
 
 

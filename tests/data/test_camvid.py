@@ -12,7 +12,7 @@ from roadtorch.data.camvid import CLASSES11, COLOURS32, split_of
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.labels import colour_indices, read_colours, read_labels
 from roadtorch.errors import DatasetError
-from roadtorch.scenes import render_scene
+from roadtorch.scenes.street import render_scene
 from tests.streets import write_camvid
 
 NAMES = [name for _, name, _ in COLOURS32]

@@ -9,7 +9,7 @@ import torch
 from PIL import Image
 
 import roadtorch.data.catalogue
-import roadtorch.plugins
+import roadtorch.runtime.plugins
 from roadtorch.data.catalogue import dataset_kind, list_datasets, open_dataset
 from roadtorch.data.dataset import Dataset, Item, Kind, Truth
 from roadtorch.errors import ConfigError, DatasetError
@@ -71,7 +71,7 @@ def offer(monkeypatch: pytest.MonkeyPatch, **points: str) -> dict[str, Kind]:
         EntryPoint(name, f"tests.data.test_datasets:{value}", "roadtorch.datasets")
         for name, value in points.items()
     ]
-    monkeypatch.setattr(roadtorch.plugins, "entry_points", lambda group: found)
+    monkeypatch.setattr(roadtorch.runtime.plugins, "entry_points", lambda group: found)
     kinds = roadtorch.data.catalogue._catalogue.__wrapped__()
     monkeypatch.setattr(roadtorch.data.catalogue, "_catalogue", lambda: kinds)
     return kinds

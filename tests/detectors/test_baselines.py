@@ -6,7 +6,7 @@ from torch import Tensor
 
 from roadtorch.detectors.baselines import ENTRIES
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.scenes import render_scene
+from roadtorch.scenes.street import render_scene
 
 NAMES = [entry.name for entry in ENTRIES]
 

@@ -11,11 +11,11 @@ from roadtorch.detector import Detection
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.fusion import FusionSettings
 from roadtorch.errors import WeightsError
-from roadtorch.fusion import log_odds
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import label_layout
 from roadtorch.layout.weights import load_network, shipped_weights
-from roadtorch.priors import prior_rows
+from roadtorch.road.fusion import log_odds
+from roadtorch.road.priors import prior_rows
 from tests.networks import write_ego_network
 from tests.streets import lost_highlights
 

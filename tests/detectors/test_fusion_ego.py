@@ -10,7 +10,7 @@ from torch import Tensor
 
 from roadtorch.detector import Detection, Detector
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.ego import continued
+from roadtorch.road.ego import continued
 from tests.detectors.test_fusion import CUES
 from tests.networks import write_ego_network
 from tests.streets import scene

@@ -9,7 +9,6 @@ import torch
 from sklearn.metrics import roc_auc_score
 from torch import Tensor
 
-from roadtorch.color import REPRESENTATIONS, planes
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth
 from roadtorch.detector import Detection, Detector
@@ -17,11 +16,12 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.oneclass import ENTRIES
 from roadtorch.errors import ConfigError
 from roadtorch.evaluation import metrics
-from roadtorch.image_cache import image_cache
+from roadtorch.imaging.color import REPRESENTATIONS, planes
 from roadtorch.oneclass import CLASSIFIERS, Fitted, axes_of, fit, samples
 from roadtorch.oneclass.samples import AllSampleSettings, SampleSettings, road_samples
 from roadtorch.oneclass.samples import representation as representation_of
-from roadtorch.scenes import render_scene
+from roadtorch.runtime.image_cache import image_cache
+from roadtorch.scenes.street import render_scene
 from roadtorch.settings import build_settings
 from tests.representatives import representatives
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from roadtorch.detectors.catalogue import detector_entry, list_detectors, load_detector
 from roadtorch.errors import ConfigError
-from roadtorch.image import write_mask
+from roadtorch.io.image import write_mask
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import save_network

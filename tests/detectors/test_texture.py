@@ -7,11 +7,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from roadtorch.color import plane
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.seed_area import SeedArea, seed_rectangle
-from roadtorch.superpixels import squares
-from roadtorch.texture import (
+from roadtorch.imaging.color import plane
+from roadtorch.road.seed_area import SeedArea, seed_rectangle
+from roadtorch.road.texture import (
     Saturation,
     TextureSettings,
     fused_uniformity,
@@ -19,6 +18,7 @@ from roadtorch.texture import (
     unsaturated_uniformity,
     value_range,
 )
+from roadtorch.superpixels.slic import squares
 from tests.streets import lost_highlights
 
 

@@ -10,12 +10,12 @@ from torch import Tensor
 from roadtorch.detector import Detection, Detector
 from roadtorch.detectors.ufl import ENTRIES
 from roadtorch.errors import ConfigError
-from roadtorch.scenes import render_scene
+from roadtorch.imaging.resize import resized
+from roadtorch.scenes.street import render_scene
 from roadtorch.settings import build_settings
 from roadtorch.ufl.pictures import dictionary_picture, mosaic
 from roadtorch.ufl.preprocess import Smoothing
 from roadtorch.ufl.road import AS_CHOSEN
-from roadtorch.working_size import resized
 
 BY_NAME = {entry.name: entry for entry in ENTRIES}
 QUICK = {"working": {"rows": 48}, "dictionary": {"bases": 30, "rounds": 3}}

@@ -14,7 +14,7 @@ from roadtorch.evaluation.result import DetectorFigures
 from roadtorch.evaluation.scoring import score_item
 from roadtorch.evaluation.summary import summarise
 from roadtorch.evaluation.tally import Tally
-from roadtorch.scenes import RenderedScene, render_scene
+from roadtorch.scenes.street import RenderedScene, render_scene
 from tests.streets import write_camvid
 
 DRIVES = ("0001TP", "0006R0", "0016E5")

@@ -15,7 +15,7 @@ from roadtorch.evaluation.result import DetectorFigures
 from roadtorch.evaluation.scoring import score_item
 from roadtorch.evaluation.summary import summarise
 from roadtorch.evaluation.tally import Tally
-from roadtorch.scenes import render_scene
+from roadtorch.scenes.street import render_scene
 from tests.streets import write_camvid
 
 DRIVES = ("0001TP", "0006R0")

@@ -19,9 +19,9 @@ from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.result import Evaluation
 from roadtorch.evaluation.saved_tallies import FILE, fingerprint, forget
 from roadtorch.evaluation.tally import WHOLE
-from roadtorch.files import write_json
-from roadtorch.image import read_image
-from roadtorch.scenes import write_picture
+from roadtorch.io.atomic import write_json
+from roadtorch.io.image import read_image
+from roadtorch.scenes.street import write_picture
 from tests.oracle import DECISION, DRIVES, ORACLE, SCENES, know_oracle, write_set
 
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from roadtorch.evaluation.flicker import Changes, Followed, count_changes, flicker, followed
-from roadtorch.scenes import render_scene
+from roadtorch.scenes.street import render_scene
 
 HEIGHT, WIDTH = 40, 60
 

@@ -8,7 +8,7 @@ from roadtorch.data.dataset import Dataset, every_kth
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.contenders import mean_detection
 from roadtorch.evaluation.mean_mask import mean_of, means_of_others, resize, road_shares
-from roadtorch.priors import prior_rows
+from roadtorch.road.priors import prior_rows
 from tests.evaluation.conftest import DRIVES
 
 

@@ -11,7 +11,7 @@ from roadtorch.errors import ConfigError
 from roadtorch.evaluation.contenders import named_detector
 from roadtorch.evaluation.saved_tallies import FILE, SavedTallies, fingerprint, forget
 from roadtorch.evaluation.scoring import score
-from roadtorch.scenes import render_scene
+from roadtorch.scenes.street import render_scene
 from tests.streets import write_camvid
 
 FLOORS = [named_detector(name, {}) for name in ("prior:rows", "prior:triangle")]

@@ -13,7 +13,7 @@ from roadtorch.evaluation.contenders import named_detector
 from roadtorch.evaluation.scoring import prepared, score_item
 from roadtorch.evaluation.summary import summarise
 from roadtorch.evaluation.tally import Tally, tally_from, tally_tensors
-from roadtorch.scenes import render_scene
+from roadtorch.scenes.street import render_scene
 from tests.streets import write_camvid
 
 

@@ -23,8 +23,8 @@ from roadtorch.export.exportable import exportable
 from roadtorch.export.onnx_file import open_onnx
 from roadtorch.export.openvino_file import open_openvino
 from roadtorch.export.parity import parity
-from roadtorch.files import digest_of
-from roadtorch.image import read_image, to_pixels
+from roadtorch.io.atomic import digest_of
+from roadtorch.io.image import read_image, to_pixels
 from roadtorch.layout.weights import shipped_weights
 from roadtorch.testing import street
 from tests.networks import write_ego_network

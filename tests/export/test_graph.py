@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from torch.nn import functional as F
 
 from roadtorch.export.graph import averaged, averaging, normalised, planes_of, size_at_work
+from roadtorch.imaging.resize import WorkingSize, working_size
 from roadtorch.layout.normalisation import Normalisation, normalise
 from roadtorch.testing import street
-from roadtorch.working_size import WorkingSize, working_size
 
 SIDES = st.integers(1, 80)
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from roadtorch.evaluation.metrics import class_recalls, count_layout, labelled_share
+from roadtorch.imaging.resize import WorkingSize
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, SKY, UNLABELLED, VERTICAL
 from roadtorch.layout.labeller import (
     ColumnOrder,
@@ -25,10 +26,9 @@ from roadtorch.layout.labeller import (
     segment_layout,
     sky_look,
 )
-from roadtorch.scenes import RenderedScene
-from roadtorch.segment_features import Segments, measure_segments
-from roadtorch.superpixels import Superpixels
-from roadtorch.working_size import WorkingSize
+from roadtorch.scenes.street import RenderedScene
+from roadtorch.superpixels.features import Segments, measure_segments
+from roadtorch.superpixels.slic import Superpixels
 from tests.reference import layout as reference
 from tests.streets import scene
 

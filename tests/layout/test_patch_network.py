@@ -6,8 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roadtorch.color import plane
 from roadtorch.errors import ConfigError
+from roadtorch.imaging.color import plane
 from roadtorch.layout.normalisation import Normalisation, normalise
 from roadtorch.layout.patch_network import (
     PatchNetwork,

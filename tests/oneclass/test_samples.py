@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from roadtorch.color import PLANES, REPRESENTATIONS, planes
+from roadtorch.imaging.color import PLANES, REPRESENTATIONS, planes
 from roadtorch.oneclass.samples import (
     AllSampleSettings,
     SampleSettings,
@@ -15,7 +15,7 @@ from roadtorch.oneclass.samples import (
     road_samples,
     sample_area,
 )
-from roadtorch.segment_statistics import segment_median
+from roadtorch.superpixels.statistics import segment_median
 from tests.streets import scene
 
 GRID = SampleSettings(reduction="grid")

@@ -10,8 +10,8 @@ import pytest
 from defusedxml.ElementTree import fromstring
 from scipy.stats import spearmanr
 
-from roadtorch.color import REPRESENTATIONS
 from roadtorch.evaluation.drive_curves import DetectorCurves, RunCurves
+from roadtorch.imaging.color import REPRESENTATIONS
 from roadtorch.oneclass import CLASSIFIERS
 from roadtorch.report.files import write_table3
 from roadtorch.report.page.roc_families import looks, mean_line, roc_families

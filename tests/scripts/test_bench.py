@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from roadtorch import working_size
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.scenes import render_scene
+from roadtorch.imaging import resize as working_size
+from roadtorch.scenes.street import render_scene
 from scripts import bench, bench_parts, bench_size
 from scripts.bench_figures import (
     Figure,

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from roadtorch import superpixels
+from roadtorch.superpixels import slic as superpixels
 from scripts import bench, bench_against
 
 CHECKOUT = Path(__file__).resolve().parents[2]

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from roadtorch.color import REPRESENTATIONS, planes
+from roadtorch.imaging.color import REPRESENTATIONS, planes
 from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
 from roadtorch.oneclass.samples import SampleSettings, road_samples
-from roadtorch.scenes import render_scene
+from roadtorch.scenes.street import render_scene
 from scripts import bench_oneclass
 from tests.scripts.conftest import PrintedBy
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import torch
 
-from roadtorch.image import read_image, write_colours
-from roadtorch.scenes import render_scene
+from roadtorch.io.image import read_image, write_colours
+from roadtorch.scenes.street import render_scene
 from roadtorch.sources.pictures import find_images
 from scripts import bench_sources
 from tests.scripts.conftest import PrintedBy

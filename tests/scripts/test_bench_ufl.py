@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.scenes import render_scene
+from roadtorch.scenes.street import render_scene
 from scripts import bench_ufl
 from scripts.bench import SUM, time_stages
 from tests.scripts.conftest import PrintedBy

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from roadtorch.data.dataset import Truth
-from roadtorch.image import write_colours, write_labels
-from roadtorch.scenes import render_scene
+from roadtorch.io.image import write_colours, write_labels
+from roadtorch.scenes.street import render_scene
 from roadtorch.ufl.hierarchy import build_tree, threshold_regions, thresholds
 from scripts import figures_p1, figures_p1_pictures
 from scripts.figures_p1_overlay import agreement

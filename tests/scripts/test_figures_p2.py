@@ -7,7 +7,7 @@ import torch
 
 from roadtorch.evaluation import metrics
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
-from roadtorch.scenes import render_scene
+from roadtorch.scenes.street import render_scene
 from scripts import figures_p2, figures_p2_layout, figures_p2_road, figures_p2_streets
 from scripts.figures_p2_studies import layout_recall
 from tests.streets import write_camvid

@@ -12,7 +12,7 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation.curves import Curve, area
 from roadtorch.evaluation.metrics import auc, count_levels
 from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
-from roadtorch.scenes import render_scene
+from roadtorch.scenes.street import render_scene
 from scripts import figures_p3, figures_p3_area, figures_p3_data, figures_p3_light
 from scripts import figures_p3_table3 as table3
 from scripts.figures_p3_chart import apart, middle, spread

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from roadtorch.scenes import render_scene, write_picture
+from roadtorch.scenes.street import render_scene, write_picture
 from scripts import bound_figures, readme_evaluations, readme_figures
 from scripts.readme_evaluations import RUNS, SLOW_RUNS, Run, facts, records_of
 

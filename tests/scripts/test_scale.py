@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from roadtorch.scenes import render_scene, write_picture
+from roadtorch.scenes.street import render_scene, write_picture
 from scripts import scale
 
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.steady import SteadySettings
+from roadtorch.road.steady import SteadySettings
 from scripts.steady import compared, stretches, told
 from scripts.steady_footage import Figures, alone, first, footage, rendered
 

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from roadtorch.errors import InputError
-from roadtorch.files import RoomyFile
-from roadtorch.image import to_pixels
-from roadtorch.scenes import render_scene
+from roadtorch.io.atomic import RoomyFile
+from roadtorch.io.image import to_pixels
+from roadtorch.scenes.street import render_scene
 from roadtorch.sinks import video
 from roadtorch.sinks.video import VideoSink
 from tests.videos import pixels_of, stamps_of, street_pixels

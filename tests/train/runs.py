@@ -11,7 +11,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from roadtorch.scenes import write_picture
+from roadtorch.scenes.street import write_picture
 from roadtorch.settings import merge, parse_assignments, read_settings_file
 from roadtorch.train.config import Training, build_training
 from roadtorch.train.run import Request

@@ -14,7 +14,7 @@ from roadtorch.cli.train import train as train_command
 from roadtorch.errors import ConfigError, RoadtorchError
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import save_network
-from roadtorch.scenes import write_picture
+from roadtorch.scenes.street import write_picture
 from roadtorch.train.agreement import teacher_agreement
 from roadtorch.train.arrays import read_arrays, write_arrays
 from roadtorch.train.config import PictureTraining

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from roadtorch.image import write_jpeg
+from roadtorch.io.image import write_jpeg
 from roadtorch.layout.weights import read_origin, shipped_weights
-from roadtorch.scenes import render_scene
+from roadtorch.scenes.street import render_scene
 from roadtorch.sources.pictures import find_images
 from train.manifest import (
     COLUMNS,

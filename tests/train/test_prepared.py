@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from roadtorch.errors import ConfigError
-from roadtorch.signals import Stop
+from roadtorch.runtime.signals import Stop
 from roadtorch.sources.pictures import find_images
 from roadtorch.train.arrays import Arrays, read_arrays
 from roadtorch.train.prepared import PreparedFolder

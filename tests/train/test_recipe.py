@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from roadtorch.signals import Stop
+from roadtorch.runtime.signals import Stop
 from roadtorch.train import recipe
 from roadtorch.train.arrays import write_arrays
 from roadtorch.train.config import PictureTraining

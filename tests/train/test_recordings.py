@@ -6,8 +6,8 @@ import cv2
 import pytest
 import torch
 
-from roadtorch.image import read_image
-from roadtorch.signals import Stop
+from roadtorch.io.image import read_image
+from roadtorch.runtime.signals import Stop
 from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.train import recordings
 from roadtorch.train.config import Recordings

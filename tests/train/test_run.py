@@ -13,7 +13,7 @@ import torch
 
 from roadtorch.cli import main
 from roadtorch.errors import ConfigError, InputError, WeightsError
-from roadtorch.files import locked
+from roadtorch.io.atomic import locked
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import load_network, read_origin, save_network

@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from roadtorch.fusion import log_odds
 from roadtorch.layout.classes import CLASSES
-from roadtorch.otsu import otsu_threshold
+from roadtorch.road.fusion import log_odds
+from roadtorch.road.otsu import otsu_threshold
 from roadtorch.train.batches import Batch
 from roadtorch.train.config import (
     HeadWeights,

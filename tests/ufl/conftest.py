@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from roadtorch.image import read_image
+from roadtorch.io.image import read_image
 
 GOLDEN = Path(__file__).resolve().parents[3] / "shared" / "golden" / "ufl"
 MAP = (115, 155)

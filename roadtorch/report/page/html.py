@@ -14,7 +14,7 @@ from roadtorch.errors import InputError
 from roadtorch.evaluation.drive_curves import RunCurves
 from roadtorch.evaluation.pictures import PictureRow
 from roadtorch.evaluation.result import Evaluation
-from roadtorch.files import write_text
+from roadtorch.io.atomic import write_text
 from roadtorch.report.page import charts, tables
 from roadtorch.report.page.outcome import outcome
 from roadtorch.report.page.part_tables import part_tables

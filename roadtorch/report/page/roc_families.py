@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from roadtorch.evaluation.drive_curves import DetectorCurves, RunCurves
-from roadtorch.files import write_text
+from roadtorch.io.atomic import write_text
 from roadtorch.report.page.svg import COLOURS, DASHES, GRID, INK, Series, to_svg
 
 ROW = 190  # points, of the panels of one classifier

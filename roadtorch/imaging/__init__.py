@@ -1,0 +1,1 @@
+"""Steps on images: colour, size, exposure, motion."""

@@ -1,0 +1,166 @@
+"""The size at which detectors think, and the way back to the size of the picture."""
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor
+from torch.nn import functional as F
+
+from roadtorch.runtime.image_cache import cached_per_image
+from roadtorch.settings import Settings
+
+SHORTEST = 16
+"""Pixels that a long, thin picture keeps on its short side."""
+
+ROWS, COLUMNS = 32, 64
+"""Old rows and columns that one matrix product averages, about: narrow, and not too small."""
+
+
+class WorkingSize(Settings):
+    """How large a picture is when it is analysed; smaller ones stay as they are."""
+
+    pixels: int = Field(
+        default=320 * 240,
+        ge=SHORTEST**2,
+        le=10**9,
+        description="pixels at most: 320x240, which Álvarez 2012 names for its times alone",
+    )
+
+
+def working_size(height: int, width: int, working: WorkingSize) -> tuple[int, int]:
+    """Height and width at which a picture is analysed: its shape, at most ``working.pixels``."""
+    scale = min(1.0, (working.pixels / (height * width)) ** 0.5)
+    return max(SHORTEST, round(height * scale)), max(SHORTEST, round(width * scale))
+
+
+@cached_per_image
+def at_work(image: Tensor, working: WorkingSize) -> Tensor:
+    """The image (3,H,W) as it is analysed: at its working size, in [0,1]."""
+    return resized(image, working_size(image.shape[-2], image.shape[-1], working)).clamp(0, 1)
+
+
+def resized(maps: Tensor, size: tuple[int, int]) -> Tensor:
+    """Maps (…,H,W), floating point, at another size: averaged or bilinear."""
+    before = (maps.shape[-2], maps.shape[-1])
+    if before == tuple(size):
+        return maps
+    if _is_plain(maps):
+        larger = size[0] >= before[0] and size[1] >= before[1]
+        flat = maps.reshape(-1, *before)
+        found = _enlarged(flat, size) if larger else _averaged(flat, size)
+        return found.reshape(*maps.shape[:-2], *size)
+    batch = maps.reshape(1, -1, *maps.shape[-2:])
+    batch = F.interpolate(batch, size=size, mode="bilinear", antialias=True)
+    return batch.reshape(*maps.shape[:-2], *size)
+
+
+def _is_plain(maps: Tensor) -> bool:
+    """Whether maps can be resized faster than by torch: on the CPU, float32, no gradient."""
+    return maps.device.type == "cpu" and maps.dtype == torch.float32 and not maps.requires_grad
+
+
+def _enlarged(maps: Tensor, size: tuple[int, int]) -> Tensor:
+    """Maps (N,H,W) by OpenCV, which enlarges four to eight times faster: equal but for rounding."""
+    large = np.empty((len(maps), *size), dtype=np.float32)
+    for plane, target in zip(maps.numpy(), large, strict=True):
+        cv2.resize(plane, size[::-1], dst=target, interpolation=cv2.INTER_LINEAR)
+    return torch.from_numpy(large)
+
+
+def _averaged(maps: Tensor, size: tuple[int, int]) -> Tensor:
+    """Maps (N,H,W) averaged by matrix products, twice as fast: equal but for rounding."""
+    count, height, width = maps.shape
+    rows = maps.new_empty(count, size[0], width)
+    for band in averaging_bands(height, size[0], ROWS):
+        weights = band.weights.expand(count, -1, -1)
+        torch.bmm(weights, maps[:, band.before], out=rows[:, band.after])
+    averaged = maps.new_empty(count * size[0], size[1])
+    flat = rows.reshape(-1, width)
+    for band in averaging_bands(width, size[1], COLUMNS):
+        torch.mm(flat[:, band.before], band.weights.T, out=averaged[:, band.after])
+    return averaged.reshape(count, *size)
+
+
+class Band(NamedTuple):
+    """Some new pixels of a side, the old ones they are made of, and the weights (new,old)."""
+
+    after: slice
+    before: slice
+    weights: Tensor
+
+
+@lru_cache(maxsize=32)
+@torch.inference_mode(False)  # kept for callers in any mode
+def averaging_bands(before: int, after: int, old: int) -> tuple[Band, ...]:
+    """How a side of ``before`` pixels becomes one of ``after``; about ``old`` of them in a band.
+
+    Around the place of each new pixel lies a triangle two pixels wide, old or new ones, whichever
+    are wider, over its sum: Pillow's and torch's antialiased bilinear filter.
+    """
+    scale = before / after
+    reach = max(scale, 1.0)
+    most = max(1, round(old / scale))
+    bands = []
+    for start in range(0, after, most):
+        centre = (torch.arange(start, min(start + most, after), dtype=torch.float64) + 0.5) * scale
+        low = max(0, int(centre[0] - reach))
+        high = min(before, int(centre[-1] + reach) + 1)
+        away = (torch.arange(low, high) + 0.5 - centre[:, None]).abs()
+        triangle = (1 - away / reach).clamp_min(0)
+        weights = (triangle / triangle.sum(1, keepdim=True)).to(torch.float32)
+        bands.append(Band(slice(start, start + len(centre)), slice(low, high), weights))
+    return tuple(bands)
+
+
+def at_picture_size(cue: Tensor, size: tuple[int, int]) -> Tensor:
+    """A cue (…,H,W) at the picture's own size: values smoothly, labels and masks by pixels."""
+    if cue.is_floating_point():
+        return resized(cue, size)
+    found = cue.cpu().numpy()
+    if not found.any():
+        return cue.new_zeros((*cue.shape[:-2], *size))
+    rows, columns = (
+        np.arange(after) * before // after
+        for after, before in zip(size, cue.shape[-2:], strict=True)
+    )
+    # NumPy picks from labels and masks faster than torch; the fewer pixels go first.
+    steps = [(rows, -2), (columns, -1)]
+    for places, axis in steps if size[0] < cue.shape[-2] else reversed(steps):
+        found = found.take(places, axis)
+    return torch.from_numpy(found).to(cue.device)
+
+
+class FullSize(Mapping[str, Tensor]):
+    """Cues by name, each brought to the picture's own size when it is asked for.
+
+    A large picture has room for the maps that are wanted, not for all that were made.
+    analysed: the cues as they came.
+    """
+
+    def __init__(self, analysed: Mapping[str, Tensor], size: tuple[int, int]) -> None:
+        self.analysed = analysed
+        self._size = size
+
+    def __getitem__(self, name: str) -> Tensor:
+        """The cue (…,H,W) at full size; KeyError where there is none of that name."""
+        return at_picture_size(self.analysed[name], self._size)
+
+    def __iter__(self) -> Iterator[str]:
+        """The names of the cues."""
+        return iter(self.analysed)
+
+    def __len__(self) -> int:
+        """How many cues there are."""
+        return len(self.analysed)
+
+
+def at_working_size(
+    analyse: Callable[[Tensor], Mapping[str, Tensor]], image: Tensor, working: WorkingSize
+) -> FullSize:
+    """What ``analyse`` finds in an image (3,H,W) at its working size, brought back to full size."""
+    return FullSize(analyse(at_work(image, working)), (image.shape[-2], image.shape[-1]))

@@ -1,0 +1,1 @@
+"""Steps that say where road is: seed area, texture, priors, fusion, trust, ego car, steadying."""

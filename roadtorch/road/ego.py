@@ -1,0 +1,185 @@
+"""The ego car: pixels of the vehicle that carries the camera, never road and never seed.
+
+It is told by hand or by a camera's file (see ``Ego``). Before a detector looks at a picture, the
+ground above the ego car is continued over it, so that whatever is learned or counted at the
+bottom of the picture is ground.
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+import torch
+from pydantic import Field, field_validator
+from torch import Tensor
+
+from roadtorch.errors import ConfigError, InputError
+from roadtorch.imaging.comparison import above
+from roadtorch.io.image import read_image
+from roadtorch.runtime.image_cache import cached_per_image
+from roadtorch.settings import Settings
+
+LEAST_FREE = 0.1
+"""Share of the picture that an ego car must leave free."""
+
+STRIP = 0.08
+"""Share of the picture's side that is mirrored at most: near ground, never the sky above it."""
+
+CONFIDENT, LARGER = 0.6, 0.8
+"""Mean potential from which an ego car is one, and what is added for its share of the picture:
+lines near the lower edge are half believed, bonnets mostly not, and more ground lost by mistake
+needs more certainty."""
+
+SOLID = 0.6
+"""Share of the pixels below that must be ego car."""
+
+REMEDY = f"leave at least {LEAST_FREE:.0%} of the picture free"
+
+Row = Annotated[float, Field(ge=0, le=1)]
+
+
+class Ego(Settings):
+    """Where the ego car is in every picture, in up to three ways; what any of them says counts."""
+
+    bottom: float = Field(
+        default=0, ge=0, le=1 - LEAST_FREE, description="share of the height, at the bottom"
+    )
+    mask: str = Field(
+        default="", description="picture file of the same size as the pictures; black is no ego car"
+    )
+    outline: tuple[Row, ...] = Field(
+        default=(),
+        strict=False,
+        description="where it begins in equally wide columns: share of the height, 1 is nowhere",
+    )
+
+    @field_validator("outline")
+    @classmethod
+    def _leaves_something(cls, outline: tuple[float, ...]) -> tuple[float, ...]:
+        if outline and sum(outline) < LEAST_FREE * len(outline):
+            raise ValueError(f"{REMEDY}: these rows cover nearly all")
+        return outline
+
+
+def is_given(ego: Ego) -> bool:
+    """Whether the settings say that there is an ego car at all."""
+    return ego != Ego()
+
+
+def read_ego_mask(path: str) -> Tensor:
+    """The ego car bool (H,W) in a picture file: what is not black.
+
+    Raises InputError when it cannot be read, ConfigError when it covers nearly everything.
+    """
+    mask = read_image(Path(path)).amax(0) > 0
+    if float((~mask).double().mean()) < LEAST_FREE:
+        raise ConfigError(path, "covers nearly everything with ego car", REMEDY)
+    return mask
+
+
+@cached_per_image
+def ego_car(image: Tensor, ego: Ego, mask: Tensor | None = None) -> Tensor:
+    """The ego car bool (H,W) in an image (3,H,W), by all that the settings say.
+
+    mask: what ``read_ego_mask`` gave of the settings' file, for those who see many pictures; it
+    is read where it is not given. Raises InputError when the mask has another size than the
+    image, or when too little is free.
+    """
+    height, width = image.shape[-2:]
+    rows = (torch.arange(height, device=image.device) + 0.5) / height
+    car = (rows > 1 - ego.bottom)[:, None].expand(height, width)
+    if ego.outline:
+        car = car | (rows[:, None] > outline_rows(ego.outline, width).to(image.device))
+    if ego.mask:
+        mask = read_ego_mask(ego.mask) if mask is None else mask
+        if mask.shape != car.shape:
+            what = f"is {width}×{height} pixels, the ego mask {ego.mask} {_size(mask)}"
+            raise InputError("image", what, "give a mask of the pictures' size")
+        car = car | mask.to(image.device)
+    if float((~car).double().mean()) < LEAST_FREE:
+        raise InputError("image", "is covered nearly everywhere by the ego car", REMEDY)
+    return car
+
+
+def _size(mask: Tensor) -> str:
+    return f"{mask.shape[1]}×{mask.shape[0]}"
+
+
+def outline_rows(outline: tuple[float, ...], width: int) -> Tensor:
+    """Where the ego car begins in each of ``width`` columns: shares of the height (width,).
+
+    The outline's values hold in the middle of its equally wide columns; straight lines between.
+    """
+    values = torch.tensor(outline, dtype=torch.float32)
+    at = (torch.arange(width) + 0.5) / width * len(outline) - 0.5
+    at = at.clamp(0, len(outline) - 1)
+    left = at.floor().long()
+    right = (left + 1).clamp_max(len(outline) - 1)
+    return values[left].lerp(values[right], at - left)
+
+
+def is_anywhere(ego: Tensor) -> bool:
+    """Whether an ego car bool (H,W) has a pixel; torch takes thirty times as long for it."""
+    return bool(ego.cpu().numpy().any())
+
+
+# --- found in the picture ---------------------------------------------------------------
+
+
+def ego_found(potential: Tensor) -> Tensor:
+    """The ego car bool (H,W) by its potential (H,W) in [0,1]: what goes down to the lower edge.
+
+    In each column it begins at the first row from which on at least ``SOLID`` of all pixels
+    are likelier ego car than not: light on a bonnet leaves no hole in it, and a car ahead
+    is none. Nor is there one where next to nothing would be left free, or where it is
+    only half believed.
+    """
+    height = potential.shape[0]
+    ego = above(potential, 0.5)
+    if not is_anywhere(ego):
+        return ego
+    below = ego.flip(0).cumsum(0, dtype=torch.int32).flip(0)
+    left = torch.arange(height, 0, -1, device=ego.device)[:, None]
+    car = (ego & (below >= SOLID * left)).cumsum(0, dtype=torch.int32) > 0
+    share = float(car.sum()) / car.numel()
+    needed = CONFIDENT + LARGER * share
+    is_one = share <= 1 - LEAST_FREE and float(potential[car].mean()) >= needed
+    return car if is_one else torch.zeros_like(car)
+
+
+# --- ground in its place ----------------------------------------------------------------
+
+
+@cached_per_image
+def continued(maps: Tensor, ego: Tensor) -> Tensor:
+    """Maps (…,H,W) with the ego car bool (H,W) replaced by what lies above it; a new tensor.
+
+    Column by column, a strip just above the ego car is mirrored downwards, again and again.
+    What has nothing above (a mirror hung at the top) is continued from below, and columns
+    that are all ego car from beside. At least one pixel must be free.
+    """
+    found, left = maps.reshape(-1, *ego.shape), ego
+    for flipped, turned in ((False, False), (True, False), (False, True), (True, True)):
+        if not is_anywhere(left):
+            break
+        found, left = (part.mT if turned else part for part in (found, left))
+        found, left = (part.flip(-2) if flipped else part for part in (found, left))
+        found, left = _continued_down(found, left)
+        found, left = (part.flip(-2) if flipped else part for part in (found, left))
+        found, left = (part.mT if turned else part for part in (found, left))
+    return found.reshape(maps.shape).contiguous()
+
+
+def _continued_down(maps: Tensor, ego: Tensor) -> tuple[Tensor, Tensor]:
+    """Maps (C,H,W) continued downwards over ego (H,W), and the ego that has nothing above it."""
+    height = ego.shape[0]
+    row = torch.arange(height, device=ego.device)[:, None].expand_as(ego)
+    free = torch.where(ego, -1, row).cummax(0).values
+    car = torch.where(ego, row, -1).cummax(0).values
+    above = free.clamp_min(0)
+    run = (above - car.gather(0, above)).clamp(1, max(1, round(STRIP * height)))
+    step = (row - above - 1).clamp_min(0) % (2 * run)
+    step = torch.minimum(step, 2 * run - 1 - step)
+    source = torch.where(ego & (free >= 0), above - step, row)
+    place = source * ego.shape[1] + torch.arange(ego.shape[1], device=ego.device)
+    found = maps.reshape(len(maps), -1).index_select(1, place.reshape(-1))
+    return found.reshape(maps.shape), ego & (free < 0)

@@ -1,0 +1,185 @@
+"""Likelihoods of footage steadied over time: log odds carried along the motion of the picture.
+
+A detector looks at each frame by itself; its likelihood wavers with noise and light. What the
+frames before said about the same place of the street is carried there along dense flow and
+averaged with what this frame says, in log odds: recursive Bayes, with the past raised to a power
+so that all frames together count as one. A plain sum of log odds would take the same mistake of
+a detector, made frame by frame, for ever stronger evidence. (Ours; averaging carried estimates:
+Nilsson and Sminchisescu, Semantic Video Segmentation by Gated Recurrent Flow Propagation, CVPR
+2018; the weights: a Kalman filter of a constant whose memory fades.)
+
+Where the flow there and back does not agree, or the picture looks other than where it came from,
+the past is believed less, down to not at all: turns and the edges of cars stay sharp.
+
+An ego car stands still in the picture. What a frame alone takes for one, a shadow close to the
+camera for instance, hides nothing: there what was known before is carried on.
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from roadtorch.imaging.motion import FAST, carried, dense_flow, flow_picture, round_trip
+from roadtorch.road.fusion import log_odds
+from roadtorch.settings import Settings
+
+AROUND = 5  # pixels at the flow's size over which differences of the picture are averaged
+
+
+class SteadySettings(Settings):
+    """How much a frame is told by those before it."""
+
+    memory: float = Field(
+        default=8.0, ge=0, le=1000, description="frames that the past counts as at the most"
+    )
+    width: int = Field(
+        default=320, ge=32, le=4096, description="pixels: how wide pictures are for the flow"
+    )
+    miss: float = Field(
+        default=4.0, gt=0, le=100, description="pixels at that width by which a round trip may miss"
+    )
+    slack: float = Field(
+        default=0.2, ge=0, le=10, description="share of the motion by which it may miss besides"
+    )
+    contrast: float = Field(
+        default=0.2, gt=0, le=10, description="share of white by which a place may look different"
+    )
+    cut: float = Field(
+        default=0.25,
+        ge=0,
+        le=1,
+        description="share of the picture to be found again, else the scene was cut",
+    )
+    standing: float = Field(
+        default=30.0,
+        ge=1,
+        le=10_000,
+        description="frames, in half of which at the least an ego car is found at the same pixel",
+    )
+
+
+class Observation(NamedTuple):
+    """What one frame shows: grey uint8 (h,w), log odds (H,W), and what it hides, bool (H,W)."""
+
+    grey: Tensor
+    odds: Tensor
+    hidden: Tensor
+
+
+class Past(NamedTuple):
+    """What is known after a frame.
+
+    grey: the frame, uint8 (h,w). odds: log odds of road, float32 (H,W). frames: how many frames
+    they rest on, float32 (h,w).
+    """
+
+    grey: Tensor
+    odds: Tensor
+    frames: Tensor
+
+
+class Standing(NamedTuple):
+    """In what share of the last frames a pixel of the picture was hidden, (H,W), and their count.
+
+    What moves with the street stands nowhere for long.
+    """
+
+    share: Tensor
+    frames: float
+
+    @property
+    def hidden(self) -> Tensor:
+        """What an ego car hides, bool (H,W)."""
+        return self.share >= 0.5
+
+
+class Steady:
+    """The steadied likelihoods of one source, frame by frame, in their order."""
+
+    def __init__(self, settings: SteadySettings) -> None:
+        self.settings = settings
+        self._past: Past | None = None
+        self._standing: Standing | None = None
+
+    @property
+    def hidden(self) -> Tensor | None:
+        """What the ego car hides, as the frames so far agree: bool (H,W); None before the first."""
+        return None if self._standing is None else self._standing.hidden
+
+    def __call__(self, image: Tensor, likelihood: Tensor, hidden: Tensor | None = None) -> Tensor:
+        """The likelihood (H,W) of the next frame (3,H,W), both in [0,1], with what is known.
+
+        hidden: where the frame says nothing about the street, bool (H,W): the ego car as it was
+        found. Where the frames agree on it, the likelihood becomes 0. The first frame's stays as
+        it is; so does that of a frame of another size, which begins anew.
+        """
+        if hidden is None:
+            hidden = torch.zeros(likelihood.shape, dtype=torch.bool)
+        self._standing = stood(self._standing, hidden, self.settings.standing)
+        seen = Observation(
+            flow_picture(image, self.settings.width),
+            log_odds(likelihood),
+            hidden | self._standing.hidden,
+        )
+        self._past = recalled(self._past, seen, self.settings)
+        return self._past.odds.sigmoid().masked_fill(self._standing.hidden, 0.0)
+
+
+def stood(before: Standing | None, hidden: Tensor, most: float) -> Standing:
+    """What stands still in the picture after one more frame hides bool (H,W)."""
+    now = hidden.to(torch.float32)
+    if before is None or before.share.shape != now.shape:
+        return Standing(now, 1.0)
+    frames = min(before.frames + 1, most)
+    return Standing(before.share + (now - before.share) / frames, frames)
+
+
+def recalled(past: Past | None, seen: Observation, settings: SteadySettings) -> Past:
+    """What is known after a frame, from what was known before it."""
+    fresh = 1 - _small(seen.hidden.to(torch.float32), seen.grey)
+    begun = Past(seen.grey, seen.odds, fresh)
+    if past is None or past.odds.shape != seen.odds.shape or past.grey.shape != seen.grey.shape:
+        return begun
+    flow = dense_flow(seen.grey, past.grey, FAST)
+    belief = believed(past.grey, seen.grey, flow, settings)
+    if belief.mean() < settings.cut:
+        return begun
+    weight = carried(past.frames, flow).clamp_max(settings.memory) * belief
+    before = carried(past.odds, flow)
+    now = seen.odds.where(~seen.hidden, before)
+    return Past(seen.grey, blended(before, now, weight, fresh), weight + fresh)
+
+
+def _small(plane: Tensor, grey: Tensor) -> Tensor:
+    """A plane (H,W) at the size of the flow, averaged."""
+    height, width = grey.shape
+    return torch.from_numpy(
+        cv2.resize(plane.numpy(), (width, height), interpolation=cv2.INTER_AREA)
+    )
+
+
+def believed(before: Tensor, grey: Tensor, flow: Tensor, settings: SteadySettings) -> Tensor:
+    """How far the past can be believed, float32 (h,w) in [0,1], for a flow from ``grey`` to it.
+
+    before, grey: uint8 (h,w). 1 where the round trip closes and the place looks the same; outside
+    the picture before 0. Round trips may miss by more where motion is fast (Sundaram et al., ECCV
+    2010, eq. 5). A change of light all over the picture is no difference.
+    """
+    allowed = settings.miss + settings.slack * torch.hypot(flow[..., 0], flow[..., 1])
+    missed = round_trip(flow, dense_flow(before, grey, FAST)) / allowed
+    change = grey.to(torch.float32) - carried(before.to(torch.float32), flow)
+    change = np.abs((change - change.median()).numpy()) / 255
+    around = torch.from_numpy(cv2.blur(change, (AROUND, AROUND))) / settings.contrast
+    return (-(missed.square() + around.square())).exp()
+
+
+def blended(before: Tensor, now: Tensor, weight: Tensor, fresh: Tensor) -> Tensor:
+    """The mean of log odds (H,W) that count as so many frames: ``weight`` and ``fresh`` (h,w)."""
+    height, width = now.shape
+    share = (weight / (weight + fresh).clamp_min(1e-6)).numpy()
+    larger = cv2.resize(share, (width, height), interpolation=cv2.INTER_LINEAR)
+    return now + torch.from_numpy(larger) * (before - now)

@@ -1,0 +1,123 @@
+"""How far a mask can be trusted: the F it is expected to have, from what the detector knows. Ours.
+
+A good mask is the same at any threshold, is road throughout to the network as well, begins at a
+seed area that is, and goes on beyond it. The weights are a ridge regression of F on these
+signs over labelled pictures of many cameras (``train/choose_many.py trust``, which tells what they
+are worth on a camera that had no part).
+"""
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from roadtorch.imaging.comparison import above
+from roadtorch.settings import Settings
+
+
+class Signs(NamedTuple):
+    """What tells a good mask from a bad one; each from 0 to 1."""
+
+    steady: float
+    """Overlap (IoU) of what is road at a low and at a high threshold (``LOW_AND_HIGH``)."""
+    patchy: float
+    """Twice the deviation of the network's road inside the mask."""
+    seed: float
+    """Mean of the network's road in the seed area."""
+    vague: float
+    """Mean entropy of the likelihood, in bits."""
+    near: float
+    """Mean likelihood by distance from the seed area inside the mask: 1 is next to it."""
+
+
+LOW_AND_HIGH = (0.2, 0.8)
+
+WEIGHTS = Signs(0.41, -0.1, 0.45, -0.33, -0.23)
+"""Of the signs; ``CONSTANT`` is added."""
+
+CONSTANT = 0.288
+
+USUAL = Signs(0.78, 0.29, 0.97, 0.15, 0.48)
+"""The mean signs over the pictures on which the weights were chosen."""
+
+REASONS = (
+    "another threshold gives another mask",
+    "part of the mask does not look like road",
+    "the seed area looks like a vehicle, a wall or grass",
+    "much of the picture is neither road nor not",
+    "only what lies next to the seed area was found",
+)
+"""What is said when a sign is worse than usual, in the order of the signs."""
+
+
+class TrustSettings(Settings):
+    """When a mask is called doubtful."""
+
+    least: float = Field(
+        default=0.6, ge=0, le=1, description="expected F below which a mask is doubtful"
+    )
+
+
+class Judgement(NamedTuple):
+    """trust: the expected F of a mask, in [0,1]. doubt: why it is low, in words; else empty."""
+
+    trust: float
+    doubt: str
+
+
+def signs_of(likelihood: Tensor, mask: Tensor, found: Mapping[str, Tensor]) -> Signs:
+    """The signs of a mask bool (H,W) made of a likelihood (H,W) in [0,1].
+
+    found: the cues ``learned_road``, ``distance``, ``seed_area`` and ``ego``, all (H,W).
+    """
+    free, learned = ~found["ego"], found["learned_road"]
+    inside = weights_of(mask & free)
+    low, high = (
+        np.count_nonzero((above(likelihood, level) & free).cpu().numpy()) for level in LOW_AND_HIGH
+    )
+    mean = mean_over(learned, inside, 0.0)
+    return Signs(
+        high / max(low, 1),
+        2 * mean_over((learned - mean).square(), inside, 0.25) ** 0.5,
+        mean_over(learned, weights_of(found["seed_area"]), 0.0),
+        mean_over(entropy(likelihood), weights_of(free), math.nan),
+        mean_over(found["distance"], inside, 1.0),
+    )
+
+
+def weights_of(area: Tensor) -> Tensor:
+    """An area bool (H,W) as weights float32 (H·W,); by NumPy, which is five times as fast."""
+    return torch.from_numpy(area.cpu().numpy().astype(np.float32)).reshape(-1).to(area.device)
+
+
+def mean_over(values: Tensor, weights: Tensor, nowhere: float) -> float:
+    """Weighted mean of values float32 (H,W), weights (H·W,); ``nowhere`` where all are 0."""
+    size = float(weights.sum())
+    return float(values.reshape(-1).dot(weights)) / size if size else nowhere
+
+
+def entropy(likelihood: Tensor) -> Tensor:
+    """Entropy of likelihoods in [0,1], in bits: 0 where all is clear, 1 at 0.5."""
+    other = 1 - likelihood
+    tiny = torch.finfo(likelihood.dtype).tiny  # 0 log 0 is 0
+    information = likelihood * likelihood.clamp_min(tiny).log2_()
+    return information.add_(other * other.clamp_min(tiny).log2_()).neg_()
+
+
+def judgement(signs: Signs, road: bool, settings: TrustSettings) -> Judgement:
+    """What signs say of a mask; road: whether there is any in it.
+
+    The reason is the sign that lowers the expectation most, against what it usually is.
+    """
+    if not road:
+        return Judgement(0.0, "no road found")
+    expected = CONSTANT + sum(w * sign for w, sign in zip(WEIGHTS, signs, strict=True))
+    trust = min(1.0, max(0.0, expected))
+    if trust >= settings.least:
+        return Judgement(trust, "")
+    losses = [w * (sign - usual) for w, sign, usual in zip(WEIGHTS, signs, USUAL, strict=True)]
+    return Judgement(trust, REASONS[losses.index(min(losses))])

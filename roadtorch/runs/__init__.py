@@ -1,0 +1,1 @@
+"""Resumable runs over pictures and footage: engines, index, records."""

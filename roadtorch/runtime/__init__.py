@@ -1,0 +1,1 @@
+"""Around the computation: signals, plug-ins, work shared on one image, shipped configs."""

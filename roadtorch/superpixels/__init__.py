@@ -1,0 +1,1 @@
+"""Superpixels: SLIC, connectivity, statistics and features of segments."""

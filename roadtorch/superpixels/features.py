@@ -1,0 +1,158 @@
+"""What is measured of each superpixel, and how alike superpixels are.
+
+The layout labeller and the fused detector both learn, in one picture, what a class looks
+like from the segments that are believed to belong to it. This is the part they share.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from roadtorch.imaging.color import planes
+from roadtorch.runtime.image_cache import cached_per_image
+from roadtorch.settings import Settings
+from roadtorch.superpixels.statistics import borders, segment_mean, segment_size
+
+LIGHTNESS_SHARE = 0.3
+"""Weight of lightness against a and b in the contrast of a border: the edge of a shadow changes
+mostly lightness, that of a verge colour too."""
+
+UNLIKE = 160.0
+"""Squared distance of segments as unlike as can be: exp(-80) is no denormal number, which
+processors take long over."""
+
+RAREST = 1e-8
+"""The least density: a segment like no other keeps its prior."""
+
+
+class Bandwidths(Settings):
+    """How far two segments may be apart and still be alike: widths of Gaussian kernels."""
+
+    lightness: float = Field(default=0.135, gt=0, le=10, description="in L, L from 0 to 1")
+    chroma: float = Field(default=0.045, gt=0, le=10, description="in a and b, in units of L")
+    gradient: float = Field(
+        default=0.07, gt=0, le=10, description="in the mean gradient, L per pixel"
+    )
+    contrast: float = Field(default=0.09, gt=0, le=10, description="in the deviation of L inside")
+    row: float = Field(default=1.3, gt=0, le=100, description="in the picture's height")
+    column: float = Field(default=0.8, gt=0, le=100, description="in the picture's width")
+
+
+@dataclass(frozen=True)
+class Segments:
+    """The superpixels of one picture. n segments; places are shares of height and width."""
+
+    labels: Tensor
+    """int64 (H,W), 0…n-1."""
+    pixels: Tensor
+    """int64 (n,): how many each has."""
+    color: Tensor
+    """(3,n): mean L, a, b, each divided by 100."""
+    gradient: Tensor
+    """(n,): mean length of the gradient of L."""
+    contrast: Tensor
+    """(n,): standard deviation of L."""
+    row: Tensor
+    """(n,): centroid, 0 at the top edge, 1 at the bottom edge."""
+    column: Tensor
+    """(n,): centroid, 0 at the left edge, 1 at the right edge."""
+    size: Tensor
+    """(n,): share of the picture's pixels; sums to 1."""
+    pairs: Tensor
+    """int64 (2,E): segments that share a border, each pair once."""
+    contrast_between: Tensor
+    """(E,): mean of ``border_contrast`` along the border of each pair."""
+
+
+@cached_per_image
+def measure_segments(image: Tensor, labels: Tensor) -> Segments:
+    """Measure the segments ``labels`` (H,W) of an image (3,H,W) in [0,1]."""
+    height, width = labels.shape
+    count = int(labels.max()) + 1
+    lab = planes(image, ("L", "a", "b"))
+    rows = ((torch.arange(height).to(image) + 0.5) / height)[:, None].expand(height, width)
+    columns = ((torch.arange(width).to(image) + 0.5) / width).expand(height, width)
+    maps = [*lab, lab[0].square(), gradient_length(lab[0]), rows, columns]
+    pixels = segment_size(labels, count)
+    mean = segment_mean(maps, labels, pixels)
+    pairs, between = borders(labels, border_contrast(lab))
+    return Segments(
+        labels,
+        pixels,
+        color=mean[:3],
+        gradient=mean[4],
+        contrast=(mean[3] - mean[0].square()).clamp_min(0).sqrt(),
+        row=mean[5],
+        column=mean[6],
+        size=pixels.to(image) / labels.numel(),
+        pairs=pairs,
+        contrast_between=between,
+    )
+
+
+def border_contrast(lab: Tensor) -> Tensor:
+    """How much a pixel looks like a border, (H,W): gradient of Lab/100 (3,H,W), less noise.
+
+    The mean of 3×3 pixels goes first, against sensor noise; lightness counts by
+    ``LIGHTNESS_SHARE``.
+    """
+    weights = lab.new_tensor([LIGHTNESS_SHARE, 1, 1])[:, None, None]
+    return _difference_squares(mean_of_nine(lab * weights)).sum(0).sqrt_().div_(2)
+
+
+def mean_of_nine(planes: Tensor) -> Tensor:
+    """Means of 3×3 pixels of planes (C,H,W); the edge pixels are repeated beyond the edge."""
+    before = planes.cpu().numpy()
+    after = np.empty_like(before)
+    for plane, target in zip(before, after, strict=True):
+        cv2.blur(plane, (3, 3), dst=target, borderType=cv2.BORDER_REPLICATE)
+    return torch.from_numpy(after).to(planes.device)
+
+
+def gradient_length(planes: Tensor) -> Tensor:
+    """Length of the gradient of planes (…,H,W): central differences, 0 past the edge."""
+    return _difference_squares(planes).sqrt_().div_(2)
+
+
+def _difference_squares(planes: Tensor) -> Tensor:
+    """Of the pixels beside, and of those above and below: the sum of both differences squared."""
+    squares = torch.zeros_like(planes)
+    across = planes[..., 2:] - planes[..., :-2]
+    down = planes[..., 2:, :] - planes[..., :-2, :]
+    squares[..., 1:-1].addcmul_(across, across)
+    squares[..., 1:-1, :].addcmul_(down, down)
+    return squares
+
+
+def likeness(segments: Segments, bandwidths: Bandwidths) -> Tensor:
+    """(n,n) in [0,1]: product of Gaussian kernels over appearance and place, 1 for itself."""
+    scaled = [
+        segments.color[0] / bandwidths.lightness,
+        segments.color[1] / bandwidths.chroma,
+        segments.color[2] / bandwidths.chroma,
+        segments.gradient / bandwidths.gradient,
+        segments.contrast / bandwidths.contrast,
+        segments.row / bandwidths.row,
+        segments.column / bandwidths.column,
+    ]
+    points = torch.stack(scaled, 1)
+    half = points.square().sum(1) / 2
+    # xᵀy - |x|²/2 - |y|²/2 is -|x-y|²/2: one product, and no root that is squared again.
+    exponent = torch.addmm(-half[:, None] - half, points, points.T)
+    return exponent.clamp_(-UNLIKE / 2, 0).exp_()
+
+
+def class_log_density(alike: Tensor, posterior: Tensor, size: Tensor) -> Tensor:
+    """log p(segment | class), (n,C), by kernel density over the segments themselves.
+
+    alike: (n,n) from ``likeness``; posterior: (n,C), what each segment is believed to be;
+    size: (n,). A class with next to no support keeps a finite density.
+    """
+    support = posterior.T * size
+    # alike is symmetric; from the left, the product is three times as fast.
+    density = (support @ alike).div_(support.sum(1, keepdim=True).clamp_min_(1e-3))
+    return density.clamp_min_(RAREST).log_().T

@@ -1,0 +1,213 @@
+"""Colour planes against colorsys, OpenCV, scikit-image and their own definitions."""
+
+import itertools
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from skimage.color import rgb2lab
+
+from roadtorch.errors import ConfigError, InputError
+from roadtorch.imaging.color import PLANES, REPRESENTATIONS, plane, planes
+from tests.reference.color import planes_of_pixel
+
+CORNERS = list(itertools.product((0.0, 1.0), repeat=3))
+HALVES = list(itertools.product((0.0, 0.5, 1.0), repeat=3))
+UNIT = st.floats(0, 1, width=32)
+
+
+def image_of(colors: list[tuple[float, ...]]) -> torch.Tensor:
+    """One row of pixels, (3,1,n)."""
+    return torch.tensor(colors).T[:, None]
+
+
+def random_image(height: int = 40, width: int = 50, dtype: torch.dtype = torch.float32):
+    generator = torch.Generator().manual_seed(1)
+    return torch.rand(3, height, width, generator=generator, dtype=dtype)
+
+
+@pytest.fixture(scope="module")
+def colors() -> torch.Tensor:
+    """Random colours, every mixture of 0, 1/2 and 1, and nearly black ones."""
+    parts = [
+        random_image().flatten(1),
+        image_of(HALVES)[:, 0],
+        random_image(5, 5).flatten(1) * 1e-4,
+    ]
+    return torch.cat(parts, 1)[:, None]
+
+
+@pytest.mark.parametrize("name", planes_of_pixel(0, 0, 0))
+def test_planes_follow_their_definition_pixel_by_pixel(colors, name):
+    wanted = [planes_of_pixel(*pixel)[name] for pixel in colors[:, 0].T.double().tolist()]
+
+    assert plane(colors.double(), name)[0].tolist() == pytest.approx(wanted, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", PLANES)
+def test_single_precision_is_close_to_double(colors, name):
+    difference = (plane(colors, name).double() - plane(colors.double(), name)).abs()
+    if PLANES[name].circular:
+        difference = torch.minimum(difference, 1 - difference)
+
+    assert difference.max() < 3e-5  # the nearly black colours keep few digits
+
+
+def test_lab_agrees_with_scikit_image(colors):
+    wanted = rgb2lab(colors.double().permute(1, 2, 0).numpy()) / 100
+
+    found = planes(colors.double(), ("L", "a", "b")).permute(1, 2, 0).numpy()
+
+    # scikit-image divides by the tabulated white, of six digits
+    np.testing.assert_allclose(found, wanted, atol=1e-4)
+
+
+def test_hsv_agrees_with_opencv():
+    # not near black, where OpenCV adds a small number to its divisors
+    colors = torch.cat([random_image(30, 30).flatten(1)[:, None], image_of(HALVES)], 2)
+    wanted = cv2.cvtColor(colors.permute(1, 2, 0).contiguous().numpy(), cv2.COLOR_RGB2HSV)
+    wanted[..., 0] /= 360
+
+    found = planes(colors, ("H", "S", "V")).permute(1, 2, 0).numpy()
+
+    np.testing.assert_allclose(found, wanted, atol=5e-6)
+
+
+@pytest.mark.parametrize("name", PLANES)
+def test_values_keep_to_their_bounds_and_the_corners_reach_them(colors, name):
+    values = plane(torch.cat([colors, image_of(CORNERS)], 2), name)
+    low, high = PLANES[name].low, PLANES[name].high
+
+    assert values.min() >= low - 1e-6
+    assert values.max() <= high + 1e-6
+    if name != "H":
+        corners = plane(image_of(CORNERS), name)
+        assert corners.min() == pytest.approx(low, abs=1e-3)
+        assert corners.max() == pytest.approx(high, abs=1e-3)
+
+
+@given(st.tuples(UNIT, UNIT, UNIT))
+@settings(max_examples=300, deadline=None)
+def test_every_color_has_finite_planes_within_bounds(color):
+    found = planes(image_of([color]), tuple(PLANES)).flatten()
+
+    for value, (name, about) in zip(found.tolist(), PLANES.items(), strict=True):
+        assert about.low - 1e-6 <= value <= about.high + 1e-6, name
+
+
+@given(st.tuples(UNIT, UNIT, UNIT))
+@settings(max_examples=300, deadline=None)
+def test_hue_never_reaches_a_whole_turn(color):
+    assert 0 <= plane(image_of([color]), "H").item() < 1
+
+
+def test_a_hue_just_below_red_is_not_rounded_to_a_whole_turn():
+    assert plane(image_of([(1.0, 0.0, 1e-30)]), "H").item() == 0
+
+
+@given(UNIT)
+@settings(deadline=None)
+def test_grey_has_no_color(level):
+    pixel = image_of([(level, level, level)])
+
+    for name in ("O1", "O2", "a", "b", "H", "S"):
+        assert plane(pixel, name).item() == pytest.approx(0, abs=2e-6), name
+    for name in ("nr", "ng"):
+        assert plane(pixel, name).item() == pytest.approx(1 / 3, abs=1e-6), name
+    assert plane(pixel, "grey").item() == pytest.approx(level, abs=1e-6)
+
+
+def test_chromaticity_does_not_depend_on_brightness():
+    image = random_image()
+
+    for name in ("nr", "ng", "H", "S"):
+        torch.testing.assert_close(plane(image / 2, name), plane(image, name))
+
+
+def test_the_opponent_planes_are_a_rotation_of_rgb():
+    image = random_image()
+
+    opponent = planes(image, ("O1", "O2", "O3"))
+
+    torch.testing.assert_close(opponent.square().sum(0), image.square().sum(0))
+
+
+def test_lightness_runs_from_black_to_white():
+    lightness = plane(image_of([(v, v, v) for v in np.linspace(0, 1, 50).tolist()]), "L")[0]
+
+    assert (lightness.diff() > 0).all()
+    assert lightness[[0, -1]].tolist() == pytest.approx([0, 1], abs=1e-6)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_batches_and_dtypes_are_kept(dtype):
+    batch = torch.stack([random_image(dtype=dtype), random_image(dtype=dtype).flip(0)])
+
+    found = planes(batch, tuple(PLANES))
+
+    assert found.shape == (2, len(PLANES), 40, 50)
+    assert found.dtype == dtype
+    torch.testing.assert_close(found[1], planes(batch[1], tuple(PLANES)))
+
+
+def test_the_order_of_names_is_the_order_of_planes():
+    image = random_image()
+
+    found = planes(image, ("V", "a", "V"))
+
+    assert torch.equal(found[0], found[2])
+    assert torch.equal(found[1], plane(image, "a"))
+
+
+def test_the_image_is_not_changed():
+    image = random_image()
+    before = image.clone()
+
+    planes(image, tuple(PLANES))[:] = 0
+
+    assert torch.equal(image, before)
+
+
+def test_a_single_plane_is_no_view_of_the_image():
+    image = random_image()
+
+    plane(image, "R")[:] = 0
+
+    assert image[0].max() > 0
+
+
+def test_the_representations_are_thirteen_planes_and_six_combinations():
+    single = [names for names in REPRESENTATIONS.values() if len(names) == 1]
+
+    assert len(REPRESENTATIONS) == 19
+    assert len(single) == 13
+    assert REPRESENTATIONS["HS"] == ("H", "S")
+    assert {name for names in REPRESENTATIONS.values() for name in names} == (
+        set(PLANES) - {"O3", "grey"}
+    )
+
+
+def test_an_unknown_plane_names_the_nearest():
+    with pytest.raises(ConfigError, match=r"nrr: unknown plane .*nr"):
+        planes(random_image(), ("R", "nrr"))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("size", [(1, 1), (3, 5), (241, 323)])
+@pytest.mark.parametrize("name", ["nr", "ng", "O1", "O2", "a", "b", "H", "S"])
+def test_chromatic_planes_of_grey_pictures_are_constant_to_the_bit(name, size, dtype):
+    grey = torch.rand(1, *size, generator=torch.Generator().manual_seed(2), dtype=dtype)
+
+    values = plane(grey.expand(3, -1, -1).contiguous(), name)
+
+    expected = torch.tensor(1 / 3 if name in ("nr", "ng") else 0, dtype=dtype)
+    assert torch.equal(values, expected.expand(size))
+
+
+@pytest.mark.parametrize("shape", [(4, 20, 20), (20, 20, 3), (20, 20), (3,)])
+def test_only_images_of_three_channels_have_planes(shape):
+    with pytest.raises(InputError, match=r"image: has the shape .* \(give RGB as"):
+        planes(torch.zeros(shape), ["R", "S"])

@@ -1,0 +1,79 @@
+"""Dense motion: where pixels were, and what is carried along."""
+
+import numpy as np
+import pytest
+import torch
+
+from roadtorch.imaging.motion import EXACT, carried, dense_flow, flow_picture, round_trip
+from roadtorch.scenes.street import render_scene
+
+
+def everywhere(right: float, down: float, height: int = 40, width: int = 60) -> torch.Tensor:
+    return torch.tensor([right, down], dtype=torch.float32).expand(height, width, 2).contiguous()
+
+
+def test_values_come_from_where_the_flow_points() -> None:
+    plane = torch.arange(40 * 60, dtype=torch.float32).reshape(40, 60)
+
+    moved = carried(plane, everywhere(3, -2))
+
+    assert torch.equal(moved[2:, :-3], plane[:-2, 3:])
+
+
+def test_between_pixels_values_are_interpolated_and_outside_those_at_the_edge() -> None:
+    plane = torch.tensor([[0.0, 1.0, 4.0]]).repeat(3, 1)
+
+    moved = carried(plane, everywhere(0.5, 0, 3, 3))
+
+    assert torch.allclose(moved[1], torch.tensor([0.5, 2.5, 4.0]))
+
+
+def test_a_flow_of_another_size_moves_by_the_same_share_of_the_picture() -> None:
+    plane = torch.rand(80, 120, generator=torch.Generator().manual_seed(0))
+
+    moved = carried(plane, everywhere(2, 1))
+
+    assert torch.allclose(moved[:-2, :-4], plane[2:, 4:], atol=1e-6)
+
+
+def test_a_round_trip_closes_misses_or_leaves_the_picture() -> None:
+    there, back, off = everywhere(4, 0), everywhere(-4, 0), everywhere(-4, 3)
+
+    closed, missed = round_trip(there, back), round_trip(there, off)
+
+    assert (closed[:, :-4] == 0).all()
+    assert closed[:, -4:].isinf().all()
+    assert (missed[:, :-4] == 3).all()
+
+
+def test_the_flow_of_a_shifted_street_is_the_shift() -> None:
+    street = flow_picture(render_scene(1, 120, 160, noise=0.0).image, 160)
+    here, there = street[:, :-6].contiguous(), street[:, 6:].contiguous()
+
+    # What is at column x of ``here`` is at column x - 6 of ``there``.
+    flow = dense_flow(here, there, EXACT)
+
+    inner = flow[20:-20, 30:-30]
+    assert float(inner[..., 0].median()) == pytest.approx(-6, abs=0.1)
+    assert float(inner[..., 1].median()) == pytest.approx(0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("size", "wanted"),
+    [((270, 480), (135, 240)), ((33, 40), (33, 40)), ((16, 900), (32, 240)), ((16, 16), (32, 32))],
+)
+def test_small_pictures_keep_their_shape_and_enough_rows_for_the_flow(size, wanted) -> None:
+    image = torch.full((3, *size), 0.5)
+
+    grey = flow_picture(image, 240)
+
+    assert tuple(grey.shape) == wanted
+    assert grey.dtype == torch.uint8
+    assert set(np.unique(grey.numpy())) == {128}
+
+
+def test_pictures_too_small_for_the_flow_are_refused() -> None:
+    small = torch.zeros(20, 60, dtype=torch.uint8)
+
+    with pytest.raises(ValueError, match="32 pixels"):
+        dense_flow(small, small)

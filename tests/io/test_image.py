@@ -1,0 +1,485 @@
+"""Pictures in and out: what is read, what is refused, what is written."""
+
+import io
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+from torch import Tensor
+
+from roadtorch.errors import ConfigError, InputError
+from roadtorch.io.atomic import atomic
+from roadtorch.io.image import (
+    ORANGE,
+    as_image,
+    png_bytes,
+    read_image,
+    tint_mask,
+    write_colours,
+    write_labels,
+    write_map,
+    write_mask,
+    write_npy,
+    write_overlay,
+)
+
+# Every channel differs, and no turn or flip leaves it as it is.
+PIXELS = (np.arange(5 * 7 * 3).reshape(5, 7, 3) * 2).astype(np.uint8)
+
+
+def as_tensor(pixels: np.ndarray, levels: int = 255) -> Tensor:
+    return torch.from_numpy(pixels.astype(np.float32) / levels).permute(2, 0, 1)
+
+
+def save(path: Path, picture: Image.Image, **options: Any) -> Path:
+    picture.save(path, **options)
+    return path
+
+
+# --- reading ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("suffix", "options"),
+    [
+        (".png", {}),
+        (".bmp", {}),
+        (".tif", {}),
+        (".tif", {"compression": "tiff_lzw"}),
+        (".webp", {"lossless": True}),
+    ],
+)
+def test_lossless_formats_give_the_exact_pixels(
+    tmp_path: Path, suffix: str, options: dict[str, Any]
+) -> None:
+    path = save(tmp_path / f"a{suffix}", Image.fromarray(PIXELS), **options)
+
+    image = read_image(path)
+
+    assert image.dtype == torch.float32
+    assert image.is_contiguous()
+    assert torch.equal(image, as_tensor(PIXELS))
+
+
+def test_jpeg_is_close_and_rgb(tmp_path: Path) -> None:
+    plain = np.full((32, 48, 3), (200, 90, 20), np.uint8)
+    path = save(tmp_path / "a.jpg", Image.fromarray(plain), quality=95)
+
+    assert (read_image(path) - as_tensor(plain)).abs().max() < 3 / 255
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
+@pytest.mark.parametrize("kind", ["rgb", "grey"])
+def test_sixteen_bits_are_kept(tmp_path: Path, suffix: str, kind: str) -> None:
+    deep = PIXELS.astype(np.uint16) * 257 + 13
+    stored = deep if kind == "rgb" else deep[..., 0]
+    path = tmp_path / f"a{suffix}"
+    cv2.imwrite(str(path), stored[..., ::-1] if kind == "rgb" else stored)
+
+    expected = deep if kind == "rgb" else np.repeat(deep[..., :1], 3, axis=2)
+    torch.testing.assert_close(read_image(path), as_tensor(expected, 65535), rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".bmp", ".tif", ".jpg", ".webp"])
+def test_grey_becomes_three_equal_channels(tmp_path: Path, suffix: str) -> None:
+    grey = Image.fromarray(np.full((16, 16), 77, np.uint8))
+
+    image = read_image(save(tmp_path / f"a{suffix}", grey))
+
+    assert image.shape == (3, 16, 16)
+    torch.testing.assert_close(image, torch.full_like(image, 77 / 255), rtol=0, atol=1.5 / 255)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".bmp", ".tif"])
+@pytest.mark.parametrize("mode", ["P", "1", "L"])
+def test_palette_and_bits_look_as_pillow_shows_them(tmp_path: Path, suffix: str, mode: str) -> None:
+    picture = Image.fromarray(PIXELS).convert(mode)
+
+    image = read_image(save(tmp_path / f"a{suffix}", picture))
+
+    assert torch.equal(image, as_tensor(np.asarray(picture.convert("RGB"))))
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".webp"])
+def test_alpha_is_composited_over_black(tmp_path: Path, suffix: str) -> None:
+    alpha = np.zeros((5, 7, 1), np.uint8)
+    alpha[:, 3:] = 255
+    alpha[0] = 51
+    picture = Image.fromarray(np.concatenate([PIXELS, alpha], axis=2))
+    options = {"lossless": True, "exact": True} if suffix == ".webp" else {}
+
+    image = read_image(save(tmp_path / f"a{suffix}", picture, **options))
+
+    torch.testing.assert_close(image, as_tensor(PIXELS) * as_tensor(alpha))
+
+
+def test_grey_with_alpha_and_a_transparent_palette_are_composited(tmp_path: Path) -> None:
+    grey = Image.fromarray(np.full((4, 4), 100, np.uint8))
+    grey.putalpha(Image.fromarray(np.full((4, 4), 51, np.uint8)))
+    palette = Image.new("P", (4, 4), 1)
+    palette.putpalette([255, 255, 255, 10, 20, 30])
+
+    see_through = read_image(save(tmp_path / "a.png", grey))
+    nothing = read_image(save(tmp_path / "b.png", palette, transparency=1))
+
+    torch.testing.assert_close(see_through, torch.full((3, 4, 4), 100 / 255 * 0.2))
+    assert torch.equal(nothing, torch.zeros(3, 4, 4))
+
+
+TURNS = {  # EXIF 2.3, tag 274: what has to be done to the stored pixels
+    1: lambda a: a,
+    2: np.fliplr,
+    3: lambda a: np.rot90(a, 2),
+    4: np.flipud,
+    5: lambda a: a.swapaxes(0, 1),
+    6: lambda a: np.rot90(a, -1),
+    7: lambda a: np.rot90(a, 2).swapaxes(0, 1),
+    8: np.rot90,
+}
+
+
+@pytest.mark.parametrize("orientation", TURNS)
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".webp"])
+def test_exif_orientation_is_applied(tmp_path: Path, suffix: str, orientation: int) -> None:
+    exif = Image.Exif()
+    exif[274] = orientation
+    options = {
+        ".png": {"exif": exif},
+        ".webp": {"exif": exif, "lossless": True},
+        ".tif": {"tiffinfo": {274: orientation}},
+    }[suffix]
+    path = save(tmp_path / f"a{suffix}", Image.fromarray(PIXELS), **options)
+
+    assert torch.equal(read_image(path), as_tensor(TURNS[orientation](PIXELS)))
+
+
+@pytest.mark.parametrize("orientation", TURNS)
+def test_exif_orientation_of_jpeg_and_deep_tiff(tmp_path: Path, orientation: int) -> None:
+    blocks = np.kron(PIXELS[:2, :3], np.ones((16, 16, 1), np.uint8))
+    exif = Image.Exif()
+    exif[274] = orientation
+    jpeg = save(tmp_path / "a.jpg", Image.fromarray(blocks), exif=exif, quality=98, subsampling=0)
+    deep = tmp_path / "a.tif"
+    tags = [(274, 3, 1, orientation, True)]
+    tifffile.imwrite(deep, PIXELS.astype(np.uint16), photometric="rgb", extratags=tags)
+
+    turned = TURNS[orientation]
+    assert (read_image(jpeg) - as_tensor(turned(blocks))).abs().max() < 4 / 255
+    torch.testing.assert_close(read_image(deep), as_tensor(turned(PIXELS), 65535))
+
+
+def test_one_pixel_and_ten_thousand_by_eight_thousand_can_be_read(tmp_path: Path) -> None:
+    one = save(tmp_path / "one.png", Image.fromarray(PIXELS[:1, :1]))
+    large = save(tmp_path / "large.jpg", Image.new("L", (10_000, 8_000), 128))
+
+    assert read_image(one).shape == (3, 1, 1)
+    image = read_image(large)
+    assert image.shape == (3, 8_000, 10_000)
+    assert image[0, -1, -1] == pytest.approx(128 / 255)
+
+
+# --- files that cannot be read ------------------------------------------------------------
+
+
+def test_missing_folder_and_empty_files_are_told_apart(tmp_path: Path) -> None:
+    empty = tmp_path / "empty.jpg"
+    empty.touch()
+
+    for path, what in [
+        (tmp_path / "none.jpg", "does not exist"),
+        (tmp_path, "is a folder"),
+        (empty, "is empty"),
+    ]:
+        with pytest.raises(InputError) as caught:
+            read_image(path)
+        assert (caught.value.where, caught.value.what) == (str(path), what)
+
+
+@pytest.mark.parametrize("content", [b"hello, world\n" * 9, b"\xff\xd8", b"GIF89a" + bytes(50)])
+def test_what_is_no_picture_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "a.jpg"
+    path.write_bytes(content)
+
+    with pytest.raises(InputError, match=r"is not a picture|cannot be decoded"):
+        read_image(path)
+
+
+def noise(height: int = 64, width: int = 64) -> Image.Image:
+    draw = np.random.default_rng(0).integers(0, 255, (height, width, 3), np.uint8)
+    return Image.fromarray(draw)
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif", ".webp", ".bmp"])
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.99])
+def test_a_truncated_picture_is_refused(tmp_path: Path, suffix: str, share: float) -> None:
+    path = save(tmp_path / f"a{suffix}", noise())
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(len(whole) * share)])
+
+    with pytest.raises(InputError, match=r"cannot be decoded|is not a picture"):
+        read_image(path)
+
+
+def test_a_truncated_jpeg_with_a_whole_thumbnail_is_refused(tmp_path: Path) -> None:
+    thumbnail = io.BytesIO()
+    noise(16, 16).save(thumbnail, "JPEG")
+    marker = b"\xff\xe1" + (len(thumbnail.getvalue()) + 2).to_bytes(2, "big")
+    path = save(tmp_path / "a.jpg", noise())
+    whole = path.read_bytes()
+    with_thumbnail = whole[:2] + marker + thumbnail.getvalue() + whole[2:]
+
+    path.write_bytes(with_thumbnail)
+    assert read_image(path).shape == (3, 64, 64)
+    path.write_bytes(with_thumbnail[:-200])
+    with pytest.raises(InputError, match="truncated"):
+        read_image(path)
+
+
+def test_a_progressive_jpeg_and_bytes_behind_the_end_are_fine(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.jpg", noise(), progressive=True)
+    path.write_bytes(path.read_bytes() + b"camera maker's notes")
+
+    assert read_image(path).shape == (3, 64, 64)
+
+
+def test_a_png_with_a_flipped_bit_is_refused(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.png", noise())
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 4
+    path.write_bytes(data)
+
+    with pytest.raises(InputError, match="cannot be decoded"):
+        read_image(path)
+
+
+def test_floating_point_tiff_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, np.ones((16, 16), np.float32))
+
+    with pytest.raises(InputError, match="floating-point"):
+        read_image(path)
+
+
+def test_jpeg_takes_little_longer_than_opencv_alone(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.jpg", noise(720, 960), quality=90)
+
+    def seconds(read: Any) -> float:
+        start = time.perf_counter()
+        read()
+        return time.perf_counter() - start
+
+    pairs = [
+        (seconds(lambda: read_image(path)), seconds(lambda: cv2.imread(str(path))))
+        for _ in range(15)
+    ]
+    ours, theirs = (sorted(times)[2] for times in zip(*pairs, strict=True))
+    assert ours < 4 * theirs  # the rest is float32 and (3,H,W)
+
+
+# --- what programs have -------------------------------------------------------------------
+
+
+def test_arrays_tensors_pillow_images_and_paths_give_the_same_image(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.png", Image.fromarray(PIXELS))
+    wanted = as_tensor(PIXELS)
+
+    for picture in (path, str(path), Image.open(path), torch.from_numpy(PIXELS).permute(2, 0, 1)):
+        assert torch.equal(as_image(picture), wanted)
+    assert torch.equal(as_image(PIXELS, "rgb"), wanted)
+    assert torch.equal(as_image(np.asarray(cv2.imread(str(path))), "bgr"), wanted)
+    assert as_image(wanted) is wanted
+
+
+@pytest.mark.parametrize(
+    "mode", ["1", "L", "P", "LA", "PA", "RGBA", "CMYK", "YCbCr", "HSV", "I;16"]
+)
+def test_pillow_images_of_any_mode_are_converted(mode: str) -> None:
+    grey = Image.fromarray(np.full((20, 24), 51, np.uint8))
+    picture = (
+        Image.fromarray(np.full((20, 24), 51 * 257, np.uint16))
+        if mode == "I;16"
+        else grey.convert("RGB").convert(mode)
+    )
+
+    image = as_image(picture)
+
+    assert picture.mode == mode
+    assert image.shape == (3, 20, 24)
+    if mode not in ("1", "CMYK"):  # black and white only; inks
+        assert torch.allclose(image, torch.full((3, 20, 24), 0.2), atol=0.005)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_pillow_images_are_turned_upright_as_files_are(tmp_path: Path, orientation: int) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    path = save(tmp_path / "a.png", Image.fromarray(PIXELS), exif=exif)
+
+    with Image.open(path) as picture:
+        assert torch.equal(as_image(picture), read_image(path))
+
+
+def test_see_through_pixels_of_pillow_images_are_black_as_those_of_files_are(
+    tmp_path: Path,
+) -> None:
+    picture = Image.fromarray(np.dstack([PIXELS, np.full((5, 7), 128, np.uint8)]))
+
+    assert torch.equal(as_image(picture), read_image(save(tmp_path / "a.png", picture)))
+
+
+@pytest.mark.parametrize(
+    ("picture", "order", "what"),
+    [
+        (PIXELS, None, "whose order of colours is not told"),
+        (PIXELS.astype(np.float32) / 255, "rgb", "is an array of float32"),
+        (PIXELS.astype(np.uint16), "rgb", "is an array of uint16"),
+        (PIXELS[..., 0], "rgb", "shape (5, 7)"),
+        (PIXELS.transpose(2, 0, 1), "rgb", "shape (3, 5, 7)"),
+        (np.zeros((5, 7, 4), np.uint8), "bgr", "shape (5, 7, 4)"),
+        (as_tensor(PIXELS), "rgb", "order: is told for Tensor"),
+        ("a.png", "bgr", "order: is told for str"),
+        (Image.new("F", (20, 20)), None, "mode F has no agreed white"),
+        (Image.new("I", (20, 20)), None, "mode I has no agreed white"),
+        (Image.new("RGB", (20, 20)), "rgb", "order: is told for Image"),
+        (b"\x89PNG", None, "is bytes"),
+        (None, None, "is NoneType"),
+        ("missing.png", None, "does not exist"),
+    ],
+)
+def test_what_a_program_has_that_is_no_picture_is_refused(
+    picture: Any, order: Any, what: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        as_image(picture, order)
+
+    assert what in str(caught.value)
+
+
+def test_an_order_that_is_none_is_refused() -> None:
+    with pytest.raises(ConfigError, match="RGB: unknown order of colours"):
+        as_image(PIXELS, "RGB")  # type: ignore[arg-type]
+
+
+def test_a_pillow_image_that_cannot_be_decoded_is_refused(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.png", Image.fromarray(PIXELS.repeat(20, 0).repeat(20, 1)))
+    path.write_bytes(path.read_bytes()[:90])
+
+    with Image.open(path) as picture, pytest.raises(InputError, match="cannot be decoded"):
+        as_image(picture)
+
+
+@pytest.mark.parametrize(("longest", "size"), [(100, (7, 5)), (4, (4, 3))])
+def test_a_png_in_memory_is_no_larger_than_asked(longest: int, size: tuple[int, int]) -> None:
+    shown = Image.open(io.BytesIO(png_bytes(PIXELS, longest)))
+
+    assert shown.size == size
+    if size == (7, 5):
+        assert np.array_equal(np.array(shown), PIXELS)
+
+
+# --- writing ------------------------------------------------------------------------------
+
+
+def stored(path: Path) -> np.ndarray:
+    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert pixels is not None
+    return pixels
+
+
+def test_maps_are_rounded_to_the_nearest_level(tmp_path: Path) -> None:
+    likelihood = torch.tensor([[0, 1, 0.5], [0.25, 1 / 255 * 1.6, 1 / 65535 * 2.4]])
+
+    write_map(tmp_path / "8.png", likelihood)
+    write_map(tmp_path / "16.png", likelihood, depth=16)
+
+    assert stored(tmp_path / "8.png").tolist() == [[0, 255, 128], [64, 2, 0]]
+    deep = stored(tmp_path / "16.png")
+    assert deep.dtype == np.uint16
+    assert deep.tolist() == [[0, 65535, 32768], [16384, 411, 2]]
+
+
+@given(st.lists(st.floats(0, 1, width=32), min_size=1, max_size=40))
+def test_a_map_comes_back_within_half_a_level(values: list[float]) -> None:
+    likelihood = torch.tensor([values])
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.png"
+        write_map(path, likelihood, depth=16)
+        back = read_image(path)[0]
+
+    torch.testing.assert_close(back, likelihood, rtol=0, atol=0.5001 / 65535)
+
+
+def test_masks_labels_colours_and_arrays_keep_their_values(tmp_path: Path) -> None:
+    mask = torch.tensor([[True, False]])
+    labels = torch.tensor([[0, 2, 255]])
+    image = as_tensor(PIXELS)
+
+    write_mask(tmp_path / "mask.png", mask)
+    write_labels(tmp_path / "labels.png", labels)
+    write_colours(tmp_path / "image.png", image)
+    write_npy(tmp_path / "image.npy", image)
+
+    assert stored(tmp_path / "mask.png").tolist() == [[255, 0]]
+    assert stored(tmp_path / "labels.png").tolist() == [[0, 2, 255]]
+    assert torch.equal(read_image(tmp_path / "image.png"), image)
+    assert np.array_equal(np.load(tmp_path / "image.npy"), image.numpy())
+
+
+def test_labels_beyond_a_byte_are_refused_and_nothing_is_written(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="do not fit one byte"):
+        write_labels(tmp_path / "a.png", torch.tensor([[256]]))
+
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("grey", [0, 60, 128, 200, 255])
+def test_the_overlay_shows_on_any_grey_road(tmp_path: Path, grey: int) -> None:
+    pixels = np.full((240, 320, 3), grey, np.uint8)
+    mask = np.zeros((240, 320), bool)
+    mask[100:, 80:240] = True
+
+    shown = tint_mask(pixels, mask).astype(int)
+
+    assert (shown[~mask] == grey).all()  # the rest of the picture is left alone
+    assert np.abs(shown[200, 160] - grey).max() > 20  # the tint
+    assert shown[100, 160].tolist() == list(ORANGE)  # the outline
+    assert shown[239, 160].tolist() == shown[200, 160].tolist()  # none at the picture's rim
+
+
+def test_an_overlay_has_the_size_of_its_image(tmp_path: Path) -> None:
+    write_overlay(tmp_path / "a.jpg", as_tensor(PIXELS), torch.ones(5, 7, dtype=torch.bool))
+
+    assert stored(tmp_path / "a.jpg").shape == (5, 7, 3)
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+
+    def write_half() -> None:
+        with atomic(path) as temporary:
+            temporary.write_text("half of the n")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_half()
+
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.txt"]
+    assert path.read_text() == "old"
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    path = tmp_path / "file" / "a.png"
+
+    with pytest.raises(InputError, match=r"a\.png: cannot be written: Not a directory"):
+        write_mask(path, torch.ones(2, 2, dtype=torch.bool))

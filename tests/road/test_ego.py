@@ -1,0 +1,212 @@
+"""The ego car told by hand: where it is, what is refused, and the ground in its place."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor, nn
+
+from roadtorch.detector import Detector, DetectorSettings, Entry
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.errors import ConfigError, InputError
+from roadtorch.io.image import write_mask
+from roadtorch.road.ego import Ego, continued, ego_car, outline_rows
+from roadtorch.testing import check_detector
+from tests.streets import bonnet, scene
+
+SETTINGS = DetectorSettings
+
+
+def mask_file(path: Path, mask: Tensor) -> str:
+    write_mask(path, mask)
+    return str(path)
+
+
+# --- where it is ----------------------------------------------------------------------------
+
+
+def test_the_bottom_is_a_share_of_the_height() -> None:
+    car = ego_car(torch.zeros(3, 50, 20), Ego(bottom=0.16))
+
+    assert car.sum(0).tolist() == [8] * 20
+    assert car[-8:].all()
+
+
+def test_an_outline_is_straight_between_the_middles_of_its_columns() -> None:
+    assert outline_rows((0.5, 1.0), 4).tolist() == pytest.approx([0.5, 0.625, 0.875, 1.0])
+    assert outline_rows((0.7,), 3).tolist() == pytest.approx([0.7] * 3)
+
+
+def test_an_outline_of_one_is_no_ego_car() -> None:
+    assert not ego_car(torch.zeros(3, 40, 30), Ego(outline=(1.0, 1.0))).any()
+
+
+def test_what_any_of_the_three_says_counts(tmp_path: Path) -> None:
+    pillar = torch.zeros(40, 60, dtype=torch.bool)
+    pillar[:, :5] = True
+    file = mask_file(tmp_path / "ego.png", pillar)
+
+    car = ego_car(torch.zeros(3, 40, 60), Ego(bottom=0.1, outline=(1, 1, 1, 0.5), mask=file))
+
+    expected = pillar.clone()
+    expected[-4:] = True
+    expected[20:, -7:] = True  # the last column's middle, and right of it
+    assert (car | expected).equal(car)
+    assert not car[:36, 5:35].any()
+
+
+# --- what is refused ------------------------------------------------------------------------
+
+
+def test_a_mask_of_another_size_is_refused(tmp_path: Path) -> None:
+    file = mask_file(tmp_path / "ego.png", bonnet(30, 40))
+
+    with pytest.raises(InputError, match=r"image: is 80×60 pixels, the ego mask .*ego.png 40×30"):
+        ego_car(torch.zeros(3, 60, 80), Ego(mask=file))
+
+
+def test_a_mask_that_covers_everything_is_refused_when_the_detector_is_made(tmp_path: Path) -> None:
+    file = mask_file(tmp_path / "ego.png", torch.ones(30, 40, dtype=torch.bool))
+
+    with pytest.raises(ConfigError, match=r"ego\.png: covers nearly everything"):
+        load_detector("prior:rows", ego={"mask": file})
+
+
+def test_the_mask_is_read_once_for_all_pictures(tmp_path: Path) -> None:
+    file = mask_file(tmp_path / "ego.png", bonnet(30, 40))
+    detector = load_detector("prior:rows", ego={"mask": file})
+    Path(file).unlink()
+
+    for seed in range(2):
+        assert torch.equal(detector.detect(scene(seed, 30, 40).image).cues["ego"], bonnet(30, 40))
+
+
+def test_together_they_must_leave_something_free() -> None:
+    with pytest.raises(InputError, match="image: is covered nearly everywhere"):
+        ego_car(torch.zeros(3, 50, 50), Ego(bottom=0.85, outline=(0.0, 0.0, 0.0, 1.0, 1.0)))
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({"bottom": 0.95}, "ego.bottom: 0.95 was given"),
+        ({"outline": (0.01, 0.05)}, "ego.outline: .*leave at least 10% of the picture free"),
+        ({"outline": (0.5, 1.5)}, "ego.outline.1: 1.5 was given"),
+        ({"mask": "nowhere.png"}, "nowhere.png: does not exist"),
+    ],
+)
+def test_what_makes_no_sense_is_told(values: dict[str, Any], told: str) -> None:
+    with pytest.raises((ConfigError, InputError), match=told):
+        load_detector("prior:rows", ego=values)
+
+
+# --- ground in its place --------------------------------------------------------------------
+
+
+def slowly_continued(column: list[float], car: list[bool]) -> list[float]:
+    """One column whose top is free, pixel by pixel: a mirror that walks up and down its strip."""
+    strip = max(1, round(0.08 * len(column)))
+    made = list(column)
+    for row in range(len(column)):
+        if not car[row]:
+            continue
+        edge = row
+        while car[edge]:
+            edge -= 1
+        run = 1
+        while run < strip and edge - run >= 0 and not car[edge - run]:
+            run += 1
+        walk = [*range(run), *range(run - 1, -1, -1)]
+        made[row] = column[edge - walk[(row - edge - 1) % len(walk)]]
+    return made
+
+
+@given(st.lists(st.booleans(), min_size=20, max_size=40))
+def test_a_column_is_mirrored_again_and_again(car: list[bool]) -> None:
+    car = [False, *car]
+    column = [float(value) for value in range(len(car))]
+    maps = torch.tensor(column).view(1, -1, 1).expand(1, -1, 3)
+    ego = torch.tensor(car)[:, None].expand(-1, 3)
+
+    made = continued(maps, ego)
+
+    assert made[0, :, 1].tolist() == slowly_continued(column, car)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_free_pixels_stay_and_all_others_come_from_free_ones(seed: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    ego = torch.rand(12, 9, generator=generator) < 0.8
+    ego[int(torch.randint(12, (1,), generator=generator)), 4] = False
+    maps = torch.where(ego, -1.0, torch.rand(2, 12, 9, generator=generator))
+
+    made = continued(maps, ego)
+
+    assert (made >= 0).all()
+    assert made[:, ~ego].equal(maps[:, ~ego])
+
+
+# --- detectors ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["fusion", "cpf", "oneclass:kmeans:HS", "prior:rows"])
+def test_no_pixel_of_the_ego_car_changes_anything(name: str) -> None:
+    image = scene(3).image
+    car = bonnet(240, 320)
+    outline = tuple((~car).double().mean(0).tolist())
+    detector = load_detector(name, ego={"outline": outline}, threshold=0.0)
+    car = ego_car(image, detector.settings.ego)
+
+    one, other = (detector.detect(torch.where(car, paint, image)) for paint in (0.0, 1.0))
+
+    assert one.likelihood.equal(other.likelihood)
+    assert one.cues["ego"][car].all()  # a detector may see more of it
+    assert not one.mask[car].any()
+    assert not one.likelihood[car].any()
+    assert one.mask.any()
+
+
+def test_road_that_reaches_the_ego_car_is_not_isolated() -> None:
+    """Its seed area is hidden: only a little of the road touches what is left of the rectangle."""
+    image = scene(3).image
+    car = Ego(bottom=0.25)  # twice as high as the seed area
+
+    detection = load_detector("fusion", ego=car.model_dump()).detect(image)
+
+    assert detection.mask[150:175, 120:200].float().mean() > 0.9
+
+
+class Finder(nn.Module):
+    """Everything is road, and the left half is the ego car."""
+
+    def __init__(self, settings: DetectorSettings) -> None:
+        super().__init__()
+
+    def forward(self, image: Tensor) -> dict[str, Tensor]:
+        car = torch.zeros(image.shape[1:], dtype=torch.bool)
+        car[:, : image.shape[2] // 2] = True
+        return {"likelihood": torch.ones(image.shape[1:]), "ego": car}
+
+
+FINDER = Entry("finder", "finds the ego car itself", DetectorSettings, Finder)
+
+
+def test_an_ego_car_that_the_detector_finds_counts_as_well() -> None:
+    detection = Detector(FINDER, DetectorSettings(ego=Ego(bottom=0.5))).detect(
+        torch.rand(3, 20, 20)
+    )
+
+    expected = torch.zeros(20, 20, dtype=torch.bool)
+    expected[:, :10] = expected[10:] = True
+    assert detection.cues["ego"].equal(expected)
+    assert detection.mask.equal(~expected)
+    assert detection.likelihood.equal((~expected).float())
+    assert list(detection.cues) == ["ego"]
+
+
+@pytest.mark.parametrize("settings", [{}, {"ego": {"bottom": 0.3}}])
+def test_such_a_detector_keeps_the_contract(settings: dict[str, Any]) -> None:
+    check_detector(FINDER, **settings)

@@ -1,0 +1,95 @@
+"""Otsu's threshold: the best of all cuts, in the middle of a gap."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from skimage.filters import threshold_otsu
+
+from roadtorch.road.otsu import BINS, centred_odds, otsu_threshold
+from tests.reference import otsu as reference
+
+
+def clusters(*groups: tuple[float, float, int], seed: int = 0) -> torch.Tensor:
+    """Normal values by mean, deviation and number."""
+    at = torch.Generator().manual_seed(seed)
+    return torch.cat([torch.randn(many, generator=at) * wide + mean for mean, wide, many in groups])
+
+
+@given(st.lists(st.integers(-3 * BINS, 5 * BINS), min_size=2, max_size=40))
+def test_no_other_cut_parts_the_values_better(integers: list[int]) -> None:
+    values = torch.tensor([*integers, -400, 700]) / 100
+
+    found = float(otsu_threshold(values))
+
+    seen = reference.binned(values.double().numpy(), BINS)
+    best = reference.most_between(seen)
+    assert reference.between_classes(seen, found) == pytest.approx(best, rel=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_it_is_that_of_skimage_up_to_a_bin(seed: int) -> None:
+    values = clusters((-2, 0.8, 3000), (1.5, 1.2, 1000 * (seed + 1)), seed=seed)
+
+    found = float(otsu_threshold(values))
+
+    bin_width = float(values.max() - values.min()) / BINS
+    assert abs(found - threshold_otsu(values.numpy(), nbins=BINS)) <= bin_width
+
+
+@given(st.floats(-50, 50), st.floats(0.01, 50), st.integers(1, 99))
+def test_two_values_are_parted_in_the_middle_however_rare_one_is(
+    low: float, apart: float, many: int
+) -> None:
+    values = torch.tensor([low] * many + [low + apart] * (100 - many), dtype=torch.float64)
+
+    found = float(otsu_threshold(values))
+
+    assert found == pytest.approx(low + apart / 2, abs=apart / BINS)
+
+
+@given(st.floats(0.1, 10), st.floats(-10, 10))
+def test_it_goes_with_the_scale_and_the_shift_of_the_values(scale: float, shift: float) -> None:
+    values = clusters((0, 1, 400), (5, 1, 300)).double()
+
+    moved = float(otsu_threshold(values * scale + shift))
+
+    bin_width = scale * float(values.max() - values.min()) / BINS
+    assert moved == pytest.approx(float(otsu_threshold(values)) * scale + shift, abs=2 * bin_width)
+
+
+def test_between_two_gaps_that_are_as_good_it_is_in_one_of_them() -> None:
+    values = torch.tensor([-1.0, -1.0, -0.001, 0.001, 1.0, 1.0])
+
+    found = float(otsu_threshold(values))
+
+    assert 0.3 < abs(found) < 0.7
+
+
+@pytest.mark.parametrize("value", [-3.0, 0.0, 1e-30, 7.5])
+def test_of_equal_values_it_is_their_value(value: float) -> None:
+    found = otsu_threshold(torch.full((3, 4), value))
+
+    assert found.shape == ()
+    assert found == value
+
+
+@pytest.mark.parametrize("kind", [torch.float32, torch.float64])
+def test_the_shape_of_the_values_does_not_matter_and_their_type_stays(kind: torch.dtype) -> None:
+    values = clusters((0, 1, 60), (9, 1, 60)).to(kind)
+
+    found = otsu_threshold(values)
+
+    assert found.dtype == kind
+    assert torch.equal(found, otsu_threshold(values.flip(0).reshape(1, 10, 12)))
+    assert np.isfinite(float(found))
+
+
+@pytest.mark.parametrize("odd", [np.nan, np.inf, -np.inf])
+def test_of_values_that_are_not_finite_no_road_is_made(odd: float) -> None:
+    values = torch.tensor([0.0, 1.0, odd])
+
+    centred = centred_odds(values, 0.0, 0.25)
+
+    assert not centred.sum().isfinite()

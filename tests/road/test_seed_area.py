@@ -1,0 +1,148 @@
+"""The seed area, its segments, and the regions that touch it."""
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadtorch.road.seed_area import (
+    SeedArea,
+    likely_seed,
+    remove_isolated,
+    seed_area,
+    seed_rectangle,
+    seed_segments,
+)
+from roadtorch.superpixels.slic import squares
+
+SIDES = st.integers(16, 2000)
+
+
+def test_the_default_seed_area_is_that_of_the_paper():
+    assert seed_area(240, 320) == (slice(210, 240), slice(120, 200))
+
+
+def test_the_seed_area_scales_with_the_image():
+    assert seed_area(720, 960) == (slice(630, 720), slice(360, 600))
+
+
+@given(SIDES, SIDES, st.integers(1, 240), st.integers(1, 320))
+def test_the_seed_area_is_inside_not_empty_central_and_at_the_bottom(height, width, tall, wide):
+    rows, columns = seed_area(height, width, SeedArea(height=tall, width=wide))
+
+    assert 0 <= rows.start < rows.stop == height
+    assert 0 <= columns.start < columns.stop <= width
+    left, right = columns.start, width - columns.stop
+    assert 0 <= right - left <= 1
+
+
+def mask_of(*rows: str) -> torch.Tensor:
+    return torch.tensor([[pixel == "#" for pixel in row] for row in rows])
+
+
+BOTTOM = mask_of("......", "......", "......", "..##..")
+
+
+def test_only_regions_that_touch_the_seed_area_stay():
+    mask = mask_of("##....", "....##", "..#..#", "..##..")
+
+    kept = remove_isolated(mask, BOTTOM)
+
+    assert torch.equal(kept, mask_of("......", "......", "..#...", "..##.."))
+
+
+def test_regions_that_meet_at_a_corner_only_are_two():
+    mask = mask_of("......", "......", ".#....", "..#...")
+
+    assert remove_isolated(mask, BOTTOM).sum() == 1
+
+
+def test_several_regions_may_touch_the_seed_area():
+    mask = mask_of("......", "......", "......", "..#.##")
+    wide = mask_of("......", "......", "......", "######")
+
+    assert torch.equal(remove_isolated(mask, wide), mask)
+
+
+@pytest.mark.parametrize("mask", [mask_of("##", "..", "#."), torch.zeros(3, 2, dtype=torch.bool)])
+def test_without_a_region_at_the_seed_area_the_mask_stays_as_it_is(mask):
+    assert torch.equal(remove_isolated(mask, mask_of("..", "..", ".#")), mask)
+
+
+def test_the_mask_handed_in_is_not_changed():
+    mask = mask_of("##....", "......", "......", "..##..")
+    before = mask.clone()
+
+    remove_isolated(mask, BOTTOM)
+
+    assert torch.equal(mask, before)
+
+
+def test_segments_with_half_of_their_pixels_in_the_seed_area_are_road():
+    labels = squares(240, 320, 30)  # the seed area is rows 210…239 and columns 120…199
+
+    found = seed_segments(labels, seed_rectangle(labels.shape))
+
+    # Columns 120, 150 lie inside; of column 180, 20 of 30 pixels do.
+    assert found.tolist() == [7 * 11 + 4, 7 * 11 + 5, 7 * 11 + 6]
+    assert found.dtype == torch.int64
+
+
+def test_a_segment_mostly_outside_does_not_belong_to_the_seed_area():
+    labels = torch.zeros(240, 320, dtype=torch.int64)
+    labels[210:, 120:190] = 1
+    labels[100:, 190:] = 2
+
+    assert seed_segments(labels, seed_rectangle(labels.shape)).tolist() == [1]
+
+
+def test_without_a_segment_half_inside_the_one_that_fills_most_of_the_seed_area_is_taken():
+    labels = (torch.arange(320) >= 170).long().expand(240, 320)
+
+    assert seed_segments(labels, seed_rectangle(labels.shape)).tolist() == [0]  # 50 columns of 80
+
+
+@given(
+    st.integers(16, 60),
+    st.integers(16, 60),
+    st.integers(1, 70),
+    st.integers(1, 240),
+    st.integers(1, 320),
+)
+def test_there_is_always_a_seed_segment_and_each_is_in_the_seed_area(
+    height, width, size, tall, wide
+):
+    labels, seed = squares(height, width, size), SeedArea(height=tall, width=wide)
+
+    found = seed_segments(labels, seed_rectangle((height, width), seed))
+
+    assert len(found) >= 1
+    assert set(found.tolist()) <= set(labels[seed_area(height, width, seed)].flatten().tolist())
+
+
+def test_the_rectangle_as_a_map_is_the_same():
+    found = seed_rectangle((240, 320))
+
+    assert found[210:, 120:200].all()
+    assert found.sum() == 30 * 80
+
+
+def test_a_likely_seed_is_where_road_is_likeliest_and_as_large_as_asked_for():
+    evidence = torch.tensor([9.0, 1.0, 3.0, 2.0, -5.0])
+    row = torch.tensor([0.2, 0.8, 0.8, 0.8, 0.8])  # the first is in the upper half
+    size = torch.full((5,), 0.2)
+
+    assert likely_seed(evidence, row, size, 0.2).tolist() == [False, False, True, False, False]
+    assert likely_seed(evidence, row, size, 0.3).tolist() == [False, False, True, True, False]
+
+
+def test_of_two_places_as_likely_the_nearer_one_is_the_seed():
+    evidence, row = torch.zeros(2), torch.tensor([0.6, 0.9])
+
+    assert likely_seed(evidence, row, torch.tensor([0.1, 0.1]), 0.05).tolist() == [False, True]
+
+
+def test_where_all_is_in_the_upper_half_the_best_is_the_seed_all_the_same():
+    evidence, row = torch.tensor([0.0, 1.0]), torch.tensor([0.1, 0.1])
+
+    assert likely_seed(evidence, row, torch.tensor([0.5, 0.5]), 0.01).tolist() == [False, True]

@@ -1,0 +1,232 @@
+"""Colour plane fusion and uniformity, against their equations and slow twins."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roadtorch.imaging.color import planes
+from roadtorch.road.texture import (
+    TextureSettings,
+    fused_plane,
+    minimum_variance_weights,
+    quantise,
+    saturated,
+    uniformity,
+    uniformity_likelihood,
+    value_range,
+)
+from tests.reference import texture as reference
+
+
+def random(*size: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> torch.Tensor:
+    return torch.rand(*size, generator=torch.Generator().manual_seed(seed), dtype=dtype)
+
+
+def correlated_samples(count: int = 400, planes: int = 4, seed: int = 0) -> torch.Tensor:
+    """Samples (count, planes) with correlated planes of different variance."""
+    return random(count, planes, seed=seed) @ (random(planes, planes, seed=seed + 1) - 0.3)
+
+
+# Weights (P2 eq. 3)
+
+
+def test_weights_follow_equation_3():
+    samples = correlated_samples()
+
+    weights = minimum_variance_weights(samples, ridge=0)
+
+    expected = reference.minimum_variance_weights(samples.numpy())
+    np.testing.assert_allclose(weights.numpy(), expected, rtol=1e-6)
+
+
+def test_independent_planes_weigh_by_the_inverse_of_their_variance():
+    signs = torch.tensor([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], dtype=torch.float64)
+    samples = signs * torch.tensor([1.0, 2.0, 4.0])
+
+    weights = minimum_variance_weights(samples, ridge=0)
+
+    assert weights.tolist() == pytest.approx([16 / 21, 4 / 21, 1 / 21])
+
+
+def test_without_a_ridge_the_nine_planes_of_the_paper_fuse_to_nothing():
+    image = random(3, 24, 32, dtype=torch.float32)
+    stack = planes(image, TextureSettings().planes)
+    samples = stack[:, 16:].flatten(1).T
+
+    collapsed, kept = (
+        fused_plane(stack, minimum_variance_weights(samples, ridge)) for ridge in (0.0, 3e-3)
+    )
+
+    # (R - G - √2·O1) / -√2 has weights that sum to 1, and is 0 in every picture.
+    assert collapsed.std() < 1e-3
+    assert kept.std() > 10 * collapsed.std()
+
+
+@pytest.mark.parametrize("ridge", [0, 1e-8, 1e-3, 1, 1e6])
+@pytest.mark.parametrize("count", [1, 2, 5, 2400])
+def test_weights_sum_to_one_even_with_fewer_samples_than_planes(ridge, count):
+    weights = minimum_variance_weights(correlated_samples(count, 9), ridge)
+
+    assert weights.sum().item() == pytest.approx(1, abs=1e-6)
+
+
+@pytest.mark.parametrize("level", [0.0, 0.4, 1.0])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_constant_area_weighs_all_planes_alike(level, dtype):
+    samples = torch.full((2400, 9), level, dtype=dtype)
+
+    weights = minimum_variance_weights(samples, ridge=0.001)
+
+    assert weights.dtype == dtype
+    assert weights.tolist() == pytest.approx([1 / 9] * 9, abs=1e-4)
+
+
+@given(st.permutations(range(4)), st.integers(0, 50))
+@settings(max_examples=30, deadline=None)
+def test_weights_move_with_their_planes(order, seed):
+    samples = correlated_samples(60, 4, seed)
+
+    weights = minimum_variance_weights(samples, ridge=0.01)
+    shuffled = minimum_variance_weights(samples[:, list(order)], ridge=0.01)
+
+    torch.testing.assert_close(shuffled, weights[list(order)], rtol=1e-6, atol=1e-8)
+
+
+@given(st.integers(0, 200))
+@settings(max_examples=30, deadline=None)
+def test_no_single_plane_varies_less_than_their_fusion(seed):
+    samples = correlated_samples(100, 5, seed)
+
+    fused = samples @ minimum_variance_weights(samples, ridge=1e-10)
+
+    assert fused.var() <= samples.var(0).min() * (1 + 1e-6)
+
+
+def test_a_large_ridge_gives_the_mean_of_the_planes():
+    weights = minimum_variance_weights(correlated_samples(), ridge=1e6)
+
+    assert weights.tolist() == pytest.approx([0.25] * 4, abs=1e-4)
+
+
+def test_the_ridge_is_relative_so_that_contrast_does_not_matter():
+    samples = correlated_samples()
+
+    weights = minimum_variance_weights(samples, ridge=0.01)
+
+    torch.testing.assert_close(minimum_variance_weights(7 * samples, 0.01), weights)
+
+
+# Fused plane (P2 eq. 2)
+
+
+def test_the_fused_plane_is_the_weighted_sum():
+    planes, weights = random(3, 4, 5), torch.tensor([0.5, -1.0, 1.5], dtype=torch.float64)
+
+    fused = fused_plane(planes, weights)
+
+    np.testing.assert_allclose(fused, reference.fused(planes.numpy(), weights.numpy()))
+
+
+# Levels
+
+
+def test_levels_are_equal_steps_and_the_ends_take_what_lies_beyond():
+    values = torch.tensor([-9.0, 0.0, 0.24, 0.25, 0.6, 1.0, 9.0])
+
+    levels = quantise(values, 4, 0, 1)
+
+    assert levels.dtype == torch.int64
+    assert levels.tolist() == [0, 0, 0, 1, 2, 3, 3]
+
+
+@pytest.mark.parametrize("value", [-3.0, 0.0, 2.0])
+def test_an_empty_range_still_gives_valid_levels(value):
+    levels = quantise(torch.full((2, 2), value), 8, value, value)
+
+    assert levels.unique().tolist() == [0]
+
+
+def test_rounding_errors_are_no_texture():
+    flat = 0.3 + 1e-7 * random(20, 20, dtype=torch.float32)
+
+    levels = quantise(flat, 64, float(flat.min()), float(flat.max()))
+
+    assert levels.unique().tolist() == [0]
+
+
+def test_the_range_skips_the_tails_of_the_usable_pixels():
+    plane = torch.arange(1000.0).reshape(20, 50)
+    usable = plane < 500
+
+    assert value_range(plane, usable, 0) == (0, 499)
+    assert value_range(plane, usable, 0.01) == (5, 494)
+
+
+def test_the_range_of_one_or_no_usable_pixel_is_defined():
+    plane = torch.tensor([[3.0, 4.0]])
+
+    assert value_range(plane, torch.tensor([[False, True]]), 0.4) == (4, 4)
+    assert value_range(plane, torch.tensor([[False, False]]), 0.4) == (0, 1)
+
+
+# Uniformity (P2 eq. 1)
+
+
+@given(st.lists(st.integers(0, 7), min_size=1, max_size=60))
+def test_uniformity_follows_equation_1(levels):
+    histogram = torch.bincount(torch.tensor(levels), minlength=8).float()
+
+    expected = reference.uniformity_of_values(np.array(levels))
+    assert uniformity(histogram).item() == pytest.approx(expected, abs=1e-6)
+
+
+def test_uniformity_is_one_for_one_level_least_for_an_even_histogram_zero_for_none():
+    histograms = torch.tensor([[0.0, 9.0, 0.0, 0.0], [5.0, 5.0, 5.0, 5.0], [0.0, 0.0, 0.0, 0.0]])
+
+    assert uniformity(histograms).tolist() == [1, 0.25, 0]
+
+
+@given(st.permutations(range(6)))
+def test_uniformity_does_not_depend_on_which_levels(order):
+    histogram = torch.tensor([5.0, 0.0, 1.0, 7.0, 2.0, 2.0])
+
+    shuffled = uniformity(histogram[list(order)])
+
+    torch.testing.assert_close(shuffled, uniformity(histogram))
+
+
+def test_the_likelihood_of_uniformity_grows_and_is_one_half_at_the_given_value():
+    values = torch.linspace(0, 1, 101)
+
+    likelihood = uniformity_likelihood(values, 0.3)
+
+    assert (likelihood.diff() > 0).all()
+    assert likelihood[0] == 0
+    assert likelihood[30].item() == pytest.approx(0.5)
+    assert likelihood[-1] <= 1
+
+
+# Saturation (CPFv2)
+
+
+def test_a_pixel_is_saturated_when_one_channel_is_full_or_all_are_black():
+    pixels = {
+        "white": (1.0, 1.0, 1.0),
+        "one full": (0.99, 0.2, 0.1),
+        "black": (0.01, 0.0, 0.01),
+        "dark blue": (0.0, 0.0, 0.2),
+        "grey": (0.5, 0.5, 0.5),
+    }
+    image = torch.tensor(list(pixels.values())).T[:, None]
+
+    found = saturated(image, dark=0.02, bright=0.98)
+
+    assert dict(zip(pixels, found[0].tolist(), strict=True)) == {
+        "white": True,
+        "one full": True,
+        "black": True,
+        "dark blue": False,
+        "grey": False,
+    }
