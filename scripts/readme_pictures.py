@@ -14,8 +14,8 @@ from roadtorch import load_detector, read_image
 from roadtorch.detector import Detection, Detector
 from roadtorch.io.image import to_pixels
 from roadtorch.report.montage import TILE_WIDTH, captioned, cue_tiles, heat
-from roadtorch.scenes.drives import render_drive
 from roadtorch.sinks.video import VideoSink
+from train.rendered_drives import render_drive
 
 CHOSEN = ("udadv_test5.jpg", "mcubes_h07.jpg", "comma10k_0008.jpg", "cat_v11.jpg")
 """A motorway under trees, a street, a bonnet in view, a track: one of each recording."""

@@ -21,8 +21,8 @@ from roadtorch.evaluation.flicker import Changes, Followed, count_changes, flick
 from roadtorch.evaluation.metrics import Decisions, count_mask, f_measure
 from roadtorch.io.image import read_image
 from roadtorch.road.steady import Steady, SteadySettings
-from roadtorch.scenes.drives import render_drive
 from roadtorch.sources.footage import frame_places, read_frames
+from train.rendered_drives import render_drive
 
 CLIPS = (
     *("california_tree_shadows", "forest_road_shade"),

@@ -256,7 +256,7 @@ def prepare() -> None:
 
     import roadtorch.detectors.catalogue
     import roadtorch.evaluation.evaluate
-    import roadtorch.scenes.drives  # noqa: F401
+    import roadtorch.scenes.street  # noqa: F401
 
     torch.set_num_threads(1)
 

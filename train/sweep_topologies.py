@@ -41,7 +41,6 @@ from roadtorch.imaging.resize import resized
 from roadtorch.io.image import read_image
 from roadtorch.layout.labeller import LabellerSettings, label_layout, label_whole
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
-from roadtorch.layout.topologies import P2_TOPOLOGIES, on_grey
 from roadtorch.layout.weights import load_network, read_origin, save_network
 from roadtorch.runtime.signals import Stop
 from roadtorch.sources.pictures import find_images
@@ -52,6 +51,7 @@ from roadtorch.train.patch_study import train_patches
 from roadtorch.train.prepared import PreparedFolder
 from roadtorch.train.processes import Processes
 from roadtorch.train.recipe import PatchRecipe
+from train.topologies import P2_TOPOLOGIES, on_grey
 from train.topology_table import LABELLER, SIZES, Studied, write_table
 
 EPOCHS, BATCH, SITES_AROUND = 1, 32, 0

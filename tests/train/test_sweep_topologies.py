@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from roadtorch.layout.topologies import P2_TOPOLOGIES
 from roadtorch.train.config import PatchTraining
 from tests.streets import scene, write_camvid
 from tests.train.runs import PATCHES, write_config, write_streets
 from train import sweep_topologies
+from train.topologies import P2_TOPOLOGIES
 from train.topology_table import LABELLER, Studied, accuracy, best_of_patches, table
 
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
-from roadtorch.layout.topologies import P2_TOPOLOGIES, on_grey
+from train.topologies import P2_TOPOLOGIES, on_grey
 
 FAMILY = tuple(P2_TOPOLOGIES.values())
 

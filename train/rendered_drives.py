@@ -4,7 +4,7 @@ Everything has its place in the world (metres; x to the right, y ahead of where 
 the texture of the ground, lane marks, shadows, houses, trees, parked cars. One car drives ahead.
 The camera sways a little, the light wavers, and the sensor's noise is new in every frame.
 
-``python -m roadtorch.scenes.drives --out DIR --seed 0`` writes frames to look at.
+``python train/rendered_drives.py --out DIR --seed 0`` writes frames to look at.
 """
 
 import argparse

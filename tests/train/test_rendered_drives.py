@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from roadtorch.evaluation.flicker import count_changes, flicker, followed
-from roadtorch.scenes.drives import Bend, before_camera, render_drive
+from train.rendered_drives import Bend, before_camera, render_drive
 
 BENDS = [Bend(12.0, 25.0, 0.9, side) for side in (-1.0, 1.0)]
 
