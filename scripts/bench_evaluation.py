@@ -34,7 +34,7 @@ from roadtorch.evaluation.contenders import named_detector
 from roadtorch.evaluation.saved_tallies import SavedTallies
 from roadtorch.evaluation.scoring import score
 from roadtorch.evaluation.summary import summarise
-from roadtorch.installation.peak_memory import peak_mebibytes
+from roadtorch.runtime.memory import peak_mebibytes
 from roadtorch.scenes.street import render_scene, write_picture
 
 DETECTORS = ("prior:rows", "prior:triangle", "prior:uniform")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the scripts beside
 
-from roadtorch.installation.peak_memory import peak_mebibytes
+from roadtorch.runtime.memory import peak_mebibytes
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -26,7 +26,7 @@ from typing import NamedTuple
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from roadtorch.errors import RoadtorchError
-from roadtorch.installation.peak_memory import forget_peak, peak_mebibytes
+from roadtorch.runtime.memory import forget_peak, peak_mebibytes
 from scripts import fuzz_labels, fuzz_pictures, fuzz_results, fuzz_settings, fuzz_weights
 
 COUNT, SEED, SECONDS, GIGABYTES = 10_000, 0, 20.0, 2.0

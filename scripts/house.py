@@ -67,7 +67,7 @@ ROWS = (
     Row("runs", ("runs",)),
     Row("training", ("train",)),
     Row("correction", ("annotate",)),
-    Row("installation", ("installation",)),
+    Row("installation", ("doctor",)),
     Row("ways in", ("cli", "__main__", "__init__")),
 )
 """From top to bottom. A room that is not built yet may have its place."""

@@ -15,7 +15,7 @@ def doctor(context: click.Context, machine_readable: bool) -> None:
     F, time and memory. Paste what it prints into a report. The exit code is 1 when something is
     broken; what is only missing comes with the line that installs it.
     """
-    from roadtorch.installation.report import as_document, as_text, examine, is_well
+    from roadtorch.doctor import as_document, as_text, examine, is_well
 
     report = examine()
     text = json.dumps(as_document(report), indent=2) if machine_readable else as_text(report)

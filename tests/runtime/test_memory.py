@@ -5,9 +5,9 @@ import sys
 
 import pytest
 
-from roadtorch.installation.peak_memory import forget_peak, peak_mebibytes
+from roadtorch.runtime.memory import forget_peak, peak_mebibytes
 
-TOLD = "from roadtorch.installation.peak_memory import *; print(peak_mebibytes())"
+TOLD = "from roadtorch.runtime.memory import *; print(peak_mebibytes())"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a peak cannot be forgotten")
