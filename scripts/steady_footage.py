@@ -21,7 +21,7 @@ from roadtorch.evaluation.flicker import Changes, Followed, count_changes, flick
 from roadtorch.evaluation.metrics import Decisions, count_mask, f_measure
 from roadtorch.io.image import read_image
 from roadtorch.road.steady import Steady, SteadySettings
-from roadtorch.sources.footage import frame_places, read_frames
+from roadtorch.sources.open import frame_places, read_frames
 from train.rendered_drives import render_drive
 
 CLIPS = (

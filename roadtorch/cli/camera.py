@@ -39,7 +39,7 @@ def camera(footage: tuple[str, ...], out: Path, most: int) -> None:
     from roadtorch.camera.check_picture import check_picture
     from roadtorch.camera.footage import camera_of
     from roadtorch.io.image import write_jpeg
-    from roadtorch.sources.footage import frame_places, read_frames
+    from roadtorch.sources.open import frame_places, read_frames
 
     picture = out.with_suffix(".jpg")
     places = frame_places(footage, most)

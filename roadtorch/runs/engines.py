@@ -20,10 +20,10 @@ from roadtorch.runs.threads import Threads
 from roadtorch.runs.workers import rows_of_workers, usual_workers
 from roadtorch.runtime.memory import keep_freed_memory
 from roadtorch.sinks.remote_folder import RemoteFolder
+from roadtorch.sources.addresses import is_url
 from roadtorch.sources.frame import Selection, Source
 from roadtorch.sources.live import Patience
-from roadtorch.sources.open import Told, open_sources
-from roadtorch.sources.remote import is_url
+from roadtorch.sources.open import SourceOptions, open_sources
 
 
 def prepare(means: ComputeOptions) -> None:
@@ -137,7 +137,7 @@ def footage_of(inputs: Sequence[str], out: str, cut: FrameSelection) -> list[Sou
     if inputs and is_url(out):
         remedy = "give a folder of this machine, or pictures alone"
         raise ConfigError(f"--out {out}", "takes no results of footage", remedy)
-    told = Told(Path(out), Patience(answer=cut.patience), cut.topic)
+    told = SourceOptions(Path(out), Patience(answer=cut.patience), cut.topic)
     return open_sources(inputs, selection(cut), told)
 
 

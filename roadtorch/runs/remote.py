@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
@@ -15,26 +15,25 @@ from roadtorch.runs.index import INDEX
 from roadtorch.runs.results import CONFIG
 from roadtorch.sinks.remote_folder import RemoteFolder
 from roadtorch.sources.pictures import Picture, find_images
-from roadtorch.sources.remote import RemotePicture, find_remote, is_url, read_remote
 
 
 @dataclass(frozen=True)
 class RemoteJob:
     """A picture and the folder of its results, both behind URLs; see ``Job``."""
 
-    picture: RemotePicture
+    picture: Picture
     out: RemoteFolder
     suffixes: Mapping[str, str]
 
     @property
     def origin(self) -> str:
         """The URL of the picture."""
-        return self.picture.url
+        return str(self.picture.origin)
 
     @property
     def suffix(self) -> str:
         """How the picture's name ends."""
-        return PurePosixPath(self.picture.url).suffix
+        return self.picture.suffix
 
     @property
     def file(self) -> str:
@@ -53,30 +52,25 @@ class RemoteJob:
     def digest(self) -> str:
         """SHA-256 of the bytes of the picture; empty where it cannot be read."""
         with suppress(RoadtorchError):
-            return hashlib.sha256(read_remote(self.picture.url)).hexdigest()
+            return hashlib.sha256(self.picture.data()).hexdigest()
         return ""
 
 
 def plan_remote(
     inputs: Sequence[str], out: RemoteFolder, suffixes: Mapping[str, str]
 ) -> list[RemoteJob]:
-    """The jobs for URLs and paths, the latter as ``file://``; see ``batch.plan``.
+    """The jobs for URLs and paths; see ``batch.plan``.
 
     Raises ConfigError when two pictures share a result, InputError when nothing is found.
     """
     found: dict[str, RemoteJob] = {}
-    for given in inputs:
-        for picture in find_remote([given]) if is_url(given) else _on_disk(given):
-            other = found.setdefault(picture.name, RemoteJob(picture, out, suffixes))
-            if other.picture != picture:
-                what = f"both would write {out.shown(picture.name)}"
-                remedy = "rename one, or use two --out folders"
-                raise ConfigError(f"{other.origin} and {picture.url}", what, remedy)
+    for picture in find_images(inputs):
+        other = found.setdefault(picture.name, RemoteJob(picture, out, suffixes))
+        if other.picture != picture:
+            what = f"both would write {out.shown(picture.name)}"
+            remedy = "rename one, or use two --out folders"
+            raise ConfigError(f"{other.origin} and {picture.origin}", what, remedy)
     return list(found.values())
-
-
-def _on_disk(given: str) -> list[RemotePicture]:
-    return [RemotePicture(one.path.absolute().as_uri(), one.name) for one in find_images([given])]
 
 
 @dataclass(frozen=True)
@@ -89,7 +83,7 @@ class Fetched:
         """Make the results of one job; errors name its URL."""
         with TemporaryDirectory(prefix="roadtorch-") as scratch:
             picture = Path(scratch, "in", "picture" + job.suffix)
-            data = read_remote(job.picture.url)
+            data = job.picture.data()
             picture.parent.mkdir()
             picture.write_bytes(data)
             here = Job(Picture(picture, job.picture.name), Path(scratch, "out"), job.suffixes)

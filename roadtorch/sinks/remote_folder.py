@@ -7,7 +7,7 @@ from typing import Any
 
 from roadtorch.errors import InputError
 from roadtorch.io.atomic import LEFTOVER
-from roadtorch.sources.remote import file_system, told_of
+from roadtorch.sources.addresses import file_system, url_errors
 
 RENAMING = ("file", "local", "memory", "sftp", "ssh", "smb", "hdfs")
 """File systems that show a file while it is written, and rename at no cost. Those of object
@@ -26,7 +26,7 @@ class RemoteFolder:
         Raises InputError naming the file when it cannot be written.
         """
         system, path = self._at(name)
-        with told_of(self.shown(name)):
+        with url_errors(self.shown(name)):
             system.makedirs(posixpath.dirname(path), exist_ok=True)
             if not _renames(system):
                 system.pipe_file(path, data)
@@ -40,13 +40,13 @@ class RemoteFolder:
     def read(self, name: str) -> bytes | None:
         """The bytes of a file; None where there is none. InputError when it cannot be read."""
         system, path = self._at(name)
-        with told_of(self.shown(name)):
+        with url_errors(self.shown(name)):
             return system.cat_file(path) if system.exists(path) else None
 
     def has(self, name: str) -> bool:
         """Whether there is such a file."""
         system, path = self._at(name)
-        with told_of(self.shown(name)):
+        with url_errors(self.shown(name)):
             return system.isfile(path)
 
     def tidy(self) -> None:
@@ -54,7 +54,7 @@ class RemoteFolder:
         system, path = self._at("")
         if not _renames(system):
             return
-        with told_of(self.url):
+        with url_errors(self.url):
             for file in system.find(path):
                 if LEFTOVER.fullmatch(posixpath.basename(file)):
                     system.rm_file(file)

@@ -1,11 +1,17 @@
-"""Pictures in archives and behind fsspec URLs, each read when its turn comes.
+"""Pictures in archives, each read when its turn comes, in any order and from any thread.
 
-``pictures.zip``, ``pictures.tar.gz``, ``zip://left/*.png::pictures.zip``, ``memory://folder``,
-``file:///data/pictures.tar``, and whatever else fsspec has a file system for.
+``pictures.zip``, ``pictures.tar.gz``, ``zip://left/*.png::pictures.zip``,
+``file:///data/pictures.tar``, and wherever else fsspec has a file system for.
 """
 
+import bz2
+import gzip
+import io
+import lzma
 import posixpath
 import re
+import tarfile
+import threading
 import weakref
 import zipfile
 from collections.abc import Callable, Generator, Iterator
@@ -14,33 +20,38 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
-from typing import IO, Any
+from tempfile import TemporaryFile
+from typing import IO
 
-import fsspec
-import fsspec.core
 from torch import Tensor
 
-from roadtorch.errors import InputError, unknown_name
+from roadtorch.errors import InputError
 from roadtorch.io.bounded import MOST_BYTES, printable, reason
 from roadtorch.io.image import READABLE, decode_image
+from roadtorch.sources.addresses import STREAMS, file_system, is_url, scheme_of
 from roadtorch.sources.frame import Frame, Selection, Source
-from roadtorch.sources.pictures import names_picture
-from roadtorch.sources.tarballs import tar_members
+from roadtorch.sources.pictures import names_picture, picture_source
 from roadtorch.sources.video import VIDEO_SUFFIXES
 
 ZIPS = (".zip",)
 TARS = (".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tbz2", ".tar.xz", ".txz")
 
-STREAMS = ("http", "https", "rtsp", "rtsps", "rtmp", "rtmps", "rtp", "srt", "tcp", "udp", "mms")
-"""Schemes of URLs that are read as video streams."""
+COMPRESSED = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\x00": lzma.open}
+"""How packed tars are opened, by their first bytes."""
+
+CHUNK = 2**16  # bytes that are unpacked at once
+
+MAX_GROWTH = 100
+"""Of a compressed tar, times its size, if that is more than ``MOST_BYTES``; ours: pictures hardly
+shrink, while zeros shrink a thousandfold."""
 
 REPACK = "pack it again, or unpack it and give the folder"
 
 
 @dataclass(frozen=True)
 class Member:
-    """A file in an archive or folder: its name there, what messages call it, its size as declared,
-    and a way to its bytes.
+    """A file in an archive: its name there, what messages call it, its size as declared, and a
+    way to its bytes.
     """
 
     name: str
@@ -49,55 +60,52 @@ class Member:
     read: Callable[[], bytes]
 
 
-@dataclass(frozen=True)
-class Place:
-    """Where members are: ``url`` of a ``zip``, a ``tar`` or a ``folder``, and which are meant.
-
-    inside: a member, a folder of members or a glob; everything where it is empty.
-    """
-
-    kind: str
-    url: str
-    inside: str
-
-
 def is_archive(given: str) -> bool:
-    """Whether it is a zip or tar file of this machine."""
-    return not _scheme(given) and _archive_kind(given) != ""
+    """Whether it is a zip or tar file, of this machine or behind a URL, or names members of one."""
+    return _kind(given) != ""
 
 
-def is_remote(given: str) -> bool:
-    """Whether ``archive_source`` reads it: a zip or tar file, or a URL that is no video stream."""
-    scheme = _scheme(given)
-    return scheme not in STREAMS if scheme else _archive_kind(given) != ""
+def _kind(given: str) -> str:
+    scheme = scheme_of(given)
+    if scheme in ("zip", "tar") or scheme in STREAMS:
+        return "" if scheme in STREAMS else scheme
+    name = given.partition("::")[0].lower()
+    return "zip" if name.endswith(ZIPS) else "tar" if name.endswith(TARS) else ""
 
 
 def archive_source(given: str, selection: Selection = Selection()) -> Source:  # noqa: B008
-    """The pictures in an archive, or behind a URL, sorted by name.
+    """The pictures in an archive, or behind another URL, sorted by name.
 
-    Each frame reads its member alone, in any thread, also when the iterator is closed; the archive
-    is closed when nobody holds a frame of it. Frames are named ``archive.zip!a/b.png``. Raises
-    InputError for what cannot be opened or holds no pictures, ConfigError for an unknown scheme. A
-    cut tar gives what it has, then InputError; a member that cannot be read raises in ``read``.
+    ``zip://INSIDE::ARCHIVE`` means a member, a folder of members or a glob. Each frame reads its
+    member alone, in any thread, also when the iterator is closed; the archive is closed when
+    nobody holds a frame of it. Frames are named ``archive.zip!a/b.png``. Raises InputError for
+    what cannot be opened or holds no pictures, ConfigError for an unknown scheme. A cut tar gives
+    what it has, then InputError; a member that cannot be read raises in ``read``.
     """
-    place = _place(given)
-    stem = posixpath.basename(place.url.rstrip("/")) or place.kind
-    return Source(
-        name=re.sub(r"(\.tar)?\.\w+$", "", stem) or stem,
-        origin=given,
-        moving=False,
-        frames=partial(_frames, given, place, selection),
-    )
+    if not is_archive(given):
+        return picture_source(given, selection)
+    url, inside = given, ""
+    if scheme_of(given) in ("zip", "tar"):
+        named, _, url = given.partition("::")
+        inside = named.partition("://")[2]
+        if not url:
+            remedy = f"write {scheme_of(given)}://MEMBER::ARCHIVE"
+            raise InputError(given, "names no archive", remedy)
+    if is_url(url):
+        file_system(url)
+
+    def frames() -> Iterator[Frame]:
+        with closing(_every_frame(given, url, inside)) as every:
+            yield from selection.of(every)
+
+    stem = posixpath.basename(url.rstrip("/"))
+    name = re.sub(r"(\.tar)?\.\w+$", "", stem) or stem or _kind(given)
+    return Source(name=name, origin=given, moving=False, frames=frames)
 
 
-def _frames(given: str, place: Place, selection: Selection) -> Iterator[Frame]:
-    with closing(_every_frame(given, place)) as every:
-        yield from selection.of(every)
-
-
-def _every_frame(given: str, place: Place) -> Generator[Frame]:
-    members, problem = _members(given, place)
-    wanted = [member for member in members if is_meant(member.name, place.inside)]
+def _every_frame(given: str, url: str, inside: str) -> Generator[Frame]:
+    members, problem = _members(given, url)
+    wanted = [member for member in members if is_meant(member.name, inside)]
     pictures = [member for member in wanted if _is_shown(member.name)]
     if not any(names_picture(posixpath.basename(member.name)) for member in pictures):
         if problem is not None:
@@ -144,94 +152,32 @@ def _is_shown(name: str) -> bool:
     return names_picture(parts[-1]) or parts[-1].lower().endswith(VIDEO_SUFFIXES)
 
 
-# --- places -----------------------------------------------------------------------------
-
-
-def _place(given: str) -> Place:
-    scheme = _scheme(given)
-    if scheme in ("zip", "tar"):
-        inside, _, url = given.partition("::")
-        if not url:
-            remedy = f"write {scheme}://MEMBER::ARCHIVE"
-            raise InputError(given, "names no archive", remedy)
-        return Place(scheme, url, inside.partition("://")[2])
-    if scheme and scheme not in fsspec.available_protocols():
-        raise unknown_name("kind of URL", scheme, fsspec.available_protocols())
-    return Place(_archive_kind(given) or "folder", given, "")
-
-
-def _scheme(given: str) -> str:
-    found = re.match(r"([A-Za-z][\w+.-]*)://", given)
-    return found[1].lower() if found else ""
-
-
-def _archive_kind(given: str) -> str:
-    name = given.partition("::")[0].lower()
-    return "zip" if name.endswith(ZIPS) else "tar" if name.endswith(TARS) else ""
-
-
 # --- members ----------------------------------------------------------------------------
 
 
-def _members(given: str, place: Place) -> tuple[list[Member], InputError | None]:
-    """The members of a place, and the error behind them where it ends before its end."""
+def _members(given: str, url: str) -> tuple[list[Member], InputError | None]:
+    """The members of an archive, and the error behind them where it ends before its end."""
     try:
-        if place.kind == "folder":
-            return _folder_members(place.url), None
-        file = _opened(place.url)
-        if place.kind == "zip":
-            return _zip_members(file, place.url), None
-        found, problem = tar_members(file)
+        file = _opened(url)
+        if _kind(given) == "zip":
+            return _zip_members(file, url), None
+        found, problem = _tar_members(file, url)
     except FileNotFoundError:
         raise InputError(given, "does not exist", "check the name") from None
-    except InputError:
-        raise
     except Exception as problem:  # file systems of others raise anything
         what = f"cannot be read: {reason(problem)}"
         raise InputError(given, what, "check that it is whole, and that you may read it") from None
-    members = [_member(place.url, piece.name, piece.size, piece.read) for piece in found]
-    return members, InputError(given, f"ends early: {problem}", REPACK) if problem else None
-
-
-def _member(archive: str, name: str, size: int, read: Callable[[], bytes]) -> Member:
-    return Member(name, f"{archive}!{name}", size, read)
+    return found, InputError(given, f"ends early: {problem}", REPACK) if problem else None
 
 
 def _opened(url: str) -> IO[bytes]:
     """A file to seek in; OSError for what is no file."""
-    if _scheme(url) or "::" in url:
-        system, path = fsspec.core.url_to_fs(url)
+    if is_url(url):
+        system, path = file_system(url)
         return system.open(path, "rb")
     if not Path(url).is_file() and Path(url).exists():
         raise OSError("it is a folder, a pipe or a device, not a file")
     return Path(url).open("rb")
-
-
-def _folder_members(url: str) -> list[Member]:
-    """The files below a folder of any file system, or the one file, or those that fit a glob."""
-    system, path = fsspec.core.url_to_fs(url)
-    if system.isdir(path):
-        found = system.find(path, detail=True)
-        below = len(path.rstrip("/")) + 1
-    else:
-        found = system.glob(path, detail=True) if "*" in path else {path: system.info(path)}
-        below = path.partition("*")[0].rfind("/") + 1
-    protocol = url.partition("://")[0]
-    return [
-        Member(
-            name[below:],
-            f"{protocol}://{name}",
-            info["size"] or 0,
-            partial(_read_file, system, name),
-        )
-        for name, info in found.items()
-        if info["type"] == "file"
-    ]
-
-
-def _read_file(system: Any, path: str) -> bytes:
-    with system.open(path, "rb") as file:
-        return file.read(MOST_BYTES + 1)
 
 
 def _zip_members(file: IO[bytes], url: str) -> list[Member]:
@@ -241,18 +187,79 @@ def _zip_members(file: IO[bytes], url: str) -> list[Member]:
         file.close()
         raise
     weakref.finalize(archive, file.close)  # with the last frame that may be read
+
+    def read(info: zipfile.ZipInfo) -> bytes:
+        if info.flag_bits & 0x1:  # APPNOTE.TXT 4.4.4, bit 0
+            raise PermissionError("it is encrypted")
+        with archive.open(info) as member:
+            return member.read(MOST_BYTES + 1)
+
     return [
-        _member(url, info.filename, info.file_size, partial(_read_zipped, archive, info))
+        Member(info.filename, f"{url}!{info.filename}", info.file_size, partial(read, info))
         for info in {info.filename: info for info in archive.infolist()}.values()
         if not info.is_dir()
     ]
 
 
-def _read_zipped(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
-    if info.flag_bits & 0x1:  # APPNOTE.TXT 4.4.4, bit 0
-        raise PermissionError("it is encrypted")
-    with archive.open(info) as file:
-        return file.read(MOST_BYTES + 1)
+class Unpacked:
+    """A file that several threads read pieces of; it is closed with the last one who holds it."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self._lock = threading.Lock()
+        weakref.finalize(self, file.close)
+
+    def piece(self, start: int, size: int) -> bytes:
+        """So many bytes from there; OSError where there are fewer."""
+        with self._lock:
+            self._file.seek(start)
+            data = self._file.read(size)
+        if len(data) < size:
+            raise OSError("it is cut off")
+        return data
+
+
+def _tar_members(file: IO[bytes], url: str) -> tuple[list[Member], str]:
+    """The regular files in a tar, of equal names the last, and why it ends early, or nothing.
+
+    A plain tar is read where it lies. A compressed one cannot be read in any order: it is
+    unpacked into a file without a name first. Raises tarfile.TarError for what is no tar.
+    """
+    head, problem = file.read(6), ""
+    size = file.seek(0, io.SEEK_END)
+    file.seek(0)
+    for magic, opened in COMPRESSED.items():
+        if head.startswith(magic):
+            with closing(file), opened(file) as packed:
+                file, problem = _unpacked(packed, max(MOST_BYTES, MAX_GROWTH * size))
+            file.seek(0)
+            break
+    unpacked, found = Unpacked(file), {}
+    archive = tarfile.open(fileobj=file, mode="r:")  # noqa: SIM115  # holds nothing
+    try:
+        for info in archive:
+            if info.isreg() and not info.issparse():
+                read = partial(unpacked.piece, info.offset_data, min(info.size, MOST_BYTES + 1))
+                found[info.name] = Member(info.name, f"{url}!{info.name}", info.size, read)
+    except (tarfile.TarError, OSError, EOFError) as raised:
+        problem = problem or reason(raised)
+    return list(found.values()), problem
+
+
+def _unpacked(packed: io.BufferedIOBase, room: int) -> tuple[IO[bytes], str]:
+    """What a compressed file unpacks to, at most so many bytes, and why that is not all of it."""
+    file = TemporaryFile()  # noqa: SIM115  # closed with the last member
+    try:
+        while data := packed.read1(CHUNK):
+            if file.tell() + len(data) > room:
+                return file, f"it unpacks to more than {room:,} bytes"
+            file.write(data)
+    except Exception as raised:  # zlib.error, LZMAError, EOFError, OSError
+        if not file.tell():
+            file.close()
+            raise
+        return file, reason(raised)
+    return file, ""
 
 
 # --- reading ----------------------------------------------------------------------------

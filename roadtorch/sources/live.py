@@ -1,6 +1,5 @@
 """Cameras and streams: the newest frame whenever one is asked for, and connections that break."""
 
-import re
 import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
@@ -15,6 +14,7 @@ from torch import Tensor
 from roadtorch.errors import InputError
 from roadtorch.io.image import from_pixels
 from roadtorch.settings import Settings
+from roadtorch.sources.addresses import without_password
 from roadtorch.sources.frame import Frame, Selection, Source
 from roadtorch.sources.video import import_av, moving_pictures, reason_of, upright
 
@@ -177,11 +177,6 @@ def _stream(url: str, patience: Patience) -> Generator[Picture]:
         what = _told(problem, patience)
         raise InputError(origin, what, "check the address and the stream") from None
     raise InputError(origin, "has ended", "check the stream")
-
-
-def without_password(url: str) -> str:
-    """An address for messages and files: without the name and password of a user."""
-    return re.sub(r"(?<=://)[^/@]*@", "", url)
 
 
 def _told(problem: Exception, patience: Patience) -> str:

@@ -1,25 +1,34 @@
 """What the inputs of a command stand for: pictures, and sources that give frame after frame."""
 
-import glob
 import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
+from itertools import groupby, islice
 from pathlib import Path
-from typing import TextIO
+from typing import NamedTuple, TextIO
+
+from torch import Tensor
 
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.sources.archives import archive_source, is_archive, is_remote
+from roadtorch.io.image import read_image
+from roadtorch.sources.addresses import STREAMS, files_at, is_url, scheme_of, without_password
+from roadtorch.sources.archives import archive_source, is_archive
 from roadtorch.sources.bags import bag_source, is_bag
 from roadtorch.sources.frame import Selection, Source
-from roadtorch.sources.live import Patience, camera_source, stream_source, without_password
-from roadtorch.sources.pictures import has_pictures, picture_source, walk_files
-from roadtorch.sources.video import VIDEO_SUFFIXES, is_video, video_source
+from roadtorch.sources.live import Patience, camera_source, stream_source
+from roadtorch.sources.pictures import find_images, has_pictures, picture_source
+from roadtorch.sources.video import (
+    VIDEO_SUFFIXES,
+    count_frames,
+    names_video,
+    video_frames,
+    video_source,
+)
 
 CAMERA = re.compile(r"(?:camera:)?(\d+)")
 """A camera's number; a file of that name goes before ``0``, never before ``camera:0``."""
-
-STREAM = re.compile(r"(rtsps?|rtmps?|https?|udp|srt|tcp)://", re.IGNORECASE)
 
 WHOLE = re.compile(
     r"https?://[^?#]*\.(mp4|m4v|mov|avi|mkv|webm|mpe?g|wmv|flv)([?#].*)?$", re.IGNORECASE
@@ -79,12 +88,9 @@ def _lines(file: Iterable[str]) -> Iterator[str]:
 
 def _is_source(given: str) -> bool:
     """Whether an input is one source by itself, whatever it holds."""
-    if camera_number(given) is not None or STREAM.match(given):
+    if camera_number(given) is not None or scheme_of(given) in STREAMS:
         return True
-    if is_bag(given) or is_archive(given):
-        return True
-    is_many = Path(given).is_dir() or glob.has_magic(given)
-    return given.lower().endswith(VIDEO_SUFFIXES) and not (is_many and not Path(given).is_file())
+    return is_bag(given) or (is_archive(given) and not is_url(given))
 
 
 def camera_number(given: str) -> int | None:
@@ -96,7 +102,7 @@ def camera_number(given: str) -> int | None:
 
 
 @dataclass(frozen=True)
-class Told:
+class SourceOptions:
     """What else sources are told, each kind something of its own.
 
     apart: a folder that is left out where folders are searched, that of the results. patience:
@@ -108,17 +114,19 @@ class Told:
     topic: str | None = None
 
 
-def open_source(given: str, selection: Selection, told: Told = Told()) -> Source:
+def open_source(
+    given: str, selection: Selection, options: SourceOptions = SourceOptions()
+) -> Source:
     """The one source that an input stands for; pictures are one that does not move.
 
     Raises InputError for what is not there, ConfigError for an input of several sources.
     """
-    if is_remote(given):
+    if is_archive(given):
         return archive_source(given, selection)
     sorted_inputs = sort_inputs([given])
     if not sorted_inputs.sources:
         return picture_source(given, selection)
-    sources = open_sources(sorted_inputs.sources, selection, told)
+    sources = open_sources(sorted_inputs.sources, selection, options)
     if len(sources) != 1 or sorted_inputs.pictures:
         what = f"holds {len(sources)} videos" + (" and pictures" * bool(sorted_inputs.pictures))
         raise ConfigError(given, what, "give one of them")
@@ -128,13 +136,13 @@ def open_source(given: str, selection: Selection, told: Told = Told()) -> Source
 def open_sources(
     inputs: Sequence[str],
     selection: Selection,
-    told: Told = Told(),
+    options: SourceOptions = SourceOptions(),
 ) -> list[Source]:
     """The sources that inputs of ``sort_inputs(…).sources`` stand for, in their order.
 
     Raises InputError for what cannot be opened, ConfigError when two would share their results.
     """
-    sources = [source for given in inputs for source in _opened(given, selection, told)]
+    sources = [source for given in inputs for source in _opened(given, selection, options)]
     owners: dict[str, Source] = {}
     for source in sources:
         other = owners.setdefault(source.name, source)
@@ -145,25 +153,21 @@ def open_sources(
     return sources
 
 
-def _opened(given: str, selection: Selection, told: Told) -> Iterator[Source]:
+def _opened(given: str, selection: Selection, options: SourceOptions) -> Iterator[Source]:
     number = camera_number(given)
     if number is not None:
-        yield camera_source(number, selection, told.patience)
+        yield camera_source(number, selection, options.patience)
     elif WHOLE.match(given):
         yield video_source(given, slug(given), selection)
-    elif STREAM.match(given):
-        yield stream_source(given, slug(given), selection, told.patience)
+    elif scheme_of(given) in STREAMS:
+        yield stream_source(given, slug(given), selection, options.patience)
     elif is_bag(given):
-        yield bag_source(given, told.topic, selection)
+        yield bag_source(given, options.topic, selection)
     elif is_archive(given):
         yield archive_source(given, selection)
     else:
-        yield from _videos(given, selection, told.apart)
-
-
-def _videos(given: str, selection: Selection, apart: Path | None) -> Iterator[Source]:
-    for path, name in video_files(given, apart):
-        yield video_source(path, name, selection)
+        for path, name in video_files(given, options.apart):
+            yield video_source(path, name, selection)
 
 
 def slug(url: str) -> str:
@@ -174,21 +178,58 @@ def slug(url: str) -> str:
 
 def video_files(given: str, apart: Path | None = None) -> list[tuple[Path, str]]:
     """The video files of a name, folder or glob, with the names of their results."""
-    path = Path(given)
-    if path.is_dir():
-        found = [(file, path) for file in walk_files(path, apart, is_video)]
-    elif not path.exists() and glob.has_magic(given):
-        found = list(_globbed(given))
-    else:
-        named_so = path.name.lower().endswith(VIDEO_SUFFIXES)
-        return [(path, path.stem)] if named_so else []
-    return [(file, file.relative_to(root).with_suffix("").as_posix()) for file, root in found]
+    files = [] if is_url(given) else files_at(given, names_video, apart)
+    if files is None:
+        path = Path(given)
+        return [(path, path.stem)] if path.name.lower().endswith(VIDEO_SUFFIXES) else []
+    return [(Path(one.origin), Path(one.name).with_suffix("").as_posix()) for one in files]
 
 
-def _globbed(pattern: str) -> Iterator[tuple[Path, Path]]:
-    """The video files of a glob, each with the folder before the first wildcard."""
-    parts = Path(pattern).parts
-    magic = next(at for at, part in enumerate(parts) if glob.has_magic(part))
-    for name in sorted(glob.glob(pattern, recursive=True)):
-        if is_video(Path(name)) and Path(name).is_file():
-            yield Path(name), Path(*parts[:magic])
+# --- single frames ----------------------------------------------------------------------
+
+
+class FramePlace(NamedTuple):
+    """Where a frame is: a picture file, or the number of a frame in a video file."""
+
+    path: Path
+    number: int | None
+
+
+def frame_places(inputs: Sequence[str], most: int) -> list[FramePlace]:
+    """At most ``most`` frames of pictures and video files, evenly over all of them, in their order.
+
+    Raises InputError for what does not exist, holds no pictures, or is no video, ConfigError
+    where there are videos and PyAV is missing.
+    """
+    every = [place for given in inputs for place in _places(given)]
+    if len(every) <= most:
+        return every
+    return [every[(2 * at + 1) * len(every) // (2 * most)] for at in range(most)]
+
+
+def _places(given: str) -> Iterator[FramePlace]:
+    chosen = sort_inputs([given])
+    yield from (FramePlace(one.path, None) for one in find_images(chosen.pictures))
+    for source in chosen.sources:
+        videos = video_files(source)
+        if not videos:
+            raise InputError(source, "is no footage on disk", "give pictures or video files")
+        for path, _ in videos:
+            yield from (FramePlace(path, number) for number in range(count_frames(path)))
+
+
+def read_frames(places: Sequence[FramePlace]) -> Iterator[Tensor]:
+    """The frames as images (3,H,W) in [0,1], one after the other; InputError naming a bad file.
+
+    A video that ends early gives what it has.
+    """
+    for path, group in groupby(places, key=lambda place: place.path):
+        numbers = [place.number for place in group]
+        if numbers[0] is None:
+            yield from (read_image(path) for _ in numbers)
+            continue
+        last = max(number for number in numbers if number is not None)
+        with closing(video_frames(path, path.stem)) as frames:
+            yield from (
+                frame.read() for frame in islice(frames, last + 1) if frame.number in numbers
+            )

@@ -36,9 +36,9 @@ SLACK = 0.5
 picture-less rest beside sound that cameras leave."""
 
 
-def is_video(path: Path) -> bool:
-    """Whether a name is that of a video to look at, not one of ours."""
-    name = path.name.lower()
+def names_video(name: str) -> bool:
+    """Whether a file of that name is a video to look at, not one of ours."""
+    name = name.lower()
     return name.endswith(VIDEO_SUFFIXES) and not name.endswith(MADE_HERE) and name[0] != "."
 
 

@@ -12,7 +12,7 @@ import torch
 from roadtorch.camera.camera import Camera
 from roadtorch.io.image import read_image, write_colours
 from roadtorch.road.ego import ego_car
-from roadtorch.sources.footage import frame_places, read_frames
+from roadtorch.sources.open import frame_places, read_frames
 from tests.cli.conftest import Call
 from tests.streets import drive, scene
 

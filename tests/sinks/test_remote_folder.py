@@ -4,7 +4,8 @@ import pytest
 
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.sinks.remote_folder import RemoteFolder
-from roadtorch.sources.remote import file_system, find_remote, is_url, read_remote
+from roadtorch.sources.addresses import file_system, is_url
+from roadtorch.sources.pictures import Picture, find_images
 
 
 @pytest.fixture
@@ -39,27 +40,27 @@ def test_pictures_behind_urls_are_found_as_in_folders(folder: RemoteFolder) -> N
     for name in names:
         folder.write(name, b"")
 
-    found = find_remote([folder.url])
-    matched = find_remote([f"{folder.url}/*.jpg"])
-    single = find_remote([f"{folder.url}/a.jpg"])
+    found = find_images([folder.url])
+    matched = find_images([f"{folder.url}/*.jpg"])
+    single = find_images([f"{folder.url}/a.jpg"])
 
     assert [one.name for one in found] == ["a", "b", "sub/a"]
     assert [one.name for one in matched] == ["a", "b"]
     assert [one.name for one in single] == ["a"]
-    assert read_remote(found[0].url) == b""
+    assert found[0].data() == b""
 
 
 @pytest.mark.parametrize(
     ("url", "kind", "what"),
     [
         ("memory://nothing/here/*.jpg", InputError, "holds no pictures"),
-        ("nosuch://x/y", InputError, "cannot be used"),
+        ("nosuch://x/y", ConfigError, "unknown kind of URL"),
         ("s3://bucket/x", ConfigError, "cannot be reached"),
     ],
 )
 def test_what_cannot_be_reached_is_told(url: str, kind: type[Exception], what: str) -> None:
     with pytest.raises(kind, match=what):
-        find_remote([url])
+        find_images([url])
 
 
 def test_urls_are_told_from_paths() -> None:
@@ -71,7 +72,7 @@ def test_urls_are_told_from_paths() -> None:
 
 def test_a_missing_file_names_its_url() -> None:
     with pytest.raises(InputError, match=r"memory://none/x\.jpg: does not exist"):
-        read_remote("memory://none/x.jpg")
+        Picture("memory://none/x.jpg", "x").data()
 
 
 def test_a_folder_inside_an_archive_is_refused() -> None:

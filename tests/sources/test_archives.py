@@ -17,8 +17,8 @@ import torch
 from torch import Tensor
 
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.sources import archives, tarballs
-from roadtorch.sources.archives import archive_source, is_remote, safe_name
+from roadtorch.sources import archives
+from roadtorch.sources.archives import archive_source, is_archive, safe_name
 from roadtorch.sources.frame import Frame, Selection
 
 
@@ -77,7 +77,7 @@ NAMES = ["pictures.zip", "pictures.tar", "pictures.tar.gz", "pictures.tgz", "pic
 def test_gives_the_pictures_sorted_by_name(tmp_path: Path, name: str):
     path = write_archive(tmp_path / name)
     source = archive_source(str(path))
-    assert is_remote(str(path))
+    assert is_archive(str(path))
     assert (source.name, source.moving) == ("pictures", False)
     frames = list(source.frames())
     assert [frame.name for frame in frames] == ["a", "b/1", "b/2"]
@@ -142,7 +142,6 @@ def test_urls_of_folders_files_globs_and_archives(
         f"file://{path}": all_names,
         f"tar://b/1.png::file://{tar}": ["b/1"],
     }.items():
-        assert is_remote(url), url
         frames = frames_of(url)
         assert [frame.name for frame in frames] == names, url
         assert torch.equal(frames[-1].read(), image(int(names[-1][-1])))
@@ -153,11 +152,17 @@ def test_urls_of_folders_files_globs_and_archives(
     ("given", "expected"),
     [
         *(("rtsp://camera/1", False), ("http://host/a.zip", False), ("a.png", False)),
-        *(("A.ZIP", True), ("s3://bucket/set", True), ("a.tar.gz", True), ("folder", False)),
+        *(
+            ("A.ZIP", True),
+            ("s3://bucket/set", False),
+            ("s3://bucket/set.zip", True),
+            ("a.tar.gz", True),
+            ("folder", False),
+        ),
     ],
 )
-def test_what_is_remote(given: str, expected: bool):
-    assert is_remote(given) is expected
+def test_what_is_an_archive(given: str, expected: bool):
+    assert is_archive(given) is expected
 
 
 def test_an_unknown_scheme_has_near_names():
@@ -300,7 +305,7 @@ def test_a_member_that_lies_about_its_size_is_bounded(tmp_path: Path):
 def test_a_compressed_tar_that_grows_too_large_stops(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(tarballs, "MOST_BYTES", 100_000)
+    monkeypatch.setattr(archives, "MOST_BYTES", 100_000)
     members = {"a.png": png(0), "bomb.png": bytes(2 * 10**7)}
     path = write_tar(tmp_path / "a.tar.gz", members)
     assert len(gzip.decompress(path.read_bytes())) > 500 * path.stat().st_size

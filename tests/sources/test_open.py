@@ -7,7 +7,7 @@ from roadtorch.errors import ConfigError, InputError
 from roadtorch.sources.frame import Selection
 from roadtorch.sources.open import (
     Inputs,
-    Told,
+    SourceOptions,
     camera_number,
     open_source,
     open_sources,
@@ -49,7 +49,7 @@ def test_a_glob_stands_for_videos(mixed: Path) -> None:
 
 
 def test_the_folder_of_results_is_left_out(mixed: Path) -> None:
-    sources = open_sources([str(mixed)], Selection(), Told(mixed / "sub"))
+    sources = open_sources([str(mixed)], Selection(), SourceOptions(mixed / "sub"))
 
     assert [source.name for source in sources] == ["drive"]
 
