@@ -9,7 +9,6 @@ the documents give. They are loaded when they are first used, so that ``import r
 import importlib
 from typing import TYPE_CHECKING
 
-from roadtorch.runtime.openmp import brief_waits
 from roadtorch.version import __version__
 
 if TYPE_CHECKING:
@@ -132,8 +131,7 @@ def __getattr__(name: str) -> object:
     """Import the module of a public name on its first use."""
     if name not in _HOMES:
         raise AttributeError(f"module 'roadtorch' has no attribute {name!r}")
-    with brief_waits():
-        return getattr(importlib.import_module(_HOMES[name]), name)
+    return getattr(importlib.import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:

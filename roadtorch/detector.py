@@ -8,8 +8,11 @@ is ``Detector``, here, once; it knows none of them.
 
 from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import reduce
+from threading import Lock
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -24,7 +27,6 @@ from roadtorch.io.image import Order, Picture, as_image, overlay_pixels, png_byt
 from roadtorch.road.ego import Ego, continued, ego_car, is_anywhere, is_given, read_ego_mask
 from roadtorch.road.seed_area import SeedArea, remove_isolated, seed_rectangle
 from roadtorch.road.trust import Judgement
-from roadtorch.runtime.openmp import considerate
 from roadtorch.settings import Settings
 
 SMALLEST_SIDE = 16  # pixels; below it, superpixels and the seed area have no meaning
@@ -39,6 +41,44 @@ Isolated = Annotated[
 
 TUNED = "road from this likelihood on; the default has the best F on CamVid's three drives"
 """The description of a threshold that was chosen on labelled pictures."""
+
+
+# --- one picture is one thread's work ----------------------------------------------------
+
+_SETTING_THREADS = Lock()
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Inside the block, or the function that it decorates, torch computes in the calling thread.
+
+    So that the same picture gives the same bytes: sums shared among threads depend on how many
+    there are. Afterwards the thread has the number it had; all others keep theirs throughout.
+    """
+    before = torch.get_num_threads()  # which also settles that of a thread that is new to torch
+    if before == 1:
+        yield
+        return
+    _set_own_threads(1)
+    try:
+        yield
+    finally:
+        _set_own_threads(before)
+
+
+def _set_own_threads(number: int) -> None:
+    """``torch.set_num_threads`` for the calling thread alone.
+
+    torch's own function also sets what new threads begin with: another thread, new itself, looks
+    that number up and puts it back.
+    """
+    with _SETTING_THREADS, ThreadPoolExecutor(1) as new:
+        common = new.submit(torch.get_num_threads).result()
+        torch.set_num_threads(number)
+        new.submit(torch.set_num_threads, common).result()
+
+
+# --- settings ---------------------------------------------------------------------------
 
 
 class DetectorSettings(Settings):
@@ -246,13 +286,13 @@ class Detector(nn.Module):
         """
         return self.conclude(self.find(as_image(image, order)))
 
-    @considerate
+    @one_thread()
     @torch.no_grad()
     def find(self, image: Tensor) -> Found:
         """The first half of ``detect``: likelihood and cues of an image (3,H,W) in [0,1]."""
         return self._find(checked_image(image))
 
-    @considerate
+    @one_thread()
     @torch.no_grad()
     def conclude(
         self, found: Found, likelihood: Tensor | None = None, ego: Tensor | None = None
@@ -292,7 +332,7 @@ class Detector(nn.Module):
         found = ChainMap({"ego": ego}, analysed)  # type: ignore[arg-type]  # nothing is made yet
         return self.analysis.judge(at_picture_size(mask, size), found)
 
-    @considerate
+    @one_thread()
     def forward(self, images: Tensor) -> Tensor:
         """Likelihoods (B,H,W) of a batch (B,3,H,W); each equals that of ``detect``."""
         if images.ndim != 4:

@@ -89,16 +89,24 @@ def nothing_to_see_gives_proper_maps(detector: Detector, _: Detector) -> None:
 
 
 def the_same_image_gives_the_same_bytes(detector: Detector, again: Detector) -> None:
-    """Loaded once or twice, whatever torch's own generator does; the image is left as it was."""
-    image = street(96, 128)
-    before = image.clone()
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(1)
-        first = detector.detect(image)
-        torch.manual_seed(2)
-        second = again.detect(image)
+    """Loaded once or twice, whatever torch's own generator does, on one of torch's threads or two.
+
+    The image is left as it was, and so is the number of threads.
+    """
+    image = street(240, 320)
+    before, threads, said = image.clone(), torch.get_num_threads(), []
+    try:
+        with torch.random.fork_rng(devices=[]):
+            for number, one in ((1, detector), (2, again)):
+                torch.manual_seed(number)
+                torch.set_num_threads(number)
+                said.append(one.detect(image))
+                kept = torch.get_num_threads() == number
+                _expect(detector, kept, "changes the number of torch's threads")
+            _expect(detector, _equal(*said), "says two things of one image")
+    finally:
+        torch.set_num_threads(threads)
     _expect(detector, torch.equal(image, before), "changes the image that it is given")
-    _expect(detector, _equal(first, second), "says two things of one image")
 
 
 def a_batch_is_its_images_one_by_one(detector: Detector, _: Detector) -> None:

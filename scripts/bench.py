@@ -92,7 +92,6 @@ FIGURES = ROOT / "docs" / "performance.json"
 ALONE = {
     "start": "scripts.bench_start",
     "first": "scripts.bench_start",
-    "busy": "scripts.bench_busy",
     "training-pictures": "scripts.bench_training",
     "training-patches": "scripts.bench_training",
     "size": "scripts.bench_size",

@@ -20,9 +20,9 @@ from tempfile import TemporaryDirectory
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from roadtorch.runtime.openmp import unless_told
+from roadtorch.cli.group import BRIEF_WAITS
 
-os.environ.update(unless_told())  # as the command line does, before torch
+os.environ.update(BRIEF_WAITS)  # as the command line does, before torch
 
 import cv2
 import torch

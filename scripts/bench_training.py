@@ -21,7 +21,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the scripts beside
 
-from roadtorch.runtime.openmp import BRIEF_WAITS
+from roadtorch.cli.group import BRIEF_WAITS
 from roadtorch.runtime.signals import stop_on_signals
 from roadtorch.scenes.street import render_scene
 from roadtorch.train.arrays import write_arrays

@@ -1,16 +1,11 @@
 """What holds for every test: no network, settled randomness, one thread of torch."""
 
-import os
 import socket
 from pathlib import Path
 from typing import Any
 
 import hypothesis
 import pytest
-
-from roadtorch.runtime.openmp import unless_told
-
-os.environ.update(unless_told())  # as the command line does, before torch
 import torch
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"

@@ -4,6 +4,10 @@ import io
 import os
 import re
 import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
 from importlib.metadata import EntryPoint
@@ -26,6 +30,7 @@ from roadtorch.detector import (
     WorkingSettings,
     checked_image,
     decide,
+    one_thread,
 )
 from roadtorch.detectors import catalogue as catalogue_module
 from roadtorch.detectors.catalogue import (
@@ -387,6 +392,58 @@ def test_a_likelihood_that_is_not_finite_is_refused(
         detector.detect(street(32, 32))
     with pytest.raises(InputError, match="not finite"):
         detector(street(32, 32)[None])
+
+
+# --- one picture is one thread's work -----------------------------------------------------
+
+
+@pytest.fixture
+def two_threads() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
+
+
+def threads_of_a_new_one() -> int:
+    with ThreadPoolExecutor(1) as new:
+        return new.submit(torch.get_num_threads).result()
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_beside_busy_processes_and_in_several_threads_the_bytes_are_the_same() -> None:
+    detector, image = loaded("fusion"), street(240, 320)
+    with one_thread():
+        alone = detector.detect(image)
+    spin = [sys.executable, "-c", "while True: pass"]
+
+    with subprocess.Popen(spin) as one, subprocess.Popen(spin) as two:
+        with ThreadPoolExecutor(3) as pool:
+            beside = [detector.detect(image), *pool.map(detector.detect, [image] * 3)]
+            kept = set(pool.map(lambda _: torch.get_num_threads(), range(9)))
+        one.kill()
+        two.kill()
+
+    for detection in beside:
+        assert torch.equal(detection.likelihood, alone.likelihood)
+        assert torch.equal(detection.cues["layout"], alone.cues["layout"])
+    assert kept == {2}
+    assert threads_of_a_new_one() == torch.get_num_threads() == 2
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_inside_the_block_this_thread_alone_has_one_whatever_goes_wrong() -> None:
+    @one_thread()
+    def fails() -> None:
+        seen.append((torch.get_num_threads(), threads_of_a_new_one()))
+        raise ValueError("inside")
+
+    seen: list[tuple[int, int]] = []
+    with pytest.raises(ValueError, match="inside"):
+        one_thread()(fails)()
+
+    assert seen == [(1, 2)]
+    assert (torch.get_num_threads(), threads_of_a_new_one()) == (2, 2)
 
 
 # --- what is taken, and what a detection shows --------------------------------------------

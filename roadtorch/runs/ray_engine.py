@@ -19,7 +19,6 @@ from roadtorch.errors import ConfigError, InputError
 from roadtorch.runs.batch import Engine, Rows, Task, Work
 from roadtorch.runs.index import Row
 from roadtorch.runs.threads import Threads
-from roadtorch.runtime.openmp import BRIEF_WAITS
 
 TOGETHER = 16  # jobs that a worker is given at once, and does anew when it dies; ours
 MOST_BLOCKS = 10_000  # that the driver keeps an eye on; ours: Ray's own limit is memory
@@ -205,4 +204,4 @@ def _rows_of_actors(jobs: Sequence[Task], work: Work, cluster: Cluster) -> Rows:
 
 def _worker_environment(threads: Threads) -> dict[str, str]:
     """What OpenMP and BLAS read before torch is loaded; Ray itself would say one thread."""
-    return {"OMP_NUM_THREADS": str(threads.torch), **BRIEF_WAITS}
+    return {"OMP_NUM_THREADS": str(threads.torch)}

@@ -1,7 +1,4 @@
-"""Threads of a command's process.
-
-Likelihoods depend on the number of threads, in the seventh digit.
-"""
+"""Threads of a command's process."""
 
 from dataclasses import dataclass
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from roadtorch.runtime.openmp import BRIEF_WAITS
+from roadtorch.cli.group import BRIEF_WAITS
 from roadtorch.scenes.street import render_scene
 
 COMMAND = [sys.executable, "-m", "roadtorch"]
