@@ -29,12 +29,10 @@ from roadtorch.io.image import read_image
 from roadtorch.layout.normalisation import normalise
 from roadtorch.scenes.street import render_scene
 from roadtorch.sources.pictures import find_images
-from roadtorch.train.arrays import from_bytes, read_arrays, write_arrays
 from roadtorch.train.config import PatchTraining
-from roadtorch.train.patch_samples import PatchSamples
-from roadtorch.train.patches import cut_patches, draw_jitter
+from roadtorch.train.patches import PatchSamples, cut_patches, draw_jitter, prepare_patches
+from roadtorch.train.prepared import from_bytes, read_arrays, write_arrays
 from roadtorch.train.processes import Processes
-from roadtorch.train.sites import prepare_patches
 
 TRAINING = PatchTraining(passes=1)
 PLAIN = "plain DataLoader"

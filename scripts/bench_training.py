@@ -24,14 +24,19 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the scripts 
 from roadtorch.cli.group import BRIEF_WAITS
 from roadtorch.runtime.signals import stop_on_signals
 from roadtorch.scenes.street import render_scene
-from roadtorch.train.arrays import write_arrays
-from roadtorch.train.average import AverageWeights
-from roadtorch.train.batches import Batch
 from roadtorch.train.config import PatchTraining, PictureTraining, Training
 from roadtorch.train.folder import RunFolder
-from roadtorch.train.loop import RunContext, TrainingSetup, make_optimiser, step
+from roadtorch.train.loop import (
+    AverageWeights,
+    Batch,
+    RunContext,
+    TrainingSetup,
+    make_optimiser,
+    step,
+)
+from roadtorch.train.prepared import write_arrays
 from roadtorch.train.processes import join_processes
-from roadtorch.train.recipe import PreparedFiles, recipe_of
+from roadtorch.train.run import recipe_of
 
 KINDS: dict[str, Training] = {"pictures": PictureTraining(), "patches": PatchTraining()}
 PICTURES = 16
@@ -60,16 +65,19 @@ def endless(samples: Any) -> Iterator[Batch]:
 def train_for(kind: str, prepared: Path, seconds: float) -> dict[str, float]:
     """Samples a second of all processes, and the share of the steps in the time of this one."""
     recipe = recipe_of(KINDS[kind])
-    files = PreparedFiles(sorted(prepared.glob("*.npz")), {})
+    files = sorted(prepared.glob("*.npz"))
     with TemporaryDirectory() as folder, stop_on_signals() as stop, join_processes() as processes:
         context = RunContext(processes, RunFolder(Path(folder)), stop, True)
         if hasattr(recipe, "_prepared"):
             recipe._prepared = prepared  # type: ignore[attr-defined]  # as `survey` sets it
-        samples, network = recipe.samples(files, 0, None, context), recipe.network(0, None).train()
-        average = AverageWeights(network, recipe.descent.average)
+        samples, network = (
+            recipe.samples(files, {}, 0, None, context),
+            recipe.network(0, None).train(),
+        )
+        average = AverageWeights(network, KINDS[kind].descent.average)
         setup = TrainingSetup(
-            *(network, average, make_optimiser(network, recipe.descent), samples),
-            *(recipe.error_function, recipe.descent, recipe.stopping),
+            *(network, average, make_optimiser(network, KINDS[kind].descent), samples),
+            *(recipe.error_function, KINDS[kind].descent, KINDS[kind].stopping),
         )
         batches = endless(samples)
         for _ in range(WARM_UP):

@@ -13,8 +13,8 @@ from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, T
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import LARGEST, load_network, save_network, shipped_weights
 from roadtorch.oneclass import CLASSIFIERS, axes_of, fit, load, save
-from roadtorch.train.arrays import read_arrays, write_arrays
 from roadtorch.train.folder import CHECKPOINT, FORMAT, RunFolder
+from roadtorch.train.prepared import read_arrays, write_arrays
 from scripts.fuzz_bytes import BYTES, as_json, mutated, mutated_json, mutated_values
 
 NETWORKS = (

@@ -8,11 +8,14 @@ measure, not a way to train: what it makes is not label-free and is never shippe
 """
 
 import argparse
+import sys
 from pathlib import Path
 
 import torch
 from torch import Tensor
 from tqdm import tqdm
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the recipes beside
 
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, Item
@@ -22,10 +25,10 @@ from roadtorch.io.atomic import make_folder
 from roadtorch.layout.classes import CLASSES, UNLABELLED
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import save_network
-from roadtorch.train.arrays import to_bytes, write_arrays
 from roadtorch.train.config import PatchTraining, read_training
-from roadtorch.train.patch_study import train_patches
-from roadtorch.train.sites import find_sites
+from roadtorch.train.patches import find_sites
+from roadtorch.train.prepared import to_bytes, write_arrays
+from train.patch_study import train_patches
 
 
 def prepare(dataset: Dataset, item: Item, training: PatchTraining, path: Path) -> None:

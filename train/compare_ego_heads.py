@@ -21,7 +21,7 @@ from roadtorch.imaging.resize import resized
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import load_network, weights_path
 from roadtorch.road.ego import ego_found
-from roadtorch.train.arrays import from_bytes, read_arrays
+from roadtorch.train.prepared import from_bytes, read_arrays
 
 SIZE = (120, 160)
 """At which ego cars are compared."""

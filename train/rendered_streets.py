@@ -48,8 +48,7 @@ from roadtorch.scenes.street import (
     shadow,
     write_picture,
 )
-from roadtorch.train.arrays import Arrays, to_bytes, write_arrays
-from roadtorch.train.prepared import SOURCE
+from roadtorch.train.prepared import SOURCE, Arrays, to_bytes, write_arrays
 
 HEIGHT, WIDTH = 240, 320
 """Of the pictures."""

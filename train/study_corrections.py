@@ -43,7 +43,7 @@ from roadtorch.io.atomic import digest_of, write_text
 from roadtorch.layout.weights import shipped_weights
 from roadtorch.settings import merge, parse_assignments, read_settings_file
 from roadtorch.train.config import Training, as_values, build_training
-from roadtorch.train.corrected_fusion import trust_settings
+from roadtorch.train.corrections import trust_settings
 from roadtorch.train.run import FUSION, Request, train
 from train.corrections_table import draw_curves, pooled_f, table
 

@@ -45,12 +45,11 @@ from roadtorch.layout.weights import load_network, read_origin, save_network
 from roadtorch.runtime.signals import Stop
 from roadtorch.sources.pictures import find_images
 from roadtorch.superpixels.slic import Superpixels
-from roadtorch.train.arrays import Arrays, read_arrays, write_arrays
 from roadtorch.train.config import PatchTraining, as_values, read_training
-from roadtorch.train.patch_study import train_patches
-from roadtorch.train.prepared import PreparedFolder
+from roadtorch.train.patches import PatchRecipe
+from roadtorch.train.prepared import Arrays, PreparedFolder, read_arrays, write_arrays
 from roadtorch.train.processes import Processes
-from roadtorch.train.recipe import PatchRecipe
+from train.patch_study import train_patches
 from train.topologies import P2_TOPOLOGIES, on_grey
 from train.topology_table import LABELLER, SIZES, Studied, write_table
 

@@ -27,11 +27,11 @@ from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import load_network, weights_path
 from roadtorch.report.adaptation import Adaptation, write_adaptation
 from roadtorch.sources.pictures import find_images
-from roadtorch.train.agreement import teacher_agreement
 from roadtorch.train.config import PictureTraining, Training
 from roadtorch.train.folder import LOG, PAGE
 from roadtorch.train.prepared import name_of
 from roadtorch.train.run import FUSION, PREPARED, Outcome, Request
+from roadtorch.train.teachers import teacher_agreement
 
 SHOWN = 10
 """Pictures on the page, half of them those that changed most."""

@@ -16,13 +16,14 @@ from roadtorch.data.corrections import Correction
 from roadtorch.data.labelme import picture_size
 from roadtorch.errors import InputError
 from roadtorch.imaging.resize import at_picture_size
-from roadtorch.io.atomic import make_folder
+from roadtorch.io.atomic import make_folder, write_text
 from roadtorch.layout.classes import CLASSES, UNLABELLED
+from roadtorch.layout.weights import people_behind, weights_path
+from roadtorch.settings import toml_lines
 from roadtorch.sources.pictures import Picture
-from roadtorch.train.arrays import Arrays, to_bytes, write_arrays
-from roadtorch.train.config import Descent
-from roadtorch.train.prepared import name_of
-from roadtorch.train.targets import Targets
+from roadtorch.train.config import Descent, PictureTraining, Training
+from roadtorch.train.prepared import Arrays, name_of, to_bytes, write_arrays
+from roadtorch.train.teachers import Targets
 
 HALF = 0.5
 """Share of a cell's pixels that have to be said before the cell counts as said."""
@@ -196,3 +197,81 @@ def repeated(files: Sequence[Path], said: Mapping[Path, Path], share: float) -> 
         return [file for file in files if share < 1 or not said or file in said]
     times = max(1, round(share * others / ((1 - share) * corrected)))
     return [file for file in files for _ in range(times if file in said else 1)]
+
+
+# --- what fusion makes of the weights ---------------------------------------------------
+
+
+MOST = 3.0
+"""Weight of the network's road, pixel by pixel, after very many corrected pictures."""
+
+HALFWAY = 10.0
+"""Corrected pictures that bring half of it."""
+
+
+def pictures_said(corrections: Sequence[Correction]) -> float:
+    """How many whole pictures it makes: the sum of the shares that people called road or not."""
+    roads = [one.road for one in corrections]
+    return float(sum(((road == ROAD_SAID) | (road == NOT_ROAD)).mean() for road in roads))
+
+
+def trust_settings(pictures: float) -> dict[str, Any]:
+    """Settings of ``fusion`` after so many corrected pictures (> 0).
+
+    The detail grows as a mean does that is drawn to nothing known: n / (n + HALFWAY). True labels
+    make 0 the log odds that part road from background: neither the centre of machine labels nor
+    the picture's own (Otsu) is asked.
+    """
+    detail = MOST * pictures / (pictures + HALFWAY)
+    return {
+        "learned": {"weight": 1.0, "detail": round(detail, 3)},
+        "calibration": {"centre": 0.0, "own": 0.0},
+    }
+
+
+def write_corrected(path: Path, weights: Path, corrections: Sequence[Correction]) -> bool:
+    """Write a file for ``--config``: ``fusion`` with these weights, trusted as far as they learned.
+
+    False, and nothing written, where people called no pixel road or not road.
+    """
+    said = pictures_said(corrections)
+    if not said:
+        return False
+    lines = [
+        f"# From {len(corrections)} pictures that people corrected: not label-free.",
+        'detector = "fusion"',
+        *toml_lines({"weights": {"file": str(weights.resolve())}, **trust_settings(said)}),
+    ]
+    write_text(path, "\n".join([*lines, ""]))
+    return True
+
+
+# --- what the weights say of them -------------------------------------------------------
+
+
+def corrections_behind(training: Training) -> list[Mapping[str, Any]]:
+    """The corrections behind what a training begins with: its start, and its teacher's weights.
+
+    WeightsError for a weight file that cannot be used.
+    """
+    names = [training.start]
+    if isinstance(training, PictureTraining):
+        names.append(training.teacher.weights)
+    found = [one for name in names if name for one in people_behind(weights_path(name))]
+    return [one for number, one in enumerate(found) if one not in found[:number]]
+
+
+def card_of(behind: Sequence[Mapping[str, Any]]) -> str:
+    """The card beside weights that were trained with corrections of people."""
+    lines = [
+        "# Weights trained with corrections of people",
+        "",
+        "People corrected machine labels, and what they said counted as the truth. What is found",
+        "with these weights is **not label-free**, and is not to be reported as such.",
+        "",
+        "| pictures | people | pixels | sha256 of what was said |",
+        "|---|---|---|---|",
+    ]
+    keys = ("pictures", "people", "pixels", "sha256")
+    lines += ["| " + " | ".join(str(one.get(key, "")) for key in keys) + " |" for one in behind]
+    return "\n".join([*lines, ""])

@@ -1,23 +1,121 @@
-"""The training loop: steps, epochs, checkpoints; what is trained on what is not its business."""
+"""The training loop: samples, steps, epochs, checkpoints; what is trained is not its business."""
 
+import copy
 import math
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
 from roadtorch.errors import ConfigError
 from roadtorch.runtime.signals import Stop
-from roadtorch.train.average import AverageWeights
-from roadtorch.train.batches import Batch, ErrorFunction, Samples
 from roadtorch.train.config import Descent, Stopping
 from roadtorch.train.folder import RunFolder
 from roadtorch.train.processes import Processes
+
+# --- randomness -------------------------------------------------------------------------
+
+
+PATCH_ORDER, SITES, JITTER, PICTURE_ORDER, VARIATION = range(5)
+"""What is drawn: the first number of its places, so that each has its own generators."""
+
+
+def generator_at(seed: int, *place: int) -> torch.Generator:
+    """A generator that belongs to this seed and place (round, epoch, chunk, …) alone.
+
+    Nothing is carried from one place to the next, so a run that goes on in the middle draws
+    what the uninterrupted one would have drawn.
+    """
+    state = np.random.SeedSequence([seed, *place]).generate_state(1, np.uint64)[0]
+    return torch.Generator().manual_seed(int(state >> np.uint64(1)))
+
+
+@contextmanager
+def seeded(seed: int, *place: int) -> Iterator[None]:
+    """Within the block, torch's own randomness is that of this seed and place."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(generator_at(seed, *place).initial_seed())
+        yield
+
+
+def uniform(generator: torch.Generator, count: int, low: float, high: float) -> torch.Tensor:
+    """``count`` numbers between low and high, (count,)."""
+    return low + (high - low) * torch.rand(count, generator=generator)
+
+
+# --- samples ----------------------------------------------------------------------------
+
+
+class Batch(NamedTuple):
+    """This process's part of one step.
+
+    inputs: what the network takes, first dimension n. targets and weights: what the error
+    function takes. count: samples of the step in all processes together; the error of a step
+    is the sum over all of them divided by it.
+    """
+
+    inputs: Tensor
+    targets: Tensor
+    weights: Tensor
+    count: int
+
+
+class Samples(Protocol):
+    """Endless samples in a settled order: epochs of chunks of batches.
+
+    A chunk is what is in memory together, and where a run can be cut and go on.
+    """
+
+    @property
+    def chunks(self) -> int:
+        """Chunks of one epoch."""
+        ...
+
+    def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
+        """The batches of a chunk, the same whenever they are asked for."""
+        ...
+
+
+ErrorFunction = Callable[[nn.Module, Batch], Tensor]
+"""The summed error of a network over one process's part of a batch: a scalar."""
+
+
+# --- the mean of the weights ------------------------------------------------------------
+
+
+Network = TypeVar("Network", bound=nn.Module)
+
+FIRST = 10
+"""Steps over which the mean begins: the first steps' weights are soon forgotten."""
+
+
+class AverageWeights(Generic[Network]):
+    """The running mean of a network's weights over its steps; Polyak and Juditsky, 1992.
+
+    Each step keeps the share ``kept`` of the mean, in the beginning less.
+    """
+
+    def __init__(self, network: Network, kept: float) -> None:
+        self.network = copy.deepcopy(network)
+        self._kept = kept
+
+    @torch.no_grad()
+    def add(self, network: nn.Module, steps: int) -> None:
+        """Take in the weights that a network has after ``steps`` steps."""
+        kept = min(self._kept, steps / (steps + FIRST)) if self._kept else 0.0
+        for mean, weight in zip(self.network.parameters(), network.parameters(), strict=True):
+            mean.lerp_(weight, 1 - kept)
+
+
+# --- steps and epochs -------------------------------------------------------------------
+
 
 SAVE_EVERY = 60.0  # seconds of work that a power cut may cost
 

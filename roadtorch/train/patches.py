@@ -1,17 +1,102 @@
-"""Varied patches; all patches of a picture are cut in one pass.
+"""How patch networks are trained: where patches are taken, how they are varied, their error.
 
-P2, section 6.1: at a random scale and angle, with Gaussian noise.
+P2, sections 3.1 and 6.1: at the centroid of each superpixel and around it, where the labeller is
+certain; at a random scale and angle, with Gaussian noise; squared error, no hard examples.
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional as F
 
-from roadtorch.train.config import Jitter
-from roadtorch.train.generators import uniform
+from roadtorch.data.corrections import Correction
+from roadtorch.errors import InputError
+from roadtorch.imaging.resize import at_work, working_size
+from roadtorch.layout.classes import CLASSES, UNLABELLED
+from roadtorch.layout.labeller import label_layout
+from roadtorch.layout.normalisation import normalise
+from roadtorch.layout.patch_network import PatchNetwork
+from roadtorch.layout.weights import LayoutNetwork
+from roadtorch.sources.pictures import Picture
+from roadtorch.superpixels.statistics import segment_mean, segment_size
+from roadtorch.train.config import Jitter, PatchTraining, Sites
+from roadtorch.train.corrections import LabelledSites, corrected_sites, repeated, said_layout
+from roadtorch.train.loop import (
+    JITTER,
+    PATCH_ORDER,
+    SITES,
+    Batch,
+    RunContext,
+    generator_at,
+    seeded,
+    uniform,
+)
+from roadtorch.train.prepared import Arrays, from_bytes, kept_arrays, read_arrays, to_bytes
+from roadtorch.train.processes import Processes
+
+# --- where ------------------------------------------------------------------------------
+
+
+def prepare_patches(image: Tensor, training: PatchTraining) -> Arrays:
+    """What patches need of an image (3,H,W): it at working size, sites and their classes.
+
+    image: uint8 (3,h,w); sites: int16 (n,2), row and column; classes: uint8 (n,), 0, 1, 2.
+    Sites that the labeller leaves in doubt are not there.
+    """
+    working = training.network.working
+    small = at_work(image, working)
+    labels = label_layout(small, training.labeller, working, training.superpixels).labels
+    sites = find_sites(training.superpixels.cut(small), training.sites)
+    classes = labels[sites[:, 0], sites[:, 1]]
+    known = classes != UNLABELLED
+    return {
+        "image": to_bytes(small),
+        "sites": sites[known].to(torch.int16),
+        "classes": classes[known].to(torch.uint8),
+    }
+
+
+def find_sites(segments: Tensor, sites: Sites) -> Tensor:
+    """Rows and columns int64 (n,2) of the centroids of segments (H,W) and places around them.
+
+    ``sites.around`` places at equal angles, the first below the centroid, kept inside the
+    picture.
+    """
+    height, width = segments.shape
+    places = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+    size = segment_size(segments, int(segments.max()) + 1)
+    centroid = segment_mean(torch.stack(places).to(torch.float32), segments, size).T
+    turns = torch.arange(sites.around) * (2 * math.pi / max(1, sites.around))
+    around = torch.stack([turns.cos(), turns.sin()], 1) * sites.distance
+    moves = torch.cat([torch.zeros(1, 2), around])
+    found = (centroid[:, None] + moves).reshape(-1, 2).round().to(torch.int64)
+    return found.clamp_min(0).minimum(torch.tensor([height - 1, width - 1]))
+
+
+def class_weights(files: Sequence[Path], training: PatchTraining) -> Tensor:
+    """Weight of each class, (3,): all 1, or such that all classes weigh the same.
+
+    Raises InputError when no picture has a site with a label.
+    """
+    counts = torch.zeros(CLASSES)
+    for file in files:
+        classes = read_arrays(file, "classes")["classes"]
+        counts += torch.bincount(classes.long(), minlength=CLASSES)
+    if not counts.sum():
+        what = "have no superpixel whose label is certain"
+        raise InputError("the pictures", what, "lower labeller.margin, or give street pictures")
+    if training.balance == "none":
+        return torch.ones(CLASSES)
+    return counts.sum() / (CLASSES * counts.clamp_min(1))
+
+
+# --- how they are cut -------------------------------------------------------------------
+
 
 NOISES = 256
 """Patches of noise drawn for a chunk; each of its patches takes one, times its own deviation."""
@@ -85,3 +170,161 @@ def add_noise(
     """Patches (n,3,P,P) with their noise; gain: what one level of [0,1] has become."""
     deviation = (draw.noise * (gain / 255))[:, None, None, None]
     return torch.addcmul(patches, noises.index_select(0, draw.which), deviation, out=out)
+
+
+# --- samples ----------------------------------------------------------------------------
+
+
+BLOCK = 128
+"""Patches cut at a time: what is made on the way stays in the cache."""
+
+
+class PatchSamples:
+    """The patches of prepared pictures, shuffled over ``mix`` pictures at a time.
+
+    One chunk holds the patches of ``mix`` pictures, at each visit another part of them: about
+    ``mix`` / ``passes`` pictures' worth of memory, and what ``kept_arrays`` keeps, however many
+    pictures there are.
+    """
+
+    def __init__(
+        self,
+        files: Sequence[Path],
+        training: PatchTraining,
+        processes: Processes,
+        said: Mapping[Path, Path] = MappingProxyType({}),
+    ) -> None:
+        self._files, self._said = files, said
+        self._training = training
+        self._processes = processes
+        self._read = kept_arrays()
+        self._weights = class_weights(files, training)
+        self._groups = -(-len(files) // training.mix)
+        patch = training.network.topology.patch
+        self._room = torch.empty(0, 3, patch, patch)  # kept: fresh memory costs as much as cutting
+
+    @property
+    def chunks(self) -> int:
+        """Chunks of one epoch: groups of pictures, each visited ``passes`` times."""
+        return self._groups * self._training.passes
+
+    def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
+        """This process's patches of a chunk, in batches that are nearly the same size."""
+        training = self._training
+        visit, group = divmod(chunk, self._groups)
+        order = self._shuffled(len(self._files), PATCH_ORDER, epoch, visit)
+        members = order[group * training.mix :][: training.mix].tolist()
+        sites = [self._sites_of(member, epoch, visit) for member in members]
+        generator = generator_at(training.random_seed, JITTER, epoch, chunk)
+        centres, classes, counts = (torch.cat(parts) for parts in zip(*sites, strict=True))
+        draw = draw_jitter(centres, training.jitter, generator)
+        noises = draw_noise(training.network.topology.patch, generator)
+        shuffled = torch.randperm(len(classes), generator=generator)
+        steps = shuffled.tensor_split(max(1, round(len(classes) / training.descent.batch)))
+        picture = torch.arange(len(members)).repeat_interleave(
+            torch.tensor([len(part) for _, part, _ in sites])
+        )
+        mine = torch.cat([self._mine(step) for step in steps])
+        by_picture = picture[mine].argsort(stable=True)
+        self._cut(members, picture[mine[by_picture]], draw.at(mine[by_picture]), noises)
+        place, at = by_picture.argsort(), 0
+        for step in steps:
+            count = len(self._mine(step))
+            own = mine[at : at + count]
+            targets = classes[own].long()
+            part = self._room.index_select(0, place[at : at + count])
+            if len(step):
+                yield Batch(part, targets, self._weights[targets] * counts[own], len(step))
+            at += count
+
+    def _cut(self, members: list[int], picture: Tensor, draw: Draw, noises: Tensor) -> None:
+        """Fill the first n rooms with the patches of ``draw``; picture: (n,), ascending."""
+        network = self._training.network
+        patch = network.topology.patch
+        if len(self._room) < len(picture):
+            self._room = torch.empty(len(picture), 3, patch, patch)
+        for number, member in enumerate(members):
+            image = from_bytes(self._read(self._files[member], "image")["image"])
+            pixels, gain = normalise(image, network.normalisation)
+            for index in (picture == number).nonzero()[:, 0].split(BLOCK):
+                if len(index):
+                    own, room = draw.at(index), self._room[index[0] : index[-1] + 1]
+                    add_noise(cut_patches(pixels, own, patch), own, noises, gain, room)
+
+    def _sites_of(self, member: int, epoch: int, visit: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Centres (n,2), classes and weights (n,) of one picture at one visit in an epoch."""
+        arrays = self._read(self._files[member], "sites", "classes")
+        sites = LabelledSites(arrays["sites"], arrays["classes"], torch.ones(len(arrays["sites"])))
+        if (said := self._said.get(self._files[member])) is not None:
+            planes = read_arrays(said, "layout", "known")
+            sites = corrected_sites(sites, planes, self._training.corrections.weight)
+        order = self._shuffled(len(sites.classes), SITES, epoch, member)
+        order = order[visit :: self._training.passes]
+        return sites.centres[order], sites.classes[order], sites.weights[order]
+
+    def _mine(self, step: Tensor) -> Tensor:
+        return step[self._processes.rank :: self._processes.size]
+
+    def _shuffled(self, count: int, *place: int) -> Tensor:
+        return torch.randperm(count, generator=generator_at(self._training.random_seed, *place))
+
+
+def squared_error(network: nn.Module, batch: Batch) -> Tensor:
+    """Sum over patches of |potentials - one-hot|², each patch times its weight. P2, section 3.1."""
+    wanted = F.one_hot(batch.targets, CLASSES).to(batch.inputs)
+    return ((network(batch.inputs) - wanted).square().sum(1) * batch.weights).sum()
+
+
+# --- a run -----------------------------------------------------------------------------
+
+
+class PatchRecipe:
+    """CNN-7 and its family on patches; one round."""
+
+    rounds = 1
+    error_function = staticmethod(squared_error)
+
+    def __init__(self, training: PatchTraining) -> None:
+        self._training = training
+
+    def preparation(self) -> dict[str, Any]:
+        """Working size, superpixels, labeller and sites."""
+        training = self._training
+        return {
+            "working": training.network.working.model_dump(),
+            "superpixels": training.superpixels.model_dump(),
+            "labeller": training.labeller.model_dump(),
+            "sites": training.sites.model_dump(),
+        }
+
+    def survey(self, pictures: Sequence[Picture], folder: Path, context: RunContext) -> None:
+        """Nothing: patches are taken from single pictures."""
+
+    def make(self, image: Tensor, name: str) -> Arrays:
+        """The picture at working size, its sites and their classes."""
+        return prepare_patches(image, self._training)
+
+    def shrink(self, correction: Correction) -> Arrays:
+        """The layout that people named, at working size."""
+        height, width = correction.labels.shape
+        size = working_size(height, width, self._training.network.working)
+        return said_layout(correction, size)
+
+    def network(self, number: int, last: LayoutNetwork | None) -> LayoutNetwork:
+        """A new patch network, or the one to start from."""
+        if last is not None:
+            return last
+        with seeded(self._training.random_seed, number):
+            return PatchNetwork(self._training.network)
+
+    def samples(
+        self,
+        files: Sequence[Path],
+        said: Mapping[Path, Path],
+        number: int,
+        last: LayoutNetwork | None,
+        context: RunContext,
+    ) -> PatchSamples:
+        """The varied patches of prepared pictures; corrected ones (``said``) come more often."""
+        often = repeated(files, said, self._training.corrections.share)
+        return PatchSamples(often, self._training, context.processes, said)

@@ -14,9 +14,9 @@ from roadtorch.imaging.resize import WorkingSize, at_picture_size, at_work
 from roadtorch.io.atomic import make_folder, write_text
 from roadtorch.io.image import read_image
 from roadtorch.sources.pictures import Picture
-from roadtorch.train.arrays import read_arrays, write_arrays
 from roadtorch.train.config import Recordings
 from roadtorch.train.loop import RunContext
+from roadtorch.train.prepared import read_arrays, write_arrays
 
 DONE = "done"
 """The file that says that a recording has been looked at."""

@@ -13,22 +13,27 @@ from tqdm import tqdm
 from roadtorch.data.corrections import Correction
 from roadtorch.errors import InputError, WeightsError
 from roadtorch.io.atomic import shared, write_text
-from roadtorch.layout.picture_network import PictureNetwork
-from roadtorch.layout.weights import LayoutNetwork, fill, load_network, save_network
+from roadtorch.layout.picture_network import (
+    PictureNetwork,
+    PictureNetworkSettings,
+    network_at,
+)
+from roadtorch.layout.weights import LayoutNetwork, fill, load_network, save_network, weights_path
 from roadtorch.runtime.signals import stop_on_signals
 from roadtorch.sources.pictures import Picture, find_images
-from roadtorch.train.average import AverageWeights
-from roadtorch.train.cards import card_of, corrections_behind
-from roadtorch.train.config import Training, as_values
-from roadtorch.train.corrected_fusion import write_corrected
+from roadtorch.train.config import PictureTraining, Training, as_values
 from roadtorch.train.corrections import (
+    card_of,
+    corrections_behind,
     corrections_by_picture,
     corrections_told,
     keep_corrections,
     paced,
+    write_corrected,
 )
 from roadtorch.train.folder import CHECKPOINT, NO_CHECKPOINT, WEIGHTS, RunFolder, config_hash
 from roadtorch.train.loop import (
+    AverageWeights,
     RunContext,
     TrainingProgress,
     TrainingSetup,
@@ -36,10 +41,13 @@ from roadtorch.train.loop import (
     save_checkpoint,
     train_round,
 )
+from roadtorch.train.patches import PatchRecipe
+from roadtorch.train.pictures import PictureRecipe
 from roadtorch.train.prepared import PreparedFolder, PreparedPicture
 from roadtorch.train.processes import join_processes
-from roadtorch.train.recipe import PreparedFiles, Recipe, recipe_of
 from roadtorch.version import __version__
+
+Recipe = PatchRecipe | PictureRecipe
 
 PREPARED, SAID = "prepared", "corrections"
 
@@ -82,28 +90,53 @@ def train(training: Training, request: Request) -> Outcome:
     with stop_on_signals() as stop, join_processes() as processes:
         folder = RunFolder(request.out)
         context = RunContext(processes, folder, stop, request.quiet)
-        config = as_values(training)
+        config, start = as_values(training), load_start(training)
         recipe = recipe_of(training)
         with processes.led(folder.held()):
             corrections = corrections_by_picture(pictures, request.corrections)
             told = corrections_told(corrections)
-            halfway = training.corrections.halfway
-            recipe.descent = paced(recipe.descent, halfway, len(corrections))
             folder.begin(config, pictures, told, request.resume)
             state = folder.read_checkpoint()
             processes.gather(None)  # all have looked before the first one writes
             if processes.leads:
                 folder.claim(config, pictures, told, __version__)
             behind = [*corrections_behind(training), *([told] if told else [])]
-            return _Run(recipe, request, context, config, corrections, behind).go(pictures, state)
+            run = _Run(training, recipe, start, request, context, corrections, behind)
+            return run.go(pictures, state)
+
+
+def recipe_of(training: Training) -> Recipe:
+    """What the kind of network that the settings describe brings to its training."""
+    if isinstance(training, PictureTraining):
+        return PictureRecipe(training)
+    return PatchRecipe(training)
+
+
+def load_start(training: Training) -> LayoutNetwork | None:
+    """The network of the weights that a run starts from; None where it starts from none.
+
+    One for whole pictures may have learned at another size; it goes on at that of the settings.
+    WeightsError when it is not one of these settings otherwise.
+    """
+    if not training.start:
+        return None
+    network, settings = load_network(weights_path(training.start)), training.network
+    if isinstance(network, PictureNetwork) and isinstance(settings, PictureNetworkSettings):
+        network = network_at(network, settings.height, settings.width)
+    if network.settings != settings:
+        what = "holds a network with other settings than this training"
+        remedy = "give the same [network] settings, or leave start out"
+        raise WeightsError(training.start, what, remedy)
+    return network
 
 
 @dataclass(frozen=True)
 class _Run:
+    training: Training
     recipe: Recipe
+    start: LayoutNetwork | None
     request: Request
     context: RunContext
-    config: dict[str, Any]
     corrections: Mapping[str, Correction]
     behind: Sequence[Mapping[str, Any]]
 
@@ -113,18 +146,27 @@ class _Run:
         skipped = sum(item.file is None for item in prepared)
         if processes.any(stop.asked):
             return Outcome(None, stop.signal or SIGTERM, skipped)
-        people = self._people(prepared)
-        files = PreparedFiles(self._usable(prepared), self._said(people))
+        files = self._usable(prepared)
+        people = {
+            item.file: self.corrections[item.name]
+            for item in prepared
+            if item.file is not None and item.name in self.corrections
+        }
+        own = folder.path / SAID / f"process-{processes.rank}"  # each has a copy of its own
+        said = keep_corrections(own, people, self.recipe.shrink) if people else {}
         progress = _progress_of(state, folder.path / CHECKPOINT) if state else TrainingProgress()
         while True:
-            self._round(files, progress, state)
+            self._round(files, said, progress, state)
             state = None
             if not progress.finished:
                 return Outcome(None, stop.signal or SIGTERM, skipped)
             if progress.round + 1 == self.recipe.rounds:
-                self._trust(list(people.values()))
-                return Outcome(folder.path / WEIGHTS, None, skipped)
+                break
             progress.begin_round(progress.round + 1)
+        weights = folder.path / WEIGHTS
+        if people and isinstance(self.training, PictureTraining) and processes.leads:
+            write_corrected(weights.with_name(FUSION), weights, list(people.values()))
+        return Outcome(weights, None, skipped)
 
     def _prepared(self, pictures: Sequence[Picture]) -> list[PreparedPicture]:
         """The pictures made ready; fewer where somebody asked to stop."""
@@ -139,63 +181,43 @@ class _Run:
             return small.prepare(pictures, self.recipe.make, "labels")
 
     def _usable(self, prepared: Sequence[PreparedPicture]) -> list[Path]:
-        if self.context.processes.leads:
-            self.context.folder.write_pictures(prepared)
+        """The files of the pictures that were not skipped; the list of all is written."""
+        processes, folder, _, quiet = self.context
+        if processes.leads:
+            folder.write_pictures(prepared)
         files = [item.file for item in prepared if item.file is not None]
         if not files:
             raise InputError(self.request.images, "holds no picture that can be used", "see above")
-        if len(files) == 1 and self.context.processes.leads and not self.request.quiet:
+        if len(files) == 1 and processes.leads and not quiet:
             text = "roadtorch: one picture only: the network will know that one and no other"
             tqdm.write(text, file=sys.stderr)
         return files
 
-    def _people(self, prepared: Sequence[PreparedPicture]) -> dict[Path, Correction]:
-        """The corrections of the pictures that can be used, by the prepared file."""
-        return {
-            item.file: self.corrections[item.name]
-            for item in prepared
-            if item.file is not None and item.name in self.corrections
-        }
-
-    def _said(self, people: Mapping[Path, Correction]) -> dict[Path, Path]:
-        """What people said, at the network's size; each process has a copy of its own."""
-        own = self.context.folder.path / SAID / f"process-{self.context.processes.rank}"
-        return keep_corrections(own, people, self.recipe.shrink) if people else {}
-
-    def _trust(self, people: Sequence[Correction]) -> None:
-        """A config of ``fusion`` beside the weights, where corrections say what road is."""
-        weights = self.context.folder.path / WEIGHTS
-        whole = self.config["kind"] == PictureNetwork.kind
-        if people and whole and self.context.processes.leads:
-            write_corrected(weights.with_name(FUSION), weights, people)
-
     def _round(
-        self, files: PreparedFiles, progress: TrainingProgress, state: dict[str, Any] | None
+        self,
+        files: Sequence[Path],
+        said: Mapping[Path, Path],
+        progress: TrainingProgress,
+        state: dict[str, Any] | None,
     ) -> None:
         """Train one round, or what is left of it, and write its weights."""
-        number, folder = progress.round, self.context.folder
-        last = self.recipe.start
-        if number:
-            last = load_network(folder.path / _weights_of(number - 1))
-        samples = self.recipe.samples(files, number, last, self.context)
+        training, number, folder = self.training, progress.round, self.context.folder
+        last = load_network(folder.path / _weights_of(number - 1)) if number else self.start
+        samples = self.recipe.samples(files, said, number, last, self.context)
         network = self.recipe.network(number, last)
-        average = AverageWeights(network, self.recipe.descent.average)
-        optimiser = make_optimiser(network, self.recipe.descent)
+        descent = paced(training.descent, training.corrections.halfway, len(self.corrections))
+        average = AverageWeights(network, descent.average)
+        optimiser = make_optimiser(network, descent)
         if state:
             _go_on(network, average, optimiser, state, folder.path / CHECKPOINT)
+        error = self.recipe.error_function
         setup = TrainingSetup(
-            network,
-            average,
-            optimiser,
-            samples,
-            self.recipe.error_function,
-            self.recipe.descent,
-            self.recipe.stopping,
+            network, average, optimiser, samples, error, descent, training.stopping
         )
         if not state:
             save_checkpoint(setup, progress, self.context)
         train_round(setup, progress, self.context)
-        self._write(average.network.eval(), progress, len(files.files))
+        self._write(average.network.eval(), progress, len(files))
         self.context.processes.gather(None)  # the next round reads what the first one writes
 
     def _write(self, network: LayoutNetwork, progress: TrainingProgress, used: int) -> None:
@@ -205,10 +227,11 @@ class _Run:
         if progress.round and not progress.finished:
             return  # the weights of the last round are better than half of this one
         folder = self.context.folder
+        config = as_values(self.training)
         origin = {
             "roadtorch": __version__,
-            "config": self.config,
-            "config_sha256": config_hash(self.config),
+            "config": config,
+            "config_sha256": config_hash(config),
             "pictures": used,
             "round": progress.round + 1,
             "epochs": progress.epoch,

@@ -1,25 +1,144 @@
-"""Who labels whole pictures: detectors, and from the second round on the last network too. Ours."""
+"""Who labels whole pictures, what of it counts, and how far a network says the same. Ours.
 
+The teachers are detectors, and from the second round on the last network too.
+"""
+
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn import functional as F
 from tqdm import tqdm
 
 from roadtorch.detector import Detector
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError
+from roadtorch.evaluation.adaptation import Agreement
 from roadtorch.imaging.resize import resized
 from roadtorch.io.atomic import make_folder
+from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.normalisation import normalise
-from roadtorch.layout.picture_network import PictureNetwork, potentials_of
+from roadtorch.layout.picture_network import EGO, ROAD, PictureNetwork, potentials_of
 from roadtorch.road.ego import continued
-from roadtorch.train.arrays import Arrays, from_bytes, read_arrays, to_bytes, write_arrays
-from roadtorch.train.config import PictureTraining, Teacher
-from roadtorch.train.loop import RunContext
+from roadtorch.road.fusion import log_odds
+from roadtorch.road.otsu import centred_odds
+from roadtorch.train.config import HeadWeights, PictureTraining, Rounds, Teacher
+from roadtorch.train.loop import Batch, RunContext
+from roadtorch.train.prepared import Arrays, from_bytes, read_arrays, to_bytes, write_arrays
+
+# --- targets ----------------------------------------------------------------------------
+
+
+KNOWN = 0.25
+"""How far from 0.5 the ego car is known: its maps are bytes, and bent where they are reframed."""
+
+CERTAIN = 0.8
+"""From here on a network's ego car is one, below it is none: what it half believes would grow
+from round to round."""
+
+
+class Targets(NamedTuple):
+    """What a network should say, and where it counts. In [0,1].
+
+    layout: (B,3,H,W); layout_weight, road, road_weight, ego, ego_weight: (B,1,H,W).
+    """
+
+    layout: Tensor
+    layout_weight: Tensor
+    road: Tensor
+    road_weight: Tensor
+    ego: Tensor
+    ego_weight: Tensor
+
+
+PLANES = (CLASSES, 1, 1, 1, 1, 1)
+"""Planes of the parts of ``Targets``."""
+
+
+def targets_of(
+    teacher: Tensor, ego: Tensor, network: Tensor | None, settings: Teacher, rounds: Rounds
+) -> Targets:
+    """Targets from the maps (B,4,H,W) of the teacher and, from round 2 on, of the last network.
+
+    ego: (B,1,H,W), the ego car where the footage shows it: 1 ego, 0 not, 0.5 unknown. Where it
+    is unknown there is none at first, later what the last network's maps (B,5,H,W) are certain
+    of. The road's likelihood is moved so that its threshold becomes 0.5. A pixel counts where
+    the best class leads by ``margin``; with agreement, only where both name the same class, or
+    both say road, or both say no road. On the ego car the road is 0 and counts, the layout not.
+    """
+    layout, road = teacher[:, :CLASSES], centred_as(teacher[:, CLASSES:], settings)
+    agree = agree_road = torch.ones_like(road)
+    if network is not None:
+        other, other_road = network[:, :CLASSES], network[:, ROAD : ROAD + 1]
+        if rounds.combine == "agreement":
+            agree = (best_class(layout) == best_class(other)).to(road)
+            agree_road = ((road >= 0.5) == (other_road >= 0.5)).to(road)
+        own = {"network": 0.0, "teacher": 1.0}.get(rounds.combine, 0.5)
+        layout, road = torch.lerp(other, layout, own), torch.lerp(other_road, road, own)
+    said = torch.zeros_like(ego) if network is None else (network[:, EGO:] >= CERTAIN).to(ego)
+    ego = torch.where((ego - 0.5).abs() < KNOWN, said, ego)
+    best = layout.topk(2, dim=1).values
+    sure = (best[:, :1] - best[:, 1:] >= settings.margin).to(road)
+    sure_road = ((2 * road - 1).abs() >= settings.road_margin).to(road)
+    sure_ego = ((2 * ego - 1).abs() >= KNOWN).to(road)
+    street = (ego < 0.5 + KNOWN).to(road)
+    known_road = torch.maximum(sure_road * agree_road, 1 - street)
+    return Targets(layout, sure * agree * street, road * street, known_road, ego, sure_ego)
+
+
+def best_class(layout: Tensor) -> Tensor:
+    """The class int64 (B,1,H,W) that leads in potentials (B,3,H,W).
+
+    ``argmax`` says the same, ten times slower where the classes are not the last dimension.
+    """
+    return layout.max(1, keepdim=True).indices
+
+
+def centred_as(likelihood: Tensor, settings: Teacher) -> Tensor:
+    """Likelihoods (B,1,H,W) moved so that what parts road from background becomes 0.5."""
+    centre = math.log(settings.road_threshold / (1 - settings.road_threshold))
+    odds = [centred_odds(each, centre, settings.centre) for each in log_odds(likelihood)]
+    return torch.stack(odds).sigmoid()
+
+
+def target_error(scores: Tensor, targets: Targets, weights: HeadWeights) -> Tensor:
+    """Cross-entropy of scores (B,5,H,W), summed over pictures, mean over all their pixels."""
+    layout = -(targets.layout * scores[:, :CLASSES].log_softmax(1)).sum(1, keepdim=True)
+    road = _binary(scores[:, ROAD : ROAD + 1], targets.road) * targets.road_weight
+    ego = _binary(scores[:, EGO:], targets.ego) * targets.ego_weight
+    error = layout * targets.layout_weight + weights.road * road + weights.ego * ego
+    return error.mean((1, 2, 3)).sum()
+
+
+def _binary(scores: Tensor, targets: Tensor) -> Tensor:
+    return F.binary_cross_entropy_with_logits(scores, targets, reduction="none")
+
+
+class PictureError:
+    """The error function of one training: targets as they are, or hardened to one class."""
+
+    def __init__(self, training: PictureTraining) -> None:
+        self._targets = training.teacher.targets
+        self._weights = training.heads
+
+    def __call__(self, network: nn.Module, batch: Batch) -> Tensor:
+        """Sum over the batch's pictures of their mean error."""
+        scores = network(batch.inputs).float()
+        small = F.adaptive_avg_pool2d(batch.targets, scores.shape[-2:])
+        targets = Targets(*small.split(PLANES, 1))
+        if self._targets == "hard":
+            best = F.one_hot(best_class(targets.layout)[:, 0], CLASSES).permute(0, 3, 1, 2)
+            road = (targets.road >= 0.5).to(targets.road)
+            targets = targets._replace(layout=best.to(targets.layout), road=road)
+        return target_error(scores, targets, self._weights)
+
+
+# --- teachers ---------------------------------------------------------------------------
+
 
 ACROSS, LEAST_EGO = 0.95, 0.03
 """Shares of the columns and of the picture that an ego car takes which is cut out."""
@@ -118,3 +237,29 @@ def network_maps(network: PictureNetwork, image: Tensor) -> Tensor:
     pixels = normalise(image, network.settings.normalisation).pixels
     found = potentials_of(network(torch.stack([pixels, pixels.flip(-1)])))
     return resized((found[0] + found[1].flip(-1)) / 2, (image.shape[-2], image.shape[-1]))
+
+
+# --- agreement --------------------------------------------------------------------------
+
+
+def teacher_agreement(
+    network: PictureNetwork, files: Sequence[Path], training: PictureTraining
+) -> Agreement:
+    """The agreement of a network with the teacher's maps in prepared pictures, pixels pooled.
+
+    Where the teacher is sure is decided as in training (``targets_of``): by its margins, off the
+    ego car. Raises InputError for a damaged file; a share of no pixel is NaN.
+    """
+    same, known = torch.zeros(2, dtype=torch.float64), torch.zeros(2, dtype=torch.float64)
+    for file in files:
+        arrays = read_arrays(file, "image", "maps", "ego")
+        image, maps, ego = (from_bytes(arrays[name]) for name in ("image", "maps", "ego"))
+        targets = targets_of(maps[None], ego[None, None], None, training.teacher, training.rounds)
+        said = network_maps(network, image)[None]
+        layout = said[:, :CLASSES].argmax(1) == targets.layout.argmax(1)
+        road = (said[:, ROAD] >= 0.5) == (targets.road[:, 0] >= 0.5)
+        where = torch.stack([targets.layout_weight[:, 0], targets.road_weight[:, 0]]) > 0
+        same += (torch.stack([layout, road]) & where).flatten(1).sum(1)
+        known += where.flatten(1).sum(1)
+    shares = same / known
+    return Agreement(float(shares[0]), float(shares[1]), len(files))

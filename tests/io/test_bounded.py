@@ -31,9 +31,8 @@ from roadtorch.runs.batch import read_index
 from roadtorch.runs.results import keep_config
 from roadtorch.runtime.signals import Stop
 from roadtorch.settings import read_settings_file
-from roadtorch.train.arrays import read_arrays
 from roadtorch.train.folder import RunFolder
-from roadtorch.train.prepared import PreparedFolder
+from roadtorch.train.prepared import PreparedFolder, read_arrays
 from roadtorch.train.processes import Processes
 
 

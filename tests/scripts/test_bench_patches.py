@@ -4,7 +4,7 @@ from pathlib import Path
 
 import torch
 
-from roadtorch.train.patch_samples import PatchSamples
+from roadtorch.train.patches import PatchSamples
 from roadtorch.train.processes import Processes
 from scripts import bench_patches
 from tests.scripts.conftest import PrintedBy

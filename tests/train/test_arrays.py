@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from roadtorch.errors import InputError
-from roadtorch.train.arrays import from_bytes, read_arrays, to_bytes, write_arrays
+from roadtorch.train.prepared import from_bytes, read_arrays, to_bytes, write_arrays
 
 
 def test_arrays_come_back_all_or_those_that_are_named(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import nn
 
-from roadtorch.train.average import FIRST, AverageWeights
+from roadtorch.train.loop import FIRST, AverageWeights
 
 
 def with_weight(value: float) -> nn.Linear:

@@ -15,9 +15,9 @@ from roadtorch.errors import ConfigError, RoadtorchError
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import save_network
 from roadtorch.scenes.street import write_picture
-from roadtorch.train.agreement import teacher_agreement
-from roadtorch.train.arrays import read_arrays, write_arrays
 from roadtorch.train.config import PictureTraining
+from roadtorch.train.prepared import read_arrays, write_arrays
+from roadtorch.train.teachers import teacher_agreement
 from tests.streets import scene
 from tests.train.runs import PICTURES, training_of, write_config
 

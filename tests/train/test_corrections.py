@@ -19,27 +19,24 @@ from roadtorch.errors import ConfigError, InputError
 from roadtorch.layout.weights import corrected_pictures, load_network, people_behind
 from roadtorch.settings import read_settings_file
 from roadtorch.train.config import Descent, Training
-from roadtorch.train.corrected_fusion import (
+from roadtorch.train.corrections import (
     HALFWAY,
     MOST,
-    pictures_said,
-    trust_settings,
-    write_corrected,
-)
-from roadtorch.train.corrections import (
     LabelledSites,
     corrected_shares,
     corrected_sites,
     corrected_targets,
     corrections_told,
     paced,
+    pictures_said,
     repeated,
     said_layout,
     said_planes,
+    trust_settings,
+    write_corrected,
 )
-from roadtorch.train.recipe import recipe_of
-from roadtorch.train.run import FUSION, Request, train
-from roadtorch.train.targets import Targets
+from roadtorch.train.run import FUSION, Request, recipe_of, train
+from roadtorch.train.teachers import Targets
 from tests.train.runs import PATCHES, request_of, training_of, write_config
 
 UNTOUCHED, ROAD, NOT_ROAD, VOID, SKY = range(5)

@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from roadtorch.layout.classes import CLASSES
-from roadtorch.train.arrays import write_arrays
+from roadtorch.train.augmentation import EgoCar, laid_over, lent, varied
 from roadtorch.train.config import EgoCars
-from roadtorch.train.ego_cars import EgoCar, laid_over, lent, varied
-from roadtorch.train.targets import PLANES, Targets
+from roadtorch.train.prepared import write_arrays
+from roadtorch.train.teachers import PLANES, Targets
 
 STILL = EgoCars(tallest=0, flattest=0, widest=0, light=0)
 

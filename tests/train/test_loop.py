@@ -4,12 +4,10 @@ import pytest
 import torch
 
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
-from roadtorch.train.average import AverageWeights
-from roadtorch.train.batches import Batch
 from roadtorch.train.config import Descent, PictureTraining, Stopping
-from roadtorch.train.loop import TrainingSetup, make_optimiser, step
+from roadtorch.train.loop import AverageWeights, Batch, TrainingSetup, make_optimiser, step
 from roadtorch.train.processes import Processes
-from roadtorch.train.targets import PLANES, PictureError
+from roadtorch.train.teachers import PLANES, PictureError
 
 
 class OneBatch:

@@ -7,12 +7,11 @@ import torch
 
 from roadtorch.errors import InputError
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings
-from roadtorch.train.arrays import write_arrays
-from roadtorch.train.batches import Batch
 from roadtorch.train.config import PatchTraining, build_training
-from roadtorch.train.patch_samples import PatchSamples, squared_error
+from roadtorch.train.loop import Batch
+from roadtorch.train.patches import PatchSamples, class_weights, squared_error
+from roadtorch.train.prepared import write_arrays
 from roadtorch.train.processes import Processes
-from roadtorch.train.sites import class_weights
 
 
 def training_of(**values: object) -> PatchTraining:

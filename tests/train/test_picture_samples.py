@@ -7,11 +7,11 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadtorch.train.arrays import write_arrays
 from roadtorch.train.config import PictureTraining, build_training
-from roadtorch.train.picture_samples import PictureSamples, Prepared, visits
+from roadtorch.train.pictures import PictureSamples, Prepared, visits
+from roadtorch.train.prepared import write_arrays
 from roadtorch.train.processes import Processes
-from roadtorch.train.targets import PLANES, Targets
+from roadtorch.train.teachers import PLANES, Targets
 
 DARK = {"gamma": 0.0, "gain": 0.0, "tint": 0.0, "saturation": 0.0, "noise": 0.0}
 """Light as it is."""

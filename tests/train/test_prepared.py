@@ -8,8 +8,7 @@ import torch
 from roadtorch.errors import ConfigError
 from roadtorch.runtime.signals import Stop
 from roadtorch.sources.pictures import find_images
-from roadtorch.train.arrays import Arrays, read_arrays
-from roadtorch.train.prepared import PreparedFolder
+from roadtorch.train.prepared import Arrays, PreparedFolder, read_arrays
 from roadtorch.train.processes import Processes
 from tests.train.runs import write_streets
 

@@ -6,12 +6,12 @@ import pytest
 import torch
 
 from roadtorch.runtime.signals import Stop
-from roadtorch.train import recipe
-from roadtorch.train.arrays import write_arrays
+from roadtorch.train import pictures
 from roadtorch.train.config import PictureTraining
 from roadtorch.train.folder import RunFolder
 from roadtorch.train.loop import RunContext
-from roadtorch.train.picture_samples import Prepared
+from roadtorch.train.pictures import Prepared
+from roadtorch.train.prepared import write_arrays
 from roadtorch.train.processes import Processes
 from tests.train.runs import training_of
 
@@ -32,13 +32,13 @@ def test_recordings_are_told_by_the_names_of_pictures_wherever_they_are_kept(
     files = [write_ego(folder / f"{name}.png.npz", name != "a_1") for name in PICTURES]
     training = training_of("pictures", tmp_path, f"recordings.evenness={evenness}")
     assert isinstance(training, PictureTraining)
-    made = recipe.PictureRecipe(training)
+    made = pictures.PictureRecipe(training)
     context = RunContext(Processes(), RunFolder(tmp_path), Stop(), quiet=True)
     given: list[Prepared] = []
-    monkeypatch.setattr(recipe, "PictureSamples", lambda prepared, *_: given.append(prepared))
+    monkeypatch.setattr(pictures, "PictureSamples", lambda prepared, *_: given.append(prepared))
 
     made.survey([], folder, context)
-    made.samples(recipe.PreparedFiles(files, {}), 0, None, context)
+    made.samples(files, {}, 0, None, context)
 
     assert given[0].shares.tolist() == pytest.approx([share, share, share, 1, 1])
     assert given[0].ego_cars == {"a": files[1:3], "b": files[3:4], "c": files[4:]}

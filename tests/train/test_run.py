@@ -18,10 +18,9 @@ from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import load_network, read_origin, save_network
 from roadtorch.train import loop
-from roadtorch.train.arrays import read_arrays
 from roadtorch.train.config import Training
-from roadtorch.train.recipe import recipe_of
-from roadtorch.train.run import Outcome, Request, train
+from roadtorch.train.prepared import read_arrays
+from roadtorch.train.run import Outcome, Request, recipe_of, train
 from tests.train.runs import (
     PATCHES,
     command,

@@ -4,7 +4,7 @@ import torch
 
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
 from roadtorch.train.config import PatchTraining, Sites, build_training
-from roadtorch.train.sites import find_sites, prepare_patches
+from roadtorch.train.patches import find_sites, prepare_patches
 from tests.streets import scene
 
 

@@ -6,7 +6,6 @@ import torch
 from roadtorch.layout.classes import CLASSES
 from roadtorch.road.fusion import log_odds
 from roadtorch.road.otsu import otsu_threshold
-from roadtorch.train.batches import Batch
 from roadtorch.train.config import (
     HeadWeights,
     PictureTraining,
@@ -14,7 +13,8 @@ from roadtorch.train.config import (
     Teacher,
     build_training,
 )
-from roadtorch.train.targets import (
+from roadtorch.train.loop import Batch
+from roadtorch.train.teachers import (
     PictureError,
     Targets,
     best_class,

@@ -11,8 +11,8 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError
 from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.picture_network import OUTPUTS, PictureNetwork, PictureNetworkSettings
-from roadtorch.train.arrays import write_arrays
 from roadtorch.train.config import PictureTraining, Teacher, build_training
+from roadtorch.train.prepared import write_arrays
 from roadtorch.train.teachers import (
     lends_ego,
     load_teachers,

@@ -3,8 +3,8 @@
 import pytest
 import torch
 
+from roadtorch.train.augmentation import at_night, draw_frames, reframed, relit, resurfaced, shaded
 from roadtorch.train.config import Light, Nights, Shadows, Shift, Surfaces
-from roadtorch.train.variation import at_night, draw_frames, reframed, relit, resurfaced, shaded
 from tests.streets import scene
 
 STILL = Shift(scale=0, stretch=0, rotation=0, move=0)

@@ -7,11 +7,9 @@ from typing import NamedTuple
 from tqdm import tqdm
 
 from roadtorch.layout.patch_network import PatchNetwork
-from roadtorch.train.average import AverageWeights
 from roadtorch.train.config import PatchTraining
-from roadtorch.train.generators import seeded
-from roadtorch.train.loop import TrainingSetup, make_optimiser, step
-from roadtorch.train.patch_samples import PatchSamples, squared_error
+from roadtorch.train.loop import AverageWeights, TrainingSetup, make_optimiser, seeded, step
+from roadtorch.train.patches import PatchSamples, squared_error
 from roadtorch.train.processes import Processes
 
 

@@ -1,24 +1,50 @@
-"""The samples of networks for whole pictures: varied pictures with their targets. Ours."""
+"""How networks for whole pictures are trained: varied pictures with their targets. Ours."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
+from roadtorch.data.corrections import Correction
 from roadtorch.layout.classes import HORIZONTAL, SKY
 from roadtorch.layout.normalisation import normalise
-from roadtorch.train.arrays import from_bytes, kept_arrays
-from roadtorch.train.batches import Batch
+from roadtorch.layout.picture_network import PictureNetwork
+from roadtorch.layout.weights import LayoutNetwork
+from roadtorch.sources.pictures import Picture
+from roadtorch.train.augmentation import (
+    at_night,
+    draw_frames,
+    laid_over,
+    lent,
+    reframed,
+    relit,
+    resurfaced,
+    shaded,
+    varied,
+)
 from roadtorch.train.config import PictureTraining
-from roadtorch.train.corrections import corrected_targets
-from roadtorch.train.ego_cars import laid_over, lent, varied
-from roadtorch.train.generators import PICTURE_ORDER, VARIATION, generator_at
+from roadtorch.train.corrections import corrected_shares, corrected_targets, said_planes
+from roadtorch.train.loop import PICTURE_ORDER, VARIATION, Batch, RunContext, generator_at, seeded
+from roadtorch.train.prepared import Arrays, from_bytes, kept_arrays
 from roadtorch.train.processes import Processes
-from roadtorch.train.targets import PLANES, Targets, targets_of
-from roadtorch.train.variation import at_night, draw_frames, reframed, relit, resurfaced, shaded
+from roadtorch.train.recordings import ego_of, find_ego_cars, recording_of
+from roadtorch.train.teachers import (
+    PLANES,
+    PictureError,
+    Targets,
+    label_with_network,
+    lends_ego,
+    load_teachers,
+    prepare_picture,
+    targets_of,
+)
+
+EGO_CARS = "ego-cars"
+"""The folder, beside the prepared pictures, with what recordings show of the ego car."""
 
 
 class Prepared(NamedTuple):
@@ -122,3 +148,87 @@ def visits(shares: Tensor, count: int, at: torch.Generator) -> Tensor:
     steps = torch.arange(count, dtype=torch.float64) + float(torch.rand((), generator=at)) * 0.999
     chosen = torch.searchsorted(fair, steps + 5e-4).clamp(max=len(shares) - 1)
     return chosen[torch.randperm(count, generator=at)]
+
+
+# --- a run -----------------------------------------------------------------------------
+
+
+class PictureRecipe:
+    """A network for whole pictures, in rounds."""
+
+    def __init__(self, training: PictureTraining) -> None:
+        self._training = training
+        self.rounds = training.rounds.count
+        self.error_function = PictureError(training)
+        self._teachers = load_teachers(training.teacher)
+        self._recordings: Mapping[str, Path] = {}
+        self._prepared = Path()
+
+    def preparation(self) -> dict[str, Any]:
+        """Size, and what the teacher's maps depend on."""
+        network, teacher = self._training.network, self._training.teacher
+        return {
+            "size": [network.height, network.width],
+            "detector": teacher.detector,
+            "weights": teacher.weights,
+            "views": teacher.views,
+            "working": teacher.working.model_dump(),
+            "recordings": self._training.recordings.model_dump(include={"separator", "least"}),
+        }
+
+    def survey(self, pictures: Sequence[Picture], folder: Path, context: RunContext) -> None:
+        """Find the ego cars that recordings show."""
+        self._prepared = folder
+        self._recordings = find_ego_cars(
+            pictures, folder / EGO_CARS, self._training.recordings, context
+        )
+
+    def make(self, image: Tensor, name: str) -> Arrays:
+        """The picture at the network's size, with the teacher's maps and the ego car."""
+        ego = ego_of(self._recordings.get(name), image)
+        return prepare_picture(image, ego, self._teachers, self._training)
+
+    def shrink(self, correction: Correction) -> Arrays:
+        """What people said, at the network's size."""
+        network = self._training.network
+        return said_planes(correction, (network.height, network.width))
+
+    def network(self, number: int, last: LayoutNetwork | None) -> PictureNetwork:
+        """A new network, or the last one where rounds continue."""
+        if isinstance(last, PictureNetwork) and self._training.rounds.start == "continued":
+            return last
+        with seeded(self._training.random_seed, number):
+            return PictureNetwork(self._training.network)
+
+    def samples(
+        self,
+        files: Sequence[Path],
+        said: Mapping[Path, Path],
+        number: int,
+        last: LayoutNetwork | None,
+        context: RunContext,
+    ) -> PictureSamples:
+        """Varied pictures of round ``number``; with what the last network says of them, if any."""
+        labels: list[Path] = []
+        if isinstance(last, PictureNetwork):
+            folder = context.folder.labels_of(number)
+            labels = label_with_network(files, folder, last.eval(), context)
+        shares, cars = self._footage(files)
+        corrected = torch.tensor([file in said for file in files])
+        shares = corrected_shares(shares, corrected, self._training.corrections.share)
+        prepared = Prepared(files, labels, shares, cars, said)
+        return PictureSamples(prepared, number, self._training, context.processes)
+
+    def _footage(self, files: Sequence[Path]) -> tuple[Tensor, dict[str, list[Path]]]:
+        """How often each file is visited, and the files that show an ego car, by recording."""
+        settings = self._training.recordings
+        pictures = [file.relative_to(self._prepared) for file in files]
+        stems = [each.with_suffix("").with_suffix("").as_posix() for each in pictures]
+        names = [recording_of(stem, settings.separator) for stem in stems]
+        sizes = Counter(names)
+        shares = torch.tensor([sizes[name] ** -settings.evenness for name in names])
+        cars: dict[str, list[Path]] = {}
+        for name, file in zip(names, files, strict=True):
+            if lends_ego(file):
+                cars.setdefault(name, []).append(file)
+        return shares, cars
