@@ -1,82 +1,57 @@
-"""Time the stages of ``fusion`` in two checkouts of roadtorch, in turn in one process.
+"""Time detectors in two checkouts of roadtorch, in turn in one process.
 
     git worktree add /tmp/before main
     python scripts/bench_against.py /tmp/before
-    python scripts/bench_against.py /tmp/before --size 960x720 --rounds 40 --threads 2
-    python scripts/bench_against.py /tmp/before --threads 2 --write docs/performance.md
+    python scripts/bench_against.py /tmp/before fusion ufl --size 960x720 --rounds 40
 
 Both are loaded beside each other and every round runs both; the one that begins changes from round
-to round. A ratio is the median of the rounds' ratios, this checkout's time over the other's. On
-one thread it is the process's own time that counts, which other work on the same cores lengthens
-but little; on more it is the time on the clock.
+to round. A ratio is the median of the rounds' ratios, this checkout's time over the other's. All
+runs on one thread; ``--clock process`` counts the process's own time, which other work on the
+same cores lengthens but little.
 """
 
 import argparse
 import importlib
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from statistics import median
 from types import ModuleType
-from typing import NamedTuple
-
-import cv2
-import torch
-from torch import Tensor
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the scripts beside
 
-from scripts.bench import FIGURES, commit, made_by
-from scripts.bench_figures import (
-    Figure,
-    figure,
-    merged,
-    part_table,
-    read_figures,
-    rewrite,
-    write_figures,
-)
-from scripts.bench_parts import OURS as SLIC
-from scripts.bench_parts import SEGMENTS, ratio, shown, threads_in_words
-from scripts.bench_stages import FUSION
+import torch
+from torch import Tensor
+
+from roadtorch.scenes.street import render_scene
+from scripts.bench import WARM_UP, ratio, size
 
 HERE = Path(__file__).resolve().parents[1]
-OURS = ("roadtorch", "scripts")  # the packages that each checkout has its own of
-PART = "before-after"
-WARM_UP = 2  # rounds that are not counted
+CLOCKS = {"wall": time.perf_counter, "process": time.process_time}
 
-Clock = Callable[[], float]
-"""Seconds, from any start."""
-
-Round = dict[str, float]
-"""Milliseconds by stage."""
+Detect = Callable[[Tensor], object]
 
 
-class Checkout(NamedTuple):
-    """What is timed of a checkout: its bench, its detector and its superpixels."""
-
-    bench: ModuleType
-    detect: Callable[[Tensor], object]
-    slic: Callable[..., Tensor]
-
-
-def checkout_of(root: Path) -> Checkout:
-    """A checkout's own modules; those that are loaded stay loaded."""
+def detectors_of(root: Path, names: Sequence[str]) -> dict[str, Detect]:
+    """``detect`` of a checkout's own detectors; modules that are loaded stay loaded."""
 
     def loaded() -> dict[str, ModuleType]:
-        return {name: sys.modules[name] for name in sys.modules if name.partition(".")[0] in OURS}
+        ours = [name for name in sys.modules if name.partition(".")[0] == "roadtorch"]
+        return {name: sys.modules[name] for name in ours}
 
     others = loaded()
     for name in others:
         del sys.modules[name]
     sys.path.insert(0, str(root))
     try:
-        bench = importlib.import_module("scripts.bench")
         catalogue = importlib.import_module("roadtorch.detectors.catalogue")
-        superpixels = importlib.import_module("roadtorch.superpixels.slic")
-        return Checkout(bench, catalogue.load_detector("fusion").detect, superpixels.slic)
+        found = {name: catalogue.load_detector(name).detect for name in names}
+        image = render_scene(0).image
+        for detect in found.values():
+            detect(image)  # what is imported late is this checkout's own, too
+        return found
     finally:
         sys.path.remove(str(root))
         for name in loaded():
@@ -84,73 +59,40 @@ def checkout_of(root: Path) -> Checkout:
         sys.modules.update(others)
 
 
-def time_once(checkout: Checkout, image: Tensor, clock: Clock) -> Round:
-    """All stages inside one ``detect``, another as a whole, and the superpixels of the picture."""
-    bench, detect, slic = checkout
-    times = bench.time_stages(detect, image, clock=clock)
-    times |= bench.time_call(FUSION, partial(detect, image), clock)
-    return times | bench.time_call(SLIC, partial(slic, image, SEGMENTS), clock)
-
-
 def in_turn(
-    checkouts: Sequence[Checkout], image: Tensor, rounds: int, threads: int
-) -> list[list[Round]]:
-    """The counted rounds, each with the times of every checkout in the order given."""
-    clock = time.process_time if threads == 1 else time.perf_counter
-    calls = [partial(time_once, checkout, image, clock) for checkout in checkouts]
-    counted = []
+    calls: Sequence[Callable[[], object]], rounds: int, clock: Callable[[], float]
+) -> list[list[float]]:
+    """Milliseconds of every call, a number a counted round."""
+    times: list[list[float]] = [[] for _ in calls]
     for number in range(WARM_UP + rounds):
-        turn = number % 2
-        found = [call() for call in (calls[::-1] if turn else calls)]
-        if number >= WARM_UP:
-            counted.append(found[::-1] if turn else found)
-    return counted
-
-
-def figures_of(
-    rounds: Sequence[Sequence[Round]], commits: Sequence[str], words: str
-) -> list[Figure]:
-    """Medians of both and of their ratios, a row a stage.
-
-    commits: of the checkouts; words: how many threads.
-    """
-    columns = [f"before, ms, {words}", f"now, ms, {words}"]
-    found = [figure(PART, "commit", *both) for both in zip(columns, commits, strict=True)]
-    for name in rounds[0][0]:
-        before, now = ([both[place][name] for both in rounds] for place in (0, 1))
-        found += [
-            shown(PART, name, columns[0], before),
-            shown(PART, name, columns[1], now),
-            shown(PART, name, f"ratio, {words}", ratio(now, before), ""),
-        ]
-    return found
+        order = list(range(len(calls)))
+        for place in order[::-1] if number % 2 else order:
+            start = clock()
+            calls[place]()
+            if number >= WARM_UP:
+                times[place].append((clock() - start) * 1000)
+    return times
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("before", type=Path, help="the other checkout")
-    parser.add_argument("--size", default="640x480", help="width x height of a rendered street")
+    parser.add_argument("detectors", nargs="*", default=["fusion"])
+    parser.add_argument("--size", type=size, default=(640, 480), help="of the rendered street")
     parser.add_argument("--rounds", type=int, default=20)
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--write", type=Path, help="keep the figures, and show them in this page")
+    parser.add_argument("--clock", choices=CLOCKS, default="wall")
     given = parser.parse_args()
-    torch.set_num_threads(given.threads)
-    cv2.setNumThreads(given.threads)
-    load = round(os.getloadavg()[0], 1)
-    before, now = (checkout_of(root.resolve()) for root in (given.before, HERE))
-    ((width, height),) = now.bench.sizes(given.size)
-    image = now.bench.picture_at(None, width, height)
-    rounds = in_turn([before, now], image, given.rounds, given.threads)
-    command = f"python scripts/bench_against.py BEFORE --threads {given.threads}"
-    made = made_by(command, given.threads, given.rounds, load)
-    commits = [commit(root) or "unknown" for root in (given.before, HERE)]
-    found = figures_of(rounds, commits, threads_in_words(given.threads))
-    found = [made | one for one in found]
-    print(part_table(found, PART))
-    if given.write:
-        figures = merged(read_figures(FIGURES), found, made["command"])
-        write_figures(FIGURES, figures)
-        rewrite(given.write, figures)
+    torch.set_num_threads(1)
+    width, height = given.size
+    image = render_scene(0, height, width).image.contiguous()
+    before, now = (detectors_of(root.resolve(), given.detectors) for root in (given.before, HERE))
+    print("| | before, ms | now, ms | ratio |\n|---|---:|---:|---:|")
+    for name in given.detectors:
+        calls = [partial(one[name], image) for one in (before, now)]
+        old, new = in_turn(calls, given.rounds, CLOCKS[given.clock])
+        print(f"| {name} | {median(old):.1f} | {median(new):.1f} | {ratio(new, old):.2f} |")
 
 
 if __name__ == "__main__":

@@ -47,7 +47,7 @@ class Detecting:
     images: Sequence[Tensor]
 
     def __call__(self, job: Job) -> Row:
-        self.detector.detect(self.images[len(job.picture.name) % KEPT])
+        self.detector.detect(self.images[len(job.picture.name) % len(self.images)])
         return Row(job.file)
 
 
@@ -58,7 +58,7 @@ class ReadingAndWriting:
     found: Sequence[Detection]
 
     def __call__(self, job: Job) -> Row:
-        detection = self.found[len(job.picture.name) % KEPT]
+        detection = self.found[len(job.picture.name) % len(self.found)]
         image = read_image(job.picture.path)
         job.out.mkdir(parents=True, exist_ok=True)
         write_files(job.output, KINDS, 8, image, detection)
