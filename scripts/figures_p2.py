@@ -17,4 +17,4 @@ FIGURES: Mapping[str, Callable[[Path, Path], None]] = {
     "p2-ridge": figures_p2_studies.ridges,
     "p2-superpixels": figures_p2_studies.superpixel_counts,
 }
-"""Fig. 3 and 4a are train/sweep_topologies.py: they need training."""
+"""Figs. 3 and 4a needed training: train/README.md, "Studies in the history"."""

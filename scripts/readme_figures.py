@@ -4,7 +4,7 @@
     python scripts/readme_figures.py write           # documents as docs/figures have them
     python scripts/readme_figures.py --check         # is every figure as its source has it?
     python scripts/readme_figures.py free PAGE       # the figures of a page without a source
-    python scripts/readme_figures.py make DATA       # docs/pictures: the steps, the video
+    python scripts/readme_figures.py make DATA       # docs/pictures: the steps
 
 DATA holds many/, camvid/, idd_lite/ and unlabelled_free/. ``evaluate`` takes about ten minutes on
 two quiet cores; --only NAME… does some of it (camvid-slow, idd-slow: detectors of seconds a
@@ -40,10 +40,7 @@ def documents(root: Path) -> list[Path]:
 
 def records(root: Path) -> Mapping[str, Record]:
     """All records of a checkout, those of the benches too, and what the code says."""
-    files = [*sorted((root / FIGURES).glob("*.json"))]
-    if (root / "docs" / "performance.json").exists():
-        files.append(root / "docs" / "performance.json")
-    return bound_figures.read_records(files) | dict(facts())
+    return bound_figures.read_records(sorted((root / FIGURES).glob("*.json"))) | dict(facts())
 
 
 def used(root: Path) -> set[str]:

@@ -1,9 +1,6 @@
-"""The pictures of README: what `fusion` makes of free pictures, and of a rendered drive."""
+"""The pictures of README: what `fusion` makes of free pictures."""
 
 import csv
-import subprocess
-import sys
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,26 +11,19 @@ from roadtorch import load_detector, read_image
 from roadtorch.detector import Detection, Detector
 from roadtorch.io.image import to_pixels
 from roadtorch.report.montage import TILE_WIDTH, captioned, cue_tiles, heat
-from roadtorch.sinks.video import VideoSink
-from train.rendered_drives import render_drive
 
 CHOSEN = ("udadv_test5.jpg", "mcubes_h07.jpg", "comma10k_0008.jpg", "cat_v11.jpg")
 """A motorway under trees, a street, a bonnet in view, a track: one of each recording."""
-
-SEED, FRAMES, RATE = 3, 22, 10.0
-HEIGHT, WIDTH = 162, 288
-"""Of the drive, so that the file stays below 600 KB."""
 
 QUALITY = 85  # of JPEG
 
 
 def make(data: Path, out: Path) -> None:
-    """Write steps.jpg, sources.csv and drive.gif."""
+    """Write steps.jpg and sources.csv."""
     out.mkdir(parents=True, exist_ok=True)
     folder = data / "unlabelled_free"
     write_steps(folder, out / "steps.jpg")
     write_sources(folder, out / "sources.csv")
-    write_drive(out / "drive.gif")
     for path in sorted(out.iterdir()):
         print(f"{path.name}: {path.stat().st_size:,} bytes")
 
@@ -74,25 +64,3 @@ def write_sources(folder: Path, path: Path) -> None:
         csv.writer(file, lineterminator="\n").writerows(
             [rows[0], *(r for r in rows if r[0] in CHOSEN)]
         )
-
-
-def write_drive(path: Path) -> None:
-    """A rendered drive as ``infer --gif`` shows it."""
-    with tempfile.TemporaryDirectory() as folder:
-        video = Path(folder) / "drive.mp4"
-        sink = VideoSink(video, RATE)
-        for number, frame in enumerate(render_drive(SEED, FRAMES, HEIGHT, WIDTH, RATE)):
-            sink.write(to_pixels(frame.image), number / RATE)
-        sink.close()
-        words = [
-            "infer",
-            str(video),
-            "--out",
-            folder,
-            "--save",
-            "overlay",
-            "--gif",
-            f"0:{FRAMES / RATE}",
-        ]
-        subprocess.run([sys.executable, "-m", "roadtorch", *words], check=True)
-        path.write_bytes(next(Path(folder).glob("*.gif")).read_bytes())

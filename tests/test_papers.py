@@ -33,6 +33,7 @@ COLUMNS = (
     *("item", "what it says", "where in the code", "command"),
     *("the paper's value", "ours", "why they differ"),
 )
+HISTORY = (ROOT / "train" / "README.md").read_text(encoding="utf-8").partition("in the history")[2]
 PENDING = "pending"
 
 
@@ -193,9 +194,13 @@ def wrong_in_tests(file: Path, rest: Sequence[str]) -> list[str]:
 
 
 def wrong_in_script(script: Path, rest: Sequence[str]) -> list[str]:
-    """Options and lower-case words stand in the script in quotes; what is behind --out is free."""
+    """Options and lower-case words stand in the script in quotes; what is behind --out is free.
+
+    A study that is in the history is named by train/README.md.
+    """
     if not script.is_file():
-        return [str(script)]
+        named = f"`python {script.relative_to(ROOT)} " in HISTORY
+        return [] if named else [str(script)]
     source = script.read_text(encoding="utf-8")
     words = [word for before, word in zip(["", *rest], rest, strict=False) if before != "--out"]
     told = [word for word in words if word.startswith("--") or word.islower()]
@@ -299,7 +304,7 @@ def test_a_misspelt_name_is_found(name: str) -> None:
     "command",
     [
         "python scripts/figures.py p9-fig1 DATA",
-        "python train/study_ufl.py bananas DATA",
+        "python train/choose_many.py bananas DATA",
         "python train/no_such_study.py DATA",
         "python -m pytest tests/ufl/test_maps.py -k banana",
         "python -m pytest tests/none.py",

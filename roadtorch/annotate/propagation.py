@@ -21,7 +21,7 @@ from roadtorch.superpixels.features import Segments
 
 
 class PropagationSettings(Settings):
-    """How far a correction reaches; chosen with scripts/clicks.py (see docs/annotate.md)."""
+    """How far a correction reaches; chosen by simulated clicks (docs/annotate.md)."""
 
     color: float = Field(default=0.08, gt=0, le=10, description="difference in Lab that parts")
     texture: float = Field(

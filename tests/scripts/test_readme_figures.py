@@ -75,9 +75,6 @@ def test_a_figure_without_a_source_is_found(copy: Path, name: str) -> None:
 
 def test_no_record_is_kept_that_no_document_uses() -> None:
     kept = set(readme_figures.records(ROOT)) - set(facts())
-    bench = ROOT / "docs" / "performance.json"
-    if bench.exists():
-        kept -= {row["name"] for row in json.loads(bench.read_text())}
     assert kept <= readme_figures.used(ROOT)
 
 
