@@ -1,7 +1,7 @@
 """Time detectors beside their peers: LRASPP of torchvision, and superpixels of scikit-image.
 
     python scripts/bench.py                                      # every detector, one thread
-    python scripts/bench.py fusion ufl --size 960x720 --threads 2
+    python scripts/bench.py fusion ufl --size 960x720
     python scripts/bench.py --write                              # and keep what documents show
 
 Each round runs every contestant once, in an order that moves on by one from round to round. Times
@@ -32,6 +32,7 @@ from roadtorch.superpixels.slic import slic
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = ROOT / "docs" / "figures" / "bench.json"
+COMMAND = "python scripts/bench.py --write"
 LRASPP = "LRASPP (torchvision)"
 SEGMENTS = 400
 WARM_UP = 2  # rounds that are not counted
@@ -42,12 +43,9 @@ Times = dict[str, list[float]]
 """Milliseconds by name, a number a round."""
 
 
-def interleaved(calls: Calls, rounds: int, threads: int) -> Times:
-    """Milliseconds of every call in every counted round, on so many threads of torch."""
-    timers = {
-        name: Timer("call()", globals={"call": call}, num_threads=threads)
-        for name, call in calls.items()
-    }
+def interleaved(calls: Calls, rounds: int) -> Times:
+    """Milliseconds of every call in every counted round, on one thread of torch."""
+    timers = {name: Timer("call()", globals={"call": call}) for name, call in calls.items()}
     times: Times = {name: [] for name in calls}
     for number in range(WARM_UP + rounds):
         turn = number % len(timers)
@@ -92,23 +90,22 @@ def contestants(names: Sequence[str], image: Tensor) -> Calls:
     }
 
 
-def table(times: Times, threads: int) -> str:
+def table(times: Times) -> str:
     """Markdown: a row a contestant."""
-    of = f"{threads} thread{'s' if threads > 1 else ''}"
-    lines = [f"| | ms, {of} | of LRASPP, {of} |", "|---|---:|---:|"]
+    lines = ["| one thread | ms | of LRASPP |", "|---|---:|---:|"]
     for name, values in times.items():
         lines.append(f"| {name} | {median(values):.1f} | {ratio(values, times[LRASPP]):.2f} |")
     return "\n".join(lines)
 
 
-def keep(times: Times, command: str) -> None:
+def keep(times: Times) -> None:
     """Write the figures of `fusion` where documents find them (scripts/readme_figures.py)."""
     values = {
         "bench.fusion.ms": (median(times["fusion"]), "ms"),
         "bench.fusion.of_lraspp": (ratio(times["fusion"], times[LRASPP]), "share"),
     }
     lines = [
-        json.dumps({"name": name, "value": value, "unit": unit, "command": command})
+        json.dumps({"name": name, "value": value, "unit": unit, "command": COMMAND})
         for name, (value, unit) in values.items()
     ]
     KEPT.write_text("[\n" + ",\n".join(lines) + "\n]\n", encoding="utf-8")
@@ -128,17 +125,16 @@ def main() -> None:
     )
     parser.add_argument("detectors", nargs="*", help="all but the grid of one-class detectors")
     parser.add_argument("--size", type=size, default=(640, 480), help="of the rendered street")
-    parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--write", action="store_true", help="into docs/figures/bench.json")
     given = parser.parse_args()
     names = given.detectors or [name for name in list_detectors() if "<" not in name]
     width, height = given.size
     image = render_scene(0, height, width).image.contiguous()
-    times = interleaved(contestants(names, image), given.rounds, given.threads)
-    print(table(times, given.threads))
+    times = interleaved(contestants(names, image), given.rounds)
+    print(table(times))
     if given.write:
-        keep(times, f"python scripts/bench.py --threads {given.threads} --write")
+        keep(times)
 
 
 if __name__ == "__main__":

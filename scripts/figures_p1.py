@@ -1,4 +1,4 @@
-"""Figures and tables of P1. See scripts/figures.py; Fig. 6 is a study in the history (train/README.md).
+"""Figures and tables of P1. See scripts/figures.py; Fig. 6 is in the history (train/README.md).
 
 P1's own sets (After-Rain, Sunny-Shadows, Nanjing, Kitti-Layout) are not public any more or not
 here: Table I is its protocol on CamVid, IDD and KITTI road, of which few pictures are taken so

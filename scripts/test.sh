@@ -8,4 +8,5 @@ unset PYTHONDONTWRITEBYTECODE # hundreds of processes would each compile the pac
 "$PYTHON" -m ruff format --check .
 "$PYTHON" -m ruff check .
 "$PYTHON" -m basedpyright
+.venv/bin/lint-imports --no-logo
 "$PYTHON" -m pytest -q -n 2 "$@"
