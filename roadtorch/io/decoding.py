@@ -3,7 +3,6 @@
 import io
 import os
 import re
-import sys
 import threading
 import warnings
 from collections.abc import Iterator
@@ -11,6 +10,7 @@ from contextlib import contextmanager
 
 import cv2
 import numpy as np
+import simplejpeg
 from PIL import Image, ImageOps
 from PIL.ExifTags import Base as ExifTag
 
@@ -31,17 +31,17 @@ PILLOWS_MEGAPIXELS = 178  # Pillow opens nothing larger, whatever we allow
 # TIFF 6.0: tags, and their values that are read with more than 8 bits
 BITS_PER_SAMPLE, PHOTOMETRIC, SAMPLE_FORMAT = 258, 262, 339
 BLACK_IS_ZERO, RGB, UNSIGNED, FLOATING_POINT = 1, 2, 1, 3
+STRIPS_AND_TILES = ((273, 279), (324, 325))  # where they begin, and their bytes
 
-# What libjpeg, libpng, libtiff and OpenCV write to stderr about a picture.
-_TOLD = re.compile(
-    r"^(Corrupt JPEG|Premature end of JPEG|Inconsistent progression|Invalid SOS|Unknown Adobe"
-    r"|Warning: unknown JFIF|libpng |TIFF|imread_|\[ ?(WARN|ERROR|INFO))"
-)
-_DAMAGE = re.compile(r"^(Corrupt JPEG data: .*|Inconsistent progression .*|Invalid SOS .*)$", re.M)
+# PNG: where the first chunk and its bits a sample are, and the chunks that say what pixels are
+PNG_START, PNG_DEPTH = 8, 24
+PNG_PIXELS = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
+
+# What libjpeg says of a JPEG that lacks no pixels: metadata that it does not know, bytes to spare.
+_STRANGE_METADATA = re.compile(r"Unknown Adobe color transform|Warning: unknown JFIF")
 _LEFT_OVER = re.compile(r"(\d+) extraneous bytes before marker 0xd9")
 
 _WARNING_FILTERS = threading.Lock()
-_STDERR = threading.Lock()
 
 
 class TooLargeError(ValueError):
@@ -51,21 +51,20 @@ class TooLargeError(ValueError):
 def decode(data: bytes) -> np.ndarray:
     """The pixels of a picture, upright: uint8 or uint16, (H,W), (H,W,3) RGB or (H,W,4) RGBA.
 
-    OpenCV decodes where it is fast or keeps 16 bits, Pillow the rest. Raises TooLargeError before
+    libjpeg decodes JPEG, OpenCV what has 16 bits, Pillow the rest. Raises TooLargeError before
     anything is decoded, and whatever the decoders raise for bytes that are no picture.
     """
     with open_picture(data) as header:
         if header.format in ("JPEG", "MPO"):
-            _check_jpeg_ends(data)
-            return _oriented(_jpeg(data), _orientation(header))
+            return _oriented(_jpeg(data, header.mode), _orientation(header))
         if header.format == "PNG":
             orientation = _orientation(header)
-            header.verify()  # checks every chunk; OpenCV fills what is missing with black
-            return _oriented(_opencv_told(data, cv2.IMREAD_UNCHANGED)[0], orientation)
-        if header.format == "TIFF":
-            _check_tiff(header)
-        if header.format == "TIFF" and max(_tiff_tag(header, BITS_PER_SAMPLE)) > 8:
-            return _opencv_told(data, cv2.IMREAD_UNCHANGED)[0]  # turns TIFFs upright itself
+            header.verify()  # checks every chunk, and closes the picture
+            if data[PNG_DEPTH] == 16:
+                return _oriented(_opencv(_without_metadata(data)), orientation)
+            return pillow_pixels(open_picture(data))
+        if header.format == "TIFF" and _is_deep_tiff(header, len(data)):
+            return _opencv(data)  # which turns TIFFs upright itself
         return pillow_pixels(header)
 
 
@@ -112,87 +111,59 @@ def without_warnings() -> Iterator[None]:
         yield
 
 
-# --- OpenCV -----------------------------------------------------------------------------
+# --- JPEG -------------------------------------------------------------------------------
 
 
-def _opencv_told(data: bytes, mode: int) -> tuple[np.ndarray, str]:
-    """Decode with OpenCV, as RGB or RGBA, grey stays (H,W); and what its libraries say of it."""
-    with _STDERR, _caught_stderr() as told:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), mode)
+def _jpeg(data: bytes, mode: str) -> np.ndarray:
+    """The pixels (H,W,3) of a JPEG; ValueError where libjpeg met damage, or the end too soon.
+
+    Some cameras fill up the end with bytes of one value, others leave out its marker: those are
+    no damage. mode: Pillow's.
+    """
+    colours = "CMYK" if mode == "CMYK" else "RGB"
+    try:
+        pixels = simplejpeg.decode_jpeg(data, colours)
+    except ValueError as problem:
+        if not _is_whole(data, str(problem)):
+            raise
+        pixels = simplejpeg.decode_jpeg(data, colours, strict=False)
+    return _opencv(data, cv2.IMREAD_COLOR) if mode == "CMYK" else pixels  # which knows inks
+
+
+def _is_whole(data: bytes, told: str) -> bool:
+    """Whether a JPEG has all of its pixels whatever libjpeg tells of it; Pillow raises as well."""
+    if told.startswith("Premature end of JPEG"):
+        with open_picture(data) as picture:
+            picture.load()
+        return True
+    if left_over := _LEFT_OVER.search(told):
+        end = data.rfind(b"\xff\xd9")
+        return len(set(data[end - int(left_over[1]) : end])) == 1
+    return _STRANGE_METADATA.match(told) is not None
+
+
+# --- the other formats ------------------------------------------------------------------
+
+
+def _opencv(data: bytes, mode: int = cv2.IMREAD_UNCHANGED) -> np.ndarray:
+    """Decode with OpenCV, as RGB or RGBA, grey stays (H,W)."""
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), mode | cv2.IMREAD_IGNORE_ORIENTATION)
     if pixels is None:
         raise ValueError("the pixels are damaged")
     if pixels.ndim == 3 and pixels.shape[2] >= 3:
         pixels[..., :3] = pixels[..., 2::-1].copy()
-    return pixels, "".join(told)
+    return pixels
 
 
-@contextmanager
-def _caught_stderr() -> Iterator[list[str]]:
-    """A list that gets what C libraries write to stderr meanwhile; other lines are passed on."""
-    told: list[str] = []
-    try:
-        kept = os.dup(2)
-    except OSError:  # it is closed
-        yield told
-        return
-    readable, writable = os.pipe()
-    for end in (readable, writable):
-        os.set_blocking(end, False)
-    os.dup2(writable, 2)
-    try:
-        yield told
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(writable)
-        with os.fdopen(readable, errors="backslashreplace") as pipe:
-            lines = pipe.readlines()
-        told += [line for line in lines if _TOLD.match(line)]
-        if others := "".join(line for line in lines if not _TOLD.match(line)):
-            sys.stderr.write(others)
-
-
-# --- JPEG -------------------------------------------------------------------------------
-
-
-def _jpeg(data: bytes) -> np.ndarray:
-    """Decode a JPEG; ValueError where libjpeg met damage, which it tells on stderr alone.
-
-    Some cameras fill up the end with bytes of one value: those are no damage.
-    """
-    pixels, told = _opencv_told(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    damage = _DAMAGE.search(told)
-    if damage is None:
-        return pixels
-    left_over = _LEFT_OVER.search(damage[0])
-    if left_over:
-        end = data.rfind(b"\xff\xd9")
-        if len(set(data[end - int(left_over[1]) : end])) == 1:
-            return pixels
-    raise ValueError(damage[0])
-
-
-def _check_jpeg_ends(data: bytes) -> None:
-    """Raise OSError for a truncated JPEG; libjpeg fills the rest with grey and says nothing.
-
-    Inside compressed data the bytes FF D9 are always the end marker (ITU T.81, B.1.1.2).
-    Files of some cameras lack it though all pixels are there: Pillow decides on those.
-    """
-    if data.find(b"\xff\xd9", _first_scan(data)) < 0:
-        with open_picture(data) as picture:
-            picture.load()
-
-
-def _first_scan(data: bytes) -> int:
-    """Where the compressed pixels begin: behind the headers, which may hold a thumbnail."""
-    at = 2
-    while at + 4 <= len(data) and data[at] == 0xFF and data[at + 1] != 0xDA:
-        is_fill = data[at + 1] == 0xFF
-        at += 1 if is_fill else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-    return at
-
-
-# --- the other formats ------------------------------------------------------------------
+def _without_metadata(data: bytes) -> bytes:
+    """A PNG of whole chunks with its pixels alone: of the rest libpng talks on stderr."""
+    kept, at = [data[:PNG_START]], PNG_START
+    while at < len(data):
+        end = at + 12 + int.from_bytes(data[at : at + 4], "big")
+        if data[at + 4 : at + 8] in PNG_PIXELS:
+            kept.append(data[at:end])
+        at = end
+    return b"".join(kept)
 
 
 def pillow_pixels(picture: Image.Image) -> np.ndarray:
@@ -200,8 +171,8 @@ def pillow_pixels(picture: Image.Image) -> np.ndarray:
 
     Raises ValueError for 32 bits, whose white nobody has agreed on, and what Pillow raises.
     """
+    picture.load()
     with without_warnings():
-        picture.load()
         upright = ImageOps.exif_transpose(picture)
         if upright.mode in ("I", "F"):
             raise ValueError(f"Pillow's mode {upright.mode} has no agreed white")
@@ -210,17 +181,28 @@ def pillow_pixels(picture: Image.Image) -> np.ndarray:
         return np.array(upright.convert("RGBA" if upright.has_transparency_data else "RGB"))
 
 
-def _check_tiff(header: Image.Image) -> None:
-    """ValueError for a TIFF whose black and white would not be scaled right."""
+def _is_deep_tiff(header: Image.Image, size: int) -> bool:
+    """Whether a TIFF of so many bytes has 16 bits a sample.
+
+    ValueError for one whose black and white would not be scaled right, and for a deep one that
+    ends before its pixels do.
+    """
     kinds = set(_tiff_tag(header, SAMPLE_FORMAT))
     bits = _tiff_tag(header, BITS_PER_SAMPLE)
+    is_deep = max(bits) > 8
     if FLOATING_POINT in kinds:
         raise ValueError("floating-point TIFF has no agreed white")
-    if kinds != {UNSIGNED} or (max(bits) > 8 and set(bits) != {16}):
+    if kinds != {UNSIGNED} or (is_deep and set(bits) != {16}):
         told = "×".join(map(str, sorted(set(bits))))
         raise ValueError(f"TIFF of {told} bits a sample is not read, only 8 and 16 without sign")
-    if max(bits) > 8 and _tiff_tag(header, PHOTOMETRIC)[0] not in (BLACK_IS_ZERO, RGB):
+    if is_deep and _tiff_tag(header, PHOTOMETRIC)[0] not in (BLACK_IS_ZERO, RGB):
         raise ValueError("TIFF of 16 bits is read as grey, black being 0, or as RGB")
+    if is_deep:
+        for offsets, counts in STRIPS_AND_TILES:
+            parts = zip(_tiff_tag(header, offsets), _tiff_tag(header, counts), strict=False)
+            if any(offset + count > size for offset, count in parts):
+                raise ValueError("the file ends before its pixels do")
+    return is_deep
 
 
 def _tiff_tag(header: Image.Image, tag: int) -> tuple[int, ...]:

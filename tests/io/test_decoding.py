@@ -118,6 +118,33 @@ def test_a_png_without_pixels_is_refused(tmp_path: Path) -> None:
         read_image(path)
 
 
+@pytest.mark.parametrize("bits", [8, 16])
+def test_a_png_with_strange_metadata_is_read_and_nothing_is_told(
+    tmp_path: Path, bits: int, capfd: pytest.CaptureFixture[str]
+) -> None:
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 4, 4, bits, 2, 0, 0, 0))
+    strange = chunk(b"gAMA", b"\0\0\0") + chunk(b"iCCP", b"x\0\0" + zlib.compress(bytes(200)))
+    pixels = chunk(b"IDAT", zlib.compress((b"\0" + b"\x33" * (4 * 3 * bits // 8)) * 4))
+    path = tmp_path / "a.png"
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + header + strange + pixels + chunk(b"IEND", b""))
+
+    assert torch.equal(read_image(path), torch.full((3, 4, 4), 0.2))
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("depth", [8, 16])
+def test_a_tiff_that_ends_too_soon_is_refused_and_nothing_is_told(
+    tmp_path: Path, depth: int, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, np.zeros((16, 16), f"uint{depth}"))
+    path.write_bytes(path.read_bytes()[:-9])
+
+    with pytest.raises(InputError, match=r"a\.tif: cannot be decoded"):
+        read_image(path)
+    assert capfd.readouterr() == ("", "")
+
+
 @pytest.mark.parametrize("kind", [np.int32, np.uint32, np.int16, np.int8])
 def test_a_tiff_whose_white_is_not_known_is_refused(tmp_path: Path, kind: Any) -> None:
     path = tmp_path / "a.tif"
