@@ -50,7 +50,6 @@ class Kind(NamedTuple):
 KINDS: Mapping[str, Kind] = {
     "pictures": Kind(fuzz_pictures.make_picture, fuzz_pictures.read_picture),
     "weights": Kind(fuzz_weights.make_network, fuzz_weights.read_network),
-    "classifiers": Kind(fuzz_weights.make_classifier, fuzz_weights.read_classifier),
     "arrays": Kind(fuzz_weights.make_arrays, fuzz_weights.read_prepared),
     "checkpoints": Kind(fuzz_weights.make_checkpoint, fuzz_weights.read_checkpoint),
     "configs": Kind(fuzz_settings.make_config, fuzz_settings.read_config),

@@ -1,9 +1,8 @@
-"""Weights, saved classifiers, arrays and checkpoints for ``scripts/fuzz.py``."""
+"""Weights, arrays and checkpoints for ``scripts/fuzz.py``."""
 
 import io
 import json
 import random
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import torch
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import LARGEST, load_network, save_network, shipped_weights
-from roadtorch.oneclass import CLASSIFIERS, axes_of, fit, load, save
 from roadtorch.train.folder import CHECKPOINT, FORMAT, RunFolder
 from roadtorch.train.prepared import read_arrays, write_arrays
 from scripts.fuzz_bytes import BYTES, as_json, mutated, mutated_json, mutated_values
@@ -22,7 +20,6 @@ NETWORKS = (
     PictureNetwork(PictureNetworkSettings(height=40, width=48, narrow=8, wide=8)),
 )
 TYPES = ("F64", "F16", "BF16", "I32", "I64", "U8", "BOOL", "F8_E4M3", "C64", "X9")
-CLASSIFIER_NAMES = ("gaussian", "mog2", "nn", "hist64_s", "svdd", "kmeans")
 
 # --- networks ---------------------------------------------------------------------------
 
@@ -87,31 +84,6 @@ def read_network(path: Path) -> bool:
     return all(
         bool((value.abs() <= LARGEST).all()) for value in load_network(path).state_dict().values()
     )
-
-
-# --- classifiers ------------------------------------------------------------------------
-
-
-@cache
-def _fitted(name: str) -> Any:
-    pixels = torch.rand(60, 2, generator=torch.Generator().manual_seed(1))
-    return fit(CLASSIFIERS[name], pixels, axes_of(("H", "S")), CLASSIFIERS[name].settings())
-
-
-def make_classifier(folder: Path, draw: random.Random) -> Path:
-    """A saved classifier that was tampered with; its name says whose it is."""
-    name = draw.choice(CLASSIFIER_NAMES)
-    path = folder / f"{name}.safetensors"
-    save(_fitted(name), path)
-    path.write_bytes(tampered_safetensors(path.read_bytes(), draw))
-    return path
-
-
-def read_classifier(path: Path) -> bool:
-    """Load it and judge colours; whether the likelihoods are in [0,1]."""
-    fitted = load(CLASSIFIERS[path.stem], path)
-    found = fitted.likelihood(torch.rand(20, 2))
-    return bool((found >= 0).all() and (found <= 1).all())
 
 
 # --- arrays and checkpoints -------------------------------------------------------------

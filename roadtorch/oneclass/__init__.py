@@ -8,15 +8,7 @@ fitted.likelihood(pixels)
 
 from roadtorch.oneclass import boundary, density, histogram, mixture, neighbours, reconstruction
 from roadtorch.oneclass.axes import Axes, axes_of
-from roadtorch.oneclass.base import (
-    Classifier,
-    ClassifierSettings,
-    Fitted,
-    fit,
-    load,
-    restored,
-    save,
-)
+from roadtorch.oneclass.base import Classifier, ClassifierSettings, Fitted, fit
 
 CLASSIFIERS: dict[str, Classifier] = {
     classifier.name: classifier
@@ -44,7 +36,4 @@ __all__ = [
     "Fitted",
     "axes_of",
     "fit",
-    "load",
-    "restored",
-    "save",
 ]

@@ -22,7 +22,7 @@ Hue = Literal["unrolled", "linear", "chord"]
 everything within half a turn of it. ``linear``: the number as it is, cut at red, which is
 what P3's column H suggests. ``chord``: a point on a circle of circumference 1, two axes."""
 
-FAINT = 1e-6
+MIN_MEAN_LENGTH = 1e-6
 """Below this length of their mean vector hues have no mean, and 0 is taken."""
 
 
@@ -80,7 +80,7 @@ def circular_mean(hues: Tensor, weights: Tensor | None = None) -> Tensor:
         share, total = torch.ones_like(angle), float(len(angle))
     # Two numbers are left, and plain ones cost less than tensors of one value.
     sine, cosine = (float(torch.dot(share, part)) / total for part in (angle.sin(), angle.cos()))
-    if math.hypot(sine, cosine) < FAINT:
+    if math.hypot(sine, cosine) < MIN_MEAN_LENGTH:
         return hues.new_zeros(())
     mean = hues.new_tensor(math.atan2(sine, cosine) / (2 * math.pi) % 1)
     return torch.where(mean < 1, mean, 0)  # a tiny negative one is rounded to a whole turn
@@ -101,11 +101,7 @@ def mean_hues(planes: Tensor, axes: Axes) -> Tensor:
 
 def unrolled(hues: Tensor, mean: Tensor | float) -> Tensor:
     """Hues in turns as their distance along the circle from a mean: -0.5 to 0.5."""
-    return rounded_off(hues - mean)
-
-
-def rounded_off(turns: Tensor) -> Tensor:
-    """Turns less whole ones, in place: -0.5 to 0.5."""
+    turns = hues - mean
     return turns.sub_(turns.round())  # several times faster than a remainder
 
 
@@ -120,18 +116,14 @@ def arranged(planes: Tensor, axes: Axes, hue: Hue, means: Tensor) -> Tensor:
         seen = planes - means[:, None]  # the one copy; means of what is not circular are 0
         for row, circular in zip(seen, axes.circular, strict=True):
             if circular:
-                rounded_off(row)
+                row.sub_(row.round())
         return seen
     rows: list[Tensor] = []
     for row, circular in zip(planes, axes.circular, strict=True):
-        rows += chord(row) if circular else [row]
+        angle = 2 * math.pi * row
+        points = [angle.cos() / (2 * math.pi), angle.sin() / (2 * math.pi)]
+        rows += points if circular else [row]
     return torch.stack(rows)
-
-
-def chord(hues: Tensor) -> list[Tensor]:
-    """Hues in turns as points on a circle of circumference 1, cosine and sine."""
-    angle = 2 * math.pi * hues
-    return [angle.cos() / (2 * math.pi), angle.sin() / (2 * math.pi)]
 
 
 @cache

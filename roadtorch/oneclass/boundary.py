@@ -254,7 +254,7 @@ DISSIMILARITIES: dict[str, Callable[[Tensor], Tensor]] = {
 }
 """From squared distances, in place."""
 
-MOST_CONSTRAINTS = 1024
+MAX_CONSTRAINTS = 1024
 """Distinct samples that the linear programme takes; the solver's time grows with the cube."""
 
 
@@ -307,7 +307,7 @@ def least_margin(
 def _fit_linear(
     samples: Tensor, axes: Axes, settings: LinearSettings, generator: torch.Generator
 ) -> Learned:
-    points, counts = few_distinct("dlp", samples, MOST_CONSTRAINTS)
+    points, counts = few_distinct("dlp", samples, MAX_CONSTRAINTS)
     kind = list(DISSIMILARITIES).index(settings.dissimilarity)
     between = DISSIMILARITIES[settings.dissimilarity](squared_distances(points.T, points))
     # The solver's tolerances are absolute; rescaled so that the mean is 1, they are small.

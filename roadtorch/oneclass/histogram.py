@@ -14,7 +14,7 @@ from roadtorch.errors import ConfigError
 from roadtorch.oneclass.axes import Axes
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, State
 
-MOST_BINS = 1 << 25
+MAX_BINS = 1 << 25
 """Of a joint histogram: 134 MB."""
 
 NOISE = 30 / 256
@@ -107,7 +107,7 @@ def _fit_histogram(
         samples = with_noisy_copy(samples, axes, settings.noise, settings.edge, generator)
     low, scale = torch.tensor(axes.low), (bins / axes.span).float()
     numbers = bin_of(samples.T.float(), low, scale, bins)
-    if settings.planes == "joint" and bins**dimensions > MOST_BINS:
+    if settings.planes == "joint" and bins**dimensions > MAX_BINS:
         what = f"{bins} bins in {dimensions} dimensions are too many"
         raise ConfigError("bins", what, 'use fewer, or planes="product"')
     if settings.planes == "joint":
@@ -140,14 +140,13 @@ def histogram_distance(state: State, pixels: Tensor) -> Tensor:
     return torch.stack([table[row.long()] for table, row in pairs]).sum(0).sqrt_()
 
 
-def _histogram(name: str, summary: str, settings: type[HistogramSettings]) -> Classifier:
-    return Classifier(name, summary, settings, _fit_histogram, histogram_distance)
-
-
-CLASSIFIERS: tuple[Classifier, ...] = (
-    _histogram("hist64_s", "histogram of 64 bins", HistogramSettings),
-    _histogram("hist64_sn", "histogram of 64 bins, with noise", NoisyHistogramSettings),
-    _histogram("hist100_s", "histogram of 100 bins", FineHistogramSettings),
-    _histogram("hist100_sn", "histogram of 100 bins, with noise", FineNoisyHistogramSettings),
+CLASSIFIERS = tuple(
+    Classifier(name, summary, settings, _fit_histogram, histogram_distance)
+    for name, summary, settings in (
+        ("hist64_s", "histogram of 64 bins", HistogramSettings),
+        ("hist64_sn", "histogram of 64 bins, with noise", NoisyHistogramSettings),
+        ("hist100_s", "histogram of 100 bins", FineHistogramSettings),
+        ("hist100_sn", "histogram of 100 bins, with noise", FineNoisyHistogramSettings),
+    )
 )
 """The four model-based classifiers of P3."""

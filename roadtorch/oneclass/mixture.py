@@ -21,23 +21,23 @@ from roadtorch.oneclass.base import (
 )
 from roadtorch.oneclass.density import floor_of, whitening
 
-ROUNDS = 100
+MAX_ROUNDS = 100
 """Of expectation maximisation at most."""
 
-SETTLED = 1e-3
+TOLERANCE = 1e-3
 """It ends when the mean log-likelihood of the samples changes by less, as in scikit-learn.
 The toolbox dd_tools goes on until the sum changes by less than 1e-6 of itself."""
 
-TRIAL = 10
+TRIAL_ROUNDS = 10
 """Rounds of each start before the best of them goes on."""
 
-FARTHEST = -1e37
-"""Of an exponent: of two infinite ones the difference would be no number."""
+MIN_EXPONENT = -1e37
+"""Of two infinite ones the difference would be no number."""
 
 WIDENING = 0.01
 """Share of the samples' mean variance added to each component's (dd_tools)."""
 
-EMPTY = 1e-300
+MIN_WEIGHT = 1e-300
 """Stands for no weight at all where a logarithm is taken."""
 
 
@@ -82,16 +82,6 @@ class Mixtures(NamedTuple):
     means: Tensor
     whitening: Tensor
 
-    def pick(self, run: int) -> "Mixtures":
-        """One of them, as R = 1, without the components it does not have."""
-        real = self.log_shares[run].isfinite()
-        order = (
-            self.log_shares[run]
-            .masked_fill(~real, -math.inf)
-            .argsort(descending=True, stable=True)[: int(real.sum())]
-        )
-        return Mixtures(*(part[run][order][None] for part in self))
-
 
 # --- expectation maximisation -----------------------------------------------------------
 
@@ -102,12 +92,11 @@ def _powers(samples: Tensor) -> Tensor:
     return torch.cat([samples.new_ones(len(samples), 1), samples, squares], 1)
 
 
-def log_parts(samples: Tensor, mixtures: Mixtures) -> Tensor:
-    """ln P_n N(x; μ_n, Σ_n) of samples (m,d), about centred: (R,N,m). P3 with its factors."""
-    return _log_parts(_powers(samples), mixtures)
+def log_parts(powers: Tensor, mixtures: Mixtures) -> Tensor:
+    """ln P_n N(x; μ_n, Σ_n) of the powers of samples, about centred: (R,N,m).
 
-
-def _log_parts(powers: Tensor, mixtures: Mixtures) -> Tensor:
+    P3 with its factors.
+    """
     dimensions = mixtures.means.shape[-1]
     inverse = mixtures.whitening.mT @ mixtures.whitening
     slope = (inverse @ mixtures.means[..., None])[..., 0]
@@ -120,14 +109,14 @@ def _log_parts(powers: Tensor, mixtures: Mixtures) -> Tensor:
 
 def log_density(samples: Tensor, mixtures: Mixtures) -> Tensor:
     """ln p of samples (m,d) under each mixture: (R,m)."""
-    return log_parts(samples, mixtures).logsumexp(1)
+    return log_parts(_powers(samples), mixtures).logsumexp(1)
 
 
 def _maximised(powers: Tensor, shares: Tensor, widening: Tensor) -> Mixtures:
     """The mixtures whose components have the weights (R,N,m) of the samples."""
     dimensions = len(widening)
     sums = shares @ powers
-    total = sums[..., :1].clamp_min(EMPTY)
+    total = sums[..., :1].clamp_min(MIN_WEIGHT)
     means = sums[..., 1 : 1 + dimensions] / total
     second = (sums[..., 1 + dimensions :] / total).unflatten(-1, (dimensions, dimensions))
     covariance = second - means[..., :, None] * means[..., None, :] + torch.diag(widening)
@@ -136,21 +125,21 @@ def _maximised(powers: Tensor, shares: Tensor, widening: Tensor) -> Mixtures:
 
 
 def maximise(
-    samples: Tensor, weights: Tensor, start: Tensor, widening: Tensor, rounds: int = ROUNDS
+    samples: Tensor, weights: Tensor, start: Tensor, widening: Tensor, rounds: int = MAX_ROUNDS
 ) -> tuple[Tensor, Tensor]:
     """Expectation maximisation of R mixtures at once: memberships (R,N,m), likelihoods (R,).
 
     samples: float64 (m,d), about centred. weights: (R,m), 1 for a sample that a run sees,
     else 0. start: memberships of the samples; a component without any stays empty.
     widening: (d,), added to the variances in each round. Ends when no run's mean
-    log-likelihood changes by more than ``SETTLED``. The likelihoods are those of the last
+    log-likelihood changes by more than ``TOLERANCE``. The likelihoods are those of the last
     mixtures, from which the memberships come; ``mixtures_of`` makes the next ones.
     """
     powers, shares = _powers(samples), start
     before = samples.new_full((len(weights),), -math.inf)
-    limit = SETTLED * weights.sum(1)
+    limit = TOLERANCE * weights.sum(1)
     for _ in range(rounds):
-        parts = _log_parts(powers, _maximised(powers, shares * weights[:, None], widening))
+        parts = log_parts(powers, _maximised(powers, shares * weights[:, None], widening))
         top = parts.amax(1, keepdim=True)
         shares = (parts - top).exp_()
         total = shares.sum(1, keepdim=True)
@@ -220,11 +209,6 @@ def held_out(
     return log_density(samples, mixtures).reshape(most, folds, count), fold
 
 
-def by_held_out(densities: Tensor, fold: Tensor) -> int:
-    """The number under which the held-out samples are most likely together."""
-    return 1 + int(densities[:, fold, torch.arange(len(fold))].sum(1).argmax())
-
-
 def by_consistency(densities: Tensor, fold: Tensor, rejected: float) -> int:
     """The last number before clearly more held-out samples than f are rejected (Tax).
 
@@ -264,7 +248,7 @@ def chosen_number(
         return 1
     densities, fold = held_out(samples, most, widening, generator)
     if settings.select == "cv":
-        return by_held_out(densities, fold)
+        return 1 + int(densities[:, fold, torch.arange(count)].sum(1).argmax())
     return by_consistency(densities, fold, settings.rejected)
 
 
@@ -283,7 +267,7 @@ def _best_runs(
     runs = torch.tensor([n for n in numbers for _ in range(restarts if n > 1 else 1)])
     weights = samples.new_ones(len(runs), len(samples))
     start = spread_starts(samples, weights, runs, generator)
-    shares, likelihoods = maximise(samples, weights, start, widening, TRIAL)
+    shares, likelihoods = maximise(samples, weights, start, widening, TRIAL_ROUNDS)
     best = torch.stack([likelihoods.masked_fill(runs != n, -math.inf).argmax() for n in numbers])
     shares, likelihoods = maximise(samples, weights[best], shares[best], widening)
     return mixtures_of(samples, shares, widening), likelihoods
@@ -298,24 +282,22 @@ def _fit_mixture(
     widening = WIDENING * samples.square().mean() + floor_of(axes)
     if isinstance(settings, BestMixtureSettings):
         numbers = list(range(1, most + 1))
-        found, likelihoods = _best_runs(samples, numbers, widening, settings.restarts, generator)
-        chosen = chosen_number(samples, likelihoods, widening, settings, generator) - 1
+        runs, likelihoods = _best_runs(samples, numbers, widening, settings.restarts, generator)
+        run = chosen_number(samples, likelihoods, widening, settings, generator) - 1
     else:
-        found, _ = _best_runs(samples, [most], widening, settings.restarts, generator)
-        chosen = 0
-    return _scored(found.pick(chosen), centre, settings.formula)
-
-
-def _scored(mixture: Mixtures, centre: Tensor, formula: Literal["density", "paper"]) -> Learned:
-    """What ``mixture_distance`` needs of a mixture of samples about a centre (d,)."""
-    log_weights, whiten = mixture.log_shares[0], mixture.whitening[0]
-    if formula == "density":
+        runs, _ = _best_runs(samples, [most], widening, settings.restarts, generator)
+        run = 0
+    # Without the components that the run does not have; they are the last of this order.
+    order = runs.log_shares[run].argsort(descending=True, stable=True)
+    order = order[: int(runs.log_shares[run].isfinite().sum())]
+    log_weights, means, whiten = (part[run][order] for part in runs)
+    if settings.formula == "density":
         log_weights = log_weights + whiten.diagonal(dim1=-2, dim2=-1).log().sum(-1)
     else:
         whiten = whiten * 2**0.5
     # Of the sum of all peaks, which no density exceeds: then near the top little is lost.
     log_weights = log_weights - log_weights.logsumexp(0)
-    means = mixture.means[0] + centre
+    means = means + centre
     state = {
         "log_weights": log_weights,
         "means": means,
@@ -344,24 +326,18 @@ def mixture_distance(state: State, pixels: Tensor) -> Tensor:
     if len(squared) == 1:
         return squared[0].sqrt_()
     exponents = torch.add(state["log_weights"][:, None], squared, alpha=-0.5)
-    top = exponents.clamp_min_(FARTHEST).amax(0)
+    top = exponents.clamp_min_(MIN_EXPONENT).amax(0)
     # Below that they are lost in the sum, and subnormal numbers are slow.
     total = exponents.sub_(top).clamp_min_(-80).exp_().sum(0).log_()
     return total.add_(top).mul_(-2).clamp_min_(0).sqrt_()
 
 
-MIXTURE_2 = Classifier(
-    "mog2", "mixture of 2 Gaussians", MixtureSettings, _fit_mixture, mixture_distance
+CLASSIFIERS = tuple(
+    Classifier(name, summary, settings, _fit_mixture, mixture_distance)
+    for name, summary, settings in (
+        ("mog2", "mixture of 2 Gaussians", MixtureSettings),
+        ("mog4", "mixture of 4 Gaussians", LargerMixtureSettings),
+        ("mog_opt", "mixture of as many Gaussians as the samples call for", BestMixtureSettings),
+    )
 )
-MIXTURE_4 = Classifier(
-    "mog4", "mixture of 4 Gaussians", LargerMixtureSettings, _fit_mixture, mixture_distance
-)
-MIXTURE_BEST = Classifier(
-    "mog_opt",
-    "mixture of as many Gaussians as the samples call for",
-    BestMixtureSettings,
-    _fit_mixture,
-    mixture_distance,
-)
-CLASSIFIERS: tuple[Classifier, ...] = (MIXTURE_2, MIXTURE_4, MIXTURE_BEST)
 """The mixtures of P3."""

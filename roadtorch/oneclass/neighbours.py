@@ -18,7 +18,7 @@ from roadtorch.errors import InputError
 from roadtorch.oneclass.axes import Axes
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, State
 
-MOST = 4096
+MAX_DISTINCT = 4096
 """Distinct samples of which a square matrix is made: 134 MB in double precision."""
 
 
@@ -32,20 +32,12 @@ def squared_distances(planes: Tensor, points: Tensor) -> Tensor:
     return total
 
 
-def nearest_squared_distance(planes: Tensor, points: Tensor) -> Tensor:
-    """min_j |x - y_j|² from pixels x, planes (d,n), to points y (m,d): (n,)."""
-    return squared_distances(planes, points).amin(0)
+def few_distinct(name: str, samples: Tensor, most: int = MAX_DISTINCT) -> tuple[Tensor, Tensor]:
+    """The different rows of samples (m,d), sorted, and how often each occurs (k,).
 
-
-def distinct(samples: Tensor) -> tuple[Tensor, Tensor]:
-    """The different rows of samples (m,d), sorted, and how often each occurs (k,)."""
+    InputError where a square matrix of them would be too large.
+    """
     points, counts = samples.unique(dim=0, return_counts=True)
-    return points, counts
-
-
-def few_distinct(name: str, samples: Tensor, most: int = MOST) -> tuple[Tensor, Tensor]:
-    """As ``distinct``; InputError where a square matrix of them would be too large."""
-    points, counts = distinct(samples)
     if len(points) > most:
         what = f"has {len(points)} different samples, more than {most}"
         remedy = "take one sample per superpixel, or planes of fewer levels"
@@ -79,14 +71,12 @@ def _fit_nearest(
 ) -> Learned:
     from scipy.spatial import KDTree  # slow to import, and most others do without
 
-    points, counts = distinct(samples)
+    points, counts = samples.unique(dim=0, return_counts=True)
     floats = 8 if len(axes) == 1 else len(points)
     state = {"points": points.float()}
     if len(points) == 1:
         return Learned(state, floats)
-    found, places = KDTree(points).query(points, k=2)
-    own = torch.from_numpy(np.asarray(found)[:, 1])
-    nearest = torch.from_numpy(np.asarray(places)[:, 1])
+    own, nearest = (torch.from_numpy(both[:, 1]) for both in KDTree(points).query(points, k=2))
     if settings.reading == "ratio":
         state["own"] = own.float()
         return Learned(state, floats, training=(own / own[nearest]).repeat_interleave(counts))
@@ -108,7 +98,7 @@ def nearest_distance(state: State, planes: Tensor) -> Tensor:
         distances, nearest = nearest_on_line(points[:, 0].contiguous(), planes[0].contiguous())
         return distances if own is None else distances / own[nearest]
     if own is None:
-        return nearest_squared_distance(planes, points).sqrt_()
+        return squared_distances(planes, points).amin(0).sqrt_()
     # Along the last axis the least value with its place is found three times faster.
     least, nearest = squared_distances(planes, points).T.contiguous().min(1)
     return least.sqrt_() / own[nearest]

@@ -14,12 +14,12 @@ from roadtorch.oneclass.axes import Axes
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, State
 from roadtorch.oneclass.density import floor_of, length_of, moments
 from roadtorch.oneclass.mixture import spread_starts
-from roadtorch.oneclass.neighbours import MOST, few_distinct, squared_distances
+from roadtorch.oneclass.neighbours import MAX_DISTINCT, few_distinct, squared_distances
 
-ROUNDS = 100
+MAX_ROUNDS = 100
 """Of moving centres at most."""
 
-SETTLED = 1e-5
+TOLERANCE = 1e-5
 """Moving means ends when the inertia falls by less than this share (dd_tools)."""
 
 
@@ -39,13 +39,8 @@ class ComponentSettings(ClassifierSettings):
     )
 
 
-def needs_two_planes(dimensions: int) -> str:
-    """Why principal components refuse a single plane; empty for more."""
-    return (
-        "one plane has a single principal component, and without it nothing is left"
-        if dimensions < 2
-        else ""
-    )
+SINGLE = "one plane has a single principal component, and without it nothing is left"
+"""Why principal components refuse a single plane."""
 
 
 def kept_components(variances: Tensor, share: float) -> int:
@@ -102,11 +97,11 @@ class SampleCentreSettings(CentreSettings):
     )
 
 
-def k_means(samples: Tensor, start: Tensor, rounds: int = ROUNDS) -> tuple[Tensor, Tensor]:
+def k_means(samples: Tensor, start: Tensor, rounds: int = MAX_ROUNDS) -> tuple[Tensor, Tensor]:
     """Lloyd's algorithm from R starts at once: centres (R,k,d) and inertias (R,).
 
     samples: float64 (m,d); start: (R,k,d). Each sample belongs to the nearest centre, each
-    centre moves to the mean of its samples, until no inertia falls by more than ``SETTLED``
+    centre moves to the mean of its samples, until no inertia falls by more than ``TOLERANCE``
     of itself. A centre without samples goes to the sample that is worst off.
     """
     centres, inertia = start, samples.new_full((len(start),), torch.inf)
@@ -115,7 +110,7 @@ def k_means(samples: Tensor, start: Tensor, rounds: int = ROUNDS) -> tuple[Tenso
         squared = (samples.T - centres[..., None]).square_().sum(2)
         least, nearest = squared.min(1)
         before, inertia = inertia, least.sum(1)
-        if bool((before - inertia <= SETTLED * inertia).all()):
+        if bool((before - inertia <= TOLERANCE * inertia).all()):
             break
         member = (nearest[:, None] == numbers).to(samples)
         size = member.sum(2, keepdim=True)
@@ -148,7 +143,7 @@ def farthest_first(apart: Tensor, count: int, first: int = 0) -> Tensor:
     return torch.tensor(chosen)
 
 
-def k_centres(apart: Tensor, start: Tensor, rounds: int = ROUNDS) -> tuple[Tensor, Tensor]:
+def k_centres(apart: Tensor, start: Tensor, rounds: int = MAX_ROUNDS) -> tuple[Tensor, Tensor]:
     """Centres among samples with a small largest distance, from R starts at once.
 
     apart: distances (m,m); start: int64 (R,k). Each sample belongs to the nearest centre;
@@ -181,7 +176,9 @@ def _fit_centres(
     ]
     middle = int(apart.amax(1).argmin())
     start = torch.stack([farthest_first(apart, count, middle), *draws])
-    together = max(1, MOST**2 // len(points) ** 2)  # a start takes as much room as ``apart``
+    together = max(
+        1, MAX_DISTINCT**2 // len(points) ** 2
+    )  # a start takes as much room as ``apart``
     runs = [k_centres(apart, part) for part in start.split(together)]
     centres, radii = (torch.cat(parts) for parts in zip(*runs, strict=True))
     best = points[centres[int(radii.argmin())]].float()
@@ -199,7 +196,7 @@ PCA = Classifier(
     ComponentSettings,
     _fit_components,
     residual_distance,
-    needs_two_planes,
+    lambda planes: SINGLE if planes < 2 else "",
 )
 K_MEANS = Classifier(
     "kmeans", "distance to the nearest of a few means", CentreSettings, _fit_means, centre_distance

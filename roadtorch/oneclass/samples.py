@@ -20,7 +20,7 @@ from roadtorch.settings import Settings
 from roadtorch.superpixels.slic import slic
 from roadtorch.superpixels.statistics import segment_median
 
-LEAST = 8
+MIN_SIDE = 8
 """Pixels that the seed area has on each side, where the picture has them: a few samples."""
 
 GRID_SHAPE = 15 / 6
@@ -53,7 +53,7 @@ SEED = WideSeedArea()
 
 def sample_area(shape: Sequence[int], seed: SeedArea = SEED) -> tuple[slice, slice]:
     """Rows and columns of the seed area whose pixels are samples of road, of a shape (…,H,W)."""
-    return seed_area(shape[-2], shape[-1], seed, LEAST)
+    return seed_area(shape[-2], shape[-1], seed, MIN_SIDE)
 
 
 class SampleSettings(Settings):

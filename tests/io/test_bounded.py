@@ -25,7 +25,6 @@ from roadtorch.evaluation.document import earlier_thresholds
 from roadtorch.io.bounded import printable, read_regular
 from roadtorch.io.image import read_image
 from roadtorch.layout.weights import load_network
-from roadtorch.oneclass import CLASSIFIERS, load
 from roadtorch.road.ego import read_ego_mask
 from roadtorch.runs.batch import read_index
 from roadtorch.runs.results import keep_config
@@ -121,10 +120,6 @@ def _pictures(path: Path) -> Dataset:
     return Dataset("folder", path.parent, "all", (), FolderLabels())
 
 
-def _classifier(path: Path) -> None:
-    load(CLASSIFIERS["gaussian"], path)
-
-
 READERS: dict[str, Callable[[Path], object]] = {
     "index.csv": read_index,
     "config.toml": lambda path: keep_config(path.parent, "", overwrite=False),
@@ -139,7 +134,6 @@ READERS: dict[str, Callable[[Path], object]] = {
     "annotation.json": read_annotation,
     "annotation.xml": read_annotation,
     "network.safetensors": load_network,
-    "classifier.safetensors": _classifier,
     "metrics.json": lambda path: earlier_thresholds(path, []),
     "prepared.npz": read_arrays,
     "settings.json": lambda path: PreparedFolder(path.parent, Processes(), Stop()).claim({}),

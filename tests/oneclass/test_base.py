@@ -1,8 +1,6 @@
-"""What all one-class classifiers share: axes, hue, thresholds, likelihoods, chunks, saving."""
+"""What all one-class classifiers share: axes, hue, thresholds, likelihoods, chunks."""
 
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,10 +8,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
-from safetensors.torch import save_file
 from torch import Tensor
 
-from roadtorch.errors import ConfigError, InputError, WeightsError
+from roadtorch.errors import ConfigError
 from roadtorch.oneclass import base
 from roadtorch.oneclass.axes import (
     Axes,
@@ -27,14 +24,10 @@ from roadtorch.oneclass.axes import (
 from roadtorch.oneclass.base import (
     Classifier,
     ClassifierSettings,
-    Fitted,
     Learned,
     State,
     fit,
-    load,
     rejecting_distance,
-    restored,
-    save,
 )
 from tests.reference import oneclass_density as reference
 
@@ -211,74 +204,3 @@ def test_memory_is_bounded_by_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
 
     assert max(sizes) <= 100
     assert sum(sizes) == 1001
-
-
-# --- saving -------------------------------------------------------------------------------------
-
-
-def fitted_middle() -> Fitted:
-    return fit(MIDDLE, line(0.3, 0.4, 0.6), PLANE)
-
-
-def test_a_state_is_all_tensors_and_says_what_it_is() -> None:
-    state = fitted_middle().state_dict()
-
-    assert all(isinstance(value, Tensor) for value in state.values())
-    assert b'"classifier": "middle"' in bytes(state["about"].tolist())
-    assert "'middle', S" in repr(fitted_middle())
-
-
-def told_otherwise(**changes: object) -> bytes:
-    about = json.loads(bytes(fitted_middle().state_dict()["about"].tolist()))
-    return json.dumps(about | changes).encode()
-
-
-@pytest.mark.parametrize(
-    "about",
-    [
-        b"",
-        b"{",
-        b"[]",
-        b'{"classifier": "middle"}',
-        b"\xff",
-        told_otherwise(hue="square"),
-        told_otherwise(floats=float("inf")),
-        told_otherwise(axes={}),
-        told_otherwise(shapes=3),
-    ],
-)
-def test_a_state_that_does_not_say_what_it_is_is_refused(about: bytes) -> None:
-    state = fitted_middle().state_dict()
-    state["about"] = torch.tensor(list(about), dtype=torch.uint8)
-
-    with pytest.raises(WeightsError, match="state: does not say what it is the state of"):
-        restored(MIDDLE, state)
-    with pytest.raises(WeightsError, match="state: does not say what it is the state of"):
-        restored(MIDDLE, {})
-
-
-def test_a_saved_classifier_that_is_damaged_anywhere_is_refused_by_name(tmp_path: Path) -> None:
-    path = tmp_path / "road.safetensors"
-    save(fitted_middle(), path)
-    whole = path.read_bytes()
-
-    for at in range(8, len(whole), 7):
-        path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
-        with pytest.raises(WeightsError, match=r"road\.safetensors: "):
-            load(MIDDLE, path)
-
-
-def test_files_that_hold_no_state_are_refused_in_one_line(tmp_path: Path) -> None:
-    damaged, foreign = tmp_path / "damaged.safetensors", tmp_path / "foreign.safetensors"
-    save(fitted_middle(), damaged)
-    damaged.write_bytes(damaged.read_bytes()[:-3])
-    save_file({"weight": torch.zeros(3)}, foreign)
-
-    with pytest.raises(WeightsError, match="damaged"):
-        load(MIDDLE, damaged)
-    with pytest.raises(WeightsError, match="does not say what it is"):
-        load(MIDDLE, foreign)
-    with pytest.raises(WeightsError, match="cannot be read"):
-        load(MIDDLE, tmp_path / "none.safetensors")
-    with pytest.raises(InputError, match="cannot be written"):
-        save(fitted_middle(), tmp_path / "no" / "folder.safetensors")

@@ -341,7 +341,7 @@ def test_toolbox_dissimilarity_makes_dlp_the_wide_svdd():
 
 def test_too_many_different_samples_are_refused_with_what_to_do():
     with pytest.raises(InputError, match=r"dlp: has 1025 different samples.*superpixel"):
-        fitted(DLP, some(boundary.MOST_CONSTRAINTS + 1, 1))
+        fitted(DLP, some(boundary.MAX_CONSTRAINTS + 1, 1))
 
 
 # --- all five ---------------------------------------------------------------------------

@@ -27,7 +27,8 @@ from tests.oneclass.cases import (
 
 
 def check_answers(fitted: Fitted, pixels: Tensor) -> None:
-    distance, likelihood = fitted.distance(pixels), fitted.likelihood(pixels)
+    distance = fitted.distance(pixels)
+    likelihood = fitted.squashed(distance)
     assert distance.dtype == likelihood.dtype == torch.float32
     assert distance.shape == likelihood.shape == (len(pixels),)
     assert not distance.isnan().any()
@@ -38,25 +39,11 @@ def check_answers(fitted: Fitted, pixels: Tensor) -> None:
 
 
 def test_there_are_seventeen_in_the_order_of_table_3() -> None:
-    assert list(CLASSIFIERS) == [
-        "nn",
-        "hist64_s",
-        "hist64_sn",
-        "hist100_s",
-        "hist100_sn",
-        "gaussian",
-        "robust_gaussian",
-        "mog2",
-        "mog4",
-        "mog_opt",
-        "svdd",
-        "pca",
-        "mpm",
-        "mst",
-        "dlp",
-        "kmeans",
-        "kcentres",
-    ]
+    names = (
+        "nn hist64_s hist64_sn hist100_s hist100_sn gaussian robust_gaussian mog2 mog4 mog_opt "
+        "svdd pca mpm mst dlp kmeans kcentres"
+    )
+    assert list(CLASSIFIERS) == names.split()
 
 
 # --- what they find ---------------------------------------------------------------------
@@ -81,7 +68,7 @@ def test_the_farther_the_less_likely_even_on_16_bit_levels(classifier: Classifie
     steps = torch.linspace(0.1, 1.5, 60)[:, None]
     ray = samples.mean(0) + steps * directions[:, 0]
 
-    levels = (fit(classifier, samples, RGB).likelihood(ray).double() * 65535).round()
+    levels = (of_asphalt(classifier).likelihood(ray).double() * 65535).round()
 
     assert (levels.diff() < 0).all()
 
@@ -93,38 +80,29 @@ def test_the_likelihood_is_decreasing_in_the_distance_and_half_at_the_threshold(
     fitted = of_asphalt(classifier)
     pixels = torch.cat([asphalt(seed=2), colours()])
 
-    order = fitted.distance(pixels).argsort()
+    distance, likelihood = fitted.distance(pixels), fitted.likelihood(pixels)
 
-    assert (fitted.likelihood(pixels)[order].diff() <= 0).all()
+    assert (likelihood[distance.argsort()].diff() <= 0).all()
     assert fitted.squashed(fitted.threshold).item() == 0.5
-    assert torch.equal(fitted.accepts(pixels), fitted.distance(pixels) <= fitted.threshold)
-    assert torch.equal(fitted.score(pixels), -fitted.distance(pixels))
-    assert torch.equal(fitted(pixels), fitted.likelihood(pixels))
+    assert torch.equal(fitted.accepts(pixels), distance <= fitted.threshold)
+    assert torch.equal(fitted.score(pixels), -distance)
 
 
 @every_classifier
 def test_the_threshold_rejects_about_the_fraction(classifier: Classifier) -> None:
-    for rejected in (0.0, 0.1, 0.5):
-        fitted = fit(classifier, asphalt(), RGB, classifier.settings(rejected=rejected))
+    shares, samples = (0.0, 0.1, 0.5, 0.9), asphalt(150)
+    by_share = [fit(classifier, samples, RGB, classifier.settings(rejected=s)) for s in shares]
 
-        outside = int((~fitted.accepts(asphalt())).sum())
+    for rejected, fitted in zip(shares, by_share, strict=True):
+        outside = int((~fitted.accepts(samples)).sum())
         if classifier.name in {"nn", "mst"}:  # samples are at distance 0 of themselves
             assert outside == 0
         elif classifier.name in HISTOGRAMS:  # ties
-            assert outside <= 90 * rejected
+            assert outside <= 150 * rejected
         else:
-            assert outside == pytest.approx(90 * rejected, abs=4)
-
-
-@every_classifier
-def test_the_more_is_rejected_the_nearer_the_threshold(classifier: Classifier) -> None:
-    by_share = [
-        fit(classifier, asphalt(150), RGB, classifier.settings(rejected=share))
-        for share in (0.0, 0.2, 0.5, 0.9)
-    ]
+            assert outside == pytest.approx(150 * rejected, abs=7)
     # SVDD and dLP change with the share, so that their thresholds are of different distances.
     accepted = [int(fitted.accepts(asphalt(2000, seed=7)).sum()) for fitted in by_share]
-
     assert accepted == sorted(accepted, reverse=True)
     assert accepted[0] > accepted[-1]
 
@@ -133,48 +111,37 @@ def test_the_more_is_rejected_the_nearer_the_threshold(classifier: Classifier) -
 
 AWKWARD = {
     "one": torch.full((1, 3), 0.4),
-    "identical": torch.full((90, 3), 0.4),
-    "black": torch.zeros(90, 3),
+    "identical": torch.full((20, 3), 0.4),
+    "black": torch.zeros(20, 3),
     "white": torch.ones(5, 3),
     "m<d": torch.tensor([[0.1, 0.5, 0.2], [0.2, 0.5, 0.3]]),
-    "constant plane": torch.cat([asphalt()[:, :2], torch.full((90, 1), 0.3)], 1),
-    "grey": asphalt()[:, :1].expand(-1, 3),
-    "two colours": torch.cat([torch.full((80, 3), 0.4), torch.full((10, 3), 0.6)]),
+    "constant plane": torch.cat([asphalt(40)[:, :2], torch.full((40, 1), 0.3)], 1),
+    "grey": asphalt(40)[:, :1].expand(-1, 3),
+    "two colours": torch.cat([torch.full((16, 3), 0.4), torch.full((2, 3), 0.6)]),
 }
 
 
-@pytest.mark.parametrize(("classifier", "reading"), readings("hue"))
-def test_awkward_samples_give_a_proper_answer_in_every_reading(
-    classifier: Classifier, reading: dict[str, str]
+@pytest.mark.parametrize(
+    ("classifier", "settings"),
+    [
+        *readings("hue"),
+        *(
+            pytest.param(classifier, told, id=f"{name}-{told}")
+            for (name, classifier), told in product(
+                CLASSIFIERS.items(), ({}, {"rejected": 0.0}, {"rejected": 1.0})
+            )
+        ),
+    ],
+)
+def test_awkward_samples_give_a_proper_answer_whatever_is_told(
+    classifier: Classifier, settings: dict[str, Any]
 ) -> None:
     for samples in AWKWARD.values():
-        fitted = fit(classifier, samples, RGB, classifier.settings.model_validate(reading))
+        fitted = fit(classifier, samples, RGB, classifier.settings.model_validate(settings))
 
-        check_answers(fitted, torch.cat([samples, colours()]))
-        assert fitted.likelihood(samples).max() > 0.4999  # rounding may leave none within
-
-
-@every_classifier
-def test_any_samples_give_a_proper_answer_whatever_is_rejected(classifier: Classifier) -> None:
-    usual = classifier.settings().rejected
-    for samples, rejected in product((asphalt(), *AWKWARD.values()), (0.0, usual, 1.0)):
-        fitted = fit(classifier, samples, RGB, classifier.settings(rejected=rejected))
-
-        check_answers(fitted, torch.cat([samples, colours()]))
-        if rejected == usual:
+        check_answers(fitted, torch.cat([samples, colours(100)]))
+        if "rejected" not in settings:
             assert fitted.likelihood(samples).max() > 0.4999  # rounding may leave none within
-
-
-@every_classifier
-def test_pixels_far_beyond_all_colours_are_no_road(classifier: Classifier) -> None:
-    fitted = of_asphalt(classifier)
-    pixels = torch.tensor([[0.45, 0.45, 0.45], [1e4, 0.4, -1e4], [1e20, 0.4, -1e20]])
-
-    distance, likelihood = fitted.distance(pixels), fitted.likelihood(pixels)
-
-    assert not distance.isnan().any()
-    # A bin at the edge of the range holds all that lies beyond it; PCA keeps one direction.
-    assert (likelihood[1:] <= likelihood[0]).all()
 
 
 @every_distance
@@ -191,56 +158,52 @@ def test_samples_of_one_colour_rank_by_the_distance_to_it(classifier: Classifier
         assert not fitted.accepts(pixels).any()
 
 
-@every_classifier
-def test_samples_without_finite_values_are_left_out(classifier: Classifier) -> None:
-    broken = torch.tensor([[float("nan"), 0.4, 0.4], [0.4, float("inf"), 0.4]])
-    mixed = torch.cat([broken[:1], asphalt(), broken[1:]])
-
-    with_broken, without = fit(classifier, mixed, RGB), of_asphalt(classifier)
-
-    assert torch.equal(with_broken.distance(colours()), without.distance(colours()))
-    with pytest.raises(InputError, match="samples: none has finite values"):
-        fit(classifier, broken, RGB)
-    with pytest.raises(InputError, match="samples: none has finite values"):
-        fit(classifier, asphalt(0), RGB)
+# --- awkward pixels -----------------------------------------------------------------------
 
 
 @every_classifier
-def test_pixels_without_finite_values_are_no_road(classifier: Classifier) -> None:
+def test_pixels_far_beyond_all_colours_are_no_road(classifier: Classifier) -> None:
     fitted = of_asphalt(classifier)
-    pixels = asphalt()
-    pixels[3, 1], pixels[7, 0], pixels[8, 2] = float("nan"), float("inf"), -float("inf")
+    pixels = torch.tensor([[0.45, 0.45, 0.45], [1e4, 0.4, -1e4], [1e20, 0.4, -1e20]])
 
     distance, likelihood = fitted.distance(pixels), fitted.likelihood(pixels)
 
-    broken = [3, 7, 8]
+    assert not distance.isnan().any()
+    # A bin at the edge of the range holds all that lies beyond it; PCA keeps one direction.
+    assert (likelihood[1:] <= likelihood[0]).all()
+
+
+@every_classifier
+def test_what_is_not_finite_is_no_sample_and_no_road(classifier: Classifier) -> None:
+    fitted, broken = of_asphalt(classifier), [3, 7, 8]
+    pixels = asphalt()
+    pixels[3, 1], pixels[7, 0], pixels[8, 2] = float("nan"), float("inf"), -float("inf")
+    mixed = torch.cat([pixels[broken], asphalt()])
+
+    distance, likelihood = fitted.distance(pixels), fitted.likelihood(pixels)
+
     assert torch.equal(distance.isinf().nonzero()[:, 0], torch.tensor(broken))
     assert likelihood[broken].tolist() == [0, 0, 0]
     assert torch.equal(distance[:3], fitted.distance(asphalt())[:3])
+    assert torch.equal(fit(classifier, mixed, RGB).distance(asphalt()), fitted.distance(asphalt()))
+    assert fitted.likelihood(torch.empty(0, 3)).shape == (0,)
+    for none in (pixels[broken], asphalt(0)):
+        with pytest.raises(InputError, match="samples: none has finite values"):
+            fit(classifier, none, RGB)
 
 
-@every_classifier
-def test_a_wrong_shape_is_refused_in_one_line(classifier: Classifier) -> None:
-    for values in (torch.rand(9, 2), torch.rand(9), torch.rand(2, 9, 3)):
-        with pytest.raises(InputError, match=r"^samples: have the shape .* \(give \(number, 3\)"):
+@pytest.mark.parametrize("name", ["gaussian", "hist64_s"])
+def test_another_shape_or_type_is_refused_in_one_line(name: str) -> None:
+    classifier = CLASSIFIERS[name]
+    shape, whole = r"have the shape .* \(give \(number, 3\)", r"are torch\.int64"
+    for values, what in (
+        *((torch.rand(wrong), shape) for wrong in ((9, 2), (9,), (2, 9, 3))),
+        (torch.randint(256, (90, 3)), whole),
+    ):
+        with pytest.raises(InputError, match=f"^samples: {what}"):
             fit(classifier, values, RGB)
-        with pytest.raises(InputError, match=r"^pixels: have the shape .* \(give \(number, 3\)"):
+        with pytest.raises(InputError, match=f"^pixels: {what}"):
             of_asphalt(classifier).distance(values)
-
-
-@every_classifier
-def test_whole_numbers_are_refused(classifier: Classifier) -> None:
-    levels = torch.randint(256, (90, 3))
-
-    with pytest.raises(InputError, match=r"samples: are torch\.int64"):
-        fit(classifier, levels, RGB)
-    with pytest.raises(InputError, match=r"pixels: are torch\.int64"):
-        of_asphalt(classifier).score(levels)
-
-
-@every_classifier
-def test_no_pixels_give_no_answers(classifier: Classifier) -> None:
-    assert of_asphalt(classifier).likelihood(torch.empty(0, 3)).shape == (0,)
 
 
 @every_classifier
@@ -258,16 +221,18 @@ def test_one_plane_is_enough_but_for_pca(classifier: Classifier) -> None:
 
 
 @every_classifier
-def test_hue_is_a_circle(classifier: Classifier) -> None:
+def test_hue_is_a_circle_in_every_reading_but_the_plain_number(classifier: Classifier) -> None:
     samples = around_red(900 if classifier.name in HISTOGRAMS else 90)  # bins want samples
-    for hue in ("unrolled", "chord"):
+    for hue in get_args(Hue):
         fitted = fit(classifier, samples, HS, classifier.settings(hue=hue))
 
-        red, cyan = fitted.score(torch.tensor([[0.01, 0.4], [0.99, 0.4], [0.5, 0.4]])).split([2, 1])
-
-        assert red.min() > cyan
-        same = torch.tensor([[0.0, 0.4], [1.0, 0.4]])
-        torch.testing.assert_close(*fitted.distance(same), rtol=1e-4, atol=1e-4)
+        check_answers(fitted, colours(planes=2))
+        if hue != "linear":
+            hues = torch.tensor([[0.01, 0.4], [0.99, 0.4], [0.5, 0.4]])
+            red, cyan = fitted.score(hues).split([2, 1])
+            assert red.min() > cyan
+            same = torch.tensor([[0.0, 0.4], [1.0, 0.4]])
+            torch.testing.assert_close(*fitted.distance(same), rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("name", ["gaussian", "robust_gaussian", "svdd", "mpm", "dlp"])
@@ -278,14 +243,6 @@ def test_hue_as_a_number_is_cut_at_red(name: str) -> None:
     yellow, cyan = fitted.score(torch.tensor([[0.25, 0.4], [0.5, 0.4]]))
 
     assert cyan > yellow  # half way between 0 and 1
-
-
-@every_classifier
-def test_every_reading_of_hue_gives_a_proper_answer(classifier: Classifier) -> None:
-    for hue in get_args(Hue):
-        fitted = fit(classifier, around_red(), HS, classifier.settings(hue=hue))
-
-        check_answers(fitted, colours(planes=2))
 
 
 # --- the same again -------------------------------------------------------------------------
@@ -307,15 +264,16 @@ def test_the_same_samples_give_the_same_bytes_and_are_left_alone(classifier: Cla
 
 
 @every_classifier
-def test_the_size_of_the_chunks_does_not_matter(
+def test_neither_chunks_nor_layout_in_memory_matter(
     classifier: Classifier, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fitted = of_asphalt(classifier)
-    whole = fitted.distance(colours(1000))
+    fitted, pixels = fit(classifier, asphalt().double(), RGB), colours()
+    whole = fitted.distance(pixels)
 
-    monkeypatch.setattr(base, "CHUNK", 7 * fitted.floats)
-
-    torch.testing.assert_close(fitted.distance(colours(1000)), whole, rtol=1e-5, atol=1e-5)
+    planes = pixels.T.contiguous()
+    torch.testing.assert_close(fitted.distance(planes.T), whole, rtol=1e-5, atol=1e-5)
+    monkeypatch.setattr(base, "CHUNK", 7 * fitted.learned.floats)
+    torch.testing.assert_close(fitted.distance(pixels), whole, rtol=1e-5, atol=1e-5)
 
 
 class Largest(TorchDispatchMode):
@@ -345,14 +303,4 @@ def test_no_tensor_is_much_larger_than_the_floats_that_size_the_chunks(
         with Largest() as seen, torch.no_grad():
             classifier.distance(fitted.state, pixels.T[: len(axes)])
 
-        assert seen.floats <= count * max(fitted.floats, 4)
-
-
-@every_classifier
-def test_planes_need_not_be_copied_to_be_scored(classifier: Classifier) -> None:
-    fitted = fit(classifier, asphalt().double(), RGB)
-    planes = colours().T.contiguous()
-
-    torch.testing.assert_close(
-        fitted.distance(planes.T), fitted.distance(colours()), rtol=1e-5, atol=1e-5
-    )
+        assert seen.floats <= count * max(fitted.learned.floats, 4)

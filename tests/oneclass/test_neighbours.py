@@ -121,7 +121,7 @@ def test_thousands_of_samples_on_a_line_are_searched_not_compared():
     place = np.searchsorted(ordered, values).clip(1, len(ordered) - 1)
     expected = np.minimum(abs(ordered[place] - values), abs(values - ordered[place - 1]))
     np.testing.assert_allclose(doubles(learned.distance(pixels)), expected, rtol=1e-6)
-    assert learned.floats < 100
+    assert learned.learned.floats < 100
 
 
 # --- minimum spanning tree --------------------------------------------------------------
@@ -210,4 +210,4 @@ def test_equal_edges_give_the_same_tree_every_time():
 
 def test_too_many_different_samples_are_refused_with_what_to_do():
     with pytest.raises(InputError, match=r"4097 different samples.*one sample per superpixel"):
-        fitted(MST, some(neighbours.MOST + 1, 2))
+        fitted(MST, some(neighbours.MAX_DISTINCT + 1, 2))
