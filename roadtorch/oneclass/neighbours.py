@@ -76,7 +76,8 @@ def _fit_nearest(
     state = {"points": points.float()}
     if len(points) == 1:
         return Learned(state, floats)
-    own, nearest = (torch.from_numpy(both[:, 1]) for both in KDTree(points).query(points, k=2))
+    both = KDTree(points).query(points, k=2)
+    own, nearest = (torch.from_numpy(np.asarray(values)[:, 1]) for values in both)
     if settings.reading == "ratio":
         state["own"] = own.float()
         return Learned(state, floats, training=(own / own[nearest]).repeat_interleave(counts))
