@@ -1,19 +1,30 @@
 """Which pictures to correct next: at random, the least trusted, or those unlike what is corrected.
 
-Pure functions of what is known of n pictures. A batch does not repeat one scene: neighbouring
-frames of a recording teach a network nearly the same, and cost a person as much.
+The rules are pure functions of what is known of n pictures. A batch does not repeat one scene:
+neighbouring frames of a recording teach a network nearly the same, and cost a person as much.
 """
 
+import threading
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from roadtorch.annotate.machine import PictureView
 from roadtorch.imaging.resize import resized
+from roadtorch.io.image import read_image
+from roadtorch.layout.classes import CLASSES
+from roadtorch.superpixels.statistics import paint
 
 GRID = (4, 5)
 """Rows and columns of the cells over which a picture's features are averaged."""
+
+BATCH = 20
+"""Pictures that have a turn; the rest follows by trust."""
 
 APART = 0.5
 """Share of the median distance between pictures from which two are different scenes."""
@@ -112,3 +123,49 @@ RULES: Mapping[str, Rule] = {
     "random": random_pictures,
     "different": most_different,
 }
+
+
+# --- in the page ------------------------------------------------------------------------
+
+
+@dataclass
+class PictureOrder:
+    """The order by a rule of ``RULES``; trust and features by the picture's name, as they come."""
+
+    rule: str
+    features: dict[str, Tensor] = field(default_factory=dict)
+    _known: tuple[object, dict[str, int]] | None = field(default=None, repr=False)
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    def learn(self, name: str, picture: Path, view: PictureView) -> None:
+        """Keep the features of a picture; InputError where it cannot be read."""
+        self.features[name] = view_features(read_image(picture), view)
+
+    def turns(
+        self, names: Collection[str], trusts: Mapping[str, float], corrected: Collection[str]
+    ) -> dict[str, int]:
+        """The turn, from 0, of the pictures of the next batch.
+
+        names: of the folder. trusts: NaN where there is none. corrected: on which somebody worked.
+        Pictures that nobody looked at yet have no turn.
+        """
+        seen = [one for one in names if one in self.features]
+        if not seen:
+            return {}
+        done = [place for place, one in enumerate(seen) if one in corrected]
+        with self._lock:
+            key = (tuple(seen), tuple(done))
+            if self._known is None or self._known[0] != key:
+                trust = torch.tensor([trusts.get(one, np.nan) for one in seen])
+                candidates = Candidates(trust, torch.stack([self.features[one] for one in seen]))
+                places = RULES[self.rule](candidates, done, BATCH, 0)
+                self._known = key, {seen[place]: turn for turn, place in enumerate(places)}
+            return self._known[1]
+
+
+def view_features(image: Tensor, view: PictureView) -> Tensor:
+    """Features (d,) of an image (3,H,W) and what the machine sees in it: colours, layout, road."""
+    maps = [resized(view.odds.sigmoid()[None], GRID)]
+    if view.layout.shape[1] == CLASSES:
+        maps.append(resized(paint(view.layout.sigmoid().T, view.labels).float(), GRID))
+    return picture_features(image, torch.cat(maps))

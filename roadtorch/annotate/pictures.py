@@ -7,6 +7,7 @@ from pathlib import Path
 
 from roadtorch.data.labels import is_picture
 from roadtorch.errors import InputError
+from roadtorch.io.bounded import printable
 from roadtorch.sources.pictures import find_images
 
 FRESH = 2.0  # seconds for which a listing holds
@@ -29,25 +30,15 @@ class PictureFolder:
         """What is there now, sorted; looked up anew after ``FRESH`` seconds."""
         with self._lock:
             if time.monotonic() - self._listed >= FRESH:
-                self._names = tuple(self._look())
+                try:
+                    found = [one.path for one in find_images([self.root], self.apart)]
+                except InputError:  # emptied while the page is open
+                    found = []
+                inside = [one for one in found if one.resolve().is_relative_to(self.root)]
+                names = [one.relative_to(self.root).as_posix() for one in inside]
+                self._names = tuple(one for one in names if one == printable(one))
                 self._listed = time.monotonic()
             return self._names
-
-    def _look(self) -> list[str]:
-        try:
-            found = find_images([self.root], self.apart)
-        except InputError:  # emptied while the page is open
-            return []
-        return [name for one in found if (name := self._name(one.path)) is not None]
-
-    def _name(self, path: Path) -> str | None:
-        """The relative name; None for one that is no text, or leads outside."""
-        name = path.relative_to(self.root).as_posix()
-        try:
-            name.encode()
-        except UnicodeEncodeError:
-            return None
-        return name if path.resolve().is_relative_to(self.root) else None
 
     def path(self, name: str) -> Path:
         """The file of a name that came from outside.

@@ -48,7 +48,12 @@ class Graph:
 
 def segment_graph(segments: Segments, settings: PropagationSettings) -> Graph:
     """The graph of n segments: neighbours by their border and look, and those most alike."""
-    look = _look(segments, settings)
+    parts = [
+        *(segments.color / settings.color),
+        segments.gradient / settings.texture,
+        segments.contrast / settings.texture,
+    ]
+    look = torch.stack(parts, 1).to(torch.float32).numpy()  # (n,5), in units of what parts them
     count = len(look)
     one, two = segments.pairs.numpy()
     contrast = segments.contrast_between.numpy() / settings.border
@@ -65,16 +70,6 @@ def segment_graph(segments: Segments, settings: PropagationSettings) -> Graph:
     edges = (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns)))
     adjacent = sparse.csr_matrix(edges, shape=(count, count))
     return Graph(sparse.csr_matrix(sparse.csgraph.laplacian(adjacent.maximum(adjacent.T))))
-
-
-def _look(segments: Segments, settings: PropagationSettings) -> np.ndarray:
-    """What segments look like, (n,5), in units of what parts them."""
-    parts = [
-        *(segments.color / settings.color),
-        segments.gradient / settings.texture,
-        segments.contrast / settings.texture,
-    ]
-    return torch.stack(parts, 1).to(torch.float32).numpy()
 
 
 def propagated(odds: Tensor, said: Tensor, graph: Graph, settings: PropagationSettings) -> Tensor:

@@ -13,11 +13,11 @@ import pydantic
 from pydantic import Field
 
 from roadtorch.annotate.machine import AnnotationSettings
-from roadtorch.annotate.order import PictureOrder
+from roadtorch.annotate.next_pictures import PictureOrder
 from roadtorch.annotate.pictures import PictureFolder
 from roadtorch.annotate.session import Session, look_at_all
 from roadtorch.annotate.views import VIEWS, ViewStore
-from roadtorch.data.journal import find_journals, read_journal
+from roadtorch.data.event_log import find_logs, read_log
 from roadtorch.detector import Detector
 from roadtorch.errors import ConfigError
 from roadtorch.io.atomic import atomic
@@ -95,10 +95,10 @@ def opened_session(
     settings: AnnotationSettings | None = None,
     order: PictureOrder | None = None,
 ) -> Session:
-    """A session for a folder; DatasetError where a journal in ``out`` cannot be read."""
+    """A session for a folder; DatasetError where a log in ``out`` cannot be read."""
     settings = settings or AnnotationSettings()
-    for path in find_journals(out):
-        read_journal(path)
+    for path in find_logs(out):
+        read_log(path)
     views = ViewStore(out / VIEWS, lambda: detector, settings)
     return Session(PictureFolder(folder, out), views, out, settings, order=order)
 

@@ -48,7 +48,8 @@ class ViewStore:
             held = self._held.get(name)
         if held is None or held[0] != key:
             with self._looking:  # one at a time: a look takes all cores
-                held = key, self._read(name, key) or self._look(name, picture, key)
+                kept = read_view(view_path(self.folder, name), key)
+                held = key, kept or self._made(name, picture, key)
         with self._lock:
             self._held[name] = held
             self._held.move_to_end(name)
@@ -63,9 +64,8 @@ class ViewStore:
 
     def trust(self, name: str, picture: Path) -> float | None:
         """The trust of a view that is on disk; NaN where a look gave none, None without a look."""
-        path = self._path(name)
         try:
-            with np.load(path, allow_pickle=False) as found:
+            with np.load(view_path(self.folder, name), allow_pickle=False) as found:
                 return float(found["trust"]) if str(found["key"]) == self._key(picture) else None
         except (OSError, ValueError, KeyError):
             return None
@@ -82,16 +82,10 @@ class ViewStore:
         text = f"{said} {found.st_size} {found.st_mtime_ns}"
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 
-    def _path(self, name: str) -> Path:
-        return view_path(self.folder, name)
-
-    def _look(self, name: str, picture: Path, key: str) -> PictureView:
+    def _made(self, name: str, picture: Path, key: str) -> PictureView:
         view = look_at_picture(read_image(picture), self._detector(), self.settings)
-        write_view(self._path(name), view, key)
+        write_view(view_path(self.folder, name), view, key)
         return view
-
-    def _read(self, name: str, key: str) -> PictureView | None:
-        return read_view(self._path(name), key)
 
 
 def view_path(folder: Path, name: str) -> Path:

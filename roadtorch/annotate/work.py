@@ -1,83 +1,94 @@
-"""One person's work on one picture: the journal and what it comes to so far."""
+"""One person's work on one picture: the event log and what it comes to so far."""
 
+import os
+import re
+import secrets
 import threading
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from roadtorch.data.journal import (
-    JournalHead,
-    append_act,
-    read_journal,
-    start_journal,
-)
-from roadtorch.data.strokes import (
-    AnyAct,
-    Brought,
+from roadtorch.annotate.pictures import PictureFolder
+from roadtorch.data.correction_formats import FORMATS
+from roadtorch.data.correction_labels import LABELS
+from roadtorch.data.event_log import LogHead, append_event, log_path, read_log
+from roadtorch.data.events import (
+    AnyEvent,
+    Confirm,
+    Import,
+    LastingEvent,
     Redo,
-    Right,
-    Stroke,
     Undo,
-    apply_act,
+    apply_event,
     folded,
+    runs_of,
     standing,
 )
+from roadtorch.data.labelme import picture_size
+from roadtorch.errors import InputError
+
+USER = re.compile(r"[A-Za-z0-9_-]{1,32}")
+
+
+def checked_user(user: str) -> str:
+    """The name of a user, which is part of file names; InputError where it cannot be."""
+    if not USER.fullmatch(user):
+        what = "is no name for a user"
+        raise InputError(user[:40] or "user", what, "use 1 to 32 letters, digits, _ or -")
+    return user
 
 
 @dataclass
 class Work:
-    """What a journal holds, kept up to date act by act.
+    """What an event log holds, kept up to date event by event.
 
-    head: the journal's first line, written with the first act. acts: all of them, each once.
+    head: the log's first line, written with the first event. events: all of them, each once.
     labels: uint8 (H,W), what they come to.
     """
 
     path: Path
-    head: JournalHead
-    acts: list[AnyAct]
+    head: LogHead
+    events: list[AnyEvent]
     labels: np.ndarray
-    _ids: set[str] = field(default_factory=set, repr=False)
     _lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
 
-    def __post_init__(self) -> None:
-        self._ids = {act.id for act in self.acts}
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width) of the picture."""
+        return self.head.height, self.head.width
 
-    def add(self, act: AnyAct) -> bool:
-        """Do an act and have it on disk; False, and nothing done, for one that is there already.
+    def add(self, event: AnyEvent) -> bool:
+        """Take an event and have it on disk; False, and nothing done, for one that is there.
 
         Raises InputError for one that does not fit the picture, or cannot be written.
         """
         with self._lock:
-            if act.id in self._ids:
+            if any(event.id == one.id for one in self.events):
                 return False
-            labels = self._after(act)
-            start_journal(self.path, self.head)
-            append_act(self.path, act)
-            self.acts.append(act)
-            self._ids.add(act.id)
+            if isinstance(event, Undo | Redo):
+                labels = folded([*self.events, event], self.size)
+            else:
+                labels = self.labels.copy()
+                apply_event(labels, event)
+            append_event(self.path, self.head, event)
+            self.events.append(event)
             self.labels = labels
             return True
 
-    def _after(self, act: AnyAct) -> np.ndarray:
-        if isinstance(act, Undo | Redo):
-            return folded([*self.acts, act], (self.head.height, self.head.width))
-        labels = self.labels.copy()
-        apply_act(labels, act)
-        return labels
-
-    def standing(self) -> list[Stroke | Right | Brought]:
-        """The acts that hold."""
-        return standing(self.acts)
+    def standing(self) -> list[LastingEvent]:
+        """The events that hold."""
+        return standing(self.events)
 
     def taken_back(self) -> list[str]:
-        """The acts that can be done again: taken back last comes last, none after a new act."""
+        """The events that can be done again: taken back last comes last, none after a new one."""
         stack: list[str] = []
-        for act in self.acts:
-            if isinstance(act, Undo):
-                stack = [*(one for one in stack if one != act.of), act.of]
-            elif isinstance(act, Redo):
-                stack = [one for one in stack if one != act.of]
+        for event in self.events:
+            if isinstance(event, Undo):
+                stack = [*(one for one in stack if one != event.of), event.of]
+            elif isinstance(event, Redo):
+                stack = [one for one in stack if one != event.of]
             else:
                 stack = []
         return stack
@@ -85,19 +96,46 @@ class Work:
     @property
     def confirmed(self) -> bool:
         """Whether the person said that it is right as it is."""
-        return any(isinstance(act, Right) for act in self.standing())
+        return any(isinstance(event, Confirm) for event in self.standing())
 
     @property
     def seconds(self) -> float:
         """At work on the picture."""
-        return sum(act.seconds for act in self.acts)
+        return sum(event.seconds for event in self.events)
 
 
-def open_work(path: Path, head: JournalHead) -> Work:
-    """The work in a journal, or a new one with this head; DatasetError if it cannot be read."""
-    size = (head.height, head.width)
-    if not path.exists():
-        return Work(path, head, [], np.zeros(size, np.uint8))
-    journal = read_journal(path)
-    size = (journal.head.height, journal.head.width)
-    return Work(path, journal.head, list(journal.acts), folded(journal.acts, size))
+def open_work(path: Path, head: LogHead) -> Work:
+    """The work in a log, or a new one with this head; DatasetError if it cannot be read."""
+    events: tuple[AnyEvent, ...] = ()
+    if path.exists():
+        log = read_log(path)
+        head, events = log.head, log.events
+    return Work(path, head, list(events), folded(events, (head.height, head.width)))
+
+
+# --- labels of other programs -----------------------------------------------------------
+
+
+def import_labels(name: str, origin: Path, folder: Path, out: Path, user: str) -> int:
+    """Add the labels of a format in ``origin`` to a user's logs; how many pictures had some.
+
+    Raises InputError for a name that is none for a user, DatasetError for what cannot be read;
+    then nothing was added.
+    """
+    checked_user(user)
+    pictures = PictureFolder(folder, out)
+    sizes = {one: picture_size(pictures.path(one)) for one in pictures.names()}
+    found = FORMATS[name].read(origin, sizes)
+    for picture, labels in found.items():
+        height, width = sizes[picture]
+        relative = os.path.relpath(pictures.root / picture, pictures.apart)
+        head = LogHead(picture=relative, user=user, height=height, width=width)
+        open_work(log_path(out, picture, user), head).add(import_event(labels))
+    return len(found)
+
+
+def import_event(labels: np.ndarray) -> Import:
+    """The event that makes labels uint8 (H,W) what they are here."""
+    runs = {LABELS[number]: runs_of(labels == number) for number in np.unique(labels).tolist()}
+    now = round(time.time(), 3)
+    return Import(kind="brought", id=secrets.token_hex(16), time=now, labels=runs)

@@ -85,11 +85,11 @@ def _export(out: Path, folder: Path, name: str, to: Path) -> None:
 def _import(
     context: click.Context, out: Path, folder: Path, name: str, origin: Path, user: str
 ) -> None:
-    from roadtorch.annotate.bringing import bring_in
+    from roadtorch.annotate.work import import_labels
     from roadtorch.runs.claim import claimed
 
     context.with_resource(claimed(out))
-    count = bring_in(name, origin, folder, out, user)
+    count = import_labels(name, origin, folder, out, user)
     click.echo(f"{count} pictures brought in as {user}")
 
 
@@ -101,7 +101,7 @@ def _serve(
     order: str,
     choice: Choice,
 ) -> None:
-    from roadtorch.annotate.order import PictureOrder
+    from roadtorch.annotate.next_pictures import PictureOrder
     from roadtorch.annotate.serving import opened_session, page_server
     from roadtorch.detectors.catalogue import load_detector
     from roadtorch.runs.claim import claimed

@@ -88,7 +88,7 @@ def _tell_people(rivals: "Sequence[Contender]") -> None:
 
 def _opened(labelled: str | None, corrections: Path | None, pictures: Path | None) -> "Dataset":
     from roadtorch.data.catalogue import open_named
-    from roadtorch.data.corrected_set import open_corrections
+    from roadtorch.data.corrections import open_corrections
 
     if corrections is not None:
         return open_corrections(corrections, pictures)

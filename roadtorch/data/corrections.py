@@ -1,26 +1,30 @@
 """Corrections by people: what was said about each picture, by whom, in what time.
 
 ``read_corrections`` is what training and reports start from. Nobody's stroke is lost where people
-disagree: each has a journal, and a pixel on which they contradict each other is void.
+disagree: each has a log, and a pixel on which they contradict each other is void.
 """
 
 import os
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
+import torch
 
 from roadtorch.data.correction_labels import (
+    NOT_ROAD,
     OPEN,
+    ROAD_SAID,
     VOID_SAID,
     labels_of,
     layout_layer,
     road_layer,
 )
-from roadtorch.data.journal import ENDING, Journal, find_journals, read_journal
-from roadtorch.data.strokes import Right, folded, standing
+from roadtorch.data.dataset import Dataset, Item, Truth
+from roadtorch.data.event_log import ENDING, EventLog, find_logs, read_log
+from roadtorch.data.events import Confirm, folded, standing
 from roadtorch.errors import DatasetError, InputError
 from roadtorch.layout.classes import UNLABELLED
 
@@ -31,7 +35,7 @@ class Correction:
 
     picture: its file. name: relative to the folder of pictures, with ending. labels: uint8 (H,W),
     numbers of ``LABELS``. confirmed: somebody said that it is right as it is, so that every
-    pixel's road is known. users: sorted. seconds: at work on it, of all of them. clicks: acts of
+    pixel's road is known. users: sorted. seconds: at work on it, of all of them. clicks: events of
     all of them, those taken back among them. agreement: share of the pixels that two or more
     spoke of on which all of them agree about the road; None where there are none.
     """
@@ -59,61 +63,61 @@ class Correction:
 def read_corrections(folder: Path, pictures: Path | None = None) -> list[Correction]:
     """What is known of each picture that was worked on, sorted by name.
 
-    folder: where ``roadtorch annotate`` keeps its journals. pictures: their folder, if it moved;
-    else the journals know. Pictures on which every stroke was taken back are left out. Raises
-    DatasetError for a folder without journals, and for a broken one.
+    folder: where ``roadtorch annotate`` keeps its logs. pictures: their folder, if it moved;
+    else the logs know. Pictures on which every stroke was taken back are left out. Raises
+    DatasetError for a folder without logs, and for a broken one.
     """
-    by_picture = journals_by_picture(folder)
+    by_picture = logs_by_picture(folder)
     found = []
-    for name, journals in sorted(by_picture.items()):
-        known = folder / journals[0][1].head.picture
+    for name, logs in sorted(by_picture.items()):
+        known = folder / logs[0][1].head.picture
         picture = pictures / name if pictures else Path(os.path.normpath(known))
-        correction = corrected(picture, name, journals)
+        correction = corrected(picture, name, logs)
         if (correction.labels > 0).any():
             found.append(correction)
     return found
 
 
-def journals_by_picture(folder: Path) -> dict[str, list[tuple[Path, Journal]]]:
-    """The journals below a folder by the picture's name with ending; DatasetError without any."""
-    found: dict[str, list[tuple[Path, Journal]]] = defaultdict(list)
-    for path in find_journals(folder):
-        journal = read_journal(path)
-        name = path.relative_to(folder).as_posix().removesuffix(f".{journal.head.user}{ENDING}")
-        found[name].append((path, journal))
+def logs_by_picture(folder: Path) -> dict[str, list[tuple[Path, EventLog]]]:
+    """The logs below a folder by the picture's name with ending; DatasetError without any."""
+    found: dict[str, list[tuple[Path, EventLog]]] = defaultdict(list)
+    for path in find_logs(folder):
+        log = read_log(path)
+        name = path.relative_to(folder).as_posix().removesuffix(f".{log.head.user}{ENDING}")
+        found[name].append((path, log))
     if not found:
         raise DatasetError(folder, "holds no corrections", "make some with roadtorch annotate")
     return found
 
 
-def corrected(picture: Path, name: str, journals: Sequence[tuple[Path, Journal]]) -> Correction:
-    """What one or more journals of a picture come to.
+def corrected(picture: Path, name: str, logs: Sequence[tuple[Path, EventLog]]) -> Correction:
+    """What one or more logs of a picture come to.
 
-    Raises DatasetError where two are for pictures of different sizes or acts do not fit theirs.
+    Raises DatasetError where two are for pictures of different sizes or events do not fit theirs.
     """
-    sizes = {(one.head.height, one.head.width) for _, one in journals}
+    sizes = {(one.head.height, one.head.width) for _, one in logs}
     if len(sizes) > 1:
-        what = f"is for another picture size than {journals[0][0].name}"
-        raise DatasetError(journals[-1][0], what, "correct one version of the picture")
-    said = [_folded(path, journal, sizes.copy().pop()) for path, journal in journals]
-    acts = [act for _, journal in journals for act in journal.acts]
+        what = f"is for another picture size than {logs[0][0].name}"
+        raise DatasetError(logs[-1][0], what, "correct one version of the picture")
+    said = [_folded(path, log, sizes.copy().pop()) for path, log in logs]
+    events = [event for _, log in logs for event in log.events]
     return Correction(
         picture,
         name,
         agreed_labels(said),
-        any(isinstance(act, Right) for _, one in journals for act in standing(one.acts)),
-        tuple(sorted(one.head.user for _, one in journals)),
-        sum(act.seconds for act in acts),
-        len({act.id for act in acts}),
+        any(isinstance(event, Confirm) for _, one in logs for event in standing(one.events)),
+        tuple(sorted(one.head.user for _, one in logs)),
+        sum(event.seconds for event in events),
+        len({event.id for event in events}),
         agreement_share(said),
     )
 
 
-def _folded(path: Path, journal: Journal, size: tuple[int, int]) -> np.ndarray:
+def _folded(path: Path, log: EventLog, size: tuple[int, int]) -> np.ndarray:
     try:
-        return folded(journal.acts, size)
+        return folded(log.events, size)
     except InputError as problem:
-        what = f"has an act that does not fit: {problem.where} {problem.what}"
+        what = f"has an event that does not fit: {problem.where} {problem.what}"
         raise DatasetError(path, what, "give the picture that was corrected") from None
 
 
@@ -154,3 +158,37 @@ def agreement_share(said: Sequence[np.ndarray]) -> float | None:
     low = np.where(spoke, road, 255).min(0)
     high = np.where(spoke, road, 0).max(0)
     return float((low == high)[several].mean())
+
+
+# --- as a labelled set ------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class CorrectionLabels:
+    """The truth in the logs of a picture: the item's label, and those of further people."""
+
+    def truth(self, item: Item) -> Truth:
+        """What people said; DatasetError for a log that cannot be read."""
+        logs = [(path, read_log(path)) for path in (item.label, *item.extra)]
+        found = corrected(item.image, item.name, logs)
+        road, layout = torch.from_numpy(found.road), torch.from_numpy(found.layout)
+        valid = (road == ROAD_SAID) | (road == NOT_ROAD)
+        return Truth(road == ROAD_SAID, valid, layout if (layout != UNLABELLED).any() else None)
+
+
+def open_corrections(folder: Path, pictures: Path | None = None) -> Dataset:
+    """The corrected pictures of which the road of some pixel was said, in the order of their names.
+
+    folder, pictures: see ``read_corrections``, which says what is raised; DatasetError too where
+    nobody said anything of the road.
+    """
+    logs = logs_by_picture(folder)
+    items = []
+    for one in read_corrections(folder, pictures):
+        if ((one.road == ROAD_SAID) | (one.road == NOT_ROAD)).any():
+            label, *extra = [path for path, _ in logs[one.name]]
+            name = PurePosixPath(one.name).with_suffix("").as_posix()
+            items.append(Item(name, one.picture, label, None, tuple(extra)))
+    if not items:
+        raise DatasetError(folder, "says nothing of the road", "correct some pictures")
+    return Dataset("corrections", folder, "all", tuple(items), CorrectionLabels())

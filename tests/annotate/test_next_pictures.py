@@ -5,8 +5,13 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadtorch.annotate.next_pictures import RULES, Candidates, picture_features, unlike
-from roadtorch.annotate.order import PictureOrder
+from roadtorch.annotate.next_pictures import (
+    RULES,
+    Candidates,
+    PictureOrder,
+    picture_features,
+    unlike,
+)
 from roadtorch.annotate.session import Session, look_at_all
 
 
@@ -80,7 +85,7 @@ def test_the_page_is_told_turns_once_pictures_were_looked_at(session: Session) -
     look_at_all(session, Once())  # type: ignore[arg-type]
 
     assert sorted(one["turn"] for one in session.listing()) == [0, 1, 2]
-    session.act("street_1.png", "ann", _road())
+    session.add("street_1.png", "ann", _road())
     turns = {one["name"]: one["turn"] for one in session.listing()}
     assert turns["street_1.png"] is None
     assert sorted(turn for turn in turns.values() if turn is not None) == [0, 1]

@@ -314,7 +314,7 @@ def test_a_server_that_is_killed_and_started_again_gets_what_waits(
     process.stop()
     page.keyboard.press("2")
     click(page, 0.5, 0.2)
-    notices(page, "1 act waits here")
+    notices(page, "1 event waits here")
     click(page, 0.2, 0.2)
     old = process.url
     process.start()
@@ -329,11 +329,11 @@ def test_a_server_that_is_killed_and_started_again_gets_what_waits(
 
 def test_what_waits_outlives_a_reload(visit: Open, server: Server) -> None:
     page = visit(server)
-    page.route("**/api/act*", lambda route: route.abort())
+    page.route("**/api/event*", lambda route: route.abort())
     click(page, 0.5, 0.9)
-    notices(page, "1 act waits here")
-    page.unroute("**/api/act*")
-    page.route("**/api/act*", lambda route: route.abort(), times=1)
+    notices(page, "1 event waits here")
+    page.unroute("**/api/event*")
+    page.route("**/api/event*", lambda route: route.abort(), times=1)
     page.reload()
     at_version(page, 1)
     assert len(server.corrections()) == 1
@@ -356,7 +356,7 @@ def test_a_refused_stroke_is_told_and_the_next_one_goes_through(
     visit: Open, server: Server
 ) -> None:
     page = visit(server)
-    page.route("**/api/act*", lambda route: route.fulfill(
+    page.route("**/api/event*", lambda route: route.fulfill(
         status=413, content_type="application/json", body='{"error": "stroke: is too long (x)"}'
     ), times=1)  # fmt: skip
     click(page, 0.5, 0.9)

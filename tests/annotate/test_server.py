@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 from starlette.applications import Starlette
 
-from roadtorch.annotate.guard import MOST_BODY
-from roadtorch.annotate.server import STATIC, annotation_app
+from roadtorch.annotate.server import MAX_BODY, STATIC, annotation_app
 from roadtorch.annotate.session import Session
-from roadtorch.data.journal import journal_path, read_journal
+from roadtorch.data.event_log import log_path, read_log
 
 TOKEN = "t" * 32
 
@@ -55,24 +54,24 @@ def client(session: Session) -> Client:
 
 
 def click(identity: str = "a", **changes: object) -> dict[str, object]:
-    act = {"kind": "superpixel", "id": identity, "saying": "road", "segments": [0, 1]}
-    return {**act, **changes}
+    event = {"kind": "superpixel", "id": identity, "saying": "road", "segments": [0, 1]}
+    return {**event, **changes}
 
 
 def test_a_click_is_kept_and_the_picture_told_anew(client: Client, session: Session) -> None:
-    answer = client.post(f"/api/act?{WHO}", json=click())
+    answer = client.post(f"/api/event?{WHO}", json=click())
     told = answer.json()
     assert (answer.status_code, told["version"], told["size"]) == (200, 1, [64, 48])
     layers = np.frombuffer(base64.b64decode(told["layers"]), np.uint8).reshape(48, 64)
     labels = np.frombuffer(client.get(f"/api/superpixels?name={NAME}").content, "<u2")
     assert ((layers & 7 == 1) == (labels.reshape(48, 64) < 2)).all()
     assert ((layers >> 3 & 1)[layers & 7 == 1] == 1).all()
-    assert len(read_journal(journal_path(session.out, NAME, "ann")).acts) == 1
+    assert len(read_log(log_path(session.out, NAME, "ann")).events) == 1
 
 
 def test_an_inference_takes_less_than_300_ms(client: Client) -> None:
     client.get(f"/api/state?{WHO}")
-    told = client.post(f"/api/act?{WHO}", json=click()).json()
+    told = client.post(f"/api/event?{WHO}", json=click()).json()
     assert told["milliseconds"] < 300
 
 
@@ -125,17 +124,17 @@ def test_a_stroke_of_20_megabytes_is_refused_and_nothing_kept(
 ) -> None:
     body = json.dumps(click(segments=[1] * 10_000_000))
     assert len(body) > 20 * 2**20
-    answer = client.post(f"/api/act?{WHO}", content=body)
+    answer = client.post(f"/api/event?{WHO}", content=body)
     assert answer.status_code == 413
-    assert f"more than {MOST_BODY:,} bytes" in answer.json()["error"]
-    assert not journal_path(session.out, NAME, "ann").exists()
+    assert f"more than {MAX_BODY:,} bytes" in answer.json()["error"]
+    assert not log_path(session.out, NAME, "ann").exists()
 
 
 @pytest.mark.parametrize("body", ["", "{", "[]", json.dumps(click(saying="cat"))])
 def test_what_is_no_act_is_refused(client: Client, body: str) -> None:
-    answer = client.post(f"/api/act?{WHO}", content=body)
+    answer = client.post(f"/api/event?{WHO}", content=body)
     assert answer.status_code == 400
-    assert answer.json()["error"].startswith("stroke: is no act of a correction")
+    assert answer.json()["error"].startswith("stroke: is no event of a correction")
 
 
 def test_a_picture_that_is_gone_is_told(client: Client, session: Session) -> None:
@@ -149,7 +148,7 @@ def test_the_list_comes_once_until_it_changes(client: Client) -> None:
     first = client.get("/api/pictures").json()
     assert [one["name"] for one in first["pictures"]] == [f"street_{n}.png" for n in range(3)]
     assert client.get(f"/api/pictures?stamp={first['stamp']}").status_code == 204
-    client.post(f"/api/act?{WHO}", json=click())
+    client.post(f"/api/event?{WHO}", json=click())
     second = client.get(f"/api/pictures?stamp={first['stamp']}").json()
     assert second["pictures"][0]["users"]["ann"]["version"] == 1
 

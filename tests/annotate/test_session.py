@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roadtorch.annotate.bringing import bring_in
 from roadtorch.annotate.machine import AnnotationSettings
 from roadtorch.annotate.report import corrections_report
 from roadtorch.annotate.serving import (
@@ -18,9 +17,10 @@ from roadtorch.annotate.serving import (
     opened_session,
 )
 from roadtorch.annotate.session import Session, look_at_all
+from roadtorch.annotate.work import import_labels
 from roadtorch.data.correction_formats import FORMATS
 from roadtorch.data.corrections import read_corrections
-from roadtorch.data.strokes import BrushStroke, Redo, Right, SuperpixelStroke, Undo
+from roadtorch.data.events import BrushStroke, Confirm, Redo, SuperpixelStroke, Undo
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError, DatasetError, InputError
 
@@ -38,7 +38,7 @@ def reopened(session: Session) -> Session:
 
 
 def test_a_stroke_is_on_disk_and_a_restart_finds_it(session: Session) -> None:
-    told = session.act(NAME, "ann", superpixel("a", "road", 0, 1))
+    told = session.add(NAME, "ann", superpixel("a", "road", 0, 1))
     again = reopened(session).state(NAME, "ann")
     assert again["layers"] == told["layers"]
     assert again["version"] == 1
@@ -49,26 +49,26 @@ def test_a_stroke_is_on_disk_and_a_restart_finds_it(session: Session) -> None:
 
 def test_undo_and_redo_are_told(session: Session) -> None:
     before = session.state(NAME, "ann")["layers"]
-    first = session.act(NAME, "ann", superpixel("a", "road", 0))
-    undone = session.act(NAME, "ann", Undo(kind="undo", id="b", of="a"))
+    first = session.add(NAME, "ann", superpixel("a", "road", 0))
+    undone = session.add(NAME, "ann", Undo(kind="undo", id="b", of="a"))
     assert undone["layers"] == before
     assert undone["redo"] == ["a"]
-    assert undone["acts"] == []
-    again = session.act(NAME, "ann", Redo(kind="redo", id="c", of="a"))
+    assert undone["events"] == []
+    again = session.add(NAME, "ann", Redo(kind="redo", id="c", of="a"))
     assert again["layers"] == first["layers"]
     assert again["redo"] == []
     assert again["clicks"] == 3
 
 
 def test_the_same_act_sent_again_counts_once(session: Session) -> None:
-    session.act(NAME, "ann", superpixel("a", "road", 0))
-    assert session.act(NAME, "ann", superpixel("a", "road", 0))["version"] == 1
+    session.add(NAME, "ann", superpixel("a", "road", 0))
+    assert session.add(NAME, "ann", superpixel("a", "road", 0))["version"] == 1
 
 
 def test_right_as_it_is_keeps_what_was_shown(session: Session) -> None:
     shown = session.state(NAME, "ann")["layers"]
-    told = session.act(NAME, "ann", Right(kind="right", id="a"))
-    assert told["right"]
+    told = session.add(NAME, "ann", Confirm(kind="right", id="a"))
+    assert told["confirmed"]
     (one,) = read_corrections(session.out)
     assert one.confirmed
     assert set(np.unique(one.road)) <= {0, 1}
@@ -77,15 +77,15 @@ def test_right_as_it_is_keeps_what_was_shown(session: Session) -> None:
 
 
 def test_two_users_have_work_of_their_own_and_agree_in_part(session: Session) -> None:
-    session.act(NAME, "ann", superpixel("a", "road", 0, 1))
-    assert session.state(NAME, "bob")["acts"] == []
-    told = session.act(NAME, "bob", superpixel("b", "road", 0))
+    session.add(NAME, "ann", superpixel("a", "road", 0, 1))
+    assert session.state(NAME, "bob")["events"] == []
+    told = session.add(NAME, "bob", superpixel("b", "road", 0))
     assert told["agreement"] == 1
-    assert session.act(NAME, "bob", superpixel("c", "not_road", 1))["agreement"] < 1
+    assert session.add(NAME, "bob", superpixel("c", "not_road", 1))["agreement"] < 1
     users = session.listing()[0]["users"]
     assert users == {
-        "ann": {"acts": 1, "right": False, "version": 1},
-        "bob": {"acts": 2, "right": False, "version": 2},
+        "ann": {"events": 1, "confirmed": False, "version": 1},
+        "bob": {"events": 2, "confirmed": False, "version": 2},
     }
 
 
@@ -110,49 +110,49 @@ def test_a_link_that_leads_outside_is_no_picture(session: Session, tmp_path: Pat
 
 
 def test_a_picture_deleted_meanwhile_loses_no_stroke(session: Session) -> None:
-    session.act(NAME, "ann", superpixel("a", "road", 0))
+    session.add(NAME, "ann", superpixel("a", "road", 0))
     (session.pictures.root / NAME).unlink()
-    assert session.act(NAME, "ann", superpixel("b", "road", 1))["version"] == 2
+    assert session.add(NAME, "ann", superpixel("b", "road", 1))["version"] == 2
     with pytest.raises(InputError, match="is no longer there"):
         reopened(session).state(NAME, "ann")
     assert read_corrections(session.out)[0].clicks == 2
 
 
 def test_a_picture_that_changed_its_size_keeps_its_corrections(session: Session) -> None:
-    session.act(NAME, "ann", superpixel("a", "road", 0))
+    session.add(NAME, "ann", superpixel("a", "road", 0))
     from roadtorch.scenes.street import write_picture
     from tests.streets import scene
 
     write_picture(session.pictures.root / NAME, scene(1, 40, 64))
     with pytest.raises(InputError, match="was corrected at 64 by 48 pixels"):
-        reopened(session).act(NAME, "ann", superpixel("b", "road", 1))
+        reopened(session).add(NAME, "ann", superpixel("b", "road", 1))
 
 
 def test_a_superpixel_that_there_is_not_is_refused(session: Session) -> None:
     with pytest.raises(InputError, match="a higher number was clicked"):
-        session.act(NAME, "ann", superpixel("a", "road", 10_000))
+        session.add(NAME, "ann", superpixel("a", "road", 10_000))
     assert session.state(NAME, "ann")["version"] == 0
 
 
 def test_a_full_disk_is_told_and_nothing_half_done(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    session.act(NAME, "ann", superpixel("a", "road", 0))
+    session.add(NAME, "ann", superpixel("a", "road", 0))
     before = session.state(NAME, "ann")["layers"]
 
     def full(_: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("roadtorch.data.journal.os.fsync", full)
+    monkeypatch.setattr("roadtorch.data.event_log.os.fsync", full)
     with pytest.raises(InputError, match="cannot be written: No space left"):
-        session.act(NAME, "ann", superpixel("b", "road", 1))
+        session.add(NAME, "ann", superpixel("b", "road", 1))
     assert session.state(NAME, "ann")["layers"] == before
 
 
 def test_many_at_once_lose_nothing(session: Session) -> None:
     def strokes(start: int) -> None:
         for number in range(start, start + 10):
-            session.act(NAME, "ann", superpixel(f"s{number}", "road", number % 5))
+            session.add(NAME, "ann", superpixel(f"s{number}", "road", number % 5))
 
     workers = [threading.Thread(target=strokes, args=(10 * n,)) for n in range(4)]
     for one in workers:
@@ -193,10 +193,10 @@ def test_corrections_inside_the_folder_are_no_pictures(streets: Path) -> None:
 
 
 def test_a_broken_journal_is_told_before_the_page_opens(session: Session) -> None:
-    session.act(NAME, "ann", superpixel("a", "road", 0))
+    session.add(NAME, "ann", superpixel("a", "road", 0))
     with (session.out / f"{NAME}.ann.strokes.jsonl").open("a") as file:
         file.write("nonsense\n")
-    with pytest.raises(DatasetError, match=r"jsonl:3: is no act"):
+    with pytest.raises(DatasetError, match=r"jsonl:3: is no event"):
         reopened(session)
 
 
@@ -205,13 +205,13 @@ def test_a_broken_journal_is_told_before_the_page_opens(session: Session) -> Non
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_out_and_in_again_as_another_user(session: Session, tmp_path: Path, name: str) -> None:
-    session.act(NAME, "ann", superpixel("a", "road", 0, 1))
+    session.add(NAME, "ann", superpixel("a", "road", 0, 1))
     brush = BrushStroke(kind="brush", id="b", saying="sky", points=((30.0, 5.0),), radius=4.0)
-    session.act(NAME, "ann", brush)
+    session.add(NAME, "ann", brush)
     (before,) = read_corrections(session.out)
     FORMATS[name].write([before], tmp_path / "elsewhere")
     out = tmp_path / "second"
-    assert bring_in(name, tmp_path / "elsewhere", session.pictures.root, out, "bob") == 1
+    assert import_labels(name, tmp_path / "elsewhere", session.pictures.root, out, "bob") == 1
     (after,) = read_corrections(out)
     assert (after.labels == before.labels).all()
     assert after.users == ("bob",)
@@ -220,8 +220,8 @@ def test_out_and_in_again_as_another_user(session: Session, tmp_path: Path, name
 
 def test_the_report_says_what_the_time_bought(session: Session) -> None:
     stroke = superpixel("a", "road", 0).model_copy(update={"seconds": 30.0})
-    session.act(NAME, "ann", stroke)
-    session.act(NAME, "ann", Right(kind="right", id="b", seconds=30.0))
+    session.add(NAME, "ann", stroke)
+    session.add(NAME, "ann", Confirm(kind="right", id="b", seconds=30.0))
     lines = corrections_report(session.out).splitlines()
     assert lines[1].split()[:4] == [NAME, "ann", "2", "60"]
     assert "1 pictures, 1 confirmed; 2 clicks, 1.0 minutes" in lines[3]

@@ -7,7 +7,7 @@ import pytest
 
 from roadtorch.annotate.serving import PageServer, bound_socket, opened_session
 from roadtorch.data.corrections import read_corrections
-from roadtorch.data.strokes import Right
+from roadtorch.data.events import Confirm
 from roadtorch.detectors.catalogue import load_detector
 from tests.cli.conftest import Call
 
@@ -20,7 +20,7 @@ def corrected(footage: Path) -> Path:
     out = footage / "corrections"
     out.mkdir()
     session = opened_session(footage, out, load_detector("prior:triangle"))
-    session.act("sub/c.png", "ann", Right(kind="right", id="a", seconds=12.0))
+    session.add("sub/c.png", "ann", Confirm(kind="right", id="a", seconds=12.0))
     return footage
 
 
@@ -130,6 +130,6 @@ def test_formats_are_those_that_there_are() -> None:
 
 def test_the_journal_can_be_read_by_eye(corrected: Path) -> None:
     path = corrected / "corrections/sub/c.png.ann.strokes.jsonl"
-    head, act = (json.loads(line) for line in path.read_text().splitlines())
+    head, event = (json.loads(line) for line in path.read_text().splitlines())
     assert (head["picture"], head["user"]) == ("../sub/c.png", "ann")
-    assert (act["kind"], act["seconds"]) == ("right", 12.0)
+    assert (event["kind"], event["seconds"]) == ("right", 12.0)

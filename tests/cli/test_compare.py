@@ -8,11 +8,10 @@ import pytest
 import torch
 from click.testing import CliRunner, Result
 
-from roadtorch.annotate.bringing import brought
-from roadtorch.annotate.work import open_work
+from roadtorch.annotate.work import import_event, open_work
 from roadtorch.cli.compare import compare
-from roadtorch.data.corrected_set import open_corrections
-from roadtorch.data.journal import JournalHead, journal_path
+from roadtorch.data.corrections import open_corrections
+from roadtorch.data.event_log import LogHead, log_path
 from roadtorch.errors import ConfigError, DatasetError, WeightsError
 from roadtorch.evaluation.disagreement import disagreement, unlabelled_set
 from roadtorch.io.image import write_npy
@@ -40,8 +39,8 @@ def corrections(streets: Path) -> Path:
     for seed in range(COUNT - 1):
         name = f"street_{seed}.png"
         labels = np.where(scene(seed, 48, 64).road.numpy(), 1, 2).astype(np.uint8)
-        head = JournalHead(picture=f"../streets/{name}", user="ann", height=48, width=64)
-        open_work(journal_path(folder, name, "ann"), head).add(brought(labels))
+        head = LogHead(picture=f"../streets/{name}", user="ann", height=48, width=64)
+        open_work(log_path(folder, name, "ann"), head).add(import_event(labels))
     return folder
 
 

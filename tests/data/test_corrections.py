@@ -1,4 +1,4 @@
-"""Corrections: what sayings come to, journals that survive a crash, several people."""
+"""Corrections: what sayings come to, logs that survive a crash, several people."""
 
 import json
 from pathlib import Path
@@ -15,24 +15,18 @@ from roadtorch.data.correction_labels import (
     road_layer,
 )
 from roadtorch.data.corrections import agreement_share, read_corrections
-from roadtorch.data.journal import (
-    JournalHead,
-    append_act,
-    journal_path,
-    read_journal,
-    start_journal,
-)
-from roadtorch.data.strokes import (
-    AnyAct,
+from roadtorch.data.event_log import LogHead, append_event, log_path, read_log
+from roadtorch.data.events import (
+    AnyEvent,
     BrushStroke,
+    Confirm,
     PolygonStroke,
     Redo,
-    Right,
     SuperpixelStroke,
     Undo,
     folded,
     mask_of,
-    parse_act,
+    parse_event,
     runs_of,
     stroke_pixels,
 )
@@ -53,14 +47,15 @@ def box(identity: str, saying: str, left: int, top: int, right: int, bottom: int
     )
 
 
-def journal(folder: Path, picture: str, user: str, *acts: AnyAct) -> Path:
-    path = journal_path(folder, picture, user)
-    start_journal(
-        path, JournalHead(picture=f"../{picture}", user=user, height=SIZE[0], width=SIZE[1])
-    )
-    for act in acts:
-        append_act(path, act)
+def log(folder: Path, picture: str, user: str, *events: AnyEvent) -> Path:
+    path = log_path(folder, picture, user)
+    for event in events:
+        append_event(path, head(picture, user), event)
     return path
+
+
+def head(picture: str, user: str) -> LogHead:
+    return LogHead(picture=f"../{picture}", user=user, height=SIZE[0], width=SIZE[1])
 
 
 # --- labels -----------------------------------------------------------------------------
@@ -90,7 +85,7 @@ def test_a_saying_holds_whatever_was_there(saying: str, before: int) -> None:
         assert road == (kept if LABELS[before] in ("road", "not_road") or before == 7 else 255)
 
 
-# --- acts -------------------------------------------------------------------------------
+# --- events -------------------------------------------------------------------------------
 
 
 def test_runs_are_the_mask() -> None:
@@ -122,32 +117,27 @@ def test_far_points_cost_no_memory() -> None:
     assert len(stroke_pixels(stroke, SIZE)) == SIZE[0] * SIZE[1]
 
 
-def test_undo_and_redo_are_acts_of_their_own() -> None:
+def test_undo_and_redo_are_events_of_their_own_and_each_counts_once() -> None:
     first, second = box("a", "road", 0, 0, 9, 9), box("b", "not_road", 5, 0, 9, 9)
     both = folded([first, second], SIZE)
     assert both[0, 4] == number("road")
     assert both[0, 5] == number("not_road")
+    assert (folded([first, second, first], SIZE) == both).all()  # sent twice
     undone = [first, second, Undo(kind="undo", id="c", of="b")]
     assert (folded(undone, SIZE) == folded([first], SIZE)).all()
     assert (folded([*undone, Redo(kind="redo", id="d", of="b")], SIZE) == both).all()
 
 
-def test_an_act_that_is_sent_twice_counts_once() -> None:
-    act = box("a", "road", 0, 0, 9, 9)
-    later = box("b", "void", 0, 0, 9, 9)
-    assert (folded([act, later, act], SIZE) == folded([act, later], SIZE)).all()
-
-
 def test_right_as_it_is_settles_what_is_open() -> None:
     road = np.zeros(SIZE, np.bool_)
     road[10:] = True
-    acts = [
+    events = [
         box("a", "void", 0, 0, 3, 3),
         box("b", "not_road", 0, 15, 3, 19),
         box("c", "horizontal", 20, 8, 25, 12),
-        Right(kind="right", id="d", runs=runs_of(road)),
+        Confirm(kind="right", id="d", runs=runs_of(road)),
     ]
-    labels = folded(acts, SIZE)
+    labels = folded(events, SIZE)
     assert (road_layer(labels) != 255).all()
     assert labels[0, 0] == number("void")
     assert labels[19, 0] == number("not_road")
@@ -169,35 +159,56 @@ def test_right_as_it_is_settles_what_is_open() -> None:
         '{"kind":"undo","id":"a","of":"b","extra":1}',
     ],
 )
-def test_what_is_no_act_is_refused_in_a_line(text: str) -> None:
-    with pytest.raises(InputError, match=r"^stroke: is no act") as caught:
-        parse_act(text, "stroke")
+def test_what_is_no_event_is_refused_in_a_line(text: str) -> None:
+    with pytest.raises(InputError, match=r"^stroke: is no event") as caught:
+        parse_event(text, "stroke")
     assert "\n" not in str(caught.value)
 
 
-# --- journals ---------------------------------------------------------------------------
+# --- logs -------------------------------------------------------------------------------
 
 
-def test_half_a_line_of_a_crash_is_passed_over_and_cut_off(tmp_path: Path) -> None:
-    path = journal(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 9, 9))
+@pytest.mark.parametrize("torn", [b'{"kind":"pol', b""])
+def test_half_a_line_of_a_crash_is_passed_over_and_cut_off(tmp_path: Path, torn: bytes) -> None:
+    path = log(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 9, 9))
     with path.open("ab") as file:
-        file.write(b'{"kind":"pol')
-    assert [act.id for act in read_journal(path).acts] == ["a"]
-    append_act(path, box("b", "void", 0, 0, 2, 2))
-    assert [act.id for act in read_journal(path).acts] == ["a", "b"]
+        file.write(torn)
+    assert [event.id for event in read_log(path).events] == ["a"]
+    log(tmp_path, "a.jpg", "ann", box("b", "void", 0, 0, 2, 2))
+    assert [event.id for event in read_log(path).events] == ["a", "b"]
 
 
-def test_a_broken_line_is_named(tmp_path: Path) -> None:
-    path = journal(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 9, 9))
-    with path.open("ab") as file:
-        file.write(b"nonsense\n")
-    with pytest.raises(DatasetError, match=r"a\.jpg\.ann\.strokes\.jsonl:3: is no act"):
-        read_journal(path)
+def test_half_a_head_is_written_anew(tmp_path: Path) -> None:
+    log_path(tmp_path, "a.jpg", "ann").write_bytes(b'{"roadtorch": 1, "pic')
+    path = log(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 9, 9))
+    assert read_log(path).head == head("a.jpg", "ann")
 
 
-def test_a_file_that_is_no_journal_is_named(tmp_path: Path) -> None:
-    (tmp_path / "a.jpg.ann.strokes.jsonl").write_text("{}\n")
-    with pytest.raises(DatasetError, match="does not begin as a journal"):
+def test_logs_of_earlier_versions_are_read(tmp_path: Path) -> None:
+    (tmp_path / "a.jpg.ann.strokes.jsonl").write_text(
+        '{"roadtorch": 1, "picture": "../a.jpg", "user": "ann", "height": 2, "width": 3}\n'
+        '{"id":"1","time":1.0,"seconds":0.0,"kind":"brought","labels":{"void":[0,1]}}\n'
+        '{"id":"2","time":2.0,"seconds":3.5,"kind":"superpixel","saying":"not_road",'
+        '"segments":[7],"cut":"","runs":[1,2]}\n'
+        '{"id":"3","time":3.0,"seconds":1.0,"kind":"right","runs":[3,2]}\n'
+    )
+    (one,) = read_corrections(tmp_path)
+    assert one.confirmed
+    assert one.road.tolist() == [[254, 0, 0], [1, 1, 0]]
+    assert (one.seconds, one.clicks) == (4.5, 3)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("{}\n", "does not begin as a log"),
+        ('{"roadtorch": 1, "picture": "a", "user": "b", "height": 1, "width": 1}\nnonsense\n',
+         r"a\.jpg\.ann\.strokes\.jsonl:2: is no event"),
+    ],
+)  # fmt: skip
+def test_what_is_no_log_is_named(tmp_path: Path, text: str, told: str) -> None:
+    (tmp_path / "a.jpg.ann.strokes.jsonl").write_text(text)
+    with pytest.raises(DatasetError, match=told):
         read_corrections(tmp_path)
 
 
@@ -206,9 +217,10 @@ def test_a_file_that_is_no_journal_is_named(tmp_path: Path) -> None:
 
 def test_corrections_say_what_training_needs(tmp_path: Path) -> None:
     stroke = box("a", "road", 0, 10, 29, 19).model_copy(update={"seconds": 4.0})
-    journal(tmp_path / "corrections", "sub/a.jpg", "ann", stroke, box("b", "sky", 0, 0, 29, 4))
+    log(tmp_path / "corrections", "sub/a.jpg", "ann", stroke, box("b", "sky", 0, 0, 29, 4))
     (one,) = read_corrections(tmp_path / "corrections")
     assert one.name == "sub/a.jpg"
+    assert one.picture == tmp_path / "sub/a.jpg"
     assert one.users == ("ann",)
     assert (one.seconds, one.clicks, one.confirmed) == (4.0, 2, False)
     assert one.road.dtype == one.layout.dtype == np.uint8
@@ -222,22 +234,14 @@ def test_corrections_say_what_training_needs(tmp_path: Path) -> None:
     assert moved.picture == tmp_path / "elsewhere/sub/a.jpg"
 
 
-def test_the_journal_knows_where_its_picture_is(tmp_path: Path) -> None:
-    journal(tmp_path / "corrections", "a.jpg", "ann", box("a", "road", 0, 0, 9, 9))
-    (one,) = read_corrections(tmp_path / "corrections")
-    assert one.picture == tmp_path / "a.jpg"
-
-
 def test_a_picture_on_which_all_was_taken_back_is_left_out(tmp_path: Path) -> None:
-    journal(
-        tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 9, 9), Undo(kind="undo", id="b", of="a")
-    )
+    log(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 9, 9), Undo(kind="undo", id="b", of="a"))
     assert read_corrections(tmp_path) == []
 
 
 def test_where_two_contradict_each_other_is_void(tmp_path: Path) -> None:
-    journal(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 19, 9))
-    journal(
+    log(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 19, 9))
+    log(
         tmp_path, "a.jpg", "bob", box("b", "not_road", 10, 0, 29, 9), box("c", "road", 10, 0, 14, 9)
     )
     (one,) = read_corrections(tmp_path)
@@ -250,9 +254,9 @@ def test_nobody_agrees_alone() -> None:
     assert agreement_share([np.ones(SIZE, np.uint8), np.zeros(SIZE, np.uint8)]) is None
 
 
-def test_journals_of_two_sizes_are_refused(tmp_path: Path) -> None:
-    journal(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 9, 9))
-    path = journal(tmp_path, "a.jpg", "bob", box("b", "road", 0, 0, 9, 9))
+def test_logs_of_two_sizes_are_refused(tmp_path: Path) -> None:
+    log(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 9, 9))
+    path = log(tmp_path, "a.jpg", "bob", box("b", "road", 0, 0, 9, 9))
     lines = path.read_text().splitlines()
     lines[0] = json.dumps({**json.loads(lines[0]), "width": 31})
     path.write_text("\n".join(lines) + "\n")
@@ -264,7 +268,7 @@ def test_a_superpixel_stroke_of_another_size_is_told(tmp_path: Path) -> None:
     stroke = SuperpixelStroke(
         kind="superpixel", id="a", saying="road", segments=(1,), runs=(0, 9999)
     )
-    journal(tmp_path, "a.jpg", "ann", stroke)
+    log(tmp_path, "a.jpg", "ann", stroke)
     with pytest.raises(DatasetError, match="does not fit"):
         read_corrections(tmp_path)
 

@@ -9,11 +9,10 @@ import pytest
 import torch
 from click.testing import CliRunner
 
-from roadtorch.annotate.bringing import brought
-from roadtorch.annotate.work import open_work
+from roadtorch.annotate.work import import_event, open_work
 from roadtorch.cli.train import train as command_of_train
 from roadtorch.data.corrections import Correction
-from roadtorch.data.journal import JournalHead, journal_path
+from roadtorch.data.event_log import LogHead, log_path
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.layout.weights import corrected_pictures, load_network, people_behind
@@ -191,14 +190,14 @@ def test_weights_say_that_people_corrected_pictures(
 
 
 def test_the_command_reads_what_annotate_kept(streets: Path, kept: Path, tmp_path: Path) -> None:
-    name, journals = "street_1.png", tmp_path / "corrections"
-    head = JournalHead(picture=f"elsewhere/{name}", user="ann", height=60, width=80)
-    open_work(journal_path(journals, name, "ann"), head).add(
-        brought(quarters(60, 80).astype(np.uint8))
+    name, logs = "street_1.png", tmp_path / "corrections"
+    head = LogHead(picture=f"elsewhere/{name}", user="ann", height=60, width=80)
+    open_work(log_path(logs, name, "ann"), head).add(
+        import_event(quarters(60, 80).astype(np.uint8))
     )
     config = write_config(tmp_path / "train.toml", PATCHES)
     words = ["--config", config, "--images", streets, "--out", tmp_path / "run", "--quiet"]
-    words += ["--corrections", journals, "--pictures", streets]
+    words += ["--corrections", logs, "--pictures", streets]
 
     result = CliRunner().invoke(command_of_train, [str(word) for word in words])
 

@@ -1,4 +1,4 @@
-// The page: pictures, keys and tools; what they do goes to the server as acts.
+// The page: pictures, keys and tools; what they do goes to the server as events.
 
 import { Stage } from "/static/canvas.js";
 import { button, listKeys, marked, onKeys } from "/static/controls.js";
@@ -74,7 +74,7 @@ async function open(name) {
 // The pictures that wait for a verdict: those with a turn, then the least certain first; unknown
 // ones at the end.
 function sorted() {
-  const key = (one) => [one.users[user]?.right ? 1 : 0, one.turn ?? 1e9, one.trust ?? 2];
+  const key = (one) => [one.users[user]?.confirmed ? 1 : 0, one.turn ?? 1e9, one.trust ?? 2];
   pictures.sort((a, b) => {
     const [x, y] = [key(a), key(b)];
     return x[0] - y[0] || x[1] - y[1] || x[2] - y[2] || (a.name < b.name ? -1 : 1);
@@ -84,7 +84,7 @@ function sorted() {
 
 function following(step = 1) {
   const index = pictures.findIndex((one) => one.name === current?.name);
-  const open = pictures.filter((one) => !one.users[user]?.right || one.name === current?.name);
+  const open = pictures.filter((one) => !one.users[user]?.confirmed || one.name === current?.name);
   const place = open.findIndex((one) => one.name === current?.name);
   if (open.length > 1 && step > 0) return open[(place + 1) % open.length].name;
   return pictures[(index + step + pictures.length) % pictures.length]?.name;
@@ -108,7 +108,7 @@ function tell(found) {
   by("name").textContent = found.name;
   document.title = `${found.name} · roadtorch`;
   const facts = [
-    found.right ? "right ✓" : "",
+    found.confirmed ? "right ✓" : "",
     found.trust === null ? "" : `trust ${found.trust.toFixed(2)}`,
     `${found.clicks} clicks`, `${Math.round(found.seconds)} s`,
     found.agreement === null ? "" : `agreement ${(100 * found.agreement).toFixed(1)} %`,
@@ -117,7 +117,7 @@ function tell(found) {
   document.body.dataset.version = found.version;
   document.body.dataset.picture = found.name;
   for (const button of document.querySelectorAll("[data-act]")) {
-    if (button.dataset.act === "undo") button.disabled = !found.acts.length;
+    if (button.dataset.act === "undo") button.disabled = !found.events.length;
     if (button.dataset.act === "redo") button.disabled = !found.redo.length;
   }
 }
@@ -141,7 +141,7 @@ function notice(text) {
 function failed(problem) {
   if (problem instanceof Refusal) return notice(problem.message);
   const count = outbox.waiting.length;
-  const kept = count ? `; ${count} ${count === 1 ? "act waits" : "acts wait"} here` : "";
+  const kept = count ? `; ${count} ${count === 1 ? "event waits" : "events wait"} here` : "";
   notice(`No answer from the server${kept}. Start roadtorch annotate again: this page goes on.`);
 }
 
@@ -167,7 +167,7 @@ async function listed(found) {
   pictures = found.sort((a, b) => (place(a) === place(b) ? 0 : place(a) - place(b)));
   if (first) sorted();
   else list.show(pictures, current?.name ?? null);
-  const right = pictures.filter((one) => one.users[user]?.right).length;
+  const right = pictures.filter((one) => one.users[user]?.confirmed).length;
   const known = pictures.filter((one) => one.trust !== null).length;
   const looked = known < pictures.length ? `, ${known} looked at` : "";
   by("progress").textContent = `${right} of ${pictures.length} right${looked}`;
@@ -210,7 +210,7 @@ function undo() {
     stage.polygon.pop();
     return stage.draw();
   }
-  const last = state?.acts.at(-1);
+  const last = state?.events.at(-1);
   if (last) send({ kind: "undo", of: last[0] });
 }
 
@@ -354,7 +354,7 @@ async function resume() {
   const hash = decodeURIComponent(location.hash.slice(1));
   const last = [hash, localStorage[`roadtorchLast:${user}`]];
   const known = last.find((one) => pictures.some((each) => each.name === one));
-  const first = known ?? pictures.find((one) => !one.users[user]?.right)?.name;
+  const first = known ?? pictures.find((one) => !one.users[user]?.confirmed)?.name;
   await open(first ?? pictures[0].name);
 }
 

@@ -70,7 +70,7 @@ export class Outbox {
         let state = null;
         let problem = null;
         try {
-          state = await (await ask("act", { name, user }, act)).json();
+          state = await (await ask("event", { name, user }, act)).json();
         } catch (error) {
           if (!(error instanceof Refusal) || error.status >= 500 || error.status === 403) throw error;
           problem = error;

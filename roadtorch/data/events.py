@@ -1,4 +1,4 @@
-"""What a person did to the labels of a picture, one act at a time, as it is kept on disk.
+"""What a person did to the labels of a picture, one event at a time, as it is kept on disk.
 
 Positions are in pixels of the picture, x to the right, y down, pixel centres at whole numbers.
 Regions are runs: start, length, start, length, … of pixels counted row by row.
@@ -17,11 +17,11 @@ from roadtorch.data.polygons import Polygon
 from roadtorch.errors import InputError
 from roadtorch.settings import Settings
 
-MOST_POINTS = 20_000  # of one stroke; ours: a hand draws some hundreds
+MAX_POINTS = 20_000  # of one stroke; ours: a hand draws some hundreds
 
-MOST_RADIUS = 2000  # pixels of a brush
+MAX_RADIUS = 2000  # pixels of a brush
 
-LONGEST = 600.0  # seconds that one act may have taken; the page counts no idle minute
+MAX_SECONDS = 600.0  # seconds that one event may have taken; the page counts no idle minute
 
 Point = tuple[
     Annotated[float, Field(ge=-1e5, le=1e5)],
@@ -32,19 +32,19 @@ Saying = Literal["road", "not_road", "void", "sky", "vertical", "horizontal"]
 Runs = Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(description="start, length, …")]
 
 
-class Act(Settings):
-    """One line of a journal.
+class Event(Settings):
+    """One line of a log.
 
-    id: made where the act was done; the same id twice is the same act, sent again. time: seconds
+    id: made where it was done; the same id twice is the same event, sent again. time: seconds
     since 1970. seconds: how long the person was at it.
     """
 
     id: Name
     time: float = Field(default=0.0, ge=0)
-    seconds: float = Field(default=0.0, ge=0, le=LONGEST)
+    seconds: float = Field(default=0.0, ge=0, le=MAX_SECONDS)
 
 
-class SuperpixelStroke(Act):
+class SuperpixelStroke(Event):
     """Superpixels clicked or dragged over; ``runs`` are their pixels, whoever cuts them later."""
 
     kind: Literal["superpixel"]
@@ -54,73 +54,69 @@ class SuperpixelStroke(Act):
     runs: Runs = ()
 
 
-class PolygonStroke(Act):
+class PolygonStroke(Event):
     """A closed polygon, its border included."""
 
     kind: Literal["polygon"]
     saying: Saying
-    points: tuple[Point, ...] = Field(min_length=3, max_length=MOST_POINTS)
+    points: tuple[Point, ...] = Field(min_length=3, max_length=MAX_POINTS)
 
 
-class BrushStroke(Act):
+class BrushStroke(Event):
     """A line drawn with a round brush."""
 
     kind: Literal["brush"]
     saying: Saying
-    points: tuple[Point, ...] = Field(min_length=1, max_length=MOST_POINTS)
-    radius: float = Field(gt=0, le=MOST_RADIUS)
+    points: tuple[Point, ...] = Field(min_length=1, max_length=MAX_POINTS)
+    radius: float = Field(gt=0, le=MAX_RADIUS)
 
 
-class Right(Act):
+class Confirm(Event):
     """ "Right as it is": what was not said is as shown; ``runs`` are the pixels shown as road."""
 
     kind: Literal["right"]
     runs: Runs = ()
 
 
-class Brought(Act):
+class Import(Event):
     """Labels from another program: the runs of each label, by its name."""
 
     kind: Literal["brought"]
     labels: dict[str, Runs]
 
 
-class Undo(Act):
-    """Takes an act back."""
+class Undo(Event):
+    """Takes an event back."""
 
     kind: Literal["undo"]
     of: Name
 
 
-class Redo(Act):
-    """Does an act again that was taken back."""
+class Redo(Event):
+    """Does an event again that was taken back."""
 
     kind: Literal["redo"]
     of: Name
 
 
 Stroke = SuperpixelStroke | PolygonStroke | BrushStroke
-AnyAct = SuperpixelStroke | PolygonStroke | BrushStroke | Right | Brought | Undo | Redo
+LastingEvent = Stroke | Confirm | Import
+AnyEvent = LastingEvent | Undo | Redo
 
-_ADAPTER: pydantic.TypeAdapter[AnyAct] = pydantic.TypeAdapter(
-    Annotated[AnyAct, Field(discriminator="kind")]
+_ADAPTER: pydantic.TypeAdapter[AnyEvent] = pydantic.TypeAdapter(
+    Annotated[AnyEvent, Field(discriminator="kind")]
 )
 
 
-def parse_act(text: str | bytes, where: object) -> AnyAct:
-    """An act from its JSON; InputError naming ``where`` and the first thing that is wrong."""
+def parse_event(text: str | bytes, where: object) -> AnyEvent:
+    """An event from its JSON; InputError naming ``where`` and the first thing that is wrong."""
     try:
         return _ADAPTER.validate_json(text)
     except pydantic.ValidationError as problem:
         error = problem.errors()[0]
         place = ".".join(str(part) for part in error["loc"]) or "the line"
-        what = f"is no act of a correction: {place}: {error['msg']}"
+        what = f"is no event of a correction: {place}: {error['msg']}"
         raise InputError(where, what, "give one as docs/annotate.md has it") from None
-
-
-def act_text(act: AnyAct) -> str:
-    """The act as one line of JSON, without its line end."""
-    return act.model_dump_json()
 
 
 # --- regions ----------------------------------------------------------------------------
@@ -176,33 +172,33 @@ def stroke_pixels(stroke: Stroke, size: tuple[int, int]) -> np.ndarray:
 # --- folding ----------------------------------------------------------------------------
 
 
-def standing(acts: Iterable[AnyAct]) -> list[Stroke | Right | Brought]:
-    """The acts that hold, in their order: each once, without those taken back."""
-    kept: dict[str, Stroke | Right | Brought] = {}
+def standing(events: Iterable[AnyEvent]) -> list[LastingEvent]:
+    """The events that hold, in their order: each once, without those taken back."""
+    kept: dict[str, LastingEvent] = {}
     undone: set[str] = set()
-    for act in acts:
-        if isinstance(act, Undo):
-            undone.add(act.of)
-        elif isinstance(act, Redo):
-            undone.discard(act.of)
+    for event in events:
+        if isinstance(event, Undo):
+            undone.add(event.of)
+        elif isinstance(event, Redo):
+            undone.discard(event.of)
         else:
-            kept.setdefault(act.id, act)
-    return [act for act in kept.values() if act.id not in undone]
+            kept.setdefault(event.id, event)
+    return [event for event in kept.values() if event.id not in undone]
 
 
-def apply_act(labels: np.ndarray, act: Stroke | Right | Brought) -> None:
-    """Change labels uint8 (H,W) in place as one act says; InputError for what does not fit."""
+def apply_event(labels: np.ndarray, event: LastingEvent) -> None:
+    """Change labels uint8 (H,W) in place as one event says; InputError for what does not fit."""
     size, flat = (labels.shape[0], labels.shape[1]), labels.reshape(-1)
-    if isinstance(act, Right):
-        _settle(labels, mask_of(act.runs, size))
-    elif isinstance(act, Brought):
-        for name, runs in act.labels.items():
+    if isinstance(event, Confirm):
+        _settle(labels, mask_of(event.runs, size))
+    elif isinstance(event, Import):
+        for name, runs in event.labels.items():
             if name not in LABELS:
                 raise InputError(name, "is no label", f"known: {', '.join(LABELS)}")
             flat[run_pixels(runs, size)] = LABELS.index(name)
     else:
-        where = stroke_pixels(act, size)
-        flat[where] = after_saying(flat[where], act.saying)
+        where = stroke_pixels(event, size)
+        flat[where] = after_saying(flat[where], event.saying)
 
 
 def _settle(labels: np.ndarray, road: np.ndarray) -> None:
@@ -216,9 +212,9 @@ def _settle(labels: np.ndarray, road: np.ndarray) -> None:
         labels[where & ~road] = LABELS.index(other)
 
 
-def folded(acts: Iterable[AnyAct], size: tuple[int, int]) -> np.ndarray:
-    """The labels uint8 (H,W) that all acts of one person come to."""
+def folded(events: Iterable[AnyEvent], size: tuple[int, int]) -> np.ndarray:
+    """The labels uint8 (H,W) that all events of one person come to."""
     labels = np.zeros(size, np.uint8)
-    for act in standing(acts):
-        apply_act(labels, act)
+    for event in standing(events):
+        apply_event(labels, event)
     return labels
