@@ -9,9 +9,8 @@ from functools import cache, partial
 from pathlib import Path
 
 from roadtorch.data import camvid, kitti
-from roadtorch.data.cityscapes import open_cityscapes
 from roadtorch.data.dataset import Dataset, Kind
-from roadtorch.data.folder import open_folder, open_idd_lite
+from roadtorch.data.folder import open_cityscapes, open_folder, open_idd_lite
 from roadtorch.data.labelme import open_labelme
 from roadtorch.errors import ConfigError, DatasetError, unknown_name
 from roadtorch.runtime.plugins import load_plugins

@@ -13,13 +13,13 @@ taken for a class (7847), and ``background`` is black, and stands for what nobod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 
 from roadtorch.data.correction_labels import LABELS
 from roadtorch.data.corrections import Correction
 from roadtorch.data.labels import colour_indices, read_colours
-from roadtorch.data.painted import connected_parts
 from roadtorch.errors import DatasetError
 from roadtorch.io.atomic import make_folder, write_text
 from roadtorch.io.bounded import read_regular
@@ -39,8 +39,6 @@ COLOURS: Mapping[str, Colour] = {
     "horizontal": (152, 251, 152),
     "not_road_horizontal": (244, 35, 232),
 }
-
-MOST_OBJECTS = 2**24 - 1  # colours there are
 
 LIST = Path("ImageSets/Segmentation/default.txt")
 
@@ -72,10 +70,11 @@ def write_cvat(corrections: Sequence[Correction], folder: Path) -> None:
 
 def object_colours(labels: np.ndarray) -> np.ndarray:
     """Colours uint8 (H,W,3): every connected part in one of its own, counted from 1."""
-    colours = np.zeros((*labels.shape, 3), np.uint8)
-    for number, (_, mask) in enumerate(connected_parts(labels), start=1):
-        colours[mask] = voc_colour(number)
-    return colours
+    objects = np.zeros(labels.shape, np.int64)
+    for number in range(1, len(LABELS)):
+        _, parts = cv2.connectedComponents((labels == number).astype(np.uint8), connectivity=4)
+        objects[parts > 0] = parts[parts > 0] + objects.max()
+    return np.array([voc_colour(number) for number in range(objects.max() + 1)], np.uint8)[objects]
 
 
 def _write_colours(path: Path, colours: np.ndarray) -> None:

@@ -1,7 +1,7 @@
-"""Masks as polygons: outlines as labelme draws them, and COCO's."""
+"""Labels as polygons: outlines as labelme draws them, and COCO's."""
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -16,46 +16,47 @@ CORNERS = 3  # a polygon needs as many, even that of one pixel
 
 
 class Outline(NamedTuple):
-    """A closed polygon int (N,2) through the centres of border pixels, as (x, y), and its label."""
+    """A closed polygon int (N,2), N ≥ 3, through centres of border pixels, as (x, y); its label."""
 
-    label: str
+    label: int
     points: np.ndarray
 
 
-def outlines(mask: np.ndarray) -> list[Outline]:
-    """The outlines of a mask bool (H,W); drawn in their order, filled with their border, exact.
+def outlines(labels: np.ndarray, ground: int = 0) -> list[Outline]:
+    """The outlines of labels uint8 (H,W) that, filled one over the other, give them back exactly.
 
-    Regions first, then their holes, then islands in holes, and so on: each drawing covers what
-    it should and perhaps more, and the next one takes back the surplus. Suzuki and Abe,
-    "Topological structural analysis of digitized binary images" (1985), follow the borders.
+    ground: what a pixel is that nothing is drawn over. Regions first, then what lies in their
+    holes, and so on: each drawing covers what it should and perhaps more, and the next one takes
+    back the surplus. Suzuki and Abe, "Topological structural analysis of digitized binary images"
+    (1985), follow the borders. Polygons of one or two pixels repeat their last corner.
     """
     found: list[Outline] = []
-    wanted, drawn = mask.astype(np.uint8), np.zeros(mask.shape, np.uint8)
-    label, missing = ROAD, wanted
-    while missing.any():
-        borders = cv2.findContours(missing, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
-        for border in sorted(borders, key=lambda one: tuple(one.reshape(-1, 2)[0])):
-            found.append(Outline(label, _with_corners(border.reshape(-1, 2))))
-            cv2.fillPoly(drawn, [border], int(label == ROAD))
-        label = HOLE if label == ROAD else ROAD
-        missing = (drawn != wanted).astype(np.uint8)
+    wanted, drawn = labels.astype(np.uint8), np.full(labels.shape, ground, np.uint8)
+    while (missing := drawn != wanted).any():
+        for label in reversed(np.unique(wanted[missing]).tolist()):
+            region = (missing & (wanted == label)).astype(np.uint8)
+            borders = cv2.findContours(region, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
+            for border in sorted(borders, key=lambda one: tuple(one.reshape(-1, 2)[0])):
+                points = border.reshape(-1, 2)
+                lacking = max(CORNERS - len(points), 0)
+                points = np.concatenate([points, np.repeat(points[-1:], lacking, 0)])
+                found.append(Outline(label, points))
+                cv2.fillPoly(drawn, [border], label)
     return found
 
 
-def _with_corners(points: np.ndarray) -> np.ndarray:
-    """A polygon of three points or more; those of one or two pixels repeat the last."""
-    lacking = max(CORNERS - len(points), 0)
-    return np.concatenate([points, np.repeat(points[-1:], lacking, 0)])
+def labelme_document(
+    labels: np.ndarray, picture: str, names: Sequence[str] = (HOLE, ROAD), ground: int = 0
+) -> dict[str, Any]:
+    """The outlines of labels (H,W) as the program labelme stores them; of a mask bool as well.
 
-
-def labelme_document(mask: np.ndarray, picture: str) -> dict[str, Any]:
-    """The outlines of a mask bool (H,W) as the program labelme stores them.
-
-    picture: the file name of the picture, which belongs beside the annotation.
+    picture: the file name of the picture, which belongs beside the annotation. names: of the
+    labels. ground: as in ``outlines``.
     """
+    height, width = labels.shape
     shapes = [
         {
-            "label": outline.label,
+            "label": names[outline.label],
             "points": outline.points.tolist(),
             "group_id": None,
             "description": "",
@@ -63,9 +64,8 @@ def labelme_document(mask: np.ndarray, picture: str) -> dict[str, Any]:
             "flags": {},
             "mask": None,
         }
-        for outline in outlines(mask)
+        for outline in outlines(labels, ground)
     ]
-    height, width = mask.shape
     return {
         "version": "5.5.0",
         "flags": {},

@@ -13,7 +13,7 @@ from roadtorch.data.correction_formats import FORMATS
 from roadtorch.data.correction_labels import LABELS
 from roadtorch.data.corrections import Correction
 from roadtorch.data.cvat import object_colours, voc_colour
-from roadtorch.data.packed_runs import packed_mask, unpacked_mask
+from roadtorch.data.label_studio import packed_mask, unpacked_mask
 from roadtorch.errors import DatasetError
 
 SIZE = (37, 53)
