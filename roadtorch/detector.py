@@ -6,13 +6,10 @@ found by name. What all detectors share (checking the image, deciding on the mas
 is ``Detector``, here, once; it knows none of them.
 """
 
-from collections import ChainMap
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, field
-from functools import reduce
-from threading import Lock
+from functools import partial, reduce, wraps
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -22,11 +19,12 @@ from torch import Tensor, nn
 
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.imaging.comparison import at_least
-from roadtorch.imaging.resize import WorkingSize, at_picture_size, at_working_size
+from roadtorch.imaging.resize import Maps, WorkingSize, at_picture_size, at_work, full_size
 from roadtorch.io.image import Order, Picture, as_image, overlay_pixels, png_bytes
 from roadtorch.road.ego import Ego, continued, ego_car, is_anywhere, is_given, read_ego_mask
 from roadtorch.road.seed_area import SeedArea, remove_isolated, seed_rectangle
 from roadtorch.road.trust import Judgement
+from roadtorch.runtime.threads import one_thread
 from roadtorch.settings import Settings
 
 SMALLEST_SIDE = 16  # pixels; below it, superpixels and the seed area have no meaning
@@ -41,44 +39,6 @@ Isolated = Annotated[
 
 TUNED = "road from this likelihood on; the default has the best F on CamVid's three drives"
 """The description of a threshold that was chosen on labelled pictures."""
-
-
-# --- one picture is one thread's work ----------------------------------------------------
-
-_SETTING_THREADS = Lock()
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Inside the block, or the function that it decorates, torch computes in the calling thread.
-
-    So that the same picture gives the same bytes: sums shared among threads depend on how many
-    there are. Afterwards the thread has the number it had; all others keep theirs throughout.
-    """
-    before = torch.get_num_threads()  # which also settles that of a thread that is new to torch
-    if before == 1:
-        yield
-        return
-    _set_own_threads(1)
-    try:
-        yield
-    finally:
-        _set_own_threads(before)
-
-
-def _set_own_threads(number: int) -> None:
-    """``torch.set_num_threads`` for the calling thread alone.
-
-    torch's own function also sets what new threads begin with: another thread, new itself, looks
-    that number up and puts it back.
-    """
-    with _SETTING_THREADS, ThreadPoolExecutor(1) as new:
-        common = new.submit(torch.get_num_threads).result()
-        torch.set_num_threads(number)
-        new.submit(torch.set_num_threads, common).result()
-
-
-# --- settings ---------------------------------------------------------------------------
 
 
 class DetectorSettings(Settings):
@@ -104,52 +64,6 @@ class WorkingSettings(DetectorSettings):
 
     isolated: Isolated = "drop"
     working: WorkingSize = WorkingSize()
-
-
-class Cues(Mapping[str, Tensor]):
-    """What was found beside the likelihood, by name; maps are made when asked for."""
-
-    def __init__(self, found: Mapping[str, Tensor]) -> None:
-        self._found = found
-
-    def __getitem__(self, name: str) -> Tensor:
-        """The map of that name, (H,W) or (C,H,W); KeyError where there is none."""
-        if name == "likelihood":
-            raise KeyError(name)
-        return self._found[name]
-
-    def __iter__(self) -> Iterator[str]:
-        """The names of the cues."""
-        return (name for name in self._found if name != "likelihood")
-
-    def __len__(self) -> int:
-        """How many cues there are."""
-        return len(self._found) - 1
-
-
-class WithoutEgo(Mapping[str, Tensor]):
-    """What an analysis found, with neither road nor seed on the ego car bool (H,W): a cue too."""
-
-    def __init__(self, found: Mapping[str, Tensor], ego: Tensor) -> None:
-        self._found = found
-        self._ego = ego
-        self._changed = ("likelihood", "seed_area") if is_anywhere(ego) else ()
-
-    def __getitem__(self, name: str) -> Tensor:
-        """The map of that name, (H,W) or (C,H,W); KeyError where there is none."""
-        if name == "ego":
-            return self._ego
-        found = self._found[name]
-        return found.masked_fill(self._ego, 0) if name in self._changed else found
-
-    def __iter__(self) -> Iterator[str]:
-        """The names of all maps, ``ego`` the last."""
-        yield from (name for name in self._found if name != "ego")
-        yield "ego"
-
-    def __len__(self) -> int:
-        """How many maps there are."""
-        return len(self._found) + ("ego" not in self._found)
 
 
 @dataclass(frozen=True)
@@ -213,7 +127,7 @@ class Found(NamedTuple):
     """What an analysis found, as it came, and at the size of the image without the ego car."""
 
     analysed: Mapping[str, Tensor]
-    maps: Mapping[str, Tensor]
+    maps: Maps
     image: Tensor
 
 
@@ -305,7 +219,7 @@ class Detector(nn.Module):
         """
         analysed, maps, image = found
         if ego is not None:
-            maps = ChainMap({"ego": ego}, maps)  # type: ignore[arg-type]  # it is only read
+            maps = maps.but(ego=ego)
         ego, seed = maps.get("ego"), analysed.get("seed_area")
         if likelihood is None:
             likelihood = maps["likelihood"]
@@ -318,7 +232,8 @@ class Detector(nn.Module):
         else:
             mask = decide_beside(likelihood, ego, self.settings, seed)
         trust, doubt = self._judge(mask, ego, analysed)
-        return Detection(likelihood, mask, Cues(maps), trust, doubt, image=image)
+        cues = maps.without("likelihood")
+        return Detection(likelihood, mask, cues, trust, doubt, image=image)
 
     def _judge(
         self, mask: Tensor, ego: Tensor | None, analysed: Mapping[str, Tensor]
@@ -328,8 +243,7 @@ class Detector(nn.Module):
             return None, ""
         size = (analysed["likelihood"].shape[-2], analysed["likelihood"].shape[-1])
         ego = torch.zeros_like(mask) if ego is None else ego
-        ego = at_picture_size(ego, size)
-        found = ChainMap({"ego": ego}, analysed)  # type: ignore[arg-type]  # nothing is made yet
+        found = Maps(analysed).but(ego=at_picture_size(ego, size))
         return self.analysis.judge(at_picture_size(mask, size), found)
 
     @one_thread()
@@ -351,26 +265,52 @@ class Detector(nn.Module):
         """
         told = self.settings.ego
         given = ego_car(image, told, self._ego_mask) if is_given(told) else None
-        analysed, maps = self._analyse(image if given is None else continued(image, given))
+        seen = image if given is None else continued(image, given)
+        working = self.settings.working if isinstance(self.settings, WorkingSettings) else None
+        analysed = self.analysis(at_work(seen, working) if working else seen)
         if not analysed["likelihood"].sum().isfinite():  # one that is not makes the sum so
             what = f"gives {self.name} a likelihood that is not finite"
             raise InputError("image", what, "check the weights and the settings; else report it")
+        size = (image.shape[-2], image.shape[-1])
+        maps = full_size(analysed, size) if working else Maps(analysed)
         cars = [car for car in (given, maps.get("ego")) if car is not None]
-        if not cars:
-            return Found(analysed, maps, image)
-        return Found(analysed, WithoutEgo(maps, reduce(torch.logical_or, cars)), image)
-
-    def _analyse(self, image: Tensor) -> tuple[Mapping[str, Tensor], Mapping[str, Tensor]]:
-        """What the analysis finds, as it comes and at the size of the image."""
-        if not isinstance(self.settings, WorkingSettings):
-            analysed = self.analysis(image)
-            return analysed, analysed
-        maps = at_working_size(self.analysis, image, self.settings.working)
-        return maps.analysed, maps
+        if cars:
+            maps = without_ego(maps, reduce(torch.logical_or, cars))
+        return Found(analysed, maps, image)
 
     def extra_repr(self) -> str:
         """The name and settings, for ``print(detector)``."""
         return f"{self.name!r}, {self.settings!r}"
+
+
+def lean(
+    forward: Callable[[Any, Tensor], Mapping[str, Tensor | Callable[[], Tensor]]],
+) -> Callable[[Any, Tensor], Maps]:
+    """Mark the ``forward`` of an analysis: image (3,H,W) in [0,1] → maps, or what makes them.
+
+    It runs in inference mode, on the CPU and where no gradients are asked for: what autograd
+    notes of a thousand small kernels takes a fifteenth of the time. For analyses of our own:
+    others may want gradients inside.
+    """
+
+    @wraps(forward)
+    def wrapped(self: Any, image: Tensor) -> Maps:
+        quick = image.device.type == "cpu" and not torch.is_grad_enabled()
+        with torch.inference_mode() if quick else nullcontext():
+            return Maps(forward(self, image))
+
+    return wrapped
+
+
+def without_ego(maps: Maps, ego: Tensor) -> Maps:
+    """Maps with neither road nor seed on the ego car bool (H,W), which is one of them, the last."""
+    changed = {"likelihood", "seed_area"} & set(maps) if is_anywhere(ego) else ()
+    free = {name: partial(_masked, maps, name, ego) for name in changed}
+    return maps.but(**free).without("ego").but(ego=ego)
+
+
+def _masked(maps: Maps, name: str, ego: Tensor) -> Tensor:
+    return maps[name].masked_fill(ego, 0)
 
 
 def checked_image(image: Tensor) -> Tensor:

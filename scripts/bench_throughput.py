@@ -31,9 +31,9 @@ from roadtorch.runs.batch import Job, plan
 from roadtorch.runs.footage_results import USUAL_OF_PICTURES
 from roadtorch.runs.index import Row
 from roadtorch.runs.results import Inference, suffixes, write_files
-from roadtorch.runs.threads import Threads
 from roadtorch.runs.workers import processors, rows_of_workers
 from roadtorch.runtime.memory import keep_freed_memory
+from roadtorch.runtime.threads import Threads
 
 KEPT = 8  # images and detections that are in memory; every picture of a drive is about as hard
 KINDS = frozenset(USUAL_OF_PICTURES)

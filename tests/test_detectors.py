@@ -30,7 +30,6 @@ from roadtorch.detector import (
     WorkingSettings,
     checked_image,
     decide,
-    one_thread,
 )
 from roadtorch.detectors import catalogue as catalogue_module
 from roadtorch.detectors.catalogue import (
@@ -43,6 +42,7 @@ from roadtorch.detectors.catalogue import (
 from roadtorch.detectors.fusion import Fusion
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.io.image import overlay_pixels, to_pixels
+from roadtorch.runtime.threads import one_thread
 from roadtorch.settings import Settings
 from roadtorch.testing import broken_promises, street
 from tests.representatives import representatives

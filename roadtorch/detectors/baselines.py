@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from roadtorch.detector import DetectorSettings, Entry, Isolated, WorkingSettings
 from roadtorch.imaging.color import plane
-from roadtorch.imaging.resize import FullSize, WorkingSize
+from roadtorch.imaging.resize import WorkingSize, full_size
 from roadtorch.road.seed_area import seed_rectangle
 from roadtorch.ufl.density_peaks import PeakSettings, cluster_pixels
 from roadtorch.ufl.features import DictionarySettings, assign, learn_dictionary, white_patches
@@ -97,7 +97,7 @@ class KmeansRoad(nn.Module):
         road = mask_to_image(cut_road(regions, words, len(bases), seed, settings.cut), side)
         shown = clusters / max(1, settings.peaks.clusters - 1)
         cues = {"road": road, "clusters": map_to_image(shown.to(image), side)}
-        full = FullSize(cues, (height, width))
+        full = full_size(cues, (height, width))
         return {"likelihood": full["road"].to(image), "clusters": full["clusters"]}
 
 

@@ -8,8 +8,7 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from roadtorch.analysis import lean
-from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings
+from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings, lean
 from roadtorch.imaging.exposure import brightened
 from roadtorch.imaging.resize import WorkingSize
 from roadtorch.layout.classes import CLASSES, HORIZONTAL

@@ -3,8 +3,7 @@
 from pydantic import Field
 from torch import Tensor, nn
 
-from roadtorch.analysis import lean
-from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings
+from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings, lean
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import LabellerSettings, decide_layout, label_whole
 from roadtorch.layout.opinion_pool import Share, pooled

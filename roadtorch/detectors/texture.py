@@ -6,8 +6,7 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from roadtorch.analysis import lean
-from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings
+from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings, lean
 from roadtorch.imaging.color import plane
 from roadtorch.road.lbp import PATTERNS, similarity
 from roadtorch.road.seed_area import seed_area, seed_rectangle

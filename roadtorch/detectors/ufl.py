@@ -1,13 +1,12 @@
 """Detectors that learn their features in the picture itself (P1)."""
 
-from collections import ChainMap
 from collections.abc import Mapping
 
 from pydantic import Field
 from torch import Tensor, nn
 
 from roadtorch.detector import DetectorSettings, Entry, Isolated, Threshold
-from roadtorch.imaging.resize import FullSize
+from roadtorch.imaging.resize import full_size
 from roadtorch.road.seed_area import remove_isolated, seed_rectangle
 from roadtorch.ufl.features import DictionarySettings
 from roadtorch.ufl.hierarchy import (
@@ -110,8 +109,7 @@ class Ufl(nn.Module):
         learned = learn_features(small, settings.smoothing, settings.dictionary, settings.maps)
         cues = road_cues(learned, settings)
         likelihood = enlarged_likelihood(cues["likelihood"], (height, width))
-        others = FullSize(cues, (height, width))
-        return ChainMap({"likelihood": likelihood}, others)  # type: ignore[arg-type]  # read only
+        return full_size(cues, (height, width)).but(likelihood=likelihood)
 
 
 def road_cues(learned: LearnedFeatures, settings: OriginalUflSettings) -> dict[str, Tensor]:

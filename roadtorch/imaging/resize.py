@@ -1,7 +1,7 @@
 """The size at which detectors think, and the way back to the size of the picture."""
 
 from collections.abc import Callable, Iterator, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import cv2
@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from roadtorch.runtime.image_cache import cached_per_image
+from roadtorch.runtime.threads import one_thread
 from roadtorch.settings import Settings
 
 SHORTEST = 16
@@ -135,32 +136,52 @@ def at_picture_size(cue: Tensor, size: tuple[int, int]) -> Tensor:
     return torch.from_numpy(found).to(cue.device)
 
 
-class FullSize(Mapping[str, Tensor]):
-    """Cues by name, each brought to the picture's own size when it is asked for.
+class Maps(Mapping[str, Tensor]):
+    """Maps by name, (H,W) or (C,H,W), of which some are made when asked for, and anew each time.
 
-    A large picture has room for the maps that are wanted, not for all that were made.
-    analysed: the cues as they came.
+    A large picture has room for those that are wanted, not for all. What was made in torch's
+    inference mode comes out as a copy, with which can be done what can be done with any tensor.
     """
 
-    def __init__(self, analysed: Mapping[str, Tensor], size: tuple[int, int]) -> None:
-        self.analysed = analysed
-        self._size = size
+    def __init__(self, made: Mapping[str, Tensor | Callable[[], Tensor]]) -> None:
+        self._made = dict(made._made if isinstance(made, Maps) else made)
 
+    @one_thread()
     def __getitem__(self, name: str) -> Tensor:
-        """The cue (…,H,W) at full size; KeyError where there is none of that name."""
-        return at_picture_size(self.analysed[name], self._size)
+        """The map of that name; KeyError where there is none."""
+        made = self._made[name]
+        found = made if isinstance(made, Tensor) else made()
+        return found.clone() if found.is_inference() else found
 
     def __iter__(self) -> Iterator[str]:
-        """The names of the cues."""
-        return iter(self.analysed)
+        """The names of all maps."""
+        return iter(self._made)
 
     def __len__(self) -> int:
-        """How many cues there are."""
-        return len(self.analysed)
+        """How many maps there are."""
+        return len(self._made)
+
+    def but(self, **others: Tensor | Callable[[], Tensor]) -> "Maps":
+        """The same with others, in the place of those of their names or behind all."""
+        return Maps({**self._made, **others})
+
+    def without(self, name: str) -> "Maps":
+        """The same without the one of that name."""
+        return Maps({kept: made for kept, made in self._made.items() if kept != name})
+
+
+def full_size(analysed: Mapping[str, Tensor], size: tuple[int, int]) -> Maps:
+    """Cues by name, each brought to the picture's own size when it is asked for."""
+    maps = Maps(analysed)
+    return Maps({name: partial(_enlarged_cue, maps, name, size) for name in maps})
+
+
+def _enlarged_cue(maps: Maps, name: str, size: tuple[int, int]) -> Tensor:
+    return at_picture_size(maps[name], size)
 
 
 def at_working_size(
     analyse: Callable[[Tensor], Mapping[str, Tensor]], image: Tensor, working: WorkingSize
-) -> FullSize:
+) -> Maps:
     """What ``analyse`` finds in an image (3,H,W) at its working size, brought back to full size."""
-    return FullSize(analyse(at_work(image, working)), (image.shape[-2], image.shape[-1]))
+    return full_size(analyse(at_work(image, working)), (image.shape[-2], image.shape[-1]))

@@ -16,9 +16,9 @@ from roadtorch.runs.coco import COCO, annotation_name, write_coco
 from roadtorch.runs.index import INDEX, read_index
 from roadtorch.runs.options import ComputeOptions, FrameSelection
 from roadtorch.runs.remote import Fetched, Mirror, plan_remote
-from roadtorch.runs.threads import Threads
 from roadtorch.runs.workers import rows_of_workers, usual_workers
 from roadtorch.runtime.memory import keep_freed_memory
+from roadtorch.runtime.threads import Threads
 from roadtorch.sinks.remote_folder import RemoteFolder
 from roadtorch.sources.addresses import is_url
 from roadtorch.sources.frame import Selection, Source

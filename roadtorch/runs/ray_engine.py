@@ -18,7 +18,7 @@ from typing import Any, cast
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.runs.batch import Engine, Rows, Task, Work
 from roadtorch.runs.index import Row
-from roadtorch.runs.threads import Threads
+from roadtorch.runtime.threads import Threads
 
 TOGETHER = 16  # jobs that a worker is given at once, and does anew when it dies; ours
 MOST_BLOCKS = 10_000  # that the driver keeps an eye on; ours: Ray's own limit is memory

@@ -18,8 +18,8 @@ from roadtorch.errors import ExitCode, RoadtorchError
 from roadtorch.io.atomic import digest_of, write_json
 from roadtorch.layout.weights import corrected_pictures, tensors_hash
 from roadtorch.runs.index import DOUBTFUL, INDEX, Publish, Row, read_index
-from roadtorch.runs.threads import Threads
 from roadtorch.runtime.signals import Terminated
+from roadtorch.runtime.threads import Threads
 from roadtorch.version import __version__
 
 RUN = "run.json"

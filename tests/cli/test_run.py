@@ -12,7 +12,7 @@ from PIL import Image
 
 from roadtorch.data.labelme import open_labelme
 from roadtorch.runs import engines, results
-from roadtorch.runs.threads import Threads
+from roadtorch.runtime.threads import Threads
 from roadtorch.scenes.street import render_scene, write_picture
 from tests.cli.conftest import Call, save_picture
 from tests.cli.test_infer import ROWS, bytes_in, files_in, rows_of

@@ -10,10 +10,10 @@ from torch.nn import functional as F
 from roadtorch.errors import ConfigError
 from roadtorch.imaging.resize import (
     SHORTEST,
-    FullSize,
     WorkingSize,
     at_picture_size,
     at_working_size,
+    full_size,
     resized,
     working_size,
 )
@@ -160,7 +160,7 @@ def test_a_small_picture_is_analysed_as_it_is() -> None:
 
 def test_only_the_cue_that_is_asked_for_is_brought_to_full_size() -> None:
     small = {"likelihood": torch.rand(24, 32), "labels": torch.arange(24 * 32).reshape(24, 32)}
-    cues = FullSize(small, (48, 64))
+    cues = full_size(small, (48, 64))
 
     assert list(cues) == ["likelihood", "labels"]
     assert len(cues) == 2

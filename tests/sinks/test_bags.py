@@ -12,7 +12,7 @@ import torch
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 
-from roadtorch.detector import Cues, Detection
+from roadtorch.detector import Detection
 from roadtorch.errors import InputError
 from roadtorch.sinks import bags
 from roadtorch.sinks.bags import BagSink
@@ -26,7 +26,7 @@ STAMP = 1_700_000_000_123_456_789
 
 def detection(seed: int, size: tuple[int, int] = (48, 64)) -> Detection:
     likelihood = torch.rand(size, generator=torch.Generator().manual_seed(seed))
-    return Detection(likelihood, likelihood > 0.6, Cues({"likelihood": likelihood}))
+    return Detection(likelihood, likelihood > 0.6, {})
 
 
 def overlay(seed: int) -> np.ndarray:

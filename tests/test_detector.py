@@ -7,8 +7,8 @@ import torch
 from torch import Tensor, nn
 
 from roadtorch import load_detector
-from roadtorch.analysis import Deferred, lean
-from roadtorch.imaging.resize import averaging_bands
+from roadtorch.detector import lean
+from roadtorch.imaging.resize import Maps, averaging_bands
 from roadtorch.oneclass import base
 from roadtorch.oneclass.axes import axes_of
 from roadtorch.oneclass.density import floor_of
@@ -47,7 +47,7 @@ def test_gradients_that_are_asked_for_flow() -> None:
 
 def test_deferred_maps_are_made_anew_and_only_when_asked_for() -> None:
     calls = []
-    maps = Deferred({"made": torch.zeros(2), "waiting": lambda: calls.append(1) or torch.ones(2)})
+    maps = Maps({"made": torch.zeros(2), "waiting": lambda: calls.append(1) or torch.ones(2)})
 
     assert list(maps) == ["made", "waiting"]
     assert len(maps) == 2
@@ -56,6 +56,7 @@ def test_deferred_maps_are_made_anew_and_only_when_asked_for() -> None:
     assert calls == [1, 1]
     with pytest.raises(KeyError, match="missing"):
         maps["missing"]
+    assert dict(maps.without("waiting").but(other=torch.ones(1))).keys() == {"made", "other"}
 
 
 @pytest.mark.parametrize(
