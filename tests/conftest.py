@@ -11,6 +11,7 @@ import torch
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 hypothesis.settings.register_profile("settled", derandomize=True, deadline=None, database=None)
+hypothesis.settings.register_profile("long", max_examples=5_000, deadline=None, database=None)
 hypothesis.settings.load_profile("settled")
 torch.set_num_threads(1)  # with two, many small operations take twice the processor time
 
