@@ -16,8 +16,10 @@ ROOT = Path(__file__).resolve().parents[2]
     "command",
     [
         ("infer", "--kills", "6", "--detector", "prior:rows", "--jobs", "2"),
-        ("evaluate", "--kills", "3", "--detector", "prior:rows"),
-        ("train", "--kills", "3"),
+        pytest.param(
+            ("evaluate", "--kills", "20", "--detector", "prior:rows"), marks=pytest.mark.slow
+        ),
+        pytest.param(("train", "--kills", "20"), marks=pytest.mark.slow),
     ],
     ids=lambda command: command[0],
 )
@@ -28,7 +30,7 @@ def test_a_few_kills_break_nothing(command: tuple[str, ...]) -> None:
         [sys.executable, script, *command, "--pictures", "4"],
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=900,
         check=False,
     )
 
