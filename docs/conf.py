@@ -39,7 +39,7 @@ nitpick_ignore_regex = [
     # Type variables, and what is inside rooms whose inside is not in the reference.
     ("py:.*", r"roadtorch\..*\.(Network|AnySettings|Picture|Item|Result|Source)"),
     ("py:.*", r"roadtorch\.(scene_canvas|camera\.birds_eye|data\.journal|sources\.live)\..*"),
-    ("py:.*", r"roadtorch\.evaluation\.(contenders|parts|scoring|tally|uncertainty)\..*"),
+    ("py:.*", r"roadtorch\.evaluation\.(methods|scoring|tally|uncertainty)\..*"),
 ]
 
 myst_enable_extensions = ["deflist", "dollarmath"]

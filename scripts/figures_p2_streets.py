@@ -16,7 +16,7 @@ from roadtorch.data.dataset import Dataset, Item, every_kth
 from roadtorch.detector import Detection
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.contenders import Look
+from roadtorch.evaluation.methods import Look
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
 from roadtorch.evaluation.scoring import score_item
 from roadtorch.io.atomic import csv_text, write_text
@@ -89,7 +89,7 @@ def pooled(drives: Mapping[str, Counts]) -> Counts:
     return together(drives.values())
 
 
-def mean_over_drives(drives: Mapping[str, Counts], figure: Callable[[Counts], Tensor]) -> float:
+def mean_over_groups(drives: Mapping[str, Counts], figure: Callable[[Counts], Tensor]) -> float:
     """The mean of a figure over drives."""
     return float(torch.stack([figure(counts) for counts in drives.values()]).mean())
 

@@ -185,8 +185,8 @@ RENAMED = {
 }
 """Keys of detectors' settings, old and new."""
 
-NEW = re.compile(r"\.floor$|^detectors\.prior:\w+\.settings\.(isolated$|seed_area\.)")
-"""What metrics.json has gained: who is a floor, and settings that every detector has now."""
+NEW = re.compile(r"\.baseline$|^detectors\.prior:\w+\.settings\.(isolated$|seed_area\.)")
+"""What metrics.json has gained: who is a baseline, and settings that every detector has now."""
 
 TIMES = ("ms_per_image", "ms")
 
@@ -240,6 +240,7 @@ def _metrics_that_differ(one: Path, two: Path) -> Iterator[str]:
 
 def renamed(key: str) -> str:
     """The key under its new name."""
+    key = re.sub(r"\.floor$", ".baseline", key)
     for old, new in RENAMED.items():
         key = re.sub(rf"(\.settings(?:\..*)?)\.{re.escape(old)}(?=\.|$)", rf"\1.{new}", key)
     return key

@@ -45,7 +45,9 @@ def read_pair(path: Path) -> Pair:
     found = json.loads(path.read_text(encoding="utf-8"))
     against = found["paired"]["against"]
     others = [
-        name for name, one in found["detectors"].items() if name != against and not one["floor"]
+        name
+        for name, one in found["detectors"].items()
+        if name != against and not one.get("baseline", one.get("floor"))  # its name before
     ]
     if len(others) != 1:
         raise SystemExit(f"{path}: holds {len(others) + 1} detectors (evaluate two)")

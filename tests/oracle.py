@@ -19,8 +19,8 @@ DECISION = {
 }
 """What every detector is told beside its threshold, if nobody says."""
 
-DRIVES = ("0001TP", "0006R0", "0016E5")
-SCENES = {f"{DRIVES[i % 3]}_{i}": render_scene(i, 48, 64) for i in range(6)}
+GROUPS = ("0001TP", "0006R0", "0016E5")
+SCENES = {f"{GROUPS[i % 3]}_{i}": render_scene(i, 48, 64) for i in range(6)}
 TRUTH = {float(scene.image.double().sum()): scene for scene in SCENES.values()}
 
 
@@ -51,7 +51,7 @@ def know_oracle() -> None:
 
 
 def write_set(root: Path) -> Path:
-    """The scenes as CamVid: two pictures of each of three drives."""
+    """The scenes as CamVid: two pictures of each of three groups."""
     write_camvid(root, "train", dict(list(SCENES.items())[:3]))
     write_camvid(root, "val", dict(list(SCENES.items())[3:]))
     return root

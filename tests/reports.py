@@ -10,60 +10,60 @@ import numpy as np
 
 from roadtorch.data.dataset import Dataset, Item
 from roadtorch.data.folder import FolderLabels
-from roadtorch.evaluation.contenders import Contender, Look
-from roadtorch.evaluation.drive_curves import DetectorCurves, RunCurves
+from roadtorch.evaluation.group_curves import DetectorCurves, RunCurves
 from roadtorch.evaluation.measure import Figures
 from roadtorch.evaluation.measures import MEASURES
-from roadtorch.evaluation.pictures import PictureRow
+from roadtorch.evaluation.methods import Look, Method
 from roadtorch.evaluation.result import (
     Comparison,
     DetectorFigures,
     Difference,
     Evaluation,
     Failure,
+    Interval,
 )
-from roadtorch.evaluation.uncertainty import Interval
+from roadtorch.evaluation.summary import PictureRow
 from roadtorch.layout.classes import NAMES as CLASSES
 
-DRIVES = ("0001TP", "0006R0", "0016E5")
+GROUPS = ("0001TP", "0006R0", "0016E5")
 NAMES = ("fusion", "labeller", "prior:mean", "cpf:v2", "prior:rows")
 COMMAND = "roadtorch evaluate camvid data --detector 'cpf*'"
 SETTINGS = {"seed": {"height": 30}}
 
 
 def made_run(
-    names: Sequence[str] = NAMES, drives: Sequence[str] = DRIVES
+    names: Sequence[str] = NAMES, groups: Sequence[str] = GROUPS
 ) -> tuple[Evaluation, RunCurves, list[PictureRow]]:
     """(evaluation, curves, rows): the first is the best, each next one a little worse.
 
-    Names that begin with "prior:" are those of floors.
+    Names that begin with "prior:" are those of baselines.
     """
     quality = {name: 0.95 - 0.3 * place / len(names) for place, name in enumerate(names)}
-    items = [made_item(f"{drive}_{i}", drive) for drive in drives or [None] for i in range(10)]
-    failed = Failure(f"{DRIVES[0]}_99", DRIVES[0], "is not a picture")
+    items = [made_item(f"{group}_{i}", group) for group in groups or [None] for i in range(10)]
+    failed = Failure(f"{GROUPS[0]}_99", GROUPS[0], "is not a picture")
     dataset = Dataset(
         "camvid", Path("data"), "dev", (*items, made_item(failed.image, failed.group)),
         FolderLabels(),
     )  # fmt: skip
     evaluation = Evaluation(
         dataset,
-        {name: made_figures(name, score, drives) for name, score in quality.items()},
+        {name: made_figures(name, score, groups) for name, score in quality.items()},
         made_pairs(quality),
         [failed],
     )
-    curves = {name: made_curves(score, drives) for name, score in quality.items()}
+    curves = {name: made_curves(score, groups) for name, score in quality.items()}
     rows = [
-        made_row(name, drive, f=score - 0.02 * i)
+        made_row(name, group, f=score - 0.02 * i)
         for name, score in quality.items()
-        for drive in drives or ("all",)
+        for group in groups or ("all",)
         for i in range(10)
     ]
     return evaluation, curves, rows
 
 
 def with_conditions(evaluation: Evaluation) -> Evaluation:
-    """The same run by day, and one drive by night as well; F of the mask .8 and .3."""
-    first = evaluation.drives[0]
+    """The same run by day, and one group by night as well; F of the mask .8 and .3."""
+    first = evaluation.groups[0]
     items = tuple(
         replace(item, conditions=("day", "night") if item.group == first else ("day",))
         for item in evaluation.dataset.items
@@ -88,31 +88,31 @@ def scored(scores: Mapping[str, float | None]) -> Evaluation:
     )
 
 
-def made_item(name: str, drive: str | None) -> Item:
-    return Item(name, Path(f"{name}.png"), Path(f"{name}_label.png"), drive)
+def made_item(name: str, group: str | None) -> Item:
+    return Item(name, Path(f"{name}.png"), Path(f"{name}_label.png"), group)
 
 
-def made_row(detector: str, drive: str, f: float) -> PictureRow:
-    return PictureRow("picture", drive, detector, 0.9, f, 0.5, f, f, f, f, 12.0)
+def made_row(detector: str, group: str, f: float) -> PictureRow:
+    return PictureRow("picture", group, detector, 0.9, f, 0.5, f, f, f, f, 12.0)
 
 
-def made_contender(name: str, settings: Mapping[str, Any] | None = None) -> Contender:
-    """One that nobody asks to look; a floor by its name."""
+def made_contender(name: str, settings: Mapping[str, Any] | None = None) -> Method:
+    """One that nobody asks to look; a baseline by its name."""
 
     def prepare(_: Dataset) -> Look:
         raise AssertionError("nobody looks")
 
-    return Contender(name, prepare, settings or {}, is_floor=name.startswith("prior:"))
+    return Method(name, prepare, settings or {}, is_baseline=name.startswith("prior:"))
 
 
-def made_figures(name: str, score: float, drives: Sequence[str]) -> DetectorFigures:
-    """Figures of one detector; a drive has a hundredth more than the one before."""
+def made_figures(name: str, score: float, groups: Sequence[str]) -> DetectorFigures:
+    """Figures of one detector; a group has a hundredth more than the one before."""
     return DetectorFigures(
         made_contender(name, SETTINGS),
         made_part(score),
-        {drive: made_part(score + 0.01 * (i - 1)) for i, drive in enumerate(drives)},
-        made_part(score) if drives else {},
-        threshold_from="the other drives",
+        {group: made_part(score + 0.01 * (i - 1)) for i, group in enumerate(groups)},
+        made_part(score) if groups else {},
+        threshold_from="the other groups",
         intervals={"maxf": Interval(score - 0.015, score + 0.0125)},
     )
 
@@ -152,7 +152,7 @@ def made_pairs(quality: Mapping[str, float]) -> Comparison:
     )
 
 
-def made_curves(score: float, drives: Sequence[str]) -> DetectorCurves:
+def made_curves(score: float, groups: Sequence[str]) -> DetectorCurves:
     x = np.linspace(0, 1, 50)
     one = {
         "roc": [x.tolist(), (x ** (1 - score)).tolist()],
@@ -160,7 +160,7 @@ def made_curves(score: float, drives: Sequence[str]) -> DetectorCurves:
         "reliability": [[0.1, 0.5, 0.9], [0.1, score / 2, score], [0.7, 0.1, 0.2]],
     }
     risk = {"risk": [[0.5, 1], [0.1, 1 - score]], "risk_ideal": [[0.5, 1], [0, 1 - score]]}
-    return {"mean": {**one, **risk}, "groups": dict.fromkeys(drives, one)}
+    return {"mean": {**one, **risk}, "groups": dict.fromkeys(groups, one)}
 
 
 def made_sheet(kind: str = ".png", width: int = 64, height: int = 24) -> bytes:

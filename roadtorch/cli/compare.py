@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 import click
 
 from roadtorch.cli.options import JOBS, PATH, QUIET
-from roadtorch.cli.suggestions import suggest_files, suggest_rivals, suggest_rooted_datasets
+from roadtorch.cli.suggestions import suggest_candidates, suggest_files, suggest_rooted_datasets
 
 if TYPE_CHECKING:
     from roadtorch.data.dataset import Dataset
-    from roadtorch.evaluation.contenders import Contender
+    from roadtorch.evaluation.methods import Method
 
 
 @click.command()
-@click.argument("first", metavar="A", shell_complete=suggest_rivals)
-@click.argument("second", metavar="B", shell_complete=suggest_rivals)
+@click.argument("first", metavar="A", shell_complete=suggest_candidates)
+@click.argument("second", metavar="B", shell_complete=suggest_candidates)
 @click.option(
     "--labelled",
     shell_complete=suggest_rooted_datasets,
@@ -61,26 +61,26 @@ def compare(
     With --labelled or --corrections: figures with intervals, and the difference of B to A. With
     --images: where they disagree most.
     """
-    from roadtorch.evaluation.rivals import rival
+    from roadtorch.evaluation.methods import candidate
     from roadtorch.runs.claim import claimed
 
     if sum((labelled is not None, corrections is not None, bool(images))) != 1:
         raise click.UsageError("give one of --labelled, --corrections and --images")
-    rivals = rival(first, "A"), rival(second, "B")
+    methods = candidate(first, "A"), candidate(second, "B")
     if out is not None:
         context.with_resource(claimed(out))
-    _tell_people(rivals)
+    _tell_people(methods)
     if images:
-        code = _disagree(context, rivals, images, limit, worst, quiet)
+        code = _disagree(context, methods, images, limit, worst, quiet)
     else:
-        code = _score(context, rivals, _opened(labelled, corrections, pictures), limit, jobs)
+        code = _score(context, methods, _opened(labelled, corrections, pictures), limit, jobs)
     context.exit(code)
 
 
-def _tell_people(rivals: "Sequence[Contender]") -> None:
+def _tell_people(methods: "Sequence[Method]") -> None:
     from roadtorch.layout.weights import corrected_pictures
 
-    for one in rivals:
+    for one in methods:
         if count := corrected_pictures(one.settings):
             text = f"{one.name} was trained with {count} pictures that people corrected: not "
             click.echo(f"roadtorch: {text}label-free, and no news on those pictures", err=True)
@@ -97,7 +97,7 @@ def _opened(labelled: str | None, corrections: Path | None, pictures: Path | Non
 
 def _score(
     context: click.Context,
-    rivals: "Sequence[Contender]",
+    methods: "Sequence[Method]",
     dataset: "Dataset",
     limit: int | None,
     jobs: int,
@@ -106,20 +106,22 @@ def _score(
     from roadtorch.evaluation.evaluate import evaluated
     from roadtorch.report.screen import screen
 
-    against = rivals[0].name
-    found = evaluated(dataset, rivals, {}, limit=limit, against=against, jobs=jobs, watch=watched)
-    click.echo(screen(found))
-    tell_failures(found)
+    against = methods[0].name
+    evaluation = evaluated(
+        dataset, methods, {}, limit=limit, against=against, jobs=jobs, watch=watched
+    )
+    click.echo(screen(evaluation))
+    tell_failures(evaluation)
     if (out := context.params["out"]) is not None:
         from roadtorch.report.files import write
 
-        write(found, out, command_line(context), context.params["worst"])
-    return 1 if found.failures else 0
+        write(evaluation, out, command_line(context), context.params["worst"])
+    return 1 if evaluation.failures else 0
 
 
 def _disagree(
     context: click.Context,
-    rivals: "Sequence[Contender]",
+    methods: "Sequence[Method]",
     images: Sequence[str],
     limit: int | None,
     worst: int,
@@ -132,26 +134,26 @@ def _disagree(
     from roadtorch.errors import InputError
     from roadtorch.evaluation.disagreement import disagreements, unlabelled_set, worst_first
     from roadtorch.evaluation.result import Failure
-    from roadtorch.report.disagreement import Rivalry, rivalry_text, write_rivalry
+    from roadtorch.report.disagreement import Disagreements, disagreement_text, write_disagreement
     from roadtorch.sources.pictures import find_images
 
     out = context.params["out"]
     dataset = every_kth(unlabelled_set(find_images(images, out)), limit)
     seen = tqdm(
-        disagreements(dataset, rivals[0], rivals[1]),
+        disagreements(dataset, methods[0], methods[1]),
         total=len(dataset.items),
         unit="image",
         disable=True if quiet else None,
     )
-    found, failures = [], []
+    compared, failures = [], []
     for one in seen:
-        (failures if isinstance(one, Failure) else found).append(one)
+        (failures if isinstance(one, Failure) else compared).append(one)
     for one in failures:
         click.echo(f"failed: {one.image}: {one.reason}", err=True)
-    if not found:
+    if not compared:
         raise InputError(images[0], "has no picture that both could look at", "see above")
-    rivalry = Rivalry(dataset, rivals[0], rivals[1], worst_first(found), failures)
-    click.echo(rivalry_text(rivalry))
+    both = Disagreements(dataset, methods[0], methods[1], worst_first(compared), failures)
+    click.echo(disagreement_text(both))
     if out is not None:
-        write_rivalry(out, rivalry, worst, command_line(context))
+        write_disagreement(out, both, worst, command_line(context))
     return 1 if failures else 0

@@ -1,4 +1,4 @@
-"""roadtorch evaluate: score detectors on labelled pictures, beside the floors."""
+"""roadtorch evaluate: score detectors on labelled pictures, beside the baselines."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -63,7 +63,7 @@ def evaluate(
 
     Every picture is read once and shown to every detector. Beside them stand blind
     baselines, which never look at the picture: prior:rows, prior:triangle and, where other
-    drives can teach it, prior:mean.
+    groups can teach it, prior:mean.
     A run that is interrupted goes on where it was when it is started again.
     """
     from roadtorch.cli.labelled import camera_settings, opened, watched
@@ -120,7 +120,7 @@ def _tell(evaluation: "Evaluation") -> None:
 def _keep(evaluation: "Evaluation", out: Path, context: click.Context, montage: int) -> None:
     """Write the results; the progress that was saved for an interruption is not needed then."""
     from roadtorch.cli.labelled import command_line
-    from roadtorch.evaluation.saved_tallies import forget
+    from roadtorch.evaluation.tally import forget
     from roadtorch.report.files import write  # with what draws, which takes a while
 
     write(evaluation, out, command_line(context), montage)
@@ -130,6 +130,6 @@ def _keep(evaluation: "Evaluation", out: Path, context: click.Context, montage: 
 def _without_default(
     context: click.Context, names: tuple[str, ...], folders: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """No detector but the floors when only maps are asked for."""
+    """No detector but the baselines when only maps are asked for."""
     source = context.get_parameter_source("names")
     return () if folders and source is click.core.ParameterSource.DEFAULT else names

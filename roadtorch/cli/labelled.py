@@ -35,7 +35,7 @@ def camera_settings(path: Path | None, names: Sequence[str]) -> dict[str, Any]:
     from roadtorch.camera.camera import Camera
     from roadtorch.detector import DetectorSettings
     from roadtorch.detectors.catalogue import detector_entry
-    from roadtorch.evaluation.contenders import expand_names
+    from roadtorch.evaluation.methods import expand_names
 
     if path is None:
         return {}

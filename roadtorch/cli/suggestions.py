@@ -41,7 +41,7 @@ def suggest_detectors(
     return _beginning(found, incomplete)
 
 
-def suggest_rivals(
+def suggest_candidates(
     context: click.Context, parameter: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
     """What can be compared by name, or else a file."""

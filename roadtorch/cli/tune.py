@@ -25,16 +25,16 @@ def tune(
 ) -> None:
     """Choose thresholds on the labelled pictures of DATASET at ROOT.
 
-    The threshold with the highest F, averaged over the drives, goes into OUT/NAME.toml
+    The threshold with the highest F, averaged over the groups, goes into OUT/NAME.toml
     together with the detector's settings and this command; use it with infer --config.
-    Shown beside it is how well such a choice carries over: F and IoU of each drive at the
-    threshold that the other drives choose.
+    Shown beside it is how well such a choice carries over: F and IoU of each group at the
+    threshold that the other groups choose.
     """
     from roadtorch.cli.config import as_toml
     from roadtorch.cli.labelled import command_line, opened, tell_failures, watched
     from roadtorch.evaluation.evaluate import evaluate
-    from roadtorch.evaluation.saved_tallies import forget
-    from roadtorch.evaluation.tuning import choose_threshold
+    from roadtorch.evaluation.tally import forget
+    from roadtorch.evaluation.thresholds import choose_threshold
     from roadtorch.io.atomic import write_text
     from roadtorch.report.choices import choice_table, provenance
     from roadtorch.runs.claim import claimed
@@ -54,7 +54,7 @@ def tune(
     choices = [
         choose_threshold(evaluation, name, settings)
         for name, one in evaluation.detectors.items()
-        if not one.is_floor
+        if not one.is_baseline
     ]
     for choice in choices:
         path = out / f"{choice.detector.replace(':', '-')}.toml"

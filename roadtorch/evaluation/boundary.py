@@ -50,12 +50,12 @@ def border(mask: Tensor, valid: Tensor) -> Tensor:
     whether it ends there.
     """
     inside, outside = mask & valid, ~mask & valid
-    found = torch.zeros_like(mask)
-    found[1:] |= outside[:-1]
-    found[:-1] |= outside[1:]
-    found[:, 1:] |= outside[:, :-1]
-    found[:, :-1] |= outside[:, 1:]
-    return found & inside
+    beside = torch.zeros_like(mask)
+    beside[1:] |= outside[:-1]
+    beside[:-1] |= outside[1:]
+    beside[:, 1:] |= outside[:, :-1]
+    beside[:, :-1] |= outside[:, 1:]
+    return beside & inside
 
 
 @cached_per_image

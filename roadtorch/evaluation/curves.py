@@ -21,7 +21,7 @@ from torch import Tensor
 from roadtorch.evaluation.metrics import RoadCounts
 
 STEPS = 100  # of the false positive rate, in vertical averaging
-MOST = 1000  # points of a curve in a file
+MAX_POINTS = 1000  # points of a curve in a file
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ def equal_error_rate(curve: Curve) -> Tensor:
     return (before + above / (above - below) * (x - before))[..., 0]
 
 
-def thin(curve: Curve, most: int = MOST) -> Curve:
+def thin(curve: Curve, most: int = MAX_POINTS) -> Curve:
     """At most ``most`` of the points of one curve (points,), close to even steps along it.
 
     A ROC curve's area moves by less than 1 / (most - 4), whatever its shape, and by some

@@ -1,5 +1,7 @@
-"""Where two detectors disagree most, on pictures that nobody labelled."""
+"""What two methods decide differently on unlabelled pictures: A and B, or before and after."""
 
+import math
+import statistics
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,9 +10,8 @@ from typing import NamedTuple
 from torch import Tensor
 
 from roadtorch.data.dataset import Dataset, Item, Truth
-from roadtorch.detector import Detection
 from roadtorch.errors import DatasetError, RoadtorchError
-from roadtorch.evaluation.contenders import Contender
+from roadtorch.evaluation.methods import Method
 from roadtorch.evaluation.result import Failure
 from roadtorch.io.image import read_image
 from roadtorch.runtime.image_cache import image_cache
@@ -22,7 +23,8 @@ class Disagreement:
     """One picture as two see it.
 
     differs: share of the pixels on which the masks differ. first, second: road share of each.
-    only_first, only_second: share of the pixels that one alone calls road.
+    only_first, only_second: share of the pixels that one alone calls road. first_trust,
+    second_trust: NaN where the detector has none.
     """
 
     item: Item
@@ -31,6 +33,13 @@ class Disagreement:
     second: float
     only_first: float
     only_second: float
+    first_trust: float = math.nan
+    second_trust: float = math.nan
+
+    @property
+    def has_trust(self) -> bool:
+        """Whether both detectors say how far they trust their masks."""
+        return not math.isnan(self.first_trust + self.second_trust)
 
 
 @dataclass(frozen=True)
@@ -48,53 +57,106 @@ def unlabelled_set(pictures: Iterable[Picture]) -> Dataset:
     return Dataset("pictures", Path(), "", items, Unlabelled())
 
 
-def disagreement(item: Item, first: Tensor, second: Tensor) -> Disagreement:
-    """What two masks bool (H,W) of one picture differ in."""
-    only_first, only_second = share_of(first & ~second), share_of(second & ~first)
-    differs = only_first + only_second
-    return Disagreement(item, differs, share_of(first), share_of(second), only_first, only_second)
-
-
-def share_of(mask: Tensor) -> float:
-    """The share of a mask bool (H,W) that is set."""
-    return float(mask.double().mean())
-
-
 def disagreements(
-    dataset: Dataset, first: Contender, second: Contender
+    dataset: Dataset, first: Method, second: Method
 ) -> Iterator[Disagreement | Failure]:
-    """Each picture as two contenders decide on it, each at its own threshold; or why not."""
-    for seen in seen_by_both(dataset, first, second):
-        yield (
-            seen
-            if isinstance(seen, Failure)
-            else disagreement(seen.item, seen.first.mask, seen.second.mask)
-        )
-
-
-class SeenByBoth(NamedTuple):
-    """A picture and what two contenders found in it."""
-
-    item: Item
-    first: Detection
-    second: Detection
-
-
-def seen_by_both(
-    dataset: Dataset, first: Contender, second: Contender
-) -> Iterator[SeenByBoth | Failure]:
-    """Each picture as two contenders see it, or why not."""
+    """Each picture as two methods decide on it, each at its own threshold; or why not."""
     looks = [one.prepare(dataset) for one in (first, second)]
     for item in dataset.items:
         try:
             image = read_image(item.image)
             with image_cache():
                 one, other = (look(image, item) for look in looks)
-            yield SeenByBoth(item, one, other)
         except RoadtorchError as problem:
             yield Failure(item.name, None, str(problem))
+            continue
+        trusts = [math.nan if each.trust is None else each.trust for each in (one, other)]
+        yield disagreement(item, one.mask, other.mask, *trusts)
 
 
-def worst_first(found: Sequence[Disagreement]) -> list[Disagreement]:
+def disagreement(item: Item, first: Tensor, second: Tensor, *trusts: float) -> Disagreement:
+    """What two masks bool (H,W) of one picture differ in; trusts: of both, if they are known."""
+    shares = [
+        float(mask.double().mean()) for mask in (first, second, first & ~second, second & ~first)
+    ]
+    return Disagreement(item, shares[2] + shares[3], *shares, *trusts)
+
+
+def worst_first(pictures: Sequence[Disagreement]) -> list[Disagreement]:
     """By the share of pixels that differ, the largest first, then by name."""
-    return sorted(found, key=lambda one: (-one.differs, one.item.name))
+    return sorted(pictures, key=lambda one: (-one.differs, one.item.name))
+
+
+# --- what further training changed: first is before, second is after ----------------------
+
+
+@dataclass(frozen=True)
+class MeanChange:
+    """Means over the pictures. differs, median, most: share of the pixels; grown, shrunk:
+    pictures on which trust rose or fell; trust: NaN without any."""
+
+    pictures: int
+    differs: float
+    median: float
+    most: float
+    road_before: float
+    road_after: float
+    trust_before: float
+    trust_after: float
+    grown: int
+    shrunk: int
+
+
+class Agreement(NamedTuple):
+    """Shares of the pixels, where the teacher is sure, on which a network says the same.
+
+    layout: the class; road: road or not. pictures: how many were asked.
+    """
+
+    layout: float
+    road: float
+    pictures: int
+
+
+class Taught(NamedTuple):
+    """The teacher's name, and how far the network agreed with it before, and does now."""
+
+    teacher: str
+    before: Agreement
+    after: Agreement
+
+
+def mean_change(pictures: Sequence[Disagreement]) -> MeanChange:
+    """What all pictures (one at least) say together."""
+    trusted = [one for one in pictures if one.has_trust]
+    differs = [one.differs for one in pictures]
+    return MeanChange(
+        pictures=len(pictures),
+        differs=statistics.fmean(differs),
+        median=statistics.median(differs),
+        most=max(differs),
+        road_before=statistics.fmean(one.first for one in pictures),
+        road_after=statistics.fmean(one.second for one in pictures),
+        trust_before=_mean([one.first_trust for one in trusted]),
+        trust_after=_mean([one.second_trust for one in trusted]),
+        grown=sum(one.second_trust > one.first_trust for one in trusted),
+        shrunk=sum(one.second_trust < one.first_trust for one in trusted),
+    )
+
+
+def _mean(values: Sequence[float]) -> float:
+    return statistics.fmean(values) if values else math.nan
+
+
+def most_and_spread(pictures: Sequence[Disagreement], count: int) -> list[Disagreement]:
+    """So many pictures to look at: half of them changed most, the others are evenly spread.
+
+    The spread is over what is left, from much changed to little, the least changed included.
+    All, the most changed first, where there are no more than ``count``.
+    """
+    ranked = worst_first(pictures)
+    if len(ranked) <= count:
+        return ranked
+    most, rest = ranked[: count - count // 2], ranked[count - count // 2 :]
+    steps = count // 2
+    return most + [rest[(place + 1) * len(rest) // steps - 1] for place in range(steps)]

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.evaluation.contenders import Contender
 from roadtorch.evaluation.measure import Figures, Measure
+from roadtorch.evaluation.methods import Method
 from roadtorch.evaluation.result import DetectorFigures, Evaluation
 from roadtorch.io.bounded import read_regular, reason
 from roadtorch.version import __version__
@@ -37,7 +37,7 @@ def document(evaluation: Evaluation, command: str) -> dict[str, Any]:
 
 def _detector(one: DetectorFigures, measures: Sequence[Measure]) -> dict[str, Any]:
     by_f = one.pictures_by_f
-    found = {
+    content = {
         **_levels(one.headline),
         "maxf_threshold": one.best_threshold,
         "threshold_from": one.threshold_from,
@@ -51,36 +51,35 @@ def _detector(one: DetectorFigures, measures: Sequence[Measure]) -> dict[str, An
             },
         },
     }  # fmt: skip
-    if one.drives:
-        found["groups"] = {drive: _levels(figures) for drive, figures in one.drives.items()}
-        found["left_out"] = {drive: _levels(figures) for drive, figures in one.left_out.items()}
-        found["pooled"] = _levels(one.pooled)
+    if one.groups:
+        content["groups"] = {group: _levels(figures) for group, figures in one.groups.items()}
+        content["left_out"] = {group: _levels(figures) for group, figures in one.left_out.items()}
+        content["pooled"] = _levels(one.pooled)
     if one.conditions:
-        found["conditions"] = {name: _levels(part) for name, part in one.conditions.items()}
-    found["ci95"] = {
+        content["conditions"] = {name: _levels(part) for name, part in one.conditions.items()}
+    content["ci95"] = {
         measure.flat_key: one.intervals[measure.key]
         for measure in measures
         if measure.key in one.intervals
     }
-    contender = one.contender
     return {
-        **found,
-        "threshold_default": contender.threshold,
-        "settings": contender.settings,
-        "floor": contender.is_floor,
+        **content,
+        "threshold_default": one.method.threshold,
+        "settings": one.method.settings,
+        "baseline": one.is_baseline,
     }
 
 
 def _levels(figures: Figures) -> dict[str, Any]:
     """Figures with keys like "layout/mean" as nested mappings."""
-    found: dict[str, Any] = {}
+    levels: dict[str, Any] = {}
     for key, value in figures.items():
         *outer, last = key.split("/")
-        branch = found
+        branch = levels
         for name in outer:
             branch = branch.setdefault(name, {})
         branch[last] = value
-    return found
+    return levels
 
 
 def _paired(evaluation: Evaluation) -> dict[str, Any]:
@@ -109,14 +108,14 @@ def defined(value: Any) -> Any:
 # --- thresholds of an earlier run -------------------------------------------------------
 
 
-def earlier_thresholds(path: Path, contenders: Sequence[Contender]) -> dict[str, float]:
-    """For every contender the threshold that an earlier run chose on all its drives.
+def earlier_thresholds(path: Path, methods: Sequence[Method]) -> dict[str, float]:
+    """For every method the threshold that an earlier run chose on all its groups.
 
     path: its metrics.json. Raises InputError for another file; ConfigError when the run has
     no such detector, or it had other settings: a threshold means nothing for another detector.
     """
     earlier = _read_thresholds(path)
-    return {one.name: _threshold_for(one, path, earlier) for one in contenders}
+    return {one.name: _threshold_for(one, path, earlier) for one in methods}
 
 
 def _read_thresholds(path: Path) -> dict[str, tuple[float, Mapping[str, Any]]]:
@@ -143,14 +142,14 @@ def _share(value: Any) -> float:
 
 
 def _threshold_for(
-    contender: Contender, path: Path, earlier: Mapping[str, tuple[float, Mapping[str, Any]]]
+    method: Method, path: Path, earlier: Mapping[str, tuple[float, Mapping[str, Any]]]
 ) -> float:
-    name = contender.name
+    name = method.name
     if name not in earlier:
         remedy = f"it has {', '.join(sorted(earlier))}"
         raise ConfigError(path, f"has no threshold for {name}", remedy)
     threshold, settings = earlier[name]
-    if settings != contender.settings:
+    if settings != method.settings:
         what = f"chose the threshold of {name} with other settings"
         raise ConfigError(path, what, "run both with the same --set")
     return threshold

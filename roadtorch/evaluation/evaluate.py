@@ -6,17 +6,16 @@ from pathlib import Path
 from typing import Any
 
 from roadtorch.data.dataset import Dataset, every_kth
-from roadtorch.errors import DatasetError
-from roadtorch.evaluation import comparison
-from roadtorch.evaluation.contenders import Contender, contenders_for
+from roadtorch.errors import DatasetError, unknown_name
 from roadtorch.evaluation.document import earlier_thresholds
 from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import MEASURES
+from roadtorch.evaluation.methods import Method, methods_for
 from roadtorch.evaluation.result import Evaluation, Failure
-from roadtorch.evaluation.saved_tallies import SavedTallies, fingerprint
-from roadtorch.evaluation.scoring import Scored, score
-from roadtorch.evaluation.summary import add_conditions, summarise
-from roadtorch.evaluation.tally import Tally
+from roadtorch.evaluation.scoring import score
+from roadtorch.evaluation.summary import summarise
+from roadtorch.evaluation.tally import SavedTallies, Scored, Tally, fingerprint
+from roadtorch.evaluation.uncertainty import best_of, compare, intervals, resample
 
 Watch = Callable[[Iterator[Scored], int, int], Iterable[Scored]]
 """Results as they come, how many pictures were done before, of how many → the same results."""
@@ -42,12 +41,12 @@ def evaluate(
     keep_in: Path | None = None,
     watch: Watch = unwatched,
 ) -> Evaluation:
-    """Score detectors beside the floors ``prior:rows``, ``prior:triangle`` and ``prior:mean``.
+    """Score detectors beside the baselines ``prior:rows``, ``prior:triangle`` and ``prior:mean``.
 
     detectors: names, with wildcards. settings: nested values for those that are named.
     maps: by name, folders of likelihood maps made elsewhere.
     limit: look at so many pictures only, evenly spread. mean_from: the set that teaches
-    ``prior:mean`` where the drives of this one cannot. threshold_from: the metrics.json of
+    ``prior:mean`` where the groups of this one cannot. threshold_from: the metrics.json of
     an earlier run whose thresholds are taken. against: the detector that all are compared
     with, the best one if not given. measures: what is measured. jobs: processes; the figures
     do not depend on it.
@@ -58,14 +57,14 @@ def evaluate(
     Raises ConfigError for what can be refused before the run, DatasetError when no picture
     could be scored.
     """
-    contenders = contenders_for(dataset, detectors, settings or {}, maps or {}, mean_from)
-    given = earlier_thresholds(threshold_from, contenders) if threshold_from else {}
-    return evaluated(dataset, contenders, given, limit, against, measures, jobs, keep_in, watch)
+    methods = methods_for(dataset, detectors, settings or {}, maps or {}, mean_from)
+    given = earlier_thresholds(threshold_from, methods) if threshold_from else {}
+    return evaluated(dataset, methods, given, limit, against, measures, jobs, keep_in, watch)
 
 
 def evaluated(
     dataset: Dataset,
-    contenders: Sequence[Contender],
+    methods: Sequence[Method],
     given: Mapping[str, float],
     limit: int | None = None,
     against: str | None = None,
@@ -74,28 +73,25 @@ def evaluated(
     keep_in: Path | None = None,
     watch: Watch = unwatched,
 ) -> Evaluation:
-    """Score contenders as they are; given: thresholds of earlier runs by contender and drive.
+    """Score methods as they are; given: thresholds of earlier runs by method.
 
     The rest, and what it raises, as for ``evaluate``.
     """
-    names = [one.name for one in contenders]
-    comparison.check_against(names, against)
+    names = [one.name for one in methods]
+    if against is not None and against not in names:
+        raise unknown_name("detector of this run", against, names)
     pictures = every_kth(dataset, limit)
-    tallies, failures = count_all(pictures, contenders, jobs, keep_in, watch)
-    found = {
-        one.name: add_conditions(
-            summarise(one, tallies[one.name], given.get(one.name), measures, pictures.left_out),
-            tallies[one.name],
-            pictures.by_condition(),
-            measures,
-        )
-        for one in contenders
+    tallies, failures = count_all(pictures, methods, jobs, keep_in, watch)
+    left_out, conditions = pictures.left_out, pictures.by_condition()
+    figures = {
+        name: summarise(one, tallies[name], given.get(name), measures, left_out, conditions)
+        for name, one in zip(names, methods, strict=True)
     }
-    draws = {name: comparison.resample(tallies[name], found[name], measures) for name in names}
+    draws = {name: resample(tallies[name], figures[name], measures) for name in names}
     return Evaluation(
         pictures,
-        {name: replace(found[name], intervals=comparison.intervals(draws[name])) for name in names},
-        comparison.compare(draws, against or comparison.best_of(found), measures),
+        {name: replace(figures[name], intervals=intervals(draws[name])) for name in names},
+        compare(draws, against or best_of(figures), measures),
         failures,
         tallies,
         measures,
@@ -103,14 +99,14 @@ def evaluated(
 
 
 def count_all(
-    dataset: Dataset, contenders: Sequence[Contender], jobs: int, keep_in: Path | None, watch: Watch
+    dataset: Dataset, methods: Sequence[Method], jobs: int, keep_in: Path | None, watch: Watch
 ) -> tuple[Mapping[str, Tally], list[Failure]]:
     """Run what is left of the pass; the tallies are saved whatever ends it."""
-    saved = SavedTallies(keep_in, fingerprint(dataset, contenders))
+    saved = SavedTallies(keep_in, fingerprint(dataset, methods))
     failures: list[Failure] = []
     done, total = saved.done, len(dataset.items)
     try:
-        for result in watch(score(dataset, contenders, jobs, done), len(done), total):
+        for result in watch(score(dataset, methods, jobs, done), len(done), total):
             if result.failure:
                 item = result.item
                 failures.append(Failure(item.name, item.group, result.failure))

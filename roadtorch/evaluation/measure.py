@@ -1,13 +1,58 @@
-"""What a measure is: a formula with a name, words, a direction, and the tables it stands in."""
+"""What a measure is: a formula over counts, with a name, words, a direction, and its tables."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 from torch import Tensor
 
-from roadtorch.evaluation.parts import Part
+from roadtorch.evaluation import metrics
+from roadtorch.evaluation.curves import Curve
+from roadtorch.evaluation.metrics import Decisions, RoadCounts
+
+
+@dataclass(frozen=True)
+class Trusted:
+    """Pictures with a trust and an F of the own mask, float64 (n,) each; groups: whose they are."""
+
+    trust: Tensor
+    f: Tensor
+    groups: Sequence[str]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Counts of some pictures together, or of many draws of them: then all have (draws,…).
+
+    chosen: the outcome at the threshold of each group; None where there is none.
+    image_auc: the mean of the single pictures' AUC, float64 (…).
+    What follows in the list is not known of draws: labels, a confusion as ``layout``, of
+    labels that may abstain; roc, the vertical average of the single pictures' curves;
+    threshold, where there is one for all; skipped, the pictures without AUC; trusted, the
+    single pictures that have a trust, None where no picture has.
+    """
+
+    road: RoadCounts
+    mask: Decisions
+    boundary: Tensor
+    layout: Tensor | None
+    chosen: Decisions | None
+    image_auc: Tensor
+    labels: Tensor | None = None
+    roc: Curve | None = None
+    threshold: float | None = None
+    images: int = 0
+    skipped: int = 0
+    milliseconds: float = math.nan
+    trusted: Trusted | None = None
+
+    @cached_property
+    def working_point(self) -> Mapping[str, Tensor]:
+        """KITTI's figures where F is highest, see ``metrics.working_point``."""
+        return metrics.working_point(self.road)
+
 
 Figures = Mapping[str, float]
 """Numbers by the key of their measure: NaN where undefined, without those that are not there."""
@@ -16,19 +61,10 @@ Formula = Callable[[Part], Tensor | float | None]
 """A part's figure, or (draws,) of one that is many draws; None where it has no such figure."""
 
 Place = Literal[
-    "headline",
-    "screen",
-    "screen pairs",
-    "screen layout",
-    "scores",
-    "further",
-    "pairs",
-    "parts",
-    "trust",
-    "layout",
+    "headline", "screen", "screen pairs", "scores", "further", "pairs", "parts", "trust", "layout"
 ]
 """First in every table; on the screen; on the page: its first table, its second one,
-differences; drives and conditions of one detector, trust (both on the screen as well); layout.
+differences; groups and conditions of one detector, trust and layout (on the screen as well).
 
 ``pairs`` are in metrics.json, too."""
 
@@ -40,7 +76,7 @@ class Measure:
     key: its name in metrics.json, with "/" between levels. name: at the head of a column, where
     line breaks are allowed. meaning: a sentence for who has to read it.
     better: which of two values is; None where neither is. digits: decimals that are shown.
-    over_drives: what stands above the figures of the drives: their mean, the figure of all
+    over_groups: what stands above the figures of the groups: their mean, the figure of all
     pictures together, or nothing.
     interval: whether it is taken of pictures drawn anew, too; then the formula needs no field
     of the part that draws do not have. shown: the tables that have it as a column.
@@ -52,7 +88,7 @@ class Measure:
     formula: Formula
     better: Literal["higher", "lower"] | None = "higher"
     digits: int = 3
-    over_drives: Literal["mean", "whole", "nothing"] = "mean"
+    over_groups: Literal["mean", "whole", "nothing"] = "mean"
     interval: bool = False
     shown: tuple[Place, ...] = ()
 
@@ -72,11 +108,19 @@ class Measure:
 
     def best(self, values: Iterable[float]) -> float | None:
         """The best of several values; None without any, and where none is better."""
-        known = [value for value in values if not math.isnan(value)]
-        if not known or self.better is None:
-            return None
-        return max(known) if self.better == "higher" else min(known)
+        return _extreme(values, self.better)
+
+    def worst(self, values: Iterable[float]) -> float | None:
+        """The worst of several values, as ``best``."""
+        return _extreme(values, {"higher": "lower", "lower": "higher"}.get(self.better or ""))
 
     def text(self, value: float, nothing: str) -> str:
         """A value as it is shown."""
         return nothing if math.isnan(value) else f"{value:.{self.digits}f}"
+
+
+def _extreme(values: Iterable[float], end: str | None) -> float | None:
+    known = [value for value in values if not math.isnan(value)]
+    if not known or end is None:
+        return None
+    return max(known) if end == "higher" else min(known)

@@ -7,17 +7,16 @@ one entry of it, or is given to `evaluate` beside it.
 
 import math
 from collections.abc import Callable
-from typing import Literal
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from roadtorch.evaluation import boundary, calibration, curves, metrics
-from roadtorch.evaluation.layout_measures import LAYOUT
-from roadtorch.evaluation.measure import Formula, Measure, Place
+from roadtorch.evaluation.measure import Formula, Measure, Part
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
-from roadtorch.evaluation.parts import Part
-from roadtorch.evaluation.trust_measures import TRUST
+from roadtorch.evaluation.trust import TRUST
+from roadtorch.layout.classes import CLASSES, NAMES
 
 # --- what formulas are made of ----------------------------------------------------------
 
@@ -115,7 +114,7 @@ SCORES = (
         lambda part: part.images,
         better=None,
         digits=0,
-        over_drives="whole",
+        over_groups="whole",
         shown=("parts",),
     ),
     F_MASK,
@@ -127,7 +126,7 @@ SCORES = (
         "Lowest threshold that reaches MaxF.",
         _of_road(lambda counts: metrics.max_f(counts)[1]),
         better=None,
-        over_drives="nothing",
+        over_groups="nothing",
     ),
     Measure(
         "auc_pooled",
@@ -145,7 +144,7 @@ SCORES = (
         lambda part: part.skipped,
         better=None,
         digits=0,
-        over_drives="whole",
+        over_groups="whole",
     ),
     Measure(
         "auc_vertical",
@@ -194,7 +193,7 @@ SCORES = (
         lambda part: part.milliseconds,
         better=None,
         digits=1,
-        over_drives="whole",
+        over_groups="whole",
         shown=("screen", "scores"),
     ),
     Measure(
@@ -216,7 +215,7 @@ DECISIONS = (
         "Likelihood from which a pixel is decided to be road.",
         lambda part: part.threshold,
         better=None,
-        over_drives="nothing",
+        over_groups="nothing",
         shown=("further",),
     ),
     F,
@@ -264,32 +263,97 @@ def _border(place: int, share: float) -> Measure:
 BORDERS = tuple(_border(*pair) for pair in enumerate(boundary.TOLERANCES))
 
 
-def _at_max_f(
-    key: str,
-    name: str,
-    meaning: str,
-    better: Literal["higher", "lower"] | None = "higher",
-    shown: tuple[Place, ...] = (),
-) -> Measure:
-    return Measure(
-        f"working_point/{key}",
-        name,
-        meaning,
-        lambda part: part.working_point[key],
-        better,
-        over_drives="nothing",
-        shown=shown,
-    )
+def _at_max_f(key: str, name: str, meaning: str, **more: Any) -> Measure:
+    """A figure at KITTI's working point; more: further fields of the measure."""
+    formula: Formula = lambda part: part.working_point[key]  # noqa: E731
+    return Measure(f"working_point/{key}", name, meaning, formula, over_groups="nothing", **more)
 
 
 WORKING_POINT = (
-    _at_max_f("level", "level", "Level of likelihood where F is highest (KITTI).", None),
+    _at_max_f("level", "level", "Level of likelihood where F is highest (KITTI).", better=None),
     _at_max_f("precision", "PRE", "Precision where F is highest (KITTI).", shown=("further",)),
     _at_max_f("recall", "REC", "Recall there.", shown=("further",)),
-    _at_max_f("fpr", "FPR", "False positive rate there.", "lower", ("further",)),
-    _at_max_f("fnr", "FNR", "False negative rate there.", "lower", ("further",)),
+    _at_max_f("fpr", "FPR", "False positive rate there.", better="lower", shown=("further",)),
+    _at_max_f("fnr", "FNR", "False negative rate there.", better="lower", shown=("further",)),
     _at_max_f("accuracy", "accuracy", "Share of pixels that are right there."),
     _at_max_f("quality", "quality", "Overlap of decided and true road there."),
+)
+
+# --- the layout: under each reading of void, of potentials and of labels that may abstain -----
+
+VOID = ", void counted as vertical"
+LABELLED = ", where the labeller does not abstain"
+
+
+def _layout(
+    key: str, name: str, meaning: str, figure: Callable[[Tensor], Tensor], **more: Any
+) -> Measure:
+    """A figure of the confusion that the key names; more: further fields of the measure."""
+    of_labels, void_is_vertical = key.startswith("labelled"), "void_as_vertical" in key
+
+    def formula(part: Part) -> Tensor | None:
+        confusion = part.labels if of_labels else part.layout
+        if confusion is None:
+            return None
+        return figure(metrics.void_as_vertical(confusion) if void_is_vertical else confusion)
+
+    return Measure(f"layout/{key}", name, meaning, formula, **more)
+
+
+def _recalls(under: str, words: str, **more: Any) -> list[Measure]:
+    """The recall of each class."""
+    return [
+        _layout(
+            f"{under}{name}",
+            name,
+            f"Share of {name} that is found{words}.",
+            lambda confusion, place=place: metrics.class_recalls(confusion)[..., place],
+            **more,
+        )
+        for place, name in enumerate(NAMES)
+    ]
+
+
+def _mean_recall(under: str, name: str, words: str, **more: Any) -> Measure:
+    meaning = f"Mean of the three{words}."
+    return _layout(f"{under}mean", name, meaning, metrics.mean_class_recall, **more)
+
+
+def _confusion(truth: int, decided: int) -> Measure:
+    one, other = NAMES[truth], NAMES[decided]
+    return _layout(
+        f"confusion/{one}/{other}",
+        f"{one} as\n{other}",
+        f"Share of {one} that is decided to be {other}.",
+        lambda confusion: metrics.normalised_confusion(confusion)[..., truth, decided],
+        better=None,
+    )
+
+
+LAYOUT = (
+    *_recalls("", "", shown=("layout",)),
+    _mean_recall("", "mean", "", interval=True, shown=("layout", "pairs")),
+    _layout(
+        "accuracy",
+        "accuracy",
+        "Share of all pixels that are right.",
+        metrics.layout_accuracy,
+        shown=("layout",),
+    ),
+    *(_confusion(truth, decided) for truth in range(CLASSES) for decided in range(CLASSES)),
+    *_recalls("void_as_vertical/", VOID),
+    _mean_recall("void_as_vertical/", "mean, void\nvertical", VOID, shown=("layout",)),
+    *_recalls("labelled/", LABELLED),
+    _mean_recall("labelled/", "mean,\nlabelled", LABELLED, shown=("layout",)),
+    *_recalls("labelled/void_as_vertical/", LABELLED + VOID),
+    _mean_recall("labelled/void_as_vertical/", "mean,\nlabelled, void\nvertical", LABELLED + VOID),
+    _layout(
+        "labelled_share",
+        "labelled\nshare",
+        "Share of pixels with a label.",
+        metrics.labelled_share,
+        shown=("layout",),
+    ),
 )
 
 

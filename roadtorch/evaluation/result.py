@@ -1,20 +1,32 @@
-"""What an evaluation found: figures by detector and drive, their intervals, differences."""
+"""What an evaluation found: figures by detector and group, their intervals, differences."""
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from roadtorch.data.dataset import Dataset
-from roadtorch.evaluation.contenders import Contender
 from roadtorch.evaluation.measure import Figures, Measure, Place
 from roadtorch.evaluation.measures import MAXF, MEASURES
+from roadtorch.evaluation.methods import Method
 from roadtorch.evaluation.tally import WHOLE, Tally
-from roadtorch.evaluation.uncertainty import Interval
+
+
+class Interval(NamedTuple):
+    """Both ends of a 95 % interval; NaN where no draw has a value."""
+
+    low: float = math.nan
+    high: float = math.nan
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it has two ends."""
+        return not math.isnan(self.low) and not math.isnan(self.high)
 
 
 @dataclass(frozen=True)
 class PicturesByF:
-    """F of the single pictures at their drive's threshold.
+    """F of the single pictures at their group's threshold.
 
     quantiles: by share of the pictures, empty without any. best, median, worst: some
     pictures as (F, name).
@@ -30,18 +42,18 @@ class PicturesByF:
 class DetectorFigures:
     """The figures of one detector.
 
-    headline: means over the drives, or the figures of a set that knows none. pooled: of all
-    drives' counts together; without drives it and ``drives`` are empty. left_out: the drives
+    headline: means over the groups, or the figures of a set that knows none. pooled: of all
+    groups' counts together; without groups it and ``groups`` are empty. left_out: the groups
     that count in nothing above. conditions: of the pictures of each condition together,
     on 8-bit maps.
-    thresholds: the chosen one of each drive (of ``WHOLE`` without drives); threshold_from:
+    thresholds: the chosen one of each group (of ``WHOLE`` without groups); threshold_from:
     where they come from, in words. best_threshold: that of the highest F, averaged over the
-    drives. intervals: by the key of the measure.
+    groups. intervals: by the key of the measure.
     """
 
-    contender: Contender
+    method: Method
     headline: Figures
-    drives: Mapping[str, Figures] = field(default_factory=dict)
+    groups: Mapping[str, Figures] = field(default_factory=dict)
     pooled: Figures = field(default_factory=dict)
     left_out: Mapping[str, Figures] = field(default_factory=dict)
     conditions: Mapping[str, Figures] = field(default_factory=dict)
@@ -58,17 +70,17 @@ class DetectorFigures:
 
     @property
     def counting(self) -> list[str]:
-        """The groups of the tally that count: all drives but those left out."""
-        return list(self.drives) or [WHOLE]
+        """The groups of the tally that count: all groups but those left out."""
+        return list(self.groups) or [WHOLE]
 
     @property
-    def is_floor(self) -> bool:
+    def is_baseline(self) -> bool:
         """Whether the detector never looks at the picture."""
-        return self.contender.is_floor
+        return self.method.is_baseline
 
-    def drive(self, name: str) -> Figures:
-        """The figures of one drive, left out or not; none where it is not known."""
-        return self.drives.get(name, self.left_out.get(name, {}))
+    def group(self, name: str) -> Figures:
+        """The figures of one group, left out or not; none where it is not known."""
+        return self.groups.get(name, self.left_out.get(name, {}))
 
 
 @dataclass(frozen=True)
@@ -117,9 +129,9 @@ class Evaluation:
         return len(self.dataset.items) - len(self.failures)
 
     @property
-    def drives(self) -> list[str]:
-        """The drives that count and that any detector has figures of, sorted."""
-        return sorted({drive for one in self.detectors.values() for drive in one.drives})
+    def groups(self) -> list[str]:
+        """The groups that count and that any detector has figures of, sorted."""
+        return sorted({group for one in self.detectors.values() for group in one.groups})
 
     @property
     def conditions(self) -> list[str]:
@@ -128,8 +140,8 @@ class Evaluation:
 
     @property
     def left_out(self) -> list[str]:
-        """The drives that have figures but count in no mean, sorted."""
-        return sorted({drive for one in self.detectors.values() for drive in one.left_out})
+        """The groups that have figures but count in no mean, sorted."""
+        return sorted({group for one in self.detectors.values() for group in one.left_out})
 
     def ranked(self) -> list[str]:
         """The detectors by MaxF, highest first; those without one last, then by name."""

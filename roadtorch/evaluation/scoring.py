@@ -14,20 +14,10 @@ from torch import Tensor
 from roadtorch.data.dataset import Dataset, Item, Truth
 from roadtorch.errors import RoadtorchError
 from roadtorch.evaluation import boundary, metrics
-from roadtorch.evaluation.contenders import Contender, Look
-from roadtorch.evaluation.tally import Score
+from roadtorch.evaluation.methods import Look, Method
+from roadtorch.evaluation.tally import Score, Scored
 from roadtorch.runtime.image_cache import ImageCache, image_cache
 from roadtorch.runtime.signals import end_with_parent, interrupting_none_started
-
-
-@dataclass(frozen=True)
-class Scored:
-    """What came of one picture: a score for every detector, or why there is none."""
-
-    item: Item
-    scores: Mapping[str, Score]
-    failure: str = ""
-
 
 # --- one picture ------------------------------------------------------------------------
 
@@ -110,13 +100,13 @@ def score_item(dataset: Dataset, looks: Mapping[str, Look], item: Item) -> Score
 # --- one process or several -------------------------------------------------------------
 
 
-def prepared(dataset: Dataset, contenders: Sequence[Contender]) -> dict[str, Look]:
-    """The contenders by name, ready to look."""
-    return {one.name: one.prepare(dataset) for one in contenders}
+def prepared(dataset: Dataset, methods: Sequence[Method]) -> dict[str, Look]:
+    """The methods by name, ready to look."""
+    return {one.name: one.prepare(dataset) for one in methods}
 
 
 def score(
-    dataset: Dataset, contenders: Sequence[Contender], jobs: int = 1, done: Collection[str] = ()
+    dataset: Dataset, methods: Sequence[Method], jobs: int = 1, done: Collection[str] = ()
 ) -> Iterator[Scored]:
     """Yield a result for every item that is not done, in the set's order, whatever ``jobs`` is.
 
@@ -124,17 +114,17 @@ def score(
     threads, so that the results are the same to the bit.
     """
     items = [item for item in dataset.items if item.name not in done]
-    looks = prepared(dataset, contenders)  # mistakes show here, before processes start
+    looks = prepared(dataset, methods)  # mistakes show here, before processes start
     if jobs == 1:
         yield from (score_item(dataset, looks, item) for item in items)
         return
     context = multiprocessing.get_context("spawn")
     # Bytes, because torch would share tensors between processes through sockets.
-    message = pickle.dumps((dataset, contenders, torch.get_num_threads()))
+    message = pickle.dumps((dataset, methods, torch.get_num_threads()))
     with ProcessPoolExecutor(jobs, context, _prepare, (message,)) as pool:
         with interrupting_none_started():
-            found = pool.map(_score_one, items)
-        yield from map(pickle.loads, found)
+            results = pool.map(_score_one, items)
+        yield from map(pickle.loads, results)
 
 
 _prepared: list[Callable[[Item], Scored]] = []  # a worker process's own pass, set once
@@ -142,9 +132,9 @@ _prepared: list[Callable[[Item], Scored]] = []  # a worker process's own pass, s
 
 def _prepare(message: bytes) -> None:
     end_with_parent()
-    dataset, contenders, threads = pickle.loads(message)
+    dataset, methods, threads = pickle.loads(message)
     torch.set_num_threads(threads)
-    looks = prepared(dataset, contenders)
+    looks = prepared(dataset, methods)
     _prepared.append(lambda item: score_item(dataset, looks, item))
 
 

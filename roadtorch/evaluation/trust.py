@@ -8,26 +8,18 @@ analysis, 2006; Geifman, Uziel, El-Yaniv, ICLR 2019 (the risk-coverage curve, it
 the ideal one beside it).
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from typing import Literal
 
 import torch
 from torch import Tensor
 
 from roadtorch.evaluation.curves import Curve
+from roadtorch.evaluation.measure import Measure, Place, Trusted
 
 BAD = 0.6  # F below which a mask is a failure; ours: where one looks wrong at first sight
 
-FEWEST = 4  # pictures of a group that has a correlation of its own; ours
-
-
-@dataclass(frozen=True)
-class Trusted:
-    """Pictures with a trust and an F of the own mask, float64 (n,) each; groups: whose they are."""
-
-    trust: Tensor
-    f: Tensor
-    groups: Sequence[str]
+MIN_PICTURES = 4  # pictures of a group that has a correlation of its own; ours
 
 
 def rank_correlation(one: Tensor, other: Tensor) -> float:
@@ -45,14 +37,14 @@ def average_ranks(values: Tensor) -> Tensor:
     return (last - (counts - 1) / 2)[places]
 
 
-def correlation_within(pictures: Trusted, fewest: int = FEWEST) -> float:
+def correlation_within(pictures: Trusted, fewest: int = MIN_PICTURES) -> float:
     """The mean of the groups' own rank correlations; NaN without a group that has one."""
-    found = []
+    correlations = []
     for group in sorted(set(pictures.groups)):
         own = torch.tensor([name == group for name in pictures.groups])
         if int(own.sum()) >= fewest:
-            found.append(rank_correlation(pictures.trust[own], pictures.f[own]))
-    return float(torch.tensor(found, dtype=torch.float64).nanmean())
+            correlations.append(rank_correlation(pictures.trust[own], pictures.f[own]))
+    return float(torch.tensor(correlations, dtype=torch.float64).nanmean())
 
 
 def failure_auc(trust: Tensor, f: Tensor, bad: float = BAD) -> float:
@@ -87,3 +79,79 @@ def ideal_risk_coverage(f: Tensor) -> Curve:
 def risk_area(curve: Curve) -> float:
     """AURC: the mean risk over all numbers of pictures kept; NaN without pictures."""
     return float(curve.y.mean())
+
+
+# --- the measures: of single pictures, so that what stands above groups is of them all ------
+
+
+def _measure(
+    key: str,
+    name: str,
+    meaning: str,
+    figure: Callable[[Trusted], float],
+    better: Literal["higher", "lower"] | None = "higher",
+    shown: tuple[Place, ...] = ("trust",),
+) -> Measure:
+    """A figure of the pictures that have a trust; none where no picture has."""
+    return Measure(
+        f"trust/{key}",
+        name,
+        meaning,
+        lambda part: None if part.trusted is None else figure(part.trusted),
+        better,
+        over_groups="whole",
+        shown=shown,
+    )
+
+
+TRUST = (
+    _measure(
+        "rank_correlation",
+        "rank corr.\nof trust",
+        "Spearman's correlation of trust with the picture's F of the mask, over all pictures.",
+        lambda pictures: rank_correlation(pictures.trust, pictures.f),
+        shown=("trust", "parts"),
+    ),
+    _measure(
+        "rank_correlation_within",
+        "within\ngroups",
+        f"Mean of the groups' own such correlations; those with {MIN_PICTURES} pictures or more.",
+        correlation_within,
+    ),
+    _measure(
+        "auc",
+        f"AUC for\nF < {BAD:g}",
+        f"Share of pairs (a picture with F < {BAD:g}, another one) in which the first is "
+        "trusted less.",
+        lambda pictures: failure_auc(pictures.trust, pictures.f),
+    ),
+    _measure(
+        "error",
+        "mean\nerror",
+        "Mean distance of trust and the picture's F of the mask.",
+        lambda pictures: float((pictures.trust - pictures.f).abs().mean()),
+        "lower",
+    ),
+    _measure(
+        "aurc",
+        "AURC",
+        "Mean of 1 - F over the pictures kept, averaged over all numbers of them, the most "
+        "trusted first.",
+        lambda pictures: risk_area(risk_coverage(pictures.trust, pictures.f)),
+        "lower",
+    ),
+    _measure(
+        "aurc_ideal",
+        "AURC,\nideal",
+        "The same if trust had the order of F.",
+        lambda pictures: risk_area(ideal_risk_coverage(pictures.f)),
+        None,
+    ),
+    _measure(
+        "aurc_random",
+        "AURC,\nrandom",
+        "The same if trust had no order: the mean of 1 - F.",
+        lambda pictures: float((1 - pictures.f).mean()),
+        None,
+    ),
+)

@@ -1,6 +1,6 @@
 """How sure figures are: images drawn anew inside their groups, detectors compared in pairs.
 
-Pixels of one image are not independent, images of one drive less than they look; so whole
+Pixels of one image are not independent, images of one group less than they look; so whole
 images are drawn, inside each group, as often as the group has images. All figures of all
 detectors over the same images use the same draws: what an easy or a hard draw does to both
 of two detectors cancels in their difference.
@@ -8,29 +8,24 @@ of two detectors cancels in their difference.
 Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 13 (percentiles).
 """
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from roadtorch.evaluation.measure import Measure
+from roadtorch.evaluation.measures import MAXF, MEASURES
+from roadtorch.evaluation.result import Comparison, DetectorFigures, Difference, Interval
+from roadtorch.evaluation.summary import drawn
+from roadtorch.evaluation.tally import Pictures, Tally
+
 REPLICATES = 1000
+
+SEED = 11  # of the draws of a run
+
 Figure = Callable[[list[Tensor]], Tensor]
 """One weight tensor int64 (replicates,images) per group → the figure, float64 (replicates,)."""
-
-
-class Interval(NamedTuple):
-    """Both ends of a 95 % interval; NaN where no draw has a value."""
-
-    low: float = math.nan
-    high: float = math.nan
-
-    @property
-    def is_known(self) -> bool:
-        """Whether it has two ends."""
-        return not math.isnan(self.low) and not math.isnan(self.high)
 
 
 @dataclass(frozen=True)
@@ -43,9 +38,8 @@ class Replicated:
 
 def bootstrap_weights(images: int, replicates: int, generator: torch.Generator) -> Tensor:
     """How often each image is drawn, int64 (replicates,images): each row sums to ``images``."""
-    drawn = torch.randint(images, (replicates, images), generator=generator)
-    ones = torch.ones_like(drawn)
-    return torch.zeros_like(drawn).scatter_add_(1, drawn, ones)
+    places = torch.randint(images, (replicates, images), generator=generator)
+    return torch.zeros_like(places).scatter_add_(1, places, torch.ones_like(places))
 
 
 def group_weights(
@@ -82,3 +76,78 @@ def difference(one: Replicated, other: Replicated) -> Replicated:
             "replicate both with the same weights"
         )
     return Replicated(one.value - other.value, one.draws - other.draws)
+
+
+# --- the figures of a run -----------------------------------------------------------------
+
+Draws = Mapping[str, Replicated]
+"""Figures of all pictures and of every draw of them, by the key of the measure."""
+
+
+def resample(
+    tally: Tally, figures: DetectorFigures, measures: Sequence[Measure] = MEASURES
+) -> Draws:
+    """Draw pictures inside their groups anew, and take the headline figures of each draw.
+
+    Thresholds stay as they were chosen. The draws, which are counted on 8-bit maps, are
+    moved by what that changes in the figure of all pictures.
+    """
+    groups = [tally.kept([group]) for group in figures.counting]
+    thresholds = [figures.thresholds[group] for group in figures.counting]
+    generator = torch.Generator().manual_seed(SEED)
+    weights = group_weights([len(group.names) for group in groups], generator)
+    once = [torch.ones_like(drawing[:1]) for drawing in weights]
+    kept = [one for one in measures if one.interval and one.key in figures.headline]
+    coarse, draws = (_mean_over_groups(groups, thresholds, each, kept) for each in (once, weights))
+    values = {one.key: one.of(figures.headline) for one in kept}
+    return {
+        key: Replicated(value, draws[key] + (value - float(coarse[key])))
+        for key, value in values.items()
+    }
+
+
+def _mean_over_groups(
+    groups: Sequence[Pictures],
+    thresholds: Sequence[float],
+    weights: Sequence[Tensor],
+    measures: Sequence[Measure],
+) -> dict[str, Tensor]:
+    """The figures (draws,) by key, of the pictures of each group as often as weights say."""
+    figures: dict[str, list[Tensor]] = {one.key: [] for one in measures}
+    for group, threshold, drawing in zip(groups, thresholds, weights, strict=True):
+        part = drawn(group, threshold, drawing)
+        for one in measures:
+            values = one.formula(part)
+            if not isinstance(values, Tensor):
+                raise TypeError(f"the formula of {one.key} needs what draws do not have")
+            figures[one.key].append(values)
+    return {key: torch.stack(values).nanmean(0) for key, values in figures.items()}
+
+
+def intervals(draws: Draws) -> dict[str, Interval]:
+    """95 % intervals of the headline figures, inside [0,1]."""
+    ends = {key: interval(figure) for key, figure in draws.items()}
+    return {key: Interval(max(low, 0.0), min(high, 1.0)) for key, (low, high) in ends.items()}
+
+
+def best_of(detectors: Mapping[str, DetectorFigures]) -> str:
+    """The detector with the highest MaxF, the first of equals."""
+    scores = {name: MAXF.of(one.headline) for name, one in detectors.items()}
+    best = MAXF.best(scores.values())
+    return next((name for name, value in scores.items() if value == best), next(iter(scores)))
+
+
+def compare(
+    draws: Mapping[str, Draws], against: str, measures: Sequence[Measure] = MEASURES
+) -> Comparison:
+    """Every detector less the one called ``against``, in the measures that both have."""
+    other = draws[against]
+    keys = [one.key for one in measures if "pairs" in one.shown and one.key in other]
+    differences: dict[str, dict[str, Difference]] = {}
+    for name, one in draws.items():
+        if name != against:
+            changes = {key: difference(one[key], other[key]) for key in keys if key in one}
+            differences[name] = {
+                key: Difference(change.value, interval(change)) for key, change in changes.items()
+            }
+    return Comparison(against, differences)

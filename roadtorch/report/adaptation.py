@@ -10,14 +10,13 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from roadtorch.data.dataset import Dataset
-from roadtorch.evaluation.adaptation import Change, MeanChange, Taught
-from roadtorch.evaluation.contenders import Contender
+from roadtorch.evaluation.disagreement import Disagreement, MeanChange, Taught
 from roadtorch.evaluation.measure import Measure
-from roadtorch.evaluation.result import Evaluation, Failure
-from roadtorch.evaluation.uncertainty import Interval
+from roadtorch.evaluation.methods import Method
+from roadtorch.evaluation.result import Evaluation, Failure, Interval
 from roadtorch.io.atomic import write_text
 from roadtorch.report.disagreement import both_sheets
-from roadtorch.report.page.svg import COLOURS, DASHES, FLOOR, to_svg
+from roadtorch.report.page.svg import BASELINE, COLOURS, DASHES, to_svg
 from roadtorch.report.page.tables import NONE, share, signed
 from roadtorch.report.templates import template
 from roadtorch.version import __version__
@@ -27,17 +26,17 @@ from roadtorch.version import __version__
 class Adaptation:
     """What a run changed.
 
-    rivals: the detectors before and after; files: their weights. means, found: of the pictures
+    methods: the detectors before and after; files: their weights. means, pictures: of those
     that were compared; shown: those on the page. taught: None for networks without a teacher's
     maps. rows: round, epoch and error of each epoch. labelled: None without labels.
     """
 
     dataset: Dataset
-    rivals: tuple[Contender, Contender]
+    methods: tuple[Method, Method]
     files: tuple[Path, Path]
     means: MeanChange
-    found: Sequence[Change]
-    shown: Sequence[Change]
+    pictures: Sequence[Disagreement]
+    shown: Sequence[Disagreement]
     failures: Sequence[Failure]
     taught: Taught | None
     rows: Sequence[Mapping[str, Any]]
@@ -56,13 +55,13 @@ class Line(NamedTuple):
 
 def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> None:
     """Write the page: one file that asks for no other."""
-    items = [one.masks.item for one in adaptation.shown]
+    items = [one.item for one in adaptation.shown]
     caption = "only before blue, only after orange"
-    sheets = both_sheets(adaptation.dataset, adaptation.rivals, items, caption)
+    sheets = both_sheets(adaptation.dataset, adaptation.methods, items, caption)
     page = template("adaptation.html").render(
         one=adaptation,
         shown=list(zip(adaptation.shown, sheets, strict=True)),
-        half=len(items) - len(items) // 2 if len(items) < len(adaptation.found) else len(items),
+        half=len(items) - len(items) // 2 if len(items) < len(adaptation.pictures) else len(items),
         summary=summary_lines(adaptation),
         scores=list(score_lines(adaptation.labelled)) if adaptation.labelled else [],
         charts=[Markup(svg) for svg in (error_chart(adaptation.rows), trust_chart(adaptation))],
@@ -103,12 +102,12 @@ def _percent(value: float) -> str:
 def score_lines(evaluation: Evaluation) -> Iterator[Line]:
     """Measures of both on labels, with intervals, and the difference on the same pictures."""
     names = list(evaluation.detectors)
-    found = evaluation.comparison.differences[names[1]]
+    differences = evaluation.comparison.differences[names[1]]
     for measure in evaluation.shown_in("pairs"):
-        if measure.key not in found:
+        if measure.key not in differences:
             continue
         before, after = (_scored(evaluation, name, measure) for name in names)
-        difference = found[measure.key]
+        difference = differences[measure.key]
         note = _interval(difference.interval, signed)
         under = measure.key.rpartition("/")[0].replace("/", ", ")
         what = f"{under}, {measure.line}" if under else measure.line
@@ -154,17 +153,13 @@ def error_chart(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def trust_chart(one: Adaptation) -> str:
     """Trust after over trust before, a mark a picture, as SVG text; empty without trust."""
-    pairs = [
-        (each.trust_before, each.trust_after)
-        for each in one.found
-        if not math.isnan(each.trust_before + each.trust_after)
-    ]
+    pairs = [(each.first_trust, each.second_trust) for each in one.pictures if each.has_trust]
     if not pairs:
         return ""
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
-        axes.plot([0, 1], [0, 1], color=FLOOR, linewidth=1)
+        axes.plot([0, 1], [0, 1], color=BASELINE, linewidth=1)
         before, after = zip(*pairs, strict=True)
         axes.plot(before, after, "o", color=COLOURS[0], mfc="none", markersize=5)
         low = max(0.0, min(*before, *after) - 0.05)

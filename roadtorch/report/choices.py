@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from roadtorch.evaluation.result import Evaluation
-from roadtorch.evaluation.tuning import DIGITS, ThresholdChoice
+from roadtorch.evaluation.thresholds import DIGITS, ThresholdChoice
 from roadtorch.report.screen import NONE, align
 
 
@@ -36,9 +36,9 @@ def provenance(choice: ThresholdChoice, evaluation: Evaluation, command: str) ->
         f"The threshold is chosen on {dataset.name} {dataset.split}, {choice.images} pictures, by",
         f"  {command}",
         f"At the default threshold {choice.default:.{DIGITS}f}: F {choice.f_default:.3f}.",
-        f"On these pictures: F {choice.f:.3f}, IoU {choice.iou:.3f} (mean over the drives).",
+        f"On these pictures: F {choice.f:.3f}, IoU {choice.iou:.3f} (mean over the groups).",
     ]
     if math.isnan(choice.f_held_out):
         return lines
     held_out = f"F {choice.f_held_out:.3f}, IoU {choice.iou_held_out:.3f}"
-    return [*lines, f"Each drive at the threshold of the others: {held_out}."]
+    return [*lines, f"Each group at the threshold of the others: {held_out}."]

@@ -1,4 +1,4 @@
-"""The page on which two detectors disagree: pictures side by side, the worst first."""
+"""The page on which two methods disagree: pictures side by side, the worst first."""
 
 import base64
 import statistics
@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from roadtorch.data.dataset import Dataset, Item
-from roadtorch.evaluation.contenders import Contender
 from roadtorch.evaluation.disagreement import Disagreement
+from roadtorch.evaluation.methods import Method
 from roadtorch.evaluation.result import Failure
 from roadtorch.io.atomic import csv_text, write_text
 from roadtorch.io.image import read_image, tint_mask, to_pixels
@@ -23,73 +23,69 @@ from roadtorch.version import __version__
 
 QUALITY = 80  # of JPEG
 
+SHARES = ("differs", "first", "second", "only_first", "only_second")
+
 COLUMNS = ("image", "differs", "road_first", "road_second", "only_first", "only_second", "status")
 
 
 @dataclass(frozen=True)
-class Rivalry:
-    """Two contenders on a set without labels. found: the worst first."""
+class Disagreements:
+    """Two methods on a set without labels. pictures: the worst first."""
 
     dataset: Dataset
-    first: Contender
-    second: Contender
-    found: Sequence[Disagreement]
+    first: Method
+    second: Method
+    pictures: Sequence[Disagreement]
     failures: Sequence[Failure]
 
 
-def rivalry_text(rivalry: Rivalry, most: int = 10) -> str:
+def disagreement_text(seen: Disagreements, most: int = 10) -> str:
     """The screen: how much differs in all, and the pictures that differ most."""
-    first, second = rivalry.first.name, rivalry.second.name
+    first, second = seen.first.name, seen.second.name
     rows = [["picture", "differs", f"road {first}", f"road {second}", "only A", "only B"]]
-    rows += [[one.item.name, *map(_percent, _figures(one))] for one in rivalry.found[:most]]
-    differs = [one.differs for one in rivalry.found]
+    for one in seen.pictures[:most]:
+        rows.append([one.item.name, *(_percent(getattr(one, share)) for share in SHARES)])
+    differs = [one.differs for one in seen.pictures]
     lines = [
         f"{len(differs)} pictures: {_percent(statistics.mean(differs))} of the pixels differ, "
         f"median {_percent(statistics.median(differs))}",
-        f"only A: {_percent(statistics.mean(one.only_first for one in rivalry.found))}, "
-        f"only B: {_percent(statistics.mean(one.only_second for one in rivalry.found))} (means)",
+        f"only A: {_percent(statistics.mean(one.only_first for one in seen.pictures))}, "
+        f"only B: {_percent(statistics.mean(one.only_second for one in seen.pictures))} (means)",
     ]
     return "\n".join([align(rows), "", *lines])
-
-
-def _figures(one: Disagreement) -> tuple[float, ...]:
-    return one.differs, one.first, one.second, one.only_first, one.only_second
 
 
 def _percent(share: float) -> str:
     return f"{100 * share:.1f} %"
 
 
-def write_rivalry(out: Path, rivalry: Rivalry, worst: int, command: str = "") -> None:
+def write_disagreement(out: Path, seen: Disagreements, worst: int, command: str = "") -> None:
     """Write disagreement.html with the ``worst`` first pictures, and disagreement.csv with all."""
     rows: list[dict[str, str]] = []
-    for one in rivalry.found:
-        cells = [one.item.name, *(f"{value:.6f}" for value in _figures(one)), "ok"]
-        rows.append({str(name): cell for name, cell in zip(COLUMNS, cells, strict=True)})
-    rows += [{"image": one.image, "status": one.reason} for one in rivalry.failures]
+    for one in seen.pictures:
+        shares = [f"{getattr(one, share):.6f}" for share in SHARES]
+        rows.append(dict(zip(COLUMNS, [one.item.name, *shares, "ok"], strict=True)))
+    rows += [{"image": one.image, "status": one.reason} for one in seen.failures]
     write_text(out / "disagreement.csv", csv_text(COLUMNS, rows))
+    items = [one.item for one in seen.pictures[:worst]]
+    caption = "only A blue, only B orange"
+    sheets = both_sheets(seen.dataset, (seen.first, seen.second), items, caption)
     page = template("disagreement.html").render(
-        rivalry=rivalry,
-        shown=list(zip(rivalry.found, _sheets(rivalry, worst), strict=False)),
+        seen=seen,
+        shown=list(zip(seen.pictures, sheets, strict=False)),
         percent=_percent,
-        summary=rivalry_text(rivalry, 0).rsplit("\n\n", 1)[-1],
+        summary=disagreement_text(seen, 0).rsplit("\n\n", 1)[-1],
         version=__version__,
         command=command,
     )
     write_text(out / "disagreement.html", page)
 
 
-def _sheets(rivalry: Rivalry, worst: int) -> list[str]:
-    items = [one.item for one in rivalry.found[:worst]]
-    caption = "only A blue, only B orange"
-    return both_sheets(rivalry.dataset, (rivalry.first, rivalry.second), items, caption)
-
-
 def both_sheets(
-    dataset: Dataset, rivals: tuple[Contender, Contender], items: Iterable[Item], caption: str
+    dataset: Dataset, methods: tuple[Method, Method], items: Iterable[Item], caption: str
 ) -> list[str]:
     """A JPEG in base64 for each item: the overlays of both, and what differs, so captioned."""
-    looks = {one.name: one.prepare(dataset) for one in rivals}
+    looks = {one.name: one.prepare(dataset) for one in methods}
     sheets = []
     for item in items:
         image = read_image(item.image)

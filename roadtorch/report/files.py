@@ -7,9 +7,9 @@ from itertools import chain
 from pathlib import Path
 
 from roadtorch.evaluation.document import defined, document
-from roadtorch.evaluation.drive_curves import RunCurves, drive_curves
-from roadtorch.evaluation.pictures import PictureRow, picture_rows
+from roadtorch.evaluation.group_curves import RunCurves, group_curves
 from roadtorch.evaluation.result import Evaluation, Failure
+from roadtorch.evaluation.summary import PictureRow, picture_rows
 from roadtorch.io.atomic import csv_text, write_json, write_text
 from roadtorch.oneclass import CLASSIFIERS
 from roadtorch.report.montage import write_montages
@@ -29,7 +29,7 @@ def write(evaluation: Evaluation, out: Path, command: str = "", pictures: int = 
     and worst show; none for 0.
     """
     curves = {
-        name: drive_curves(tally, evaluation.detectors[name].counting)
+        name: group_curves(tally, evaluation.detectors[name].counting)
         for name, tally in evaluation.tallies.items()
     }
     rows = [

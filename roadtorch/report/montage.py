@@ -11,10 +11,10 @@ from torch import Tensor
 
 from roadtorch.data.dataset import Dataset, Item, Truth
 from roadtorch.detector import Detection
-from roadtorch.evaluation.contenders import Look
-from roadtorch.evaluation.pictures import chosen_pictures
+from roadtorch.evaluation.methods import Look
 from roadtorch.evaluation.result import Evaluation
 from roadtorch.evaluation.scoring import LabelledPicture, seen_truth
+from roadtorch.evaluation.summary import chosen_pictures
 from roadtorch.evaluation.tally import WHOLE
 from roadtorch.io.bounded import printable
 from roadtorch.io.image import to_pixels, write_jpeg
@@ -36,11 +36,11 @@ def write_montages(out: Path, evaluation: Evaluation, count: int) -> dict[str, d
     Returns the files' content by detector and part.
     """
     detectors = evaluation.detectors
-    shown = [name for name in evaluation.ranked() if not detectors[name].is_floor]
+    shown = [name for name in evaluation.ranked() if not detectors[name].is_baseline]
     sheets: dict[str, dict[str, bytes]] = {}
     for name in shown[:MOST]:
         thresholds = detectors[name].thresholds
-        look = detectors[name].contender.prepare(evaluation.dataset)
+        look = detectors[name].method.prepare(evaluation.dataset)
         counting = evaluation.tallies[name].kept(detectors[name].counting)
         chosen = chosen_pictures(counting, thresholds, count)
         for part in ("best", "median", "worst"):

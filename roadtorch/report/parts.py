@@ -1,4 +1,4 @@
-"""Drives and conditions of one detector, the worst first: rows for the screen and the page."""
+"""Groups and conditions of one detector, the worst first: rows for the screen and the page."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -11,48 +11,48 @@ from roadtorch.evaluation.result import Evaluation
 
 @dataclass(frozen=True)
 class PartRow:
-    """One drive or condition, or what stands below them.
+    """One group or condition, or what stands below them.
 
-    floor: MaxF of the best floor there, NaN without any. counts: whether it is one of those
+    baseline: MaxF of the best baseline there, NaN without any. counts: whether it is one of those
     among which the worst is looked for.
     """
 
     name: str
     figures: Figures
-    floor: float
+    baseline: float
     counts: bool = True
 
 
-def drive_rows(evaluation: Evaluation, name: str) -> list[PartRow]:
-    """The drives by F of the mask, the lowest first, then their mean and those left out."""
+def group_rows(evaluation: Evaluation, name: str) -> list[PartRow]:
+    """The groups by F of the mask, the lowest first, then their mean and those left out."""
     detectors = evaluation.detectors
-    if not detectors[name].drives:
+    if not detectors[name].groups:
         return []
-    drives = {
-        drive: {each: one.drive(drive) for each, one in detectors.items()}
-        for drive in (*evaluation.drives, *evaluation.left_out)
+    groups = {
+        group: {each: one.group(group) for each, one in detectors.items()}
+        for group in (*evaluation.groups, *evaluation.left_out)
     }
     mean = {each: one.headline for each, one in detectors.items()}
     return [
-        *_worst_first([_row(evaluation, name, one, drives[one]) for one in evaluation.drives]),
+        *_worst_first([_row(evaluation, name, one, groups[one]) for one in evaluation.groups]),
         _row(evaluation, name, "mean", mean, counts=False),
         *(
-            _row(evaluation, name, f"{one} (left out)", drives[one], counts=False)
+            _row(evaluation, name, f"{one} (left out)", groups[one], counts=False)
             for one in evaluation.left_out
         ),
     ]
 
 
 def condition_rows(evaluation: Evaluation, name: str) -> list[PartRow]:
-    """The conditions by F of the mask, the lowest first, with the number of their drives."""
+    """The conditions by F of the mask, the lowest first, with the number of their groups."""
     items = evaluation.dataset.by_condition()
     rows = []
     for condition in evaluation.conditions:
         parts = {
             each: one.conditions.get(condition, {}) for each, one in evaluation.detectors.items()
         }
-        drives = len({item.group for item in items[condition]} - {None})
-        of = f" ({drives} drive{'' if drives == 1 else 's'})" if drives else ""
+        groups = len({item.group for item in items[condition]} - {None})
+        of = f" ({groups} group{'' if groups == 1 else 's'})" if groups else ""
         rows.append(_row(evaluation, name, condition + of, parts))
     return _worst_first(rows)
 
@@ -65,8 +65,10 @@ def _row(
     counts: bool = True,
 ) -> PartRow:
     """The row of a detector; parts: the figures of all detectors there."""
-    floor = best_floor(evaluation, {each: MAXF.of(figures) for each, figures in parts.items()})
-    return PartRow(label, parts[name], floor[1] if floor else math.nan, counts)
+    baseline = best_baseline(
+        evaluation, {each: MAXF.of(figures) for each, figures in parts.items()}
+    )
+    return PartRow(label, parts[name], baseline[1] if baseline else math.nan, counts)
 
 
 def _worst_first(rows: Sequence[PartRow]) -> list[PartRow]:
@@ -78,11 +80,11 @@ def _worst_first(rows: Sequence[PartRow]) -> list[PartRow]:
     ]
 
 
-def best_floor(evaluation: Evaluation, values: Mapping[str, float]) -> tuple[str, float] | None:
-    """The floor with the highest of some values."""
-    floors = [
+def best_baseline(evaluation: Evaluation, values: Mapping[str, float]) -> tuple[str, float] | None:
+    """The baseline with the highest of some values."""
+    baselines = [
         (name, value)
         for name, value in values.items()
-        if evaluation.detectors[name].is_floor and not math.isnan(value)
+        if evaluation.detectors[name].is_baseline and not math.isnan(value)
     ]
-    return max(floors, key=lambda pair: pair[1]) if floors else None
+    return max(baselines, key=lambda pair: pair[1]) if baselines else None

@@ -6,23 +6,23 @@ from collections.abc import Mapping, Sequence
 from roadtorch.evaluation.measure import Figures, Measure
 from roadtorch.evaluation.measures import F_MASK, MAXF
 from roadtorch.evaluation.result import DetectorFigures, Difference, Evaluation
-from roadtorch.report.parts import PartRow, condition_rows, drive_rows
+from roadtorch.report.parts import PartRow, condition_rows, group_rows
 
 NONE = "-"
 
 WORST = (F_MASK, MAXF)
-"""Of many drives, the worst by these measures has a column."""
+"""Of many groups, the worst by these measures has a column."""
 
 MOST_SHOWN = 40
-"""Detectors on the screen, besides the floors; a grid of 310 fills no screen well."""
+"""Detectors on the screen, besides the baselines; a grid of 310 fills no screen well."""
 
 
 def screen(evaluation: Evaluation) -> str:
-    """The tables of a run: road, then what there is of drives, conditions, trust, layout, pairs."""
+    """The tables of a run: road, then what there is of groups, conditions, trust, layout, pairs."""
     detectors = shortlist(evaluation)
     tables = [
         road_table(evaluation, detectors),
-        *drive_tables(evaluation, detectors),
+        *group_tables(evaluation, detectors),
         *condition_tables(evaluation, detectors),
         trust_table(evaluation, detectors),
         layout_table(evaluation, detectors),
@@ -34,10 +34,10 @@ def screen(evaluation: Evaluation) -> str:
 
 
 def shortlist(evaluation: Evaluation) -> dict[str, DetectorFigures]:
-    """The floors and the best of the others by MaxF, in the order in which they stand."""
+    """The baselines and the best of the others by MaxF, in the order in which they stand."""
     detectors = evaluation.detectors
-    best = [name for name in _best_first(detectors) if not detectors[name].is_floor][:MOST_SHOWN]
-    return {name: one for name, one in detectors.items() if one.is_floor or name in best}
+    best = [name for name in _best_first(detectors) if not detectors[name].is_baseline][:MOST_SHOWN]
+    return {name: one for name, one in detectors.items() if one.is_baseline or name in best}
 
 
 def _best_first(detectors: Mapping[str, DetectorFigures]) -> list[str]:
@@ -46,23 +46,23 @@ def _best_first(detectors: Mapping[str, DetectorFigures]) -> list[str]:
     return sorted(scores, key=lambda name: math.inf if math.isnan(scores[name]) else -scores[name])
 
 
-MOST_DRIVES = 6
-"""Drives with a column of their own; of more, the worst is told."""
+MAX_GROUPS = 6
+"""Groups with a column of their own; of more, the worst is told."""
 
 
 def road_table(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]) -> str:
     """What a user gets beside MaxF, then the other figures; best MaxF first.
 
-    MaxF has a column for each drive; of more than ``MOST_DRIVES`` the worst is told, by MaxF
+    MaxF has a column for each group; of more than ``MAX_GROUPS`` the worst is told, by MaxF
     and by F of the mask.
     """
     first, measures = evaluation.shown_in("headline"), evaluation.shown_in("screen")
-    many = len(evaluation.drives) > MOST_DRIVES
-    drives = [] if many else evaluation.drives
-    pooled = ["pooled"] if evaluation.drives else []
-    by_drive = [f"MaxF {drive}" for drive in drives]
+    many = len(evaluation.groups) > MAX_GROUPS
+    groups = [] if many else evaluation.groups
+    pooled = ["pooled"] if evaluation.groups else []
+    by_group = [f"MaxF {group}" for group in groups]
     worst = [f"worst {one.line}" for one in WORST if many]
-    header = ["detector", *by_drive, *(one.line for one in first), "95 %", *worst, *pooled]
+    header = ["detector", *by_group, *(one.line for one in first), "95 %", *worst, *pooled]
     header += [one.line for one in measures]
     rows = [header]
     for name in _best_first(detectors):
@@ -70,10 +70,10 @@ def road_table(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures])
         low, high = one.interval
         rows.append([
             name,
-            *(MAXF.text(MAXF.of(one.drive(drive)), NONE) for drive in drives),
+            *(MAXF.text(MAXF.of(one.group(group)), NONE) for group in groups),
             *(measure.text(measure.of(one.headline), NONE) for measure in first),
             f"{MAXF.text(low, NONE)}–{MAXF.text(high, NONE)}",
-            *(worst_drive(one, measure) for measure in WORST if many),
+            *(worst_group(one, measure) for measure in WORST if many),
             *(MAXF.text(MAXF.of(one.pooled), NONE) for _ in pooled),
             *(measure.text(measure.of(one.headline), NONE) for measure in measures),
         ])  # fmt: skip
@@ -81,19 +81,19 @@ def road_table(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures])
 
 
 MOST_TOLD = 3
-"""Detectors that are told by drive and by condition, the best."""
+"""Detectors that are told by group and by condition, the best."""
 
 MOST_ROWS = 20
 """Rows of such a table."""
 
 
-def drive_tables(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]) -> list[str]:
-    """The drives of the best detectors, worst first, where they have no columns or are left out."""
-    if len(evaluation.drives) <= MOST_DRIVES and not evaluation.left_out:
+def group_tables(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]) -> list[str]:
+    """The groups of the best detectors, worst first, where they have no columns or are left out."""
+    if len(evaluation.groups) <= MAX_GROUPS and not evaluation.left_out:
         return []
     measures = evaluation.shown_in("parts")
-    rows = {name: drive_rows(evaluation, name) for name in _told(detectors)}
-    return [part_text(f"{name} by drive", rows[name], measures) for name in rows]
+    rows = {name: group_rows(evaluation, name) for name in _told(detectors)}
+    return [part_text(f"{name} by group", rows[name], measures) for name in rows]
 
 
 def condition_tables(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]) -> list[str]:
@@ -106,11 +106,11 @@ def condition_tables(evaluation: Evaluation, detectors: Mapping[str, DetectorFig
 
 
 def _told(detectors: Mapping[str, DetectorFigures]) -> list[str]:
-    return [name for name in _best_first(detectors) if not detectors[name].is_floor][:MOST_TOLD]
+    return [name for name in _best_first(detectors) if not detectors[name].is_baseline][:MOST_TOLD]
 
 
 def part_text(title: str, rows: Sequence[PartRow], measures: Sequence[Measure]) -> str:
-    """The figures of one detector's drives or conditions; of very many the worst, and the rest."""
+    """The figures of one detector's groups or conditions; of very many the worst, and the rest."""
     counting = [row for row in rows if row.counts]
     shown = [*counting[:MOST_ROWS], *(row for row in rows if not row.counts)]
     known = [one for one in measures if any(one.key in row.figures for row in rows)]
@@ -119,7 +119,7 @@ def part_text(title: str, rows: Sequence[PartRow], measures: Sequence[Measure]) 
         [
             row.name,
             *(one.text(one.of(row.figures), NONE) for one in known),
-            MAXF.text(row.floor, NONE),
+            MAXF.text(row.baseline, NONE),
         ]
         for row in shown
     ]
@@ -138,31 +138,31 @@ def trust_table(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]
     return align([["trust", *(one.line for one in measures)], *rows]) if rows else ""
 
 
-def worst_drive(one: DetectorFigures, measure: Measure) -> str:
-    """The lowest value among the drives, and whose it is."""
-    values = {drive: measure.of(figures) for drive, figures in one.drives.items()}
-    known = {drive: value for drive, value in values.items() if not math.isnan(value)}
+def worst_group(one: DetectorFigures, measure: Measure) -> str:
+    """The lowest value among the groups, and whose it is."""
+    values = {group: measure.of(figures) for group, figures in one.groups.items()}
+    known = {group: value for group, value in values.items() if not math.isnan(value)}
     if not known:
         return NONE
-    drive = min(known, key=lambda name: known[name])
-    return f"{measure.text(known[drive], NONE)} {drive}"
+    group = min(known, key=lambda name: known[name])
+    return f"{measure.text(known[group], NONE)} {group}"
 
 
 def layout_table(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]) -> str:
-    """Class recalls of the detectors that label the layout, by drive; empty if none does."""
-    measures = evaluation.shown_in("screen layout")
-    header = ["layout", "drive", *(one.line for one in measures)]
+    """Class recalls of the detectors that label the layout, by group; empty if none does."""
+    measures = evaluation.shown_in("layout")
+    header = ["layout", "group", *(one.line for one in measures)]
     rows = [
-        [name, drive, *(measure.text(measure.of(figures), NONE) for measure in measures)]
+        [name, group, *(measure.text(measure.of(figures), NONE) for measure in measures)]
         for name, one in detectors.items()
-        for drive, figures in _with_mean(one).items()
+        for group, figures in _with_mean(one).items()
         if any(measure.key in figures for measure in measures)
     ]
     return align([header, *rows]) if rows else ""
 
 
 def _with_mean(one: DetectorFigures) -> dict[str, Figures]:
-    return {**dict(sorted(one.drives.items())), "mean": one.headline}
+    return {**dict(sorted(one.groups.items())), "mean": one.headline}
 
 
 def pair_table(evaluation: Evaluation, detectors: Mapping[str, DetectorFigures]) -> str:

@@ -1,6 +1,6 @@
 """P3's Table III from a run of one-class detectors: text, CSV and HTML, beside P3's values.
 
-A cell is the mean AUC of single pictures in percent; where a set has drives, the mean over
+A cell is the mean AUC of single pictures in percent; where a set has groups, the mean over
 them. P3 does not say which average it took.
 """
 
@@ -57,8 +57,8 @@ def printed_table() -> Percents:
 # --- figures ----------------------------------------------------------------------------
 
 
-def measured_table(evaluation: Evaluation, drive: str | None = None) -> Percents:
-    """The cells of a run, of all of it or of one drive; empty where no one-class detector ran.
+def measured_table(evaluation: Evaluation, group: str | None = None) -> Percents:
+    """The cells of a run, of all of it or of one group; empty where no one-class detector ran.
 
     Cells without an AUC are left out.
     """
@@ -67,7 +67,7 @@ def measured_table(evaluation: Evaluation, drive: str | None = None) -> Percents
         for planes in REPRESENTATIONS:
             one = evaluation.detectors.get(f"{FAMILY}{classifier}:{planes}")
             if one is not None:
-                value = AUC_MEAN.of(one.headline if drive is None else one.drive(drive))
+                value = AUC_MEAN.of(one.headline if group is None else one.group(group))
                 found[classifier, planes] = 100 * value
     return {key: value for key, value in found.items() if not math.isnan(value)}
 
@@ -131,13 +131,13 @@ def table_text(evaluation: Evaluation) -> str:
 
 
 def _heading(evaluation: Evaluation) -> str:
-    over = f", mean over {', '.join(evaluation.drives)}" if evaluation.drives else ""
-    floors = [
+    over = f", mean over {', '.join(evaluation.groups)}" if evaluation.groups else ""
+    baselines = [
         f"{name} {100 * value:.1f}"
         for name, one in evaluation.detectors.items()
-        if one.is_floor and not math.isnan(value := AUC_MEAN.of(one.headline))
+        if one.is_baseline and not math.isnan(value := AUC_MEAN.of(one.headline))
     ]
-    beside = f"; blind baselines: {', '.join(floors)}" if floors else ""
+    beside = f"; blind baselines: {', '.join(baselines)}" if baselines else ""
     set_ = " ".join(filter(None, (evaluation.dataset.name, evaluation.dataset.split)))
     pictures = f"mean AUC of {evaluation.images} pictures of {set_}"
     return f"One-class classifiers, {pictures}{over}{beside}"
@@ -146,8 +146,8 @@ def _heading(evaluation: Evaluation) -> str:
 def robust_note(evaluation: Evaluation) -> str:
     """Whose weight the robust Gaussian of a run has, for the default is not P3's; "" without it."""
     for name, one in evaluation.detectors.items():
-        if name.startswith(f"{FAMILY}{ROBUST}:") and "classifier" in one.contender.settings:
-            method = one.contender.settings["classifier"]["method"]
+        if name.startswith(f"{FAMILY}{ROBUST}:") and "classifier" in one.method.settings:
+            method = one.method.settings["classifier"]["method"]
             return f"{ROBUST}, {method}: {WEIGHTS.get(method, 'another reading')}"
     return ""
 
@@ -178,14 +178,14 @@ def _cell(table: Percents, key: tuple[str, str]) -> str:
 
 
 def table_csv(evaluation: Evaluation) -> str:
-    """One row a cell: classifier, representation, auc, P3's, and that of each drive."""
-    paper, drives = printed_table(), evaluation.drives
-    by_drive = [measured_table(evaluation, drive) for drive in drives]
+    """One row a cell: classifier, representation, auc, P3's, and that of each group."""
+    paper, groups = printed_table(), evaluation.groups
+    by_group = [measured_table(evaluation, group) for group in groups]
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(["classifier", "representation", "auc", "paper", *drives])
+    writer.writerow(["classifier", "representation", "auc", "paper", *groups])
     for key, value in measured_table(evaluation).items():
-        own = [f"{table[key]:.2f}" if key in table else "" for table in by_drive]
+        own = [f"{table[key]:.2f}" if key in table else "" for table in by_group]
         writer.writerow([*key, f"{value:.2f}", paper.get(key, ""), *own])
     return file.getvalue()
 
@@ -200,10 +200,10 @@ class Half:
 
 
 def table_html(evaluation: Evaluation) -> str:
-    """A page: the table of a run, one of each drive, the best in bold, P3's values small."""
+    """A page: the table of a run, one of each group, the best in bold, P3's values small."""
     paper = printed_table()
     tables = {"all": measured_table(evaluation)}
-    tables |= {drive: measured_table(evaluation, drive) for drive in evaluation.drives}
+    tables |= {group: measured_table(evaluation, group) for group in evaluation.groups}
     halves = [
         _half(f"{title}, {half}", table, paper, columns)
         for title, table in tables.items()

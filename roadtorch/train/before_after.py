@@ -11,18 +11,17 @@ from typing import Any
 from tqdm import tqdm
 
 from roadtorch.data.dataset import Dataset, every_kth
-from roadtorch.evaluation.adaptation import (
-    Change,
+from roadtorch.evaluation.disagreement import (
+    Disagreement,
     Taught,
-    changes,
+    disagreements,
     mean_change,
     most_and_spread,
+    unlabelled_set,
 )
-from roadtorch.evaluation.contenders import Contender
-from roadtorch.evaluation.disagreement import unlabelled_set
 from roadtorch.evaluation.evaluate import evaluated
+from roadtorch.evaluation.methods import Method, candidate
 from roadtorch.evaluation.result import Evaluation, Failure
-from roadtorch.evaluation.rivals import rival
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import load_network, weights_path
 from roadtorch.report.adaptation import Adaptation, write_adaptation
@@ -55,54 +54,54 @@ def show_change(
     if outcome.weights is None:
         return None
     start = weights_path(training.start)
-    rivals = _rivals(start, outcome.weights)
+    methods = _methods(start, outcome.weights)
     dataset = every_kth(unlabelled_set(find_images([request.images], request.out)), compared)
-    found, failures = _looked_at(dataset, rivals, request.quiet)
-    if not found:
+    pictures, failures = _looked_at(dataset, methods, request.quiet)
+    if not pictures:
         return None
     adaptation = Adaptation(
         dataset=dataset,
-        rivals=rivals,
+        methods=methods,
         files=(start, outcome.weights),
-        means=mean_change(found),
-        found=found,
-        shown=most_and_spread(found, SHOWN),
+        means=mean_change(pictures),
+        pictures=pictures,
+        shown=most_and_spread(pictures, SHOWN),
         failures=failures,
         taught=_taught(training, request, compared, (start, outcome.weights)),
         rows=_rows(request.out / LOG),
-        labelled=_scored(labelled, rivals),
+        labelled=_scored(labelled, methods),
     )
     write_adaptation(request.out / PAGE, adaptation, command)
     return request.out / PAGE
 
 
-def _rivals(start: Path, weights: Path) -> tuple[Contender, Contender]:
+def _methods(start: Path, weights: Path) -> tuple[Method, Method]:
     """The detectors with the weights of before and after, called so."""
     calibrated = weights.with_name(FUSION)
     last = calibrated if calibrated.exists() else weights
-    one, other = rival(str(start), ""), rival(str(last), "")
+    one, other = candidate(str(start), ""), candidate(str(last), "")
     return replace(one, name=NAMES[0]), replace(other, name=NAMES[1])
 
 
 def _looked_at(
-    dataset: Dataset, rivals: tuple[Contender, Contender], quiet: bool
-) -> tuple[list[Change], list[Failure]]:
+    dataset: Dataset, methods: tuple[Method, Method], quiet: bool
+) -> tuple[list[Disagreement], list[Failure]]:
     seen = tqdm(
-        changes(dataset, *rivals),
+        disagreements(dataset, *methods),
         "before and after",
         total=len(dataset.items),
         unit="image",
         disable=True if quiet else None,
         file=sys.stderr,
     )
-    found: list[Change] = []
+    pictures: list[Disagreement] = []
     failures: list[Failure] = []
     for one in seen:
         if isinstance(one, Failure):
             failures.append(one)
         else:
-            found.append(one)
-    return found, failures
+            pictures.append(one)
+    return pictures, failures
 
 
 def _taught(
@@ -139,8 +138,8 @@ def _rows(path: Path) -> list[dict[str, Any]]:
         ]
 
 
-def _scored(labelled: Dataset | None, rivals: tuple[Contender, Contender]) -> Evaluation | None:
+def _scored(labelled: Dataset | None, methods: tuple[Method, Method]) -> Evaluation | None:
     """Both scored on a labelled set, the second compared with the first."""
     if labelled is None:
         return None
-    return evaluated(labelled, rivals, {}, against=NAMES[0])
+    return evaluated(labelled, methods, {}, against=NAMES[0])

@@ -17,7 +17,7 @@ from tqdm import tqdm
 from roadtorch.detector import Detector
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError
-from roadtorch.evaluation.adaptation import Agreement
+from roadtorch.evaluation.disagreement import Agreement
 from roadtorch.imaging.resize import resized
 from roadtorch.io.atomic import make_folder
 from roadtorch.layout.classes import CLASSES

@@ -15,11 +15,11 @@ from roadtorch.cli.evaluate import evaluate
 from roadtorch.cli.labelled import watched
 from roadtorch.errors import ConfigError, DatasetError, InputError
 from roadtorch.evaluation import scoring
-from roadtorch.evaluation.saved_tallies import FILE
+from roadtorch.evaluation.tally import FILE
 from roadtorch.io.image import read_image
 from roadtorch.scenes.street import render_scene
 from tests.cli.conftest import Call
-from tests.oracle import DECISION, DRIVES, ORACLE, SCENES, know_oracle, write_set
+from tests.oracle import DECISION, GROUPS, ORACLE, SCENES, know_oracle, write_set
 from tests.streets import write_camvid
 
 
@@ -50,22 +50,22 @@ def metrics(out: Path) -> dict:
 # --- one run, and all that it leaves -------------------------------------------------------------
 
 
-def test_table_and_metrics_with_the_floors_beside(whole):
+def test_table_and_metrics_with_the_baselines_beside(whole):
     result, out = whole
 
     assert result.exit_code == 0
     lines = result.stdout.splitlines()
     assert lines[0].split()[:5] == ["detector", "MaxF", "0001TP", "MaxF", "0006R0"]
     assert lines[1].split()[:5] == [ORACLE, "1.000", "1.000", "1.000", "1.000"]
-    floors = {"prior:rows", "prior:triangle", "prior:mean"}
-    assert {line.split()[0] for line in lines[2:5]} == floors
+    baselines = {"prior:rows", "prior:triangle", "prior:mean"}
+    assert {line.split()[0] for line in lines[2:5]} == baselines
     assert f"minus {ORACLE}" in result.stdout
     found = metrics(out)
     assert (found["dataset"], found["split"], found["images"]) == ("camvid", "dev", 6)
     assert found["void"] == "ignored"
     assert found["command"].startswith("roadtorch evaluate camvid ")
     best = found["detectors"][ORACLE]
-    assert set(best["groups"]) == set(DRIVES)
+    assert set(best["groups"]) == set(GROUPS)
     for key in ("auc_pooled", "auc_mean", "maxf", "ap", "iou"):
         assert best[key] == pytest.approx(1)
         assert best["groups"]["0001TP"][key] == pytest.approx(1)
@@ -91,7 +91,7 @@ def test_curves_and_a_report_are_left_behind(whole):
     report = (whole[1] / "report.html").read_text()
 
     assert curves[ORACLE]["mean"]["roc"][1][1] == 1  # straight up
-    assert set(curves[ORACLE]["groups"]) == set(DRIVES)
+    assert set(curves[ORACLE]["groups"]) == set(GROUPS)
     assert ORACLE in report
     assert report.count("<svg") >= 2
     assert "data:image/jpeg;base64," in report
@@ -258,31 +258,31 @@ def test_help_does_not_import_torch():
 def test_groups_left_out_and_conditions_reach_the_screen_and_the_files(camvid, tmp_path):
     out, table = tmp_path / "out", tmp_path / "weather.csv"
     rows = [
-        f"{name[:6]},{name}.png,{'rain' if name[:6] == DRIVES[1] else 'day'}" for name in SCENES
+        f"{name[:6]},{name}.png,{'rain' if name[:6] == GROUPS[1] else 'day'}" for name in SCENES
     ]
     table.write_text("\n".join(["name,file,condition", *rows]))
-    chosen = ("--detector", ORACLE, "--leave-out", DRIVES[0], "--conditions", table)
+    chosen = ("--detector", ORACLE, "--leave-out", GROUPS[0], "--conditions", table)
 
     result = run("camvid", camvid, *chosen, "--montage", 0, "--out", out)
 
     assert result.exit_code == 0
     found = metrics(out)
     one = found["detectors"][ORACLE]
-    assert (found["left_out"], found["images"], one["images"]) == ([DRIVES[0]], 6, 4)
-    assert set(one["groups"]) == set(DRIVES[1:])
-    assert set(one["left_out"]) == {DRIVES[0]}
+    assert (found["left_out"], found["images"], one["images"]) == ([GROUPS[0]], 6, 4)
+    assert set(one["groups"]) == set(GROUPS[1:])
+    assert set(one["left_out"]) == {GROUPS[0]}
     assert {name: part["images"] for name, part in one["conditions"].items()} == {
         "day": 2, "rain": 2
     }  # fmt: skip
-    assert f"--leave-out {DRIVES[0]}" in found["command"]
-    assert f"{DRIVES[0]} (left out)" in result.stdout
+    assert f"--leave-out {GROUPS[0]}" in found["command"]
+    assert f"{GROUPS[0]} (left out)" in result.stdout
     assert f"{ORACLE} by condition" in result.stdout
     report = (out / "report.html").read_text()
-    assert "rain (1 drive)" in report
-    assert f"{DRIVES[0]} left out of every mean" in report
+    assert "rain (1 group)" in report
+    assert f"{GROUPS[0]} left out of every mean" in report
     with (out / "images.csv").open() as file:
         status = {row["group"]: row["status"] for row in csv.DictReader(file)}
-    assert status == {DRIVES[0]: "left out", DRIVES[1]: "ok", DRIVES[2]: "ok"}
+    assert status == {GROUPS[0]: "left out", GROUPS[1]: "ok", GROUPS[2]: "ok"}
 
 
 def test_a_misspelt_group_or_table_is_refused_before_the_run(camvid, tmp_path, monkeypatch):
@@ -299,9 +299,9 @@ def test_a_misspelt_group_or_table_is_refused_before_the_run(camvid, tmp_path, m
 
 @pytest.fixture(scope="module")
 def streets(tmp_path_factory) -> Path:
-    """Three streets of one drive each, as CamVid, large enough for detectors that look."""
+    """Three streets of one group each, as CamVid, large enough for detectors that look."""
     root = tmp_path_factory.mktemp("streets")
-    scenes = {f"{drive}_{i}": render_scene(i, 96, 128) for i, drive in enumerate(DRIVES)}
+    scenes = {f"{group}_{i}": render_scene(i, 96, 128) for i, group in enumerate(GROUPS)}
     write_camvid(root, "train", dict(list(scenes.items())[:2]))
     write_camvid(root, "val", dict(list(scenes.items())[2:]))
     return root

@@ -15,8 +15,7 @@ from roadtorch.detector import DetectorSettings, Entry
 from roadtorch.detectors.catalogue import list_detectors, load_detector, register
 from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.tally import Tally
-from roadtorch.evaluation.thresholds import shared_threshold
-from roadtorch.evaluation.tuning import choose_threshold
+from roadtorch.evaluation.thresholds import choose_threshold, shared_threshold
 from roadtorch.scenes.street import render_scene
 from tests.reports import changed, scored
 from tests.streets import write_camvid
@@ -64,7 +63,7 @@ def test_the_config_holds_the_choice_its_command_and_its_worth(call, camvid, tmp
     text = (out / "test-brightness.toml").read_text()
     assert f"#   roadtorch tune camvid {camvid}" in text
     assert "camvid dev, 6 pictures" in text
-    assert "Each drive at the threshold of the others: F 0." in text
+    assert "Each group at the threshold of the others: F 0." in text
     detector, values = chosen_detector(None, out / "test-brightness.toml", (), None)
     assert (detector, values["gain"]) == ("test-brightness", 0.5)
     assert load_detector(detector, **values).settings.model_dump(mode="json") == values
@@ -77,7 +76,7 @@ def test_the_config_holds_the_choice_its_command_and_its_worth(call, camvid, tmp
     assert not (out / "progress.safetensors").exists()
 
 
-def test_every_detector_gets_its_own_file_and_floors_none(call, camvid, tmp_path):
+def test_every_detector_gets_its_own_file_and_baselines_none(call, camvid, tmp_path):
     out = tmp_path / "configs"
 
     call("tune", "camvid", camvid, "--detector", "cpf", "--detector", "cpf:squares", "--out", out)
@@ -86,20 +85,21 @@ def test_every_detector_gets_its_own_file_and_floors_none(call, camvid, tmp_path
     assert tomllib.loads((out / "cpf-squares.toml").read_text())["detector"] == "cpf:squares"
 
 
-def test_the_choice_is_the_best_threshold_averaged_over_drives():
-    def at(road: int, other: int) -> RoadCounts:
+def test_the_choice_is_the_best_threshold_averaged_over_groups():
+    def at(road: int, other: int) -> torch.Tensor:
         levels = torch.zeros(2, 11, dtype=torch.int64)
         levels[0, road] = levels[1, other] = 10
-        return RoadCounts(levels[0], levels[1])
+        return levels
 
-    counts = {"a": at(5, 4), "b": at(8, 4)}
+    sums = {"a": at(5, 4), "b": at(8, 4)}
+    counts = {group: RoadCounts(*levels) for group, levels in sums.items()}
     run = changed(
         scored({"test-brightness": None}),
         "test-brightness",
         best_threshold=shared_threshold(counts),
-        drives={"a": {}, "b": {}},
+        groups={"a": {}, "b": {}},
     )
-    run = replace(run, tallies={"test-brightness": Tally(counts)})
+    run = replace(run, tallies={"test-brightness": Tally({"road": sums})})
 
     found = choose_threshold(run, "test-brightness", {"gain": 0.5})
 

@@ -1,4 +1,4 @@
-"""Rendered streets of three drives as a labelled set, and detectors that know the answers."""
+"""Rendered streets of three groups as a labelled set, and detectors that know the answers."""
 
 from collections.abc import Callable
 
@@ -9,7 +9,7 @@ from torch import Tensor
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset
 from roadtorch.detector import Detection
-from roadtorch.evaluation.contenders import Contender, Look
+from roadtorch.evaluation.methods import Look, Method
 from roadtorch.evaluation.result import DetectorFigures
 from roadtorch.evaluation.scoring import score_item
 from roadtorch.evaluation.summary import summarise
@@ -17,7 +17,7 @@ from roadtorch.evaluation.tally import Tally
 from roadtorch.scenes.street import RenderedScene, render_scene
 from tests.streets import write_camvid
 
-DRIVES = ("0001TP", "0006R0", "0016E5")
+GROUPS = ("0001TP", "0006R0", "0016E5")
 
 Answer = Callable[[str], Tensor]
 """What a detector says about the picture of that name."""
@@ -25,7 +25,7 @@ Answer = Callable[[str], Tensor]
 
 @pytest.fixture(scope="module")
 def scenes() -> dict[str, RenderedScene]:
-    return {f"{DRIVES[i % 3]}_{i}": render_scene(i, 48, 64) for i in range(6)}
+    return {f"{GROUPS[i % 3]}_{i}": render_scene(i, 48, 64) for i in range(6)}
 
 
 @pytest.fixture(scope="module")
@@ -58,5 +58,5 @@ def counted(dataset: Dataset, look: Look) -> Tally:
 def summarised(tally: Tally, threshold: float = 0.5) -> DetectorFigures:
     """The figures of a detector with this default threshold."""
     return summarise(
-        Contender("it", lambda _: looking(lambda name: torch.zeros(1)), threshold=threshold), tally
+        Method("it", lambda _: looking(lambda name: torch.zeros(1)), threshold=threshold), tally
     )

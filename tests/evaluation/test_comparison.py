@@ -7,10 +7,9 @@ import torch
 
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.detector import Detection
-from roadtorch.errors import ConfigError
-from roadtorch.evaluation import comparison
-from roadtorch.evaluation.contenders import Contender
+from roadtorch.evaluation import uncertainty
 from roadtorch.evaluation.measures import MEASURES
+from roadtorch.evaluation.methods import Method
 from roadtorch.evaluation.result import DetectorFigures
 from roadtorch.evaluation.scoring import score_item
 from roadtorch.evaluation.summary import summarise
@@ -18,8 +17,8 @@ from roadtorch.evaluation.tally import Tally
 from roadtorch.scenes.street import render_scene
 from tests.streets import write_camvid
 
-DRIVES = ("0001TP", "0006R0")
-SCENES = {f"{DRIVES[i % 2]}_{i}": render_scene(i, 48, 64) for i in range(12)}
+GROUPS = ("0001TP", "0006R0")
+SCENES = {f"{GROUPS[i % 2]}_{i}": render_scene(i, 48, 64) for i in range(12)}
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +28,7 @@ def dataset(tmp_path_factory):
     return open_dataset("camvid", root, "train")
 
 
-def measured(dataset, noise: float) -> tuple[DetectorFigures, comparison.Draws]:
+def measured(dataset, noise: float) -> tuple[DetectorFigures, uncertainty.Draws]:
     """Figures and draws of a detector whose road is that much blurred by noise."""
 
     def look(image, item):
@@ -43,14 +42,14 @@ def measured(dataset, noise: float) -> tuple[DetectorFigures, comparison.Draws]:
     tally = Tally()
     for item in dataset.items:
         tally.add(item, score_item(dataset, {"it": look}, item).scores["it"])
-    figures = summarise(Contender("it", lambda _: look), tally)
-    return figures, comparison.resample(tally, figures)
+    figures = summarise(Method("it", lambda _: look), tally)
+    return figures, uncertainty.resample(tally, figures)
 
 
 def test_every_headline_figure_has_an_interval_around_it(dataset):
     figures, draws = measured(dataset, 0.7)
 
-    found = comparison.intervals(draws)
+    found = uncertainty.intervals(draws)
 
     names = (
         "maxf",
@@ -75,8 +74,8 @@ def test_every_headline_figure_has_an_interval_around_it(dataset):
 def test_a_detector_is_no_better_than_itself_and_pairs_are_signed(dataset):
     good, poor = (measured(dataset, noise)[1] for noise in (0.72, 0.75))
 
-    found = comparison.compare({"good": good, "poor": poor, "again": good}, "good").differences
-    other = comparison.compare({"poor": poor, "good": good}, "poor").differences
+    found = uncertainty.compare({"good": good, "poor": poor, "again": good}, "good").differences
+    other = uncertainty.compare({"poor": poor, "good": good}, "poor").differences
 
     assert found["again"]["maxf"].value == 0
     assert found["again"]["maxf"].interval == (0, 0)
@@ -85,7 +84,7 @@ def test_a_detector_is_no_better_than_itself_and_pairs_are_signed(dataset):
     low, high = found["poor"]["maxf"].interval
     assert other["good"]["maxf"].interval == pytest.approx((-high, -low))
     # Paired, the interval is far narrower than those of the two figures.
-    alone = comparison.intervals(poor)["maxf"]
+    alone = uncertainty.intervals(poor)["maxf"]
     assert high - low < 0.7 * (alone.high - alone.low)
 
 
@@ -93,7 +92,7 @@ def test_pairs_share_the_figures_that_both_have(dataset):
     full, roadless = measured(dataset, 0.6)[1], dict(measured(dataset, 0.7)[1])
     del roadless["layout/mean"]
 
-    found = comparison.compare({"a": full, "b": roadless}, "a").differences["b"]
+    found = uncertainty.compare({"a": full, "b": roadless}, "a").differences["b"]
 
     assert "layout/mean" not in found
     assert "maxf" in found
@@ -101,15 +100,12 @@ def test_pairs_share_the_figures_that_both_have(dataset):
 
 def test_the_others_are_compared_with_the_best_unless_somebody_is_named():
     figures = {
-        name: DetectorFigures(Contender(name, lambda _: no_look), {"maxf": score})
+        name: DetectorFigures(Method(name, lambda _: no_look), {"maxf": score})
         for name, score in {"a": 0.5, "b": 0.9, "c": math.nan}.items()
     }
 
-    assert comparison.best_of(figures) == "b"
-    assert comparison.best_of({"c": figures["c"]}) == "c"
-    comparison.check_against(["a", "b"], "b")
-    with pytest.raises(ConfigError, match=r"fusoin.*fusion"):
-        comparison.check_against(["fusion", "b"], "fusoin")
+    assert uncertainty.best_of(figures) == "b"
+    assert uncertainty.best_of({"c": figures["c"]}) == "c"
 
 
 def no_look(image, item):

@@ -1,11 +1,11 @@
-"""Curves for files: the mean over drives, and what a list of points keeps."""
+"""Curves for files: the mean over groups, and what a list of points keeps."""
 
 import numpy as np
 import pytest
 import torch
 
 from roadtorch.evaluation import curves, metrics
-from roadtorch.evaluation.drive_curves import mean_precision, mean_roc, risk_curves
+from roadtorch.evaluation.group_curves import mean_precision, mean_roc, risk_curves
 from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.trust import Trusted
 
@@ -17,7 +17,7 @@ def noisy(seed: int, gain: float, pixels: int = 4000) -> RoadCounts:
     return metrics.count_levels(values, road, torch.ones_like(road))
 
 
-def test_the_mean_of_equal_drives_is_the_drive():
+def test_the_mean_of_equal_groups_is_the_group():
     counts = noisy(0, 0.5)
 
     roc, precision = mean_roc([counts, counts]), mean_precision([counts, counts])
@@ -26,7 +26,7 @@ def test_the_mean_of_equal_drives_is_the_drive():
     assert torch.equal(precision.y, mean_precision([counts]).y)
 
 
-def test_drives_weigh_the_same_whatever_their_size():
+def test_groups_weigh_the_same_whatever_their_size():
     small, big = noisy(1, 0.2, 4000), noisy(2, 2.0, 40000)
 
     area = float(curves.area(mean_roc([small, big])))
@@ -47,7 +47,7 @@ def test_precision_at_a_recall_is_the_best_one_there_or_above():
         assert float(found.y[index]) == pytest.approx(float(expected), abs=1e-6)
 
 
-def test_a_drive_without_road_is_left_out_of_the_means():
+def test_a_group_without_road_is_left_out_of_the_means():
     counts, empty = noisy(4, 0.8), noisy(4, 0.8)
     empty = RoadCounts(torch.zeros_like(empty.road), empty.other)
 

@@ -13,16 +13,15 @@ from roadtorch.data.dataset import Dataset, Item, leave_out
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError, DatasetError, InputError
 from roadtorch.evaluation import metrics, scoring
-from roadtorch.evaluation.contenders import contenders_for, expand_names
 from roadtorch.evaluation.document import defined, document
 from roadtorch.evaluation.evaluate import evaluate
+from roadtorch.evaluation.methods import expand_names, methods_for
 from roadtorch.evaluation.result import Evaluation
-from roadtorch.evaluation.saved_tallies import FILE, fingerprint, forget
-from roadtorch.evaluation.tally import WHOLE
+from roadtorch.evaluation.tally import FILE, WHOLE, fingerprint, forget
 from roadtorch.io.atomic import write_json
 from roadtorch.io.image import read_image
 from roadtorch.scenes.street import write_picture
-from tests.oracle import DECISION, DRIVES, ORACLE, SCENES, know_oracle, write_set
+from tests.oracle import DECISION, GROUPS, ORACLE, SCENES, know_oracle, write_set
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +32,7 @@ def camvid(tmp_path_factory) -> Dataset:
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory) -> Dataset:
-    """The same scenes as a folder of images and masks, without drives."""
+    """The same scenes as a folder of images and masks, without groups."""
     root = tmp_path_factory.mktemp("set") / "folder"
     (root / "masks").mkdir(parents=True)
     for name, scene in SCENES.items():
@@ -48,16 +47,16 @@ def found(camvid) -> Evaluation:
     return evaluate(camvid, [ORACLE], settings={"doubt": 0.2})
 
 
-def test_the_floors_stand_beside_and_say_that_they_are_floors(found):
-    floors = {name: one.is_floor for name, one in found.detectors.items()}
+def test_the_baselines_stand_beside_and_say_that_they_are_baselines(found):
+    baselines = {name: one.is_baseline for name, one in found.detectors.items()}
 
-    assert floors == {
+    assert baselines == {
         ORACLE: False, "prior:rows": True, "prior:triangle": True, "prior:mean": True
     }  # fmt: skip
     assert found.ranked()[0] == ORACLE
-    assert (found.images, found.drives) == (6, list(DRIVES))
-    assert found.detectors[ORACLE].contender.settings == DECISION | {"doubt": 0.2}
-    assert found.detectors["prior:rows"].contender.settings == DECISION
+    assert (found.images, found.groups) == (6, list(GROUPS))
+    assert found.detectors[ORACLE].method.settings == DECISION | {"doubt": 0.2}
+    assert found.detectors["prior:rows"].method.settings == DECISION
 
 
 def test_metrics_json_has_every_figure_under_its_key(found):
@@ -72,14 +71,14 @@ def test_metrics_json_has_every_figure_under_its_key(found):
     assert one["pooled"]["boundary_f"].keys() == {"0.0025", "0.005", "0.0075"}
     assert one["ci95"]["layout_mean"] == [1, 1]
     assert one["maxf_threshold"] == figures.best_threshold
-    assert {name: each["floor"] for name, each in content["detectors"].items()} == {
-        name: each.is_floor for name, each in found.detectors.items()
+    assert {name: each["baseline"] for name, each in content["detectors"].items()} == {
+        name: each.is_baseline for name, each in found.detectors.items()
     }
     assert content["paired"]["against"] == ORACLE
     assert content["paired"]["detectors"]["prior:rows"]["maxf"]
 
 
-def test_sets_without_drives_use_the_default_or_an_earlier_threshold(
+def test_sets_without_groups_use_the_default_or_an_earlier_threshold(
     found, camvid, plain, tmp_path
 ):
     write_json(tmp_path / "metrics.json", defined(document(found, "")))
@@ -91,7 +90,7 @@ def test_sets_without_drives_use_the_default_or_an_earlier_threshold(
         threshold_from=tmp_path / "metrics.json",
     ).detectors  # fmt: skip
 
-    assert own[ORACLE].drives == own[ORACLE].pooled == {}
+    assert own[ORACLE].groups == own[ORACLE].pooled == {}
     assert own[ORACLE].thresholds == {WHOLE: 0.5}
     assert "prior:mean" not in own
     assert given[ORACLE].threshold_from == "an earlier run"
@@ -128,7 +127,7 @@ def test_what_can_be_refused_is_refused_before_the_run(camvid, monkeypatch):
 
     with pytest.raises(ConfigError, match=r"duobt.*doubt"):
         evaluate(camvid, [ORACLE], settings={"duobt": 1})
-    with pytest.raises(ConfigError, match="drives teach each other"):
+    with pytest.raises(ConfigError, match="groups teach each other"):
         evaluate(camvid, [ORACLE], mean_from=camvid)
     with pytest.raises(ConfigError, match="detector of this run"):
         evaluate(camvid, ["prior:rows"], against=ORACLE)
@@ -195,8 +194,8 @@ def without_times(content):
 
 
 def test_wildcards_and_misspelt_names(camvid):
-    floors = ["prior:triangle", "prior:rows"]
-    assert expand_names(["prior:t*", "prior:rows", "prior:*"])[:2] == floors
+    baselines = ["prior:triangle", "prior:rows"]
+    assert expand_names(["prior:t*", "prior:rows", "prior:*"])[:2] == baselines
     with pytest.raises(ConfigError, match="unknown detector"):
         expand_names(["nothing*"])
     with pytest.raises(ConfigError, match=ORACLE):
@@ -214,8 +213,8 @@ def test_a_star_leaves_the_one_class_grid_out_and_its_family_brings_it_in():
 # --- groups left out, conditions -----------------------------------------------------------------
 
 
-def test_a_drive_that_is_left_out_is_scored_and_changes_no_other_figure(camvid):
-    out = DRIVES[2]
+def test_a_group_that_is_left_out_is_scored_and_changes_no_other_figure(camvid):
+    out = GROUPS[2]
     others = tuple(item for item in camvid.items if item.group != out)
     whole = evaluate(camvid, [ORACLE, "cpf"])
 
@@ -227,21 +226,21 @@ def test_a_drive_that_is_left_out_is_scored_and_changes_no_other_figure(camvid):
         assert set(one.pop("left_out")) == {out}
         assert expected[name].pop("left_out") == {}
         assert one == expected[name]
-    assert (found.drives, found.left_out, found.images) == (list(DRIVES[:2]), [out], 6)
+    assert (found.groups, found.left_out, found.images) == (list(GROUPS[:2]), [out], 6)
     # It is scored at the threshold that the others share, and by all that needs none as before.
     cpf = found.detectors["cpf"]
-    assert cpf.drive(out)["threshold"] == cpf.best_threshold
-    assert cpf.drive(out)["maxf"] == whole.detectors["cpf"].drive(out)["maxf"]
+    assert cpf.group(out)["threshold"] == cpf.best_threshold
+    assert cpf.group(out)["maxf"] == whole.detectors["cpf"].group(out)["maxf"]
     assert document(found, "")["left_out"] == [out]
 
 
 def test_the_same_folder_with_other_groups_left_out_is_another_run(camvid):
-    contenders = contenders_for(camvid, ["cpf"], {}, {}, None)
+    methods = methods_for(camvid, ["cpf"], {}, {}, None)
 
-    assert fingerprint(leave_out(camvid, DRIVES[:1]), contenders) != fingerprint(camvid, contenders)
+    assert fingerprint(leave_out(camvid, GROUPS[:1]), methods) != fingerprint(camvid, methods)
 
 
-def test_a_condition_has_the_figures_of_its_pictures_whatever_their_drive(camvid):
+def test_a_condition_has_the_figures_of_its_pictures_whatever_their_group(camvid):
     rainy = {"0001TP_0": ("rain",), "0006R0_1": ("rain", "dusk"), "0016E5_2": ("dusk",)}
     items = tuple(replace(one, conditions=rainy.get(one.name, ())) for one in camvid.items)
     chosen = tuple(item for item in camvid.items if "rain" in rainy.get(item.name, ()))

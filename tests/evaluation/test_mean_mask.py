@@ -1,4 +1,4 @@
-"""The mean mask of other drives, and the floors on real labels beside the project's figures."""
+"""The mean mask of other groups, and the baselines on real labels beside the project's figures."""
 
 import pytest
 import torch
@@ -6,26 +6,31 @@ import torch
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, every_kth
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.contenders import mean_detection
-from roadtorch.evaluation.mean_mask import mean_of, means_of_others, resize, road_shares
+from roadtorch.evaluation.methods import (
+    mean_detection,
+    mean_of,
+    means_of_others,
+    resize,
+    road_shares,
+)
 from roadtorch.road.priors import prior_rows
-from tests.evaluation.conftest import DRIVES
+from tests.evaluation.conftest import GROUPS
 
 
-def test_the_mean_mask_is_the_other_drives(dataset, scenes):
+def test_the_mean_mask_is_the_other_groups(dataset, scenes):
     found = means_of_others(road_shares(dataset))
 
     shares = {}
-    for drive in DRIVES:
-        own = [scene for name, scene in scenes.items() if name.startswith(drive)]
+    for group in GROUPS:
+        own = [scene for name, scene in scenes.items() if name.startswith(group)]
         road = torch.stack([scene.road & ~scene.void for scene in own]).double().sum(0)
         seen = torch.stack([~scene.void for scene in own]).double().sum(0)
-        shares[drive] = road / seen.clamp(min=1e-9)
+        shares[group] = road / seen.clamp(min=1e-9)
     expected = (shares["0006R0"] + shares["0016E5"]) / 2
     assert torch.allclose(found["0001TP"], expected)
 
 
-def test_one_drive_alone_teaches_nothing(dataset):
+def test_one_group_alone_teaches_nothing(dataset):
     alone = every_kth(dataset, 1)
 
     assert means_of_others(road_shares(alone)) == {}
@@ -45,8 +50,8 @@ def test_a_mask_from_elsewhere_is_brought_to_the_size_of_the_image(dataset):
 # --- on real labels ------------------------------------------------------------------------------
 
 
-def floor_scores(dataset: Dataset, maps: dict | None = None) -> dict[str, float]:
-    """MaxF by drive of the row prior, or of a map for each drive; labels alone are read."""
+def baseline_scores(dataset: Dataset, maps: dict | None = None) -> dict[str, float]:
+    """MaxF by group of the row prior, or of a map for each group; labels alone are read."""
     counts: dict[str, metrics.RoadCounts] = {}
     for item in dataset.items:
         truth, group = dataset.truth(item), item.group or ""
@@ -58,8 +63,8 @@ def floor_scores(dataset: Dataset, maps: dict | None = None) -> dict[str, float]
 
 
 @pytest.mark.data
-def test_row_prior_on_camvid_by_drive(data_root):
-    found = floor_scores(open_dataset("camvid", data_root / "camvid"))
+def test_row_prior_on_camvid_by_group(data_root):
+    found = baseline_scores(open_dataset("camvid", data_root / "camvid"))
 
     assert found == pytest.approx({"0001TP": 0.834, "0006R0": 0.905, "0016E5": 0.852}, abs=6e-4)
 
@@ -69,6 +74,6 @@ def test_row_prior_and_camvids_mean_mask_on_idd(data_root):
     idd = open_dataset("idd-lite", data_root / "idd_lite")
     some = every_kth(open_dataset("camvid", data_root / "camvid"), 100)  # for speed
 
-    assert floor_scores(idd)[""] == pytest.approx(0.813, abs=6e-4)
+    assert baseline_scores(idd)[""] == pytest.approx(0.813, abs=6e-4)
     learned = {"": mean_of(road_shares(some))}
-    assert floor_scores(idd, learned)[""] == pytest.approx(0.834, abs=4e-3)
+    assert baseline_scores(idd, learned)[""] == pytest.approx(0.834, abs=4e-3)

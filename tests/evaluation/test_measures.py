@@ -14,7 +14,7 @@ from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import MAXF, MEASURES
 from roadtorch.report.files import write
 from roadtorch.report.screen import screen
-from tests.oracle import DRIVES, ORACLE, know_oracle, write_set
+from tests.oracle import GROUPS, ORACLE, know_oracle, write_set
 
 DOCUMENT = Path(__file__).parents[2] / "docs/evaluation.md"
 
@@ -37,7 +37,7 @@ def test_a_measure_that_is_added_is_in_the_file_on_the_screen_and_on_the_page(tm
 
     one = json.loads((tmp_path / "metrics.json").read_text())["detectors"][ORACLE]
     assert one["masks"]["specificity"] == 1
-    assert [one["groups"][drive]["masks"]["specificity"] for drive in DRIVES] == [1, 1, 1]
+    assert [one["groups"][group]["masks"]["specificity"] for group in GROUPS] == [1, 1, 1]
     assert one["ci95"]["masks_specificity"] == [1, 1]
     assert "masks_specificity" in document(found, "")["paired"]["detectors"]["prior:rows"]
     road, _, pairs = screen(found).split("\n\n")
@@ -45,7 +45,7 @@ def test_a_measure_that_is_added_is_in_the_file_on_the_screen_and_on_the_page(tm
     assert pairs.splitlines()[0].split()[-3] == "TNR"
     page = (tmp_path / "report.html").read_text()
     assert f"<dt>TNR</dt><dd>{TOY.meaning}</dd>" in page
-    assert page.count(f'title="{TOY.meaning}">TNR') == 1 + 4  # scores, drives, pooled
+    assert page.count(f'title="{TOY.meaning}">TNR') == 1 + 4  # scores, groups, pooled
 
 
 def test_a_formula_that_draws_cannot_have_is_named(tmp_path):
@@ -86,5 +86,5 @@ def test_the_example_in_the_document_runs(tmp_path, monkeypatch, capsys):
 
     told = capsys.readouterr().out
     assert "prior:mean" in told
-    assert all(drive in told for drive in DRIVES)
+    assert all(group in told for group in GROUPS)
     assert "alarms" in (tmp_path / "results/report.html").read_text()

@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from roadtorch.detector import Detection
-from roadtorch.evaluation.pictures import picture_rows
+from roadtorch.evaluation.summary import picture_rows
 from roadtorch.report.files import rows_csv
-from tests.evaluation.conftest import DRIVES, counted, summarised
+from tests.evaluation.conftest import GROUPS, counted, summarised
 
 
 def test_a_row_holds_f_and_iou_of_the_mask_and_its_trust(dataset, scenes):
@@ -28,9 +28,9 @@ def test_a_row_holds_f_and_iou_of_the_mask_and_its_trust(dataset, scenes):
     assert rows[first].iou_mask == pytest.approx(hits / (decided + int(road.sum()) - hits))
     assert [row.trust for row in rows.values() if row.image == first] == [0.625]
     assert all(math.isnan(row.trust) for name, row in rows.items() if name != first)
-    lines = rows_csv(list(rows.values()), (), [DRIVES[1]]).splitlines()
+    lines = rows_csv(list(rows.values()), (), [GROUPS[1]]).splitlines()
     assert lines[0] == ("image,group,detector,auc,maxf,threshold,f,f_mask,iou_mask,trust,ms,status")
     assert ",0.625000," in lines[1]
     assert [line.endswith(",left out") for line in lines[1:]] == [
-        row.group == DRIVES[1] for row in rows.values()
+        row.group == GROUPS[1] for row in rows.values()
     ]

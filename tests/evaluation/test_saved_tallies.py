@@ -8,13 +8,13 @@ import torch
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset
 from roadtorch.errors import ConfigError
-from roadtorch.evaluation.contenders import named_detector
-from roadtorch.evaluation.saved_tallies import FILE, SavedTallies, fingerprint, forget
+from roadtorch.evaluation.methods import named_detector
 from roadtorch.evaluation.scoring import score
+from roadtorch.evaluation.tally import FILE, SavedTallies, fingerprint, forget
 from roadtorch.scenes.street import render_scene
 from tests.streets import write_camvid
 
-FLOORS = [named_detector(name, {}) for name in ("prior:rows", "prior:triangle")]
+BASELINES = [named_detector(name, {}) for name in ("prior:rows", "prior:triangle")]
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ def dataset(tmp_path: Path) -> Dataset:
 
 def test_counts_saved_and_gone_on_with_are_those_of_one_run(dataset, tmp_path):
     whole, first = SavedTallies(None, "x"), SavedTallies(tmp_path, "x")
-    results = list(score(dataset, FLOORS))
+    results = list(score(dataset, BASELINES))
     for result in results:
         whole.add(result)
     for result in (results[0], results[2]):
@@ -35,7 +35,7 @@ def test_counts_saved_and_gone_on_with_are_those_of_one_run(dataset, tmp_path):
 
     second = SavedTallies(tmp_path, "x")
     assert second.done == {"0001TP_0", "0001TP_2"}
-    for result in score(dataset, FLOORS, done=second.done):
+    for result in score(dataset, BASELINES, done=second.done):
         second.add(result)
     second.sort([item.name for item in dataset.items])
 
@@ -50,7 +50,7 @@ def test_counts_saved_and_gone_on_with_are_those_of_one_run(dataset, tmp_path):
 
 def test_the_progress_of_another_run_is_refused_and_kept(dataset, tmp_path):
     progress = SavedTallies(tmp_path, "one")
-    progress.add(next(iter(score(dataset, FLOORS))))
+    progress.add(next(iter(score(dataset, BASELINES))))
     progress.save()
     before = (tmp_path / FILE).read_bytes()
 
@@ -70,7 +70,7 @@ def test_a_file_that_is_no_progress_is_named(tmp_path, content):
 @pytest.mark.parametrize("place", [0.05, 0.3, 0.6, 0.99])
 def test_a_flipped_bit_is_never_counted_on(dataset, tmp_path, place):
     progress = SavedTallies(tmp_path, "one")
-    progress.add(next(iter(score(dataset, FLOORS))))
+    progress.add(next(iter(score(dataset, BASELINES))))
     progress.save()
     data = bytearray((tmp_path / FILE).read_bytes())
     data[int(place * len(data))] ^= 1

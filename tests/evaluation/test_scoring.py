@@ -9,8 +9,7 @@ import torch
 
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Item, every_kth
-from roadtorch.evaluation.contenders import mean_floor, named_detector
-from roadtorch.evaluation.mean_mask import means_of_others, road_shares
+from roadtorch.evaluation.methods import mean_baseline, means_of_others, named_detector, road_shares
 from roadtorch.evaluation.scoring import score, score_item
 from tests.evaluation.conftest import counted, looking, summarised
 from tests.streets import write_camvid
@@ -58,14 +57,14 @@ def test_a_detector_that_breaks_is_named(dataset):
 
 
 def test_two_processes_give_the_results_of_one(dataset):
-    mean = mean_floor(means_of_others(road_shares(dataset)))
-    contenders = [*ROWS, TRIANGLE, mean]
+    mean = mean_baseline(means_of_others(road_shares(dataset)))
+    methods = [*ROWS, TRIANGLE, mean]
 
-    one, two = list(score(dataset, contenders)), list(score(dataset, contenders, jobs=2))
+    one, two = list(score(dataset, methods)), list(score(dataset, methods, jobs=2))
 
     assert [result.item for result in one] == [result.item for result in two]
     for first, second in zip(one, two, strict=True):
-        assert first.scores.keys() == second.scores.keys() == {one.name for one in contenders}
+        assert first.scores.keys() == second.scores.keys() == {one.name for one in methods}
         for name, found in first.scores.items():
             assert torch.equal(found.road.road, second.scores[name].road.road)
             assert torch.equal(found.road.other, second.scores[name].road.other)

@@ -1,4 +1,4 @@
-"""From counts to figures: drives, their means, thresholds chosen on other drives."""
+"""From counts to figures: groups, their means, thresholds chosen on other groups."""
 
 import math
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ from roadtorch.evaluation.thresholds import (
     shared_threshold,
 )
 from roadtorch.layout.classes import NAMES
-from tests.evaluation.conftest import DRIVES, counted, looking, summarised
+from tests.evaluation.conftest import GROUPS, counted, looking, summarised
 
 
 def counts_of(road_levels: dict[int, int], other_levels: dict[int, int], levels=11) -> RoadCounts:
@@ -44,7 +44,7 @@ def test_a_perfect_map_scores_one_and_an_inverted_one_does_not(dataset, scenes):
             ideal = {"higher": 1, "lower": 0}.get(one.better or "")
             assert ideal is None or one.of(perfect.headline) == pytest.approx(ideal, abs=1e-9)
     assert perfect.pooled["maxf"] == pytest.approx(1, abs=1e-9)
-    assert perfect.drives["0001TP"]["working_point/fpr"] == 0
+    assert perfect.groups["0001TP"]["working_point/fpr"] == 0
     assert inverted.headline["brier"] == 1
     assert inverted.headline["eer"] == 1
     assert inverted.headline["auc_pooled"] == 0
@@ -52,7 +52,7 @@ def test_a_perfect_map_scores_one_and_an_inverted_one_does_not(dataset, scenes):
     assert inverted.headline["maxf"] < 0.75
 
 
-def test_headline_is_the_mean_over_drives_of_pooled_counts(dataset, scenes):
+def test_headline_is_the_mean_over_groups_of_pooled_counts(dataset, scenes):
     generator = torch.Generator().manual_seed(0)
     noise = {name: torch.rand(48, 64, generator=generator) for name in scenes}
     found = counted(dataset, looking(lambda n: (0.4 * scenes[n].road + noise[n]) / 1.4))
@@ -60,16 +60,16 @@ def test_headline_is_the_mean_over_drives_of_pooled_counts(dataset, scenes):
     figures = summarised(found)
 
     by_hand = []
-    for drive in DRIVES:
+    for group in GROUPS:
         counts = [
             metrics.count_levels(
                 (0.4 * scenes[n].road + noise[n]) / 1.4, scenes[n].road, ~scenes[n].void
             )
             for n in scenes
-            if n.startswith(drive)
+            if n.startswith(group)
         ]
         by_hand.append(float(metrics.max_f(counts[0] + counts[1])[0]))
-        assert figures.drives[drive]["maxf"] == pytest.approx(by_hand[-1])
+        assert figures.groups[group]["maxf"] == pytest.approx(by_hand[-1])
     assert figures.headline["maxf"] == pytest.approx(sum(by_hand) / 3)
     everything = found.road["0001TP"] + found.road["0006R0"] + found.road["0016E5"]
     assert figures.pooled["maxf"] == pytest.approx(float(metrics.max_f(everything)[0]))
@@ -110,8 +110,8 @@ def score(road: dict[int, int], other: dict[int, int], seconds: float) -> Score:
 # --- thresholds ----------------------------------------------------------------------------------
 
 
-def test_held_out_thresholds_never_see_their_own_drive():
-    # Two drives part cleanly at level 4, the third at level 8: peeking would move them.
+def test_held_out_thresholds_never_see_their_own_group():
+    # Two groups part cleanly at level 4, the third at level 8: peeking would move them.
     low, high = counts_of({4: 10}, {3: 10}), counts_of({8: 10}, {7: 10})
 
     found = held_out_thresholds({"a": low, "b": low, "c": high})
@@ -122,8 +122,8 @@ def test_held_out_thresholds_never_see_their_own_drive():
     assert changed["a"] != found["a"]
 
 
-def test_drives_weigh_the_same_in_the_choice():
-    # Pooled, the big drive alone would decide; averaged, two small ones outvote it.
+def test_groups_weigh_the_same_in_the_choice():
+    # Pooled, the big group alone would decide; averaged, two small ones outvote it.
     big, small = counts_of({8: 10_000}, {7: 10_000}), counts_of({4: 10}, {3: 10, 4: 0})
     small = small + counts_of({5: 10}, {})
 
@@ -139,13 +139,13 @@ def test_where_thresholds_come_from():
 
 
 def test_iou_is_taken_at_the_held_out_threshold(dataset, scenes):
-    def likelihood(name):  # one drive's road is paler than the others' background
+    def likelihood(name):  # one group's road is paler than the others' background
         scale = 0.3 if name.startswith("0001TP") else 1.0
         return scale * (0.4 + 0.6 * scenes[name].road)
 
     figures = summarised(counted(dataset, looking(likelihood)))
 
-    dusk = figures.drives["0001TP"]
+    dusk = figures.groups["0001TP"]
     assert dusk["maxf"] == pytest.approx(1)
     assert dusk["threshold"] > 0.3
     assert dusk["iou"] == 0
@@ -154,7 +154,7 @@ def test_iou_is_taken_at_the_held_out_threshold(dataset, scenes):
 # --- layout --------------------------------------------------------------------------------------
 
 
-def test_layout_recalls_by_drive_over_all_and_labelled_pixels(dataset, scenes):
+def test_layout_recalls_by_group_over_all_and_labelled_pixels(dataset, scenes):
     def potentials(name):  # horizontal is never named: it goes to vertical
         truth = scenes[name].layout
         return torch.stack([truth == 0, truth != 0, torch.zeros_like(truth)]).float()
@@ -166,12 +166,12 @@ def test_layout_recalls_by_drive_over_all_and_labelled_pixels(dataset, scenes):
     road = looking(lambda n: scenes[n].road, layout=potentials, layout_labels=labels)
     figures = summarised(counted(dataset, road))
 
-    drive = figures.drives["0001TP"]
-    assert [drive[f"layout/{name}"] for name in NAMES] == [1, 1, 0]
+    group = figures.groups["0001TP"]
+    assert [group[f"layout/{name}"] for name in NAMES] == [1, 1, 0]
     assert figures.headline["layout/mean"] == pytest.approx(2 / 3)
-    assert math.isnan(drive["layout/labelled/horizontal"])
-    assert drive["layout/labelled/mean"] == 1
-    assert 0.2 < drive["layout/labelled_share"] < 0.8
+    assert math.isnan(group["layout/labelled/horizontal"])
+    assert group["layout/labelled/mean"] == 1
+    assert 0.2 < group["layout/labelled_share"] < 0.8
     assert figures.headline["layout/confusion/horizontal/vertical"] == 1
 
 
@@ -190,7 +190,7 @@ def trusting(scenes, trusts: Mapping[str, float | None]):
     return look
 
 
-def test_trust_is_measured_on_all_pictures_together_and_by_drive(dataset, scenes):
+def test_trust_is_measured_on_all_pictures_together_and_by_group(dataset, scenes):
     knowing = {name: 1 - place / 10 for place, name in enumerate(scenes)}
 
     figures = summarised(counted(dataset, trusting(scenes, knowing)))
@@ -204,8 +204,8 @@ def test_trust_is_measured_on_all_pictures_together_and_by_drive(dataset, scenes
     assert figures.headline["trust/error"] == pytest.approx(
         sum(abs(one - other) for one, other in zip(knowing.values(), f, strict=True)) / 6
     )
-    assert figures.drives["0001TP"]["trust/rank_correlation"] == pytest.approx(1)
-    assert math.isnan(figures.headline["trust/rank_correlation_within"])  # two pictures a drive
+    assert figures.groups["0001TP"]["trust/rank_correlation"] == pytest.approx(1)
+    assert math.isnan(figures.headline["trust/rank_correlation_within"])  # two pictures a group
     assert blind.headline["trust/aurc"] == pytest.approx(blind.headline["trust/aurc_random"])
     assert math.isnan(blind.headline["trust/rank_correlation"])
 
@@ -232,14 +232,14 @@ def test_pictures_without_trust_are_left_out_and_detectors_without_any_have_no_f
     assert not any(key.startswith("trust/") for key in (*never.headline, *never.pooled))
 
 
-def test_calibration_is_told_by_drive_and_its_mean_weighs_drives_the_same(dataset, scenes):
-    def pale(name):  # right everywhere, but less sure of one drive
+def test_calibration_is_told_by_group_and_its_mean_weighs_groups_the_same(dataset, scenes):
+    def pale(name):  # right everywhere, but less sure of one group
         sure = 0.6 if name.startswith("0001TP") else 1.0
         return scenes[name].road * sure
 
     figures = summarised(counted(dataset, looking(pale)))
 
-    errors = [figures.drives[drive]["ece"] for drive in DRIVES]
+    errors = [figures.groups[group]["ece"] for group in GROUPS]
     assert errors[0] > 0.05
     assert errors[1:] == [0, 0]
     assert figures.headline["ece"] == pytest.approx(sum(errors) / 3)

@@ -9,16 +9,16 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset
 from roadtorch.detector import Detection
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.contenders import named_detector
+from roadtorch.evaluation.methods import named_detector
 from roadtorch.evaluation.scoring import prepared, score_item
 from roadtorch.evaluation.summary import summarise
-from roadtorch.evaluation.tally import Tally, tally_from, tally_tensors
+from roadtorch.evaluation.tally import Tally
 from roadtorch.scenes.street import render_scene
 from tests.streets import write_camvid
 
 
 def scenes_dataset(root) -> tuple[Dataset, dict]:
-    scenes = {f"{drive}_{i}": render_scene(i, 48, 64) for i, drive in enumerate(("a" * 6, "b" * 6))}
+    scenes = {f"{group}_{i}": render_scene(i, 48, 64) for i, group in enumerate(("a" * 6, "b" * 6))}
     write_camvid(root, "train", scenes)
     return open_dataset("camvid", root, "train"), scenes
 
@@ -40,10 +40,10 @@ def test_a_tally_survives_being_taken_apart(tmp_path):
     for layout in (True, False):
         tally = counted(dataset, layout)
 
-        again = tally_from(tally_tensors(tally), tally.pictures)
+        again = Tally.of(tally.tensors(), tally.pictures)
 
         before, after = (summarise(named_detector("cpf", {}), one) for one in (tally, again))
-        assert before.drives == after.drives
+        assert before.groups == after.groups
         assert before.pooled == after.pooled
         assert ("layout/mean" in before.headline) == layout
         one, other = tally.kept(), again.kept()
@@ -55,7 +55,7 @@ def test_a_tally_survives_being_taken_apart(tmp_path):
 def test_one_picture_more_costs_little_memory(tmp_path):
     dataset, _ = scenes_dataset(tmp_path)
     tally = counted(dataset, True)
-    size = sum(tensor.nbytes for key, tensor in tally_tensors(tally).items() if "rows/" in key)
+    size = sum(tensor.nbytes for key, tensor in tally.tensors().items() if "rows/" in key)
 
     assert size / len(tally.pictures) < 2500  # bytes: 256 levels of road and of background, 4 each
 
@@ -95,7 +95,7 @@ def test_pictures_with_and_without_layout_may_be_mixed_in_any_order(tmp_path):
     assert torch.equal(layout.flatten(1).sum(1) > 0, (torch.arange(200) // 10) == 9)
 
 
-def test_pictures_come_drive_by_drive_when_drives_are_asked_for(tmp_path):
+def test_pictures_come_group_by_group_when_groups_are_asked_for(tmp_path):
     dataset, _ = scenes_dataset(tmp_path)
     tally = counted(dataset, True)
 

@@ -1,7 +1,7 @@
 """What a run says on the screen."""
 
 from roadtorch.report.screen import MOST_SHOWN, align, screen, shortlist
-from tests.reports import DRIVES, changed, made_run, with_conditions
+from tests.reports import GROUPS, changed, made_run, with_conditions
 
 
 def test_a_few_detectors_are_all_on_the_screen_in_both_tables() -> None:
@@ -14,7 +14,7 @@ def test_a_few_detectors_are_all_on_the_screen_in_both_tables() -> None:
     assert "more detectors" not in text
 
 
-def test_of_a_grid_the_best_are_shown_beside_all_floors() -> None:
+def test_of_a_grid_the_best_are_shown_beside_all_baselines() -> None:
     worse = [f"oneclass:gaussian:{number}" for number in range(100)]
     evaluation, _, _ = made_run(["fusion", *worse, "prior:rows", "prior:mean"])
 
@@ -37,7 +37,7 @@ def test_the_columns_are_those_of_the_measures_that_ask_for_one() -> None:
     ]
     assert "F of mask  IoU of mask   MaxF " in road
     assert trust.split()[:5] == ["trust", "rank", "corr.", "of", "trust"]
-    assert layout.split()[:6] == ["layout", "drive", "sky", "vertical", "horizontal", "mean"]
+    assert layout.split()[:6] == ["layout", "group", "sky", "vertical", "horizontal", "mean"]
     assert pairs.split()[:7] == ["minus", "fusion", "F", "of", "mask", "95", "%"]
 
 
@@ -45,7 +45,7 @@ def test_columns_line_up() -> None:
     assert align([["a", "b"], ["long", "1.5"]]) == "a       b\nlong  1.5"
 
 
-def test_of_many_drives_the_worst_is_told() -> None:
+def test_of_many_groups_the_worst_is_told() -> None:
     cameras = [f"camera{number}" for number in range(8)]
     few, _, _ = made_run(["fusion"], cameras[:6])
     many, _, _ = made_run(["fusion"], cameras)
@@ -55,50 +55,50 @@ def test_of_many_drives_the_worst_is_told() -> None:
     assert "MaxF camera5" not in header
     assert "worst MaxF" in header
     assert "worst F of mask" in header
-    worst = many.detectors["fusion"].drives["camera0"]
+    worst = many.detectors["fusion"].groups["camera0"]
     assert f"{worst['f_mask']:.3f} camera0" in row
     assert f"{worst['maxf']:.3f} camera0" in row
 
 
-def test_many_drives_have_a_table_with_the_worst_on_top() -> None:
+def test_many_groups_have_a_table_with_the_worst_on_top() -> None:
     many, _, _ = made_run(["fusion", "prior:rows"], [f"camera{number}" for number in range(30)])
 
-    table = next(part for part in screen(many).split("\n\n") if part.startswith("fusion by drive"))
+    table = next(part for part in screen(many).split("\n\n") if part.startswith("fusion by group"))
 
     header, first, *_, last, mean, more = table.splitlines()
-    assert header.startswith("fusion by drive  pictures  F of mask  IoU of mask ")
+    assert header.startswith("fusion by group  pictures  F of mask  IoU of mask ")
     assert header.endswith("MaxF of baseline")
     assert first.split()[:2] == ["camera0", "10"]
-    assert first.split()[-1] == f"{many.detectors['prior:rows'].drives['camera0']['maxf']:.3f}"
+    assert first.split()[-1] == f"{many.detectors['prior:rows'].groups['camera0']['maxf']:.3f}"
     assert (last.split()[0], mean.split()[0]) == ("camera19", "mean")
     assert more == "10 more are in metrics.json (--out DIR)"
 
 
-def test_drives_that_are_left_out_are_listed_and_marked() -> None:
+def test_groups_that_are_left_out_are_listed_and_marked() -> None:
     few, _, _ = made_run(["fusion"])
     one = few.detectors["fusion"]
-    kept = {drive: one.drives[drive] for drive in DRIVES[1:]}
-    run = changed(few, "fusion", drives=kept, left_out={DRIVES[0]: one.drives[DRIVES[0]]})
+    kept = {group: one.groups[group] for group in GROUPS[1:]}
+    run = changed(few, "fusion", groups=kept, left_out={GROUPS[0]: one.groups[GROUPS[0]]})
 
     text = screen(run)
 
-    assert f"MaxF {DRIVES[0]}" not in text.splitlines()[0]
-    table = next(part for part in text.split("\n\n") if part.startswith("fusion by drive"))
+    assert f"MaxF {GROUPS[0]}" not in text.splitlines()[0]
+    table = next(part for part in text.split("\n\n") if part.startswith("fusion by group"))
     assert [line.split("  ")[0] for line in table.splitlines()[1:]] == [
-        *DRIVES[1:], "mean", f"{DRIVES[0]} (left out)"
+        *GROUPS[1:], "mean", f"{GROUPS[0]} (left out)"
     ]  # fmt: skip
-    assert "by drive" not in screen(few)
+    assert "by group" not in screen(few)
 
 
-def test_conditions_have_a_small_table_and_floors_none() -> None:
+def test_conditions_have_a_small_table_and_baselines_none() -> None:
     run = with_conditions(made_run(["fusion", "prior:rows"])[0])
 
     text = screen(run)
 
     table = next(part for part in text.split("\n\n") if part.startswith("fusion by condition"))
     assert [line.split() for line in table.splitlines()[1:]] == [
-        ["night", "(1", "drive)", "0.300", "0.500", "0.500"],
-        ["day", "(3", "drives)", "0.800", "0.900", "0.900"],
+        ["night", "(1", "group)", "0.300", "0.500", "0.500"],
+        ["day", "(3", "groups)", "0.800", "0.900", "0.900"],
     ]
     assert "prior:rows by condition" not in text
 

@@ -10,7 +10,7 @@ import pytest
 from defusedxml.ElementTree import fromstring
 from scipy.stats import spearmanr
 
-from roadtorch.evaluation.drive_curves import DetectorCurves, RunCurves
+from roadtorch.evaluation.group_curves import DetectorCurves, RunCurves
 from roadtorch.imaging.color import REPRESENTATIONS
 from roadtorch.oneclass import CLASSIFIERS
 from roadtorch.report.files import write_table3
@@ -45,17 +45,17 @@ def test_p3s_table_has_all_its_values() -> None:
     assert table["pca", "HSV"] == 89.3
 
 
-def test_cells_are_the_mean_areas_in_percent_of_a_run_and_of_its_drives() -> None:
+def test_cells_are_the_mean_areas_in_percent_of_a_run_and_of_its_groups() -> None:
     evaluation, _, _ = made_run(NAMES)
     figures = evaluation.detectors["oneclass:nn:S"]
-    drives = {**figures.drives, "0001TP": {**figures.drives["0001TP"], "auc_mean": math.nan}}
-    evaluation = changed(evaluation, "oneclass:nn:S", drives=drives)
+    groups = {**figures.groups, "0001TP": {**figures.groups["0001TP"], "auc_mean": math.nan}}
+    evaluation = changed(evaluation, "oneclass:nn:S", groups=groups)
 
-    whole, drive = (measured_table(evaluation, name) for name in (None, "0001TP"))
+    whole, group = (measured_table(evaluation, name) for name in (None, "0001TP"))
 
     assert list(whole) == [("nn", "S"), ("nn", "RGB"), ("gaussian", "RGB")]
     assert whole["nn", "S"] == pytest.approx(100 * figures.headline["auc_mean"])
-    assert list(drive) == [("nn", "RGB"), ("gaussian", "RGB")]  # an undefined one is left out
+    assert list(group) == [("nn", "RGB"), ("gaussian", "RGB")]  # an undefined one is left out
 
 
 def test_the_best_of_a_column_is_told_to_the_printed_decimal() -> None:
@@ -96,7 +96,7 @@ def test_cells_that_p3_left_empty_are_not_ranked() -> None:
     assert counts == {"all cells": 2, "combinations": 2, "means of rows, combinations": 2}
 
 
-def test_text_has_the_layout_the_floors_and_the_best() -> None:
+def test_text_has_the_layout_the_baselines_and_the_best() -> None:
     evaluation, _, _ = made_run(NAMES)
 
     text = table_text(evaluation)
@@ -134,9 +134,9 @@ def test_a_run_without_the_family_has_no_table(tmp_path) -> None:
 def test_a_table_says_whose_the_robust_weight_is(method, words) -> None:
     name = "oneclass:robust_gaussian:RGB"
     evaluation, _, _ = made_run((*NAMES, name))
-    contender = evaluation.detectors[name].contender
-    told = replace(contender, settings={"classifier": {"method": method}})
-    evaluation = changed(evaluation, name, contender=told)
+    scored = evaluation.detectors[name].method
+    told = replace(scored, settings={"classifier": {"method": method}})
+    evaluation = changed(evaluation, name, method=told)
 
     (line,) = [one for one in table_text(evaluation).splitlines() if f", {method}: " in one]
 
@@ -145,9 +145,9 @@ def test_a_table_says_whose_the_robust_weight_is(method, words) -> None:
     assert "robust_gaussian," not in table_text(made_run(NAMES)[0])
 
 
-@pytest.mark.parametrize("drives", [("0001TP", "0016E5"), ()], ids=["drives", "whole"])
-def test_csv_has_p3s_value_and_the_drives(drives) -> None:
-    evaluation, _, _ = made_run(NAMES, drives)
+@pytest.mark.parametrize("groups", [("0001TP", "0016E5"), ()], ids=["groups", "whole"])
+def test_csv_has_p3s_value_and_the_groups(groups) -> None:
+    evaluation, _, _ = made_run(NAMES, groups)
 
     rows = list(csv.DictReader(io.StringIO(table_csv(evaluation))))
 
@@ -159,9 +159,9 @@ def test_csv_has_p3s_value_and_the_drives(drives) -> None:
     last, figures = rows[-1], evaluation.detectors["oneclass:gaussian:RGB"]
     assert last["paper"] == "90.9"
     assert float(last["auc"]) == pytest.approx(100 * figures.headline["auc_mean"], abs=0.005)
-    for drive in drives:
-        assert float(last[drive]) == pytest.approx(
-            100 * figures.drives[drive]["auc_mean"], abs=0.005
+    for group in groups:
+        assert float(last[group]) == pytest.approx(
+            100 * figures.groups[group]["auc_mean"], abs=0.005
         )
 
 
@@ -195,14 +195,14 @@ def test_files_of_a_run(tmp_path) -> None:
 # --- the curves -------------------------------------------------------------------------
 
 
-def test_a_line_is_the_mean_over_drives_or_the_sets_own() -> None:
-    by_drive: DetectorCurves = {"mean": {}, "groups": {
+def test_a_line_is_the_mean_over_groups_or_the_sets_own() -> None:
+    by_group: DetectorCurves = {"mean": {}, "groups": {
         "a": {"roc_vertical": [[0, 0.5, 1], [0, 0.5, 1]]},
         "b": {"roc_vertical": [[0, 0.5, 1], [0, 0.9, 1]]},
     }}  # fmt: skip
     whole: DetectorCurves = {"mean": {"roc_vertical": [[0, 1], [0.5, 1]]}, "groups": {}}
 
-    line, own = mean_line(by_drive), mean_line(whole)
+    line, own = mean_line(by_group), mean_line(whole)
 
     assert line is not None
     assert own is not None

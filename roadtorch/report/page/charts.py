@@ -10,15 +10,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter
 
-from roadtorch.evaluation.drive_curves import Curves, DetectorCurves, RunCurves
+from roadtorch.evaluation.group_curves import Curves, DetectorCurves, RunCurves
 from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import F_MASK, MAXF
-from roadtorch.evaluation.pictures import PictureRow
-from roadtorch.evaluation.result import Comparison, DetectorFigures, Evaluation
-from roadtorch.evaluation.uncertainty import Interval
+from roadtorch.evaluation.result import Comparison, DetectorFigures, Evaluation, Interval
+from roadtorch.evaluation.summary import PictureRow
 from roadtorch.report.page.svg import (
     BAND,
-    FLOOR,
+    BASELINE,
     GRID,
     INK,
     PAPER,
@@ -27,35 +26,35 @@ from roadtorch.report.page.svg import (
     to_svg,
 )
 
-MARKERS = ("o", "^", "s", "D", "v", "P")  # drives
+MARKERS = ("o", "^", "s", "D", "v", "P")  # groups
 
-MOST_DRIVES = len(MARKERS)  # told apart in a chart
+MAX_GROUPS = len(MARKERS)  # told apart in a chart
 
-MOST_TICKS = 300  # pictures of one drive and detector in a chart
+MOST_TICKS = 300  # pictures of one group and detector in a chart
 
 # --- scores -----------------------------------------------------------------------------
 
 
 def score_chart(series: Sequence[Series], evaluation: Evaluation, measure: Measure) -> str:
-    """A measure of every detector with its 95 % interval, drives as small marks; empty without."""
+    """A measure of every detector with its 95 % interval, groups as small marks; empty without."""
     scores = {one.name: measure.of(evaluation.detectors[one.name].headline) for one in series}
     shown = [one for one in series if not math.isnan(scores[one.name])]
-    drives = evaluation.drives
-    floors = [scores[one.name] for one in shown if one.is_floor]
+    groups = evaluation.groups
+    baselines = [scores[one.name] for one in shown if one.is_baseline]
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
         _name_rows(axes, shown)
-        if floors:
-            axes.axvline(max(floors), color=FLOOR, linewidth=1, dashes=(4, 3))
-            axes.annotate(f"best baseline {max(floors):.3f}", (max(floors), 1), (0, 3),
+        if baselines:
+            axes.axvline(max(baselines), color=BASELINE, linewidth=1, dashes=(4, 3))
+            axes.annotate(f"best baseline {max(baselines):.3f}", (max(baselines), 1), (0, 3),
                           xycoords=("data", "axes fraction"), textcoords="offset points",
-                          ha="center", va="bottom", color=FLOOR, fontsize=9)  # fmt: skip
+                          ha="center", va="bottom", color=BASELINE, fontsize=9)  # fmt: skip
         for row, one in enumerate(shown):
-            _score_row(axes, row, one, evaluation.detectors[one.name], measure, drives)
-        axes.set_xlabel(f"{measure.line} (mean over drives)" if drives else measure.line)
-        if 1 < len(drives) <= MOST_DRIVES:
-            marks = [_mark(MARKERS[i], name) for i, name in enumerate(drives)]
+            _score_row(axes, row, one, evaluation.detectors[one.name], measure, groups)
+        axes.set_xlabel(f"{measure.line} (mean over groups)" if groups else measure.line)
+        if 1 < len(groups) <= MAX_GROUPS:
+            marks = [_mark(MARKERS[i], name) for i, name in enumerate(groups)]
             figure.legend(handles=marks, loc="outside lower left", ncols=3, fontsize=9)
 
     label, height = f"{measure.line} with 95 % intervals", 78 + 24 * len(shown)
@@ -68,15 +67,15 @@ def _score_row(
     one: Series,
     figures: DetectorFigures,
     measure: Measure,
-    drives: Sequence[str],
+    groups: Sequence[str],
 ) -> None:
     value = measure.of(figures.headline)
     ends = figures.intervals.get(measure.key, Interval())
     _dot_with_interval(axes, row, one, value, ends)
-    for place, drive in enumerate(drives):
-        marker = MARKERS[place] if len(drives) <= MOST_DRIVES else "|"
-        of_drive = measure.of(figures.drive(drive))
-        axes.plot(of_drive, row, marker, color=INK, mfc="none", markersize=4.5, mew=0.8, alpha=0.7)
+    for place, group in enumerate(groups):
+        marker = MARKERS[place] if len(groups) <= MAX_GROUPS else "|"
+        of_group = measure.of(figures.group(group))
+        axes.plot(of_group, row, marker, color=INK, mfc="none", markersize=4.5, mew=0.8, alpha=0.7)
     axes.annotate(f"{value:.3f}", (1, row), (4, 0), xycoords=("axes fraction", "data"),
                   textcoords="offset points", va="center", annotation_clip=False)  # fmt: skip
 
@@ -84,7 +83,7 @@ def _score_row(
 def _dot_with_interval(axes: Axes, row: int, one: Series, value: float, ends: Interval) -> None:
     if ends.is_known:
         axes.plot(ends, [row, row], color=one.colour, linewidth=2.6, alpha=0.65)
-    face = PAPER if one.is_floor else one.colour
+    face = PAPER if one.is_baseline else one.colour
     axes.plot(value, row, "o", color=one.colour, mfc=face, markersize=7.5, mew=1.4, zorder=3)
 
 
@@ -118,15 +117,15 @@ def _difference(value: float, _: int | None = None) -> str:
 
 
 def _name_rows(axes: Axes, shown: Sequence[Series]) -> None:
-    """One row a detector, first on top, floors on a band."""
+    """One row a detector, first on top, baselines on a band."""
     axes.set_yticks(range(len(shown)), [short(one.name) for one in shown])
     axes.tick_params(axis="y", length=0)
     axes.grid(visible=False, axis="y")
     axes.set_ylim(len(shown) - 0.5, -0.5)
     for row, (one, text) in enumerate(zip(shown, axes.get_yticklabels(), strict=True)):
-        if one.is_floor:
+        if one.is_baseline:
             axes.axhspan(row - 0.5, row + 0.5, color=BAND, linewidth=0, zorder=0)
-            text.set_color(FLOOR)
+            text.set_color(BASELINE)
 
 
 def _mark(marker: str, label: str) -> Line2D:
@@ -186,15 +185,15 @@ def _lines(found: Curves, kind: str) -> Iterator[np.ndarray]:
 
 
 def _draw_curves(axes: Axes, series: Sequence[Series], curves: RunCurves, kind: str) -> None:
-    """The means of all, best on top; thin lines for the drives of the best detector."""
-    best = next((one for one in series if not one.is_floor), None)
+    """The means of all, best on top; thin lines for the groups of the best detector."""
+    best = next((one for one in series if not one.is_baseline), None)
     for depth, one in enumerate(series):
         own = _of(curves, one)
         for x, y, *_ in _lines(own["mean"], kind):
-            width = 1.2 if one.is_floor else 2
+            width = 1.2 if one.is_baseline else 2
             axes.plot(x, y, **one.line(width), zorder=4 - depth / 100)
-        for drive in own["groups"].values() if one is best else ():
-            for x, y, *_ in _lines(drive, kind):
+        for group in own["groups"].values() if one is best else ():
+            for x, y, *_ in _lines(group, kind):
                 axes.plot(x, y, color=one.colour, linewidth=0.7, alpha=0.75, zorder=3)
 
 
@@ -204,7 +203,7 @@ def _draw_equal_f(axes: Axes, levels: Sequence[float]) -> None:
         recall = np.linspace(level / (2 - level), 1, 60)
         axes.plot(recall, level * recall / (2 * recall - level), color=GRID, linewidth=0.8)
         axes.annotate(f"F {level:g}", (recall[0], 1), (0, 3), xycoords=("data", "axes fraction"),
-                      textcoords="offset points", ha="center", fontsize=8, color=FLOOR,
+                      textcoords="offset points", ha="center", fontsize=8, color=BASELINE,
                       annotation_clip=False)  # fmt: skip
 
 
@@ -218,7 +217,7 @@ def _finish_inset(axes: Axes, inset: Axes) -> None:
     for spine in inset.spines.values():
         spine.set_visible(True)
     (left, right), (bottom, top) = inset.get_xlim(), inset.get_ylim()
-    frame = Rectangle((left, bottom), right - left, top - bottom, fill=False, edgecolor=FLOOR)
+    frame = Rectangle((left, bottom), right - left, top - bottom, fill=False, edgecolor=BASELINE)
     axes.add_patch(frame)
 
 
@@ -227,11 +226,11 @@ def reliability_chart(series: Sequence[Series], curves: RunCurves) -> str:
 
     def draw(figure: Figure) -> None:
         upper, lower = figure.subplots(2, sharex=True, height_ratios=(3, 1))
-        upper.plot([0, 1], [0, 1], color=FLOOR, linewidth=1)
+        upper.plot([0, 1], [0, 1], color=BASELINE, linewidth=1)
         for depth, one in enumerate(series):
             for found in _lines(_of(curves, one)["mean"], "reliability"):
-                look = {**one.line(1.1 if one.is_floor else 1.8), "zorder": 4 - depth / 100}
-                upper.plot(found[0], found[1], marker="" if one.is_floor else ".", **look)
+                look = {**one.line(1.1 if one.is_baseline else 1.8), "zorder": 4 - depth / 100}
+                upper.plot(found[0], found[1], marker="" if one.is_baseline else ".", **look)
                 if len(found) > 2:
                     lower.plot(found[0], np.where(found[2] > 0, found[2], np.nan), **look)
         upper.set(xlim=(-0.01, 1.01), ylim=(0, 1.01), ylabel="share of road")
@@ -266,16 +265,16 @@ def risk_chart(series: Sequence[Series], curves: RunCurves) -> str:
 
 
 def distribution_chart(series: Sequence[Series], rows: Sequence[PictureRow]) -> str:
-    """F of the single pictures by detector and drive: a tick each, quartiles and deciles."""
+    """F of the single pictures by detector and group: a tick each, quartiles and deciles."""
     names = {one.name for one in series}
     values: dict[str, dict[str, list[float]]] = {}
-    drives = sorted({row.group for row in rows})
+    groups = sorted({row.group for row in rows})
     for row in rows:
         if row.detector in names and not math.isnan(row.f):
-            group = row.group if len(drives) <= MOST_DRIVES else ""
+            group = row.group if len(groups) <= MAX_GROUPS else ""
             values.setdefault(row.detector, {}).setdefault(group, []).append(row.f)
     shown = [one for one in series if one.name in values]
-    lanes = drives if 1 < len(drives) <= MOST_DRIVES else [""]
+    lanes = groups if 1 < len(groups) <= MAX_GROUPS else [""]
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
@@ -286,10 +285,10 @@ def distribution_chart(series: Sequence[Series], rows: Sequence[PictureRow]) -> 
                 _draw_lane(axes, middle, 0.3 / len(lanes), one, values[one.name][group])
                 if len(lanes) > 1:
                     axes.annotate(short(group), (1, middle), (4, 0), fontsize=8, va="center",
-                                  xycoords=("axes fraction", "data"), color=FLOOR,
+                                  xycoords=("axes fraction", "data"), color=BASELINE,
                                   textcoords="offset points", annotation_clip=False)  # fmt: skip
         axes.set_xlim(right=1)
-        axes.set_xlabel("F of a picture, at its drive's threshold")
+        axes.set_xlabel("F of a picture, at its group's threshold")
 
     height = 46 + len(shown) * max(26, 13 * len(lanes))
     return to_svg("pictures", "F of the single pictures", height, draw) if shown else ""

@@ -11,15 +11,15 @@ import numpy as np
 from markupsafe import Markup
 
 from roadtorch.errors import InputError
-from roadtorch.evaluation.drive_curves import RunCurves
-from roadtorch.evaluation.pictures import PictureRow
+from roadtorch.evaluation.group_curves import RunCurves
 from roadtorch.evaluation.result import Evaluation
+from roadtorch.evaluation.summary import PictureRow
 from roadtorch.io.atomic import write_text
 from roadtorch.report.page import charts, tables
 from roadtorch.report.page.outcome import outcome
 from roadtorch.report.page.part_tables import part_tables
 from roadtorch.report.page.svg import MOST, Series, choose_series
-from roadtorch.report.parts import condition_rows, drive_rows
+from roadtorch.report.parts import condition_rows, group_rows
 from roadtorch.report.templates import template
 from roadtorch.version import __version__
 
@@ -72,13 +72,13 @@ def render_page(
         version=__version__,
         command=command,
         series=series,
-        drives=_drives(evaluation),
-        floors={name for name, one in detectors.items() if one.is_floor},
+        groups=_groups(evaluation),
+        baselines={name for name, one in detectors.items() if one.is_baseline},
         left_out=len(detectors) - len(series),
         outcome=outcome(evaluation),
         tables=tables.all_tables(evaluation, series),
         layouts=tables.layouts(evaluation, series),
-        by_drive=part_tables(evaluation, series, drive_rows),
+        by_group=part_tables(evaluation, series, group_rows),
         by_condition=part_tables(evaluation, series, condition_rows),
         measures=tables.measures_shown(evaluation),
         charts={name: Markup(svg) for name, svg in drawn.items()},
@@ -93,17 +93,17 @@ def render_page(
     return text.encode("utf-8", "backslashreplace").decode()
 
 
-def _drives(evaluation: Evaluation) -> dict[str, int]:
-    """How many pictures were scored of each drive."""
+def _groups(evaluation: Evaluation) -> dict[str, int]:
+    """How many pictures were scored of each group."""
     items = Counter(item.group for item in evaluation.dataset.items)
     failed = Counter(one.group for one in evaluation.failures)
-    drives = sorted([*evaluation.drives, *evaluation.left_out])
-    return {drive: items[drive] - failed[drive] for drive in drives}
+    groups = sorted([*evaluation.groups, *evaluation.left_out])
+    return {group: items[group] - failed[group] for group in groups}
 
 
 def _settings(evaluation: Evaluation, series: Sequence[Series]) -> dict[str, str]:
     """Settings as text, of the detectors that charts show and that have any."""
-    given = {one.name: evaluation.detectors[one.name].contender.settings for one in series}
+    given = {one.name: evaluation.detectors[one.name].method.settings for one in series}
     return {
         name: json.dumps(settings, indent=2, ensure_ascii=False)
         for name, settings in given.items()

@@ -1,4 +1,4 @@
-"""Tables of one detector, a drive or a condition in each row, the worst on top."""
+"""Tables of one detector, a group or a condition in each row, the worst on top."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -16,23 +16,23 @@ Rows = Callable[[Evaluation, str], list[PartRow]]
 def part_tables(
     evaluation: Evaluation, series: Sequence[Series], rows_of: Rows
 ) -> dict[str, Table]:
-    """By detector, of those in the charts that are no floors; empty without such parts."""
+    """By detector, of those in the charts that are no baselines; empty without such parts."""
     tables = {
         one.name: part_table(rows_of(evaluation, one.name), evaluation.shown_in("parts"))
         for one in series
-        if not one.is_floor
+        if not one.is_baseline
     }
     return {name: table for name, table in tables.items() if table.names}
 
 
 def part_table(rows: Sequence[PartRow], measures: Sequence[Measure]) -> Table:
-    """The measures in columns, the worst value of each strong, and the best floor's MaxF."""
+    """The measures in columns, the worst value of each strong, and the best baseline's MaxF."""
     table = Table([row.name for row in rows])
     for one in measures:
         if any(one.key in row.figures for row in rows):
             _add(table, one, rows)
-    floors = [number_cell(share(row.floor), row.floor) for row in rows]
-    table.add("MaxF of\nbaseline", "MaxF of the best blind baseline there.", floors)
+    baselines = [number_cell(share(row.baseline), row.baseline) for row in rows]
+    table.add("MaxF of\nbaseline", "MaxF of the best blind baseline there.", baselines)
     return table
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from roadtorch.evaluation.drive_curves import DetectorCurves, RunCurves
+from roadtorch.evaluation.group_curves import DetectorCurves, RunCurves
 from roadtorch.io.atomic import write_text
 from roadtorch.report.page.svg import COLOURS, DASHES, GRID, INK, Series, to_svg
 
@@ -28,7 +28,7 @@ def roc_families(curves: RunCurves, family: str, classifiers: Sequence[str], hal
     """One row a classifier, one column a half, one line a representation; "" without curves.
 
     Drawn are P3's averages over the pictures (``roc_vertical``), and of them the mean over
-    drives. Names are ``family`` + ``classifier:planes``.
+    groups. Names are ``family`` + ``classifier:planes``.
     """
     lines = {
         (name, planes): line
@@ -58,7 +58,7 @@ def draw_families(figure: Figure, lines: Lines, classifiers: Sequence[str], halv
 
 
 def mean_line(own: DetectorCurves | None) -> np.ndarray | None:
-    """FPR and TPR (2,points), averaged over drives at equal FPR; None where they are not known."""
+    """FPR and TPR (2,points), averaged over groups at equal FPR; None where they are not known."""
     parts = [own["mean"], *own["groups"].values()] if own else []
     found = [np.array(line) for part in parts if (line := part.get("roc_vertical"))]
     return np.mean(found, axis=0) if found else None

@@ -21,7 +21,7 @@ from roadtorch.evaluation.result import Evaluation
 
 MOST = 8  # detectors in a chart, best first
 
-MOST_FLOORS = 4
+MOST_BASELINES = 4
 
 LONGEST = 34  # letters of a name in a chart
 
@@ -32,11 +32,11 @@ COLOURS = (
     *("#e69f00", "#56b4e9", "#000000", "#f0e442"),  # orange, sky blue, black, yellow
 )
 
-FLOOR, GRID, BAND, INK, PAPER = "#7f7f7f", "#d9d9d9", "#efefef", "#1a1a1a", "#fefefe"
+BASELINE, GRID, BAND, INK, PAPER = "#7f7f7f", "#d9d9d9", "#efefef", "#1a1a1a", "#fefefe"
 
 VARIABLES = {
     **{colour: f"var(--c{place}, {colour})" for place, colour in enumerate(COLOURS, 1)},
-    FLOOR: f"var(--floor, {FLOOR})",
+    BASELINE: f"var(--baseline, {BASELINE})",
     GRID: f"var(--grid, {GRID})",
     BAND: f"var(--band, {BAND})",
     INK: "currentColor",
@@ -45,7 +45,7 @@ VARIABLES = {
 
 DASHES = ((), (7, 2), (2, 1.5), (7, 2, 1.5, 2), (4, 2), (9, 2, 4, 2), (12, 3), (5, 1.5, 1, 1.5))
 
-FLOOR_DASHES = ((3, 3), (1, 3), (6, 3, 1, 3), (9, 4))
+BASELINE_DASHES = ((3, 3), (1, 3), (6, 3, 1, 3), (9, 4))
 
 STYLE: dict[str, Any] = {
     "font.family": "sans-serif",
@@ -56,7 +56,7 @@ STYLE: dict[str, Any] = {
     "text.parse_math": False,  # a $ in a name is a $
     "text.color": INK,
     "axes.labelcolor": INK,
-    "axes.edgecolor": FLOOR,
+    "axes.edgecolor": BASELINE,
     "axes.facecolor": "none",
     "axes.linewidth": 0.8,
     "axes.spines.top": False,
@@ -65,8 +65,8 @@ STYLE: dict[str, Any] = {
     "axes.grid": True,
     "grid.color": GRID,
     "grid.linewidth": 0.7,
-    "xtick.color": FLOOR,
-    "ytick.color": FLOOR,
+    "xtick.color": BASELINE,
+    "ytick.color": BASELINE,
     "xtick.labelcolor": INK,
     "ytick.labelcolor": INK,
     "figure.facecolor": "none",
@@ -87,7 +87,7 @@ class Series:
     name: str
     colour: str
     dash: tuple[float, ...]  # points, line and gap in turn; empty for a solid line
-    is_floor: bool = False
+    is_baseline: bool = False
 
     def line(self, width: float) -> dict[str, Any]:
         """How Matplotlib draws it."""
@@ -99,15 +99,15 @@ class Series:
 
 
 def choose_series(evaluation: Evaluation) -> list[Series]:
-    """The detectors that charts show, by rank: the eight best, and the four best floors."""
+    """The detectors that charts show, by rank: the eight best, and the four best baselines."""
     ranked, detectors = evaluation.ranked(), evaluation.detectors
-    best = [name for name in ranked if not detectors[name].is_floor][:MOST]
-    floors = [name for name in ranked if detectors[name].is_floor][:MOST_FLOORS]
+    best = [name for name in ranked if not detectors[name].is_baseline][:MOST]
+    baselines = [name for name in ranked if detectors[name].is_baseline][:MOST_BASELINES]
     looks = dict(zip(best, zip(COLOURS, DASHES, strict=True), strict=False))
     found = [Series(name, *looks[name]) for name in best]
     found += [
-        Series(name, FLOOR, dash, is_floor=True)
-        for name, dash in zip(floors, FLOOR_DASHES, strict=False)
+        Series(name, BASELINE, dash, is_baseline=True)
+        for name, dash in zip(baselines, BASELINE_DASHES, strict=False)
     ]
     return sorted(found, key=lambda one: ranked.index(one.name))
 

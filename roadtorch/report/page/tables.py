@@ -10,13 +10,13 @@ from roadtorch.evaluation.measures import MAXF
 from roadtorch.evaluation.result import Difference, Evaluation
 from roadtorch.layout.classes import NAMES
 from roadtorch.report.page.svg import Series
-from roadtorch.report.parts import best_floor
+from roadtorch.report.parts import best_baseline
 
 NONE = "–"
 
-MOST_COLUMNS = 8  # drives with a column of their own
+MOST_COLUMNS = 8  # groups with a column of their own
 
-MOST_ROWS = 40  # of tables by drive and of layouts; more detectors: those in the charts
+MOST_ROWS = 40  # of tables by group and of layouts; more detectors: those in the charts
 
 
 def share(value: float) -> str:
@@ -34,7 +34,7 @@ def measures_shown(evaluation: Evaluation) -> list[Measure]:
     every = [
         figures
         for one in evaluation.detectors.values()
-        for figures in (one.headline, one.pooled, *one.drives.values())
+        for figures in (one.headline, one.pooled, *one.groups.values())
     ]
     shown = {
         one.key for one in evaluation.shown_in("headline", "scores", "further", "parts", "trust")
@@ -93,48 +93,48 @@ def number_cell(text: str, value: float, strong: bool = False, note: str = "") -
 
 
 def all_tables(evaluation: Evaluation, series: Sequence[Series]) -> dict[str, Any]:
-    """Scores, further measures and trust of all detectors, differences, the tables by drive."""
+    """Scores, further measures and trust of all detectors, differences, the tables by group."""
     detectors, names = evaluation.detectors, evaluation.ranked()
     shown = names if len(names) <= MOST_ROWS else [one.name for one in series]
-    drives = {
-        drive: {name: detectors[name].drive(drive) for name in shown}
-        for drive in (*evaluation.drives, *evaluation.left_out)
+    groups = {
+        group: {name: detectors[name].group(group) for name in shown}
+        for group in (*evaluation.groups, *evaluation.left_out)
     }
     if any(detectors[name].pooled for name in shown):
-        drives["all drives, pixels pooled"] = {name: detectors[name].pooled for name in shown}
+        groups["all groups, pixels pooled"] = {name: detectors[name].pooled for name in shown}
     return {
         "scores": scores(evaluation, names),
         "further": further(evaluation, names),
         "trust": trust(evaluation, names),
         "differences": differences(evaluation, names),
-        "drives": {drive: of_part(evaluation, part) for drive, part in drives.items()},
+        "groups": {group: of_part(evaluation, part) for group, part in groups.items()},
         "shown": len(shown),
     }
 
 
 def scores(evaluation: Evaluation, names: Sequence[str]) -> Table:
-    """MaxF by drive and mean, its interval, its distance to the floor, and the other scores."""
-    detectors, table, drives = evaluation.detectors, Table(names), evaluation.drives
+    """MaxF by group and mean, its interval, its distance to the baseline, and the other scores."""
+    detectors, table, groups = evaluation.detectors, Table(names), evaluation.groups
     parts = {name: detectors[name].headline for name in names}
-    for drive in drives if len(drives) <= MOST_COLUMNS else []:
-        table.measure(MAXF, [detectors[name].drive(drive) for name in names], f"MaxF\n{drive}")
+    for group in groups if len(groups) <= MOST_COLUMNS else []:
+        table.measure(MAXF, [detectors[name].group(group) for name in names], f"MaxF\n{group}")
     for one in evaluation.shown_in("headline"):
-        header = f"{one.name}\nmean" if drives and one is MAXF else one.name
+        header = f"{one.name}\nmean" if groups and one is MAXF else one.name
         table.measure(one, list(parts.values()), header)
     intervals = [_interval(evaluation, name) for name in names]
     table.add("95 %", "Bootstrap interval of MaxF over pictures.", intervals)
-    table.add(*_above_floor(evaluation, parts))
+    table.add(*_above_baseline(evaluation, parts))
     for one in evaluation.shown_in("scores"):
         table.measure(one, list(parts.values()))
     return table
 
 
 def of_part(evaluation: Evaluation, part: Mapping[str, Figures]) -> Table:
-    """All figures of one drive, or of a set whose drives are pooled, by detector."""
+    """All figures of one group, or of a set whose groups are pooled, by detector."""
     table = Table(list(part))
     for one in evaluation.shown_in("headline"):
         table.measure(one, list(part.values()))
-    table.add(*_above_floor(evaluation, part))
+    table.add(*_above_baseline(evaluation, part))
     for one in evaluation.shown_in("scores", "further"):
         table.measure(one, list(part.values()))
     return table
@@ -163,13 +163,13 @@ def _interval(evaluation: Evaluation, name: str) -> Cell:
     return Cell(f"{share(ends.low)}–{share(ends.high)}", ends.low) if ends.is_known else Cell(NONE)
 
 
-def _above_floor(
+def _above_baseline(
     evaluation: Evaluation, part: Mapping[str, Figures]
 ) -> tuple[str, str, list[Cell]]:
-    """MaxF less that of the best floor among the same rows."""
+    """MaxF less that of the best baseline among the same rows."""
     values = {name: MAXF.of(figures) for name, figures in part.items()}
-    floor = best_floor(evaluation, values)
-    above = [value - floor[1] if floor else math.nan for value in values.values()]
+    baseline = best_baseline(evaluation, values)
+    above = [value - baseline[1] if baseline else math.nan for value in values.values()]
     hint = "MaxF minus that of the best blind baseline, which never looks at the picture."
     return "above\nbaseline", hint, [number_cell(signed(value), value) for value in above]
 
@@ -234,9 +234,9 @@ def layouts(evaluation: Evaluation, series: Iterable[Series]) -> list[LayoutTabl
 
 
 def _recalls(evaluation: Evaluation, name: str) -> Table:
-    """Recalls by drive and their mean, or of the whole set; without columns if there are none."""
+    """Recalls by group and their mean, or of the whole set; without columns if there are none."""
     one = evaluation.detectors[name]
-    parts = {**one.drives, "mean" if one.drives else "all": one.headline}
+    parts = {**one.groups, "mean" if one.groups else "all": one.headline}
     table = Table(list(parts))
     for measure in evaluation.shown_in("layout"):
         table.measure(replace(measure, better=None), list(parts.values()))

@@ -10,10 +10,10 @@ import matplotlib
 import numpy as np
 import pytest
 
-from roadtorch.evaluation.drive_curves import RunCurves
+from roadtorch.evaluation.group_curves import RunCurves
 from roadtorch.evaluation.measures import F_MASK, MAXF
 from roadtorch.report.page import charts, svg
-from tests.reports import DRIVES, made_row, made_run, scored
+from tests.reports import GROUPS, made_row, made_run, scored
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -54,7 +54,7 @@ def assert_proportional(shown: np.ndarray, given: np.ndarray) -> None:
 # --- which detectors -----------------------------------------------------------------------------
 
 
-def test_the_eight_best_and_the_four_best_floors_are_shown_by_rank():
+def test_the_eight_best_and_the_four_best_baselines_are_shown_by_rank():
     names = [f"d{i}" for i in range(12)] + [f"prior:{i}" for i in range(6)]
     scores = {name: 1 - i / 20 for i, name in enumerate(names)}
 
@@ -62,7 +62,7 @@ def test_the_eight_best_and_the_four_best_floors_are_shown_by_rank():
 
     assert [one.name for one in found] == names[:8] + names[12:16]
     assert len({(one.colour, one.dash) for one in found}) == 12
-    assert all(one.is_floor == one.name.startswith("prior:") for one in found)
+    assert all(one.is_baseline == one.name.startswith("prior:") for one in found)
 
 
 def test_detectors_without_a_score_come_last():
@@ -76,7 +76,7 @@ def test_detectors_without_a_score_come_last():
 
 def test_intervals_of_maxf_are_where_they_belong(run, drawn):
     detectors = run[0].detectors
-    colours = {one.name: one.colour for one in svg.choose_series(run[0]) if not one.is_floor}
+    colours = {one.name: one.colour for one in svg.choose_series(run[0]) if not one.is_baseline}
 
     ends = [lines(drawn["maxf"], colours[name], 2.6)[0][:, 0] for name in colours]
 
@@ -84,15 +84,15 @@ def test_intervals_of_maxf_are_where_they_belong(run, drawn):
     assert_proportional(np.concatenate(ends), np.concatenate(given))
 
 
-def test_maxf_is_written_beside_every_row_and_floors_stand_among_them(run, drawn):
+def test_maxf_is_written_beside_every_row_and_baselines_stand_among_them(run, drawn):
     found = texts(drawn["maxf"])
 
     for name, figures in run[0].detectors.items():
         assert name in found
         assert f"{figures.headline['maxf']:.3f}" in found
-    best_floor = run[0].detectors["prior:mean"].headline["maxf"]
-    assert f"best baseline {best_floor:.3f}" in found
-    assert set(DRIVES) <= set(found)
+    best_baseline = run[0].detectors["prior:mean"].headline["maxf"]
+    assert f"best baseline {best_baseline:.3f}" in found
+    assert set(GROUPS) <= set(found)
 
 
 def test_f_of_the_mask_has_a_chart_of_its_own(run, drawn):
@@ -100,13 +100,13 @@ def test_f_of_the_mask_has_a_chart_of_its_own(run, drawn):
 
     for figures in run[0].detectors.values():
         assert F_MASK.text(F_MASK.of(figures.headline), "") in found
-    assert "F of mask (mean over drives)" in found
+    assert "F of mask (mean over groups)" in found
 
 
 def test_differences_are_where_they_belong(run, drawn):
     changes = run[0].comparison.differences
 
-    ends = lines(drawn["paired"], svg.COLOURS[1], 2.6) + lines(drawn["paired"], svg.FLOOR, 2.6)
+    ends = lines(drawn["paired"], svg.COLOURS[1], 2.6) + lines(drawn["paired"], svg.BASELINE, 2.6)
 
     given = [changes[name]["maxf"].interval for name in ("labeller", "prior:mean", "prior:rows")]
     assert_proportional(np.concatenate(ends)[:, 0], np.concatenate(given))
@@ -142,10 +142,10 @@ def test_risk_is_drawn_beside_the_ideal_one_and_the_mean():
     assert random[:, 1].tolist() == [end[1], end[1]]
 
 
-def test_drives_are_thin_lines_of_the_best_detector_alone(drawn):
+def test_groups_are_thin_lines_of_the_best_detector_alone(drawn):
     best, second = svg.COLOURS[:2]
 
-    assert len(lines(drawn["roc"], best, 0.7)) == 2 * len(DRIVES)  # and in the enlarged corner
+    assert len(lines(drawn["roc"], best, 0.7)) == 2 * len(GROUPS)  # and in the enlarged corner
     assert not lines(drawn["roc"], second, 0.7)
     assert lines(drawn["roc"], second, 2)
 
@@ -173,13 +173,13 @@ def test_every_picture_is_a_tick_and_thousands_are_thinned():
     assert len(np.unique(lines(many, svg.COLOURS[0], 0.6)[0][:, 0])) == charts.MOST_TICKS
 
 
-def test_many_drives_are_not_told_apart():
-    drives = [f"drive {i}" for i in range(40)]
-    evaluation, _, rows = made_run(["it"], drives)
+def test_many_groups_are_not_told_apart():
+    groups = [f"group {i}" for i in range(40)]
+    evaluation, _, rows = made_run(["it"], groups)
     series = svg.choose_series(evaluation)
 
-    assert not set(drives) & set(texts(charts.distribution_chart(series, rows)))
-    assert not set(drives) & set(texts(charts.score_chart(series, evaluation, MAXF)))
+    assert not set(groups) & set(texts(charts.distribution_chart(series, rows)))
+    assert not set(groups) & set(texts(charts.score_chart(series, evaluation, MAXF)))
 
 
 def test_nothing_to_draw_is_no_chart():

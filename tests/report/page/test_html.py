@@ -19,15 +19,14 @@ import pytest
 
 from roadtorch import __version__
 from roadtorch.errors import InputError
-from roadtorch.evaluation.drive_curves import DetectorCurves
+from roadtorch.evaluation.group_curves import DetectorCurves
 from roadtorch.evaluation.measure import Figures
 from roadtorch.evaluation.measures import MEASURES
-from roadtorch.evaluation.result import Comparison, Difference, Evaluation, Failure
-from roadtorch.evaluation.uncertainty import Interval
+from roadtorch.evaluation.result import Comparison, Difference, Evaluation, Failure, Interval
 from roadtorch.report.page import charts, html
 from tests.reports import (
     COMMAND,
-    DRIVES,
+    GROUPS,
     NAMES,
     changed,
     made_contender,
@@ -49,7 +48,7 @@ class Page(HTMLParser):
     tables: dict[str, list[list[list[str]]]] = field(default_factory=dict)
     tags: list[tuple[str, dict[str, str]]] = field(default_factory=list)
     text: dict[str, str] = field(default_factory=dict)
-    rows_of_floors: list[str] = field(default_factory=list)
+    rows_of_baselines: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         super().__init__()
@@ -67,7 +66,7 @@ class Page(HTMLParser):
             tables.append([])
         elif tag == "tr":
             tables[-1].append([])
-            self._floor = values.get("class") == "floor"
+            self._baseline = values.get("class") == "baseline"
         elif tag in ("td", "th"):
             tables[-1][-1].append("")
             self._cell = True
@@ -75,8 +74,8 @@ class Page(HTMLParser):
     def handle_endtag(self, tag):
         if tag in ("td", "th"):
             self._cell = False
-            if tag == "th" and self._floor:
-                self.rows_of_floors.append(self.tables[self._section][-1][-1][-1])
+            if tag == "th" and self._baseline:
+                self.rows_of_baselines.append(self.tables[self._section][-1][-1][-1])
 
     def handle_data(self, data):
         if self._inside not in ("style", "script"):
@@ -124,27 +123,27 @@ def test_the_scores_are_those_of_the_document(page, header, key):
     }
 
 
-def test_drives_intervals_and_times_are_in_the_table(page):
+def test_groups_intervals_and_times_are_in_the_table(page):
     detectors = made_run()[0].detectors
 
-    for drive in DRIVES:
-        found = column(page, "scores", f"MaxF {drive}")
+    for group in GROUPS:
+        found = column(page, "scores", f"MaxF {group}")
         for name in NAMES:
-            assert found[name] == f"{detectors[name].drives[drive]['maxf']:.3f}"
+            assert found[name] == f"{detectors[name].groups[group]['maxf']:.3f}"
     low, high = detectors["cpf:v2"].interval
     assert column(page, "scores", "95 %")["cpf:v2"] == f"{low:.3f}–{high:.3f}"
     assert set(column(page, "scores", "ms /image").values()) == {"12.3"}
 
 
-def test_the_best_is_first_and_floors_are_marked(page):
+def test_the_best_is_first_and_baselines_are_marked(page):
     evaluation = made_run()[0]
     shuffled = replace(evaluation, detectors=dict(sorted(evaluation.detectors.items())))
 
     assert list(column(render(shuffled), "scores", "AP")) == list(NAMES)
-    assert {*page.rows_of_floors} == {"prior:mean", "prior:rows"}
+    assert {*page.rows_of_baselines} == {"prior:mean", "prior:rows"}
 
 
-def test_the_distance_to_the_best_floor_stands_beside_every_score(page):
+def test_the_distance_to_the_best_baseline_stands_beside_every_score(page):
     scores = {name: one.headline["maxf"] for name, one in made_run()[0].detectors.items()}
 
     found = column(page, "scores", "above baseline")
@@ -155,15 +154,15 @@ def test_the_distance_to_the_best_floor_stands_beside_every_score(page):
         assert float(text.replace("\N{MINUS SIGN}", "-")) == pytest.approx(expected, abs=5e-4)
 
 
-def test_tables_by_drive_have_the_drives_figures(page):
+def test_tables_by_group_have_the_groups_figures(page):
     detectors = made_run()[0].detectors
 
-    for place, drive in enumerate(DRIVES):
-        assert column(page, "drives", "IoU", place)["labeller"] == (
-            f"{detectors['labeller'].drives[drive]['iou']:.3f}"
+    for place, group in enumerate(GROUPS):
+        assert column(page, "groups", "IoU", place)["labeller"] == (
+            f"{detectors['labeller'].groups[group]['iou']:.3f}"
         )
-        assert "PRE" in page.tables["drives"][place][0]
-    assert len(page.tables["drives"]) == len(DRIVES) + 1  # and all pooled
+        assert "PRE" in page.tables["groups"][place][0]
+    assert len(page.tables["groups"]) == len(GROUPS) + 1  # and all pooled
 
 
 def test_differences_have_their_intervals(page):
@@ -186,15 +185,15 @@ def test_confusions_are_tables():
 
     assert heat[0] == ["truth", "sky", "vertical", "horizontal"]
     assert heat[2] == ["vertical", "0.050", "0.900", "0.050"]
-    assert [row[0] for row in recalls] == ["drive", *DRIVES, "mean"]
+    assert [row[0] for row in recalls] == ["group", *GROUPS, "mean"]
 
 
 def test_detectors_that_share_a_layout_share_its_tables():
     evaluation = made_run(["a", "b", "c"])[0]
     a = evaluation.detectors["a"]
-    evaluation = changed(evaluation, "b", headline=a.headline, drives=a.drives)
+    evaluation = changed(evaluation, "b", headline=a.headline, groups=a.groups)
     other = {**a.headline, "layout/sky": 0.1}
-    evaluation = changed(evaluation, "c", headline=other, drives=a.drives)
+    evaluation = changed(evaluation, "c", headline=other, groups=a.groups)
 
     page = render(evaluation)
 
@@ -202,9 +201,9 @@ def test_detectors_that_share_a_layout_share_its_tables():
     assert "a, b" in page.text["layout"]
 
 
-def test_the_worst_drive_is_on_top_and_its_figures_stand_out():
+def test_the_worst_group_is_on_top_and_its_figures_stand_out():
     cameras = [f"camera{number}" for number in range(8)]
-    evaluation = without_drive(made_run(["fusion", "prior:rows"], cameras)[0], "camera5")
+    evaluation = without_group(made_run(["fusion", "prior:rows"], cameras)[0], "camera5")
 
     page = render(evaluation)
 
@@ -212,32 +211,32 @@ def test_the_worst_drive_is_on_top_and_its_figures_stand_out():
     assert [row[0] for row in table[1:]] == [
         *(one for one in cameras if one != "camera5"), "mean", "camera5 (left out)"
     ]  # fmt: skip
-    fusion, rows = (evaluation.detectors[name].drives for name in ("fusion", "prior:rows"))
+    fusion, rows = (evaluation.detectors[name].groups for name in ("fusion", "prior:rows"))
     assert column(page, "worst", "F of mask") == {
-        **{drive: f"{figures['f_mask']:.3f}" for drive, figures in fusion.items()},
+        **{group: f"{figures['f_mask']:.3f}" for group, figures in fusion.items()},
         "mean": f"{evaluation.detectors['fusion'].headline['f_mask']:.3f}",
-        "camera5 (left out)": f"{evaluation.detectors['fusion'].drive('camera5')['f_mask']:.3f}",
+        "camera5 (left out)": f"{evaluation.detectors['fusion'].group('camera5')['f_mask']:.3f}",
     }
     assert column(page, "worst", "MaxF of baseline")["camera0"] == f"{rows['camera0']['maxf']:.3f}"
     assert f"<b>{fusion['camera0']['f_mask']:.3f}</b>" in page.source.split('id="worst"')[1]
     assert "camera5 left out of every mean and choice" in page.text["head"]
-    assert "camera5 (left out)" in page.text["drives"]
+    assert "camera5 (left out)" in page.text["groups"]
 
 
-def without_drive(evaluation: Evaluation, drive: str) -> Evaluation:
-    """The same run with one drive left out."""
+def without_group(evaluation: Evaluation, group: str) -> Evaluation:
+    """The same run with one group left out."""
     for name, one in evaluation.detectors.items():
-        kept = {each: figures for each, figures in one.drives.items() if each != drive}
-        left_out = {drive: one.drives[drive]}
-        evaluation = changed(evaluation, name, drives=kept, left_out=left_out)
+        kept = {each: figures for each, figures in one.groups.items() if each != group}
+        left_out = {group: one.groups[group]}
+        evaluation = changed(evaluation, name, groups=kept, left_out=left_out)
     return evaluation
 
 
-def test_conditions_have_a_table_with_the_number_of_their_drives():
+def test_conditions_have_a_table_with_the_number_of_their_groups():
     page = render(with_conditions(made_run(["fusion", "prior:rows"])[0]))
 
     assert column(page, "conditions", "F of mask") == {
-        "night (1 drive)": "0.300", "day (3 drives)": "0.800"
+        "night (1 group)": "0.300", "day (3 groups)": "0.800"
     }  # fmt: skip
 
 
@@ -261,7 +260,7 @@ def test_the_run_is_told(page):
 
     assert "roadtorch evaluate camvid data --detector 'cpf*'" in text
     assert f"roadtorch {__version__}" in text
-    assert "thresholds from the other drives" in text
+    assert "thresholds from the other groups" in text
     assert '"height": 30' in text
     assert "0001TP_99" in page.text["failures"]
     assert "is not a picture" in page.text["failures"]
@@ -332,7 +331,7 @@ def test_a_run_with_nothing_but_names():
 
     assert "No detector has a score." in page.text["head"]
     assert page.charts() == []
-    assert {"curves", "pairs", "layout", "looked-at", "failures", "drives"}.isdisjoint(page.tables)
+    assert {"curves", "pairs", "layout", "looked-at", "failures", "groups"}.isdisjoint(page.tables)
 
 
 @pytest.fixture
@@ -343,15 +342,15 @@ def _no_charts(monkeypatch):
 
 
 def ways_to_miss() -> dict[str, Evaluation]:
-    """Runs that lack something: a measure in the headline and a drive, or all of a kind."""
+    """Runs that lack something: a measure in the headline and a group, or all of a kind."""
     whole = made_run()[0]
     one = whole.detectors["fusion"]
     found = {}
     for measure in MEASURES:
         headline = {key: value for key, value in one.headline.items() if key != measure.key}
-        drives = {**one.drives, "0006R0": {}}
-        found[measure.key] = changed(whole, "fusion", headline=headline, drives=drives)
-    fields = {"drives": {}, "pooled": {}, "intervals": {}, "threshold_from": ""}
+        groups = {**one.groups, "0006R0": {}}
+        found[measure.key] = changed(whole, "fusion", headline=headline, groups=groups)
+    fields = {"groups": {}, "pooled": {}, "intervals": {}, "threshold_from": ""}
     found |= {name: changed(whole, "fusion", **{name: value}) for name, value in fields.items()}
     undefined = {"labeller": {"maxf": Difference(math.nan, Interval())}, "cpf:v2": {}}
     found["differences"] = replace(whole, comparison=Comparison("fusion", undefined))
@@ -376,7 +375,7 @@ def test_undefined_figures_are_dashes():
     for name, one in evaluation.detectors.items():
         evaluation = changed(
             evaluation, name, headline=undefined(one.headline), pooled=undefined(one.pooled),
-            drives={drive: undefined(figures) for drive, figures in one.drives.items()},
+            groups={group: undefined(figures) for group, figures in one.groups.items()},
             intervals={"maxf": Interval()},
         )  # fmt: skip
     nothing = Difference(math.nan, Interval())
@@ -395,12 +394,12 @@ def test_undefined_figures_are_dashes():
     assert not re.search(r"\bnan\b|None", "".join(page.text.values()))
 
 
-def test_one_detector_without_drives():
-    page = render(*made_run(["it"], drives=[]))
+def test_one_detector_without_groups():
+    page = render(*made_run(["it"], groups=[]))
 
     assert column(page, "scores", "MaxF") == {"it": "0.950"}
     assert "No blind baseline was scored beside it." in page.text["head"]
-    assert "drives" not in page.tables
+    assert "groups" not in page.tables
     assert len(page.charts()) == 7  # nobody to compare with
 
 
@@ -448,7 +447,7 @@ def test_names_are_text_wherever_they_stand():
     evaluation = replace(
         changed(
             evaluation, HOSTILE, threshold_from=HOSTILE,
-            contender=made_contender(HOSTILE, {HOSTILE: HOSTILE}),
+            method=made_contender(HOSTILE, {HOSTILE: HOSTILE}),
         ),
         dataset=replace(evaluation.dataset, name=HOSTILE, split=HOSTILE),
         failures=[Failure(HOSTILE, HOSTILE, HOSTILE)],

@@ -6,17 +6,16 @@ from pathlib import Path
 import pytest
 
 from roadtorch.data.dataset import Item
-from roadtorch.evaluation.adaptation import Change, mean_change, most_and_spread
-from roadtorch.evaluation.disagreement import Disagreement
+from roadtorch.evaluation.disagreement import Disagreement, mean_change, most_and_spread
 
 
-def change(number: int, differs: float, before: float = 0.5, after: float = 0.6) -> Change:
+def change(number: int, differs: float, before: float = 0.5, after: float = 0.6) -> Disagreement:
     item = Item(f"picture_{number:02d}", Path("x.png"), Path("x.png"))
-    return Change(Disagreement(item, differs, 0.3, 0.3 + differs, 0.0, differs), before, after)
+    return Disagreement(item, differs, 0.3, 0.3 + differs, 0.0, differs, before, after)
 
 
-def numbers(found: list[Change]) -> list[int]:
-    return [int(one.masks.item.name[-2:]) for one in found]
+def numbers(found: list[Disagreement]) -> list[int]:
+    return [int(one.item.name[-2:]) for one in found]
 
 
 def test_half_changed_most_and_the_others_are_spread_down_to_the_least() -> None:

@@ -1,6 +1,5 @@
-"""The curves of a run as lists of numbers: by drive, and their mean over the drives."""
+"""The curves of a run as lists of numbers: by group, and their mean over the groups."""
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any, TypedDict
 
@@ -9,20 +8,21 @@ from torch import Tensor
 
 from roadtorch.evaluation import calibration, curves
 from roadtorch.evaluation.curves import Curve
+from roadtorch.evaluation.measure import Trusted
 from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.parts import counted, trusted
+from roadtorch.evaluation.summary import trusted, vertical_roc
 from roadtorch.evaluation.tally import WHOLE, Tally
-from roadtorch.evaluation.trust import Trusted, ideal_risk_coverage, risk_coverage
+from roadtorch.evaluation.trust import ideal_risk_coverage, risk_coverage
 
-STEPS = 200  # of FPR and of recall, in the mean over drives
-MOST = 400  # points of a curve
+STEPS = 200  # of FPR and of recall, in the mean over groups
+MAX_POINTS = 400  # points of a curve
 DIGITS = 6
 
 Curves = Mapping[str, Sequence[Sequence[float]] | None]
 """Lists of coordinates by kind of curve; None where a curve is not defined.
 
 ``roc`` (FPR, TPR) and ``pr`` (recall, precision) of pooled counts, ``reliability`` (predicted,
-observed, share of pixels); of drives also P3's averages over pictures, ``roc_vertical`` and
+observed, share of pixels); of groups also P3's averages over pictures, ``roc_vertical`` and
 ``roc_threshold``; of all pictures, where the detector has trust, ``risk`` and
 ``risk_ideal`` (coverage, mean 1 - F).
 """
@@ -39,17 +39,17 @@ RunCurves = Mapping[str, DetectorCurves]
 """By detector."""
 
 
-def drive_curves(tally: Tally, counting: Sequence[str]) -> DetectorCurves:
-    """Curves of one detector: ``mean`` over the drives that count, and ``groups`` by drive."""
+def group_curves(tally: Tally, counting: Sequence[str]) -> DetectorCurves:
+    """Curves of one detector: ``mean`` over the groups that count, and ``groups`` by group."""
     groups = {group: _curves_of(tally, group) for group in counting}
     risk = risk_curves(trusted(tally.kept(counting)))
     if list(groups) == [WHOLE]:
         return {"mean": {**groups[WHOLE], **risk}, "groups": {}}
-    drives = [tally.road[group] for group in counting]
-    bins = torch.tensor([group["reliability"] for group in groups.values()], dtype=torch.float64)
+    counts = [tally.road[group] for group in counting]
+    bins = torch.tensor([one["reliability"] for one in groups.values()], dtype=torch.float64)
     mean: Curves = {
-        "roc": _lists(mean_roc(drives)),
-        "pr": _lists(mean_precision(drives)),
+        "roc": _lists(mean_roc(counts)),
+        "pr": _lists(mean_precision(counts)),
         "reliability": _rounded(bins.nanmean(0)),
         **risk,
     }
@@ -57,16 +57,14 @@ def drive_curves(tally: Tally, counting: Sequence[str]) -> DetectorCurves:
 
 
 def _curves_of(tally: Tally, group: str) -> Curves:
-    counts, vertical = tally.road[group], counted(tally, {group: math.nan}).roc
+    counts, vertical = tally.road[group], vertical_roc(tally, [group])
     bins = calibration.reliability(counts)
     return {
-        "roc": _lists(curves.thin(curves.roc(counts), MOST)),
-        "pr": _lists(curves.thin(curves.precision_recall(counts), MOST)),
+        "roc": _thinned(curves.roc(counts)),
+        "pr": _thinned(curves.precision_recall(counts)),
         "reliability": [_rounded(each) for each in (bins.predicted, bins.observed, bins.share)],
         "roc_vertical": None if vertical is None else _lists(vertical),
-        "roc_threshold": _lists(
-            curves.thin(curves.threshold_average(tally.kept([group]).road), MOST)
-        ),
+        "roc_threshold": _thinned(curves.threshold_average(tally.kept([group]).road)),
     }
 
 
@@ -75,22 +73,22 @@ def risk_curves(pictures: Trusted | None) -> Curves:
     if pictures is None:
         return {}
     return {
-        "risk": _lists(curves.thin(risk_coverage(pictures.trust, pictures.f), MOST)),
-        "risk_ideal": _lists(curves.thin(ideal_risk_coverage(pictures.f), MOST)),
+        "risk": _thinned(risk_coverage(pictures.trust, pictures.f)),
+        "risk_ideal": _thinned(ideal_risk_coverage(pictures.f)),
     }
 
 
-def mean_roc(drives: Sequence[RoadCounts]) -> Curve:
-    """Vertical average of the drives' pooled curves: each drive weighs the same."""
-    rates = torch.stack([curves.vertical_sample(counts, STEPS) for counts in drives])
+def mean_roc(groups: Sequence[RoadCounts]) -> Curve:
+    """Vertical average of the groups' pooled curves: each group weighs the same."""
+    rates = torch.stack([curves.vertical_sample(counts, STEPS) for counts in groups])
     return curves.vertical_average(rates.nanmean(0))
 
 
-def mean_precision(drives: Sequence[RoadCounts]) -> Curve:
-    """Mean over drives of the best precision at a recall or above (as in KITTI's AP)."""
+def mean_precision(groups: Sequence[RoadCounts]) -> Curve:
+    """Mean over groups of the best precision at a recall or above (as in KITTI's AP)."""
     recalls = torch.linspace(0, 1, STEPS + 1, dtype=torch.float64)
-    found = torch.stack([_precision_at(curves.precision_recall(one), recalls) for one in drives])
-    return Curve(recalls, found.nanmean(0))
+    best = torch.stack([_precision_at(curves.precision_recall(one), recalls) for one in groups])
+    return Curve(recalls, best.nanmean(0))
 
 
 def _precision_at(curve: Curve, recalls: Tensor) -> Tensor:
@@ -99,6 +97,10 @@ def _precision_at(curve: Curve, recalls: Tensor) -> Tensor:
     return best[torch.searchsorted(curve.x, recalls).clamp(max=len(best) - 1)].where(
         ~curve.x[-1].isnan(), torch.nan
     )
+
+
+def _thinned(curve: Curve) -> list[list[float]]:
+    return _lists(curves.thin(curve, MAX_POINTS))
 
 
 def _lists(curve: Curve) -> list[list[float]]:
