@@ -25,6 +25,7 @@ from roadtorch import Detection, load_detector
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth
 from roadtorch.detector import Detector
+from roadtorch.evaluation.measure import Trusted
 from roadtorch.evaluation.metrics import (
     RoadCounts,
     count_levels,
@@ -34,7 +35,6 @@ from roadtorch.evaluation.metrics import (
 )
 from roadtorch.evaluation.trust import (
     BAD,
-    Trusted,
     correlation_within,
     failure_auc,
     rank_correlation,
