@@ -61,12 +61,12 @@ def table2(data: Path, out: Path) -> None:
 
 def benchmark_rows(evaluation: Evaluation) -> Iterator[Sequence[str]]:
     """The columns of Table II: MaxF and AP of each category, and of all pictures pooled."""
-    groups = evaluation.drives
+    groups = evaluation.groups
     head = [f"{group} {name}" for group in (*groups, "total") for name in ("MaxF", "AP")]
     yield ("method", *head)
     for name in evaluation.ranked():
         figures = evaluation.detectors[name]
-        parts = [*(figures.drive(group) for group in groups), figures.pooled]
+        parts = [*(figures.group(group) for group in groups), figures.pooled]
         yield (name, *(f"{100 * float(part[key]):.2f}" for part in parts for key in ("maxf", "ap")))
 
 

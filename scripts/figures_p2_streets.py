@@ -89,7 +89,7 @@ def pooled(drives: Mapping[str, Counts]) -> Counts:
     return together(drives.values())
 
 
-def mean_over_groups(drives: Mapping[str, Counts], figure: Callable[[Counts], Tensor]) -> float:
+def mean_over_drives(drives: Mapping[str, Counts], figure: Callable[[Counts], Tensor]) -> float:
     """The mean of a figure over drives."""
     return float(torch.stack([figure(counts) for counts in drives.values()]).mean())
 

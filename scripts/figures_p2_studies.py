@@ -12,7 +12,7 @@ from scripts.figures_p2_streets import (
     auc,
     found_on,
     look_of,
-    mean_over_groups,
+    mean_over_drives,
     pooled,
     streets,
     tell,
@@ -84,9 +84,9 @@ def road_rows(found: Found) -> list[dict[str, str]]:
         {
             "method": name,
             "AUC, pooled": f"{float(auc(pooled(drives))):.3f}",
-            "AUC": f"{mean_over_groups(drives, auc):.3f}",
-            "MaxF": f"{mean_over_groups(drives, _max_f):.3f}",
-            "F": f"{mean_over_groups(drives, _f_of_mask):.3f}",
+            "AUC": f"{mean_over_drives(drives, auc):.3f}",
+            "MaxF": f"{mean_over_drives(drives, _max_f):.3f}",
+            "F": f"{mean_over_drives(drives, _f_of_mask):.3f}",
         }
         for name, drives in found.items()
     ]
