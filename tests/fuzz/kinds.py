@@ -25,10 +25,10 @@ from roadtorch.data.labelme import PolygonLabels
 from roadtorch.data.maps import CONFIG, deciding_settings, map_likelihood, map_mask
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.evaluation.contenders import Contender, named_detector
 from roadtorch.evaluation.document import earlier_thresholds
-from roadtorch.evaluation.saved_tallies import FILE, SavedTallies
+from roadtorch.evaluation.methods import Method, named_detector
 from roadtorch.evaluation.scoring import score
+from roadtorch.evaluation.tally import FILE, SavedTallies
 from roadtorch.io.image import read_image
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
@@ -391,18 +391,18 @@ def read_map(path: Path) -> bool:
     return mask.shape == likelihood.shape == SIZE and bool(likelihood.isfinite().all())
 
 
-def contenders() -> list[Contender]:
+def methods() -> list[Method]:
     return [named_detector(DETECTOR, {})]
 
 
 def make_metrics(draw: Draw, folder: Path) -> Path:
-    settings = dict(contenders()[0].settings)
+    settings = dict(methods()[0].settings)
     document = {"detectors": {DETECTOR: {"maxf_threshold": 0.61, "settings": settings}}}
     return written(folder / "metrics.json", tampered_json(draw, document))
 
 
 def read_thresholds(path: Path) -> bool:
-    return all(0 <= value <= 1 for value in earlier_thresholds(path, contenders()).values())
+    return all(0 <= value <= 1 for value in earlier_thresholds(path, methods()).values())
 
 
 def make_progress(draw: Draw, folder: Path) -> Path:
@@ -410,7 +410,7 @@ def make_progress(draw: Draw, folder: Path) -> Path:
     write_set(folder, "a")
     item = Item("a", folder / "images/a.png", folder / "masks/a.png")
     saved = SavedTallies(folder, "run")
-    for result in score(Dataset("folder", folder, "all", (item,), FolderLabels()), contenders()):
+    for result in score(Dataset("folder", folder, "all", (item,), FolderLabels()), methods()):
         told = {name: replace(one, seconds=0.01) for name, one in result.scores.items()}
         saved.add(replace(result, scores=told))
     saved.save()
