@@ -27,11 +27,11 @@ from torch import Tensor
 from roadtorch.detector import Detection, Detector
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.io.image import read_image
-from roadtorch.runs.batch import Job, plan
-from roadtorch.runs.footage_results import USUAL_OF_PICTURES
+from roadtorch.runs.engines import processors, rows_of_workers
+from roadtorch.runs.footage import USUAL_OF_PICTURES
 from roadtorch.runs.index import Row
-from roadtorch.runs.results import Inference, suffixes, write_files
-from roadtorch.runs.workers import processors, rows_of_workers
+from roadtorch.runs.pictures import Job
+from roadtorch.runs.results import Inference, plan_results, write_files
 from roadtorch.runtime.memory import keep_freed_memory
 from roadtorch.runtime.threads import Threads
 
@@ -60,7 +60,7 @@ class ReadingAndWriting:
     def __call__(self, job: Job) -> Row:
         detection = self.found[len(job.picture.name) % len(self.found)]
         image = read_image(job.picture.path)
-        job.out.mkdir(parents=True, exist_ok=True)
+        job.output("").parent.mkdir(parents=True, exist_ok=True)
         write_files(job.output, KINDS, 8, image, detection)
         return Row(job.file)
 
@@ -79,7 +79,7 @@ def measure(given: argparse.Namespace, out: Path) -> dict[str, float]:
     Threads(1, 1).set()
     keep_freed_memory()
     detector = load_detector(given.detector)
-    jobs = plan([str(given.images)], out, suffixes(USUAL_OF_PICTURES))[: given.pictures]
+    jobs = plan_results([str(given.images)], out, USUAL_OF_PICTURES)[: given.pictures]
     images = [read_image(job.picture.path) for job in jobs[:KEPT]]
     found = [detector.detect(image) for image in images]
     ways: dict[str, Callable[[Job], Row]] = {

@@ -13,7 +13,7 @@ from roadtorch.data.dataset import Dataset, Truth, every_kth
 from roadtorch.detectors.ufl import OriginalUflSettings, road_cues
 from roadtorch.io.image import to_pixels
 from roadtorch.settings import build_settings
-from roadtorch.ufl.maps import LearnedFeatures, learn_features
+from roadtorch.ufl.learned import LearnedFeatures, learn_features
 from roadtorch.ufl.preprocess import WorkingShape, bicubic
 
 SETS = {"camvid": ("camvid", 18), "idd-lite": ("idd_lite", 10), "kitti-road": ("kitti_road", 5)}

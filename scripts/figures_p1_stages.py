@@ -10,7 +10,8 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth
 from roadtorch.evaluation.metrics import Decisions, count_mask, f_measure, precision, recall
 from roadtorch.ufl.features import white_patches
-from roadtorch.ufl.maps import dictionary_picture, make_encoder, to_unit
+from roadtorch.ufl.maps import make_encoder, to_unit
+from roadtorch.ufl.pictures import dictionary_picture
 from scripts.figures_p1_overlay import agreement
 from scripts.figures_p1_pictures import (
     example,

@@ -36,13 +36,13 @@ from roadtorch.cli import main
 from roadtorch.detectors.catalogue import list_detectors
 from roadtorch.evaluation import tally
 from roadtorch.io.image import write_mask
-from roadtorch.runs.run_record import RUN
+from roadtorch.runs.folder import RUN
 from roadtorch.scenes.street import render_scene, write_picture
 from roadtorch.train import loop
 
 LOADED = (
-    *("roadtorch.camera.camera", "roadtorch.runs.batch", "roadtorch.runs.claim"),
-    *("roadtorch.cli.config", "roadtorch.cli.labelled", "roadtorch.runs.results"),
+    *("roadtorch.camera.camera", "roadtorch.runs.pictures", "roadtorch.runs.folder"),
+    *("roadtorch.cli.evaluate", "roadtorch.runs.results"),
     *("roadtorch.runs.engines", "roadtorch.runs.footage", "roadtorch.sources.open"),
     *("roadtorch.data.catalogue", "roadtorch.evaluation.evaluate", "roadtorch.report.files"),
     *("roadtorch.report.screen", "roadtorch.train.run"),

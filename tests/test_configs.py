@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from roadtorch.cli.config import chosen_detector
 from roadtorch.detectors.catalogue import detector_entry
 from roadtorch.layout.patch_network import Topology
+from roadtorch.runs.options import DetectorOptions
 from roadtorch.settings import build_settings
 from roadtorch.train.config import PatchTraining, read_training
 
@@ -38,7 +38,7 @@ def test_the_papers_config_is_to_the_letter_where_the_paper_says() -> None:
 
 @pytest.mark.parametrize("path", THRESHOLDS, ids=lambda path: path.stem)
 def test_the_default_threshold_is_the_one_that_was_chosen(path: Path) -> None:
-    name, values = chosen_detector(None, path, (), None)
+    name, values = DetectorOptions(config=path).named()
     kind = detector_entry(name).settings
 
     chosen, default = build_settings(kind, values).model_dump(), kind().model_dump()

@@ -91,7 +91,7 @@ def test_from_the_wheel_every_config_works_by_name(wheel: Path, tmp_path: Path) 
         archive.extractall(tmp_path / "site")
     code = """
 from pathlib import Path
-from roadtorch.cli.config import chosen_detector
+from roadtorch.runs.options import DetectorOptions
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.runtime.shipped_configs import THRESHOLDS, config_file, shipped_configs
 from roadtorch.train.config import read_training
@@ -101,7 +101,7 @@ assert config_file("adapt").is_relative_to(Path.cwd() / "site"), config_file("ad
 assert weights_path("layout").is_relative_to(Path.cwd() / "site")
 for name in shipped_configs():
     if name.startswith(THRESHOLDS):
-        detector, values = chosen_detector(None, config_file(name), (), None)
+        detector, values = DetectorOptions(config=config_file(name)).named()
         load_detector(detector, **values)
     else:
         read_training(config_file(name))

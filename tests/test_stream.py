@@ -137,7 +137,7 @@ def test_what_steadies_sees_the_frames_in_order_and_decides() -> None:
 
 
 def test_pictures_are_a_source_that_does_not_move(tmp_path: Path) -> None:
-    from tests.cli.conftest import save_picture
+    from tests.command import save_picture
 
     save_picture(tmp_path / "b.png")
     save_picture(tmp_path / "sub" / "a.jpg")

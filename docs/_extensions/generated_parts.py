@@ -26,7 +26,7 @@ from typing import Any
 import click
 from sphinx.application import Sphinx
 
-from roadtorch.cli.detectors import describe
+from roadtorch.cli.completion import setting_rows
 from roadtorch.cli.group import COMMANDS
 from roadtorch.settings import Settings
 
@@ -121,7 +121,7 @@ def settings_list(kind: type[Settings], before: str = "", leave_out: str = "-") 
     before: what is put before their names. leave_out: names that begin so are left out.
     """
     lines: list[str] = []
-    for key, of_type, default, allowed, meaning in describe(kind.model_json_schema()):
+    for key, of_type, default, allowed, meaning in setting_rows(kind.model_json_schema()):
         if not key.startswith(leave_out):
             shown = f"default {code(default)}" if default else "no default"
             facts = ", ".join(filter(None, (escaped(of_type), shown, escaped(allowed))))

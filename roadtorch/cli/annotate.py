@@ -4,7 +4,8 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import PATH, Choice, with_choice
+from roadtorch.cli.options import PATH, with_detector
+from roadtorch.runs.options import DetectorOptions
 
 ORDERS = ("least-trust", "random", "different")
 
@@ -22,7 +23,7 @@ FORMATS = ("labelme", "xml", "png", "cvat", "label-studio")
     show_default=True,
     help="Which picture comes next; different: most unlike those corrected.",
 )
-@with_choice
+@with_detector
 @click.option("--report", "reports", is_flag=True, help="Say what was corrected, and stop.")
 @click.option("--export", "exported", type=click.Choice(FORMATS), help="Write corrections to --to.")
 @click.option("--to", type=PATH, help="Folder for --export.")
@@ -41,7 +42,7 @@ def annotate(
     out: Path | None,
     port: int | None,
     order: str,
-    choice: Choice,
+    choice: DetectorOptions,
     reports: bool,
     exported: str | None,
     to: Path | None,
@@ -86,9 +87,9 @@ def _import(
     context: click.Context, out: Path, folder: Path, name: str, origin: Path, user: str
 ) -> None:
     from roadtorch.annotate.work import import_labels
-    from roadtorch.runs.claim import claimed
+    from roadtorch.runs.folder import output_lock
 
-    context.with_resource(claimed(out))
+    context.with_resource(output_lock(out))
     count = import_labels(name, origin, folder, out, user)
     click.echo(f"{count} pictures brought in as {user}")
 
@@ -99,17 +100,17 @@ def _serve(
     out: Path,
     port: int | None,
     order: str,
-    choice: Choice,
+    choice: DetectorOptions,
 ) -> None:
     from roadtorch.annotate.next_pictures import PictureOrder
     from roadtorch.annotate.serving import opened_session, page_server
     from roadtorch.detectors.catalogue import load_detector
-    from roadtorch.runs.claim import claimed
+    from roadtorch.runs.folder import output_lock
     from roadtorch.sources.pictures import find_images
 
     count = len(find_images([folder], out))
     name, values = choice.named()
-    context.with_resource(claimed(out))
+    context.with_resource(output_lock(out))
     session = opened_session(folder, out, load_detector(name, **values), order=PictureOrder(order))
     server = page_server(session, port)
     click.echo(f"{count} pictures; corrections are kept in {out}")

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from roadtorch.cli.completion import suggest_files
 from roadtorch.cli.options import PATH
-from roadtorch.cli.suggestions import suggest_files
 
 if TYPE_CHECKING:
     from roadtorch.camera.camera import Camera

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from roadtorch.cli.options import JOBS, PATH, QUIET
-from roadtorch.cli.suggestions import suggest_candidates, suggest_files, suggest_rooted_datasets
+from roadtorch.cli.completion import suggest_candidates, suggest_files, suggest_rooted_datasets
+from roadtorch.cli.options import JOBS, PATH, QUIET, command_line
 
 if TYPE_CHECKING:
     from roadtorch.data.dataset import Dataset
@@ -62,13 +62,13 @@ def compare(
     --images: where they disagree most.
     """
     from roadtorch.evaluation.methods import candidate
-    from roadtorch.runs.claim import claimed
+    from roadtorch.runs.folder import output_lock
 
     if sum((labelled is not None, corrections is not None, bool(images))) != 1:
         raise click.UsageError("give one of --labelled, --corrections and --images")
     methods = candidate(first, "A"), candidate(second, "B")
     if out is not None:
-        context.with_resource(claimed(out))
+        context.with_resource(output_lock(out))
     _tell_people(methods)
     if images:
         code = _disagree(context, methods, images, limit, worst, quiet)
@@ -102,7 +102,7 @@ def _score(
     limit: int | None,
     jobs: int,
 ) -> int:
-    from roadtorch.cli.labelled import command_line, tell_failures, watched
+    from roadtorch.cli.evaluate import tell_failures, watched
     from roadtorch.evaluation.evaluate import evaluated
     from roadtorch.report.screen import screen
 
@@ -129,7 +129,6 @@ def _disagree(
 ) -> int:
     from tqdm import tqdm
 
-    from roadtorch.cli.labelled import command_line
     from roadtorch.data.dataset import every_kth
     from roadtorch.errors import InputError
     from roadtorch.evaluation.disagreement import disagreements, unlabelled_set, worst_first

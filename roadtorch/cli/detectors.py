@@ -1,4 +1,4 @@
-"""roadtorch detectors: what there is, and what can be set."""
+"""roadtorch detectors, roadtorch planes: what there is, and what can be set."""
 
 import textwrap
 from collections.abc import Iterator, Sequence
@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from roadtorch.cli.setting_rows import describe
-from roadtorch.cli.suggestions import suggest_detectors
+from roadtorch.cli.completion import setting_rows, suggest_detectors
 
 if TYPE_CHECKING:
     from roadtorch.detector import Entry
@@ -16,6 +15,8 @@ if TYPE_CHECKING:
 WIDTH = 100  # letters in a line
 CELL = 14  # letters in a line of an inner column
 GAP = "  "
+
+CIRCULAR = "; circular"
 
 
 @click.command()
@@ -40,8 +41,25 @@ def detectors(name: str | None) -> None:
         entry = detector_entry(name)
         click.echo(f"{name}: {entry.summary}\n")
         header = ("setting", "type", "default", "allowed", "meaning")
-        rows = [header, *describe(entry.settings.model_json_schema())]
+        rows = [header, *setting_rows(entry.settings.model_json_schema())]
     click.echo("\n".join(columns(rows)))
+
+
+@click.command()
+def planes() -> None:
+    """List the colour planes with their ranges, and the representations made of them."""
+    from roadtorch.imaging.color import PLANES, REPRESENTATIONS
+
+    rows = [("plane", "low", "high", "meaning")]
+    rows += [
+        (name, f"{plane.low:g}", f"{plane.high:g}", plane.summary + CIRCULAR * plane.circular)
+        for name, plane in PLANES.items()
+    ]
+    click.echo("\n".join(columns(rows)))
+    click.echo()
+    combined = [("representation", "planes")]
+    combined += [(name, " ".join(parts)) for name, parts in REPRESENTATIONS.items()]
+    click.echo("\n".join(columns(combined)))
 
 
 def listed(name: str, entries: Sequence["Entry"]) -> Iterator[tuple[str, str]]:

@@ -1,16 +1,17 @@
-"""roadtorch evaluate: score detectors on labelled pictures, beside the baselines."""
+"""roadtorch evaluate, roadtorch tune: detectors over labelled pictures, beside the baselines."""
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from roadtorch.cli.options import CAMERA, PATH, labelled_set
-from roadtorch.cli.suggestions import suggest_detectors, suggest_rooted_datasets
+from roadtorch.cli.completion import suggest_detectors, suggest_rooted_datasets
+from roadtorch.cli.options import CAMERA, PATH, command_line, labelled_set
 
 if TYPE_CHECKING:
-    from roadtorch.data.dataset import Dataset
     from roadtorch.evaluation.result import Evaluation
+    from roadtorch.evaluation.scoring import Scored
 
 
 @click.command()
@@ -66,21 +67,29 @@ def evaluate(
     groups can teach it, prior:mean.
     A run that is interrupted goes on where it was when it is started again.
     """
-    from roadtorch.cli.labelled import camera_settings, opened, watched
-    from roadtorch.data.catalogue import open_named
+    from roadtorch.data.catalogue import open_dataset, open_named
+    from roadtorch.data.conditions import with_conditions
+    from roadtorch.data.dataset import leave_out
+    from roadtorch.data.kitti import birds_eye
     from roadtorch.data.maps import parse_maps
     from roadtorch.evaluation.evaluate import evaluate as score
-    from roadtorch.runs.claim import claimed
+    from roadtorch.report.screen import screen
+    from roadtorch.report.table3 import table_text
+    from roadtorch.runs.folder import output_lock
     from roadtorch.settings import merge, parse_assignments
 
     if out is not None:
-        context.with_resource(claimed(out))  # now rather than after the long run
-    labelled = opened(dataset, root, split, left_out)
-    chosen = _without_default(context, names, folders)
-    values = merge(camera_settings(camera, chosen), parse_assignments(assignments))
+        context.with_resource(output_lock(out))  # now rather than after the long run
+    labelled = leave_out(open_dataset(dataset, root, split), left_out)
+    default = click.core.ParameterSource.DEFAULT
+    if folders and context.get_parameter_source("names") is default:
+        names = ()  # no detector but the baselines when only maps are asked for
+    values = merge(camera_settings(camera, names), parse_assignments(assignments))
+    if conditions is not None:
+        labelled = with_conditions(labelled, conditions)
     evaluation = score(
-        _seen(labelled, conditions, bev),
-        chosen,
+        birds_eye(labelled) if bev else labelled,
+        names,
         settings=values,
         maps=parse_maps(folders),
         limit=limit,
@@ -91,45 +100,111 @@ def evaluate(
         keep_in=out,
         watch=watched,
     )
-    _tell(evaluation)
+    click.echo("\n\n".join(filter(None, (screen(evaluation), table_text(evaluation)))))
+    tell_failures(evaluation)
     if out is not None:
-        _keep(evaluation, out, context, montage)
+        from roadtorch.evaluation.tally import forget
+        from roadtorch.report.files import write  # with what draws, which takes a while
+
+        write(evaluation, out, command_line(context), montage)
+        forget(out)  # the progress that was saved for an interruption
     context.exit(1 if evaluation.failures else 0)
 
 
-def _seen(labelled: "Dataset", conditions: Path | None, from_above: bool) -> "Dataset":
-    """The set with the conditions of a table, where one is given, seen as the options say."""
-    from roadtorch.data.conditions import with_conditions
-    from roadtorch.data.kitti import birds_eye
+@click.command()
+@labelled_set
+@click.option("--out", type=PATH, required=True, help="Folder for the configs, NAME.toml.")
+@click.pass_context
+def tune(
+    context: click.Context,
+    dataset: str,
+    root: Path,
+    split: str | None,
+    names: tuple[str, ...],
+    assignments: tuple[str, ...],
+    out: Path,
+    left_out: tuple[str, ...],
+    limit: int | None,
+    jobs: int,
+) -> None:
+    """Choose thresholds on the labelled pictures of DATASET at ROOT.
 
-    if conditions is not None:
-        labelled = with_conditions(labelled, conditions)
-    return birds_eye(labelled) if from_above else labelled
-
-
-def _tell(evaluation: "Evaluation") -> None:
-    """Tables on stdout, failures on stderr."""
-    from roadtorch.cli.labelled import tell_failures
-    from roadtorch.report.screen import screen
-    from roadtorch.report.table3 import table_text
-
-    click.echo("\n\n".join(filter(None, (screen(evaluation), table_text(evaluation)))))
-    tell_failures(evaluation)
-
-
-def _keep(evaluation: "Evaluation", out: Path, context: click.Context, montage: int) -> None:
-    """Write the results; the progress that was saved for an interruption is not needed then."""
-    from roadtorch.cli.labelled import command_line
+    The threshold with the highest F, averaged over the groups, goes into OUT/NAME.toml
+    together with the detector's settings and this command; use it with infer --config.
+    Shown beside it is how well such a choice carries over: F and IoU of each group at the
+    threshold that the other groups choose.
+    """
+    from roadtorch.data.catalogue import open_dataset
+    from roadtorch.data.dataset import leave_out
+    from roadtorch.evaluation.evaluate import evaluate as score
     from roadtorch.evaluation.tally import forget
-    from roadtorch.report.files import write  # with what draws, which takes a while
+    from roadtorch.evaluation.thresholds import choose_threshold
+    from roadtorch.io.atomic import write_text
+    from roadtorch.report.choices import choice_table, provenance
+    from roadtorch.runs.folder import output_lock
+    from roadtorch.runs.options import as_toml
+    from roadtorch.settings import parse_assignments
 
-    write(evaluation, out, command_line(context), montage)
+    context.with_resource(output_lock(out))
+    settings = parse_assignments(assignments)
+    evaluation = score(
+        leave_out(open_dataset(dataset, root, split), left_out),
+        names,
+        settings=settings,
+        limit=limit,
+        jobs=jobs,
+        keep_in=out,
+        watch=watched,
+    )
+    choices = [
+        choose_threshold(evaluation, name, settings)
+        for name, one in evaluation.detectors.items()
+        if not one.is_baseline
+    ]
+    for choice in choices:
+        path = out / f"{choice.detector.replace(':', '-')}.toml"
+        lines = provenance(choice, evaluation, command_line(context))
+        comment = "".join(f"# {line}\n" for line in lines)
+        write_text(path, f"{comment}\n{as_toml(choice.detector, choice.settings)}\n")
+    click.echo(choice_table(choices))
+    tell_failures(evaluation)
     forget(out)
+    context.exit(1 if evaluation.failures else 0)
 
 
-def _without_default(
-    context: click.Context, names: tuple[str, ...], folders: tuple[str, ...]
-) -> tuple[str, ...]:
-    """No detector but the baselines when only maps are asked for."""
-    source = context.get_parameter_source("names")
-    return () if folders and source is click.core.ParameterSource.DEFAULT else names
+def watched(results: "Iterator[Scored]", done: int, total: int) -> "Iterator[Scored]":
+    """The same results under a progress bar; KeyboardInterrupt after the one in hand."""
+    from tqdm import tqdm
+
+    from roadtorch.runtime.signals import stop_on_signals
+
+    if done:
+        click.echo(f"roadtorch: going on after {done} of {total} pictures", err=True)
+    with stop_on_signals() as stop:
+        for result in tqdm(results, initial=done, total=total, unit="image", disable=None):
+            yield result
+            stop.interrupt()
+
+
+def camera_settings(path: Path | None, names: Sequence[str]) -> dict[str, Any]:
+    """What a camera's file sets for all detectors of those names; nothing without a file.
+
+    Raises as ``Camera.read`` and ``expand_names`` do.
+    """
+    from roadtorch.camera.camera import Camera
+    from roadtorch.detector import DetectorSettings
+    from roadtorch.detectors.catalogue import detector_entry
+    from roadtorch.evaluation.methods import expand_names
+
+    if path is None:
+        return {}
+    camera = Camera.read(path)
+    kinds = [detector_entry(name).settings for name in expand_names(names)]
+    for_all = [camera.settings_for(kind) for kind in kinds or [DetectorSettings]]
+    return min(for_all, key=len)  # the ego car for each, the horizon where every one has it
+
+
+def tell_failures(evaluation: "Evaluation") -> None:
+    """One line on stderr for each picture that could not be scored."""
+    for one in evaluation.failures:
+        click.echo(f"failed: {one.image}: {one.reason}", err=True)

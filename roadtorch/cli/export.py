@@ -4,8 +4,8 @@ from pathlib import Path
 
 import click
 
+from roadtorch.cli.completion import suggest_detectors
 from roadtorch.cli.options import PATH, SETTING
-from roadtorch.cli.suggestions import suggest_detectors
 
 
 @click.command()

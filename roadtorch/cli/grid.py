@@ -4,18 +4,17 @@ from pathlib import Path
 
 import click
 
+from roadtorch.cli.completion import suggest_files
 from roadtorch.cli.options import (
     CAMERA,
     JOBS,
     OVERWRITE,
     PATH,
     QUIET,
-    Choice,
-    with_choice,
-    with_cut,
+    with_detector,
+    with_frames,
 )
-from roadtorch.cli.suggestions import suggest_files
-from roadtorch.runs.options import FrameSelection
+from roadtorch.runs.options import DetectorOptions, FrameSelection
 
 
 def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, float]:
@@ -57,11 +56,11 @@ def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, fl
 @click.option(
     "--coarsest", type=float, default=10.0, show_default=True, help="Most cells a pixel may cover."
 )
-@with_choice
+@with_detector
 @click.option("--threshold", type=float, help="Likelihood from which a pixel is road.")
 @click.option("--likelihood", is_flag=True, help="Also write NAME.grid.likelihood.npy.")
 @click.option("--picture", is_flag=True, help="Also write NAME.grid.jpg, to look at.")
-@with_cut
+@with_frames
 @click.option(
     "--frame-id",
     default="base_link",
@@ -88,11 +87,11 @@ def grid(
     ahead: float,
     side: float,
     coarsest: float,
-    choice: Choice,
+    choice: DetectorOptions,
     threshold: float | None,
     likelihood: bool,
     picture: bool,
-    cut: FrameSelection,
+    frames: FrameSelection,
     frame_id: str,
     jobs: int,
     overwrite: bool,
@@ -113,16 +112,16 @@ def grid(
     """
     from roadtorch.camera.camera import Camera
     from roadtorch.camera.ground_grid import GridSettings
-    from roadtorch.cli import config as configuration
     from roadtorch.detectors.catalogue import load_detector
-    from roadtorch.runs import batch, engines, footage, footage_grids, grids, results
-    from roadtorch.runs.claim import claimed
+    from roadtorch.runs import footage, grids, pictures, results
+    from roadtorch.runs.folder import result_folder
+    from roadtorch.runs.options import as_toml
     from roadtorch.settings import build_settings
     from roadtorch.sources.open import sort_inputs
 
     sorted_inputs = sort_inputs(inputs)
     given = grids.Mounting(height, pitch, roll, mount, fov, camera_info, calibration, camera)
-    placing, words = footage_grids.placing_of_all(given, sorted_inputs)
+    placing = grids.placing_of(given, sorted_inputs)
     name, values = choice.named(threshold)
     known = None if camera is None else Camera.read(camera)
     loaded = load_detector(name, camera=known, **values)
@@ -130,26 +129,24 @@ def grid(
     settings = build_settings(GridSettings, {**cells, "threshold": loaded.settings.threshold})
     kinds = ("pgm", "yaml", "npy", *["likelihood"] * likelihood, *["picture"] * picture)
     suffixes = {kind: grids.SUFFIXES[kind] for kind in kinds}
-    pictures = batch.plan(sorted_inputs.pictures, out, suffixes, engines.selection(cut))
-    check = None if known is None else known.check
-    written = footage_grids.FootageGrids(
-        loaded, settings, kinds, placing, given, check, cut.topic, frame_id
-    )
-    sources = engines.footage_of(sorted_inputs.sources, str(out), cut)
-    planned = footage.plan_sources(sources, out, written)
-    context.with_resource(claimed(out))
-    effective = configuration.as_toml(loaded.name, loaded.settings)
-    effective = "\n".join([effective, f"# {settings.model_dump_json()}", words])
-    results.keep_config(out, effective, overwrite)
-    options = batch.Options(jobs, overwrite, quiet)
+    chosen = footage.selected(frames)
+    planned_pictures = pictures.plan(sorted_inputs.pictures, out, suffixes, chosen)
+    work = grids.Gridding(loaded, placing, settings, kinds, known)
+    written = grids.FootageGrids(work, frames.topic, frame_id)
+    planned = footage.plan_footage(sorted_inputs.sources, out, frames, written)
+    folder = context.with_resource(result_folder(out))
+    effective = as_toml(loaded.name, loaded.settings)
+    effective = "\n".join([effective, f"# {settings.model_dump_json()}", placing.words])
+    folder.keep_config(effective, overwrite)
+    options = pictures.RunOptions(jobs, overwrite, quiet)
     codes = [0]
-    if pictures and placing is not None:
+    if planned_pictures:
         method = results.detector_method(loaded, effective, kinds)
-        gridding = grids.Gridding(loaded, placing, settings, frozenset(kinds), known)
-        codes.append(batch.run_jobs(pictures, out, gridding, method, options))
+        codes.append(pictures.run_pictures(planned_pictures, work, method, folder, options))
     if planned:
-        parts = repr((cut, frame_id)).encode()
+        parts = repr((frames, frame_id)).encode()
         method = results.detector_method(loaded, effective, (), parts)
-        work = footage.FootageWork(loaded, written, check, footage.steadied)
-        codes.append(footage.run_sources(planned, work, method, options))
+        check = None if known is None else known.check
+        seen = footage.FootageWork(loaded, written, check, footage.steadied)
+        codes.append(footage.run_footage(planned, seen, method, options))
     context.exit(max(codes))

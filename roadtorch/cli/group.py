@@ -31,10 +31,10 @@ COMMANDS = {
     "grid": ("roadtorch.cli.grid:grid", "Map the road in pictures onto the ground, in metres."),
     "infer": ("roadtorch.cli.infer:infer", "Find the road in pictures."),
     "label": ("roadtorch.cli.label:label", "Label pictures as sky, vertical and horizontal."),
-    "planes": ("roadtorch.cli.planes:planes", "List the colour planes and representations."),
+    "planes": ("roadtorch.cli.detectors:planes", "List the colour planes and representations."),
     "train": ("roadtorch.cli.train:train", "Train a layout network on unlabelled pictures."),
     "submit": ("roadtorch.cli.submit:submit", "Write a submission to the KITTI road benchmark."),
-    "tune": ("roadtorch.cli.tune:tune", "Choose a detector's threshold on labelled pictures."),
+    "tune": ("roadtorch.cli.evaluate:tune", "Choose a detector's threshold on labelled pictures."),
 }
 
 ALLOCATIONS = 50_000

@@ -5,17 +5,16 @@ from pathlib import Path
 
 import click
 
+from roadtorch.cli.completion import suggest_files
 from roadtorch.cli.options import (
     CAMERA,
     OVERWRITE,
     QUIET,
-    Choice,
-    with_choice,
-    with_cut,
-    with_means,
+    with_compute,
+    with_detector,
+    with_frames,
 )
-from roadtorch.cli.suggestions import suggest_files
-from roadtorch.runs.options import ComputeOptions, FrameSelection
+from roadtorch.runs.options import ComputeOptions, DetectorOptions, FrameSelection
 
 KINDS = ("likelihood", "mask", "overlay", "cues", "npy", "polygons", "json")
 FOOTAGE_KINDS = ("overlay-frames", "mask-video", "likelihood-video", "bag")
@@ -56,7 +55,7 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
 
 @click.command()
 @click.argument("inputs", metavar="INPUT...", nargs=-1, shell_complete=suggest_files)
-@with_choice
+@with_detector
 @click.option("--out", default="roads", show_default=True, help="Folder or URL for results.")
 @click.option(
     "--save",
@@ -64,7 +63,7 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
     help=f"What to write: some of {','.join(KINDS)}; of footage also {','.join(FOOTAGE_KINDS)}. "
     "[likelihood,mask,overlay; of footage overlay, of bags overlay,bag]",
 )
-@with_cut
+@with_frames
 @click.option(
     "--steady/--no-steady",
     default=True,
@@ -81,7 +80,7 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
     show_default=True,
     help="Bits of likelihood maps.",
 )
-@with_means
+@with_compute
 @OVERWRITE
 @QUIET
 @click.option("--print-config", is_flag=True, help="Print the effective settings and stop.")
@@ -89,16 +88,16 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
 def infer(
     context: click.Context,
     inputs: tuple[str, ...],
-    choice: Choice,
+    choice: DetectorOptions,
     out: str,
     save: tuple[str, ...] | None,
-    cut: FrameSelection,
+    frames: FrameSelection,
     steady: bool,
     gif: tuple[float, float] | None,
     camera: Path | None,
     threshold: float | None,
     depth: str,
-    means: ComputeOptions,
+    compute: ComputeOptions,
     overwrite: bool,
     quiet: bool,
     print_config: bool,
@@ -120,59 +119,60 @@ def infer(
     (of ROS 1: NAME.road.bag). index.csv lists every picture and frame, run.json
     says how it was made. A second run goes on where the first one stopped.
     """
-    from roadtorch.cli import config as configuration
-
     name, values = choice.named(threshold)
     if not inputs and not print_config:
         raise click.UsageError("Missing argument 'INPUT...'", context)
 
     from roadtorch.camera.camera import Camera
     from roadtorch.detectors.catalogue import load_detector
-    from roadtorch.runs import batch, engines, footage, results
-    from roadtorch.runs.footage_results import USUAL_OF_PICTURES, FootageResults
-    from roadtorch.runs.run_record import RunRecord
+    from roadtorch.runs import engines, footage, pictures, results
+    from roadtorch.runs.folder import RunRecord, result_folder
+    from roadtorch.runs.options import as_toml
+    from roadtorch.sinks.remote_folder import RemoteFolder
+    from roadtorch.sources.addresses import is_url
     from roadtorch.sources.open import sort_inputs
 
-    engines.prepare(means)
+    engines.prepare(compute)
     known = None if camera is None else Camera.read(camera)
     loaded = load_detector(name, camera=known, **values)
-    effective = configuration.as_toml(loaded.name, loaded.settings)
+    effective = as_toml(loaded.name, loaded.settings)
     if print_config:
         click.echo(effective)
         return
     bits = 16 if depth == "16" else 8
-    told = sort_inputs(inputs)
-    kinds = USUAL_OF_PICTURES if save is None else save
-    work = results.Inference(loaded, frozenset(kinds), bits, known, means.device)
-    plan = engines.plan_run(told.pictures, out, kinds, work, engines.selection(cut))
-    written = FootageResults(save, bits, gif, loaded, cut.topic)
-    sources = footage.plan_sources(engines.footage_of(told.sources, out, cut), Path(out), written)
-    place = context.with_resource(plan.claimed())
-    results.keep_config(place, effective, overwrite)
-    plan.publish(place / results.CONFIG)
-    files = tuple(job.file for job in [*plan.jobs, *(job for _, job in sources)])
-    of_frames = {**asdict(cut), "gif": gif, "steady": steady}
-    options = batch.Options(means.jobs or 1, overwrite, quiet, means.fail_fast)
-
-    def of_pictures(engine: batch.Engine | None) -> int:
-        method = results.detector_method(loaded, effective, kinds, depth.encode())
-        own = replace(options, engine=engine, publish=plan.publish, shown=out)
-        return batch.run_jobs(plan.jobs, place, plan.work, method, own)
-
-    def of_footage() -> int:
-        parts = repr((depth, of_frames)).encode()
-        method = results.detector_method(loaded, effective, (), parts)
-        check = None if known is None else known.check
-        seen = footage.FootageWork(loaded, written, check, footage.steadied if steady else None)
-        return footage.run_sources(sources, seen, method, options)
+    sorted_inputs = sort_inputs(inputs)
+    kinds = footage.USUAL_OF_PICTURES if save is None else save
+    place = RemoteFolder(out) if is_url(out) else Path(out)
+    chosen = footage.selected(frames)
+    jobs = results.plan_results(sorted_inputs.pictures, place, kinds, chosen)
+    written = footage.FootageResults(save, bits, gif, loaded, frames.topic)
+    planned = footage.plan_footage(sorted_inputs.sources, place, frames, written)
+    folder = context.with_resource(result_folder(place))
+    folder.keep_config(effective, overwrite)
+    of_frames = {**asdict(frames), "gif": gif, "steady": steady}
+    options = pictures.RunOptions(compute.jobs or 1, overwrite, quiet, compute.fail_fast)
 
     def run() -> int:
+        codes = [0]
         try:
-            with engines.started(means, len(plan.jobs)) as engine:
-                codes = [of_pictures(engine)] if plan.jobs else [0]
-            return max([*codes, *([of_footage()] if sources else [])])
+            if jobs:
+                method = results.detector_method(loaded, effective, kinds, depth.encode())
+                work = results.Inference(loaded, frozenset(kinds), bits, known, compute.device)
+                with engines.started_engine(compute, len(jobs)) as engine:
+                    own = replace(options, engine=engine)
+                    codes.append(pictures.run_pictures(jobs, work, method, folder, own))
+            if planned:
+                parts = repr((depth, of_frames)).encode()
+                method = results.detector_method(loaded, effective, (), parts)
+                check = None if known is None else known.check
+                steadied = footage.steadied if steady else None
+                seen = footage.FootageWork(loaded, written, check, steadied)
+                codes.append(footage.run_footage(planned, seen, method, options))
+            return max(codes)
         finally:
-            plan.assemble(place, kinds)
+            if "polygons" in kinds:
+                folder.write_coco()
 
-    given = {**asdict(means), **of_frames, "save": kinds, "depth": bits}
-    context.exit(RunRecord(place, loaded, files, given, plan.publish).around(run))
+    files = [job.file for job in [*jobs, *(job for _, job in planned)]]
+    given = {**asdict(compute), **of_frames, "save": kinds, "depth": bits}
+    context.exit(RunRecord(folder, loaded, files, given).around(run))

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import click
 
+from roadtorch.cli.completion import suggest_files
 from roadtorch.cli.options import JOBS, OVERWRITE, PATH, QUIET, SETTING
-from roadtorch.cli.suggestions import suggest_files
 
 
 @click.command()
@@ -39,17 +39,21 @@ def label(
 
     Each picture gives NAME.png in the folder --out. No weights and no labels are needed.
     """
-    from roadtorch.cli import config
-    from roadtorch.runs import batch, layouts, results
-    from roadtorch.runs.claim import claimed
+    from roadtorch.layout.labeller import LabellerSettings
+    from roadtorch.runs import pictures, results
+    from roadtorch.runs.folder import result_folder
+    from roadtorch.runs.options import as_toml
+    from roadtorch.settings import build_settings, parse_assignments
 
-    settings = layouts.labeller_settings(support, assignments)
-    suffixes = layouts.SUFFIXES if overlay else {"labels": layouts.SUFFIXES["labels"]}
-    planned = batch.plan(inputs, out, suffixes)
-    effective = config.as_toml("labeller", settings)
-    context.with_resource(claimed(out))
-    results.keep_config(out, effective, overwrite)
-    method = batch.method_of(suffixes, effective)
-    options = batch.Options(jobs, overwrite, quiet)
-    work = layouts.Labelling(settings, overlay)
-    context.exit(batch.run_jobs(planned, out, work, method, options))
+    values = {"support": support} | parse_assignments(assignments)
+    settings = build_settings(LabellerSettings, values)
+    kinds = ["labels", *["overlay"] * overlay]
+    suffixes = {kind: results.LABEL_SUFFIXES[kind] for kind in kinds}
+    planned = pictures.plan(inputs, out, suffixes)
+    folder = context.with_resource(result_folder(out))
+    effective = as_toml("labeller", settings)
+    folder.keep_config(effective, overwrite)
+    method = pictures.method_of(kinds, effective)
+    options = pictures.RunOptions(jobs, overwrite, quiet)
+    work = results.Labelling(settings, overlay)
+    context.exit(pictures.run_pictures(planned, work, method, folder, options))

@@ -1,21 +1,21 @@
 """Options that several commands share, written once."""
 
 import functools
+import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 
-from roadtorch.cli.suggestions import (
+from roadtorch.cli.completion import (
     suggest_datasets,
     suggest_detector_configs,
     suggest_detectors,
     suggest_settings,
     suggest_splits,
 )
-from roadtorch.runs.options import ComputeOptions, FrameSelection
+from roadtorch.runs.options import ComputeOptions, DetectorOptions, FrameSelection
 
 PATH = click.Path(path_type=Path)
 Command = Callable[..., Any]
@@ -33,24 +33,6 @@ class ConfigFile(click.ParamType):
         return config_file(str(value))
 
 
-@dataclass(frozen=True)
-class Choice:
-    """Which detector a command takes, and its settings; see ``roadtorch.cli.config``.
-
-    detector: its name. assignments: KEY=VALUE each. config: a TOML file.
-    """
-
-    detector: str | None
-    assignments: tuple[str, ...]
-    config: Path | None
-
-    def named(self, threshold: float | None = None) -> tuple[str, dict[str, Any]]:
-        """The detector's name and the values of its settings; see ``chosen_detector``."""
-        from roadtorch.cli.config import chosen_detector
-
-        return chosen_detector(self.detector, self.config, self.assignments, threshold)
-
-
 SETTING = click.option(
     "--set",
     "assignments",
@@ -59,7 +41,7 @@ SETTING = click.option(
     shell_complete=suggest_settings,
     help="One setting.",
 )
-CHOICE = (
+DETECTOR = (
     click.option(
         "--detector",
         shell_complete=suggest_detectors,
@@ -87,7 +69,7 @@ OVERWRITE = click.option("--overwrite", is_flag=True, help="Redo pictures that a
 QUIET = click.option("--quiet", is_flag=True, help="No progress, only failures.")
 
 
-MEANS = (
+COMPUTE = (
     click.option(
         "--jobs",
         type=click.IntRange(min=1),
@@ -125,7 +107,7 @@ MEANS = (
 )
 
 
-CUT = (
+FRAMES = (
     click.option(
         "--every", type=click.IntRange(min=1), default=1, help="Look at one frame in this many."
     ),
@@ -169,19 +151,19 @@ def _gathered(
     return gathered
 
 
-def with_choice(command: Command) -> Command:
-    """A command with the options of ``Choice``, which it gets as one argument ``choice``."""
-    return _gathered(command, Choice, "choice", CHOICE)
+def with_detector(command: Command) -> Command:
+    """A command with the options of ``DetectorOptions``, which it gets as ``choice``."""
+    return _gathered(command, DetectorOptions, "choice", DETECTOR)
 
 
-def with_means(command: Command) -> Command:
-    """A command with the options of ``ComputeOptions``, which it gets as one argument ``means``."""
-    return _gathered(command, ComputeOptions, "means", MEANS)
+def with_compute(command: Command) -> Command:
+    """A command with the options of ``ComputeOptions``, which it gets as ``compute``."""
+    return _gathered(command, ComputeOptions, "compute", COMPUTE)
 
 
-def with_cut(command: Command) -> Command:
-    """A command with the options of ``FrameSelection``, which it gets as one argument ``cut``."""
-    return _gathered(command, FrameSelection, "cut", CUT)
+def with_frames(command: Command) -> Command:
+    """A command with the options of ``FrameSelection``, which it gets as ``frames``."""
+    return _gathered(command, FrameSelection, "frames", FRAMES)
 
 
 LABELLED_SET = (
@@ -225,3 +207,18 @@ def labelled_set(command: Command) -> Command:
     for option in reversed(LABELLED_SET):
         command = option(command)
     return command
+
+
+def command_line(context: click.Context) -> str:
+    """The command that gives this run: arguments, then the options that are not default."""
+    words, options = ["roadtorch", context.info_name or ""], []
+    for parameter in context.command.params:
+        value = context.params.get(parameter.name or "")
+        if isinstance(parameter, click.Argument):
+            words.append(str(value))
+        elif value is True:
+            options.append(parameter.opts[0])
+        elif value not in (None, (), False, parameter.default):
+            values = value if isinstance(value, tuple) else (value,)
+            options += [word for part in values for word in (parameter.opts[0], str(part))]
+    return shlex.join([*words, *options])

@@ -4,12 +4,13 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import JOBS, OVERWRITE, PATH, QUIET, Choice, with_choice
+from roadtorch.cli.options import JOBS, OVERWRITE, PATH, QUIET, with_detector
+from roadtorch.runs.options import DetectorOptions
 
 
 @click.command()
 @click.argument("root", metavar="ROOT", type=PATH)
-@with_choice
+@with_detector
 @click.option("--out", type=PATH, required=True, help="Folder for the maps and the archive.")
 @JOBS
 @OVERWRITE
@@ -18,7 +19,7 @@ from roadtorch.cli.options import JOBS, OVERWRITE, PATH, QUIET, Choice, with_cho
 def submit(
     context: click.Context,
     root: Path,
-    choice: Choice,
+    choice: DetectorOptions,
     out: Path,
     jobs: int,
     overwrite: bool,
@@ -31,29 +32,27 @@ def submit(
     bits), and all of them submission.zip once every picture is done. index.csv lists the
     pictures. A second run goes on where the first one stopped.
     """
-    from roadtorch.cli import config as configuration
-
     name, values = choice.named()
 
     from roadtorch.data.kitti import base_folder, calib_folder
     from roadtorch.detectors.catalogue import load_detector
-    from roadtorch.runs import batch, results, submission
-    from roadtorch.runs.claim import claimed
+    from roadtorch.runs import pictures, results
+    from roadtorch.runs.folder import result_folder
+    from roadtorch.runs.options import as_toml
 
     loaded = load_detector(name, **values)
-    folder = base_folder(root, "testing")
-    calib = calib_folder(folder)
-    work = submission.Submission(loaded, calib)
-    planned = submission.plan_maps(folder / "image_2", calib, out)
-    effective = configuration.as_toml(loaded.name, loaded.settings)
-    context.with_resource(claimed(out))
-    results.keep_config(out, effective, overwrite)
+    base = base_folder(root, "testing")
+    planned = results.plan_maps(base / "image_2", calib_folder(base), out)
+    folder = context.with_resource(result_folder(out))
+    effective = as_toml(loaded.name, loaded.settings)
+    folder.keep_config(effective, overwrite)
     method = results.detector_method(loaded, effective, ["map"])
-    failed = batch.run_jobs(planned, out, work, method, batch.Options(jobs, overwrite, quiet))
-    archive = out / submission.ARCHIVE
+    options = pictures.RunOptions(jobs, overwrite, quiet)
+    failed = pictures.run_pictures(planned, results.Submission(loaded), method, folder, options)
+    archive = out / results.ARCHIVE
     if failed:
         click.echo(f"roadtorch: {archive} not written, as maps are missing", err=True)
         context.exit(failed)
-    submission.pack(planned, archive)
+    results.pack(planned, archive)
     if not quiet:
         click.echo(f"roadtorch: {len(planned)} maps in {archive}", err=True)

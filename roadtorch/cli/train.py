@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from roadtorch.cli.labelled import command_line
-from roadtorch.cli.options import PATH, SETTING, ConfigFile
-from roadtorch.cli.suggestions import suggest_files, suggest_training_configs
+from roadtorch.cli.completion import suggest_files, suggest_training_configs
+from roadtorch.cli.options import PATH, SETTING, ConfigFile, command_line
 
 if TYPE_CHECKING:
     from roadtorch.data.dataset import Dataset

@@ -1,36 +1,34 @@
-"""With what, and where, the pictures of a run are worked on, as the options say."""
+"""Who does the jobs of a run: threads of this process, copies of it, or actors on Ray."""
 
+import os
+import signal
+from collections import deque
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from multiprocessing import get_all_start_methods, get_context
 
 import torch
 
 from roadtorch.errors import ConfigError
-from roadtorch.runs import batch, results
-from roadtorch.runs.claim import claimed
-from roadtorch.runs.coco import COCO, annotation_name, write_coco
-from roadtorch.runs.index import INDEX, read_index
-from roadtorch.runs.options import ComputeOptions, FrameSelection
-from roadtorch.runs.remote import Fetched, Mirror, plan_remote
-from roadtorch.runs.workers import rows_of_workers, usual_workers
+from roadtorch.runs.index import FAILED, Row
+from roadtorch.runs.options import ComputeOptions
+from roadtorch.runs.pictures import Engine, Rows, Task, Work
 from roadtorch.runtime.memory import keep_freed_memory
+from roadtorch.runtime.signals import SIGNALS, end_with_parent
 from roadtorch.runtime.threads import Threads
-from roadtorch.sinks.remote_folder import RemoteFolder
-from roadtorch.sources.addresses import is_url
-from roadtorch.sources.frame import Selection, Source
-from roadtorch.sources.live import Patience
-from roadtorch.sources.open import SourceOptions, open_sources
+
+MIN_PICTURES = 4
+"""Pictures a worker, from which making one pays; ours: it costs as much as one picture."""
 
 
-def prepare(means: ComputeOptions) -> None:
+def prepare(compute: ComputeOptions) -> None:
     """Set threads and memory; ConfigError for a device that is not there."""
-    Threads(means.threads, means.threads).set()
+    Threads(compute.threads, compute.threads).set()
     keep_freed_memory()
-    check_device(means.device)
+    check_device(compute.device)
 
 
 def check_device(name: str) -> None:
@@ -51,113 +49,100 @@ def check_device(name: str) -> None:
 
 
 @contextmanager
-def started(means: ComputeOptions, tasks: int) -> Iterator[batch.Engine | None]:
-    """The engine that was asked for so many tasks, for the block; None: this process itself.
+def started_engine(compute: ComputeOptions, pictures: int) -> Iterator[Engine | None]:
+    """The engine that was asked for so many pictures, for the block; None: this process itself.
 
     Raises ConfigError where Ray is not there, or ``--address`` is given without it.
     """
-    if means.engine == "local":
-        if means.address is not None:
+    if compute.engine == "local":
+        if compute.address is not None:
             what = "is for Ray alone"
             raise ConfigError("--address", what, "add --engine ray, or leave it out")
-        workers = means.jobs or usual_workers(tasks)
+        workers = compute.jobs or usual_workers(pictures)
         # A process that has used a GPU, or several threads of OpenMP, is not to be copied.
-        is_plain = means.device == "cpu" and means.threads == 1
+        is_plain = compute.device == "cpu" and compute.threads == 1
         yield partial(rows_of_workers, workers=workers) if is_plain and workers > 1 else None
         return
     from roadtorch.runs.ray_engine import Cluster, ray_engine
 
-    gpu = means.device.startswith("cuda")
-    with ray_engine(Cluster(means.address, means.workers, gpu)) as engine:
+    gpu = compute.device.startswith("cuda")
+    with ray_engine(Cluster(compute.address, compute.workers, gpu)) as engine:
         yield engine
 
 
-@dataclass(frozen=True)
-class Plan:
-    """The jobs of a run, the work that is done on each, and the folder of the results.
+# --- workers of this machine ------------------------------------------------------------
+#
+# Processes, which Python's lock does not keep waiting for one another: half of the work on a
+# picture is Python's, between small steps of torch, so that two threads of one process are hardly
+# faster than one. Each is a copy of this process, made when the work is ready, so that nothing is
+# loaded twice; threads within a picture stay as they were set, and with them every byte.
 
-    remote: behind which URL that is, where it is behind one; ``work`` is made for it.
+
+def processors() -> int:
+    """How many processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def usual_workers(pictures: int) -> int:
+    """How many workers so many pictures get where nobody says: one a processor, if that pays.
+
+    One where a process cannot be copied (Windows, macOS): starting a new one takes seconds.
     """
-
-    jobs: Sequence[batch.Task]
-    work: batch.Work
-    out: str
-    remote: RemoteFolder | None = None
-
-    @contextmanager
-    def claimed(self) -> Iterator[Path]:
-        """The folder in which index.csv and the like are written: of this run alone.
-
-        It stands for the one behind the URL, where there is one; there nobody is kept out.
-        """
-        if self.remote is None:
-            with claimed(Path(self.out)):
-                yield Path(self.out)
-            return
-        with TemporaryDirectory(prefix="roadtorch-") as folder:
-            Mirror(Path(folder), self.remote).fetch()
-            yield Path(folder)
-
-    def publish(self, path: Path) -> None:
-        """Put a file of the claimed folder where it belongs, if that is elsewhere."""
-        if self.remote is not None:
-            self.remote.write(path.name, path.read_bytes())
-
-    def assemble(self, place: Path, kinds: Sequence[str]) -> None:
-        """Write what is made of the results of all pictures: coco.json, of their polygons."""
-        if "polygons" not in kinds:
-            return
-        rows = read_index(place / INDEX).values()
-        if self.remote is None:
-            found = [row for row in rows if (place / annotation_name(row.file)).is_file()]
-            write_coco(place / COCO, found, place.joinpath)
-            return
-        with TemporaryDirectory(prefix="roadtorch-") as scratch:
-            write_coco(place / COCO, rows, partial(_fetched, Path(scratch), self.remote))
-        self.publish(place / COCO)
+    if "fork" not in get_all_start_methods() or os.uname().sysname != "Linux":
+        return 1
+    return max(1, min(processors(), pictures // MIN_PICTURES))
 
 
-def _fetched(scratch: Path, remote: RemoteFolder, name: str) -> Path:
-    """A file of a remote folder as one of this machine, in place of the one fetched before."""
-    path = scratch / "annotation.json"
-    path.write_bytes(remote.read(name) or b"")
-    return path
+def rows_of_workers(tasks: Sequence[Task], work: Work, workers: int) -> Rows:
+    """The rows of all tasks in their order, a few tasks ahead at most; an ``Engine``.
 
-
-def selection(cut: FrameSelection) -> Selection:
-    """Which frames and pictures the options choose."""
-    return Selection(cut.every, cut.start, cut.end, cut.limit)
-
-
-def footage_of(inputs: Sequence[str], out: str, cut: FrameSelection) -> list[Source]:
-    """The sources of footage among the inputs, with what the options say of them.
-
-    Raises ConfigError where their results would go behind a URL, and what ``open_sources`` raises.
+    What a worker that dies (killed, out of memory) had in hand becomes a failed row, and others
+    take its place. Closing this waits for what is in hand.
     """
-    if inputs and is_url(out):
-        remedy = "give a folder of this machine, or pictures alone"
-        raise ConfigError(f"--out {out}", "takes no results of footage", remedy)
-    told = SourceOptions(Path(out), Patience(answer=cut.patience), cut.topic)
-    return open_sources(inputs, selection(cut), told)
+    left = deque(tasks)
+    while left:
+        context = get_context("fork")
+        pool = ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(work,))
+        try:
+            yield from _until_broken(pool, left, workers)
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
 
 
-def plan_run(
-    inputs: Sequence[str],
-    out: str,
-    kinds: Sequence[str],
-    work: batch.Work,
-    chosen: Selection,
-) -> Plan:
-    """The jobs for pictures and a folder that are on this machine or behind URLs.
+def _until_broken(pool: ProcessPoolExecutor, left: deque[Task], workers: int) -> Rows:
+    """The rows of the tasks left, until one of the workers dies."""
+    waiting: deque[tuple[Task, Future[Row]]] = deque()
+    while left or waiting:
+        try:
+            while left and len(waiting) <= workers:
+                waiting.append((left[0], pool.submit(_do, left[0])))
+                left.popleft()
+            row = waiting[0][1].result()
+        except BrokenProcessPool:
+            for task, future in waiting:
+                if future.done() and not future.cancelled() and future.exception() is None:
+                    yield future.result()
+                else:
+                    what = "a worker died over it or over its neighbour"
+                    what += " (run it again; with less memory, --jobs 1)"
+                    yield Row(task.file, status=f"{FAILED}: {task.origin}: {what}")
+            return
+        waiting.popleft()
+        yield row
 
-    kinds: of results. Where one of them is behind a URL, all of them go that way. Raises what
-    ``batch.plan`` and ``plan_remote`` raise.
-    """
-    suffixes = results.suffixes(kinds)
-    if not any(map(is_url, [*inputs, out])):
-        jobs = batch.plan(inputs, Path(out), suffixes, chosen, results.cue_suffixes(kinds))
-        return Plan(jobs, work, out)
-    url = out if is_url(out) else Path(out).absolute().as_uri()
-    folder = RemoteFolder(url)
-    jobs = chosen.of_pictures(plan_remote(inputs, folder, suffixes))
-    return Plan(jobs, Fetched(work), out, folder)
+
+_WORK: list[Work] = []  # of this worker; a pool hands it over only once, and not to the tasks
+
+
+def _begin(work: Work) -> None:
+    """Be a worker: signals are for the process that made this one, and without it there is none."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+    _WORK[:] = [work]
+    end_with_parent()
+
+
+def _do(task: Task) -> Row:
+    return _WORK[0](task)

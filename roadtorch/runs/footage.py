@@ -1,29 +1,76 @@
-"""What ``infer`` does with footage: videos, cameras, streams and whatever else gives frames."""
+"""Videos, cameras, streams and bags: what ``infer`` writes of them, and how they are done."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, closing, contextmanager
-from dataclasses import dataclass, field, replace
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+from time import perf_counter
+from typing import Literal, Protocol
 
 import click
+import numpy as np
 from torch import Tensor
 
 from roadtorch.detector import Detector
-from roadtorch.errors import RoadtorchError
+from roadtorch.errors import ConfigError, RoadtorchError
 from roadtorch.io.atomic import make_folder, remove_leftovers
 from roadtorch.road.steady import Steady, SteadySettings
-from roadtorch.runs import batch
-from roadtorch.runs.batch import Job, Method, Options
-from roadtorch.runs.claim import ELSEWHERE
-from roadtorch.runs.footage_results import missed_row
-from roadtorch.runs.frame_index import FrameIndex, appended
-from roadtorch.runs.index import DONE, DOUBTFUL, FAILED, INDEX, Row, read_index
+from roadtorch.runs.folder import ELSEWHERE
+from roadtorch.runs.index import DONE, DOUBTFUL, FAILED, INDEX, Row, frame_index, read_index
+from roadtorch.runs.options import FrameSelection
+from roadtorch.runs.pictures import Job, Method, RunOptions, settled
+from roadtorch.runs.results import row_of, write_documents, write_files
 from roadtorch.runtime.signals import stop_on_signals
-from roadtorch.sources.frame import Source
+from roadtorch.sinks.bags import BagSink
+from roadtorch.sinks.gif import GifSink
+from roadtorch.sinks.remote_folder import RemoteFolder
+from roadtorch.sinks.video import VideoSink
+from roadtorch.sources.bags import image_topic, is_bag
+from roadtorch.sources.frame import Frame, Selection, Source
+from roadtorch.sources.live import Patience
+from roadtorch.sources.open import SourceOptions, open_sources
 from roadtorch.sources.pictures import Picture
 from roadtorch.stream import AHEAD, Behind, Missed, Seen, Steadying, seen_frames
+
+USUAL_OF_PICTURES, USUAL_OF_FOOTAGE = ("likelihood", "mask", "overlay"), ("overlay",)
+USUAL_OF_BAGS = ("overlay", "bag")
+"""What is written where nothing is asked for."""
+
+CAMERA_FRAME = "camera"
+"""The frame of reference in bags of footage that tells none."""
+
+# --- what is written of a source --------------------------------------------------------
+
+
+def is_from_bag(source: Source) -> bool:
+    """Whether the frames of a source are those of a bag."""
+    return source.moving and not source.live and is_bag(source.origin)
+
+
+def bag_ending(source: Source, end: str) -> str:
+    """How the name of the bag ends: of ROS 1 where the source is such a bag, else of ROS 2."""
+    path = Path(source.origin)
+    is_ros1 = is_from_bag(source) and path.suffix == ".bag" and path.is_file()
+    return f"{end}.bag" if is_ros1 else end
+
+
+def stamp_of(frame: Frame) -> int:
+    """Nanoseconds: the source's own, else since it began, one second a frame without a clock."""
+    if frame.stamp is not None:
+        return frame.stamp
+    return round(1e9 * (frame.number if frame.seconds is None else frame.seconds))
+
+
+def clock_text(seconds: float | None) -> str:
+    """Seconds for index.csv, to the millisecond; empty where there is no clock."""
+    return "" if seconds is None else f"{seconds:.3f}"
+
+
+def missed_row(missed: Missed) -> Row:
+    """The row of a frame without a result; its status says why."""
+    status = f"{FAILED}: {' '.join(str(missed.problem).split())}"
+    return Row(missed.frame.name, status=status, seconds=clock_text(missed.frame.seconds))
 
 
 class WhatIsWritten(Protocol):
@@ -40,6 +87,122 @@ class WhatIsWritten(Protocol):
     def open(self, source: Source, job: Job) -> AbstractContextManager[Callable[[Seen], Row]]:
         """What writes the results of a frame and gives its row."""
         ...
+
+
+def _overlay(seen: Seen) -> np.ndarray:
+    """uint8 (H,W,3)."""
+    return seen.detection.overlay()
+
+
+def _mask(seen: Seen) -> np.ndarray:
+    """uint8 (H,W): road 255."""
+    return seen.detection.mask.numpy().astype(np.uint8) * 255
+
+
+def _likelihood(seen: Seen) -> np.ndarray:
+    """uint8 (H,W): the likelihood times 255."""
+    return seen.detection.likelihood.mul(255).round().byte().numpy()
+
+
+Draw = Callable[[Seen], np.ndarray]
+Put = Callable[[Seen, np.ndarray], None]
+"""Where what was drawn of a frame goes."""
+
+VIDEOS: dict[str, tuple[str, Draw]] = {
+    "overlay": (".overlay.mp4", _overlay),
+    "mask-video": (".mask.mp4", _mask),
+    "likelihood-video": (".likelihood.mp4", _likelihood),
+}
+"""The kinds of results that are videos: how their names end, and what they show of a frame."""
+
+GIF = ".overlay.gif"
+
+
+@dataclass(frozen=True)
+class FootageResults:
+    """What ``infer`` writes of a source: videos, a GIF, bags, and files for each frame.
+
+    asked: the kinds of ``--save``, None where it is not given: of a moving source ``overlay`` is a
+    video and ``overlay-frames`` are pictures. gif: its start and end in seconds. detector: the one
+    that was used. topic: of the images in bags; None where they have one.
+    """
+
+    asked: tuple[str, ...] | None
+    depth: Literal[8, 16]
+    gif: tuple[float, float] | None
+    detector: Detector
+    topic: str | None = None
+
+    def kinds(self, source: Source) -> tuple[str, ...]:
+        """What index.csv says was saved."""
+        usual = USUAL_OF_BAGS if is_from_bag(source) else USUAL_OF_FOOTAGE
+        usual = usual if source.moving else USUAL_OF_PICTURES
+        kinds = usual if self.asked is None else self.asked
+        return (*kinds, "gif") if self.gif and source.moving else kinds
+
+    def suffixes(self, source: Source) -> dict[str, str]:
+        """How the names of the files of the whole source end, by kind."""
+        if not source.moving:
+            return {}
+        ends = {kind: end for kind, (end, _) in VIDEOS.items()}
+        ends |= {"gif": GIF, "bag": bag_ending(source, ".road")}
+        return {kind: ends[kind] for kind in self.kinds(source) if kind in ends}
+
+    @contextmanager
+    def open(self, source: Source, job: Job) -> Iterator[Callable[[Seen], Row]]:
+        """What writes the results of a frame and gives its row.
+
+        However the block ends, videos and bags are finished with the frames that they have.
+        """
+        kinds = frozenset(self.kinds(source))
+        if source.moving:
+            frames = kinds - {*VIDEOS, "gif", "bag", "overlay-frames"}
+            kinds = frames | {"overlay"} if "overlay-frames" in kinds else frames
+        with ExitStack() as stack:
+            puts: list[tuple[Draw, Put]] = []
+            if self.gif and source.moving:
+                gif = stack.enter_context(closing(GifSink(job.output(GIF), *self.gif)))
+                puts.append((_overlay, partial(_add_pixels, gif)))
+            for kind in [kind for kind in job.suffixes if kind in VIDEOS]:
+                end, draw = VIDEOS[kind]
+                video = stack.enter_context(closing(VideoSink(job.output(end), source.rate)))
+                puts.append((draw, partial(_add_pixels, video)))
+            if "bag" in job.suffixes:
+                frame_id = CAMERA_FRAME
+                if is_from_bag(source):
+                    frame_id = image_topic(source.origin, self.topic).frame_id
+                path = job.output(job.suffixes["bag"])
+                sink = BagSink(path, frame_id, self.detector.settings.threshold)
+                puts.append((_overlay, partial(_add_to_bag, stack.enter_context(closing(sink)))))
+            yield partial(self._write, puts, kinds, job)
+
+    def _write(
+        self, puts: list[tuple[Draw, Put]], kinds: frozenset[str], job: Job, seen: Seen
+    ) -> Row:
+        """Write what was seen, to the files of the frame first; the row for index.csv."""
+        start = perf_counter()
+        frame, detection = seen.frame, seen.detection
+        if kinds:
+            output = partial(job.output, name=frame.name)
+            make_folder(output("").parent, ELSEWHERE)
+            write_files(output, kinds, self.depth, seen.image, detection)
+            write_documents(output, kinds, frame.name, detection, self.detector)
+        drawn = {draw: draw(seen) for draw in dict.fromkeys(draw for draw, _ in puts)}
+        for draw, put in puts:
+            put(seen, drawn[draw])
+        row = row_of(frame.name, detection, seen.ms + 1000 * (perf_counter() - start))
+        return replace(row, seconds=clock_text(frame.seconds))
+
+
+def _add_pixels(sink: VideoSink | GifSink, seen: Seen, pixels: np.ndarray) -> None:
+    sink.write(pixels, seen.frame.seconds)
+
+
+def _add_to_bag(sink: BagSink, seen: Seen, pixels: np.ndarray) -> None:
+    sink.write(seen.detection, stamp_of(seen.frame), pixels)
+
+
+# --- all sources ------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -61,19 +224,38 @@ def steadied() -> Steadying:
     return Steady(SteadySettings())
 
 
-def plan_sources(
-    sources: Sequence[Source], out: Path, results: WhatIsWritten
+def plan_footage(
+    inputs: Sequence[str],
+    out: Path | RemoteFolder,
+    selection: FrameSelection,
+    results: WhatIsWritten,
 ) -> list[tuple[Source, Job]]:
-    """The sources, each with its job; ConfigError when a result would replace a source."""
+    """The sources of footage among inputs, each with its job.
+
+    Raises ConfigError where results would go behind a URL, or replace a source, and what
+    ``open_sources`` raises.
+    """
+    if not isinstance(out, Path):
+        if not inputs:
+            return []
+        remedy = "give a folder of this machine, or pictures alone"
+        raise ConfigError(f"--out {out.url}", "takes no results of footage", remedy)
+    options = SourceOptions(out, Patience(answer=selection.patience), selection.topic)
+    sources = open_sources(inputs, selected(selection), options)
     jobs = [
         Job(Picture(source.path or Path(source.origin), source.name), out, results.suffixes(source))
         for source in sources
     ]
-    return list(zip(sources, batch.settled(jobs), strict=True))
+    return list(zip(sources, settled(jobs), strict=True))
 
 
-def run_sources(
-    planned: Sequence[tuple[Source, Job]], work: FootageWork, method: Method, options: Options
+def selected(selection: FrameSelection) -> Selection:
+    """Which frames and pictures the options choose."""
+    return Selection(selection.every, selection.start, selection.end, selection.limit)
+
+
+def run_footage(
+    planned: Sequence[tuple[Source, Job]], work: FootageWork, method: Method, options: RunOptions
 ) -> int:
     """Work through the sources that are not done yet; returns the exit code.
 
@@ -85,7 +267,7 @@ def run_sources(
     skipped, failed = 0, 0
     for source, job in planned:
         own = replace(method, kinds=work.results.kinds(source))
-        row = read_index(job.out / INDEX).get(job.file)
+        row = read_index(job.output("", INDEX)).get(job.file)
         if not options.overwrite and own.covers(row, job):
             skipped += 1
         else:
@@ -94,35 +276,30 @@ def run_sources(
         parts = [f"{len(planned) - skipped - failed} done"]
         parts += [f"{skipped} skipped (done before)"] if skipped else []
         parts += [f"{failed} failed"] if failed else []
-        out = planned[0][1].out
-        click.echo(f"roadtorch: {', '.join(parts)}; results in {out}", err=True)
+        click.echo(f"roadtorch: {', '.join(parts)}; results in {planned[0][1].out}", err=True)
     return 1 if failed else 0
 
 
 @dataclass
 class FrameCount:
-    """What was counted over the frames of one source; the rows go to the index."""
+    """What was counted over the frames of one source. ms: of the done ones; last: of them."""
 
-    index: FrameIndex
-    method: Method
     done: int = 0
     failed: int = 0
     doubtful: int = 0
     ms: float = 0.0
-    last: Row = field(default_factory=lambda: Row(""))
+    last: Row = Row("")  # noqa: RUF009 - it is frozen
 
     def add(self, row: Row) -> None:
-        """Count the row of a frame, and keep it."""
+        """Count the row of a frame."""
         self.failed += row.failed
         if not row.failed:
-            row = replace(row, saved=" ".join(self.method.kinds), method=self.method.digest)
             self.last = row
             self.done += 1
             self.doubtful += row.status.startswith(DOUBTFUL)
             self.ms += float(row.ms)
-        self.index.add(row)
 
-    def told(self) -> str:
+    def __str__(self) -> str:
         """In words."""
         parts = [f"{self.done} frames"]
         parts += [f"{self.doubtful} doubtful"] if self.doubtful else []
@@ -131,24 +308,34 @@ class FrameCount:
 
 
 def _run_source(
-    source: Source, job: Job, work: FootageWork, method: Method, options: Options
+    source: Source, job: Job, work: FootageWork, method: Method, options: RunOptions
 ) -> Row:
     """The row of a source whose frames were looked at as far as possible; the index has it."""
-    for folder in (job.output("").parent, job.output("")):
-        remove_leftovers([folder])
+    remove_leftovers([job.output("").parent, job.output("")])
     make_folder(job.output("").parent, ELSEWHERE)
     problem: BaseException | None = None
-    with appended(job.out / INDEX, job) as index:
-        tally = FrameCount(index, method)
+    count = FrameCount()
+    with frame_index(job.output("", INDEX), job.file, job.picture.name) as index:
+
+        def settle(one: Seen | Missed, write: Callable[[Seen], Row]) -> None:
+            """Write what was seen of a frame, or tell why nothing was."""
+            row = write(one) if isinstance(one, Seen) else missed_row(one)
+            if row.failed:
+                click.echo(f"roadtorch: {row.status}", err=True)
+            else:
+                row = replace(row, saved=" ".join(method.kinds), method=method.digest)
+            count.add(row)
+            index.add(row)
+
         try:
             with work.results.open(source, job) as write:
-                _work_through(source, work, write, tally, options)
-        except (RoadtorchError, KeyboardInterrupt) as found:
-            problem = found
-        row = method.finished(_row(source, job, tally, problem), job)
+                _work_through(source, work, partial(settle, write=write), options)
+        except (RoadtorchError, KeyboardInterrupt) as own:
+            problem = own
+        row = method.finished(_row(source, job, count, problem), job)
         index.add(row)
     if not options.quiet:
-        click.echo(f"roadtorch: {job.file}: {tally.told()}", err=True)
+        click.echo(f"roadtorch: {job.file}: {count}", err=True)
     if isinstance(problem, KeyboardInterrupt):
         raise problem
     if row.failed:
@@ -156,26 +343,25 @@ def _run_source(
     return row
 
 
-def _row(source: Source, job: Job, tally: FrameCount, problem: BaseException | None) -> Row:
+def _row(source: Source, job: Job, count: FrameCount, problem: BaseException | None) -> Row:
     """The row of a source; to be interrupted is the usual end of a live one."""
     status = DONE
     if isinstance(problem, RoadtorchError):
         status = f"{FAILED}: {' '.join(str(problem).split())}"
     elif problem is not None and not source.live:
         status = f"{FAILED}: {source.origin}: was interrupted (run it again)"
-    elif tally.failed:
-        status = f"{FAILED}: {source.origin}: {tally.failed} frames failed (see their rows)"
-    last = tally.last
-    row = Row(job.file, last.width, last.height, f"{tally.ms:.0f}", status=status)
+    elif count.failed:
+        status = f"{FAILED}: {source.origin}: {count.failed} frames failed (see their rows)"
+    last = count.last
+    row = Row(job.file, last.width, last.height, f"{count.ms:.0f}", status=status)
     return replace(row, seconds=last.seconds)
 
 
 def _work_through(
     source: Source,
     work: FootageWork,
-    write: Callable[[Seen], Row],
-    tally: FrameCount,
-    options: Options,
+    settle: Callable[[Seen | Missed], None],
+    options: RunOptions,
 ) -> None:
     """Look at all frames, and write what is found in a thread of its own, a few frames behind."""
     from tqdm import tqdm
@@ -183,29 +369,12 @@ def _work_through(
     steady = work.steady() if work.steady and source.moving else None
     seen = seen_frames(source, work.detector, jobs=options.jobs, steady=steady, check=work.check)
     hidden = True if options.quiet else None  # None: hidden unless stderr is a terminal
-    with (
-        closing(seen),
-        _written(Behind(AHEAD)) as behind,
-        tqdm(total=source.count, unit="frame", disable=hidden) as bar,
-    ):
-        for one in seen:
-            behind.do(partial(_settle, one, write, tally))
-            bar.update()
-
-
-@contextmanager
-def _written(behind: Behind) -> Iterator[Behind]:
-    """However the block ends, what was handed over is written, also when asked to stop twice."""
-    try:
-        yield behind
-    finally:
-        with stop_on_signals():
-            behind.finish()
-
-
-def _settle(one: Seen | Missed, write: Callable[[Seen], Row], tally: FrameCount) -> None:
-    """Write what was seen of a frame, or tell why nothing was."""
-    row = write(one) if isinstance(one, Seen) else missed_row(one)
-    if row.failed:
-        click.echo(f"roadtorch: {row.status}", err=True)
-    tally.add(row)
+    behind = Behind(AHEAD)
+    with closing(seen), tqdm(total=source.count, unit="frame", disable=hidden) as bar:
+        try:
+            for one in seen:
+                behind.do(partial(settle, one))
+                bar.update()
+        finally:  # what was handed over is written, also when asked to stop twice
+            with stop_on_signals():
+                behind.finish()

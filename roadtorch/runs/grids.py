@@ -1,9 +1,10 @@
-"""What ``grid`` writes for one picture, and how it knows the camera."""
+"""What ``grid`` writes of pictures and of footage, and how it knows where the camera is."""
 
 import json
 import math
 import statistics
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +17,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.camera.birds_eye import Calibration, read_calibration
-from roadtorch.camera.calibration import kitti_ground_camera, read_camera_info
+from roadtorch.camera.calibration import kitti_ground_camera, lens_of_info, read_camera_info
 from roadtorch.camera.camera import Camera
 from roadtorch.camera.ground import (
     GroundCamera,
@@ -29,13 +30,19 @@ from roadtorch.camera.ground import (
 from roadtorch.camera.ground_grid import FREE, Grid, GridSettings, ground_grid
 from roadtorch.camera.horizon import horizon_of
 from roadtorch.detector import Detection, Detector
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.io.atomic import make_folder
-from roadtorch.io.image import read_image, tint_mask, to_pixels, write_jpeg, write_npy
-from roadtorch.runs.batch import Job
-from roadtorch.runs.claim import ELSEWHERE
+from roadtorch.io.image import tint_mask, to_pixels, write_jpeg, write_npy
+from roadtorch.runs.folder import ELSEWHERE
+from roadtorch.runs.footage import bag_ending, clock_text, is_from_bag, missed_row, stamp_of
 from roadtorch.runs.index import DONE, DOUBTFUL, Row
+from roadtorch.runs.pictures import Job
+from roadtorch.sinks.bags import BagSink
 from roadtorch.sinks.grid import map_picture, write_grid
+from roadtorch.sources.bags import camera_info, is_bag
+from roadtorch.sources.frame import Source, sampled
+from roadtorch.sources.open import Inputs
+from roadtorch.stream import Missed, Seen, seen_frames
 
 SUFFIXES = {
     "pgm": ".grid.pgm",
@@ -47,6 +54,11 @@ SUFFIXES = {
 
 UNSURE = 2.0
 """Degrees of spread of a pitch from which a grid is called doubtful."""
+
+MEDIAN_FRAMES = 9
+"""Frames whose median is the pitch of a source; ours: a few wrong ones do not move it."""
+
+# --- where the camera is ----------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -66,104 +78,12 @@ class Mounting:
     calibration: Path | None = None
     camera: Path | None = None
 
-
-class Placed(NamedTuple):
-    """A camera over the ground, how its pitch is known, and how unsure that is in degrees."""
-
-    camera: GroundCamera
-    told: str
-    spread: float
-
-
-Placing = Callable[[Tensor, Detection], Placed]
-
-
-def lens_options(given: Mounting) -> list[str]:
-    """The options that were given to tell the lens; ConfigError when they are several."""
-    ways = {"--fov": given.fov, "--camera-info": given.camera_info}
-    ways["--calibration"] = given.calibration
-    named = [name for name, value in ways.items() if value is not None]
-    if len(named) > 1:
-        raise ConfigError(
-            "grid", f"{' and '.join(named)} were given", f"give one of {', '.join(ways)}"
-        )
-    return named
-
-
-def placing_of(given: Mounting, found: Lens | None = None) -> tuple[Placing, str]:
-    """How a picture's camera is found, and what decides on it, in words for the settings' file.
-
-    found: the lens that a bag tells. Raises ConfigError for options that are missing, contradict
-    one another or lie beyond their limits, and what the files' readers raise.
-    """
-    if not lens_options(given) and found is None:
-        remedy = "give one of --fov, --camera-info, --calibration"
-        raise ConfigError("grid", "nothing tells the lens", remedy)
-    if given.calibration is not None:
-        return _kitti_placing(given, given.calibration)
-    height = checked_height(given)
-    known = found if given.camera_info is None else read_camera_info(given.camera_info)
-    if known is None:
-        lens_of_view(2, 2, given.fov or 0.0)
-    stand = _Stand(given, height, known)
-    horizon = _horizon(given)
-    if horizon is not None and given.pitch is None and known is not None:
-        stand.pose(pitch_of_horizon(known, horizon, given.roll))  # refused now
-    if given.pitch is not None or horizon is not None:
-        placing = _ToldPitch(stand, partial(_told_pitch, given, horizon or 0.0))
-    else:
-        placing = PitchOfLayout(stand)
-    return placing, _in_words(given, horizon, known)
-
-
-def checked_height(given: Mounting) -> float:
-    """The height; ConfigError where it is missing, or it or the angles are beyond the limits."""
-    if given.height is None:
-        remedy = "give the camera's height above the ground in metres, or --calibration"
-        raise ConfigError("--height", "is missing", remedy)
-    mounted(given.height, given.pitch or 0.0, given.roll, given.mount)
-    return given.height
-
-
-def words_of(given: Mounting) -> str:
-    """What decides on the camera beside the lens that bags tell, for the settings' file."""
-    return _in_words(given, _horizon(given), None)
-
-
-def _horizon(given: Mounting) -> float | None:
-    return None if given.camera is None else Camera.read(given.camera).horizon
-
-
-def _in_words(given: Mounting, horizon: float | None, known: Lens | None) -> str:
-    said = replace(given, camera=None, camera_info=None)
-    lens = None if known is None else known.model_dump()
-    return _words(**asdict(said), horizon=horizon, lens=lens)
-
-
-def _kitti_placing(given: Mounting, path: Path) -> tuple[Placing, str]:
-    for name, value in (("--height", given.height), ("--pitch", given.pitch)):
-        if value is not None:
-            raise ConfigError(name, "was given beside --calibration, which has it", "leave it out")
-    if given.roll:
-        raise ConfigError("--roll", "was given beside --calibration, which has it", "leave it out")
-    calibration = read_calibration(path)
-    words = _words(calibration=asdict(calibration), mount=given.mount)
-    return _KittiPlacing(calibration, given.mount), words
-
-
-def _words(**values: object) -> str:
-    """Values as a line of comment in the settings' file."""
-    return f"# {json.dumps({name: each for name, each in values.items() if each is not None})}"
-
-
-@dataclass(frozen=True)
-class _KittiPlacing:
-    calibration: Calibration
-    mount: tuple[float, float]
-
-    def __call__(self, image: Tensor, _: Detection) -> Placed:
-        camera = kitti_ground_camera(self.calibration, image.shape[-1], image.shape[-2], self.mount)
-        return Placed(camera, f"pitch {camera.pose.pitch:.2f} degrees, of the calibration", 0.0)
+    def pose(self, pitch: float) -> Pose:
+        """Where the camera is at so many degrees; ConfigError for what is beyond the limits."""
+        if self.height is None:
+            remedy = "give the camera's height above the ground in metres, or --calibration"
+            raise ConfigError("--height", "is missing", remedy)
+        return mounted(self.height, pitch, self.roll, self.mount)
 
 
 class Pitch(NamedTuple):
@@ -174,99 +94,114 @@ class Pitch(NamedTuple):
     spread: float = 0.0
 
 
+class Placed(NamedTuple):
+    """A camera over the ground, how its pitch is known, and how unsure that is in degrees."""
+
+    camera: GroundCamera
+    told: str
+    spread: float
+
+
 @dataclass(frozen=True)
-class _Stand:
-    """What is known of the camera beside its pitch; lens: None for one of ``--fov``."""
+class Placing:
+    """How the camera over the ground is found for each picture.
+
+    calibration: KITTI's, which tells all but ``mount``. lens: None for one of ``fov``, and where
+    each bag tells its own. horizon: of the camera's file, share of the height. pitch: None where
+    the horizon tells it, or else the layout of each picture.
+    """
 
     given: Mounting
-    height: float
-    lens: Lens | None
+    calibration: Calibration | None = None
+    lens: Lens | None = None
+    horizon: float | None = None
+    pitch: Pitch | None = None
 
-    def lens_of(self, image: Tensor) -> Lens:
-        height, width = image.shape[-2:]
-        fov = self.given.fov or 0.0
-        return self.lens.at(width, height) if self.lens else lens_of_view(width, height, fov)
+    @property
+    def lacks_lens(self) -> bool:
+        """Whether the lens is for each bag to tell."""
+        return self.lens is None and self.calibration is None and self.given.fov is None
 
-    def pose(self, pitch: float) -> Pose:
-        return mounted(self.height, pitch, self.given.roll, self.given.mount)
+    @property
+    def asks_pictures(self) -> bool:
+        """Whether each picture tells the pitch by its layout."""
+        return self.calibration is None and self.horizon is None and self.pitch is None
 
-    def placed(self, lens: Lens, pitch: Pitch) -> Placed:
-        told = f"pitch {pitch.degrees:.2f} degrees, {pitch.told}"
-        return Placed(GroundCamera(lens, self.pose(pitch.degrees)), told, pitch.spread)
-
-
-@dataclass(frozen=True)
-class _ToldPitch:
-    stand: _Stand
-    pitch: Callable[[Lens], Pitch]
-
-    def __call__(self, image: Tensor, _: Detection) -> Placed:
-        lens = self.stand.lens_of(image)
-        return self.stand.placed(lens, self.pitch(lens))
-
-
-def _told_pitch(given: Mounting, horizon: float, lens: Lens) -> Pitch:
-    if given.pitch is not None:
-        return Pitch(given.pitch, "as given")
-    found = pitch_of_horizon(lens, horizon, given.roll)
-    return Pitch(found, f"horizon at row {horizon:.3f} of the camera's file")
-
-
-@dataclass(frozen=True)
-class PitchOfLayout:
-    """A camera whose pitch each picture tells by its layout."""
-
-    stand: _Stand
+    @property
+    def words(self) -> str:
+        """What decides on the camera, as a line of comment in the settings' file."""
+        if self.calibration is not None:
+            said = {"calibration": asdict(self.calibration), "mount": self.given.mount}
+        else:
+            lens = None if self.lens is None else self.lens.model_dump()
+            own = asdict(replace(self.given, camera=None, camera_info=None))
+            said = {**own, "horizon": self.horizon, "lens": lens}
+        return f"# {json.dumps({name: one for name, one in said.items() if one is not None})}"
 
     def __call__(self, image: Tensor, detection: Detection) -> Placed:
-        """InputError where the picture does not tell it."""
+        """The camera of a picture (3,H,W); InputError where that does not tell its pitch."""
+        height, width = image.shape[-2:]
+        if self.calibration is not None:
+            camera = kitti_ground_camera(self.calibration, width, height, self.given.mount)
+            return Placed(camera, f"pitch {camera.pose.pitch:.2f} degrees, of the calibration", 0.0)
+        if self.lens is None:
+            lens = lens_of_view(width, height, self.given.fov or 0.0)
+        else:
+            lens = self.lens.at(width, height)
+        pitch = self.pitch
+        if pitch is None and self.horizon is not None:
+            degrees = pitch_of_horizon(lens, self.horizon, self.given.roll)
+            pitch = Pitch(degrees, f"horizon at row {self.horizon:.3f} of the camera's file")
+        pitch = pitch or self._of_layout(lens, image, detection)
+        told = f"pitch {pitch.degrees:.2f} degrees, {pitch.told}"
+        return Placed(GroundCamera(lens, self.given.pose(pitch.degrees)), told, pitch.spread)
+
+    def _of_layout(self, lens: Lens, image: Tensor, detection: Detection) -> Pitch:
         layout = detection.cues.get("layout")
         if layout is None or layout.ndim != 3:
             remedy = "give --pitch or --camera, or a detector with a layout, such as fusion"
             raise InputError("image", "has no layout by this detector to tell the pitch", remedy)
-        lens = self.stand.lens_of(image)
         row, spread = horizon_of(image, layout)
-        degrees = math.degrees(math.atan(spread * lens.height / lens.focal_y))
-        told = f"horizon at row {row:.3f} of the layout, unsure by {degrees:.1f} degrees"
-        pitch = pitch_of_horizon(lens, row, self.stand.given.roll)
-        return self.stand.placed(lens, Pitch(pitch, told, degrees))
-
-    def steadied(self, placed: Sequence[Placed]) -> Placing:
-        """The same camera with the median of the pitches that some of its pictures tell."""
-        pitches = [one.camera.pose.pitch for one in placed]
-        spread = statistics.median(one.spread for one in placed)
-        told = f"median of {len(pitches)} frames ({min(pitches):.2f} to {max(pitches):.2f})"
-        told += f" by the layout, unsure by {spread:.1f} degrees"
-        found = Pitch(statistics.median(pitches), told, spread)
-        return _ToldPitch(self.stand, lambda _: found)
+        unsure = math.degrees(math.atan(spread * lens.height / lens.focal_y))
+        told = f"horizon at row {row:.3f} of the layout, unsure by {unsure:.1f} degrees"
+        return Pitch(pitch_of_horizon(lens, row, self.given.roll), told, unsure)
 
 
-class Mapped(NamedTuple):
-    """A picture (3,H,W), what was detected in it, its camera, and the grid of both."""
+def placing_of(given: Mounting, inputs: Inputs, bag_lens: Lens | None = None) -> Placing:
+    """How the cameras of inputs are found.
 
-    image: Tensor
-    detection: Detection
-    placed: Placed
-    grid: Grid
+    bag_lens: what the one bag among them tells. Raises ConfigError for options that are missing,
+    contradict one another or lie beyond their limits, and what the files' readers raise.
+    """
+    ways = {"--fov": given.fov, "--camera-info": given.camera_info}
+    ways["--calibration"] = given.calibration
+    named = [name for name, value in ways.items() if value is not None]
+    remedy = f"give one of {', '.join(ways)}"
+    if len(named) > 1:
+        raise ConfigError("grid", f"{' and '.join(named)} were given", remedy)
+    if given.calibration is not None:
+        for name, value in {"--height": given.height, "--pitch": given.pitch}.items():
+            if value is not None:
+                what = "was given beside --calibration, which has it"
+                raise ConfigError(name, what, "leave it out")
+        if given.roll:
+            what = "was given beside --calibration, which has it"
+            raise ConfigError("--roll", what, "leave it out")
+        return Placing(given, read_calibration(given.calibration))
+    if not named and (inputs.pictures or not all(map(is_bag, inputs.sources))):
+        raise ConfigError("grid", "nothing tells the lens", remedy)
+    given.pose(given.pitch or 0.0)
+    lens = bag_lens if given.camera_info is None else read_camera_info(given.camera_info)
+    if given.fov is not None:
+        lens_of_view(2, 2, given.fov)
+    horizon = None if given.camera is None else Camera.read(given.camera).horizon
+    if horizon is not None and given.pitch is None and lens is not None:
+        given.pose(pitch_of_horizon(lens, horizon, given.roll))  # refused now
+    pitch = None if given.pitch is None else Pitch(given.pitch, "as given")
+    return Placing(given, None, lens, horizon, pitch)
 
 
-def mapped(image: Tensor, detection: Detection, placing: Placing, settings: GridSettings) -> Mapped:
-    """A picture and its grid; raises what ``placing`` and ``ground_grid`` raise."""
-    placed = placing(image, detection)
-    road = decided(detection, settings.threshold)
-    grid = ground_grid(road, placed.camera, settings, detection.cues.get("ego"))
-    return Mapped(image, detection, placed, grid)
-
-
-def write_mapped(output: Callable[[str], Path], kinds: Container[str], found: Mapped) -> None:
-    """Write a grid's files, see ``SUFFIXES``; output: what a name ends with → the path."""
-    make_folder(output("").parent, ELSEWHERE)
-    write_grid(output(""), found.grid, found.placed.told)
-    if "likelihood" in kinds:
-        write_npy(output(SUFFIXES["likelihood"]), found.grid.likelihood)
-    if "picture" in kinds:
-        pixels = beside(found.image, found.detection.mask, found.grid)
-        write_jpeg(output(SUFFIXES["picture"]), pixels)
+# --- pictures ---------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -279,31 +214,44 @@ class Gridding:
     detector: Detector
     placing: Placing
     settings: GridSettings
-    kinds: frozenset[str]
+    kinds: tuple[str, ...]
     known: Camera | None = None
 
     def __call__(self, job: Job) -> Row:
         """Write the grid of one picture; the row's road share is that of free cells."""
         start = perf_counter()
-        image = read_image(job.picture.path)
+        image = job.picture.read()
         if self.known is not None:
             self.known.check(image)
-        found = mapped(image, self.detector.detect(image), self.placing, self.settings)
-        write_mapped(job.output, self.kinds, found)
-        return grid_row(job.file, found, 1000 * (perf_counter() - start))
+        _, row = self.write(job.file, image, self.detector.detect(image), job.output)
+        return replace(row, ms=f"{1000 * (perf_counter() - start):.0f}")
 
+    def write(
+        self, file: str, image: Tensor, detection: Detection, output: Callable[[str], Path]
+    ) -> tuple[Grid, Row]:
+        """The grid of an image (3,H,W), its files written; the row for index.csv, without ms.
 
-def grid_row(file: str, found: Mapped, ms: float) -> Row:
-    """The row for index.csv of a grid; the road share is that of free cells. ms: what it took."""
-    detection, spread = found.detection, found.placed.spread
-    doubt = detection.doubt
-    if spread > UNSURE:
-        doubt = ", ".join(filter(None, [doubt, f"pitch unsure by {spread:.1f} degrees"]))
-    height, width = found.image.shape[-2:]
-    share = float((found.grid.cells == FREE).double().mean())
-    trust = "" if detection.trust is None else f"{detection.trust:.2f}"
-    status = f"{DOUBTFUL}: {doubt}" if doubt else DONE
-    return Row(file, str(width), str(height), f"{ms:.0f}", f"{share:.4f}", trust, status)
+        file: as in index.csv. output: what a name ends with → the path. Raises what ``placing``
+        and ``ground_grid`` raise.
+        """
+        placed = self.placing(image, detection)
+        road = decided(detection, self.settings.threshold)
+        grid = ground_grid(road, placed.camera, self.settings, detection.cues.get("ego"))
+        make_folder(output("").parent, ELSEWHERE)
+        write_grid(output(""), grid, placed.told)
+        if "likelihood" in self.kinds:
+            write_npy(output(SUFFIXES["likelihood"]), grid.likelihood)
+        if "picture" in self.kinds:
+            write_jpeg(output(SUFFIXES["picture"]), beside(image, detection.mask, grid))
+        doubts = [detection.doubt]
+        if placed.spread > UNSURE:
+            doubts.append(f"pitch unsure by {placed.spread:.1f} degrees")
+        doubt = ", ".join(filter(None, doubts))
+        height, width = image.shape[-2:]
+        share = f"{float((grid.cells == FREE).double().mean()):.4f}"
+        trust = "" if detection.trust is None else f"{detection.trust:.2f}"
+        status = f"{DOUBTFUL}: {doubt}" if doubt else DONE
+        return grid, Row(file, str(width), str(height), "", share, trust, status)
 
 
 def decided(detection: Detection, threshold: float) -> Tensor:
@@ -323,3 +271,95 @@ def beside(image: Tensor, mask: Tensor, grid: Grid) -> Tensor:
     upright = cv2.resize(upright, (width, height), interpolation=cv2.INTER_AREA)
     both = np.hstack([picture, np.repeat(upright[..., None], 3, 2)])
     return torch.from_numpy(both).permute(2, 0, 1) / 255
+
+
+# --- footage ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class FootageGrids:
+    """What is written of a source: a grid a frame, of bags also as messages; one pitch for all.
+
+    gridding: the work on a frame. topic: of bags. frame_id: of the robot, in bags of grids.
+    """
+
+    gridding: Gridding
+    topic: str | None = None
+    frame_id: str = "base_link"
+
+    def kinds(self, source: Source) -> tuple[str, ...]:
+        """What index.csv says was saved."""
+        return (*self.gridding.kinds, "bag") if is_from_bag(source) else self.gridding.kinds
+
+    def suffixes(self, source: Source) -> dict[str, str]:
+        """How the names of the files of the whole source end, by kind."""
+        return {"bag": bag_ending(source, ".grid")} if is_from_bag(source) else {}
+
+    @contextmanager
+    def open(self, source: Source, job: Job) -> Iterator[Callable[[Seen], Row]]:
+        """What writes the grid of a frame and gives its row; the pitch is found before.
+
+        However the block ends, the bag is finished with the frames that it has.
+        """
+        gridding = self.gridding
+        if gridding.placing.lacks_lens:
+            info = camera_info(source.origin, self.topic)
+            matrix, bent = info.matrix.ravel().tolist(), info.distortion.tolist()
+            size = (info.width, info.height)
+            lens = lens_of_info(source.origin, size, matrix, bent, info.model)
+            inputs = Inputs([], [source.origin])
+            gridding = replace(gridding, placing=placing_of(gridding.placing.given, inputs, lens))
+        if source.moving and gridding.placing.asks_pictures:
+            gridding = replace(gridding, placing=steadied(gridding, source))
+        with ExitStack() as stack:
+            bag = None
+            if "bag" in job.suffixes:
+                path = job.output(job.suffixes["bag"])
+                sink = BagSink(path, self.frame_id, gridding.settings.threshold)
+                bag = stack.enter_context(closing(sink))
+            yield partial(self._write, gridding, bag, job)
+
+    def _write(self, gridding: Gridding, bag: BagSink | None, job: Job, seen: Seen) -> Row:
+        start = perf_counter()
+        frame = seen.frame
+        output = partial(job.output, name=frame.name)
+        try:
+            grid, row = gridding.write(frame.name, seen.image, seen.detection, output)
+        except RoadtorchError as problem:
+            where = frame.origin if problem.where == "image" else problem.where
+            return missed_row(Missed(frame, InputError(where, problem.what, problem.remedy)))
+        if bag is not None:
+            cells, (x, y) = grid.cells.cpu().numpy(), grid.origin
+            bag.write_grid(cells, grid.resolution, (x, y), stamp_of(frame), self.frame_id)
+        ms = f"{seen.ms + 1000 * (perf_counter() - start):.0f}"
+        return replace(row, ms=ms, seconds=clock_text(frame.seconds))
+
+
+def steadied(gridding: Gridding, source: Source) -> Placing:
+    """The placing with one pitch for a whole source: the median of what some frames tell.
+
+    Single pictures jitter, and a robot's camera does not. InputError when no frame tells it.
+    """
+    check = None if gridding.known is None else gridding.known.check
+    placed: list[Placed] = []
+    problem: RoadtorchError | None = None
+    frames = seen_frames(sampled(source, MEDIAN_FRAMES), gridding.detector, check=check)
+    with closing(frames) as seen:
+        for one in seen:
+            try:
+                if isinstance(one, Missed):
+                    raise one.problem
+                placed.append(gridding.placing(one.image, one.detection))
+            except RoadtorchError as own:
+                problem = own
+    if placed:
+        pitches = [one.camera.pose.pitch for one in placed]
+        spread = statistics.median(one.spread for one in placed)
+        told = f"median of {len(pitches)} frames ({min(pitches):.2f} to {max(pitches):.2f})"
+        told += f" by the layout, unsure by {spread:.1f} degrees"
+        pitch = Pitch(statistics.median(pitches), told, spread)
+        return replace(gridding.placing, pitch=pitch)
+    if problem is None:
+        return gridding.placing
+    where = source.origin if problem.where == "image" else problem.where
+    raise InputError(where, problem.what, problem.remedy)

@@ -1,18 +1,16 @@
-"""index.csv: a row for every picture of a run, kept as the run goes on."""
+"""index.csv: a row for every picture and frame of a run, kept as the run goes on."""
 
 import csv
 import io
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import monotonic
 
-import click
-
 from roadtorch.errors import InputError
-from roadtorch.io.atomic import csv_text, write_text
-from roadtorch.io.bounded import read_regular
+from roadtorch.io.atomic import REMEDIES, RoomyFile, csv_text, write_text
+from roadtorch.io.bounded import printable, read_regular
 
 INDEX = "index.csv"
 DONE, DOUBTFUL, FAILED = "done", "doubtful", "failed"
@@ -20,6 +18,8 @@ DONE, DOUBTFUL, FAILED = "done", "doubtful", "failed"
 
 SAVE_EVERY = 5.0  # seconds of work that a power cut may cost, at most
 SAVING = 0.05  # the share of the time that saving may take: a long index is saved less often
+
+LAST_ROWS = 2**16  # bytes held for the last rows of frames, should the disk become full
 
 Publish = Callable[[Path], None]
 """Told of a file of the run that has been written: what is done with it then."""
@@ -54,14 +54,6 @@ class Row:
         return self.status.startswith(FAILED)
 
 
-def _with_earlier(earlier: Row | None, row: Row) -> Row:
-    """A row, with the kinds of results that the same method gave of the same bytes before."""
-    if earlier is None or (earlier.method, earlier.sha256) != (row.method, row.sha256):
-        return row
-    kinds = dict.fromkeys([*earlier.saved.split(), *row.saved.split()])
-    return replace(row, saved=" ".join(kinds))
-
-
 class SavedIndex:
     """index.csv as a run goes on: saved after every row, or as often as is worth it.
 
@@ -73,8 +65,15 @@ class SavedIndex:
         self._due = 0.0
 
     def add(self, row: Row) -> None:
-        """Keep one more row; on a full disk the index stays as it was until the end."""
-        self.rows[row.file] = _with_earlier(self.rows.get(row.file), row)
+        """Keep one more row, with the kinds that the same method gave of the same bytes before.
+
+        On a full disk the index stays as it was until the end.
+        """
+        earlier = self.rows.get(row.file)
+        if earlier and (earlier.method, earlier.sha256) == (row.method, row.sha256):
+            kinds = dict.fromkeys([*earlier.saved.split(), *row.saved.split()])
+            row = replace(row, saved=" ".join(kinds))
+        self.rows[row.file] = row
         start = monotonic()
         if start < self._due:
             return
@@ -83,12 +82,6 @@ class SavedIndex:
             self._publish(self.path)
         took = monotonic() - start
         self._due = start + took + min(took / SAVING, SAVE_EVERY)
-
-    def update(self, rows: Iterable[Row]) -> None:
-        """Replace rows, and tell each that failed."""
-        for row in rows:
-            self.rows[row.file] = row
-            click.echo(f"roadtorch: {row.status}", err=True)
 
     def finish(self, let_go: Callable[[], None]) -> None:
         """Write all rows, in the room that was held for them if the disk is full.
@@ -125,3 +118,39 @@ def write_index(path: Path, rows: Iterable[Row]) -> None:
     """Write rows, sorted by file, as index.csv."""
     columns = list(Row.__dataclass_fields__)
     write_text(path, csv_text(columns, map(asdict, sorted(rows, key=lambda row: row.file))))
+
+
+# --- footage ----------------------------------------------------------------------------
+
+
+class FrameIndex:
+    """An index.csv that is open for rows at its end: a row a frame, none of them in memory."""
+
+    def __init__(self, path: Path, file: RoomyFile) -> None:
+        self._path, self._file = path, file
+
+    def add(self, row: Row) -> None:
+        """Append a row; InputError when the disk is full."""
+        text = csv_text(list(Row.__dataclass_fields__), [asdict(row)]).partition("\n")[2]
+        self._file.write(printable(text).encode())
+        if (problem := self._file.lost) is not None:
+            what = f"cannot be written: {problem.strerror}"
+            remedy = REMEDIES.get(problem.errno or 0, "choose a folder that you may write to")
+            raise InputError(self._path, what, remedy)
+
+
+@contextmanager
+def frame_index(path: Path, file: str, name: str) -> Iterator[FrameIndex]:
+    """The index for a source and its frames, without the rows that it had before.
+
+    file: what index.csv calls the source; its frames lie below ``name``. A row of a killed run
+    that is cut short is dropped when the index is read.
+    """
+    frames = printable(name) + "/"
+    rows = read_index(path).values()
+    write_index(path, [row for row in rows if row.file != file and not row.file.startswith(frames)])
+    appended = RoomyFile(path, "ab", LAST_ROWS)
+    try:
+        yield FrameIndex(path, appended)
+    finally:
+        appended.close()

@@ -16,12 +16,12 @@ from tempfile import TemporaryDirectory
 from typing import Any, cast
 
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.runs.batch import Engine, Rows, Task, Work
 from roadtorch.runs.index import Row
+from roadtorch.runs.pictures import Engine, Rows, Task, Work
 from roadtorch.runtime.threads import Threads
 
 TOGETHER = 16  # jobs that a worker is given at once, and does anew when it dies; ours
-MOST_BLOCKS = 10_000  # that the driver keeps an eye on; ours: Ray's own limit is memory
+MAX_BLOCKS = 10_000  # that the driver keeps an eye on; ours: Ray's own limit is memory
 RETRIES = 3  # of jobs whose worker died, so that a picture that kills workers ends the run
 PATIENCE = 10.0  # seconds until a cluster has to answer; ours
 STORE = 100 * 2**20  # bytes of a local cluster's object store; rows and weights are small
@@ -182,7 +182,7 @@ def _rows_of_actors(jobs: Sequence[Task], work: Work, cluster: Cluster) -> Rows:
     threads = Threads.of_now()
     # The workers of a local cluster have the environment of this process.
     environment = {"env_vars": _worker_environment(threads)} if cluster.address else None
-    blocks = min(max(len(jobs) // TOGETHER, 4 * cluster.workers), len(jobs), MOST_BLOCKS)
+    blocks = min(max(len(jobs) // TOGETHER, 4 * cluster.workers), len(jobs), MAX_BLOCKS)
     items = [{"job": pickle.dumps(job)} for job in jobs]
     rows = ray.data.from_items(items, override_num_blocks=blocks).map(
         cast(Any, Worker),  # Ray makes one in each actor

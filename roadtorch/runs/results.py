@@ -1,6 +1,7 @@
-"""What ``infer`` writes for one picture, and for a folder of them."""
+"""What is written of one picture: by ``infer``, by ``label`` and by ``submit``."""
 
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+import zipfile
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from time import perf_counter
@@ -9,26 +10,31 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from roadtorch.camera.birds_eye import read_calibration, to_birds_eye
 from roadtorch.camera.camera import Camera
-from roadtorch.data.maps import CONFIG, MASK
-from roadtorch.detector import Detection, Detector
-from roadtorch.errors import ConfigError, InputError
-from roadtorch.io.atomic import digest_of, make_folder, write_json, write_text
-from roadtorch.io.bounded import printable, read_regular
+from roadtorch.data.kitti import result_name
+from roadtorch.data.maps import MASK
+from roadtorch.detector import Detection, Detector, checked_image
+from roadtorch.io.atomic import atomic, digest_of, make_folder, write_json
 from roadtorch.io.image import (
-    read_image,
     write_colours,
+    write_jpeg,
+    write_labels,
     write_map,
     write_mask,
     write_npy,
     write_overlay,
 )
-from roadtorch.layout.classes import LAYOUT_COLOURS, layout_colours
+from roadtorch.layout.classes import HORIZONTAL, LAYOUT_COLOURS, layout_colours
+from roadtorch.layout.labeller import LabellerSettings, label_layout
 from roadtorch.layout.weights import tensors_hash
-from roadtorch.runs.batch import Job, Method, method_of
-from roadtorch.runs.claim import ELSEWHERE
-from roadtorch.runs.index import DONE, DOUBTFUL, INDEX, Row
+from roadtorch.runs.folder import ELSEWHERE, POLYGONS
+from roadtorch.runs.index import DONE, DOUBTFUL, Row
+from roadtorch.runs.pictures import Job, Method, method_of, plan
 from roadtorch.sinks.polygons import labelme_document
+from roadtorch.sinks.remote_folder import RemoteFolder
+from roadtorch.sources.frame import Selection
+from roadtorch.sources.pictures import Picture
 from roadtorch.version import __version__
 
 SUFFIXES = {
@@ -36,7 +42,7 @@ SUFFIXES = {
     "mask": MASK,
     "overlay": ".overlay.jpg",
     "npy": ".likelihood.npy",
-    "polygons": ".labelme.json",
+    "polygons": POLYGONS,
     "json": ".json",
 }
 
@@ -46,39 +52,16 @@ CUE_SUFFIXES = {"cues": ".cue.{}.png", "npy": ".{}.npy"}
 GOLDEN = 0.6180339887  # the fractional step that spreads neighbouring labels over the colours
 
 
-def suffixes(kinds: Iterable[str]) -> dict[str, str]:
-    """How the files of each kind end; the cues' names are known only after detection."""
-    return {kind: SUFFIXES[kind] for kind in kinds if kind in SUFFIXES}
-
-
-def cue_suffixes(kinds: Iterable[str]) -> list[str]:
-    """How the files of the cues end, of all kinds that have them."""
-    return [CUE_SUFFIXES[kind] for kind in kinds if kind in CUE_SUFFIXES]
-
-
-def keep_config(out: Path, effective: str, overwrite: bool) -> None:
-    """Write the settings beside the results; ConfigError if earlier ones were different.
-
-    Otherwise a second run with another detector would skip what the first one did, and
-    the folder would mix the results of both.
-    """
-    path = out / CONFIG
-    effective += "\n"
-    is_other = path.exists() and _bytes_of(path) != printable(effective).encode()
-    if is_other and (out / INDEX).exists() and not overwrite:
-        raise ConfigError(
-            out,
-            f"holds results of other settings ({CONFIG})",
-            "give another --out, or --overwrite",
-        )
-    write_text(path, effective)
-
-
-def _bytes_of(config: Path) -> bytes:
-    try:
-        return read_regular(config)
-    except OSError as problem:
-        raise InputError(config, f"cannot be read: {problem.strerror}", ELSEWHERE) from None
+def plan_results(
+    inputs: Sequence[str],
+    out: Path | RemoteFolder,
+    kinds: Sequence[str],
+    selection: Selection = Selection(),  # noqa: B008 - it is frozen
+) -> list[Job]:
+    """The jobs that give results of those kinds for all inputs; raises what ``plan`` raises."""
+    suffixes = {kind: SUFFIXES[kind] for kind in kinds if kind in SUFFIXES}
+    of_cues = [CUE_SUFFIXES[kind] for kind in kinds if kind in CUE_SUFFIXES]
+    return plan(inputs, out, suffixes, selection, of_cues)
 
 
 def detector_method(
@@ -119,7 +102,7 @@ class Inference:
     def __call__(self, job: Job) -> Row:
         """Write the results of one picture; the row for index.csv."""
         start = perf_counter()
-        image = read_image(job.picture.path)
+        image = job.picture.read()
         if self.camera is not None:
             self.camera.check(image)
         detection = self.detector.to(self.device).detect(image.to(self.device))
@@ -174,27 +157,20 @@ def write_documents(
     if "polygons" in kinds:
         outline = labelme_document(detection.mask.cpu().numpy(), PurePath(file).name)
         write_json(output(SUFFIXES["polygons"]), outline)
-    if "json" in kinds:
-        write_json(output(SUFFIXES["json"]), facts(file, detection, detector))
-
-
-def facts(file: str, detection: Detection, detector: Detector) -> dict[str, object]:
-    """What is known about one picture in numbers; nothing in it depends on the run.
-
-    road_share: of the mask, in [0,1]. trust: the expected F, None where the detector does not say.
-    """
-    height, width = detection.mask.shape
-    return {
-        "file": file,
-        "width": width,
-        "height": height,
-        "road_share": round(float(detection.mask.to(torch.float64).mean()), 6),
-        "trust": None if detection.trust is None else round(detection.trust, 4),
-        "doubt": detection.doubt,
-        "threshold": detector.settings.threshold,
-        "detector": detector.name,
-        "roadtorch": __version__,
-    }
+    if "json" in kinds:  # numbers of the picture alone; nothing in it depends on the run
+        height, width = detection.mask.shape
+        facts = {
+            "file": file,
+            "width": width,
+            "height": height,
+            "road_share": round(float(detection.mask.to(torch.float64).mean()), 6),
+            "trust": None if detection.trust is None else round(detection.trust, 4),
+            "doubt": detection.doubt,
+            "threshold": detector.settings.threshold,
+            "detector": detector.name,
+            "roadtorch": __version__,
+        }
+        write_json(output(SUFFIXES["json"]), facts)
 
 
 def cue_picture(name: str, cue: Tensor) -> Tensor:
@@ -208,28 +184,104 @@ def cue_picture(name: str, cue: Tensor) -> Tensor:
     if name == "layout_labels":
         return layout_colours(cue)
     is_label = not cue.is_floating_point() and cue.dtype != torch.bool
-    if cue.ndim == 2:
-        return _label_colours(cue) if is_label else _stretched(cue).expand(3, -1, -1)
-    if len(cue) != 3:
-        return _stretched(cue.float().mean(0)).expand(3, -1, -1)
-    return _potential_colours(cue) if name.startswith("layout") else _stretched(cue)
-
-
-def _stretched(values: Tensor) -> Tensor:
-    """Values of any shape over [0,1], black where they are not finite."""
-    values = values.float()
+    if cue.ndim == 2 and is_label:  # each channel a different irrational stride
+        strides = torch.tensor([GOLDEN, GOLDEN**2, GOLDEN**3]).view(3, 1, 1)
+        return ((cue.float() + 1) * strides).frac()
+    if cue.ndim == 3 and len(cue) == 3 and name.startswith("layout"):  # a mixture of their colours
+        colours = torch.tensor(LAYOUT_COLOURS) / 255
+        return torch.einsum("chw,cd->dhw", cue.clamp(0, 1).float(), colours).clamp(0, 1)
+    if cue.ndim == 3 and len(cue) != 3:
+        cue = cue.float().mean(0)
+    values = cue.float()
     is_finite = values.isfinite()
     low, high = values[is_finite].aminmax() if is_finite.any() else values.new_zeros(2)
-    return ((values - low) / (high - low).clamp_min(1e-12)).where(is_finite, 0)
+    stretched = ((values - low) / (high - low).clamp_min(1e-12)).where(is_finite, 0)
+    return stretched if cue.ndim == 3 else stretched.expand(3, -1, -1)
 
 
-def _potential_colours(potentials: Tensor) -> Tensor:
-    """Potentials (3,H,W) of sky, vertical and horizontal as a mixture of their colours."""
-    colours = torch.tensor(LAYOUT_COLOURS) / 255
-    return torch.einsum("chw,cd->dhw", potentials.clamp(0, 1).float(), colours).clamp(0, 1)
+# --- label ------------------------------------------------------------------------------
+
+LABEL_SUFFIXES = {"labels": ".png", "overlay": ".overlay.jpg"}
+LAYOUT_SHARE = 0.5  # of the class's colour; the picture keeps the rest
 
 
-def _label_colours(labels: Tensor) -> Tensor:
-    """Labels int (H,W) as colours (3,H,W): each channel a different irrational stride."""
-    strides = torch.tensor([GOLDEN, GOLDEN**2, GOLDEN**3]).view(3, 1, 1)
-    return ((labels.float() + 1) * strides).frac()
+@dataclass(frozen=True)
+class Labelling:
+    """The work on one picture: read, label, write."""
+
+    settings: LabellerSettings
+    overlay: bool
+
+    @torch.no_grad()
+    def __call__(self, job: Job) -> Row:
+        """Write the labels of one picture; the row's road share is that of horizontal."""
+        start = perf_counter()
+        image = checked_image(job.picture.read())
+        labels = label_layout(image, self.settings).labels
+        make_folder(job.output("").parent, ELSEWHERE)
+        write_labels(job.output(LABEL_SUFFIXES["labels"]), labels)
+        if self.overlay:
+            write_jpeg(job.output(LABEL_SUFFIXES["overlay"]), colour_layout(image, labels))
+        height, width = labels.shape
+        share = float((labels == HORIZONTAL).to(torch.float64).mean())
+        ms = 1000 * (perf_counter() - start)
+        return Row(job.file, str(width), str(height), f"{ms:.0f}", f"{share:.4f}")
+
+
+def colour_layout(image: Tensor, labels: Tensor) -> Tensor:
+    """The image (3,H,W) tinted by class; unlabelled pixels are darkened to half."""
+    return torch.lerp(image, layout_colours(labels), LAYOUT_SHARE)
+
+
+# --- submit -----------------------------------------------------------------------------
+
+ARCHIVE = "submission.zip"
+MAP_SUFFIX = ".png"
+READABLE_BY_ALL = 0o644 << 16  # where zip keeps the Unix permissions
+
+
+def plan_maps(images: Path, calib: Path, out: Path) -> list[Job]:
+    """The jobs for a folder of KITTI road pictures, their results named as the server wants.
+
+    A picture whose calibration file in ``calib`` has changed is done anew.
+
+    Raises what ``plan`` raises, and DatasetError for a picture that is not named
+    CATEGORY_NUMBER.
+    """
+    jobs = plan([str(images)], out, {"map": MAP_SUFFIX})
+    return [
+        replace(
+            job,
+            picture=Picture(job.picture.path, result_name(job.picture.name)),
+            beside=(calib / f"{job.picture.path.stem}.txt",),
+        )
+        for job in jobs
+    ]
+
+
+@dataclass(frozen=True)
+class Submission:
+    """The work on one picture, its calibration beside: detect, look from above, write."""
+
+    detector: Detector
+
+    def __call__(self, job: Job) -> Row:
+        """Write the map of one picture: 8 bits, 800 rows, 400 columns, round(255 p)."""
+        start = perf_counter()
+        calibration = read_calibration(job.beside[0])
+        detection = self.detector.detect(job.picture.read())
+        write_map(job.output(MAP_SUFFIX), to_birds_eye(detection.likelihood, calibration))
+        height, width = detection.mask.shape
+        share = float(detection.mask.double().mean())
+        ms = 1000 * (perf_counter() - start)
+        return Row(job.file, str(width), str(height), f"{ms:.0f}", f"{share:.4f}")
+
+
+def pack(jobs: Sequence[Job], path: Path) -> None:
+    """Write the maps of all jobs as a zip archive, files at its root; same maps, same bytes."""
+    with atomic(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+        for job in jobs:
+            output = job.output(MAP_SUFFIX)
+            entry = zipfile.ZipInfo(output.name)  # dated 1980, not now
+            entry.external_attr = READABLE_BY_ALL
+            archive.writestr(entry, output.read_bytes())

@@ -1,41 +1,5 @@
-"""Real pictures in a folder, and the command line called in this process."""
+"""The command line called in this process, on a folder of pictures."""
 
-from collections.abc import Callable
-from pathlib import Path
+from tests.command import call, footage
 
-import numpy as np
-import pytest
-from click.testing import CliRunner, Result
-from PIL import Image
-
-from roadtorch.cli import main
-
-Call = Callable[..., Result]
-
-
-@pytest.fixture
-def call() -> Call:
-    """``call("infer", path, "--out", out)``: the result has exit_code, stdout and stderr."""
-
-    def run(*arguments: object) -> Result:
-        return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
-    return run
-
-
-def save_picture(path: Path, seed: int = 0, size: tuple[int, int] = (64, 48)) -> Path:
-    """A noisy picture; its suffix says the format."""
-    width, height = size
-    pixels = np.random.default_rng(seed).integers(60, 200, (height, width, 3), np.uint8)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(pixels).save(path)
-    return path
-
-
-@pytest.fixture
-def footage(tmp_path: Path) -> Path:
-    """A folder with a.jpg, b.png and sub/c.png."""
-    root = tmp_path / "footage"
-    for seed, name in enumerate(("a.jpg", "b.png", "sub/c.png")):
-        save_picture(root / name, seed)
-    return root
+__all__ = ["call", "footage"]

@@ -9,7 +9,7 @@ from roadtorch.annotate.serving import PageServer, bound_socket, opened_session
 from roadtorch.data.corrections import read_corrections
 from roadtorch.data.events import Confirm
 from roadtorch.detectors.catalogue import load_detector
-from tests.cli.conftest import Call
+from tests.command import Call
 
 QUICK = ("--detector", "prior:triangle")
 

@@ -13,7 +13,7 @@ from roadtorch.camera.camera import Camera
 from roadtorch.io.image import read_image, write_colours
 from roadtorch.road.ego import ego_car
 from roadtorch.sources.open import frame_places, read_frames
-from tests.cli.conftest import Call
+from tests.command import Call
 from tests.streets import drive, scene
 
 

@@ -11,7 +11,7 @@ from roadtorch.cli import main
 from roadtorch.cli.completion import SHELLS, VARIABLE
 from roadtorch.data.catalogue import list_datasets
 from roadtorch.runtime.shipped_configs import shipped_configs
-from tests.cli.conftest import Call
+from tests.command import Call
 
 
 def offered(line: str, shell: str = "zsh") -> list[str]:

@@ -1,6 +1,6 @@
 from pathlib import Path
 
-from tests.cli.conftest import Call
+from tests.command import Call
 
 
 def test_a_detectors_config_is_found_by_name(call: Call) -> None:

@@ -11,14 +11,13 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from roadtorch.cli.evaluate import evaluate
-from roadtorch.cli.labelled import watched
+from roadtorch.cli.evaluate import evaluate, watched
 from roadtorch.errors import ConfigError, DatasetError, InputError
 from roadtorch.evaluation import scoring
 from roadtorch.evaluation.tally import FILE
 from roadtorch.io.image import read_image
 from roadtorch.scenes.street import render_scene
-from tests.cli.conftest import Call
+from tests.command import Call
 from tests.oracle import DECISION, GROUPS, ORACLE, SCENES, know_oracle, write_set
 from tests.streets import write_camvid
 

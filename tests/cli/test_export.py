@@ -1,6 +1,6 @@
 from pathlib import Path
 
-from tests.cli.conftest import Call
+from tests.command import Call
 from tests.networks import write_ego_network
 
 

@@ -9,7 +9,7 @@ import pytest
 import roadtorch
 from roadtorch.cli import group
 from roadtorch.errors import InputError
-from tests.cli.conftest import Call
+from tests.command import Call
 
 
 def test_version_and_help_go_to_stdout(call: Call) -> None:

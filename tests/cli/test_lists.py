@@ -1,7 +1,7 @@
 from roadtorch.detectors.catalogue import detector_groups, list_detectors
 from roadtorch.imaging.color import PLANES, REPRESENTATIONS
 from roadtorch.oneclass import CLASSIFIERS
-from tests.cli.conftest import Call
+from tests.command import Call
 
 
 def test_detectors_lists_every_one_with_its_summary(call: Call) -> None:

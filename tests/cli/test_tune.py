@@ -10,12 +10,12 @@ import torch
 from pydantic import Field
 from torch import nn
 
-from roadtorch.cli.config import chosen_detector
 from roadtorch.detector import DetectorSettings, Entry
 from roadtorch.detectors.catalogue import list_detectors, load_detector, register
 from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.tally import Tally
 from roadtorch.evaluation.thresholds import choose_threshold, shared_threshold
+from roadtorch.runs.options import DetectorOptions
 from roadtorch.scenes.street import render_scene
 from tests.reports import changed, scored
 from tests.streets import write_camvid
@@ -64,7 +64,7 @@ def test_the_config_holds_the_choice_its_command_and_its_worth(call, camvid, tmp
     assert f"#   roadtorch tune camvid {camvid}" in text
     assert "camvid dev, 6 pictures" in text
     assert "Each group at the threshold of the others: F 0." in text
-    detector, values = chosen_detector(None, out / "test-brightness.toml", (), None)
+    detector, values = DetectorOptions(config=out / "test-brightness.toml").named()
     assert (detector, values["gain"]) == ("test-brightness", 0.5)
     assert load_detector(detector, **values).settings.model_dump(mode="json") == values
     header, row = done.stdout.splitlines()

@@ -16,7 +16,6 @@ from PIL import Image
 from roadtorch.camera.birds_eye import read_calibration, to_birds_eye
 from roadtorch.camera.camera import Camera
 from roadtorch.camera.look import Look
-from roadtorch.cli.config import as_toml, chosen_detector
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.conditions import with_conditions
 from roadtorch.data.dataset import Dataset, Item
@@ -34,8 +33,9 @@ from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, T
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import LARGEST, load_network, save_network, shipped_weights
 from roadtorch.road.ego import Ego, ego_car
+from roadtorch.runs.folder import ResultFolder
 from roadtorch.runs.index import Row, read_index, write_index
-from roadtorch.runs.results import keep_config
+from roadtorch.runs.options import DetectorOptions, as_toml
 from roadtorch.scenes.street import render_scene
 from roadtorch.settings import build_settings, parse_assignments
 from roadtorch.train.config import PatchTraining, as_values, build_training
@@ -203,7 +203,7 @@ def make_config(draw: Draw, folder: Path) -> Path:
 
 def read_config(path: Path) -> bool:
     def build() -> object:
-        name, values = chosen_detector(None, path, (), None)
+        name, values = DetectorOptions(config=path).named()
         if "kind" in values:
             return build_training(values)
         return build_settings(detector_entry(name).settings, values)
@@ -366,7 +366,7 @@ def read_results(path: Path) -> bool:
     """How it decides; and that a run with other settings is kept out of it."""
     threshold = deciding_settings(path.parent).threshold
     try:
-        keep_config(path.parent, "threshold = 0.123", overwrite=False)
+        ResultFolder(path.parent).keep_config("threshold = 0.123", overwrite=False)
     except ConfigError:
         return 0 <= threshold <= 1
     return False

@@ -14,7 +14,7 @@ from roadtorch.sources.open import (
     slug,
     sort_inputs,
 )
-from tests.cli.conftest import save_picture
+from tests.command import save_picture
 from tests.videos import write_video
 
 

@@ -14,8 +14,7 @@ from roadtorch.data.labelme import open_labelme
 from roadtorch.runs import engines, results
 from roadtorch.runtime.threads import Threads
 from roadtorch.scenes.street import render_scene, write_picture
-from tests.cli.conftest import Call, save_picture
-from tests.cli.test_infer import ROWS, bytes_in, files_in, rows_of
+from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
 
 # --- polygons and facts -----------------------------------------------------------------
 

@@ -8,11 +8,10 @@ import pytest
 
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.io.atomic import digest_of_folder
-from roadtorch.runs.batch import Job
+from roadtorch.runs.pictures import Job
 from roadtorch.sources.bags import bag_source
 from roadtorch.sources.pictures import Picture
-from tests.cli.conftest import Call
-from tests.cli.test_infer import ROWS, files_in, rows_of
+from tests.command import ROWS, Call, files_in, rows_of
 from tests.sinks.test_bags import read_bag
 from tests.sources.bags import FIRST, STEP, write_drive
 from tests.videos import street_pixels, write_video

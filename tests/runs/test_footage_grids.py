@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from roadtorch.io.image import to_pixels
-from tests.cli.conftest import Call
-from tests.cli.test_grid import VIEW
-from tests.cli.test_infer import bytes_in, rows_of
+from tests.command import Call, bytes_in, rows_of
+from tests.runs.test_grids import VIEW
 from tests.sinks.test_bags import read_bag
 from tests.sources.bags import FIRST, ROS2, STEP, raw_image, write_bag, write_drive
 from tests.streets import scene

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import pytest
 
+from roadtorch.runs.engines import MIN_PICTURES, processors, rows_of_workers, usual_workers
 from roadtorch.runs.index import Row
-from roadtorch.runs.workers import FEWEST, processors, rows_of_workers, usual_workers
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="workers are copies of a process")
 
@@ -82,5 +82,5 @@ def test_closing_ends_the_workers() -> None:
 
 
 def test_few_pictures_need_no_workers() -> None:
-    assert usual_workers(1) == usual_workers(2 * FEWEST - 1) == 1
+    assert usual_workers(1) == usual_workers(2 * MIN_PICTURES - 1) == 1
     assert usual_workers(10_000) == processors()

@@ -14,7 +14,7 @@ from time import monotonic, sleep
 import pytest
 
 from roadtorch.scenes.street import render_scene, write_picture
-from tests.cli.test_infer import bytes_in, rows_of
+from tests.command import bytes_in, rows_of
 
 COMMAND = [sys.executable, "-m", "roadtorch", "infer"]
 WORK = ("--detector", "cpf", "--threads", "1", "--save", "likelihood,mask,overlay,json")

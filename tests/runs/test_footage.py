@@ -16,8 +16,7 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ExitCode
 from roadtorch.sources.frame import Selection
 from roadtorch.sources.video import video_source
-from tests.cli.conftest import Call, save_picture
-from tests.cli.test_infer import ROWS, bytes_in, files_in, rows_of
+from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
 from tests.sinks.test_video import fill_the_disk
 from tests.videos import pixels_of, stamps_of, write_sound, write_video
 

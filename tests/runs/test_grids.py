@@ -8,7 +8,7 @@ import pytest
 
 from roadtorch.camera.camera import Camera
 from roadtorch.scenes.street import render_scene, write_picture
-from tests.cli.conftest import Call
+from tests.command import Call
 from tests.sinks.test_grid import loaded
 
 VIEW = ("--height", 1.35, "--fov", 55, "--range", 20, "--side", 8, "--resolution", 0.2)

@@ -12,9 +12,9 @@ from PIL import Image
 
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.io.image import read_image
-from roadtorch.runs import batch, submission
+from roadtorch.runs import pictures, results
 from roadtorch.scenes.street import render_scene, write_picture
-from tests.cli.conftest import Call
+from tests.command import Call
 from tests.reference import bev as reference
 
 HEIGHT, WIDTH = 120, 160
@@ -147,15 +147,15 @@ def test_an_interrupted_run_goes_on(
     call: Call, kitti: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out"
-    real = submission.Submission.__call__
+    real = results.Submission.__call__
 
-    def interrupted(self: submission.Submission, job: batch.Job) -> batch.Row:
+    def interrupted(self: results.Submission, job: pictures.Job) -> pictures.Row:
         if job.picture.name == "umm_road_000003":
             raise KeyboardInterrupt
         return real(self, job)
 
     with monkeypatch.context() as patch:
-        patch.setattr(submission.Submission, "__call__", interrupted)
+        patch.setattr(results.Submission, "__call__", interrupted)
         assert call("submit", kitti, *GREY, "--out", out).exit_code == 130
     assert list(statuses(out)) == MAPS[:1]
     assert not (out / "submission.zip").exists()

@@ -1,4 +1,3 @@
-import csv
 import os
 import tomllib
 from hashlib import sha256
@@ -11,27 +10,9 @@ from PIL import Image
 
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.io.image import read_image, write_jpeg
-from roadtorch.runs import batch, results
+from roadtorch.runs import pictures, results
 from roadtorch.scenes.street import render_scene
-from tests.cli.conftest import Call, save_picture
-
-ROWS = ("--detector", "prior:rows")
-
-
-def rows_of(out: Path) -> dict[str, dict[str, str]]:
-    with (out / "index.csv").open(newline="") as file:
-        return {row["file"]: row for row in csv.DictReader(file)}
-
-
-def files_in(folder: Path) -> set[str]:
-    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
-
-
-def bytes_in(folder: Path) -> dict[str, bytes]:
-    """What does not depend on when and how a run was made."""
-    kept = files_in(folder) - {"index.csv", "run.json"}
-    return {name: (folder / name).read_bytes() for name in kept}
-
+from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
 
 # --- what is written ------------------------------------------------------------------------
 
@@ -236,7 +217,7 @@ def test_an_interrupted_run_keeps_its_rows_and_goes_on(
     out = tmp_path / "out"
     real = results.Inference.__call__
 
-    def interrupted(self: results.Inference, job: batch.Job) -> batch.Row:
+    def interrupted(self: results.Inference, job: pictures.Job) -> pictures.Row:
         if job.picture.name == "b":
             raise KeyboardInterrupt
         return real(self, job)
@@ -308,7 +289,7 @@ def test_a_detector_that_trips_costs_one_row(
     out = tmp_path / "out"
     real = results.Inference.__call__
 
-    def trips(self: results.Inference, job: batch.Job) -> batch.Row:
+    def trips(self: results.Inference, job: pictures.Job) -> pictures.Row:
         if job.picture.name == "b":
             raise ZeroDivisionError("oh\nno")
         return real(self, job)

@@ -16,12 +16,11 @@ import torch
 from roadtorch.errors import InputError
 from roadtorch.io.atomic import reserved
 from roadtorch.io.image import write_mask
-from roadtorch.runs import batch, index, results
-from tests.cli.conftest import Call, save_picture
-from tests.cli.test_infer import ROWS, bytes_in, files_in, rows_of
+from roadtorch.runs import index, pictures, results
+from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
 
 COMMAND = [sys.executable, "-m", "roadtorch", "infer"]
-Act = Callable[[batch.Job], None]
+Act = Callable[[pictures.Job], None]
 
 
 @contextmanager
@@ -29,7 +28,7 @@ def before_each(patch: pytest.MonkeyPatch, act: Act) -> Iterator[None]:
     """Within the block, ``infer`` acts before each picture."""
     real = results.Inference.__call__
 
-    def acted(self: results.Inference, job: batch.Job) -> batch.Row:
+    def acted(self: results.Inference, job: pictures.Job) -> index.Row:
         act(job)
         return real(self, job)
 
@@ -132,7 +131,7 @@ def test_what_another_version_did_is_done_anew(
 ) -> None:
     out = tmp_path / "out"
     call("infer", footage, *ROWS, "--out", out)
-    monkeypatch.setattr(batch, "__version__", "99.0")
+    monkeypatch.setattr(pictures, "__version__", "99.0")
 
     again = call("infer", footage, *ROWS, "--out", out)
 
@@ -179,7 +178,7 @@ def test_a_folder_that_is_removed_meanwhile_is_told(
     out, quiet = tmp_path / "out", tmp_path / "quiet"
     call("infer", footage, *ROWS, "--out", quiet)
 
-    def remove(job: batch.Job) -> None:
+    def remove(job: pictures.Job) -> None:
         if job.picture.name == place:
             shutil.rmtree(out)
 
@@ -248,7 +247,7 @@ def test_a_signal_ends_the_run_with_index_and_message(
 ) -> None:
     out, this = tmp_path / "out", os.getpid()
 
-    def send(job: batch.Job) -> None:
+    def send(job: pictures.Job) -> None:
         if job.picture.name == "a":  # in a worker, if there are several
             os.kill(this, number)
 
@@ -265,7 +264,8 @@ def test_a_kill_costs_little_more_than_the_picture_in_hand(footage: Path, tmp_pa
     out = tmp_path / "out"
     code = (
         "import os, signal\n"
-        "from roadtorch.cli import main, results\n"
+        "from roadtorch.cli import main\n"
+        "from roadtorch.runs import results\n"
         "real = results.Inference.__call__\n"
         "def act(self, job):\n"
         "    if job.picture.name == 'b': os.kill(os.getpid(), signal.SIGKILL)\n"
@@ -330,7 +330,7 @@ def test_a_full_disk_does_not_cost_the_index(
             yield lambda: (full.clear(), let_go())[0]
 
     monkeypatch.setattr(index, "write_index", write)
-    monkeypatch.setattr(batch, "reserved", held)
+    monkeypatch.setattr(pictures, "reserved", held)
     with before_each(monkeypatch, lambda _: full.append(1)):
         result = call("infer", footage, *ROWS, "--out", out)
 

@@ -1,0 +1,269 @@
+"""The folder of a run's results: locked, here or behind a URL, and what is in it for all pictures.
+
+That is config.toml (the settings), coco.json (the masks as polygons) and run.json (how it went).
+"""
+
+import hashlib
+import platform
+import shlex
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path, PurePath
+
+import cv2
+import numpy as np
+import torch
+
+from roadtorch.data.annotations import read_annotation
+from roadtorch.data.maps import CONFIG
+from roadtorch.data.polygons import filled_shapes
+from roadtorch.detector import Detector
+from roadtorch.errors import ConfigError, ExitCode, InputError, RoadtorchError
+from roadtorch.io.atomic import (
+    atomic,
+    digest_of,
+    locked,
+    make_folder,
+    remove_leftovers,
+    write_json,
+    write_text,
+)
+from roadtorch.io.bounded import printable, read_regular
+from roadtorch.layout.weights import corrected_pictures, tensors_hash
+from roadtorch.runs.index import DOUBTFUL, INDEX, Row, read_index
+from roadtorch.runtime.signals import Terminated
+from roadtorch.runtime.threads import Threads
+from roadtorch.sinks.polygons import ROAD, CocoPicture, coco_text
+from roadtorch.sinks.remote_folder import RemoteFolder
+from roadtorch.version import __version__
+
+ELSEWHERE = "give another --out"
+COCO, RUN = "coco.json", "run.json"
+POLYGONS = ".labelme.json"
+"""How the name of the annotation file of a picture ends."""
+
+
+@contextmanager
+def output_lock(out: Path) -> Iterator[None]:
+    """A folder for the results of this run alone, without what killed runs left half-written.
+
+    Raises InputError before the work when it cannot be written, or another run writes there.
+    """
+    make_folder(out, ELSEWHERE)
+    try:
+        tempfile.TemporaryFile(dir=out).close()
+    except OSError as problem:
+        what = f"cannot be written: {problem.strerror}"
+        raise InputError(out, what, ELSEWHERE) from None
+    with locked(out, "wait for it, or give another --out"):
+        remove_leftovers([out])
+        yield
+
+
+@dataclass(frozen=True)
+class ResultFolder:
+    """A folder in which a run keeps index.csv and what else is of all pictures.
+
+    path: on this machine; where the results go behind a URL, ``remote``, it stands for that one.
+    """
+
+    path: Path
+    remote: RemoteFolder | None = None
+
+    @property
+    def shown(self) -> str:
+        """What messages call it."""
+        return str(self.path) if self.remote is None else self.remote.url
+
+    def publish(self, path: Path) -> None:
+        """Put a file of it where it belongs, if that is elsewhere."""
+        if self.remote is not None:
+            self.remote.write(path.name, path.read_bytes())
+
+    def keep_config(self, effective: str, overwrite: bool) -> None:
+        """Write the settings beside the results; ConfigError if earlier ones were different.
+
+        Otherwise a second run with another detector would skip what the first one did, and
+        the folder would mix the results of both.
+        """
+        path = self.path / CONFIG
+        effective += "\n"
+        try:
+            is_other = path.exists() and read_regular(path) != printable(effective).encode()
+        except OSError as problem:
+            raise InputError(path, f"cannot be read: {problem.strerror}", ELSEWHERE) from None
+        if is_other and (self.path / INDEX).exists() and not overwrite:
+            what = f"holds results of other settings ({CONFIG})"
+            raise ConfigError(self.shown, what, "give another --out, or --overwrite")
+        write_text(path, effective)
+        self.publish(path)
+
+    def write_coco(self) -> None:
+        """Write the pictures whose polygons are kept, sorted by file, as one COCO file.
+
+        A second run makes it anew of all that is there, so that it is whole whatever was
+        interrupted. Raises InputError when it cannot be written, DatasetError for an annotation
+        that cannot be read.
+        """
+        rows = read_index(self.path / INDEX).values()
+        ready = {
+            row.file: row
+            for row in sorted(rows, key=lambda row: row.file)
+            if not row.failed and "polygons" in row.saved.split() and self._has_polygons(row.file)
+        }
+        pictures = [
+            CocoPicture(
+                row.file,
+                (int(row.width), int(row.height)),
+                float(row.trust) if row.trust else None,
+            )
+            for row in ready.values()
+        ]
+        path = self.path / COCO
+        with (
+            tempfile.TemporaryDirectory(prefix="roadtorch-") as scratch,
+            atomic(path) as temporary,
+            temporary.open("w", encoding="utf-8") as file,
+        ):
+            file.writelines(coco_text(pictures, SavedMasks(ready, self, Path(scratch))))
+        self.publish(path)
+
+    def _has_polygons(self, file: str) -> bool:
+        return self.remote is not None or (self.path / annotation_name(file)).is_file()
+
+
+@contextmanager
+def result_folder(out: Path | RemoteFolder) -> Iterator[ResultFolder]:
+    """The folder of a run's results, for this run alone; raises as ``output_lock``.
+
+    Behind a URL nobody is kept out; there, a folder of this machine stands for it meanwhile, with
+    what an earlier run kept beside its results.
+    """
+    if isinstance(out, Path):
+        with output_lock(out):
+            yield ResultFolder(out)
+        return
+    with tempfile.TemporaryDirectory(prefix="roadtorch-") as path:
+        out.tidy()
+        for name in (INDEX, CONFIG):
+            if (data := out.read(name)) is not None:
+                write_text(Path(path, name), data.decode("utf-8", "surrogateescape"))
+        yield ResultFolder(Path(path), out)
+
+
+def annotation_name(file: str) -> str:
+    """The annotation file of a picture that index.csv calls ``file``, below the results."""
+    return PurePath(file).with_suffix("").as_posix() + POLYGONS
+
+
+@dataclass(frozen=True)
+class SavedMasks(Mapping[str, np.ndarray]):
+    """The masks bool (H,W) that annotation files draw, by picture; each is read when asked for.
+
+    rows: of the pictures. scratch: where one that is behind a URL is kept while it is read.
+    """
+
+    rows: Mapping[str, Row]
+    folder: ResultFolder
+    scratch: Path
+
+    def __getitem__(self, file: str) -> np.ndarray:
+        """The mask of a picture; DatasetError when its annotation cannot be read."""
+        row, name = self.rows[file], annotation_name(file)
+        path = self.folder.path / name
+        if self.folder.remote is not None:
+            path = self.scratch / "annotation.json"
+            path.write_bytes(self.folder.remote.read(name) or b"")
+        drawings = read_annotation(path).drawings
+        shapes = [(one.shape, int(one.name == ROAD)) for one in drawings]
+        return filled_shapes(shapes, (int(row.height), int(row.width))) > 0
+
+    def __iter__(self) -> Iterator[str]:
+        """The files of the pictures."""
+        return iter(self.rows)
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return len(self.rows)
+
+
+# --- run.json ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """What is known when a run begins.
+
+    files: the pictures of this run, as index.csv names them. given: what else is to be kept of
+    how it was started.
+    """
+
+    folder: ResultFolder
+    detector: Detector
+    files: Sequence[str]
+    given: Mapping[str, object]
+
+    def around(self, run: Callable[[], int]) -> int:
+        """Do the run, which gives the exit code; write run.json however it ends.
+
+        What it was, with which versions, on what, and how it ended.
+        """
+        started, status = _now(), ExitCode.SOME_FAILED
+        try:
+            status = run()
+        except KeyboardInterrupt as stop:
+            status = ExitCode.TERMINATED if isinstance(stop, Terminated) else ExitCode.INTERRUPTED
+            raise
+        except RoadtorchError:
+            status = ExitCode.WRONG_USAGE
+            raise
+        finally:
+            path = self.folder.path / RUN
+            write_json(path, self._document(started, status))
+            self.folder.publish(path)
+        return status
+
+    def _document(self, started: str, status: int) -> dict[str, object]:
+        index = self.folder.path / INDEX
+        rows = read_index(index)
+        own = [rows[file] for file in self.files if file in rows]
+        done = sorted((row for row in own if not row.failed), key=lambda row: row.file)
+        inputs = "".join(f"{row.sha256}  {row.file}\n" for row in done)
+        settings = self.detector.settings.model_dump(mode="json")
+        return {
+            "versions": {  # those that results may depend on
+                "roadtorch": __version__,
+                "torch": torch.__version__,
+                "numpy": np.__version__,
+                "opencv": cv2.__version__,
+                "python": platform.python_version(),
+                "platform": platform.platform(),
+            },
+            "command": shlex.join(["roadtorch", *sys.argv[1:]]),
+            "detector": self.detector.name,
+            "settings": settings,
+            "corrected_pictures": corrected_pictures(settings),
+            "weights_sha256": tensors_hash(self.detector.state_dict()),
+            "threads": vars(Threads.of_now()),
+            "options": self.given,
+            "inputs_sha256": hashlib.sha256(inputs.encode()).hexdigest(),
+            "index_sha256": digest_of(index),
+            "started": started,
+            "ended": _now(),
+            "pictures": {
+                "all": len(self.files),
+                "done": len(done),
+                "doubtful": sum(row.status.startswith(DOUBTFUL) for row in own),
+                "failed": len(own) - len(done),
+                "not_tried": len(self.files) - len(own),
+            },
+            "exit_status": status,
+        }
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds")

@@ -1,0 +1,60 @@
+"""The command line called in this process, on real pictures, and what it left."""
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from PIL import Image
+
+from roadtorch.cli import main
+
+Call = Callable[..., Result]
+
+ROWS = ("--detector", "prior:rows")
+
+
+@pytest.fixture
+def call() -> Call:
+    """``call("infer", path, "--out", out)``: the result has exit_code, stdout and stderr."""
+
+    def run(*arguments: object) -> Result:
+        return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+    return run
+
+
+def save_picture(path: Path, seed: int = 0, size: tuple[int, int] = (64, 48)) -> Path:
+    """A noisy picture; its suffix says the format."""
+    width, height = size
+    pixels = np.random.default_rng(seed).integers(60, 200, (height, width, 3), np.uint8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(pixels).save(path)
+    return path
+
+
+@pytest.fixture
+def footage(tmp_path: Path) -> Path:
+    """A folder with a.jpg, b.png and sub/c.png."""
+    root = tmp_path / "footage"
+    for seed, name in enumerate(("a.jpg", "b.png", "sub/c.png")):
+        save_picture(root / name, seed)
+    return root
+
+
+def rows_of(out: Path) -> dict[str, dict[str, str]]:
+    """The rows of index.csv by file."""
+    with (out / "index.csv").open(newline="") as file:
+        return {row["file"]: row for row in csv.DictReader(file)}
+
+
+def files_in(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+def bytes_in(folder: Path) -> dict[str, bytes]:
+    """What does not depend on when and how a run was made."""
+    kept = files_in(folder) - {"index.csv", "run.json"}
+    return {name: (folder / name).read_bytes() for name in kept}
