@@ -175,7 +175,7 @@ def wrong_in(command: str) -> list[str]:
     match words:
         case ["python", "-m", "pytest", file, *rest]:
             return wrong_in_tests(ROOT / file, rest)
-        case ["python", "scripts/figures.py", name, *rest]:
+        case ["python", "scripts/figures", name, *rest]:
             return [name] * (name not in FIGURES) + [word for word in rest if word.islower()]
         case ["python", script, *rest]:
             return wrong_in_script(ROOT / script, rest)
@@ -303,7 +303,7 @@ def test_a_misspelt_name_is_found(name: str) -> None:
 @pytest.mark.parametrize(
     "command",
     [
-        "python scripts/figures.py p9-fig1 DATA",
+        "python scripts/figures p9-fig1 DATA",
         "python train/choose_many.py bananas DATA",
         "python train/no_such_study.py DATA",
         "python -m pytest tests/ufl/test_maps.py -k banana",

@@ -1,28 +1,21 @@
 """Draw a figure or print a table of the three papers, on the data at hand.
 
-    python scripts/figures.py --list
-    python scripts/figures.py p2-fig5 DATA --out results/papers
+    python scripts/figures --list
+    python scripts/figures p3-table2 DATA --out results/papers
 
 DATA holds camvid/, idd_lite/, kitti_road/ and many/. P1 is Zhang et al., ICPR 2016; P2 Álvarez et
 al., ECCV 2012; P3 Álvarez et al., arXiv 1412.3506. What each command shows, and how it compares
-with the paper: docs/papers.md.
+with the paper: docs/papers.md. Figures that are drawings without a value, and studies, are in the
+history: train/README.md.
 """
 
 import argparse
 import sys
-from collections.abc import Callable, Mapping
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the scripts beside
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # for the package beside
 
-from scripts import figures_p1, figures_p2, figures_p3
-
-FIGURES: Mapping[str, Callable[[Path, Path], None]] = {
-    **figures_p1.FIGURES,
-    **figures_p2.FIGURES,
-    **figures_p3.FIGURES,
-}
-"""By name, what reads the data (first path) and writes pictures and CSV files to a folder."""
+from scripts.figures import FIGURES
 
 
 def main() -> None:

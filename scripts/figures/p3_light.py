@@ -17,7 +17,7 @@ from torch import Tensor
 from roadtorch.data.dataset import Dataset, every_kth
 from roadtorch.imaging.color import plane
 from roadtorch.scenes.street import RenderedScene, render_scene
-from scripts.figures_p3_chart import apart, area_of, chart, middle, open_sets, spread, tell
+from scripts.figures.chart import apart, area_of, chart, middle, open_sets, spread, tell
 
 NAMES = ("R", "G", "B", "nr", "ng", "O1", "O2", "L", "a", "b", "H", "S")
 
@@ -289,6 +289,3 @@ def table2(data: Path, out: Path) -> None:
     moved = list(drive_rows(drives))
     tell(out / "p3-table2-camvid.csv", ("property", *NAMES), moved)
     draw_moves(out / "p3-table2.png", [*rows[: len(CHANGES)], *moved])
-
-
-FIGURES: Mapping[str, Callable[[Path, Path], None]] = {"p3-table2": table2}

@@ -4,7 +4,7 @@
 k-th picture of CamVid is enough to see the figures in minutes.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
 from typing import Any, NamedTuple
@@ -24,7 +24,7 @@ from roadtorch.report.page.roc_families import KEY, ROW, draw_families
 from roadtorch.report.page.svg import WIDTH
 from roadtorch.report.table3 import FAMILY, HALVES, Percents, printed_table, table_lines
 from roadtorch.runtime.image_cache import image_cache
-from scripts.figures_p3_chart import chart, open_sets
+from scripts.figures.chart import chart, open_sets
 
 PICTURES = 24
 DOTS = 80  # per inch: the file stays small
@@ -159,10 +159,3 @@ def table3(data: Path, out: Path) -> None:
     print_table(huber)
     tables = {"": ours, "robust_gaussian, method=huber": huber}
     write_text(out / "p3-table3.csv", rows_csv(tables))
-
-
-FIGURES: Mapping[str, Callable[[Path, Path], None]] = {
-    "p3-fig8": fig8,
-    "p3-fig9": fig9,
-    "p3-table3": table3,
-}

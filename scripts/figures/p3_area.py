@@ -1,6 +1,6 @@
 """P3, Figs. 3 and 4: the training area, what classifiers make of it, and how areas differ."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import fmean, pstdev
 from typing import NamedTuple
@@ -20,7 +20,7 @@ from roadtorch.oneclass.samples import (
     road_samples,
     sample_area,
 )
-from scripts.figures_p3_chart import area_of, chart, open_sets, tell
+from scripts.figures.chart import area_of, chart, open_sets, tell
 
 PLANES = REPRESENTATIONS["nrng"]
 GRID = 160  # points along each side of a panel
@@ -227,6 +227,3 @@ def fig4(data: Path, out: Path) -> None:
     rows += [set_row("IDD", _read_areas(idd, idd.items))]
     rows += [set_row("many cameras", _read_areas(many, many.items))]
     tell(out / "p3-fig4.csv", tuple(rows[0]), rows)
-
-
-FIGURES: Mapping[str, Callable[[Path, Path], None]] = {"p3-fig3": fig3, "p3-fig4": fig4}

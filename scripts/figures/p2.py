@@ -1,0 +1,281 @@
+"""P2, Figs. 4b and 4c (layout of CNN-7 and of its teacher), 6a and 6b (road)."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import reduce
+from operator import add
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Dataset, Item, every_kth
+from roadtorch.detector import Detection
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.evaluation import metrics
+from roadtorch.evaluation.contenders import Look
+from roadtorch.evaluation.curves import Curve, area, roc
+from roadtorch.evaluation.metrics import Decisions, RoadCounts
+from roadtorch.evaluation.scoring import score_item
+from roadtorch.io.atomic import atomic, csv_text, write_text
+from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
+from roadtorch.report.screen import align
+
+EVERY = 16
+"""Figures look at every so-manieth picture."""
+
+
+class Counts(NamedTuple):
+    """What one detector found on some pictures, their pixels added up.
+
+    layout: the confusion int64 (4,4), None for a detector without one.
+    """
+
+    road: RoadCounts
+    mask: Decisions
+    layout: Tensor | None
+
+
+Found = Mapping[str, Mapping[str, Counts]]
+"""By detector and drive."""
+
+
+def streets(data: Path, every: int = EVERY) -> Dataset:
+    """CamVid's test split, which P2's figures show, where ``data`` has it; else its dev drives."""
+    root = data / "camvid"
+    split = "test" if (root / "test").is_dir() else "dev"
+    dataset = open_dataset("camvid", root, split)
+    chosen = every_kth(dataset, -(-len(dataset.items) // every))
+    print(f"CamVid {split}, {len(chosen.items)} of {len(dataset.items)} pictures", end="\n\n")
+    return chosen
+
+
+def look_of(name: str, settings: Mapping[str, Any] | None = None) -> Look:
+    """How a detector with some settings looks at an item."""
+    detector = load_detector(name, **(settings or {}))
+
+    def look(image: torch.Tensor, item: Item) -> Detection:
+        return detector.detect(image)
+
+    return look
+
+
+def found_on(dataset: Dataset, looks: Mapping[str, Look]) -> Found:
+    """What every detector finds, by drive. RuntimeError for a picture that fails."""
+    found: dict[str, dict[str, Counts]] = {name: {} for name in looks}
+    for item in tqdm(dataset.items, unit="image", disable=None):
+        scored = score_item(dataset, looks, item)
+        if scored.failure:
+            raise RuntimeError(f"{item.name}: {scored.failure}")
+        for name, score in scored.scores.items():
+            own, drive = Counts(score.road, score.mask, score.layout), item.group or dataset.name
+            drives = found[name]
+            drives[drive] = together([drives[drive], own]) if drive in drives else own
+    return found
+
+
+def together(parts: Iterable[Counts]) -> Counts:
+    """The pixels of all parts: what P2 pools over a whole set."""
+    roads, masks, layouts = zip(*parts, strict=True)
+    known = None if any(one is None for one in layouts) else reduce(add, layouts)
+    return Counts(reduce(add, roads), reduce(add, masks), known)
+
+
+def pooled(drives: Mapping[str, Counts]) -> Counts:
+    """The pixels of all drives together."""
+    return together(drives.values())
+
+
+def mean_over_drives(drives: Mapping[str, Counts], figure: Callable[[Counts], Tensor]) -> float:
+    """The mean of a figure over drives."""
+    return float(torch.stack([figure(counts) for counts in drives.values()]).mean())
+
+
+def auc(counts: Counts) -> Tensor:
+    """Area under the ROC curve."""
+    return metrics.auc(counts.road)
+
+
+def tell(rows: Sequence[Mapping[str, str]], path: Path) -> None:
+    """Print a table and write it as CSV."""
+    write_text(path, csv_text(list(rows[0]), rows))
+    print(align([list(rows[0]), *(list(row.values()) for row in rows)]))
+
+
+# --- layout ------------------------------------------------------------------------------
+
+PRINTED_ORDER = {"vertical": VERTICAL, "horizontal": HORIZONTAL, "sky": SKY}
+"""Classes as P2 prints them."""
+
+PRINTED = {
+    "p2-fig4b": ((0.870, 0.112, 0.016), (0.041, 0.958, 0.000), (0.084, 0.000, 0.915)),
+    "p2-fig4c": ((0.983, 0.014, 0.002), (0.098, 0.902, 0.000), (0.344, 0.000, 0.655)),
+}
+"""P2, Fig. 4b and 4c, on CamVid's test split: rows truth, columns decision."""
+
+Shares = Sequence[Sequence[float]]
+
+
+def confusion_of_cnn7(data: Path, out: Path) -> None:
+    """Fig. 4b: the confusion of CNN-7, beside P2's."""
+    _confusion("p2-fig4b", "layout:cnn-7", streets(data), out)
+
+
+def confusion_of_labeller(data: Path, out: Path) -> None:
+    """Fig. 4c: the confusion of the teacher; ours is `labeller`, P2's is Hoiem et al."""
+    _confusion("p2-fig4c", "labeller", streets(data), out)
+
+
+def _confusion(figure: str, name: str, dataset: Dataset, out: Path) -> None:
+    counts = layout_counts(name, dataset)
+    readings = {"void ignored": counts, "void vertical": metrics.void_as_vertical(counts)}
+    shares = {text: printed_shares(each) for text, each in readings.items()}
+    rows = []
+    for number, truth in enumerate(PRINTED_ORDER):
+        line = {"truth": truth}
+        for column, decided in enumerate(PRINTED_ORDER):
+            own = (f"{each[number][column]:.3f}" for each in shares.values())
+            keys = (f"{decided}, {text}" for text in shares)
+            line |= dict(zip(keys, own, strict=True))
+            line[f"{decided}, P2"] = f"{PRINTED[figure][number][column]:.3f}"
+        rows.append(line)
+    tell(rows, out / f"{figure}.csv")
+    for text, each in (*shares.items(), ("P2", PRINTED[figure])):
+        print(f"{name}, {text}: global average accuracy {np.diagonal(each).mean():.3f}")
+    draw_confusion(shares["void vertical"], name, out / f"{figure}.png")
+
+
+def layout_counts(name: str, dataset: Dataset) -> Tensor:
+    """The confusion int64 (4,4) of a detector's most likely class, over all pictures."""
+    detector = load_detector(name)
+    counts = torch.zeros(4, 4, dtype=torch.int64)
+    for item in tqdm(dataset.items, unit="image", disable=None):
+        image, truth = dataset.read(item)
+        assert truth.layout is not None
+        found = detector.detect(image).cues["layout"].argmax(0)
+        counts += metrics.count_layout(found, truth.layout)
+    return counts
+
+
+def printed_shares(counts: Tensor) -> Shares:
+    """A confusion (4,4) as P2 prints it: rows sum to 1, in the order of ``PRINTED_ORDER``."""
+    order = list(PRINTED_ORDER.values())
+    return metrics.normalised_confusion(counts)[order][:, order].tolist()
+
+
+def draw_confusion(shares: Shares, title: str, path: Path) -> None:
+    """A confusion as squares, the darker the larger."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(4.2, 4), layout="constrained")
+    axes = figure.subplots()
+    axes.imshow(shares, cmap="Blues", vmin=0, vmax=1)
+    for row, line in enumerate(shares):
+        for column, value in enumerate(line):
+            colour = "white" if value > 0.5 else "black"
+            axes.text(column, row, f"{value:.3f}", ha="center", va="center", color=colour)
+    axes.set_xticks(range(3), list(PRINTED_ORDER))
+    axes.set_yticks(range(3), list(PRINTED_ORDER))
+    axes.set(xlabel="decision", ylabel="truth")
+    axes.set_title(f"{title}: mean of the diagonal {np.diagonal(shares).mean():.3f}", fontsize=10)
+    with atomic(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=120)
+    print(path)
+
+
+# --- road --------------------------------------------------------------------------------
+
+BASELINE, TEXTURE, COMBINED = "LBP (baseline)", "CPF", "CNN-7 × CPF"
+
+LINES = {
+    BASELINE: ("lbp", {}),
+    "U of grey": ("grey-uniformity", {}),
+    TEXTURE: ("cpf", {}),
+    "CPFv2": ("cpf:v2", {}),
+    "CNN-7": ("layout:cnn-7", {}),
+    COMBINED: ("fusion:paper", {}),
+    "CNN-7 × CPFv2": ("fusion:paper", {"descriptor": "cpf:v2"}),
+    "row / height (floor)": ("prior:rows", {}),
+}
+"""What Fig. 6a compares; the floor and the grey one (Fig. 7) are ours to add."""
+
+GAINS = {TEXTURE: "8 %", COMBINED: "24 %"}
+"""P2, section 6.2: by how much these are better than the baseline. (The areas themselves are
+printed in the figure alone.)"""
+
+
+def roc_curves(data: Path, out: Path) -> None:
+    """Fig. 6a: ROC curves and their areas, of texture, layout and their product."""
+    looks = {text: look_of(name, settings) for text, (name, settings) in LINES.items()}
+    found = found_on(streets(data), looks)
+    tell(area_rows(found), out / "p2-fig6a.csv")
+    draw_roc(
+        {text: roc(pooled(drives).road) for text, drives in found.items()}, out / "p2-fig6a.png"
+    )
+
+
+def area_rows(found: Found) -> list[dict[str, str]]:
+    """AUC pooled and by drives, and the gain over the baseline, of each line."""
+    base = float(auc(pooled(found[BASELINE])))
+    rows = []
+    for text, drives in found.items():
+        value = float(auc(pooled(drives)))
+        rows.append(
+            {
+                "method": text,
+                "AUC, pooled": f"{value:.3f}",
+                "mean of drives": f"{mean_over_drives(drives, auc):.3f}",
+                "over the baseline": f"{100 * (value / base - 1):+.0f} %",
+                "P2's gain": GAINS.get(text, ""),
+            }
+        )
+    return rows
+
+
+def draw_roc(curves: Mapping[str, Curve], path: Path) -> None:
+    """ROC curves in one picture."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6, 5.5), layout="constrained")
+    axes = figure.subplots()
+    for text, curve in curves.items():
+        style = ":" if "floor" in text else "-"
+        axes.plot(curve.x, curve.y, style, label=f"{text}: {float(area(curve)):.3f}")
+    axes.set(xlabel="false positive rate", ylabel="true positive rate", xlim=(0, 1), ylim=(0, 1))
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower right")
+    with atomic(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=120)
+    print(path)
+
+
+ACCURACY = ("fusion:paper", "fusion:untrained", "fusion", "prior:rows")
+
+
+def road_accuracy(data: Path, out: Path) -> None:
+    """Fig. 6b: road accuracy, the share of road that is found; what it costs stands beside."""
+    found = found_on(streets(data), {name: look_of(name) for name in ACCURACY})
+    rows = []
+    for name, drives in found.items():
+        threshold = load_detector(name).settings.threshold
+        rows.append(
+            {"detector": name, "threshold": f"{threshold:g}"} | accuracy_row(pooled(drives))
+        )
+    tell(rows, out / "p2-fig6b.csv")
+
+
+def accuracy_row(counts: Counts) -> dict[str, str]:
+    """Recall, FPR, precision and F of the detector's own masks; the FPR at a recall of 0.95."""
+    figures = {
+        "road accuracy (recall)": metrics.recall,
+        "FPR": metrics.false_positive_rate,
+        "precision": metrics.precision,
+        "F": metrics.f_measure,
+    }
+    own = {text: f"{float(figure(counts.mask)):.3f}" for text, figure in figures.items()}
+    curve = roc(counts.road)
+    at = int(torch.searchsorted(curve.y.contiguous(), 0.95))
+    return own | {"FPR where recall is .95": f"{float(curve.x[at]):.3f}"}

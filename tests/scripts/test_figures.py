@@ -1,0 +1,339 @@
+"""The figures and tables of the papers on rendered streets: what they measure, what they write."""
+
+import csv
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Truth
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.evaluation import metrics
+from roadtorch.evaluation.curves import Curve, area
+from roadtorch.evaluation.metrics import auc, count_levels
+from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
+from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
+from roadtorch.scenes.street import render_scene
+from scripts.figures import FIGURES, p1, p2, p3_area, p3_light, p3_shares, p3_table3
+from scripts.figures.chart import apart, middle, spread
+from tests.streets import scene, write_camvid
+
+WRITTEN = {
+    "p1-table1": {"p1-table1.csv"},
+    "p2-fig4b": {"p2-fig4b.csv", "p2-fig4b.png"},
+    "p2-fig4c": {"p2-fig4c.csv", "p2-fig4c.png"},
+    "p2-fig6a": {"p2-fig6a.csv", "p2-fig6a.png"},
+    "p2-fig6b": {"p2-fig6b.csv"},
+}
+"""By name of a figure that is made in seconds, the files that it writes."""
+
+
+@pytest.fixture
+def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder like that of the development data, with three rendered streets."""
+    names = ("0001TP_0", "0006R0_1")
+    scenes = {name: render_scene(seed, 48, 64) for seed, name in enumerate(names)}
+    write_camvid(tmp_path / "camvid", "train", scenes)
+    write_camvid(tmp_path / "camvid", "val", {"0016E5_7959": render_scene(2, 48, 64)})
+    monkeypatch.setattr(p1, "SETS", {"camvid": ("camvid", 1)})
+    monkeypatch.setattr(p1, "TABLE", ("ufl", "prior:triangle"))
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_a_figure_writes_its_files(name: str, data: Path) -> None:
+    out = data / "out"
+    out.mkdir()
+
+    FIGURES[name](data, out)
+
+    assert {path.name for path in out.iterdir()} == WRITTEN[name]
+
+
+# --- P1 ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("height", "width", "size"), [(360, 480, (120, 160)), (375, 1242, (120, 397))]
+)
+def test_pictures_and_labels_come_to_the_papers_size(
+    height: int, width: int, size: tuple[int, int]
+) -> None:
+    road = torch.zeros(height, width, dtype=torch.bool)
+
+    image, truth = p1.small(torch.rand(3, height, width), Truth(road, ~road))
+
+    assert image.shape == (3, *size)
+    assert truth.road.shape == truth.valid.shape == size
+
+
+def test_labels_are_those_of_the_nearest_pixel() -> None:
+    road = torch.rand(360, 480, generator=torch.Generator().manual_seed(0)) > 0.5
+    truth = Truth(road, torch.ones_like(road))
+
+    assert torch.equal(p1.small(torch.zeros(3, 360, 480), truth)[1].road, truth.road[1::3, 1::3])
+
+
+def test_counts_are_pooled_over_pictures() -> None:
+    empty = Truth(torch.zeros(120, 160, dtype=torch.bool), torch.ones(120, 160, dtype=torch.bool))
+    half = Truth(empty.road.clone(), empty.valid)
+    half.road[:, :80] = True
+    image = render_scene(3, 120, 160).image
+
+    counts = p1.pooled([(image, empty), (image, half)], ["prior:uniform"])["prior:uniform"]
+
+    assert int(counts.true_positive) == 120 * 80
+    assert int(counts.false_positive) == 120 * 160 + 120 * 80
+
+
+def test_table_1_has_a_row_for_each_method(data: Path) -> None:
+    p1.table1(data, data)
+
+    rows = list(csv.DictReader((data / "p1-table1.csv").read_text().splitlines()))
+    assert [row["method"] for row in rows] == list(p1.TABLE)
+    for row in rows:
+        p, r, f = (float(row[key]) for key in "PRF")
+        assert f == pytest.approx(2 * p * r / (p + r), abs=0.02)
+
+
+# --- P2 ---------------------------------------------------------------------------------
+
+
+def counts(likelihood: list[float], road: list[bool]) -> p2.Counts:
+    values, true = torch.tensor([likelihood]), torch.tensor([road])
+    valid = torch.ones_like(true)
+    outcome = metrics.count_mask(values >= 0.5, true, valid)
+    return p2.Counts(metrics.count_levels(values, true, valid), outcome, None)
+
+
+def test_the_test_split_is_shown_where_it_is(data: Path) -> None:
+    assert p2.streets(data, 1).split == "dev"
+    write_camvid(data / "camvid", "test", {"Seq05VD_1": render_scene(3, 48, 64)})
+
+    assert [item.name for item in p2.streets(data, 1).items] == ["Seq05VD_1"]
+
+
+def test_pooling_adds_pixels_and_means_of_drives_do_not() -> None:
+    good = counts([0.9, 0.1, 0.8, 0.2], [True, False, True, False])
+    bad = counts([0.1, 0.9], [True, False])
+    drives = {"a": good, "b": bad}
+
+    assert p2.mean_over_drives(drives, p2.auc) == 0.5
+    # Of the 3·3 pairs of road and background 0.9, 0.8 and 0.1 against 0.1, 0.2 and 0.9: 4 right,
+    # and two ties.
+    assert float(p2.auc(p2.pooled(drives))) == pytest.approx(5 / 9)
+
+
+def test_gains_are_over_the_baseline() -> None:
+    base = counts([0.9, 0.95, 0.8, 0.2], [True, False, True, False])
+    better = counts([0.9, 0.1, 0.8, 0.2], [True, False, True, False])
+
+    rows = p2.area_rows({p2.BASELINE: {"a": base}, p2.TEXTURE: {"a": better}})
+
+    assert [row["AUC, pooled"] for row in rows] == ["0.500", "1.000"]
+    assert rows[1]["over the baseline"] == "+100 %"
+    assert rows[1]["P2's gain"] == "8 %"
+
+
+def test_road_accuracy_is_recall_and_its_cost_stands_beside() -> None:
+    row = p2.accuracy_row(counts([0.9, 0.1, 0.8, 0.2], [True, True, False, False]))
+
+    assert row["road accuracy (recall)"] == "0.500"
+    assert row["FPR"] == "0.500"
+    assert row["FPR where recall is .95"] == "1.000"
+
+
+def test_a_confusion_is_printed_in_the_papers_order() -> None:
+    confusion = torch.zeros(4, 4, dtype=torch.int64)
+    confusion[SKY, SKY], confusion[SKY, VERTICAL] = 3, 1
+    confusion[VERTICAL, VERTICAL], confusion[HORIZONTAL, VERTICAL] = 5, 2
+    confusion[3, SKY] = 7  # void
+
+    shares = p2.printed_shares(confusion)
+
+    assert shares == [[1, 0, 0], [1, 0, 0], [0.25, 0, 0.75]]
+
+
+# --- P3: planes and Table II ------------------------------------------------------------
+
+
+def test_hue_is_a_circle() -> None:
+    hues = torch.tensor([0.98, 0.99, 0.01, 0.02, 0.03])
+
+    assert float(middle(hues, "H")) == pytest.approx(0.01, abs=1e-6)
+    assert float(middle(hues, "S")) == pytest.approx(0.03, abs=1e-6)
+    assert float(apart(torch.tensor(0.95), torch.tensor(0.05), "H")) == pytest.approx(0.1)
+    assert float(apart(torch.tensor(0.95), torch.tensor(0.05), "S")) == pytest.approx(0.9)
+    assert spread(hues, "H") < 0.03 < spread(hues, "S")
+
+
+@pytest.mark.parametrize(
+    ("change", "kept", "lost"),
+    [
+        (p3_light.dimmed, ("nr", "ng", "H", "S"), ("R", "G", "L")),
+        (p3_light.with_highlight, ("O1", "O2", "H"), ("R", "B", "L")),
+    ],
+    ids=["dimmed", "highlight"],
+)
+def test_planes_move_as_their_formulas_say(change, kept, lost) -> None:
+    moved = p3_light.moves(change, range(2))
+
+    assert max(moved[name] for name in kept) < 0.2
+    assert min(moved[name] for name in lost) > 0.5
+
+
+def test_shadows_are_compared_where_they_fall() -> None:
+    pair = next(pair for pair in map(p3_light.in_shadow, range(9)) if pair.here.any())
+
+    lit, dark = (image.mean(0)[pair.here].mean() for image in (pair.one, pair.other))
+
+    assert dark < 0.8 * lit
+    assert pair.here.sum() < p3_light.clear_scene(0).road.numel() / 2
+
+
+def test_thirds_are_the_ends_of_the_road() -> None:
+    road = torch.zeros(12, 4, dtype=torch.bool)
+    road[3:12] = True
+
+    near, far = p3_light.thirds(road)
+
+    assert near.any(1).nonzero()[:, 0].tolist() == [9, 10, 11]
+    assert far.any(1).nonzero()[:, 0].tolist() == [3, 4, 5]
+
+
+def test_signs_are_those_of_the_paper() -> None:
+    sign = p3_light.printed_sign
+
+    assert {len(signs) for signs in p3_light.SIGNS.values()} == {11}
+    assert sign("O1", "global illumination (dusk)") == "+"
+    assert sign("L", "strong shadows") == "-"
+    assert sign("a", "discriminative power (AUC, CamVid)") == "+"
+    assert sign("S", "discriminative power (AUC, CamVid)") == "-"
+
+
+def test_agreement_counts_equal_signs() -> None:
+    measures = {"+": 0.1, "-": 0.9}
+    row = {name: measures[p3_light.printed_sign(name, "highlights")]
+           for name in p3_light.NAMES}  # fmt: skip
+    turned = {name: 1 - value for name, value in row.items()}
+
+    same = p3_light.agreement([{"property": "highlights", **row}])
+    none = p3_light.agreement([{"property": "highlights", **turned}])
+
+    assert (same, none) == ((12, 12), (0, 12))
+
+
+def test_drives_of_other_light_are_apart(tmp_path: Path) -> None:
+    lights = {"0001TP": 0.8, "0016E5": 0.0}
+    scenes = {f"{drive}_{seed}": render_scene(seed, 96, 128, dusk=dusk, shadows=0)
+              for drive, dusk in lights.items() for seed in range(2)}  # fmt: skip
+    write_camvid(tmp_path, "train", scenes)
+    camvid = open_dataset("camvid", tmp_path, "train")
+
+    drives = {name: p3_light.read_drive(camvid, name) for name in camvid.groups()}
+    rows = {str(row["property"]): row for row in p3_light.drive_rows(drives)}
+
+    between = rows["0001TP against 0016E5"]
+    assert float(str(between["L"])) > 0.5
+    assert float(str(between["L"])) > 2 * float(str(rows["inside 0001TP"]["L"]))
+
+
+# --- P3: the training area, shares of road ----------------------------------------------
+
+
+def test_a_map_has_its_planes_the_right_way_round() -> None:
+    window = p3_area.Window(0.0, 1.0, 0.2, 0.4)
+    generator = torch.Generator().manual_seed(0)
+    samples = torch.tensor([0.25, 0.35]) + 0.01 * torch.randn(200, 2, generator=generator)
+
+    found = p3_area.likelihood_map(
+        fit(CLASSIFIERS["gaussian"], samples, axes_of(("nr", "ng"))), window, 41
+    )
+
+    row, column = divmod(int(found.argmax()), 41)
+    assert (column / 40, 0.2 + 0.2 * row / 40) == pytest.approx((0.25, 0.35), abs=0.03)
+
+
+def test_medians_of_superpixels_vary_less_than_pixels() -> None:
+    assert p3_area.variance_kept(scene(1, 240, 320).image) < 0.9
+
+
+def test_an_area_is_measured_alone() -> None:
+    image, road = torch.zeros(3, 96, 128), torch.zeros(96, 128, dtype=torch.bool)
+    rows, columns = slice(83, 96), slice(44, 84)  # what 201 by 66 of 640 by 480 are here
+    image[:, rows, columns], road[rows, columns] = 0.5, True
+
+    found = p3_area.area_measures(image, road)
+
+    assert found == pytest.approx((0.5, 0, 1), abs=1e-6)
+    framed = p3_area.marked(image)
+    assert framed[0].sum() > 0.5 * rows.stop  # red
+    assert torch.equal(framed[:, :83], image[:, :83])
+
+
+@pytest.mark.parametrize(
+    ("share", "group"),
+    [(0.0, "at most 30 %"), (0.3, "at most 30 %"), (0.31, "30 to 45 %"), (0.5, "45 to 55 %"),
+     (0.551, "more than 55 %"), (1.0, "more than 55 %")],
+)  # fmt: skip
+def test_groups_have_the_papers_bounds(share, group) -> None:
+    assert p3_shares.group_of(share) == group
+
+
+def test_a_set_is_counted_by_group(tmp_path: Path) -> None:
+    scenes = {f"0001TP_{seed}": scene(seed, 96, 128) for seed in range(3)}
+    write_camvid(tmp_path, "train", scenes)
+
+    shares = p3_shares.road_share_of(open_dataset("camvid", tmp_path, "train"))
+    row = p3_shares.share_row("camvid", [share.road for share in shares])
+    groups = p3_shares.by_group(shares)
+
+    exact = [float(one.road.float().mean()) for one in scenes.values()]
+    assert [share.road for share in shares] == pytest.approx(exact)
+    assert row["mean"] == pytest.approx(100 * np.mean(exact))
+    assert {name: len(items) for name, items in groups.items()} == Counter(
+        p3_shares.group_of(one) for one in exact
+    )
+
+
+# --- P3: Table III ----------------------------------------------------------------------
+
+
+def test_cells_are_areas_by_drive(tmp_path: Path) -> None:
+    drives = {"0001TP": (0,), "0016E5": (1, 2)}
+    scenes = {f"{drive}_{seed}": scene(seed, 96, 128) for drive, seeds in drives.items()
+              for seed in seeds}  # fmt: skip
+    write_camvid(tmp_path, "train", scenes)
+    camvid = open_dataset("camvid", tmp_path, "train")
+    detector = load_detector("oneclass:gaussian:S")
+
+    cells = p3_table3.measured(camvid, {"oneclass:gaussian:S": detector})
+
+    exact = {}
+    for item in camvid.items:
+        image, truth = camvid.read(item)
+        likelihood = detector.detect(image).likelihood
+        exact[item.name] = float(auc(count_levels(likelihood, truth.road, truth.valid)))
+    by_drive = [np.mean([exact[f"{drive}_{seed}"] for seed in seeds])
+                for drive, seeds in drives.items()]  # fmt: skip
+    assert p3_table3.percents(cells) == {("gaussian", "S"): pytest.approx(100 * np.mean(by_drive))}
+    curve = Curve(*torch.from_numpy(p3_table3.mean_lines(cells)["gaussian", "S"]))
+    assert float(area(curve)) == pytest.approx(float(np.mean(by_drive)), abs=0.01)
+    assert curve.x[[0, -1]].tolist() == [0, 1]
+
+
+def test_the_robust_weight_of_the_paper_is_another_row() -> None:
+    ours, papers = {("robust_gaussian", "S"): 80.0}, {("robust_gaussian", "S"): 79.0}
+
+    text = p3_table3.rows_csv({"": ours, "robust_gaussian, method=huber": papers})
+
+    assert text.splitlines() == [
+        "classifier,representation,auc,paper",
+        "robust_gaussian,S,80.00,92.8",
+        '"robust_gaussian, method=huber",S,79.00,92.8',
+    ]
+    detector = load_detector("oneclass:robust_gaussian:S", **p3_table3.HUBER)
+    assert detector.settings.model_dump()["classifier"]["method"] == "huber"
