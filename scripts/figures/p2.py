@@ -16,8 +16,8 @@ from roadtorch.data.dataset import Dataset, Item, every_kth
 from roadtorch.detector import Detection
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.contenders import Look
 from roadtorch.evaluation.curves import Curve, area, roc
+from roadtorch.evaluation.methods import Look
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
 from roadtorch.evaluation.scoring import score_item
 from roadtorch.io.atomic import atomic, csv_text, write_text
