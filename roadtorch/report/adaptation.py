@@ -138,7 +138,7 @@ def error_chart(rows: Sequence[Mapping[str, Any]]) -> str:
             look = place % len(COLOURS)
             axes.plot(
                 [row["epoch"] for row in own],
-                [row["error"] for row in own],
+                [row["loss"] for row in own],
                 color=COLOURS[look],
                 dashes=DASHES[look] or (None, None),
                 marker=".",
@@ -148,7 +148,7 @@ def error_chart(rows: Sequence[Mapping[str, Any]]) -> str:
         if len(rounds) > 1:
             axes.legend()
 
-    return to_svg("error", "Mean error of the epochs", 260, draw)
+    return to_svg("loss", "Mean loss of the epochs", 260, draw)
 
 
 def trust_chart(one: Adaptation) -> str:

@@ -130,10 +130,14 @@ def _prepared_of(request: Request, folder: Path) -> Sequence[Path]:
 
 
 def _rows(path: Path) -> list[dict[str, Any]]:
-    """Round, epoch and error of each epoch, as the run's log has them."""
+    """Round, epoch and loss of each epoch, as the run's log has them."""
     with path.open(newline="", encoding="utf-8") as file:
         return [
-            {"round": int(row["round"]), "epoch": int(row["epoch"]), "error": float(row["error"])}
+            {
+                "round": int(row["round"]),
+                "epoch": int(row["epoch"]),
+                "loss": float(row["loss"] if "loss" in row else row["error"]),  # of older runs
+            }
             for row in csv.DictReader(file)
         ]
 

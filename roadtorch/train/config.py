@@ -12,55 +12,63 @@ from roadtorch.imaging.resize import WorkingSize
 from roadtorch.layout.labeller import LabellerSettings
 from roadtorch.layout.patch_network import PatchNetworkSettings
 from roadtorch.layout.picture_network import PictureNetworkSettings
-from roadtorch.settings import Settings, build_settings, read_settings_file
+from roadtorch.settings import Settings, build_settings, group_at, read_settings_file
 from roadtorch.superpixels.slic import Superpixels
 
 
 class Descent(Settings):
     """How the weights move."""
 
+    renamed: ClassVar[Mapping[str, str]] = {
+        "rate": "learning_rate",
+        "decay": "weight_decay",
+        "average": "ema",
+    }
+
     method: Literal["sgd", "adam"] = Field(
         default="sgd", description="plain gradient descent as in Álvarez 2012, or Adam"
     )
-    rate: float = Field(default=0.1, gt=0, le=100, description="step length at the start")
+    learning_rate: float = Field(default=0.1, gt=0, le=100, description="at the start")
     momentum: float = Field(default=0.0, ge=0, lt=1, description="of plain gradient descent")
-    decay: float = Field(default=0.0, ge=0, le=1, description="weight decay")
+    weight_decay: float = Field(default=0.0, ge=0, le=1, description="of all weights")
     schedule: Literal["constant", "cosine"] = Field(
-        default="constant", description="same step length throughout, or down to 0 by a cosine"
+        default="constant", description="of the learning rate: the same throughout, or down to 0"
     )
     batch: int = Field(default=128, ge=1, le=10**6, description="samples of one step, about")
-    average: float = Field(
+    ema: float = Field(
         default=0.0,
         ge=0,
         lt=1,
-        description="the weights written are a running mean that keeps this share at each step; "
-        "0 writes the last ones",
+        description="the weights written are an exponential moving average that keeps this share "
+        "at each step; 0 writes the last ones",
     )
     precision: Literal["float32", "bfloat16"] = Field(
         default="float32",
         description="of convolutions while training; bfloat16 is faster on processors that have it",
     )
 
-    def rate_at(self, progress: float) -> float:
-        """The step length when a share ``progress`` (0 to 1) of the epochs is done."""
+    def learning_rate_at(self, progress: float) -> float:
+        """The learning rate when a share ``progress`` (0 to 1) of the epochs is done."""
         if self.schedule == "constant":
-            return self.rate
-        return self.rate * (1 + math.cos(math.pi * progress)) / 2
+            return self.learning_rate
+        return self.learning_rate * (1 + math.cos(math.pi * progress)) / 2
 
 
 class Stopping(Settings):
     """When training ends."""
 
+    renamed: ClassVar[Mapping[str, str]] = {"fall": "min_delta"}
+
     epochs: int = Field(default=60, ge=1, le=10**5, description="epochs at most, in each round")
-    rule: Literal["fall", "epochs"] = Field(
-        default="fall",
-        description="when an epoch's error falls by no more than ``fall`` (Álvarez 2012), or at "
-        "the end",
+    rule: Literal["plateau", "epochs"] = Field(
+        default="plateau",
+        description="when an epoch's loss falls by no more than ``min_delta`` (Álvarez 2012), or "
+        "at the end",
     )
-    fall: float = Field(default=0.001, ge=0, le=10, description="of the mean squared error")
+    min_delta: float = Field(default=0.001, ge=0, le=10, description="of the mean loss of an epoch")
 
 
-class Jitter(Settings):
+class PatchAugmentation(Settings):
     """How patches are varied. P2, section 6.1.
 
     P2 gives no unit for its noise. Here it is grey levels of 0…255: "noisy acquisition" is
@@ -68,18 +76,25 @@ class Jitter(Settings):
     deviation would drown the picture.
     """
 
-    smallest: float = Field(default=0.6, gt=0, le=10, description="magnification at least")
-    largest: float = Field(default=1.4, gt=0, le=10, description="magnification at most")
+    renamed: ClassVar[Mapping[str, str]] = {
+        "smallest": "min_scale",
+        "largest": "max_scale",
+        "faintest": "min_noise",
+        "noisiest": "max_noise",
+    }
+
+    min_scale: float = Field(default=0.6, gt=0, le=10, description="magnification at least")
+    max_scale: float = Field(default=1.4, gt=0, le=10, description="magnification at most")
     rotation: float = Field(default=17.0, ge=0, le=180, description="degrees to either side")
-    faintest: float = Field(
+    min_noise: float = Field(
         default=0.3, ge=0, le=255, description="deviation of the noise at least, grey levels of 255"
     )
-    noisiest: float = Field(
+    max_noise: float = Field(
         default=1.2, ge=0, le=255, description="deviation of the noise at most, grey levels of 255"
     )
 
 
-class Sites(Settings):
+class PatchCentres(Settings):
     """Where patches are taken: at the centroids of superpixels and around. P2, section 3.1."""
 
     around: int = Field(default=4, ge=0, le=64, description="further patches around each centroid")
@@ -104,7 +119,7 @@ class PeoplesShare(Settings):
         default=0.0,
         ge=0,
         le=10**6,
-        description="corrected pictures that bring half of the step length ``descent.rate``; "
+        description="corrected pictures that bring half of ``descent.learning_rate``; "
         "0: the whole of it, however few they are",
     )
 
@@ -127,12 +142,17 @@ class PatchTraining(Beginning):
     """A patch network, trained as P2 trains CNN-7."""
 
     name: ClassVar[str] = "patches"
+    renamed: ClassVar[Mapping[str, str]] = {
+        **Beginning.renamed,
+        "sites": "centres",
+        "jitter": "augmentation",
+    }
 
     network: PatchNetworkSettings = PatchNetworkSettings()
     superpixels: Superpixels = Superpixels()
     labeller: LabellerSettings = LabellerSettings()
-    sites: Sites = Sites()
-    jitter: Jitter = Jitter()
+    centres: PatchCentres = PatchCentres()
+    augmentation: PatchAugmentation = PatchAugmentation()
     balance: Literal["none", "classes"] = Field(
         default="none", description="every patch counts the same (Álvarez 2012), or every class"
     )
@@ -149,7 +169,7 @@ class PatchTraining(Beginning):
     stopping: Stopping = Stopping()
 
 
-class Light(Settings):
+class LightAugmentation(Settings):
     """How the light of whole pictures is varied."""
 
     gamma: float = Field(default=0.7, ge=0, le=3, description="exponents from 1/e^gamma to e^gamma")
@@ -163,7 +183,7 @@ class Light(Settings):
     )
 
 
-class Shift(Settings):
+class GeometryAugmentation(Settings):
     """How the frame of whole pictures is varied; every second picture is mirrored."""
 
     scale: float = Field(
@@ -185,7 +205,7 @@ class Shift(Settings):
     )
 
 
-class Surfaces(Settings):
+class SurfaceAugmentation(Settings):
     """How road and other ground get other colours and grain, each its own: asphalt, gravel, sand.
 
     On the road that the teacher sees, and on the rest of its ground.
@@ -199,7 +219,7 @@ class Surfaces(Settings):
     )
 
 
-class Shadows(Settings):
+class ShadowAugmentation(Settings):
     """How hard shadows fall across pictures: bands with straight edges, below the horizon."""
 
     share: float = Field(default=0.0, ge=0, le=1, description="of the pictures")
@@ -211,7 +231,7 @@ class Shadows(Settings):
     )
 
 
-class Nights(Settings):
+class NightAugmentation(Settings):
     """How day becomes night: dark but for what headlights reach, a few lamps, warmer light."""
 
     share: float = Field(default=0.0, ge=0, le=1, description="of the pictures")
@@ -219,6 +239,29 @@ class Nights(Settings):
         default=0.03, gt=0, le=1, description="levels where no headlight reaches, of those by day"
     )
     lamps: int = Field(default=6, ge=0, le=100, description="lamps at most, above the road")
+
+
+class EgoCarAugmentation(Settings):
+    """Ego cars that footage shows, cut out and laid over the lower edge of other pictures."""
+
+    share: float = Field(default=0.0, ge=0, le=1, description="of the pictures that get one")
+    tallest: float = Field(
+        default=0.7, ge=0, le=3, description="grown in height by at most e to this"
+    )
+    flattest: float = Field(default=0.3, ge=0, le=3, description="or shrunk by e to this")
+    widest: float = Field(default=0.25, ge=0, le=3, description="grown in width likewise")
+    light: float = Field(default=0.5, ge=0, le=3, description="gamma and gain by e to this")
+
+
+class Augmentation(Settings):
+    """How whole pictures are varied."""
+
+    light: LightAugmentation = LightAugmentation()
+    geometry: GeometryAugmentation = GeometryAugmentation()
+    surface: SurfaceAugmentation = SurfaceAugmentation()
+    shadow: ShadowAugmentation = ShadowAugmentation()
+    night: NightAugmentation = NightAugmentation()
+    ego_car: EgoCarAugmentation = EgoCarAugmentation()
 
 
 class Teacher(Settings):
@@ -275,23 +318,11 @@ class Recordings(Settings):
     )
 
 
-class EgoCars(Settings):
-    """Ego cars that footage shows, cut out and laid over the lower edge of other pictures."""
-
-    share: float = Field(default=0.0, ge=0, le=1, description="of the pictures that get one")
-    tallest: float = Field(
-        default=0.7, ge=0, le=3, description="grown in height by at most e to this"
-    )
-    flattest: float = Field(default=0.3, ge=0, le=3, description="or shrunk by e to this")
-    widest: float = Field(default=0.25, ge=0, le=3, description="grown in width likewise")
-    light: float = Field(default=0.5, ge=0, le=3, description="gamma and gain by e to this")
-
-
 class HeadWeights(Settings):
-    """What the errors of road and ego car weigh against the layout's."""
+    """What the losses of road and ego car weigh against the layout's."""
 
-    road: float = Field(default=1.0, ge=0, le=100, description="of the road's error")
-    ego: float = Field(default=0.5, ge=0, le=100, description="of the ego car's error")
+    road: float = Field(default=1.0, ge=0, le=100, description="of the road's loss")
+    ego: float = Field(default=0.5, ge=0, le=100, description="of the ego car's loss")
 
 
 class Rounds(Settings):
@@ -315,23 +346,28 @@ class PictureTraining(Beginning):
     """A network for whole pictures with heads for layout, road and ego car. Ours."""
 
     name: ClassVar[str] = "pictures"
-    renamed: ClassVar[Mapping[str, str]] = {**Beginning.renamed, "road_weight": "heads.road"}
+    renamed: ClassVar[Mapping[str, str]] = {
+        **Beginning.renamed,
+        "road_weight": "heads.road",
+        "visits": "samples_per_epoch",
+        "light": "augmentation.light",
+        "shift": "augmentation.geometry",
+        "surfaces": "augmentation.surface",
+        "shadows": "augmentation.shadow",
+        "nights": "augmentation.night",
+        "ego_cars": "augmentation.ego_car",
+    }
 
     network: PictureNetworkSettings = PictureNetworkSettings()
     teacher: Teacher = Teacher()
     rounds: Rounds = Rounds()
     recordings: Recordings = Recordings()
-    ego_cars: EgoCars = EgoCars()
-    light: Light = Light()
-    shift: Shift = Shift()
-    surfaces: Surfaces = Surfaces()
-    shadows: Shadows = Shadows()
-    nights: Nights = Nights()
+    augmentation: Augmentation = Augmentation()
     heads: HeadWeights = HeadWeights()
-    visits: int = Field(
+    samples_per_epoch: int = Field(
         default=0, ge=0, le=10**7, description="pictures of an epoch; 0: as many as there are"
     )
-    descent: Descent = Descent(method="adam", rate=0.003, schedule="cosine", batch=16)
+    descent: Descent = Descent(method="adam", learning_rate=0.003, schedule="cosine", batch=16)
     stopping: Stopping = Stopping(epochs=15, rule="epochs")
 
 
@@ -353,19 +389,20 @@ def build_training(values: dict[str, Any]) -> Training:
         raise unknown_name("kind of training", kind, KINDS)
     settings = build_settings(KINDS[kind], rest)
     if isinstance(settings, PatchTraining):
-        _check_jitter(settings.jitter)
-    elif settings.ego_cars.share and not settings.recordings.separator:
-        what = f"is {settings.ego_cars.share:g}, and without recordings no ego car is known"
-        raise ConfigError("ego_cars.share", what, 'set recordings.separator, such as "_"')
+        _check_bounds(settings.augmentation)
+    elif (share := settings.augmentation.ego_car.share) and not settings.recordings.separator:
+        what = f"is {share:g}, and without recordings no ego car is known"
+        remedy = 'set recordings.separator, such as "_"'
+        raise ConfigError("augmentation.ego_car.share", what, remedy)
     return settings
 
 
-def _check_jitter(jitter: Jitter) -> None:
-    for low, high in (("smallest", "largest"), ("faintest", "noisiest")):
-        least, most = getattr(jitter, low), getattr(jitter, high)
+def _check_bounds(settings: PatchAugmentation) -> None:
+    for name in ("scale", "noise"):
+        least, most = getattr(settings, f"min_{name}"), getattr(settings, f"max_{name}")
         if least > most:
-            what = f"{least:g} was given, and jitter.{high} is {most:g}"
-            raise ConfigError(f"jitter.{low}", what, "give the lower bound first")
+            what = f"{least:g} was given, and augmentation.max_{name} is {most:g}"
+            raise ConfigError(f"augmentation.min_{name}", what, "give the lower bound first")
 
 
 def read_training(path: Path) -> Training:
@@ -374,13 +411,32 @@ def read_training(path: Path) -> Training:
 
 
 def with_current_names(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings that an older version wrote down, under the present names of their first level.
+    """Settings of a run that an older version wrote down, under their present names.
 
     For records of runs alone, where a new name means what the old one did; a config that
     somebody gives is refused with the new name.
     """
     kind = KINDS.get(str(values.get("kind", PatchTraining.name)), PatchTraining)
-    return {kind.renamed.get(key, key): value for key, value in values.items()}
+    current = _with_current_names(kind, values)
+    stopping = current.get("stopping")
+    if isinstance(stopping, dict) and stopping.get("rule") == "fall":
+        stopping["rule"] = "plateau"
+    return current
+
+
+def _with_current_names(kind: type[Settings], values: Mapping[str, Any]) -> dict[str, Any]:
+    current: dict[str, Any] = {}
+    for key, value in values.items():
+        path = kind.renamed.get(key, key).split(".")
+        field = group_at(kind, path[:-1]).model_fields.get(path[-1])
+        group = field.annotation if field else None
+        if isinstance(value, Mapping) and isinstance(group, type) and issubclass(group, Settings):
+            value = _with_current_names(group, value)
+        branch = current
+        for name in path[:-1]:
+            branch = branch.setdefault(name, {})
+        branch[path[-1]] = value
+    return current
 
 
 def as_values(settings: Training) -> dict[str, Any]:

@@ -79,12 +79,13 @@ def corrections_told(corrections: Mapping[str, Correction]) -> dict[str, Any] | 
 def paced(descent: Descent, halfway: float, pictures: int) -> Descent:
     """The descent for so many corrected pictures (none: as it is). Ours.
 
-    The step length is that of very many times n / (n + halfway): a few pictures that are unlike
+    The learning rate is that of very many times n / (n + halfway): a few pictures that are unlike
     what comes do less harm, and twenty are learned from in as many steps.
     """
     if not pictures:
         return descent
-    return descent.model_copy(update={"rate": descent.rate * pictures / (pictures + halfway)})
+    rate = descent.learning_rate * pictures / (pictures + halfway)
+    return descent.model_copy(update={"learning_rate": rate})
 
 
 Shrink = Callable[[Correction], Arrays]
@@ -157,7 +158,7 @@ def corrected_shares(shares: Tensor, corrected: Tensor, share: float) -> Tensor:
 # --- patches ----------------------------------------------------------------------------
 
 
-class LabelledSites(NamedTuple):
+class LabelledCentres(NamedTuple):
     """Where patches are taken: centres int16 (n,2), classes uint8 (n,), weights float32 (n,)."""
 
     centres: Tensor
@@ -175,18 +176,19 @@ def said_layout(correction: Correction, size: tuple[int, int]) -> Arrays:
     return {"layout": layout, "known": ((layout != UNLABELLED) | void).to(torch.uint8)}
 
 
-def corrected_sites(sites: LabelledSites, said: Arrays, weight: float) -> LabelledSites:
-    """The machine's sites where nobody spoke, and a grid of places where somebody named a class."""
+def corrected_centres(labelled: LabelledCentres, said: Arrays, weight: float) -> LabelledCentres:
+    """The machine's where nobody spoke, and a grid of places where somebody named a class."""
     layout, known = said["layout"], said["known"].bool()
-    rows, columns = (sites.centres[:, axis].long() for axis in (0, 1))
+    rows, columns = labelled.centres.long().unbind(1)
     kept = ~known[rows, columns]
     places = torch.zeros_like(known)
     places[SPACING // 2 :: SPACING, SPACING // 2 :: SPACING] = True
-    found = (places & (layout != UNLABELLED)).nonzero()
-    return LabelledSites(
-        torch.cat([sites.centres[kept], found.to(sites.centres.dtype)]),
-        torch.cat([sites.classes[kept], layout[found[:, 0], found[:, 1]].to(sites.classes.dtype)]),
-        torch.cat([sites.weights[kept], torch.full((len(found),), weight)]),
+    new = (places & (layout != UNLABELLED)).nonzero()
+    classes = layout[new[:, 0], new[:, 1]].to(labelled.classes.dtype)
+    return LabelledCentres(
+        torch.cat([labelled.centres[kept], new.to(labelled.centres.dtype)]),
+        torch.cat([labelled.classes[kept], classes]),
+        torch.cat([labelled.weights[kept], torch.full((len(new),), weight)]),
     )
 
 

@@ -18,7 +18,7 @@ from roadtorch.sources.pictures import Picture
 from roadtorch.train.config import as_values, build_training, with_current_names
 from roadtorch.train.prepared import PreparedPicture, bytes_of, name_of
 
-FORMAT = 1
+FORMAT = 2
 """Of checkpoints; raised when older code could not go on with them."""
 
 RUN, CHECKPOINT, LOG, CURVE, PICTURES, PAGE = (
@@ -164,7 +164,7 @@ class RunFolder:
         write_text(self.path / LOG, csv_text(list(rows[0]), rows))
 
     def write_curve(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Draw the error of the epochs, one line a round."""
+        """Draw the loss of the epochs, one line a round."""
         from matplotlib.figure import Figure
 
         figure = Figure(figsize=(6, 4), layout="constrained")
@@ -172,8 +172,8 @@ class RunFolder:
         for number in sorted({row["round"] for row in rows}):
             own = [row for row in rows if row["round"] == number]
             places = [row["epoch"] for row in own]
-            axes.plot(places, [row["error"] for row in own], marker=".", label=f"round {number}")
-        axes.set(xlabel="epoch", ylabel="mean error of the epoch")
+            axes.plot(places, [row["loss"] for row in own], marker=".", label=f"round {number}")
+        axes.set(xlabel="epoch", ylabel="mean loss of the epoch")
         axes.grid(alpha=0.3)
         axes.legend()
         with atomic(self.path / CURVE) as temporary:

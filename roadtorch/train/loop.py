@@ -23,7 +23,7 @@ from roadtorch.train.processes import Processes
 # --- randomness -------------------------------------------------------------------------
 
 
-PATCH_ORDER, SITES, JITTER, PICTURE_ORDER, VARIATION = range(5)
+PATCH_ORDER, CENTRES, PATCH_VARIATION, PICTURE_ORDER, VARIATION = range(5)
 """What is drawn: the first number of its places, so that each has its own generators."""
 
 
@@ -56,9 +56,9 @@ def uniform(generator: torch.Generator, count: int, low: float, high: float) -> 
 class Batch(NamedTuple):
     """This process's part of one step.
 
-    inputs: what the network takes, first dimension n. targets and weights: what the error
-    function takes. count: samples of the step in all processes together; the error of a step
-    is the sum over all of them divided by it.
+    inputs: what the network takes, first dimension n. targets and weights: what the loss takes.
+    count: samples of the step in all processes together; the loss of a step is the sum over all
+    of them divided by it.
     """
 
     inputs: Tensor
@@ -83,8 +83,8 @@ class Samples(Protocol):
         ...
 
 
-ErrorFunction = Callable[[nn.Module, Batch], Tensor]
-"""The summed error of a network over one process's part of a batch: a scalar."""
+Loss = Callable[[nn.Module, Batch], Tensor]
+"""The summed loss of a network over one process's part of a batch: a scalar."""
 
 
 # --- the mean of the weights ------------------------------------------------------------
@@ -92,24 +92,24 @@ ErrorFunction = Callable[[nn.Module, Batch], Tensor]
 
 Network = TypeVar("Network", bound=nn.Module)
 
-FIRST = 10
+WARM_UP_STEPS = 10
 """Steps over which the mean begins: the first steps' weights are soon forgotten."""
 
 
-class AverageWeights(Generic[Network]):
-    """The running mean of a network's weights over its steps; Polyak and Juditsky, 1992.
+class MovingAverage(Generic[Network]):
+    """The exponential moving average of a network's weights over its steps.
 
-    Each step keeps the share ``kept`` of the mean, in the beginning less.
+    Polyak and Juditsky, 1992. Each step keeps the share ``ema`` of it, in the beginning less.
     """
 
-    def __init__(self, network: Network, kept: float) -> None:
+    def __init__(self, network: Network, ema: float) -> None:
         self.network = copy.deepcopy(network)
-        self._kept = kept
+        self._ema = ema
 
     @torch.no_grad()
     def add(self, network: nn.Module, steps: int) -> None:
         """Take in the weights that a network has after ``steps`` steps."""
-        kept = min(self._kept, steps / (steps + FIRST)) if self._kept else 0.0
+        kept = min(self._ema, steps / (steps + WARM_UP_STEPS)) if self._ema else 0.0
         for mean, weight in zip(self.network.parameters(), network.parameters(), strict=True):
             mean.lerp_(weight, 1 - kept)
 
@@ -124,14 +124,14 @@ SAVE_EVERY = 60.0  # seconds of work that a power cut may cost
 class TrainingProgress:
     """How far a run is; with the weights and the optimiser's state all there is to know.
 
-    error, count: sums over the part of the epoch that is done. rows: the finished epochs.
+    loss, count: sums over the part of the epoch that is done. rows: the finished epochs.
     """
 
     round: int = 0
     epoch: int = 0
     chunk: int = 0
     steps: int = 0
-    error: float = 0.0
+    loss: float = 0.0
     count: int = 0
     seconds: float = 0.0
     finished: bool = False
@@ -140,17 +140,17 @@ class TrainingProgress:
     def begin_round(self, number: int) -> None:
         """Start another round from its first epoch."""
         self.round, self.epoch, self.chunk, self.steps = number, 0, 0, 0
-        self.error, self.count, self.seconds, self.finished = 0.0, 0, 0.0, False
+        self.loss, self.count, self.seconds, self.finished = 0.0, 0, 0.0, False
 
 
 class TrainingSetup(NamedTuple):
     """What a round trains, and how; average: what becomes of the weights over the steps."""
 
     network: nn.Module
-    average: AverageWeights
+    average: MovingAverage
     optimiser: torch.optim.Optimizer
     samples: Samples
-    error_function: ErrorFunction
+    loss: Loss
     descent: Descent
     stopping: Stopping
 
@@ -166,25 +166,21 @@ class RunContext(NamedTuple):
 
 def make_optimiser(network: nn.Module, descent: Descent) -> torch.optim.Optimizer:
     """The optimiser that the settings name."""
-    weights = list(network.parameters())
+    weights, rate, decay = network.parameters(), descent.learning_rate, descent.weight_decay
     if descent.method == "adam":
-        return torch.optim.AdamW(weights, descent.rate, weight_decay=descent.decay)
-    return torch.optim.SGD(
-        weights, descent.rate, momentum=descent.momentum, weight_decay=descent.decay
-    )
+        return torch.optim.AdamW(weights, rate, weight_decay=decay)
+    return torch.optim.SGD(weights, rate, momentum=descent.momentum, weight_decay=decay)
 
 
 def train_round(setup: TrainingSetup, progress: TrainingProgress, context: RunContext) -> None:
     """Train from where ``progress`` is until the round's end, or until asked to stop.
 
     Saves a checkpoint at the end of each epoch, now and then between, and before it returns.
-    Raises ConfigError when the error is no longer a number.
+    Raises ConfigError when the loss is no longer a number.
     """
     setup.network.train()
     while not progress.finished and not _stop_asked(context):
-        for _ in _chunks(setup, progress, context):
-            if _stop_asked(context):
-                break
+        _train_epoch(setup, progress, context)
         if progress.chunk == setup.samples.chunks:
             _end_epoch(setup, progress, context)
         save_checkpoint(setup, progress, context)
@@ -207,72 +203,75 @@ def _stop_asked(context: RunContext) -> bool:
     return context.processes.any(context.stop.asked)
 
 
-def _chunks(
-    setup: TrainingSetup, progress: TrainingProgress, context: RunContext
-) -> Iterator[None]:
-    """Work through the rest of an epoch; yields after each chunk."""
-    title = f"epoch {progress.epoch + 1}"
+def _train_epoch(setup: TrainingSetup, progress: TrainingProgress, context: RunContext) -> None:
+    """Work through the rest of an epoch, at least a chunk of it, or until asked to stop."""
     hidden = context.processes.hides_bar(context.quiet)
-    total, saved = setup.samples.chunks, time.monotonic()
-    with tqdm(
-        total=total, desc=title, initial=progress.chunk, disable=hidden, file=sys.stderr
-    ) as bar:
-        while progress.chunk < total:
+    bar = tqdm(
+        desc=f"epoch {progress.epoch + 1}",
+        total=setup.samples.chunks,
+        initial=progress.chunk,
+        disable=hidden,
+        file=sys.stderr,
+    )
+    saved = time.monotonic()
+    with bar:
+        while progress.chunk < setup.samples.chunks:
             start = time.perf_counter()
             _train_chunk(setup, progress, context.processes)
             progress.seconds += time.perf_counter() - start
             bar.update()
-            bar.set_postfix(error=f"{progress.error / max(1, progress.count):.4f}")
+            bar.set_postfix(loss=f"{progress.loss / max(1, progress.count):.4f}")
             if time.monotonic() - saved > SAVE_EVERY:
                 save_checkpoint(setup, progress, context)
                 saved = time.monotonic()
-            yield
+            if _stop_asked(context):
+                return
 
 
 def _train_chunk(setup: TrainingSetup, progress: TrainingProgress, processes: Processes) -> None:
-    share = progress.epoch + progress.chunk / setup.samples.chunks
-    rate = setup.descent.rate_at(share / setup.stopping.epochs)
+    epochs = progress.epoch + progress.chunk / setup.samples.chunks
     for group in setup.optimiser.param_groups:
-        group["lr"] = rate
-    error = 0.0
+        group["lr"] = setup.descent.learning_rate_at(epochs / setup.stopping.epochs)
+    loss = 0.0
     for batch in setup.samples.batches(progress.epoch, progress.chunk):
-        error += step(setup, batch, processes)
+        loss += step(setup, batch, processes)
         progress.count += batch.count
         progress.steps += 1
         setup.average.add(setup.network, progress.steps)
-    if not math.isfinite(error):
-        raise ConfigError("descent.rate", "the error is no longer a number", "give a lower rate")
-    progress.error += error
+    if not math.isfinite(loss):
+        what = "the loss is no longer a number"
+        raise ConfigError("descent.learning_rate", what, "give a lower one")
+    progress.loss += loss
     progress.chunk += 1
 
 
 def step(setup: TrainingSetup, batch: Batch, processes: Processes) -> float:
-    """One step on one batch; returns the error summed over the batch of all processes.
+    """One step on one batch; returns the loss summed over the batch of all processes.
 
     Gradients are summed over the processes, so that any number of them makes the same step up
     to rounding.
     """
     setup.optimiser.zero_grad(set_to_none=False)
-    error = torch.zeros(())
+    loss = torch.zeros(())
     if len(batch.inputs):
         with torch.autocast("cpu", torch.bfloat16, setup.descent.precision == "bfloat16"):
-            error = setup.error_function(setup.network, batch)
-        (error / batch.count).backward()
-    error = _add_gradients(setup.network, error.detach(), processes)
+            loss = setup.loss(setup.network, batch)
+        (loss / batch.count).backward()
+    loss = _add_gradients(setup.network, loss.detach(), processes)
     setup.optimiser.step()
-    return float(error)
+    return float(loss)
 
 
-def _add_gradients(network: nn.Module, error: Tensor, processes: Processes) -> Tensor:
-    """Replace the gradients and the error by their sums over the processes, in one exchange."""
+def _add_gradients(network: nn.Module, loss: Tensor, processes: Processes) -> Tensor:
+    """Replace the gradients and the loss by their sums over the processes, in one exchange."""
     weights = list(network.parameters())
     for weight in weights:
         if weight.grad is None:  # this process had no sample yet
             weight.grad = torch.zeros_like(weight)
     if processes.size == 1:
-        return error
+        return loss
     gradients = [weight.grad for weight in weights if weight.grad is not None]
-    flat = processes.add(torch.cat([error.reshape(1), *(value.reshape(-1) for value in gradients)]))
+    flat = processes.add(torch.cat([loss.reshape(1), *(value.reshape(-1) for value in gradients)]))
     at = 1
     for value in gradients:
         value.copy_(flat[at : at + value.numel()].reshape(value.shape))
@@ -282,31 +281,28 @@ def _add_gradients(network: nn.Module, error: Tensor, processes: Processes) -> T
 
 def _end_epoch(setup: TrainingSetup, progress: TrainingProgress, context: RunContext) -> None:
     """Close the books of an epoch and decide whether it was the last."""
-    error = progress.error / max(1, progress.count)
-    own = [row["error"] for row in progress.rows if row["round"] == progress.round + 1]
-    fall = own[-1] - error if own else math.inf
     row = {
         "round": progress.round + 1,
         "epoch": progress.epoch + 1,
-        "error": error,
+        "loss": progress.loss / max(1, progress.count),
         "samples": progress.count,
-        "rate": setup.optimiser.param_groups[0]["lr"],
+        "learning_rate": setup.optimiser.param_groups[0]["lr"],
         "seconds": round(progress.seconds, 1),
     }
+    before = [one["loss"] for one in progress.rows if one["round"] == row["round"]]
+    fall = before[-1] - row["loss"] if before else math.inf
     progress.rows.append(row)
     progress.epoch += 1
-    progress.chunk, progress.error, progress.count, progress.seconds = 0, 0.0, 0, 0.0
-    fallen = setup.stopping.rule == "fall" and fall <= setup.stopping.fall
-    progress.finished = fallen or progress.epoch >= setup.stopping.epochs
+    progress.chunk, progress.loss, progress.count, progress.seconds = 0, 0.0, 0, 0.0
+    plateau = setup.stopping.rule == "plateau" and fall <= setup.stopping.min_delta
+    progress.finished = plateau or progress.epoch >= setup.stopping.epochs
     if context.processes.leads:
         context.folder.write_log(progress.rows)
         if not context.quiet:
-            tqdm.write(_told(row, fall), file=sys.stderr)
-
-
-def _told(row: dict[str, Any], fall: float) -> str:
-    change = "" if math.isinf(fall) else f" ({-fall:+.4f})"
-    return (
-        f"roadtorch: round {row['round']} epoch {row['epoch']}: error {row['error']:.4f}{change}, "
-        f"{row['samples']} samples in {row['seconds']:.0f} s"
-    )
+            change = f" ({-fall:+.4f})" if before else ""
+            text = (
+                f"roadtorch: round {row['round']} epoch {row['epoch']}: "
+                f"loss {row['loss']:.4f}{change}, {row['samples']} samples in "
+                f"{row['seconds']:.0f} s"
+            )
+            tqdm.write(text, file=sys.stderr)

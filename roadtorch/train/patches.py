@@ -1,7 +1,7 @@
-"""How patch networks are trained: where patches are taken, how they are varied, their error.
+"""How patch networks are trained: where patches are taken, how they are varied, their loss.
 
 P2, sections 3.1 and 6.1: at the centroid of each superpixel and around it, where the labeller is
-certain; at a random scale and angle, with Gaussian noise; squared error, no hard examples.
+certain; at a random scale and angle, with Gaussian noise; squared error; no hard examples.
 """
 
 import math
@@ -24,12 +24,12 @@ from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import LayoutNetwork
 from roadtorch.sources.pictures import Picture
 from roadtorch.superpixels.statistics import segment_mean, segment_size
-from roadtorch.train.config import Jitter, PatchTraining, Sites
-from roadtorch.train.corrections import LabelledSites, corrected_sites, repeated, said_layout
+from roadtorch.train.config import PatchAugmentation, PatchCentres, PatchTraining
+from roadtorch.train.corrections import LabelledCentres, corrected_centres, repeated, said_layout
 from roadtorch.train.loop import (
-    JITTER,
+    CENTRES,
     PATCH_ORDER,
-    SITES,
+    PATCH_VARIATION,
     Batch,
     RunContext,
     generator_at,
@@ -43,45 +43,45 @@ from roadtorch.train.processes import Processes
 
 
 def prepare_patches(image: Tensor, training: PatchTraining) -> Arrays:
-    """What patches need of an image (3,H,W): it at working size, sites and their classes.
+    """What patches need of an image (3,H,W): it at working size, their centres and classes.
 
-    image: uint8 (3,h,w); sites: int16 (n,2), row and column; classes: uint8 (n,), 0, 1, 2.
-    Sites that the labeller leaves in doubt are not there.
+    image: uint8 (3,h,w); centres: int16 (n,2), row and column; classes: uint8 (n,), 0, 1, 2.
+    Centres that the labeller leaves in doubt are not there.
     """
     working = training.network.working
     small = at_work(image, working)
     labels = label_layout(small, training.labeller, working, training.superpixels).labels
-    sites = find_sites(training.superpixels.cut(small), training.sites)
-    classes = labels[sites[:, 0], sites[:, 1]]
+    centres = find_centres(training.superpixels.cut(small), training.centres)
+    classes = labels[centres[:, 0], centres[:, 1]]
     known = classes != UNLABELLED
     return {
         "image": to_bytes(small),
-        "sites": sites[known].to(torch.int16),
+        "centres": centres[known].to(torch.int16),
         "classes": classes[known].to(torch.uint8),
     }
 
 
-def find_sites(segments: Tensor, sites: Sites) -> Tensor:
+def find_centres(segments: Tensor, settings: PatchCentres) -> Tensor:
     """Rows and columns int64 (n,2) of the centroids of segments (H,W) and places around them.
 
-    ``sites.around`` places at equal angles, the first below the centroid, kept inside the
+    ``settings.around`` places at equal angles, the first below the centroid, kept inside the
     picture.
     """
     height, width = segments.shape
     places = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     size = segment_size(segments, int(segments.max()) + 1)
     centroid = segment_mean(torch.stack(places).to(torch.float32), segments, size).T
-    turns = torch.arange(sites.around) * (2 * math.pi / max(1, sites.around))
-    around = torch.stack([turns.cos(), turns.sin()], 1) * sites.distance
+    turns = torch.arange(settings.around) * (2 * math.pi / max(1, settings.around))
+    around = torch.stack([turns.cos(), turns.sin()], 1) * settings.distance
     moves = torch.cat([torch.zeros(1, 2), around])
-    found = (centroid[:, None] + moves).reshape(-1, 2).round().to(torch.int64)
-    return found.clamp_min(0).minimum(torch.tensor([height - 1, width - 1]))
+    centres = (centroid[:, None] + moves).reshape(-1, 2).round().to(torch.int64)
+    return centres.clamp_min(0).minimum(torch.tensor([height - 1, width - 1]))
 
 
 def class_weights(files: Sequence[Path], training: PatchTraining) -> Tensor:
     """Weight of each class, (3,): all 1, or such that all classes weigh the same.
 
-    Raises InputError when no picture has a site with a label.
+    Raises InputError when no picture has a patch with a label.
     """
     counts = torch.zeros(CLASSES)
     for file in files:
@@ -120,15 +120,15 @@ class Draw(NamedTuple):
         return Draw(*(values[index] for values in self))
 
 
-def draw_jitter(centre: Tensor, jitter: Jitter, generator: torch.Generator) -> Draw:
+def draw_variation(centre: Tensor, settings: PatchAugmentation, generator: torch.Generator) -> Draw:
     """Random scales, angles and noise for patches at centres (n,2)."""
     count = len(centre)
-    angle = math.radians(jitter.rotation)
+    angle = math.radians(settings.rotation)
     return Draw(
         centre.to(torch.float32),
-        uniform(generator, count, jitter.smallest, jitter.largest),
+        uniform(generator, count, settings.min_scale, settings.max_scale),
         uniform(generator, count, -angle, angle),
-        uniform(generator, count, jitter.faintest, jitter.noisiest),
+        uniform(generator, count, settings.min_noise, settings.max_noise),
         torch.randint(NOISES, (count,), generator=generator),
     )
 
@@ -214,28 +214,27 @@ class PatchSamples:
         visit, group = divmod(chunk, self._groups)
         order = self._shuffled(len(self._files), PATCH_ORDER, epoch, visit)
         members = order[group * training.mix :][: training.mix].tolist()
-        sites = [self._sites_of(member, epoch, visit) for member in members]
-        generator = generator_at(training.random_seed, JITTER, epoch, chunk)
-        centres, classes, counts = (torch.cat(parts) for parts in zip(*sites, strict=True))
-        draw = draw_jitter(centres, training.jitter, generator)
+        labelled = [self._centres_of(member, epoch, visit) for member in members]
+        generator = generator_at(training.random_seed, PATCH_VARIATION, epoch, chunk)
+        centres, classes, counts = (torch.cat(parts) for parts in zip(*labelled, strict=True))
+        draw = draw_variation(centres, training.augmentation, generator)
         noises = draw_noise(training.network.topology.patch, generator)
         shuffled = torch.randperm(len(classes), generator=generator)
         steps = shuffled.tensor_split(max(1, round(len(classes) / training.descent.batch)))
         picture = torch.arange(len(members)).repeat_interleave(
-            torch.tensor([len(part) for _, part, _ in sites])
+            torch.tensor([len(part.classes) for part in labelled])
         )
-        mine = torch.cat([self._mine(step) for step in steps])
+        shares = [step[self._processes.rank :: self._processes.size] for step in steps]
+        mine = torch.cat(shares)
         by_picture = picture[mine].argsort(stable=True)
         self._cut(members, picture[mine[by_picture]], draw.at(mine[by_picture]), noises)
         place, at = by_picture.argsort(), 0
-        for step in steps:
-            count = len(self._mine(step))
-            own = mine[at : at + count]
+        for step, own in zip(steps, shares, strict=True):
             targets = classes[own].long()
-            part = self._room.index_select(0, place[at : at + count])
+            part = self._room.index_select(0, place[at : at + len(own)])
             if len(step):
                 yield Batch(part, targets, self._weights[targets] * counts[own], len(step))
-            at += count
+            at += len(own)
 
     def _cut(self, members: list[int], picture: Tensor, draw: Draw, noises: Tensor) -> None:
         """Fill the first n rooms with the patches of ``draw``; picture: (n,), ascending."""
@@ -251,19 +250,17 @@ class PatchSamples:
                     own, room = draw.at(index), self._room[index[0] : index[-1] + 1]
                     add_noise(cut_patches(pixels, own, patch), own, noises, gain, room)
 
-    def _sites_of(self, member: int, epoch: int, visit: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Centres (n,2), classes and weights (n,) of one picture at one visit in an epoch."""
-        arrays = self._read(self._files[member], "sites", "classes")
-        sites = LabelledSites(arrays["sites"], arrays["classes"], torch.ones(len(arrays["sites"])))
+    def _centres_of(self, member: int, epoch: int, visit: int) -> LabelledCentres:
+        """Patches of one picture at one visit in an epoch."""
+        arrays = self._read(self._files[member], "centres", "classes")
+        classes = arrays["classes"]
+        labelled = LabelledCentres(arrays["centres"], classes, torch.ones(len(classes)))
         if (said := self._said.get(self._files[member])) is not None:
             planes = read_arrays(said, "layout", "known")
-            sites = corrected_sites(sites, planes, self._training.corrections.weight)
-        order = self._shuffled(len(sites.classes), SITES, epoch, member)
+            labelled = corrected_centres(labelled, planes, self._training.corrections.weight)
+        order = self._shuffled(len(labelled.classes), CENTRES, epoch, member)
         order = order[visit :: self._training.passes]
-        return sites.centres[order], sites.classes[order], sites.weights[order]
-
-    def _mine(self, step: Tensor) -> Tensor:
-        return step[self._processes.rank :: self._processes.size]
+        return LabelledCentres(*(values[order] for values in labelled))
 
     def _shuffled(self, count: int, *place: int) -> Tensor:
         return torch.randperm(count, generator=generator_at(self._training.random_seed, *place))
@@ -282,26 +279,26 @@ class PatchRecipe:
     """CNN-7 and its family on patches; one round."""
 
     rounds = 1
-    error_function = staticmethod(squared_error)
+    loss = staticmethod(squared_error)
 
     def __init__(self, training: PatchTraining) -> None:
         self._training = training
 
     def preparation(self) -> dict[str, Any]:
-        """Working size, superpixels, labeller and sites."""
+        """Working size, superpixels, labeller and centres."""
         training = self._training
         return {
             "working": training.network.working.model_dump(),
             "superpixels": training.superpixels.model_dump(),
             "labeller": training.labeller.model_dump(),
-            "sites": training.sites.model_dump(),
+            "centres": training.centres.model_dump(),
         }
 
     def survey(self, pictures: Sequence[Picture], folder: Path, context: RunContext) -> None:
         """Nothing: patches are taken from single pictures."""
 
     def make(self, image: Tensor, name: str) -> Arrays:
-        """The picture at working size, its sites and their classes."""
+        """The picture at working size, the centres of its patches and their classes."""
         return prepare_patches(image, self._training)
 
     def shrink(self, correction: Correction) -> Arrays:

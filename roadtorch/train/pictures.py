@@ -7,26 +7,17 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn import functional as F
 
 from roadtorch.data.corrections import Correction
-from roadtorch.layout.classes import HORIZONTAL, SKY
+from roadtorch.layout.classes import CLASSES, HORIZONTAL, SKY
 from roadtorch.layout.normalisation import normalise
-from roadtorch.layout.picture_network import PictureNetwork
+from roadtorch.layout.picture_network import EGO, ROAD, PictureNetwork
 from roadtorch.layout.weights import LayoutNetwork
 from roadtorch.sources.pictures import Picture
-from roadtorch.train.augmentation import (
-    at_night,
-    draw_frames,
-    laid_over,
-    lent,
-    reframed,
-    relit,
-    resurfaced,
-    shaded,
-    varied,
-)
-from roadtorch.train.config import PictureTraining
+from roadtorch.train import augmentation
+from roadtorch.train.config import HeadWeights, PictureTraining
 from roadtorch.train.corrections import corrected_shares, corrected_targets, said_planes
 from roadtorch.train.loop import PICTURE_ORDER, VARIATION, Batch, RunContext, generator_at, seeded
 from roadtorch.train.prepared import Arrays, from_bytes, kept_arrays
@@ -34,8 +25,8 @@ from roadtorch.train.processes import Processes
 from roadtorch.train.recordings import ego_of, find_ego_cars, recording_of
 from roadtorch.train.teachers import (
     PLANES,
-    PictureError,
     Targets,
+    best_class,
     label_with_network,
     lends_ego,
     load_teachers,
@@ -45,6 +36,9 @@ from roadtorch.train.teachers import (
 
 EGO_CARS = "ego-cars"
 """The folder, beside the prepared pictures, with what recordings show of the ego car."""
+
+
+# --- samples ----------------------------------------------------------------------------
 
 
 class Prepared(NamedTuple):
@@ -70,16 +64,13 @@ class PictureSamples:
     ) -> None:
         self._prepared, self._round = prepared, number
         self._training, self._processes = training, processes
+        self._count = training.samples_per_epoch or len(prepared.files)
         self._read = kept_arrays()
 
     @property
     def chunks(self) -> int:
         """Batches of one epoch."""
-        return max(1, round(self._visits / self._training.descent.batch))
-
-    @property
-    def _visits(self) -> int:
-        return self._training.visits or len(self._prepared.files)
+        return max(1, round(self._count / self._training.descent.batch))
 
     def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
         """This process's pictures of one batch. Targets are the ``Targets``, eight planes.
@@ -88,11 +79,12 @@ class PictureSamples:
         """
         training, place = self._training, (self._round, epoch)
         generator = generator_at(training.random_seed, PICTURE_ORDER, *place)
-        order = visits(self._prepared.shares, self._visits, generator)
+        order = draw_members(self._prepared.shares, self._count, generator)
         members = order.tensor_split(self.chunks)[chunk].tolist()
         size = (training.network.height, training.network.width)
         generator = generator_at(training.random_seed, VARIATION, *place, chunk)
-        frames = draw_frames(len(members), size, training.shift, generator)
+        geometry = training.augmentation.geometry
+        frames = augmentation.draw_frames(len(members), size, geometry, generator)
         seeds = torch.randint(2**62, (len(members),), generator=generator).tolist()
         mine = self._processes.share(range(len(members)))
         parts = [self._one(members[i], frames[i : i + 1], seeds[i]) for i in mine]
@@ -105,39 +97,47 @@ class PictureSamples:
     def _one(self, member: int, frame: Tensor, seed: int) -> tuple[Tensor, Tensor]:
         """One varied picture (1,3,H,W), normalised, and its targets (1,8,H,W)."""
         training, at = self._training, torch.Generator().manual_seed(seed)
-        arrays = self._read(self._prepared.files[member], "image", "maps", "ego")
-        arrays = {name: from_bytes(values)[None] for name, values in arrays.items()}
-        network = None
-        if self._prepared.labels:
-            network = from_bytes(self._read(self._prepared.labels[member], "maps")["maps"])[None]
-        targets = targets_of(
-            arrays["maps"], arrays["ego"][None], network, training.teacher, training.rounds
-        )
-        said = self._prepared.said.get(self._prepared.files[member])
-        if said is not None:
-            planes = from_bytes(self._read(said, "said")["said"])[None]
-            targets = corrected_targets(targets, planes, training.corrections.weight)
-        seen = reframed(torch.cat(targets, 1), frame, "zeros")
-        image = reframed(arrays["image"], frame, "border")
-        if float(torch.rand((), generator=at)) < training.surfaces.share:
+        vary = training.augmentation
+        image, targets = self._unvaried(member)
+        image = augmentation.reframed(image, frame, "border")
+        seen = augmentation.reframed(torch.cat(targets, 1), frame, "zeros")
+
+        def chosen(share: float) -> bool:
+            return float(torch.rand((), generator=at)) < share
+
+        if chosen(vary.surface.share):
             known = Targets(*seen.split(PLANES, 1))
             ground = known.layout[:, HORIZONTAL : HORIZONTAL + 1] * (1 - known.road)
-            image = resurfaced(image, known.road, ground, training.surfaces, at)
-        if float(torch.rand((), generator=at)) < training.shadows.share:
-            image = shaded(image, training.shadows, at)
+            image = augmentation.resurfaced(image, known.road, ground, vary.surface, at)
+        if chosen(vary.shadow.share):
+            image = augmentation.shaded(image, vary.shadow, at)
         cars = self._prepared.ego_cars
-        if cars and float(torch.rand((), generator=at)) < training.ego_cars.share:
-            car = varied(lent(cars, at), training.ego_cars, at)
-            image, seen = laid_over(image, seen, car)
-        if float(torch.rand((), generator=at)) < training.nights.share:
+        if cars and chosen(vary.ego_car.share):
+            car = augmentation.draw_ego_car(cars, vary.ego_car, at)
+            image, seen = augmentation.laid_over(image, seen, car)
+        if chosen(vary.night.share):
             known = Targets(*seen.split(PLANES, 1))
             unlit = (known.layout[:, SKY : SKY + 1] + known.ego).clamp_max(1)
-            image = at_night(image, unlit, training.nights, at)
-        image = relit(image, training.light, at)
+            image = augmentation.at_night(image, unlit, vary.night, at)
+        image = augmentation.relit(image, vary.light, at)
         return normalise(image[0], training.network.normalisation).pixels[None], seen
 
+    def _unvaried(self, member: int) -> tuple[Tensor, Targets]:
+        """A prepared picture (1,3,H,W) in [0,1], and its targets."""
+        training, prepared = self._training, self._prepared
+        file, network = prepared.files[member], None
+        arrays = self._read(file, "image", "maps", "ego")
+        image, maps, ego = (from_bytes(arrays[name])[None] for name in ("image", "maps", "ego"))
+        if prepared.labels:
+            network = from_bytes(self._read(prepared.labels[member], "maps")["maps"])[None]
+        targets = targets_of(maps, ego[None], network, training.teacher, training.rounds)
+        if file in prepared.said:
+            said = from_bytes(self._read(prepared.said[file], "said")["said"])[None]
+            targets = corrected_targets(targets, said, training.corrections.weight)
+        return image, targets
 
-def visits(shares: Tensor, count: int, at: torch.Generator) -> Tensor:
+
+def draw_members(shares: Tensor, count: int, at: torch.Generator) -> Tensor:
     """So many members, in a random order, each as often as its share of the sum says.
 
     shares: (n,), positive. Returns int64 (count,). Systematic sampling: a member whose fair number
@@ -150,7 +150,42 @@ def visits(shares: Tensor, count: int, at: torch.Generator) -> Tensor:
     return chosen[torch.randperm(count, generator=at)]
 
 
-# --- a run -----------------------------------------------------------------------------
+# --- loss -------------------------------------------------------------------------------
+
+
+class PictureLoss:
+    """The loss of one training: targets as they are, or hardened to one class."""
+
+    def __init__(self, training: PictureTraining) -> None:
+        self._targets = training.teacher.targets
+        self._weights = training.heads
+
+    def __call__(self, network: nn.Module, batch: Batch) -> Tensor:
+        """Sum over the batch's pictures of their mean loss."""
+        scores = network(batch.inputs).float()
+        small = F.adaptive_avg_pool2d(batch.targets, scores.shape[-2:])
+        targets = Targets(*small.split(PLANES, 1))
+        if self._targets == "hard":
+            best = F.one_hot(best_class(targets.layout)[:, 0], CLASSES).permute(0, 3, 1, 2)
+            road = (targets.road >= 0.5).to(targets.road)
+            targets = targets._replace(layout=best.to(targets.layout), road=road)
+        return target_loss(scores, targets, self._weights)
+
+
+def target_loss(scores: Tensor, targets: Targets, weights: HeadWeights) -> Tensor:
+    """Cross-entropy of scores (B,5,H,W), summed over pictures, mean over all their pixels."""
+
+    def binary(scores: Tensor, targets: Tensor) -> Tensor:
+        return F.binary_cross_entropy_with_logits(scores, targets, reduction="none")
+
+    layout = -(targets.layout * scores[:, :CLASSES].log_softmax(1)).sum(1, keepdim=True)
+    road = binary(scores[:, ROAD : ROAD + 1], targets.road) * targets.road_weight
+    ego = binary(scores[:, EGO:], targets.ego) * targets.ego_weight
+    loss = layout * targets.layout_weight + weights.road * road + weights.ego * ego
+    return loss.mean((1, 2, 3)).sum()
+
+
+# --- a run ------------------------------------------------------------------------------
 
 
 class PictureRecipe:
@@ -159,7 +194,7 @@ class PictureRecipe:
     def __init__(self, training: PictureTraining) -> None:
         self._training = training
         self.rounds = training.rounds.count
-        self.error_function = PictureError(training)
+        self.loss = PictureLoss(training)
         self._teachers = load_teachers(training.teacher)
         self._recordings: Mapping[str, Path] = {}
         self._prepared = Path()
@@ -177,11 +212,9 @@ class PictureRecipe:
         }
 
     def survey(self, pictures: Sequence[Picture], folder: Path, context: RunContext) -> None:
-        """Find the ego cars that recordings show."""
-        self._prepared = folder
-        self._recordings = find_ego_cars(
-            pictures, folder / EGO_CARS, self._training.recordings, context
-        )
+        """Find the ego cars that recordings show; ``folder`` keeps what is found."""
+        self._prepared, settings = folder, self._training.recordings
+        self._recordings = find_ego_cars(pictures, folder / EGO_CARS, settings, context)
 
     def make(self, image: Tensor, name: str) -> Arrays:
         """The picture at the network's size, with the teacher's maps and the ego car."""
@@ -194,7 +227,7 @@ class PictureRecipe:
         return said_planes(correction, (network.height, network.width))
 
     def network(self, number: int, last: LayoutNetwork | None) -> PictureNetwork:
-        """A new network, or the last one where rounds continue."""
+        """The network with which round ``number`` starts: a new one, or the last one."""
         if isinstance(last, PictureNetwork) and self._training.rounds.start == "continued":
             return last
         with seeded(self._training.random_seed, number):

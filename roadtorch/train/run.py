@@ -33,7 +33,7 @@ from roadtorch.train.corrections import (
 )
 from roadtorch.train.folder import CHECKPOINT, NO_CHECKPOINT, WEIGHTS, RunFolder, config_hash
 from roadtorch.train.loop import (
-    AverageWeights,
+    MovingAverage,
     RunContext,
     TrainingProgress,
     TrainingSetup,
@@ -206,14 +206,12 @@ class _Run:
         samples = self.recipe.samples(files, said, number, last, self.context)
         network = self.recipe.network(number, last)
         descent = paced(training.descent, training.corrections.halfway, len(self.corrections))
-        average = AverageWeights(network, descent.average)
+        average = MovingAverage(network, descent.ema)
         optimiser = make_optimiser(network, descent)
         if state:
             _go_on(network, average, optimiser, state, folder.path / CHECKPOINT)
-        error = self.recipe.error_function
-        setup = TrainingSetup(
-            network, average, optimiser, samples, error, descent, training.stopping
-        )
+        loss, stopping = self.recipe.loss, training.stopping
+        setup = TrainingSetup(network, average, optimiser, samples, loss, descent, stopping)
         if not state:
             save_checkpoint(setup, progress, self.context)
         train_round(setup, progress, self.context)
@@ -250,8 +248,10 @@ class _Run:
 def _progress_of(state: dict[str, Any], path: Path) -> TrainingProgress:
     """How far a checkpoint says the run is; WeightsError where it does not say."""
     try:
-        progress = TrainingProgress(**state["progress"])
-    except (KeyError, TypeError):
+        values = _with_current_names(state["progress"])
+        rows = [_with_current_names(row) for row in values.pop("rows")]
+        progress = TrainingProgress(**values, rows=rows)
+    except (KeyError, TypeError, AttributeError):
         raise WeightsError(path, *NO_CHECKPOINT) from None
     like = TrainingProgress()
     if any(type(getattr(progress, name)) is not type(value) for name, value in vars(like).items()):
@@ -259,9 +259,15 @@ def _progress_of(state: dict[str, Any], path: Path) -> TrainingProgress:
     return progress
 
 
+def _with_current_names(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of a checkpoint of format 1 or 2 under the names of format 2."""
+    names = {"error": "loss", "rate": "learning_rate"}
+    return {names.get(key, key): value for key, value in values.items()}
+
+
 def _go_on(
     network: LayoutNetwork,
-    average: AverageWeights,
+    average: MovingAverage,
     optimiser: torch.optim.Optimizer,
     state: dict[str, Any],
     path: Path,

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
-from torch.nn import functional as F
+from torch import Tensor
 from tqdm import tqdm
 
 from roadtorch.detector import Detector
@@ -26,8 +25,8 @@ from roadtorch.layout.picture_network import EGO, ROAD, PictureNetwork, potentia
 from roadtorch.road.ego import continued
 from roadtorch.road.fusion import log_odds
 from roadtorch.road.otsu import centred_odds
-from roadtorch.train.config import HeadWeights, PictureTraining, Rounds, Teacher
-from roadtorch.train.loop import Batch, RunContext
+from roadtorch.train.config import PictureTraining, Rounds, Teacher
+from roadtorch.train.loop import RunContext
 from roadtorch.train.prepared import Arrays, from_bytes, read_arrays, to_bytes, write_arrays
 
 # --- targets ----------------------------------------------------------------------------
@@ -103,38 +102,6 @@ def centred_as(likelihood: Tensor, settings: Teacher) -> Tensor:
     centre = math.log(settings.road_threshold / (1 - settings.road_threshold))
     odds = [centred_odds(each, centre, settings.centre) for each in log_odds(likelihood)]
     return torch.stack(odds).sigmoid()
-
-
-def target_error(scores: Tensor, targets: Targets, weights: HeadWeights) -> Tensor:
-    """Cross-entropy of scores (B,5,H,W), summed over pictures, mean over all their pixels."""
-    layout = -(targets.layout * scores[:, :CLASSES].log_softmax(1)).sum(1, keepdim=True)
-    road = _binary(scores[:, ROAD : ROAD + 1], targets.road) * targets.road_weight
-    ego = _binary(scores[:, EGO:], targets.ego) * targets.ego_weight
-    error = layout * targets.layout_weight + weights.road * road + weights.ego * ego
-    return error.mean((1, 2, 3)).sum()
-
-
-def _binary(scores: Tensor, targets: Tensor) -> Tensor:
-    return F.binary_cross_entropy_with_logits(scores, targets, reduction="none")
-
-
-class PictureError:
-    """The error function of one training: targets as they are, or hardened to one class."""
-
-    def __init__(self, training: PictureTraining) -> None:
-        self._targets = training.teacher.targets
-        self._weights = training.heads
-
-    def __call__(self, network: nn.Module, batch: Batch) -> Tensor:
-        """Sum over the batch's pictures of their mean error."""
-        scores = network(batch.inputs).float()
-        small = F.adaptive_avg_pool2d(batch.targets, scores.shape[-2:])
-        targets = Targets(*small.split(PLANES, 1))
-        if self._targets == "hard":
-            best = F.one_hot(best_class(targets.layout)[:, 0], CLASSES).permute(0, 3, 1, 2)
-            road = (targets.road >= 0.5).to(targets.road)
-            targets = targets._replace(layout=best.to(targets.layout), road=road)
-        return target_error(scores, targets, self._weights)
 
 
 # --- teachers ---------------------------------------------------------------------------
