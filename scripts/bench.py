@@ -63,10 +63,10 @@ def ratio(one: Sequence[float], other: Sequence[float]) -> float:
 
 def lraspp(image: Tensor) -> Callable[[], Any]:
     """torchvision's small network for segmentation on this image, with random weights."""
-    from scripts.torchvision_shim import torchvision
+    from roadtorch.runtime.vision import import_torchvision
 
     torch.manual_seed(0)
-    segmentation = torchvision.models.segmentation
+    segmentation = import_torchvision().models.segmentation
     network = segmentation.lraspp_mobilenet_v3_large(weights=None, weights_backbone=None).eval()
 
     @torch.inference_mode()

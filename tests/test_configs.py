@@ -20,7 +20,7 @@ cameras (``train/choose_many.py``)."""
 
 @pytest.mark.parametrize("path", TRAINING, ids=lambda path: path.stem)
 def test_every_training_config_is_one(path: Path) -> None:
-    assert read_training(path).descent.rate > 0
+    assert read_training(path).descent.learning_rate > 0
 
 
 def test_the_papers_config_is_to_the_letter_where_the_paper_says() -> None:
@@ -30,9 +30,13 @@ def test_the_papers_config_is_to_the_letter_where_the_paper_says() -> None:
     assert paper.network.topology == Topology()
     assert paper.network.normalisation.kind == "fixed"
     assert paper.labeller.support == "maximum"
-    assert (paper.descent.method, paper.descent.momentum, paper.descent.decay) == ("sgd", 0, 0)
-    assert (paper.sites.around, paper.balance) == (4, "none")
-    assert (paper.stopping.rule, paper.stopping.fall) == ("fall", 0.001)
+    assert (paper.descent.method, paper.descent.momentum, paper.descent.weight_decay) == (
+        "sgd",
+        0,
+        0,
+    )
+    assert (paper.centres.around, paper.balance) == (4, "none")
+    assert (paper.stopping.rule, paper.stopping.min_delta) == ("plateau", 0.001)
     assert 320 * 240 / paper.superpixels.pixels == 4.8e6 / 500 / 5
 
 

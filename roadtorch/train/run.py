@@ -249,7 +249,7 @@ def _progress_of(state: dict[str, Any], path: Path) -> TrainingProgress:
     """How far a checkpoint says the run is; WeightsError where it does not say."""
     try:
         values = _with_current_names(state["progress"])
-        rows = [_with_current_names(row) for row in values.pop("rows")]
+        rows = [_with_current_names(row) for row in values.pop("rows", [])]
         progress = TrainingProgress(**values, rows=rows)
     except (KeyError, TypeError, AttributeError):
         raise WeightsError(path, *NO_CHECKPOINT) from None

@@ -44,7 +44,7 @@ def types(line: str) -> list[str]:
         ("evaluate camvid . --detector cpf* --set threshold", ["threshold="]),
         ("label --set supp", ["support="]),
         ("train --config adapt --set teacher.mar", ["teacher.margin="]),
-        ("train --config cnn7 --set sites.", ["sites.around=", "sites.distance="]),
+        ("train --config cnn7 --set centres.", ["centres.around=", "centres.distance="]),
         ("train --config adapt --set start=", ["start=cnn-7", "start=layout", "start=layout-free"]),
         ("train --config ad", ["adapt"]),
         (

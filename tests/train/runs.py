@@ -59,13 +59,13 @@ count = 2
 separator = "_"
 least = 5
 
-[ego_cars]
+[augmentation.ego_car]
 share = 0.5
 
 [descent]
 batch = 2
 method = "adam"
-rate = 0.01
+learning_rate = 0.01
 
 [stopping]
 rule = "epochs"

@@ -119,7 +119,7 @@ def test_labelled_pictures_of_other_settings_are_told(
     finished: tuple[Training, Request], tmp_path: Path
 ) -> None:
     training, request = finished
-    other = build_training({**training.model_dump(), "sites": {"around": 1}})
+    other = build_training({**training.model_dump(), "centres": {"around": 1}})
 
     with pytest.raises(ConfigError, match="holds pictures prepared with other settings"):
         train(other, changed(request, out=tmp_path / "new"))
@@ -137,7 +137,7 @@ def test_files_of_somebody_else_are_not_overwritten(streets: Path, tmp_path: Pat
 @pytest.mark.parametrize(
     ("state", "what"),
     [
-        ({"format": 2}, "has the format 2; this roadtorch reads up to 1"),
+        ({"format": 3}, "has the format 3; this roadtorch reads up to 2"),
         (b"<html></html>", "is damaged or no checkpoint"),
         (b"", "is damaged or no checkpoint"),
         ({"format": 1}, "is damaged or no checkpoint"),
@@ -263,5 +263,7 @@ def test_mistakes_in_the_config_are_one_line(
 
 
 def test_ego_cars_of_footage_whose_recordings_are_not_known_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"ego_cars.share: is 0.5, .*recordings.separator"):
-        build_training({"kind": "pictures", "ego_cars": {"share": 0.5}})
+    with pytest.raises(
+        ConfigError, match=r"augmentation.ego_car.share: is 0.5, .*recordings.separator"
+    ):
+        build_training({"kind": "pictures", "augmentation": {"ego_car": {"share": 0.5}}})

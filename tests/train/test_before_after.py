@@ -75,7 +75,7 @@ def test_a_run_from_weights_ends_with_a_page(
     assert "All there are, the most changed first." in page
     assert "agrees with the teacher on layout" in page
     assert "The teacher is the detector labeller" in page
-    assert 'aria-label="Mean error of the epochs"' in page
+    assert 'aria-label="Mean loss of the epochs"' in page
     assert 'aria-label="Trust of each picture before and after"' in page
     # With labels: F before and after, and the paired interval.
     assert "folder" in page

@@ -21,9 +21,9 @@ from roadtorch.train.config import Descent, Training
 from roadtorch.train.corrections import (
     HALFWAY,
     MOST,
-    LabelledSites,
+    LabelledCentres,
+    corrected_centres,
     corrected_shares,
-    corrected_sites,
     corrected_targets,
     corrections_told,
     paced,
@@ -123,13 +123,13 @@ def test_files_are_repeated_until_corrected_ones_are_their_share() -> None:
 
 def test_patches_are_taken_where_people_named_a_class() -> None:
     said = said_layout(correction(quarters(48, 64)), (48, 64))
-    sites = LabelledSites(
+    sites = LabelledCentres(
         torch.tensor([[2, 2], [2, 60], [40, 2], [40, 60]], dtype=torch.int16),
         torch.tensor([1, 1, 1, 1], dtype=torch.uint8),
         torch.ones(4),
     )
 
-    found = corrected_sites(sites, said, 2.5)
+    found = corrected_centres(sites, said, 2.5)
 
     assert found.centres[:2].tolist() == [[2, 60], [40, 60]]  # the others were spoken of
     assert set(found.classes[2:].tolist()) == {0, 2}
@@ -142,12 +142,12 @@ def corrected_street(streets: Path, number: int = 0) -> Correction:
 
 
 def test_few_corrected_pictures_shorten_the_steps() -> None:
-    descent = Descent(rate=0.3, batch=7)
+    descent = Descent(learning_rate=0.3, batch=7)
     assert paced(descent, 10, 0) == descent
     assert paced(descent, 0, 5) == descent
-    assert paced(descent, 10, 5).rate == pytest.approx(0.1)
+    assert paced(descent, 10, 5).learning_rate == pytest.approx(0.1)
     assert paced(descent, 10, 5).batch == 7
-    assert paced(descent, 10, 1000).rate < descent.rate
+    assert paced(descent, 10, 1000).learning_rate < descent.learning_rate
 
 
 def test_a_run_paces_its_steps_by_the_corrected_pictures(

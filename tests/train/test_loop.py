@@ -1,13 +1,24 @@
-"""One step of training, in either precision."""
+"""One step of training, in either precision; the moving average of the weights."""
 
 import pytest
 import torch
+from torch import nn
 
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.train.config import Descent, PictureTraining, Stopping
-from roadtorch.train.loop import AverageWeights, Batch, TrainingSetup, make_optimiser, step
+from roadtorch.train.loop import (
+    WARM_UP_STEPS,
+    Batch,
+    MovingAverage,
+    TrainingSetup,
+    make_optimiser,
+    step,
+)
+from roadtorch.train.pictures import PictureLoss
 from roadtorch.train.processes import Processes
-from roadtorch.train.teachers import PLANES, PictureError
+from roadtorch.train.teachers import PLANES
+
+# --- a step --------------------------------------------------------------------------------
 
 
 class OneBatch:
@@ -20,16 +31,16 @@ class OneBatch:
 
 
 def stepped(precision: str) -> tuple[float, PictureNetwork]:
-    """The error of one step on random pictures, and the network after it."""
+    """The loss of one step on random pictures, and the network after it."""
     torch.manual_seed(0)
     network = PictureNetwork(PictureNetworkSettings(height=32, width=40, narrow=8, wide=8))
-    descent = Descent.model_validate({"rate": 0.1, "precision": precision})
+    descent = Descent.model_validate({"learning_rate": 0.1, "precision": precision})
     setup = TrainingSetup(
         network,
-        AverageWeights(network, 0.0),
+        MovingAverage(network, 0.0),
         make_optimiser(network, descent),
         OneBatch(),  # type: ignore[arg-type]
-        PictureError(PictureTraining()),
+        PictureLoss(PictureTraining()),
         descent,
         Stopping(),
     )
@@ -40,10 +51,59 @@ def stepped(precision: str) -> tuple[float, PictureNetwork]:
 
 
 def test_a_step_in_bfloat16_is_that_in_float32_to_its_digits() -> None:
-    (error, network), (coarse, other) = stepped("float32"), stepped("bfloat16")
+    (loss, network), (coarse, other) = stepped("float32"), stepped("bfloat16")
 
-    assert coarse != error
-    assert coarse == pytest.approx(error, rel=0.01)
+    assert coarse != loss
+    assert coarse == pytest.approx(loss, rel=0.01)
     for one, two in zip(network.parameters(), other.parameters(), strict=True):
         assert two.dtype == torch.float32
         torch.testing.assert_close(two, one, atol=2e-3, rtol=0.02)
+
+
+# --- the moving average --------------------------------------------------------------------
+
+
+def with_weight(value: float) -> nn.Linear:
+    network = nn.Linear(1, 1)
+    with torch.no_grad():
+        network.weight.fill_(value)
+        network.bias.fill_(-value)
+    return network
+
+
+def weight_of(average: MovingAverage[nn.Linear]) -> float:
+    torch.testing.assert_close(average.network.bias, -average.network.weight[0])
+    return average.network.weight.item()
+
+
+def test_in_the_beginning_it_keeps_as_many_steps_as_there_were_of_those_and_ten_more() -> None:
+    network, ten = with_weight(5.0), WARM_UP_STEPS
+    average = MovingAverage(network, 0.999)
+
+    average.add(with_weight(1.0), 1)
+    assert weight_of(average) == pytest.approx((1 * 5.0 + ten * 1.0) / (1 + ten))
+
+    average.add(with_weight(3.0), 2)
+    before = (5.0 + ten) / (1 + ten)
+    assert weight_of(average) == pytest.approx((2 * before + ten * 3.0) / (2 + ten))
+    assert network.weight.item() == 5.0  # the network that is trained is not touched
+
+
+def test_later_it_keeps_the_share_that_is_asked_for() -> None:
+    """With a share of 0.8, from step 40 on a step counts 0.2 of what follows it, by powers."""
+    average = MovingAverage(with_weight(0.0), 0.8)
+    steps = range(4 * WARM_UP_STEPS, 4 * WARM_UP_STEPS + 30)
+
+    for number in steps:
+        average.add(with_weight(float(number)), number)
+
+    wanted = sum(0.2 * 0.8 ** (steps[-1] - number) * number for number in steps)
+    assert weight_of(average) == pytest.approx(wanted, rel=1e-5)
+
+
+def test_a_share_of_nothing_is_the_last_step() -> None:
+    average = MovingAverage(with_weight(5.0), 0.0)
+
+    average.add(with_weight(-2.0), 1000)
+
+    assert weight_of(average) == -2.0

@@ -1,6 +1,7 @@
-"""Patches: jitter, noise, all of a picture in one pass."""
+"""Patches: where they are taken, how they are cut and varied, their batches and their loss."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +10,85 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from roadtorch.errors import InputError
+from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
+from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings
 from roadtorch.layout.reflection import reflected
-from roadtorch.train.config import Jitter
-from roadtorch.train.patches import Draw, add_noise, cut_patches, draw_jitter, draw_noise
+from roadtorch.train.config import PatchAugmentation, PatchCentres, PatchTraining, build_training
+from roadtorch.train.loop import Batch
+from roadtorch.train.patches import (
+    Draw,
+    PatchSamples,
+    add_noise,
+    class_weights,
+    cut_patches,
+    draw_noise,
+    draw_variation,
+    find_centres,
+    prepare_patches,
+    squared_error,
+)
+from roadtorch.train.prepared import write_arrays
+from roadtorch.train.processes import Processes
 from tests.reference import network as reference
+from tests.streets import scene
+
+
+def training_of(**values: object) -> PatchTraining:
+    training = build_training({"mix": 2, "passes": 2, **values})
+    assert isinstance(training, PatchTraining)
+    return training
+
+
+def seeded(seed: int) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+# --- where ---------------------------------------------------------------------------------
+
+
+def test_centres_are_centroids_and_places_around_them() -> None:
+    segments = torch.zeros(9, 20, dtype=torch.int64)
+    segments[:, 11:] = 1  # centroids (4, 5) and (4, 15)
+
+    centres = find_centres(segments, PatchCentres(around=4, distance=2))
+
+    wanted = [[4, 5], [6, 5], [4, 7], [2, 5], [4, 3], [4, 15], [6, 15], [4, 17], [2, 15], [4, 13]]
+    assert centres.tolist() == wanted
+
+
+def test_centres_stay_inside_the_picture() -> None:
+    segments = torch.zeros(4, 6, dtype=torch.int64)
+
+    centres = find_centres(segments, PatchCentres(around=8, distance=50))
+
+    assert (centres.amin(0).tolist(), centres.amax(0).tolist()) == ([0, 0], [3, 5])
+
+
+def test_a_street_gives_patches_with_the_labels_of_what_is_there() -> None:
+    street = scene(4)
+
+    arrays = prepare_patches(street.image, training_of())
+
+    rows, columns = arrays["centres"].long().T
+    truth = street.layout[rows, columns]
+    assert arrays["image"].shape == (3, 240, 320)
+    assert arrays["image"].dtype == torch.uint8
+    assert len(rows) > 600
+    assert set(arrays["classes"].tolist()) == {SKY, VERTICAL, HORIZONTAL}
+    assert (truth == arrays["classes"]).float().mean() > 0.85
+
+
+def test_certain_labels_are_fewer_than_those_of_largest_support() -> None:
+    image = scene(4, 60, 80).image
+
+    def count(support: str) -> int:
+        return len(prepare_patches(image, training_of(labeller={"support": support}))["classes"])
+
+    assert 0 < count("margin") < count("maximum")
+
+
+# --- how they are cut ----------------------------------------------------------------------
 
 
 def drawn(centre: Tensor, scale: float = 1.0, turn: float = 0.0, noise: float = 0.0) -> Draw:
@@ -20,8 +96,8 @@ def drawn(centre: Tensor, scale: float = 1.0, turn: float = 0.0, noise: float = 
     return Draw(centre.float(), each * scale, each * turn, each * noise, torch.arange(len(centre)))
 
 
-def test_without_jitter_a_patch_is_what_the_network_sees_at_that_pixel() -> None:
-    pixels = torch.randn(3, 20, 24, generator=torch.Generator().manual_seed(1))
+def test_without_variation_a_patch_is_what_the_network_sees_at_that_pixel() -> None:
+    pixels = torch.randn(3, 20, 24, generator=seeded(1))
     centres = torch.tensor([[0, 0], [19, 23], [7, 12]])
 
     patches = cut_patches(pixels, drawn(centres), 32)
@@ -33,10 +109,10 @@ def test_without_jitter_a_patch_is_what_the_network_sees_at_that_pixel() -> None
 
 @settings(max_examples=15)
 @given(st.floats(0.6, 1.4), st.floats(-17, 17), st.integers(0, 17), st.integers(0, 22))
-def test_jittered_patches_equal_those_cut_pixel_by_pixel(
+def test_varied_patches_equal_those_cut_pixel_by_pixel(
     scale: float, degrees: float, row: int, column: int
 ) -> None:
-    pixels = torch.rand(3, 18, 23, generator=torch.Generator().manual_seed(2))
+    pixels = torch.rand(3, 18, 23, generator=seeded(2))
     turn = math.radians(degrees)
     centre = torch.tensor([[row, column]])
 
@@ -46,18 +122,8 @@ def test_jittered_patches_equal_those_cut_pixel_by_pixel(
     np.testing.assert_allclose(patch.numpy(), wanted, atol=2e-4)
 
 
-def test_magnification_makes_things_larger() -> None:
-    pixels = torch.zeros(3, 41, 41)
-    pixels[:, 18:23, 18:23] = 1
-    centre = torch.tensor([[20, 20]])
-
-    small, large = (cut_patches(pixels, drawn(centre, s), 32).sum() for s in (0.6, 1.4))
-
-    assert small < pixels.sum() < large
-
-
-def test_jitter_stays_within_its_bounds_and_fills_them() -> None:
-    draw = draw_jitter(torch.zeros(4000, 2), Jitter(), torch.Generator().manual_seed(0))
+def test_variation_stays_within_its_bounds_and_fills_them() -> None:
+    draw = draw_variation(torch.zeros(4000, 2), PatchAugmentation(), seeded(0))
 
     for values, low, high in [
         (draw.scale, 0.6, 1.4),
@@ -69,11 +135,99 @@ def test_jitter_stays_within_its_bounds_and_fills_them() -> None:
 
 
 def test_noise_is_in_grey_levels_of_255_whatever_the_gain() -> None:
-    generator = torch.Generator().manual_seed(5)
-    draw = draw_jitter(torch.zeros(300, 2), Jitter(faintest=0.8, noisiest=0.8), generator)
+    generator = seeded(5)
+    same = PatchAugmentation(min_noise=0.8, max_noise=0.8)
+    draw = draw_variation(torch.zeros(300, 2), same, generator)
 
     noise = add_noise(torch.zeros(300, 3, 32, 32), draw, draw_noise(32, generator), gain=4.0)
 
     assert float(noise.std()) * 255 / 4 == pytest.approx(0.8, rel=0.01)
     assert abs(float(noise.mean())) < 1e-3
     assert not torch.equal(noise[0], noise[1])
+
+
+# --- batches -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> list[Path]:
+    """Three prepared pictures with 7, 40 and 0 patches; the class is the row modulo 3."""
+    generator = seeded(9)
+    paths = []
+    for number, count in enumerate((7, 40, 0)):
+        image = torch.randint(256, (3, 30, 40), generator=generator).to(torch.uint8)
+        centres = torch.randint(30, (count, 2), generator=generator).to(torch.int16)
+        classes = (centres[:, 0] % 3).to(torch.uint8)
+        paths.append(tmp_path / f"{number}.npz")
+        write_arrays(paths[-1], {"image": image, "centres": centres, "classes": classes})
+    return paths
+
+
+def all_batches(
+    files: list[Path], training: PatchTraining, processes: Processes, epoch: int
+) -> list[Batch]:
+    samples = PatchSamples(files, training, processes)
+    return [b for chunk in range(samples.chunks) for b in samples.batches(epoch, chunk)]
+
+
+def test_an_epoch_has_every_patch_once(files: list[Path]) -> None:
+    batches = all_batches(files, training_of(descent={"batch": 8}), Processes(), epoch=0)
+
+    targets = torch.cat([batch.targets for batch in batches])
+    assert sum(batch.count for batch in batches) == len(targets) == 47
+    assert all(len(batch.inputs) == batch.count for batch in batches)
+    assert max(batch.count for batch in batches) <= 12
+    assert {tuple(batch.inputs.shape[1:]) for batch in batches} == {(3, 32, 32)}
+
+
+def test_epochs_differ_and_each_is_the_same_again(files: list[Path]) -> None:
+    training = training_of()
+
+    one, again, two = (all_batches(files, training, Processes(), epoch) for epoch in (0, 0, 1))
+
+    assert all(torch.equal(a.inputs, b.inputs) for a, b in zip(one, again, strict=True))
+    assert not torch.equal(one[0].inputs[:3], two[0].inputs[:3])
+
+
+@pytest.mark.parametrize("size", [2, 3])
+def test_the_shares_of_a_team_are_the_batches_of_one(files: list[Path], size: int) -> None:
+    training = training_of(descent={"batch": 8})
+
+    alone = all_batches(files, training, Processes(), epoch=2)
+    shares = [all_batches(files, training, Processes(rank, size), 2) for rank in range(size)]
+
+    for whole, *parts in zip(alone, *shares, strict=True):
+        assert all(part.count == whole.count for part in parts)
+        for rank, part in enumerate(parts):
+            torch.testing.assert_close(part.inputs, whole.inputs[rank::size])
+            assert part.targets.tolist() == whole.targets[rank::size].tolist()
+
+
+def test_classes_weigh_the_same_where_asked(files: list[Path]) -> None:
+    batches = all_batches(files, training_of(balance="classes"), Processes(), epoch=0)
+
+    targets = torch.cat([batch.targets for batch in batches])
+    weights = torch.cat([batch.weights for batch in batches])
+    sums = torch.bincount(targets, weights=weights, minlength=3)
+    torch.testing.assert_close(sums, torch.full((3,), 47 / 3))
+    assert class_weights(files, training_of()).tolist() == [1, 1, 1]
+
+
+def test_pictures_without_a_certain_label_are_told(files: list[Path]) -> None:
+    with pytest.raises(InputError, match=r"no superpixel whose label is certain"):
+        PatchSamples(files[2:], training_of(), Processes())
+
+
+def test_the_loss_is_the_sum_of_squares_to_one_hot() -> None:
+    network = PatchNetwork(PatchNetworkSettings())
+    inputs = torch.randn(4, 3, 32, 32, generator=seeded(3))
+    targets, weights = torch.tensor([0, 2, 1, 1]), torch.tensor([1.0, 2.0, 1.0, 0.5])
+
+    loss = squared_error(network, Batch(inputs, targets, weights, 4))
+
+    said = network(inputs).detach().numpy()
+    wanted = sum(
+        float(w) * sum((said[i, k] - (k == t)) ** 2 for k in range(3))
+        for i, (t, w) in enumerate(zip(targets.tolist(), weights.tolist(), strict=True))
+    )
+    assert loss.item() == pytest.approx(wanted, rel=1e-5)

@@ -15,7 +15,7 @@ from tests.train.runs import CONFIGS, request_of, rows_of, run, torchrun, traini
 
 TOLERANCE = 1e-4  # of the weights after a few dozen steps: sums in another order
 
-DESCENT = ("descent.method=sgd", "descent.rate=0.05", "descent.average=0.7")
+DESCENT = ("descent.method=sgd", "descent.learning_rate=0.05", "descent.ema=0.7")
 
 MEMBER = """
 import os, runpy, sys, torch

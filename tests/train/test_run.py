@@ -50,7 +50,7 @@ def test_a_run_leaves_weights_a_log_a_curve_and_a_list(
     assert (origin["pictures"], origin["epochs"], origin["finished"]) == (5, 2, True)
     rows = rows_of(out)
     assert [(row["round"], row["epoch"]) for row in rows] == [("1", "1"), ("1", "2")]
-    assert float(rows[1]["error"]) < float(rows[0]["error"])
+    assert float(rows[1]["loss"]) < float(rows[0]["loss"])
     assert (out / "curve.png").read_bytes().startswith(b"\x89PNG")
     assert (out / "pictures.csv").read_text().count("used") == 5
     assert not list(out.rglob("*.part"))
@@ -76,8 +76,8 @@ def test_rounds_begin_with_the_labels_of_the_last_network(
 def test_training_stops_when_the_error_falls_by_no_more(
     fall: str, epochs: int, streets: Path, kept: Path, tmp_path: Path
 ) -> None:
-    slow = "descent.rate=0.02"  # so slow that the error falls at each of four epochs
-    rules = ("stopping.rule=fall", "stopping.epochs=4", f"stopping.fall={fall}", slow)
+    slow = "descent.learning_rate=0.02"  # so slow that the error falls at each of four epochs
+    rules = ("stopping.rule=plateau", "stopping.epochs=4", f"stopping.min_delta={fall}", slow)
     training = training_of("patches", tmp_path, *rules)
 
     train(training, request_of(streets, kept, tmp_path / "run", "patches"))
@@ -90,7 +90,7 @@ def test_an_error_that_is_no_number_is_told(
 ) -> None:
     monkeypatch.setattr(loop, "step", lambda *_: math.nan)
 
-    with pytest.raises(ConfigError, match=r"descent.rate: the error is no longer a number"):
+    with pytest.raises(ConfigError, match=r"descent.learning_rate: the loss is no longer a number"):
         train(
             training_of("patches", tmp_path), request_of(streets, kept, tmp_path / "run", "patches")
         )
@@ -99,7 +99,7 @@ def test_an_error_that_is_no_number_is_told(
 def test_the_weights_that_are_written_are_the_mean_over_the_steps(
     streets: Path, kept: Path, tmp_path: Path
 ) -> None:
-    changes = ("rounds.count=1", "stopping.epochs=1", "descent.batch=5", "descent.average=0.9")
+    changes = ("rounds.count=1", "stopping.epochs=1", "descent.batch=5", "descent.ema=0.9")
     training = training_of("pictures", tmp_path, *changes)
 
     train(training, request_of(streets, kept, tmp_path / "run", "pictures"))
@@ -118,7 +118,12 @@ def test_the_weights_that_are_written_are_the_mean_over_the_steps(
 
 def test_the_ego_car_that_footage_shows_is_in_the_pictures_made_ready(tmp_path: Path) -> None:
     footage = write_bonnets(tmp_path / "footage", 8)
-    changes = ("ego_cars.share=1.0", "recordings.least=8", "rounds.count=1", "stopping.epochs=1")
+    changes = (
+        "augmentation.ego_car.share=1.0",
+        "recordings.least=8",
+        "rounds.count=1",
+        "stopping.epochs=1",
+    )
 
     outcome = train(
         training_of("pictures", tmp_path, *changes),
@@ -178,7 +183,7 @@ def test_a_run_can_start_from_the_weights_of_another(
 ) -> None:
     first = tmp_path / "first" / "weights.safetensors"
     train(training_of(kind, tmp_path), request_of(streets, kept, first.parent, kind))
-    changes = [f"start={json.dumps(str(first))}", "descent.rate=1e-9"]
+    changes = [f"start={json.dumps(str(first))}", "descent.learning_rate=1e-9"]
     changes += ["rounds.count=1", "rounds.start=continued"] if kind == "pictures" else []
 
     train(training_of(kind, tmp_path, *changes), request_of(streets, kept, tmp_path / "run", kind))
@@ -196,7 +201,7 @@ def test_a_run_can_start_from_weights_that_learned_at_another_size(
     first, run = tmp_path / "first.safetensors", tmp_path / "run"
     larger = PictureNetworkSettings(height=40, width=48, narrow=8, wide=8)
     save_network(first, PictureNetwork(larger), {})
-    changes = [f"start={json.dumps(str(first))}", "descent.rate=1e-9"]
+    changes = [f"start={json.dumps(str(first))}", "descent.learning_rate=1e-9"]
     changes += ["rounds.count=1", "rounds.start=continued"]
 
     train(training_of("pictures", tmp_path, *changes), request_of(streets, kept, run, "pictures"))
@@ -237,7 +242,7 @@ def interrupt_after(steps: int, number: signal.Signals, patch: pytest.MonkeyPatc
 
 @pytest.mark.parametrize(
     ("kind", "change"),
-    [("patches", "descent.momentum=0.9"), ("pictures", "descent.average=0.7")],
+    [("patches", "descent.momentum=0.9"), ("pictures", "descent.ema=0.7")],
 )
 def test_a_run_in_pieces_ends_with_the_bits_of_a_whole_one(
     kind: str,

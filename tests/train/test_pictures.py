@@ -1,4 +1,4 @@
-"""Batches of whole pictures: every picture once, the same for any number of processes."""
+"""Whole pictures: varied batches with their targets, how often each comes, the loss."""
 
 from pathlib import Path
 
@@ -7,8 +7,22 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadtorch.train.config import PictureTraining, build_training
-from roadtorch.train.pictures import PictureSamples, Prepared, visits
+from roadtorch.runtime.signals import Stop
+from roadtorch.train import pictures
+from roadtorch.train.config import (
+    HeadWeights,
+    PictureTraining,
+    build_training,
+)
+from roadtorch.train.folder import RunFolder
+from roadtorch.train.loop import Batch, RunContext
+from roadtorch.train.pictures import (
+    PictureLoss,
+    PictureSamples,
+    Prepared,
+    draw_members,
+    target_loss,
+)
 from roadtorch.train.prepared import write_arrays
 from roadtorch.train.processes import Processes
 from roadtorch.train.teachers import PLANES, Targets
@@ -72,7 +86,9 @@ def training_of(**values: object) -> PictureTraining:
 
 
 def test_an_epoch_has_every_picture_once(files: list[Path]) -> None:
-    samples = PictureSamples(prepared(files, []), 0, training_of(light=DARK), Processes())
+    samples = PictureSamples(
+        prepared(files, []), 0, training_of(augmentation={"light": DARK}), Processes()
+    )
 
     batches = [batch for chunk in range(samples.chunks) for batch in samples.batches(0, chunk)]
 
@@ -86,7 +102,7 @@ def test_an_epoch_has_every_picture_once(files: list[Path]) -> None:
 def test_the_shares_of_a_team_are_the_batches_of_one(
     files: list[Path], labels: list[Path], size: int
 ) -> None:
-    training = training_of(ego_cars={"share": 0.5})
+    training = training_of(augmentation={"ego_car": {"share": 0.5}})
     given = prepared(files, labels, shows_ego=True)
     (alone,) = PictureSamples(given, 1, training, Processes()).batches(3, 0)
 
@@ -115,7 +131,8 @@ def test_rounds_and_epochs_draw_differently(files: list[Path]) -> None:
 def said_of(given: Prepared, share: float) -> Targets:
     """The targets of an epoch whose pictures stay in their frame."""
     still = {"scale": 0.0, "stretch": 0.0, "rotation": 0.0, "move": 0.0}
-    training = training_of(shift=still, ego_cars={"share": share}, descent={"batch": 5})
+    varied = {"geometry": still, "ego_car": {"share": share}}
+    training = training_of(augmentation=varied, descent={"batch": 5})
     (batch,) = PictureSamples(given, 0, training, Processes()).batches(0, 0)
     return Targets(*batch.targets.split(PLANES, 1))
 
@@ -146,7 +163,7 @@ def test_where_no_footage_shows_one_a_share_changes_nothing(files: list[Path]) -
 
 @given(st.integers(1, 400), st.floats(1e-3, 1e3), st.integers(0, 2**31))
 def test_with_equal_shares_everyone_is_visited_once(count: int, share: float, seed: int) -> None:
-    order = visits(torch.full((count,), share), count, seeded(seed))
+    order = draw_members(torch.full((count,), share), count, seeded(seed))
 
     assert sorted(order.tolist()) == list(range(count))
 
@@ -154,7 +171,9 @@ def test_with_equal_shares_everyone_is_visited_once(count: int, share: float, se
 def test_the_order_is_drawn() -> None:
     at, shares = seeded(1), torch.ones(50)
 
-    assert not torch.equal(visits(shares, len(shares), at), visits(shares, len(shares), at))
+    assert not torch.equal(
+        draw_members(shares, len(shares), at), draw_members(shares, len(shares), at)
+    )
 
 
 @given(st.lists(st.floats(0.01, 10), min_size=1, max_size=60), st.integers(0, 2**31))
@@ -163,7 +182,7 @@ def test_nobody_is_visited_a_whole_time_more_or_less_than_is_fair(
 ) -> None:
     shares = torch.tensor(values)
 
-    found = visits(shares, len(shares), seeded(seed)).bincount(minlength=len(shares))
+    found = draw_members(shares, len(shares), seeded(seed)).bincount(minlength=len(shares))
 
     fair = shares.double() / shares.double().sum() * len(shares)
     assert found.sum() == len(shares)
@@ -173,8 +192,94 @@ def test_nobody_is_visited_a_whole_time_more_or_less_than_is_fair(
 def test_shares_of_one_and_three_are_visited_in_that_ratio() -> None:
     shares, at = torch.tensor([1.0, 3.0]).repeat(5), seeded(2)
 
-    drawn = sum(visits(shares, len(shares), at).bincount(minlength=10) for _ in range(2000))
+    drawn = sum(draw_members(shares, len(shares), at).bincount(minlength=10) for _ in range(2000))
 
     assert isinstance(drawn, torch.Tensor)
     fair = torch.tensor([0.5, 1.5]).repeat(5)
     torch.testing.assert_close(drawn / 2000, fair, atol=0.05, rtol=0)  # 4.5 deviations
+
+
+# --- a run's footage ----------------------------------------------------------------------
+
+
+def write_ego(file: Path, seen: bool) -> Path:
+    """A prepared picture that shows an ego car, or of which nothing is known."""
+    file.parent.mkdir(exist_ok=True)
+    write_arrays(file, {"ego": torch.full((2, 2), 255 if seen else 128, dtype=torch.uint8)})
+    return file
+
+
+@pytest.mark.parametrize(("evenness", "share"), [(0.0, 1.0), (0.5, 3**-0.5), (1.0, 1 / 3)])
+def test_recordings_are_told_by_the_names_of_pictures_wherever_they_are_kept(
+    evenness: float, share: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kept folder's own name has the separator; the names of two pictures have none."""
+    folder = tmp_path / "kept_here"
+    files = [write_ego(folder / f"{name}.png.npz", name != "a_1") for name in PICTURES]
+    made = pictures.PictureRecipe(
+        training_of(
+            recordings={"separator": "_", "evenness": evenness}, teacher={"detector": "labeller"}
+        )
+    )
+    context = RunContext(Processes(), RunFolder(tmp_path), Stop(), quiet=True)
+    given: list[Prepared] = []
+    monkeypatch.setattr(pictures, "PictureSamples", lambda prepared, *_: given.append(prepared))
+
+    made.survey([], folder, context)
+    made.samples(files, {}, 0, None, context)
+
+    assert given[0].shares.tolist() == pytest.approx([share, share, share, 1, 1])
+    assert given[0].ego_cars == {"a": files[1:3], "b": files[3:4], "c": files[4:]}
+
+
+PICTURES = ("a_1", "a_2", "a_3", "b", "c")
+
+
+# --- the loss -----------------------------------------------------------------------------
+
+
+def test_the_loss_is_small_for_right_scores_and_ignores_what_does_not_count() -> None:
+    layout = torch.tensor([1.0, 0, 0]).reshape(1, 3, 1, 1).expand(2, 3, 4, 4)
+    ones = torch.ones(2, 1, 4, 4)
+    right = torch.tensor([20.0, -20, -20, 20, -30]).reshape(1, 5, 1, 1).expand(2, 5, 4, 4)
+    targets = Targets(layout, ones, ones, ones, 0 * ones, ones)
+
+    def loss(scores: torch.Tensor, road: float, ego: float, said: Targets = targets) -> float:
+        return float(target_loss(scores, said, HeadWeights(road=road, ego=ego)))
+
+    assert loss(right, 1, 1) < 1e-6
+    assert loss(-right, 1, 1) == pytest.approx(2 * (40 + 20 + 30), rel=0.02)
+    assert loss(-right, 1, 0) == pytest.approx(2 * (40 + 20), rel=0.02)
+    assert loss(-right, 0, 0.5) == pytest.approx(2 * (40 + 15), rel=0.02)
+    nothing = targets._replace(layout_weight=0 * ones, road_weight=0 * ones, ego_weight=0 * ones)
+    assert loss(-right, 1, 1, nothing) == 0
+
+
+@pytest.mark.parametrize("targets", ["hard", "soft"])
+def test_targets_are_the_best_class_or_the_potentials(targets: str) -> None:
+    training = build_training(
+        {"kind": "pictures", "teacher": {"targets": targets}, "heads": {"ego": 2.0}}
+    )
+    assert isinstance(training, PictureTraining)
+    planes = torch.tensor([0.6, 0.3, 0.1, 1.0, 0.7, 1.0, 0.8, 1.0]).reshape(1, 8, 1, 1)
+    scores = torch.zeros(1, 5, 1, 1, requires_grad=True)
+
+    PictureLoss(training)(torch.nn.Identity(), Batch(scores, planes, torch.ones(1), 1)).backward()
+
+    assert scores.grad is not None
+    wanted = [1.0, 0, 0, 1.0] if targets == "hard" else [0.6, 0.3, 0.1, 0.7]
+    start = torch.tensor([1 / 3, 1 / 3, 1 / 3, 0.5])
+    torch.testing.assert_close(scores.grad.flatten()[:4], start - torch.tensor(wanted))
+    assert scores.grad.flatten()[4] == pytest.approx(2 * (0.5 - 0.8))  # the ego car stays soft
+
+
+def test_targets_are_averaged_to_the_size_of_the_scores() -> None:
+    training = build_training({"kind": "pictures", "teacher": {"targets": "soft"}})
+    assert isinstance(training, PictureTraining)
+    fine = torch.rand(2, 8, 6, 8, generator=torch.Generator().manual_seed(0))
+    scores = torch.randn(2, 5, 3, 4, generator=torch.Generator().manual_seed(1))
+
+    loss = PictureLoss(training)(torch.nn.Identity(), Batch(scores, fine, torch.ones(2), 2))
+
+    small = Targets(*fine.unfold(2, 2, 2).unfold(3, 2, 2).mean((4, 5)).split((3, 1, 1, 1, 1, 1), 1))
+    torch.testing.assert_close(loss, target_loss(scores, small, training.heads))
