@@ -2,9 +2,6 @@
 
 import os
 import shutil
-import signal
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -28,8 +25,6 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium (
 
 PATIENCE = 60_000  # milliseconds; a loaded machine is slow
 
-ROOT = Path(__file__).parents[2]
-
 
 class Server:
     """A folder of pictures with its page, in a thread of this process."""
@@ -43,46 +38,9 @@ class Server:
         self._thread.start()
         self.url = self._server.address.url
 
-    def stop(self) -> None:
+    def stop(self) -> None:  # twice is once
         self._server.stop()
         self._thread.join(30)
-
-    def corrections(self) -> list[Correction]:
-        return read_corrections(self.out, self.folder)
-
-
-class Process:
-    """The same as a process of its own, ``roadtorch annotate``, which can be killed."""
-
-    def __init__(self, folder: Path, out: Path) -> None:
-        self.folder, self.out = folder, out
-        self.process: subprocess.Popen[str] | None = None
-        self.url = ""
-        self.start()
-
-    def start(self) -> None:
-        command = [sys.executable, "-m", "roadtorch", "annotate", str(self.folder)]
-        command += ["--out", str(self.out), "--detector", "prior:triangle"]
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment
-        )
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            if line.startswith("Open "):
-                self.url = line.split()[1]
-                return
-        raise AssertionError("the server did not start")
-
-    def stop(self, how: int = signal.SIGKILL) -> int | None:
-        if self.process is None:
-            return None
-        self.process.send_signal(how)
-        code = self.process.wait(60)
-        assert self.process.stdout is not None
-        self.process.stdout.close()
-        self.process = None
-        return code
 
     def corrections(self) -> list[Correction]:
         return read_corrections(self.out, self.folder)
@@ -91,13 +49,6 @@ class Process:
 @pytest.fixture
 def server(streets: Path, tmp_path: Path) -> Iterator[Server]:
     one = Server(streets, tmp_path / "corrections")
-    yield one
-    one.stop()
-
-
-@pytest.fixture
-def process(streets: Path, tmp_path: Path) -> Iterator[Process]:
-    one = Process(streets, tmp_path / "corrections")
     yield one
     one.stop()
 
@@ -119,9 +70,7 @@ def visit(browser: "Browser") -> Iterator[Open]:
     contexts: list[BrowserContext] = []
     mistakes: list[str] = []
 
-    def opened(
-        server: Server | Process, user: str = "ann", width: int = 1000, height: int = 700
-    ) -> "Page":
+    def opened(server: Server, user: str = "ann", width: int = 1000, height: int = 700) -> "Page":
         context = browser.new_context(viewport={"width": width, "height": height})
         contexts.append(context)
         page = context.new_page()
@@ -183,6 +132,7 @@ def test_correct_undo_redo_reload(visit: Open, server: Server) -> None:
     assert (server.corrections()[0].labels == one.labels).all()
 
 
+@pytest.mark.slow
 def test_drag_polygon_and_brush(visit: Open, server: Server) -> None:
     page = visit(server)
     box = page.locator("#stage").bounding_box()
@@ -207,6 +157,7 @@ def test_drag_polygon_and_brush(visit: Open, server: Server) -> None:
     assert {0, 1, 2} <= set(one.layout.reshape(-1).tolist())
 
 
+@pytest.mark.slow
 def test_right_as_it_is_in_one_key_and_the_next_comes(visit: Open, server: Server) -> None:
     page = visit(server)
     shown(page, "street_0.png")
@@ -219,14 +170,9 @@ def test_right_as_it_is_in_one_key_and_the_next_comes(visit: Open, server: Serve
     )
 
 
-def test_the_keyboard_alone_is_enough(browser: "Browser", server: Server) -> None:
-    context = browser.new_context()
-    page = context.new_page()
-    page.set_default_timeout(PATIENCE)
-    page.goto(server.url)
-    page.keyboard.type("keys")
-    page.keyboard.press("Enter")
-    page.wait_for_selector("body[data-picture]")
+@pytest.mark.slow
+def test_the_keyboard_alone_is_enough(visit: Open, server: Server) -> None:
+    page = visit(server, "keys")
     page.keyboard.press("?")
     assert page.locator("#help").is_visible()
     assert "Space" in page.locator("#keys").inner_text()
@@ -255,9 +201,9 @@ def test_the_keyboard_alone_is_enough(browser: "Browser", server: Server) -> Non
     (one,) = server.corrections()
     assert one.users == ("keys",)
     assert (one.road == 254).any()
-    context.close()
 
 
+@pytest.mark.slow
 def test_a_narrow_window_has_everything_in_reach(visit: Open, server: Server) -> None:
     page = visit(server, width=360, height=640)
     assert page.evaluate("document.documentElement.scrollWidth") <= 360
@@ -275,6 +221,7 @@ def test_a_narrow_window_has_everything_in_reach(visit: Open, server: Server) ->
 # --- several windows and people ---------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_two_windows_of_one_person_lose_nothing(visit: Open, server: Server) -> None:
     one, other = visit(server, "ann"), visit(server, "ann")
     click(one, 0.5, 0.9)
@@ -289,6 +236,7 @@ def test_two_windows_of_one_person_lose_nothing(visit: Open, server: Server) -> 
     assert (found.road == 0).any()
 
 
+@pytest.mark.slow
 def test_two_people_see_how_far_they_agree(visit: Open, server: Server) -> None:
     ann, bob = visit(server, "ann"), visit(server, "bob")
     click(ann, 0.5, 0.9)
@@ -305,28 +253,27 @@ def test_two_people_see_how_far_they_agree(visit: Open, server: Server) -> None:
 # --- what goes wrong --------------------------------------------------------------------
 
 
-def test_a_server_that_is_killed_and_started_again_gets_what_waits(
-    visit: Open, process: Process
-) -> None:
-    page = visit(process)
+@pytest.mark.slow
+def test_a_server_that_is_started_again_gets_what_waits(visit: Open, server: Server) -> None:
+    page = visit(server)
     click(page, 0.5, 0.9)
     at_version(page, 1)
-    process.stop()
+    server.stop()
     page.keyboard.press("2")
     click(page, 0.5, 0.2)
     notices(page, "1 event waits here")
     click(page, 0.2, 0.2)
-    old = process.url
-    process.start()
-    assert process.url == old
+    again = Server(server.folder, server.out)
+    assert again.url == server.url
     at_version(page, 3)
     page.wait_for_selector("#notice", state="hidden")
-    (one,) = process.corrections()
+    (one,) = again.corrections()
     assert (one.road == 1).any()
     assert (one.road == 0).any()
-    assert process.stop(signal.SIGINT) in (0, 130)
+    again.stop()
 
 
+@pytest.mark.slow
 def test_what_waits_outlives_a_reload(visit: Open, server: Server) -> None:
     page = visit(server)
     page.route("**/api/event*", lambda route: route.abort())
@@ -339,6 +286,7 @@ def test_what_waits_outlives_a_reload(visit: Open, server: Server) -> None:
     assert len(server.corrections()) == 1
 
 
+@pytest.mark.slow
 def test_a_folder_that_changes_while_open(visit: Open, server: Server) -> None:
     page = visit(server)
     shutil.copy(server.folder / "street_0.png", server.folder / "later.png")
@@ -352,6 +300,7 @@ def test_a_folder_that_changes_while_open(visit: Open, server: Server) -> None:
     assert server.corrections()[0].name == "street_0.png"
 
 
+@pytest.mark.slow
 def test_a_refused_stroke_is_told_and_the_next_one_goes_through(
     visit: Open, server: Server
 ) -> None:
@@ -368,30 +317,17 @@ def test_a_refused_stroke_is_told_and_the_next_one_goes_through(
     assert [one.clicks for one in server.corrections()] == [1]
 
 
-def test_without_the_token_there_is_no_page(browser: "Browser", server: Server) -> None:
-    page = browser.new_page()
-    answer = page.goto(server.url.partition("?")[0])
-    assert answer is not None
-    assert answer.status == 403
-    page.close()
-
-
-def test_a_thousand_pictures(browser: "Browser", tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_a_thousand_pictures(visit: Open, tmp_path: Path) -> None:
     folder = write_streets(tmp_path / "many", 1)
     for number in range(1, 1000):
         os.link(folder / "street_0.png", folder / f"street_{number}.png")
     server = Server(folder, tmp_path / "corrections")
-    page = browser.new_page()
-    page.set_default_timeout(PATIENCE)
-    page.goto(server.url)
-    page.fill("#user", "ann")
-    page.keyboard.press("Enter")
-    page.wait_for_selector("body[data-picture]")
+    page = visit(server)
     assert "of 1000" in page.locator("#progress").inner_text()
     assert page.locator(".row").count() < 40
     page.evaluate("document.getElementById('list').scrollTop = 1e6")
     page.locator(".row", has_text="street_999.png").click()
     shown(page, "street_999.png")
     assert page.locator(".row").count() < 40
-    page.close()
     server.stop()

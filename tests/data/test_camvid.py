@@ -226,6 +226,7 @@ def test_pixel_counts_of_the_release(data_root):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize(
     ("first_row", "same", "road_iou"),
@@ -254,6 +255,7 @@ def test_full_size_labels_agree_with_those_of_the_release(data_root, first_row, 
     )
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_the_readings_differ_on_real_frames(data_root):
     truths = {}
