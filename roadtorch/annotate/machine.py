@@ -73,7 +73,10 @@ def look_at_picture(image: Tensor, detector: Detector, settings: AnnotationSetti
         shape = (small.shape[-2], small.shape[-1])
         labels = settings.superpixels.cut(small)
         segments = measure_segments(small, labels)
-    odds = _centred(detection.likelihood, detection.mask, detector.settings.threshold, shape)
+    threshold = torch.tensor(detector.settings.threshold)
+    odds = log_odds(resized(detection.likelihood, shape)) - log_odds(threshold)
+    left_out = (odds >= 0) & ~at_picture_size(detection.mask, shape)
+    odds = torch.where(left_out, -BARELY, odds)  # positive where the mask is road
     layout = torch.zeros(len(segments.size), 0)
     if (potentials := detection.cues.get("layout")) is not None and len(potentials) == CLASSES:
         mean = segment_mean(resized(potentials, shape), labels, segments.pixels)
@@ -81,13 +84,6 @@ def look_at_picture(image: Tensor, detector: Detector, settings: AnnotationSetti
     mean = segment_mean(odds[None], labels, segments.pixels)[0]
     graph = segment_graph(segments, settings.propagation)
     return PictureView(size, odds, labels, mean, graph, layout, detection.trust)
-
-
-def _centred(likelihood: Tensor, mask: Tensor, threshold: float, shape: tuple[int, int]) -> Tensor:
-    """Log odds (h,w) that are positive where the mask (H,W) is road."""
-    odds = log_odds(resized(likelihood, shape)) - log_odds(torch.tensor(threshold))
-    left_out = (odds >= 0) & ~at_picture_size(mask, shape)
-    return torch.where(left_out, -BARELY, odds)
 
 
 def mended_odds(view: PictureView, said: Tensor, settings: PropagationSettings) -> Tensor:

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import torch
-from torch import Tensor
 
 from roadtorch.annotate.views import VIEWS, read_view, view_path
 from roadtorch.data.correction_labels import NOT_ROAD, ROAD_SAID
@@ -19,11 +18,21 @@ TEN_MINUTES = 600.0  # seconds
 def corrections_report(out: Path, pictures: Path | None = None) -> str:
     """The report of a folder of corrections, as lines; DatasetError where there are none."""
     found = read_corrections(out, pictures)
-    right = [one for one in found if one.confirmed]
-    figures = {one.name: machine_f(one, out) for one in right}
+    confirmed = [one for one in found if one.confirmed]
+    figures = {one.name: machine_f(one, out) for one in confirmed}
     lines = [_row("picture", "who", "clicks", "seconds", "said", "agree", "machine's F")]
-    lines += [_line(one, figures.get(one.name)) for one in found]
-    return "\n".join([*lines, "", *_sum(found, right, list(figures.values()))])
+    for one in found:
+        said = f"{100 * float((one.labels > 0).mean()):.1f} %"
+        agree = "" if one.agreement is None else f"{100 * one.agreement:.1f} %"
+        figure = figures.get(one.name)
+        verdict = "" if figure is None else f"{figure:.3f}"
+        verdict = verdict if one.confirmed else "not confirmed"
+        seconds = f"{one.seconds:.0f}"
+        lines.append(
+            _row(one.name, ",".join(one.users), str(one.clicks), seconds, said, agree, verdict)
+        )
+    known = [one for one in figures.values() if one is not None]
+    return "\n".join([*lines, "", *_totals(found, len(confirmed), known)])
 
 
 def machine_f(correction: Correction, out: Path) -> float | None:
@@ -32,20 +41,9 @@ def machine_f(correction: Correction, out: Path) -> float | None:
     if view is None:
         return None
     road = torch.from_numpy(correction.road)
+    known = (road == ROAD_SAID) | (road == NOT_ROAD)
     mask = resized(view.odds, view.size) >= 0
-    return float(f_measure(count_mask(mask, road == ROAD_SAID, _known(road))))
-
-
-def _known(road: Tensor) -> Tensor:
-    return (road == ROAD_SAID) | (road == NOT_ROAD)
-
-
-def _line(one: Correction, figure: float | None) -> str:
-    said = f"{100 * float((one.labels > 0).mean()):.1f} %"
-    agree = "" if one.agreement is None else f"{100 * one.agreement:.1f} %"
-    verdict = "not confirmed" if not one.confirmed else "" if figure is None else f"{figure:.3f}"
-    who = ",".join(one.users)
-    return _row(one.name, who, str(one.clicks), f"{one.seconds:.0f}", said, agree, verdict)
+    return float(f_measure(count_mask(mask, road == ROAD_SAID, known)))
 
 
 def _row(*cells: str) -> str:
@@ -54,26 +52,24 @@ def _row(*cells: str) -> str:
     return " ".join(padded).rstrip()
 
 
-def _sum(
-    found: Sequence[Correction], right: Sequence[Correction], figures: Sequence[float | None]
-) -> list[str]:
+def _totals(found: Sequence[Correction], confirmed: int, figures: Sequence[float]) -> list[str]:
     """All together, and for every ten minutes."""
     seconds = sum(one.seconds for one in found)
     pixels = sum(int((one.labels > 0).sum()) for one in found)
     clicks = sum(one.clicks for one in found)
     lines = [
-        f"{len(found)} pictures, {len(right)} confirmed; {clicks} clicks, "
+        f"{len(found)} pictures, {confirmed} confirmed; {clicks} clicks, "
         f"{seconds / 60:.1f} minutes, {pixels:,} pixels said",
         f"a picture: {statistics.median(one.clicks for one in found):g} clicks, "
         f"{statistics.median(one.seconds for one in found):.0f} s (medians)",
     ]
-    if known := [one for one in figures if one is not None]:
-        mean = statistics.mean(known)
-        lines.append(f"the machine's masks of {len(known)} confirmed pictures: mean F {mean:.3f}")
+    if figures:
+        mean = statistics.mean(figures)
+        lines.append(f"the machine's masks of {len(figures)} confirmed pictures: mean F {mean:.3f}")
     if seconds:
         share = TEN_MINUTES / seconds
         lines.append(
-            f"ten minutes buy {share * len(right):.1f} confirmed pictures, {share * clicks:.0f} "
+            f"ten minutes buy {share * confirmed:.1f} confirmed pictures, {share * clicks:.0f} "
             f"clicks, {share * pixels:,.0f} pixels"
         )
     return lines

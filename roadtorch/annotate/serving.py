@@ -64,28 +64,22 @@ def bound_socket(port: int | None, last: int | None) -> socket.socket:
     port: the one that was asked for; ConfigError where it is taken. Else the last one, or the
     next one that is free.
     """
-    if port is not None:
-        if (found := _bound(port)) is None:
-            raise ConfigError("--port", f"{port} is taken", "give another one, or leave it out")
-        return found
-    for candidate in (last, *range(FIRST_PORT, FIRST_PORT + PORTS)):
-        if candidate is not None and (found := _bound(candidate)) is not None:
+    free = [*([last] if last else []), *range(FIRST_PORT, FIRST_PORT + PORTS)]
+    for candidate in free if port is None else [port]:
+        found = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        if os.name == "posix":
+            found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            found.bind((HOST, candidate))
+            found.listen()
+        except OSError:
+            found.close()
+        else:
             return found
+    if port is not None:
+        raise ConfigError("--port", f"{port} is taken", "give another one, or leave it out")
     last_port = FIRST_PORT + PORTS - 1
     raise ConfigError("--port", f"{FIRST_PORT} to {last_port} are taken", "give one that is free")
-
-
-def _bound(port: int) -> socket.socket | None:
-    found = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    if os.name == "posix":
-        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        found.bind((HOST, port))
-        found.listen()
-    except OSError:
-        found.close()
-        return None
-    return found
 
 
 def opened_session(

@@ -48,8 +48,11 @@ class ViewStore:
             held = self._held.get(name)
         if held is None or held[0] != key:
             with self._looking:  # one at a time: a look takes all cores
-                kept = read_view(view_path(self.folder, name), key)
-                held = key, kept or self._made(name, picture, key)
+                view = read_view(path := view_path(self.folder, name), key)
+                if view is None:
+                    view = look_at_picture(read_image(picture), self._detector(), self.settings)
+                    write_view(path, view, key)
+                held = key, view
         with self._lock:
             self._held[name] = held
             self._held.move_to_end(name)
@@ -81,11 +84,6 @@ class ViewStore:
         said = f"{detector.name} {detector.settings!r} {self.settings!r}"
         text = f"{said} {found.st_size} {found.st_mtime_ns}"
         return hashlib.sha256(text.encode()).hexdigest()[:32]
-
-    def _made(self, name: str, picture: Path, key: str) -> PictureView:
-        view = look_at_picture(read_image(picture), self._detector(), self.settings)
-        write_view(view_path(self.folder, name), view, key)
-        return view
 
 
 def view_path(folder: Path, name: str) -> Path:

@@ -41,14 +41,14 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
     if value is None:
         return None
     from roadtorch.errors import ConfigError
-    from roadtorch.sinks.gif import LONGEST
+    from roadtorch.sinks.video import GIF_SECONDS
 
     try:
         start, end = map(float, value.split(":"))
     except ValueError:
         raise ConfigError("--gif", f"{value!r} was given", "give START:END, as 3:6.5") from None
-    if not 0 <= start < end <= start + LONGEST:
-        remedy = f"give a stretch of at most {LONGEST:g} seconds"
+    if not 0 <= start < end <= start + GIF_SECONDS:
+        remedy = f"give a stretch of at most {GIF_SECONDS:g} seconds"
         raise ConfigError("--gif", f"{value!r} is no stretch to show", remedy)
     return start, end
 

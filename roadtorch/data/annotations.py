@@ -38,13 +38,11 @@ class Drawing:
 class Annotation:
     """An annotation file: what was drawn, in the order of the file.
 
-    size: (height, width) of the picture, if the file says. users: people known to have
-    annotated, whether or not they drew anything.
+    size: (height, width) of the picture, if the file says.
     """
 
     size: tuple[int, int] | None
     drawings: tuple[Drawing, ...]
-    users: tuple[str, ...] = ()
 
 
 def read_annotation(path: Path) -> Annotation:
@@ -68,22 +66,19 @@ def _broken(path: Path, what: str, remedy: str = "mend the file") -> DatasetErro
 
 
 def _read_xml(data: bytes, path: Path) -> Annotation:
-    root = _parse_xml(data, path)
-    if root.tag != "annotation":
-        what = f"is not a LabelMe annotation but has the root element {root.tag!r}"
-        raise _broken(path, what, "give LabelMe's XML")
-    drawings = tuple(part for element in root.findall("object") for part in _object(element, path))
-    return Annotation(_xml_size(root, path), drawings)
-
-
-def _parse_xml(data: bytes, path: Path) -> Element:
     try:
-        return ElementTree.fromstring(data)
+        root = ElementTree.fromstring(data)
     except DefusedXmlException as problem:
         what = f"declares entities, which can be a bomb: {type(problem).__name__}"
         raise _broken(path, what, "remove the declarations") from None
     except (ParseError, ValueError, LookupError) as problem:
         raise _broken(path, f"is not XML: {problem}") from None
+    if root.tag != "annotation":
+        what = f"is not a LabelMe annotation but has the root element {root.tag!r}"
+        raise _broken(path, what, "give LabelMe's XML")
+    drawings = tuple(part for element in root.findall("object") for part in _object(element, path))
+    height, width = _text(root, "imagesize/nrows"), _text(root, "imagesize/ncols")
+    return Annotation(_size(height, width, ("nrows", "ncols"), path), drawings)
 
 
 def _object(element: Element, path: Path) -> Iterator[Drawing]:
@@ -109,14 +104,6 @@ def _text(element: Element, name: str) -> str:
     return (element.findtext(name) or "").strip()
 
 
-def _xml_size(root: Element, path: Path) -> tuple[int, int] | None:
-    """What ``imagesize`` says; older files leave it out, empty or zero."""
-    height, width = _text(root, "imagesize/nrows"), _text(root, "imagesize/ncols")
-    if not height or not width:
-        return None
-    return _size(_coordinate(height, "nrows", path), _coordinate(width, "ncols", path), path)
-
-
 # --- labelme JSON -----------------------------------------------------------------------
 
 
@@ -130,7 +117,8 @@ def _read_json(data: bytes, path: Path) -> Annotation:
         raise _broken(path, "is not a labelme annotation: it has no list of shapes")
     parts = (_shape(shape, path) for shape in shapes)
     drawings = tuple(part for part in parts if part is not None)
-    return Annotation(_json_size(document, path), drawings)
+    keys = "imageHeight", "imageWidth"
+    return Annotation(_size(document.get(keys[0]), document.get(keys[1]), keys, path), drawings)
 
 
 def _shape(shape: Any, path: Path) -> Drawing | None:
@@ -188,15 +176,6 @@ def _stamp(encoded: Any, points: np.ndarray, name: str, path: Path) -> Stamp:
         raise _broken(path, what, "give it as PNG or JPEG") from None
 
 
-def _json_size(document: dict[str, Any], path: Path) -> tuple[int, int] | None:
-    height, width = document.get("imageHeight"), document.get("imageWidth")
-    if height is None or width is None:
-        return None
-    return _size(
-        _coordinate(height, "imageHeight", path), _coordinate(width, "imageWidth", path), path
-    )
-
-
 # --- numbers ----------------------------------------------------------------------------
 
 
@@ -211,10 +190,13 @@ def _coordinate(value: Any, name: str, path: Path) -> float:
     return number
 
 
-def _size(height: float, width: float, path: Path) -> tuple[int, int] | None:
-    """(height, width) if both are positive; None where a file leaves them zero."""
-    if height == 0 or width == 0:
+def _size(height: Any, width: Any, names: tuple[str, str], path: Path) -> tuple[int, int] | None:
+    """(height, width) if both are positive; None where a file leaves them out, empty or zero."""
+    if height in (None, "") or width in (None, ""):
         return None
-    if height < 0 or width < 0 or height % 1 or width % 1:
-        raise _broken(path, f"says its picture has {width:g} by {height:g} pixels")
-    return int(height), int(width)
+    rows, columns = _coordinate(height, names[0], path), _coordinate(width, names[1], path)
+    if rows == 0 or columns == 0:
+        return None
+    if rows < 0 or columns < 0 or rows % 1 or columns % 1:
+        raise _broken(path, f"says its picture has {columns:g} by {rows:g} pixels")
+    return int(rows), int(columns)

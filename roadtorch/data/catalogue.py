@@ -77,13 +77,13 @@ def dataset_kind(name: str) -> Kind:
 @cache
 def _catalogue() -> dict[str, Kind]:
     kinds = dict(KINDS)
-    load_plugins(ENTRY_POINT_GROUP, "data set", lambda name, kind: _add(kinds, name, kind))
+
+    def add(name: str, kind: object) -> None:
+        if name in kinds:
+            raise ConfigError(name, "is the name of another set", "choose a new name")
+        if not isinstance(kind, Kind):
+            raise ConfigError(name, f"is {type(kind).__name__}", "name a Kind")
+        kinds[name] = kind
+
+    load_plugins(ENTRY_POINT_GROUP, "data set", add)
     return kinds
-
-
-def _add(kinds: dict[str, Kind], name: str, kind: object) -> None:
-    if name in kinds:
-        raise ConfigError(name, "is the name of another set", "choose a new name")
-    if not isinstance(kind, Kind):
-        raise ConfigError(name, f"is {type(kind).__name__}", "name a Kind")
-    kinds[name] = kind

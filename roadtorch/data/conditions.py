@@ -33,11 +33,13 @@ def with_conditions(dataset: Dataset, path: Path) -> Dataset:
     found: dict[Key, tuple[str, ...]] = {}
     for line, row in _rows(path, columns):
         key = (row["name"] if dataset.groups() else "", row["file"])
+        where, name = f"{path}, line {line}", _shown(key)
         if key not in pictures:
-            raise _unknown(path, line, key, pictures)
+            near = difflib.get_close_matches(name, map(_shown, pictures), n=3, cutoff=0.5)
+            remedy = f"did you mean {', '.join(near)}?" if near else "mend the line or remove it"
+            raise DatasetError(where, f"there is no picture {name}", remedy)
         if key in found:
-            what = f"names {'/'.join(filter(None, key))} a second time"
-            raise DatasetError(f"{path}, line {line}", what, "keep one of the two lines")
+            raise DatasetError(where, f"names {name} a second time", "keep one of the two lines")
         found[key] = tuple(dict.fromkeys(row["condition"].split()))
     items = (replace(one, conditions=found.get(_key_of(one), ())) for one in dataset.items)
     return replace(dataset, items=tuple(items))
@@ -45,6 +47,10 @@ def with_conditions(dataset: Dataset, path: Path) -> Dataset:
 
 def _key_of(item: Item) -> Key:
     return item.group or "", item.image.name
+
+
+def _shown(key: Key) -> str:
+    return "/".join(filter(None, key))
 
 
 def _rows(path: Path, columns: list[str]) -> Iterator[tuple[int, Mapping[str, str]]]:
@@ -60,11 +66,3 @@ def _rows(path: Path, columns: list[str]) -> Iterator[tuple[int, Mapping[str, st
             yield table.line_num, row
     except (OSError, UnicodeDecodeError, csv.Error) as problem:
         raise DatasetError(path, f"cannot be read: {reason(problem)}", "give a CSV file") from None
-
-
-def _unknown(path: Path, line: int, key: Key, pictures: Mapping[Key, Item]) -> DatasetError:
-    """The error for a picture that the set does not have, with the nearest that it has."""
-    name, known = "/".join(filter(None, key)), ["/".join(filter(None, one)) for one in pictures]
-    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
-    remedy = f"did you mean {', '.join(near)}?" if near else "mend the line or remove it"
-    return DatasetError(f"{path}, line {line}", f"there is no picture {name}", remedy)

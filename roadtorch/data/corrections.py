@@ -99,7 +99,13 @@ def corrected(picture: Path, name: str, logs: Sequence[tuple[Path, EventLog]]) -
     if len(sizes) > 1:
         what = f"is for another picture size than {logs[0][0].name}"
         raise DatasetError(logs[-1][0], what, "correct one version of the picture")
-    said = [_folded(path, log, sizes.copy().pop()) for path, log in logs]
+    said = []
+    for path, log in logs:
+        try:
+            said.append(folded(log.events, (log.head.height, log.head.width)))
+        except InputError as problem:
+            what = f"has an event that does not fit: {problem.where} {problem.what}"
+            raise DatasetError(path, what, "give the picture that was corrected") from None
     events = [event for _, log in logs for event in log.events]
     return Correction(
         picture,
@@ -111,14 +117,6 @@ def corrected(picture: Path, name: str, logs: Sequence[tuple[Path, EventLog]]) -
         len({event.id for event in events}),
         agreement_share(said),
     )
-
-
-def _folded(path: Path, log: EventLog, size: tuple[int, int]) -> np.ndarray:
-    try:
-        return folded(log.events, size)
-    except InputError as problem:
-        what = f"has an event that does not fit: {problem.where} {problem.what}"
-        raise DatasetError(path, what, "give the picture that was corrected") from None
 
 
 # --- several people ---------------------------------------------------------------------

@@ -190,7 +190,11 @@ def apply_event(labels: np.ndarray, event: LastingEvent) -> None:
     """Change labels uint8 (H,W) in place as one event says; InputError for what does not fit."""
     size, flat = (labels.shape[0], labels.shape[1]), labels.reshape(-1)
     if isinstance(event, Confirm):
-        _settle(labels, mask_of(event.runs, size))
+        road = mask_of(event.runs, size)
+        for silent, other in (("untouched", "not_road"), ("horizontal", "not_road_horizontal")):
+            where = labels == LABELS.index(silent)
+            labels[where & road] = LABELS.index("road")
+            labels[where & ~road] = LABELS.index(other)
     elif isinstance(event, Import):
         for name, runs in event.labels.items():
             if name not in LABELS:
@@ -199,17 +203,6 @@ def apply_event(labels: np.ndarray, event: LastingEvent) -> None:
     else:
         where = stroke_pixels(event, size)
         flat[where] = after_saying(flat[where], event.saying)
-
-
-def _settle(labels: np.ndarray, road: np.ndarray) -> None:
-    """Say of every pixel whose road is open what is shown of it."""
-    for open_label, road_label, other in (
-        ("untouched", "road", "not_road"),
-        ("horizontal", "road", "not_road_horizontal"),
-    ):
-        where = labels == LABELS.index(open_label)
-        labels[where & road] = LABELS.index(road_label)
-        labels[where & ~road] = LABELS.index(other)
 
 
 def folded(events: Iterable[AnyEvent], size: tuple[int, int]) -> np.ndarray:

@@ -84,20 +84,13 @@ def read_label_studio(path: Path, sizes: Mapping[str, tuple[int, int]]) -> dict[
         raise DatasetError(path, "is no list of tasks", "export as JSON from Label Studio")
     found = {}
     for task in tasks:
-        name = _picture_of_task(task, sizes)
-        if name is not None:
+        # Uploads carry a prefix: /data/upload/3/1f2e3d4c-NAME.
+        image = unquote(str((task.get("data") or {}).get("image", "")))
+        fitting = [name for name in sizes if image.endswith(name)]
+        if fitting:
+            name = max(fitting, key=len)
             found[name] = _task_labels(task, sizes[name], path, name)
     return found
-
-
-def _picture_of_task(task: Mapping[str, Any], sizes: Mapping[str, object]) -> str | None:
-    """The picture of a task; of several whose names fit, the one with the longest name.
-
-    Uploads carry a prefix: /data/upload/3/1f2e3d4c-NAME.
-    """
-    image = unquote(str((task.get("data") or {}).get("image", "")))
-    fitting = [name for name in sizes if image.endswith(name)]
-    return max(fitting, key=len, default=None)
 
 
 def _task_labels(

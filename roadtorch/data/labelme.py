@@ -10,8 +10,7 @@ it: a list of shapes. The files of one picture are all those that bear its name:
 """
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path, PurePath
 
 from PIL.ExifTags import Base as ExifTag
@@ -59,47 +58,26 @@ class PolygonLabels:
     def truth(self, item: Item) -> Truth:
         """Read, draw and combine the item's annotations; DatasetError naming the file."""
         size = picture_size(item.image)
-        found = [self._read(path, item, size) for path in (item.label, *item.extra)]
-        said = {
-            user: filled_shapes([(part.shape, self._meaning(part.name)) for part in drawings], size)
-            for user, drawings in self._listen(_by_user(found), item).items()
-        }
-        return agree(said, size, self.agreement)
-
-    def _meaning(self, name: str) -> int:
-        return ROAD if name in self.road else VOID if name in self.void else OTHER
-
-    def _read(self, path: Path, item: Item, size: tuple[int, int]) -> Annotation:
-        """A file that fits the picture; all of it from one person, if the file is theirs."""
-        annotation = read_annotation(path)
-        _check_size(annotation, size, path)
-        user = file_user(path, item.name, self.root)
-        if not user:
-            return annotation
-        drawings = tuple(replace(part, user=user) for part in annotation.drawings)
-        return Annotation(annotation.size, drawings, users=(user,))
-
-    def _listen(
-        self, by_user: dict[str, list[Drawing]], item: Item
-    ) -> Mapping[str, Sequence[Drawing]]:
-        if self.user is None:
-            return by_user
-        if self.user not in by_user:
+        by_user: dict[str, list[Drawing]] = {}
+        for path in (item.label, *item.extra):
+            annotation = read_annotation(path)
+            _check_size(annotation, size, path)
+            owner = file_user(path, item.name, self.root)
+            if owner:  # all of it is theirs, were it nothing
+                by_user.setdefault(owner, [])
+            for part in annotation.drawings:
+                by_user.setdefault(owner or part.user, []).append(part)
+        if self.user is not None and self.user not in by_user:
             known = ", ".join(sorted(by_user)) or "nobody"
             what = f"has nothing from the user {self.user}"
             raise DatasetError(item.label, what, f"it was annotated by {known}")
-        return {self.user: by_user[self.user]}
-
-
-def _by_user(annotations: Sequence[Annotation]) -> dict[str, list[Drawing]]:
-    """What each person drew, in the order of the files; who drew nothing is there too."""
-    found: dict[str, list[Drawing]] = defaultdict(list)
-    for annotation in annotations:
-        for user in annotation.users:
-            found[user] = found[user]
-        for part in annotation.drawings:
-            found[part.user].append(part)
-    return dict(found)
+        meanings = {**dict.fromkeys(self.void, VOID), **dict.fromkeys(self.road, ROAD)}
+        said = {
+            user: filled_shapes([(one.shape, meanings.get(one.name, OTHER)) for one in drawn], size)
+            for user, drawn in by_user.items()
+            if self.user in (None, user)
+        }
+        return agree(said, size, self.agreement)
 
 
 # --- sizes ------------------------------------------------------------------------------
@@ -162,10 +140,11 @@ def open_labelme(root: Path, split: str, agreement: Agreement = "majority") -> D
     picture's group is its uppermost folder. Raises DatasetError for a folder without
     pictures, a picture without annotation, and two files of one person for one picture.
     """
-    images = _first_folder(root, "images", "Images")
-    annotations = _first_folder(root, "annotations", "Annotations")
-    if annotations == root:
-        annotations = images
+    images, annotations = (
+        next((root / one for one in names if (root / one).is_dir()), root)
+        for names in (("images", "Images"), ("annotations", "Annotations"))
+    )
+    annotations = images if annotations == root else annotations
     pictures = _pictures(images)
     files = _files(annotations, set(pictures))
     missing = [name for name in pictures if name not in files]
@@ -174,21 +153,13 @@ def open_labelme(root: Path, split: str, agreement: Agreement = "majority") -> D
         what = f"is missing, and so is .json, {len(missing)} of {len(pictures)} annotations in all"
         raise DatasetError(first, what, "every picture needs its annotation, be it empty")
     items = tuple(
-        Item(name, path, files[name][0], _group(name), tuple(files[name][1:]))
+        Item(name, path, files[name][0], group, tuple(files[name][1:]))
         for name, path in pictures.items()
+        for group in [name.partition("/")[0] if "/" in name else None]
     )
     reader = PolygonLabels(agreement=agreement, root=annotations)
     name = "labelme" if agreement == "majority" else f"labelme:{agreement}"
     return Dataset(name, root, split, items, reader)
-
-
-def _first_folder(root: Path, *names: str) -> Path:
-    return next((root / name for name in names if (root / name).is_dir()), root)
-
-
-def _group(name: str) -> str | None:
-    folders = PurePath(name).parts[:-1]
-    return folders[0] if folders else None
 
 
 def _pictures(folder: Path) -> dict[str, Path]:
@@ -212,7 +183,9 @@ def _files(folder: Path, names: set[str]) -> dict[str, list[Path]]:
     for path in sorted(folder.rglob("*")):
         if path.suffix.lower() not in ENDINGS or path.name.startswith("."):
             continue
-        name = _picture_of(path.relative_to(folder).with_suffix("").as_posix(), names)
+        stem = path.relative_to(folder).with_suffix("").as_posix()
+        suffixed = stem.rpartition(".")[0] if "." in PurePath(stem).name else stem
+        name = next((one for one in (stem, stem.partition("/")[2], suffixed) if one in names), None)
         if name is None:
             continue
         user = file_user(path, name, folder)
@@ -221,10 +194,3 @@ def _files(folder: Path, names: set[str]) -> dict[str, list[Path]]:
             raise DatasetError(path, what, "give people folders of their own, or drop one")
         found[name][user] = path
     return {name: list(paths.values()) for name, paths in found.items()}
-
-
-def _picture_of(name: str, names: set[str]) -> str | None:
-    """The picture that an annotation of this relative name belongs to."""
-    suffixed = name.rpartition(".")[0] if "." in PurePath(name).name else name
-    candidates = (name, name.partition("/")[2], suffixed)
-    return next((candidate for candidate in candidates if candidate in names), None)

@@ -139,7 +139,17 @@ def _read(path: Path, mode: str | None) -> np.ndarray:
 
 def decode_labels(labels: np.ndarray, coding: NumberLabels, path: Path) -> Truth:
     """Turn label numbers (H,W) into truth; DatasetError naming and counting unknown ones."""
-    _check_values(labels, coding, path)
+    values, counts = _count(labels)
+    strange = ~np.isin(values, coding.values)
+    if strange.any():
+        named = _counted([str(value) for value in values[strange]], counts[strange])
+        known = ", ".join(map(str, coding.values))
+        raise DatasetError(path, f"has unknown values {named}", f"known: {known}")
+    mixed = [value for value in coding.exclusive if value in values]
+    if len(mixed) > 1:
+        what = f"has both {mixed[0]} and {mixed[1]}, each of which means road"
+        void = " or ".join(map(str, coding.void)) or "not known"
+        raise DatasetError(path, what, f"use one of them; void is {void}")
     found = [torch.from_numpy(table.take(labels)) for table in _tables(coding)]
     return Truth(found[0], found[1], found[2] if coding.layout else None)
 
@@ -168,19 +178,6 @@ def _codes(colours: np.ndarray) -> np.ndarray:
     return wide[..., 0] << 16 | wide[..., 1] << 8 | wide[..., 2]
 
 
-def _check_values(labels: np.ndarray, coding: NumberLabels, path: Path) -> None:
-    values, counts = _count(labels)
-    strange = ~np.isin(values, coding.values)
-    if strange.any():
-        named = _counted([str(value) for value in values[strange]], counts[strange])
-        known = ", ".join(map(str, coding.values))
-        raise DatasetError(path, f"has unknown values {named}", f"known: {known}")
-    mixed = [value for value in coding.exclusive if value in values]
-    if len(mixed) > 1:
-        what = f"has both {mixed[0]} and {mixed[1]}, each of which means road"
-        raise DatasetError(path, what, f"use one of them; void is {_or(coding.void)}")
-
-
 def _count(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The values that occur and how often; without sorting where they fit one byte."""
     if labels.dtype != np.uint8:
@@ -195,10 +192,6 @@ def _counted(names: list[str], counts: np.ndarray) -> str:
     order = np.argsort(-counts, kind="stable")[:SHOWN]
     named = ", ".join(f"{names[i]} ({counts[i]} pixels)" for i in order)
     return named + (f" and {len(names) - SHOWN} others" if len(names) > SHOWN else "")
-
-
-def _or(values: tuple[int, ...]) -> str:
-    return " or ".join(map(str, values)) or "not known"
 
 
 @lru_cache

@@ -68,22 +68,17 @@ def read_map(path: Path) -> Tensor:
         if (image != image[0]).any():
             raise InputError(path, "is a colour picture", "give a grey one, bright where road is")
         return image[0]
-    values = _read_npy(path)
+    try:
+        values = np.load(io.BytesIO(read_regular(path)), allow_pickle=False)
+    except Exception as problem:  # NumPy raises anything for foreign bytes
+        raise InputError(path, f"cannot be read: {reason(problem)}", "replace the file") from None
+    if not isinstance(values, np.ndarray):
+        raise InputError(path, "is an archive of arrays", "give a single one")
     if values.ndim != 2 or values.dtype.kind != "f":
         what = f"holds {values.dtype} of shape {values.shape}"
         raise InputError(path, what, "give floating-point numbers (height, width)")
     with np.errstate(over="ignore"):  # told as a value out of [0,1]
         return torch.from_numpy(values.astype(np.float32))
-
-
-def _read_npy(path: Path) -> np.ndarray:
-    try:
-        found = np.load(io.BytesIO(read_regular(path)), allow_pickle=False)
-    except Exception as problem:  # NumPy raises anything for foreign bytes
-        raise InputError(path, f"cannot be read: {reason(problem)}", "replace the file") from None
-    if not isinstance(found, np.ndarray):
-        raise InputError(path, "is an archive of arrays", "give a single one")
-    return found
 
 
 def is_of_infer(folder: Path) -> bool:

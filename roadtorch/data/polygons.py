@@ -13,7 +13,6 @@ from typing import Literal, Protocol
 import cv2
 import numpy as np
 import torch
-from torch import Tensor
 
 from roadtorch.data.dataset import Truth
 
@@ -125,14 +124,5 @@ def agree(said: Mapping[str, np.ndarray], size: tuple[int, int], agreement: Agre
         votes += values == ROAD
         known += values != VOID
     valid = known > 0
-    return Truth(_decided(votes, known, agreement) & valid, valid)
-
-
-def _decided(votes: Tensor, known: Tensor, agreement: Agreement) -> Tensor:
-    match agreement:
-        case "majority":
-            return 2 * votes > known
-        case "union":
-            return votes > 0
-        case "intersection":
-            return votes == known
+    road = {"majority": 2 * votes > known, "union": votes > 0, "intersection": votes == known}
+    return Truth(road[agreement] & valid, valid)

@@ -23,9 +23,8 @@ from roadtorch.runs.pictures import Job, Method, RunOptions, settled
 from roadtorch.runs.results import row_of, write_documents, write_files
 from roadtorch.runtime.signals import stop_on_signals
 from roadtorch.sinks.bags import BagSink
-from roadtorch.sinks.gif import GifSink
 from roadtorch.sinks.remote_folder import RemoteFolder
-from roadtorch.sinks.video import VideoSink
+from roadtorch.sinks.video import GifSink, VideoSink
 from roadtorch.sources.bags import image_topic, is_bag
 from roadtorch.sources.frame import Frame, Selection, Source
 from roadtorch.sources.live import Patience

@@ -69,7 +69,8 @@ class BagSink:
         stamp: of the frame, in nanoseconds. Raises InputError when the disk is full.
         """
         self._room_for(2 * detection.mask.numel() + (0 if overlay is None else overlay.size))
-        self._label(stamp)
+        if LABELS not in self._links:
+            self._add(LABELS, LABEL_INFO, stamp, label_info(self.types, stamp, self._threshold))
         for topic, pixels in (
             (MASK, class_numbers(detection.mask)),
             (CONFIDENCE, confidences(detection)),
@@ -110,11 +111,6 @@ class BagSink:
         shutil.rmtree(self._folder, ignore_errors=True)
 
     # --- inside -------------------------------------------------------------------------
-
-    def _label(self, stamp: int) -> None:
-        if LABELS not in self._links:
-            message = label_info(self.types, stamp, self._threshold)
-            self._add(LABELS, LABEL_INFO, stamp, message)
 
     def _add(self, topic: str, kind: str, stamp: int, message: Any) -> None:
         try:

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import cv2
@@ -89,24 +88,13 @@ class _Piece:
 
     def polygon(self) -> list[int]:
         """x and y in turn, along the edges of its pixels: down the right side, up the left."""
-        down = [
-            (end, self.top + at + step) for at, (_, end) in enumerate(self.runs) for step in (0, 1)
-        ]
-        up = [
-            (start, self.top + at + step)
-            for at, (start, _) in enumerate(self.runs)
-            for step in (0, 1)
-        ]
-        return [value for point in _bends([*down, *reversed(up)]) for value in point]
-
-
-def _bends(points: list[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-    """The points of a closed polygon at which it turns."""
-    around = [points[-1], *points, points[0]]
-    for (before, here), (_, behind) in pairwise(pairwise(around)):
-        straight_down = before[0] == here[0] == behind[0]
-        if not straight_down and not before[1] == here[1] == behind[1]:
-            yield here
+        rows = [(self.top + at + step, run) for at, run in enumerate(self.runs) for step in (0, 1)]
+        points = [(end, row) for row, (_, end) in rows]
+        points += [(start, row) for row, (start, _) in reversed(rows)]
+        around = np.array([points[-1], *points, points[0]])
+        moves = np.abs(np.diff(around, axis=0))
+        is_bend = (moves[:-1] + moves[1:] > 0).all(1)  # neither straight down nor along a row
+        return around[1:-1][is_bend].reshape(-1).tolist()
 
 
 def coco_polygons(mask: np.ndarray) -> list[list[int]]:

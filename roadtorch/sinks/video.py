@@ -1,4 +1,4 @@
-"""Videos as results: H.264 in MP4 where the encoder is there, with the frames' time stamps."""
+"""Videos as results: H.264 in MP4 where the encoder is there, with the frames' time stamps; GIF."""
 
 import warnings
 from contextlib import ExitStack
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from PIL import Image
 
 from roadtorch.errors import InputError
 from roadtorch.io.atomic import REMEDIES, RoomyFile, atomic
@@ -27,6 +28,16 @@ ENCODERS = {
 }
 """By preference, with options; ours: the outline stays sharp. With its macroblock tree x264 gives
 other bytes from run to run, as memory happens to lie."""
+
+
+GIF_WIDTH = 480  # pixels at most
+
+GIF_RATE = 10  # frames a second
+
+GIF_SECONDS = 60.0
+"""At most; its frames are held in memory until the end."""
+
+GIF_COLOURS = 128
 
 
 class VideoSink:
@@ -51,7 +62,8 @@ class VideoSink:
         seconds: when it was taken; without, it follows at the rate.
         """
         if seconds is None:
-            seconds = 0.0 if self._size is None else self._next()
+            behind = self._last / TICKS + 1 / self._rate
+            seconds = 0.0 if self._size is None else self._first + behind
         if self._size is None:
             self._begin(pixels, seconds)
         pixels = self._fitted(pixels)
@@ -60,7 +72,10 @@ class VideoSink:
         self._last = max(round((seconds - self._first) * TICKS), self._last + 1)
         frame.pts, frame.time_base = self._last, self._stream.time_base
         self._container.mux(self._stream.encode(frame))
-        self._tell_full()
+        if (problem := self._file.problem) is not None:
+            what = f"ends here: {reason_of(problem)}"
+            remedy = REMEDIES.get(problem.errno or 0, "choose a folder that you may write to")
+            raise InputError(self.path, what, remedy)
 
     def close(self) -> None:
         """Finish the video; there is none where no frame was written. InputError on a full disk."""
@@ -73,10 +88,6 @@ class VideoSink:
                     self._container.close()
                 if self._file.lost is not None:
                     raise self._file.lost
-
-    def _next(self) -> float:
-        """The seconds of a frame without a clock."""
-        return self._first + self._last / TICKS + 1 / self._rate
 
     def _begin(self, pixels: np.ndarray, seconds: float) -> None:
         self._av = import_av()
@@ -112,8 +123,45 @@ class VideoSink:
             pixels = cv2.copyMakeBorder(pixels, 0, below, 0, right, cv2.BORDER_REPLICATE)
         return np.ascontiguousarray(pixels)
 
-    def _tell_full(self) -> None:
-        if (problem := self._file.problem) is not None:
-            what = f"ends here: {reason_of(problem)}"
-            remedy = REMEDIES.get(problem.errno or 0, "choose a folder that you may write to")
-            raise InputError(self.path, what, remedy)
+
+class GifSink:
+    """The frames from ``start`` to ``end`` seconds, at most 480 pixels wide and ten a second."""
+
+    def __init__(self, path: Path, start: float, end: float) -> None:
+        self.path = path
+        self._start, self._end = start, end
+        self._frames: list[Image.Image] = []
+        self._seconds: list[float] = []
+
+    def write(self, pixels: np.ndarray, seconds: float | None) -> None:
+        """Look at pixels uint8 (H,W,3) RGB that were taken at so many seconds; without, never."""
+        if seconds is None:
+            return
+        due = self._seconds[-1] + 1 / GIF_RATE if self._seconds else self._start
+        if not (self._start <= seconds < self._end and seconds >= due - 0.2 / GIF_RATE):
+            return
+        height, width = pixels.shape[:2]
+        if width > GIF_WIDTH:
+            size = GIF_WIDTH, max(1, round(height * GIF_WIDTH / width))
+            pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+        picture = Image.fromarray(pixels).quantize(GIF_COLOURS, dither=Image.Dither.NONE)
+        self._frames.append(picture)
+        self._seconds.append(seconds)
+
+    def close(self) -> None:
+        """Write the file; there is none where no frame lies in the stretch."""
+        if not self._frames:
+            return
+        steps = np.diff([*self._seconds, self._seconds[-1] + 1 / GIF_RATE])
+        durations = [max(20, round(float(step) * 100) * 10) for step in steps]  # whole 10 ms
+        first, *others = self._frames
+        self._frames = []
+        with atomic(self.path) as temporary:
+            first.save(
+                temporary,
+                format="GIF",
+                save_all=True,
+                append_images=others,
+                duration=durations,
+                loop=0,
+            )

@@ -140,10 +140,6 @@ def _safe_parts(name: str) -> list[str]:
     return [part.replace(":", "_") for part in parts if part not in ("", ".", "..")]
 
 
-def _climbs(name: str) -> bool:
-    return ".." in re.split(r"[/\\]", name) or re.match(r"[/\\]|\w:", name) is not None
-
-
 def _is_shown(name: str) -> bool:
     """Whether a member is a picture or a video, and neither it nor a folder of it is hidden."""
     parts = _safe_parts(name)
@@ -266,7 +262,7 @@ def _unpacked(packed: io.BufferedIOBase, room: int) -> tuple[IO[bytes], str]:
 
 
 def _read(member: Member, origin: str) -> Tensor:
-    if _climbs(member.name):
+    if ".." in re.split(r"[/\\]", member.name) or re.match(r"[/\\]|\w:", member.name):
         raise InputError(origin, "has a name outside the archive", "give it another name")
     if member.name.lower().endswith(VIDEO_SUFFIXES):
         raise InputError(origin, "is a video in an archive", "unpack it and give the video")

@@ -4,7 +4,7 @@
 """
 
 import statistics
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -84,15 +84,19 @@ def bag_source(
     cannot be decoded raises in its frame's ``read``.
     """
     found = image_topic(given, topic)
-    is_all = not selection.start and selection.end is None
-    count = -(-found.count // selection.every) if is_all else None
-    if count is not None and selection.limit is not None:
-        count = min(count, selection.limit)
+    count = None
+    if not selection.start and selection.end is None:
+        count = len(range(found.count)[:: selection.every][: selection.limit])
+
+    def frames() -> Iterator[Frame]:
+        with closing(_every_frame(given, found.name)) as every:
+            yield from selection.of(every)
+
     return Source(
         name=_name(given),
         origin=given,
         moving=True,
-        frames=partial(_frames, given, found.name, selection),
+        frames=frames,
         rate=found.rate and found.rate / selection.every,
         count=count,
     )
@@ -102,7 +106,9 @@ def image_topic(given: str, topic: str | None = None) -> ImageTopic:
     """The topic with images that is meant; errors as for ``bag_source``."""
     with _opened(given) as bag:
         name = _chosen(given, bag.reader, topic)
-        messages = _some(_messages(given, bag, name))
+        messages: list[Read] = []
+        with suppress(InputError), closing(_messages(given, bag, name)) as found:
+            messages.extend(islice(found, SOME))
         if not messages:
             raise InputError(given, f"has no images on {name}", "give another --topic or bag")
         stamps = sorted(message.stamp for message in messages)
@@ -113,15 +119,6 @@ def image_topic(given: str, topic: str | None = None) -> ImageTopic:
         frame_id = first.header.frame_id if first is not None else ""
         rate = 1e9 / step if step > 0 else None
         return ImageTopic(name, count, frame_id, rate, 2 if bag.reader.is2 else 1)
-
-
-def _some(messages: Generator["Read"]) -> list["Read"]:
-    """The first messages; those before the damage where there is some."""
-    found: list[Read] = []
-    with suppress(InputError), closing(messages):
-        for read in islice(messages, SOME):
-            found.append(read)
-    return found
 
 
 def camera_info(given: str, topic: str | None = None) -> CameraInfo:
@@ -196,21 +193,15 @@ class Read(NamedTuple):
     problem: str
 
 
-def _frames(given: str, topic: str, selection: Selection) -> Iterator[Frame]:
-    with closing(_every_frame(given, topic)) as every:
-        yield from selection.of(every)
-
-
 def _every_frame(given: str, topic: str) -> Generator[Frame]:
     with _opened(given) as bag:
         first = None
         for number, read in enumerate(_messages(given, bag, topic)):
             first = read.stamp if first is None else first
             origin = f"{given}:{topic}#{number}"
-            kept = None if read.content is None else image_message(read.content)
             image = partial(_unreadable, origin, read.problem)
-            if kept is not None:
-                image = partial(image_of, kept, origin)
+            if read.content is not None:
+                image = partial(image_of, image_message(read.content), origin)
             seconds = (read.stamp - first) / 1e9
             yield Frame(number, f"{_name(given)}/{number:06d}", origin, seconds, image, read.stamp)
 
@@ -222,36 +213,24 @@ def _unreadable(origin: str, problem: str) -> Tensor:
 def _messages(given: str, bag: Recording, topic: str) -> Generator[Read]:
     """The messages of a topic in the order of the recording; InputError where it ends early."""
     links = [link for link in bag.reader.connections if link.topic == topic]
-    raw = bag.reader.messages(connections=links)
-    for link, time, data in _until_damage(given, raw):
-        yield _read(bag.reader, link.msgtype, time, data)
-    if bag.cut:
-        raise _ends_early(given, bag.cut)
-
-
-def _read(reader: "AnyReader", kind: str, time: int, data: bytes) -> Read:
-    try:
-        content: Any = reader.deserialize(data, kind)
-        stamp = content.header.stamp
-    except Exception as problem:  # foreign bytes make the deserialiser raise anything
-        return Read(time, None, reason(problem))
-    return Read(stamp.sec * 10**9 + stamp.nanosec or time, content, "")
-
-
-def _until_damage(given: str, messages: Iterable[tuple[Any, int, Any]]) -> Iterator[Any]:
-    waiting = iter(messages)
+    waiting, cut = bag.reader.messages(connections=links), bag.cut
     while True:
         try:
-            message = next(waiting)
+            link, time, data = next(waiting)
         except StopIteration:
-            return
+            break
         except Exception as problem:  # zlib, struct, sqlite, …
-            raise _ends_early(given, reason(problem)) from None
-        yield message
-
-
-def _ends_early(given: str, problem: str) -> InputError:
-    return InputError(given, f"ends early: {problem}", "what could be read was given")
+            cut = reason(problem)
+            break
+        try:
+            content: Any = bag.reader.deserialize(data, link.msgtype)
+            stamp = content.header.stamp
+        except Exception as problem:  # foreign bytes make the deserialiser raise anything
+            yield Read(time, None, reason(problem))
+        else:
+            yield Read(stamp.sec * 10**9 + stamp.nanosec or time, content, "")
+    if cut:
+        raise InputError(given, f"ends early: {cut}", "what could be read was given")
 
 
 # --- bags -------------------------------------------------------------------------------
@@ -273,29 +252,27 @@ def _opened(given: str) -> Iterator[Recording]:
     if not path.exists():
         raise InputError(given, "does not exist", "check the name")
     has_list = (path / "metadata.yaml").is_file()
-    files = _recordings(path) if path.is_dir() else [path]
+    files, cut = _recordings(path) if path.is_dir() else [path], ""
     try:
         reader = _reader([path] if has_list else files)
-        cut = ""
     except ConfigError:
         raise
     except Exception as problem:
-        reader, cut = _mended(given, files, problem), reason(problem)
+        from roadtorch.sources.cut_bags import mended
+
+        cut = reason(problem)
+        try:
+            reader = _reader([mended(file) for file in files])
+        except Exception:
+            what, remedy = (
+                f"cannot be read as a bag: {cut}",
+                "check that it is whole (ros2 bag info)",
+            )
+            raise InputError(given, what, remedy) from None
     try:
         yield Recording(reader, cut)
     finally:
         reader.close()
-
-
-def _mended(given: str, files: Sequence[Path], problem: Exception) -> "AnyReader":
-    from roadtorch.sources.cut_bags import mended
-
-    try:
-        paths = [mended(file) for file in files]
-        return _reader(paths)
-    except Exception:
-        what = f"cannot be read as a bag: {reason(problem)}"
-        raise InputError(given, what, "check that it is whole (ros2 bag info)") from None
 
 
 def _reader(paths: Sequence[Any]) -> "AnyReader":

@@ -9,7 +9,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import IO, Any, BinaryIO, NamedTuple
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 MCAP_END = bytes([2]) + struct.pack("<QQQI", 20, 0, 0, 0) + MCAP_MAGIC
@@ -75,18 +75,17 @@ class _Joined(io.RawIOBase):
         skip = self._at
         for piece in self._pieces:
             if skip < piece.size:
-                found = self._read(piece, skip, min(len(buffer), piece.size - skip))
+                size = min(len(buffer), piece.size - skip)
+                if piece.data is None:
+                    self._file.seek(piece.start + skip)
+                    found = self._file.read(size)
+                else:
+                    found = piece.data[skip : skip + size]
                 buffer[: len(found)] = found
                 self._at += len(found)
                 return len(found)
             skip -= piece.size
         return 0
-
-    def _read(self, piece: Stretch, skip: int, size: int) -> bytes:
-        if piece.data is not None:
-            return piece.data[skip : skip + size]
-        self._file.seek(piece.start + skip)
-        return self._file.read(size)
 
     def close(self) -> None:
         self._file.close()
@@ -98,19 +97,16 @@ def mended(path: Path) -> MendedFile:
     with path.open("rb") as file:
         magic = file.read(len(BAG_MAGIC))
         size = file.seek(0, io.SEEK_END)
-        if magic.startswith(MCAP_MAGIC):
-            pieces = _mended_mcap(file, size)
-        elif magic == BAG_MAGIC:
-            pieces = _mended_bag(file, size)
-        else:
+        if not magic.startswith(MCAP_MAGIC) and magic != BAG_MAGIC:
             raise ValueError("it is neither MCAP nor a bag of ROS 1")
+        pieces = mended_bag(file, size) if magic == BAG_MAGIC else mended_mcap(file, size)
     return MendedFile(path, pieces)
 
 
 # --- MCAP -------------------------------------------------------------------------------
 
 
-def _mended_mcap(file: BinaryIO, size: int) -> tuple[Stretch, ...]:
+def mended_mcap(file: BinaryIO, size: int) -> tuple[Stretch, ...]:
     """Whole records up to the end of the data; a record is one byte, a length, and its content."""
     end = len(MCAP_MAGIC)
     while end + 9 <= size:
@@ -136,7 +132,7 @@ class Record(NamedTuple):
     end: int
 
 
-def _mended_bag(file: BinaryIO, size: int) -> tuple[Stretch, ...]:
+def mended_bag(file: BinaryIO, size: int) -> tuple[Stretch, ...]:
     """Whole chunks with their indexes, and an index of the bag behind them.
 
     A message that is in no whole index is left out.
@@ -149,8 +145,10 @@ def _mended_bag(file: BinaryIO, size: int) -> tuple[Stretch, ...]:
     infos: list[bytes] = []
     end = header.end
     for chunk, indexes in _whole_chunks(records):
-        for found in _connections(_unpacked(file, chunk)):
-            connections.setdefault(*found)
+        data = _unpacked(file, chunk)
+        for record in _records(io.BytesIO(data), 0, len(data)):
+            if record.fields[b"op"][0] == CONNECTION:
+                connections.setdefault(record.fields[b"conn"], data[record.start : record.end])
         infos.append(_chunk_info(file, chunk, indexes))
         end = indexes[-1].end
     numbers = {b"index_pos": struct.pack("<Q", end), b"op": b"\x03"}
@@ -168,7 +166,7 @@ def _mended_bag(file: BinaryIO, size: int) -> tuple[Stretch, ...]:
     )
 
 
-def _records(file: BinaryIO, start: int, size: int) -> Iterator[Record]:
+def _records(file: IO[bytes], start: int, size: int) -> Iterator[Record]:
     """The whole records from there on, one after the other."""
     while start + 4 <= size:
         file.seek(start)
@@ -176,23 +174,18 @@ def _records(file: BinaryIO, start: int, size: int) -> Iterator[Record]:
         data = start + 8 + length
         if data > size:
             return
-        fields = _fields(file.read(length))
+        fields: dict[bytes, bytes] = {}
+        header, at = file.read(length), 0
+        while at + 4 <= length:
+            size_of_field = int.from_bytes(header[at : at + 4], "little")
+            name, _, value = header[at + 4 : at + 4 + size_of_field].partition(b"=")
+            fields[name] = value
+            at += 4 + size_of_field
         end = data + int.from_bytes(file.read(4), "little")
         if end > size or b"op" not in fields:
             return
         yield Record(fields, start, data, end)
         start = end
-
-
-def _fields(header: bytes) -> dict[bytes, bytes]:
-    fields: dict[bytes, bytes] = {}
-    at = 0
-    while at + 4 <= len(header):
-        length = int.from_bytes(header[at : at + 4], "little")
-        name, _, value = header[at + 4 : at + 4 + length].partition(b"=")
-        fields[name] = value
-        at += 4 + length
-    return fields
 
 
 def _packed_fields(fields: dict[bytes, bytes]) -> bytes:
@@ -228,13 +221,6 @@ def _unpacked(file: BinaryIO, chunk: Record) -> bytes:
 
         return decompress(data)
     return data
-
-
-def _connections(chunk: bytes) -> Iterator[tuple[bytes, bytes]]:
-    """The connections in a chunk's data: their number, and the record as it stands there."""
-    for record in _records(io.BytesIO(chunk), 0, len(chunk)):  # type: ignore[arg-type]
-        if record.fields[b"op"][0] == CONNECTION:
-            yield record.fields[b"conn"], chunk[record.start : record.end]
 
 
 def _chunk_info(file: BinaryIO, chunk: Record, indexes: Sequence[Record]) -> bytes:

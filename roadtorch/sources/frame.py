@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import islice, takewhile
 from pathlib import Path
 from typing import TypeVar
 
@@ -46,7 +46,9 @@ class Selection:
 
     def of(self, frames: Iterable[Frame]) -> Iterator[Frame]:
         """The chosen frames; no frame is asked for behind the last one."""
-        inside = (frame for frame in self._until_end(frames) if _clock(frame) >= self.start)
+        until = float("inf") if self.end is None else self.end
+        early = takewhile(lambda frame: _clock(frame) < until, frames)
+        inside = (frame for frame in early if _clock(frame) >= self.start)
         stepped = (frame for at, frame in enumerate(inside) if at % self.every == 0)
         return islice(stepped, self.limit)
 
@@ -56,12 +58,6 @@ class Selection:
             what = "pictures have no time"
             raise ConfigError("--start, --end", what, "choose with --every and --limit")
         return pictures[:: self.every][: self.limit]
-
-    def _until_end(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        for frame in frames:
-            if self.end is not None and _clock(frame) >= self.end:
-                return
-            yield frame
 
 
 def _clock(frame: Frame) -> float:

@@ -41,18 +41,21 @@ class Patience(Settings):
 
 def camera_source(number: int, selection: Selection, patience: Patience) -> Source:
     """The camera of that number (OpenCV's) as a live source."""
-    return _live(f"camera-{number}", f"camera:{number}", partial(_camera, number), selection,
-                 patience)  # fmt: skip
+    connect = partial(_camera, number)
+    return live_source(connect, f"camera-{number}", f"camera:{number}", selection, patience)
 
 
 def stream_source(url: str, name: str, selection: Selection, patience: Patience) -> Source:
     """A stream by its address (RTSP, HTTP, RTMP, UDP, SRT) as a live source."""
-    return _live(name, without_password(url), partial(_stream, url, patience), selection, patience)
+    connect = partial(_stream, url, patience)
+    return live_source(connect, name, without_password(url), selection, patience)
 
 
-def _live(
-    name: str, origin: str, connect: Connection, selection: Selection, patience: Patience
+def live_source(
+    connect: Connection, name: str, origin: str, selection: Selection, patience: Patience
 ) -> Source:
+    """The newest frames of a connection, which is made anew when it breaks."""
+
     def frames() -> Iterator[Frame]:
         with closing(newest_frames(connect, name, origin, patience)) as found:
             yield from selection.of(found)
@@ -152,13 +155,11 @@ def _read(box: NewestFrame, connect: Connection, patience: Patience) -> None:
             last = InputError("stream", f"{type(problem).__name__}: {problem}", "report it")
         failures += 1
         if not ever or failures > patience.tries:
-            return box.fail(_given_up(last, failures - 1) if ever else last)
+            if ever:
+                what = f"{last.what}; connected to anew {failures - 1} times in vain"
+                last = InputError(last.where, what, "start it again when the stream is back")
+            return box.fail(last)
         box.rest(patience.pause * 2 ** (failures - 1))
-
-
-def _given_up(problem: InputError, tries: int) -> InputError:
-    what = f"{problem.what}; connected to anew {tries} times in vain"
-    return InputError(problem.where, what, "start it again when the stream is back")
 
 
 # --- connections ------------------------------------------------------------------------
@@ -174,15 +175,11 @@ def _stream(url: str, patience: Patience) -> Generator[Picture]:
             for picture in container.decode(stream):
                 yield partial(upright, picture)
     except (av.FFmpegError, UnicodeError) as problem:
-        what = _told(problem, patience)
+        what = f"cannot be read: {reason_of(problem)}"
+        if isinstance(problem, av.error.ExitError | TimeoutError):
+            what = f"gives no answer within {patience.answer:g} seconds"
         raise InputError(origin, what, "check the address and the stream") from None
     raise InputError(origin, "has ended", "check the stream")
-
-
-def _told(problem: Exception, patience: Patience) -> str:
-    if isinstance(problem, import_av().error.ExitError | TimeoutError):
-        return f"gives no answer within {patience.answer:g} seconds"
-    return f"cannot be read: {reason_of(problem)}"
 
 
 @contextmanager

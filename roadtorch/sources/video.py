@@ -57,34 +57,27 @@ def video_source(path: Path | str, name: str, selection: Selection) -> Source:
 
     path: or the address of a video that FFmpeg reads to its end.
     """
+    rate = None
+    with suppress(InputError), opened_video(path) as (_, stream):
+        rate = stream.average_rate or stream.guessed_rate
+
+    def frames() -> Iterator[Frame]:
+        number = 0
+        with closing(video_frames(path, name, selection.start)) as every:
+            for number, frame in enumerate(selection.of(every), 1):  # noqa: B007
+                yield frame
+        if not number:
+            what = "has no frame" + (f" from {selection.start:g} s on" if selection.start else "")
+            raise InputError(path, what, "give a video that has, or another --start and --end")
+
     return Source(
         name=name,
         origin=str(path),
         moving=True,
-        frames=partial(_chosen, path, name, selection),
-        rate=_rate(path),
+        frames=frames,
+        rate=None if rate is None else float(rate),
         path=path if isinstance(path, Path) else None,
     )
-
-
-def _rate(path: Path | str) -> float | None:
-    try:
-        with opened_video(path) as (_, stream):
-            rate = stream.average_rate or stream.guessed_rate
-            return None if rate is None else float(rate)
-    except InputError:
-        return None
-
-
-def _chosen(path: Path | str, name: str, selection: Selection) -> Iterator[Frame]:
-    """The chosen frames; InputError where there is none."""
-    frames, number = video_frames(path, name, selection.start), 0
-    with closing(frames):
-        for number, frame in enumerate(selection.of(frames), 1):  # noqa: B007
-            yield frame
-    if not number:
-        what = "has no frame" + (f" from {selection.start:g} s on" if selection.start else "")
-        raise InputError(path, what, "give a video that has, or another --start and --end")
 
 
 # --- reading ----------------------------------------------------------------------------
@@ -169,7 +162,7 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[F
         lasts = clock.lasts or (container.duration or 0) / 1e6  # it is in microseconds
         number, seconds = begins.number, 0.0
         for picture in _decoded(container, stream, begins.packets, damage):
-            if _precedes(picture.pts, begins.pts):
+            if picture.pts is not None and begins.pts is not None and picture.pts < begins.pts:
                 continue  # shown before the key frame, and made of frames that were passed over
             seconds = clock.seconds(picture.pts)
             read = partial(upright, picture)
@@ -178,10 +171,6 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[F
         told = damage.told(clock.seconds(None) if number else 0.0, lasts)
     if told and number > begins.number:
         raise InputError(path, told, "what could be read was used; copy it again, or repair it")
-
-
-def _precedes(pts: int | None, other: int | None) -> bool:
-    return pts is not None and other is not None and pts < other
 
 
 class Clock:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from roadtorch.sinks.gif import GifSink
+from roadtorch.sinks.video import GifSink
 from tests.videos import street_pixels
 
 
