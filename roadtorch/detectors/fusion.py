@@ -11,9 +11,8 @@ from torch import Tensor, nn
 from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings, lean
 from roadtorch.imaging.exposure import brightened
 from roadtorch.imaging.resize import WorkingSize
-from roadtorch.layout.classes import CLASSES, HORIZONTAL
+from roadtorch.layout.classes import CLASSES, HORIZONTAL, Share, pooled
 from roadtorch.layout.labeller import LabellerSettings, decide_layout, segment_layout
-from roadtorch.layout.opinion_pool import Share, pooled
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of

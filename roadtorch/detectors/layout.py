@@ -4,9 +4,8 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings, lean
-from roadtorch.layout.classes import HORIZONTAL
+from roadtorch.layout.classes import HORIZONTAL, Share, pooled
 from roadtorch.layout.labeller import LabellerSettings, decide_layout, label_whole
-from roadtorch.layout.opinion_pool import Share, pooled
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of

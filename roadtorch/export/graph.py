@@ -18,8 +18,13 @@ from torch import Tensor, nn
 from roadtorch.imaging.exposure import DARKEST, STRONGEST, Exposure
 from roadtorch.imaging.resize import SHORTEST, WorkingSize
 from roadtorch.layout.classes import CLASSES, HORIZONTAL
-from roadtorch.layout.normalisation import FIXED_GAIN, FIXED_MEAN, FLATTEST, Normalisation
-from roadtorch.layout.patch_network import PatchNetwork
+from roadtorch.layout.patch_network import (
+    FIXED_GAIN,
+    FIXED_MEAN,
+    MIN_DEVIATION,
+    Normalisation,
+    PatchNetwork,
+)
 from roadtorch.layout.picture_network import EGO, PictureNetwork, potentials_of
 
 LONGEST = 10**5
@@ -128,7 +133,7 @@ def normalised(images: Tensor, normalisation: Normalisation) -> Tensor:
     if normalisation.kind.endswith("picture"):
         apart = images - images.mean((2, 3), keepdim=True)
         deviation = apart.square().mean((1, 2, 3), keepdim=True).sqrt()
-        return apart / deviation.clamp(min=FLATTEST)
+        return apart / deviation.clamp(min=MIN_DEVIATION)
     return (images - FIXED_MEAN) * FIXED_GAIN
 
 

@@ -9,6 +9,9 @@ A processor multiplies 16 numbers at a time, one for each kernel of a layer. Fou
 kernels leave most of them idle. So the same kernels are laid side by side for several
 neighbouring places (``side_by_side``): more multiplications, some of them with 0, in less time.
 
+Past its border a picture is reflected at the outermost pixels, as often as it takes; a picture of
+one row is repeated.
+
 Maps are (rows, columns, channels) in memory. They are made band by band: large tensors that come
 and go cost more time at the operating system, page by page, than all that is done with them but
 the convolutions.
@@ -20,8 +23,6 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor
 from torch.nn import functional as F
-
-from roadtorch.layout.reflection import bounced, with_columns
 
 ACROSS = 4
 """Neighbours in a row that the first layer answers at once: 4 of 4 kernels are 16."""
@@ -66,7 +67,12 @@ class Layers(NamedTuple):
         stride = 2**self.subsamplings
         height, width = (_up_to(side, BLOCK * stride) for side in pixels.shape[1:])
         scores = pixels.new_empty(len(self.last.bias), height, width)
-        ready = self._ready()
+        last = self.last if self.subsamplings == 1 else after(self.last, self.pooling)
+        ready = self._replace(
+            first=side_by_side(self.first, 1, ACROSS),
+            second=after(self.second, self.pooling),
+            last=side_by_side(last, BLOCK, BLOCK),
+        )
         maps = ready.first_fragments(pixels, height, width)
         rows = self.second.weight.shape[2] - 1 + (self.last.weight.shape[2] - 1) * stride // 2
         beyond = rows + self.subsamplings - 1
@@ -76,17 +82,11 @@ class Layers(NamedTuple):
                 ready.finish(fragment[top : end + beyond], into[:, top:end])
         return scores[:, : pixels.shape[1], : pixels.shape[2]]
 
-    def _ready(self) -> "Layers":
-        """The layers as ``first_fragments`` and ``finish`` use them."""
-        last = self.last if self.subsamplings == 1 else after(self.last, self.pooling)
-        return self._replace(
-            first=side_by_side(self.first, 1, ACROSS),
-            second=after(self.second, self.pooling),
-            last=side_by_side(last, BLOCK, BLOCK),
-        )
-
     def first_fragments(self, pixels: Tensor, height: int, width: int) -> Tensor:
-        """Fragments (2,2,h,w,K) of the first layer's maps, enough for ``height`` × ``width``."""
+        """Fragments (2,2,h,w,K) of the first layer's maps, enough for ``height`` × ``width``.
+
+        Of layers as ``scores`` makes them ready, side by side; so is ``finish``.
+        """
         size, before = self.first.weight.shape[2], self.patch // 2
         rows = height + self.patch - size  # of its maps; odd, as are the columns
         columns = width + self.patch - size
@@ -94,13 +94,13 @@ class Layers(NamedTuple):
         source = bounced(pixels.shape[1], before, rows + size - 1 - before - pixels.shape[1])
         source = source.to(pixels.device)
         kernels = len(self.first.bias) // ACROSS
-        found = pixels.new_empty(2, 2, rows // 2, columns // 2, kernels)
+        fragments = pixels.new_empty(2, 2, rows // 2, columns // 2, kernels)
         for top, end in _bands(rows - 1, columns, 2):
             seen = with_columns(pixels, source[top : end + size], before, behind)
             maps = convolved(seen, self.first, (1, ACROSS)).tanh_()
             maps = maps.reshape(len(maps), -1, kernels)[:, :columns]
-            put_fragments(maps, self.pooling, found[:, :, top // 2 : end // 2])
-        return found
+            put_fragments(maps, self.pooling, fragments[:, :, top // 2 : end // 2])
+        return fragments
 
     def finish(self, maps: Tensor, into: Tensor) -> None:
         """What the second and the last layer make of a fragment (R,Q,C), into scores (K,h,w)."""
@@ -145,8 +145,8 @@ def _channels_last(layer: Layer) -> Layer:
 def convolved(maps: Tensor, layer: Layer, steps: tuple[int, int] = (1, 1)) -> Tensor:
     """Maps (R,Q,C) under a layer, moved in these steps: (r,q,K)."""
     batch = maps.permute(2, 0, 1)[None]
-    found = F.conv2d(batch, layer.weight, layer.bias, steps)[0].permute(1, 2, 0)
-    return found.contiguous()  # as it is already, but where another kernel took a tiny picture
+    maps = F.conv2d(batch, layer.weight, layer.bias, steps)[0].permute(1, 2, 0)
+    return maps.contiguous()  # as it is already, but where another kernel took a tiny picture
 
 
 def put_fragments(maps: Tensor, pooling: Pooling, into: Tensor) -> None:
@@ -194,3 +194,35 @@ def _bands(rows: int, columns: int, multiple: int) -> Iterator[tuple[int, int]]:
 def _up_to(length: int, multiple: int) -> int:
     """The next multiple, or the length itself where it is one."""
     return -(-length // multiple) * multiple
+
+
+# --- past the border --------------------------------------------------------------------
+
+
+def reflected(pixels: Tensor, patch: int) -> Tensor:
+    """Pixels (…,H,W) with a frame, so that each has its patch: patch/2 before, one less behind."""
+    for axis in (-2, -1):
+        index = bounced(pixels.shape[axis], patch // 2, patch - patch // 2 - 1)
+        pixels = pixels.index_select(axis, index.to(pixels.device))
+    return pixels
+
+
+def bounced(length: int, before: int, behind: int) -> Tensor:
+    """-before … length+behind-1, thrown back at 0 and length-1 like a ball between walls."""
+    place = torch.arange(-before, length + behind)
+    last = torch.full_like(place, length - 1)  # a tensor, as is the length in an exported graph
+    period = (2 * last).clamp_min(1)
+    place = place.remainder(period)
+    return torch.minimum(torch.minimum(place, period - place), last)
+
+
+def with_columns(pixels: Tensor, rows: Tensor, before: int, behind: int) -> Tensor:
+    """Some rows (r,) of pixels (C,H,W) with columns before and behind: (r,Q,C), channels last.
+
+    Only the columns of the frame are looked up one by one, which is slow.
+    """
+    width = pixels.shape[2]
+    inside = pixels.index_select(1, rows).permute(1, 2, 0).contiguous()
+    columns = bounced(width, before, behind).to(pixels.device)
+    left, right = columns[:before], columns[before + width :]
+    return torch.cat([inside.index_select(1, left), inside, inside.index_select(1, right)], 1)

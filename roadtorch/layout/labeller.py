@@ -217,11 +217,11 @@ def in_order(scores: Tensor, samples: np.ndarray, order: ColumnOrder) -> Tensor:
     local = (order.weight * scores.to(torch.float64)).softmax(1).clamp_min_(1e-4).cpu().numpy()
     posterior = _chain_posterior(local.take(samples, 0), _moves(order.change, order.breach))
     place = (CLASSES * samples.reshape(-1, 1) + np.arange(CLASSES)).reshape(-1)
-    found = np.bincount(place, posterior.reshape(-1), minlength=local.size).reshape(local.shape)
-    unseen = ~found.any(1)  # segments without a sample keep their own say
-    found[unseen] = local[unseen]
-    found /= found @ np.ones((CLASSES, 1))
-    return torch.from_numpy(found).to(scores)
+    belief = np.bincount(place, posterior.reshape(-1), minlength=local.size).reshape(local.shape)
+    unseen = ~belief.any(1)  # segments without a sample keep their own say
+    belief[unseen] = local[unseen]
+    belief /= belief @ np.ones((CLASSES, 1))
+    return torch.from_numpy(belief).to(scores)
 
 
 @lru_cache(maxsize=8)
@@ -243,17 +243,14 @@ def _chain_posterior(evidence: np.ndarray, moves: np.ndarray) -> np.ndarray:
     """
     states = np.concatenate([evidence, evidence[::-1]], 2)
     for row in range(1, len(states)):
-        before = states[row - 1] if row % UNSCALED else _scaled(states[row - 1])
+        before = states[row - 1]
+        if row % UNSCALED == 0:  # the sums of each of the two chains are brought to 1
+            chains = before.reshape(-1, 2, CLASSES)
+            before = (chains / chains.sum(2, keepdims=True)).reshape(before.shape)
         states[row] *= before @ moves
     down, up = states[..., :CLASSES], states[::-1, :, CLASSES:]
     posterior = down * up / evidence
     return posterior / (posterior @ np.ones((CLASSES, 1)))  # its sum over three, sooner
-
-
-def _scaled(states: np.ndarray) -> np.ndarray:
-    """States (C,6) of two chains with the sums (C,1) of each brought to 1."""
-    chains = states.reshape(-1, 2, CLASSES)
-    return (chains / chains.sum(2, keepdims=True)).reshape(states.shape)
 
 
 def decide_layout(potentials: Tensor, settings: LabellerSettings) -> Tensor:

@@ -6,9 +6,10 @@ of the family another subsampling), convolution, potentials in [0,1]. CNN-7 is t
 the family that P2 selects, and the default here.
 """
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Mapping
 from itertools import product
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, NamedTuple
 
 import torch
 from pydantic import Field, model_validator
@@ -17,17 +18,16 @@ from torch.nn import functional as F
 
 from roadtorch.errors import ConfigError
 from roadtorch.imaging.color import plane
+from roadtorch.imaging.exposure import Exposure, brightened
 from roadtorch.imaging.resize import WorkingSize, at_working_size
 from roadtorch.layout.classes import CLASSES
-from roadtorch.layout.fragments import Layer, Layers
-from roadtorch.layout.normalisation import Normalisation, normalise
-from roadtorch.layout.reflection import reflected
+from roadtorch.layout.fragments import Layer, Layers, reflected
 from roadtorch.settings import Settings
 
 PATCHES = (32, 48, 64)
 """The sizes of patches that P2 compares (Fig. 3)."""
 
-LEAST_KERNEL, LARGEST_KERNEL = 5, 13
+MIN_KERNEL, MAX_KERNEL = 5, 13
 
 PROPOSALS = 3
 
@@ -56,13 +56,13 @@ class Topology(Settings):
         description="maps of the first layer that each second kernel sees; 0: all",
     )
     size1: int = Field(
-        default=7, ge=LEAST_KERNEL, le=LARGEST_KERNEL, description="side of the first kernels"
+        default=7, ge=MIN_KERNEL, le=MAX_KERNEL, description="side of the first kernels"
     )
     size2: int = Field(
-        default=7, ge=LEAST_KERNEL, le=LARGEST_KERNEL, description="side of the second kernels"
+        default=7, ge=MIN_KERNEL, le=MAX_KERNEL, description="side of the second kernels"
     )
     size3: int = Field(
-        default=7, ge=LEAST_KERNEL, le=LARGEST_KERNEL, description="side of the last kernels"
+        default=7, ge=MIN_KERNEL, le=MAX_KERNEL, description="side of the last kernels"
     )
     subsamplings: Literal[1, 2] = Field(
         default=1, description="stages followed by 2×2 subsampling: the first, or both"
@@ -78,7 +78,12 @@ class Topology(Settings):
     def _ends_in_one(self) -> "Topology":
         sizes = (self.patch, self.size1, self.size2, self.size3, self.subsamplings)
         if _last_side(*sizes) != 1:
-            raise ConfigError("topology", _ending(*sizes), f"nearest that do: {_nearest(*sizes)}")
+            side = _last_side(*sizes)
+            end = f"ends in {side}×{side}, not in 1×1"
+            if side is None:
+                end = "has a map that 2×2 subsampling cannot halve, or none left"
+            remedy = f"nearest that do: {_nearest(*sizes)}"
+            raise ConfigError("topology", f"{_told(*sizes)} {end}", remedy)
         if self.connections > self.k1:
             what = f"is {self.connections}, and the first layer has {self.k1} kernels"
             raise ConfigError("topology.connections", what, f"give 0 to {self.k1}")
@@ -108,21 +113,13 @@ def _last_side(patch: int, size1: int, size2: int, size3: int, subsamplings: int
     return side if side > 0 else None
 
 
-def _ending(patch: int, size1: int, size2: int, size3: int, subsamplings: int) -> str:
-    side = _last_side(patch, size1, size2, size3, subsamplings)
-    end = "has a map that 2×2 subsampling cannot halve, or none left" if side is None else ""
-    return f"{_told(patch, size1, size2, size3, subsamplings)} " + (
-        end or f"ends in {side}×{side}, not in 1×1"
-    )
-
-
 def _told(patch: int, size1: int, size2: int, size3: int, subsamplings: int) -> str:
     return f"patch={patch} size1={size1} size2={size2} size3={size3} subsamplings={subsamplings}"
 
 
 def _nearest(*sizes: int) -> str:
     """The sizes with the smallest changes that end in 1×1, as settings."""
-    kernels = range(LEAST_KERNEL, LARGEST_KERNEL + 1)
+    kernels = range(MIN_KERNEL, MAX_KERNEL + 1)
     fitting = [
         other
         for other in product(PATCHES, kernels, kernels, kernels, (1, 2))
@@ -136,6 +133,47 @@ def _nearest(*sizes: int) -> str:
         return sum(steps), sum(size % 2 == 0 for size in other[1:4])
 
     return "; ".join(_told(*other) for other in sorted(fitting, key=change)[:PROPOSALS])
+
+
+# --- before a network --------------------------------------------------------------------
+
+FIXED_MEAN, FIXED_GAIN = 0.5, 4.0
+"""Levels in [0,1] become values from -2 to 2, near the unit variance that tanh likes."""
+
+MIN_DEVIATION = 0.02
+"""The least deviation that a picture is divided by: a flat one stays flat."""
+
+
+class Normalisation(Settings):
+    """What is done to a picture before a network sees it."""
+
+    kind: Literal["fixed", "picture", "brightened", "brightened picture"] = Field(
+        default="fixed",
+        description="levels as they are; less the picture's mean colour, over its deviation; "
+        "brightened as for the labeller; or first this, then that",
+    )
+    exposure: Exposure = Exposure()
+
+
+class Normalised(NamedTuple):
+    """pixels (3,H,W) of about zero mean; gain: by how much a difference of levels has grown."""
+
+    pixels: Tensor
+    gain: float
+
+
+def normalise(image: Tensor, normalisation: Normalisation) -> Normalised:
+    """An image (3,H,W) in [0,1] as the networks want it. Ours; P2 says "RGB pixel values"."""
+    if normalisation.kind.startswith("brightened"):
+        image = brightened(image, normalisation.exposure)
+    if normalisation.kind.endswith("picture"):
+        centred = image - image.mean((1, 2), keepdim=True)
+        gain = 1 / max(math.sqrt(centred.square().mean()), MIN_DEVIATION)
+        return Normalised(centred * gain, gain)
+    return Normalised((image - FIXED_MEAN) * FIXED_GAIN, FIXED_GAIN)
+
+
+# --- the network ---------------------------------------------------------------------------
 
 
 class PatchNetworkSettings(Settings):
@@ -258,12 +296,3 @@ def _pooled_everywhere(maps: Tensor, apart: int, pooling: str) -> Tensor:
         one, two = maps.narrow(axis, 0, length), maps.narrow(axis, apart, length)
         maps = (one + two) / 2 if pooling == "mean" else torch.maximum(one, two)
     return maps
-
-
-def fitting_topologies() -> Iterator[Topology]:
-    """Every member of P2's family by its sizes (Fig. 3), with the kernel counts of CNN-7."""
-    for patch, one, two, three, stages in product(
-        PATCHES, (5, 7, 9, 13), (7, 9, 13), (5, 7, 9), (1, 2)
-    ):
-        if _last_side(patch, one, two, three, stages) == 1:
-            yield Topology(patch=patch, size1=one, size2=two, size3=three, subsamplings=stages)

@@ -17,7 +17,7 @@ from torch.nn import functional as F
 
 from roadtorch.imaging.resize import resized
 from roadtorch.layout.classes import CLASSES
-from roadtorch.layout.normalisation import Normalisation, normalise
+from roadtorch.layout.patch_network import Normalisation, normalise
 from roadtorch.settings import Settings
 
 DILATIONS = (1, 2, 4, 8, 1)

@@ -27,7 +27,7 @@ FORMAT = 1
 HEADER = "roadtorch"
 """The one key of the metadata: safetensors writes several keys in no settled order."""
 
-LARGEST = 1e6
+MAX_WEIGHT = 1e6
 """The largest weight that is believed; ours: those that ship stay below 3, and the convolutions
 of a network a million times larger overflow."""
 
@@ -40,7 +40,7 @@ STATED = re.compile(r"^\|\s*sha256\s*\|\s*`([0-9a-f]{64})`\s*\|", re.MULTILINE)
 TERMS = re.compile(r"^\|\s*terms\s*\|\s*(.+?)\s*\|$", re.MULTILINE)
 """The row of a card that says in a few words what the weights may be used for."""
 
-MOST_OF_CARD = 2**20
+MAX_CARD_BYTES = 2**20
 """Bytes; ours: cards have thousands."""
 
 NETWORKS = {
@@ -127,8 +127,8 @@ def people_behind(path: str | os.PathLike[str]) -> list[Mapping[str, Any]]:
     Each says how many ``pictures``, ``people`` and ``pixels``. WeightsError as for
     ``load_network``.
     """
-    found = read_origin(path).get("corrections")
-    return [one for one in found if isinstance(one, dict)] if isinstance(found, list) else []
+    runs = read_origin(path).get("corrections")
+    return [one for one in runs if isinstance(one, dict)] if isinstance(runs, list) else []
 
 
 def corrected_pictures(settings: Mapping[str, Any]) -> int:
@@ -144,28 +144,23 @@ def fill(network: nn.Module, tensors: Mapping[str, Tensor], path: str | os.PathL
     """Give a network its weights.
 
     Raises WeightsError when a name, a shape or a type differs, and for values that are not
-    finite or beyond ``LARGEST``.
+    finite or beyond ``MAX_WEIGHT``.
     """
     wanted = {name: tuple(value.shape) for name, value in network.state_dict().items()}
-    found = {name: tuple(value.shape) for name, value in tensors.items()}
-    if wanted != found:
-        name = min(key for key in wanted | found if wanted.get(key) != found.get(key))
-        what = f"holds another network: {name} is {_shape(found, name)}, not {_shape(wanted, name)}"
+    given = {name: tuple(value.shape) for name, value in tensors.items()}
+    if wanted != given:
+        name = min(key for key in wanted | given if wanted.get(key) != given.get(key))
+        what = f"holds another network: {name} is {_shape(given, name)}, not {_shape(wanted, name)}"
         raise WeightsError(path, what, "use weights of this network")
-    for name, value in network.state_dict().items():
-        _check_values(path, name, tensors[name], value.dtype)
+    for name, own in network.state_dict().items():
+        values = tensors[name]
+        if values.dtype != own.dtype:
+            what = f"holds {values.dtype} in {name}, not {own.dtype}".replace("torch.", "")
+            raise WeightsError(path, what, "use weights of this network")
+        if values.is_floating_point() and not (values.abs() <= MAX_WEIGHT).all():  # or NaN
+            what = f"holds weights in {name} that are not finite, or beyond {MAX_WEIGHT:g}"
+            raise WeightsError(path, what, "fetch or train it again")
     network.load_state_dict(dict(tensors))
-
-
-def _check_values(
-    path: str | os.PathLike[str], name: str, values: Tensor, wanted: torch.dtype
-) -> None:
-    if values.dtype != wanted:
-        what = f"holds {values.dtype} in {name}, not {wanted}".replace("torch.", "")
-        raise WeightsError(path, what, "use weights of this network")
-    if values.is_floating_point() and not (values.abs() <= LARGEST).all():  # also true of NaN
-        what = f"holds weights in {name} that are not finite, or beyond {LARGEST:g}"
-        raise WeightsError(path, what, "fetch or train it again")
 
 
 def tensors_hash(tensors: Mapping[str, Tensor]) -> str:
@@ -218,7 +213,7 @@ def _card_of(path: Path) -> str:
     if not card.is_file():
         return ""
     try:
-        return read_regular(card, MOST_OF_CARD).decode(errors="replace")
+        return read_regular(card, MAX_CARD_BYTES).decode(errors="replace")
     except OSError as problem:
         what = f"cannot be read: {problem.strerror}"
         raise WeightsError(card, what, "check the file, or remove it") from None
@@ -273,11 +268,6 @@ def network_of(weights: WeightsFile, shipped: str, kind: type[Network]) -> Netwo
         what = f"holds a network for {network.kind}, not for {kind.kind}"
         raise WeightsError(path, what, "use weights of that kind of training")
     network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # stubs lack it
-    _run_once(network)
-    return network
-
-
-def _run_once(network: LayoutNetwork) -> None:
-    """Have torch make the programs of a network that works at one size; others are left alone."""
     if isinstance(network, PictureNetwork):
         network.cues(torch.zeros(3, network.settings.height, network.settings.width))
+    return network

@@ -19,8 +19,7 @@ from roadtorch.errors import InputError
 from roadtorch.imaging.resize import at_work, working_size
 from roadtorch.layout.classes import CLASSES, UNLABELLED
 from roadtorch.layout.labeller import label_layout
-from roadtorch.layout.normalisation import normalise
-from roadtorch.layout.patch_network import PatchNetwork
+from roadtorch.layout.patch_network import PatchNetwork, normalise
 from roadtorch.layout.weights import LayoutNetwork
 from roadtorch.sources.pictures import Picture
 from roadtorch.superpixels.statistics import segment_mean, segment_size

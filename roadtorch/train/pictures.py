@@ -12,7 +12,7 @@ from torch.nn import functional as F
 
 from roadtorch.data.corrections import Correction
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, SKY
-from roadtorch.layout.normalisation import normalise
+from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.picture_network import EGO, ROAD, PictureNetwork
 from roadtorch.layout.weights import LayoutNetwork
 from roadtorch.sources.pictures import Picture

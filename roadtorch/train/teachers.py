@@ -20,7 +20,7 @@ from roadtorch.evaluation.disagreement import Agreement
 from roadtorch.imaging.resize import resized
 from roadtorch.io.atomic import make_folder
 from roadtorch.layout.classes import CLASSES
-from roadtorch.layout.normalisation import normalise
+from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.picture_network import EGO, ROAD, PictureNetwork, potentials_of
 from roadtorch.road.ego import continued
 from roadtorch.road.fusion import log_odds

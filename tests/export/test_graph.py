@@ -8,7 +8,7 @@ from torch.nn import functional as F
 
 from roadtorch.export.graph import averaged, averaging, normalised, planes_of, size_at_work
 from roadtorch.imaging.resize import WorkingSize, working_size
-from roadtorch.layout.normalisation import Normalisation, normalise
+from roadtorch.layout.patch_network import Normalisation, normalise
 from roadtorch.testing import street
 
 SIDES = st.integers(1, 80)

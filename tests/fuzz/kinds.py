@@ -31,7 +31,7 @@ from roadtorch.evaluation.tally import FILE, SavedTallies
 from roadtorch.io.image import read_image
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
-from roadtorch.layout.weights import LARGEST, load_network, save_network, shipped_weights
+from roadtorch.layout.weights import MAX_WEIGHT, load_network, save_network, shipped_weights
 from roadtorch.road.ego import Ego, ego_car
 from roadtorch.runs.folder import ResultFolder
 from roadtorch.runs.index import Row, read_index, write_index
@@ -150,7 +150,7 @@ def make_network(draw: Draw, folder: Path) -> Path:
 
 def read_network(path: Path) -> bool:
     values = load_network(path).state_dict().values()
-    return all(bool((value.abs() <= LARGEST).all()) for value in values)
+    return all(bool((value.abs() <= MAX_WEIGHT).all()) for value in values)
 
 
 def make_arrays(draw: Draw, folder: Path) -> Path:

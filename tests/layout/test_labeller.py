@@ -23,12 +23,10 @@ from roadtorch.layout.labeller import (
     in_order,
     label_layout,
     place_prior,
-    segment_layout,
     sky_look,
 )
 from roadtorch.scenes.street import RenderedScene
 from roadtorch.superpixels.features import Segments, measure_segments
-from roadtorch.superpixels.slic import Superpixels
 from tests.reference import layout as reference
 from tests.streets import scene
 
@@ -58,21 +56,15 @@ def test_the_place_prior_reads_sky_vertical_horizontal_down_the_middle() -> None
     assert best[-1] == HORIZONTAL
 
 
-def test_the_place_prior_is_the_same_on_both_sides() -> None:
-    row, column = places(12, 30)
-
-    assert torch.allclose(
-        place_prior(row, column, PlacePrior()), place_prior(row, 1 - column, PlacePrior())
-    )
-
-
-def test_a_lower_horizon_moves_sky_and_ground_down_with_it() -> None:
+def test_a_lower_horizon_moves_sky_and_ground_down_on_both_sides_alike() -> None:
     row, column = places(20, 20)
 
     high = place_prior(row, column, PlacePrior(horizon=0.4))
     low = place_prior(row + 0.2, column, PlacePrior(horizon=0.6))
 
     torch.testing.assert_close(high, low)
+    mirrored = place_prior(row, 1 - column, PlacePrior(horizon=0.4))
+    torch.testing.assert_close(high, mirrored)
 
 
 def test_buildings_fill_the_sides() -> None:
@@ -258,7 +250,7 @@ def truth(shown: RenderedScene) -> Tensor:
     return torch.where(shown.void, UNLABELLED, shown.layout.long())
 
 
-STREETS = [(seed, dusk) for seed in range(4) for dusk in (0.0, 0.8)]
+STREETS = [(0, 0.0), (1, 0.0), (2, 0.8), (3, 0.8)]
 every_street = pytest.mark.parametrize(("seed", "dusk"), STREETS)
 
 
@@ -275,6 +267,7 @@ def test_a_rendered_street_is_labelled_far_better_than_by_place_alone(
     assert recalls.mean() > 0.85
     assert recalls.min() > 0.7
     assert floor < 0.7
+    assert labelled_share(count_layout(labelled(seed, dusk).labels, truth(shown))) > 0.9
 
 
 def test_streets_are_labelled_better_than_by_any_fixed_map_of_places() -> None:
@@ -305,18 +298,11 @@ def test_potentials_are_shares_and_labels_keep_to_the_margin(seed: int, dusk: fl
     assert torch.equal(found.labels[leads], found.potentials.argmax(0)[leads])
 
 
-@every_street
-def test_little_stays_unlabelled(seed: int, dusk: float) -> None:
-    shown, found = truth(scene(seed, dusk=dusk)), labelled(seed, dusk)
-
-    assert labelled_share(count_layout(found.labels, shown)) > 0.9
-
-
 def test_maximum_support_gives_every_pixel_its_largest_potential() -> None:
-    found = label_layout(scene(1, dusk=0.8).image, ALL)
+    found = label_layout(scene(2, dusk=0.8).image, ALL)
 
-    assert torch.equal(found.labels, all_labels(1, 0.8))
-    torch.testing.assert_close(found.potentials, labelled(1, 0.8).potentials)
+    assert torch.equal(found.labels, all_labels(2, 0.8))
+    torch.testing.assert_close(found.potentials, labelled(2, 0.8).potentials)
 
 
 def test_what_stays_unlabelled_would_be_wrong_more_often() -> None:
@@ -330,7 +316,7 @@ def test_what_stays_unlabelled_would_be_wrong_more_often() -> None:
     assert torch.cat(doubted).mean() > 2 * torch.cat(sure).mean()
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_mirrored_picture_gives_nearly_the_mirrored_layout(seed: int) -> None:
     mirrored = label_layout(scene(seed, dusk=0.0).image.flip(-1), ALL).labels.flip(-1)
 
@@ -362,17 +348,6 @@ def test_a_flat_picture_is_labelled_in_order(grey: float, size: tuple[int, int])
     torch.testing.assert_close(found.potentials.sum(0), torch.ones(size), atol=1e-5, rtol=0.0)
     middle = found.labels[:, size[1] // 2]
     assert (middle.diff() >= 0).all()
-
-
-@pytest.mark.parametrize("rounds", [1, 5])
-def test_beliefs_about_segments_sum_to_one(rounds: int) -> None:
-    image = scene(0, dusk=0.0).image
-    segments = measure_segments(image, Superpixels().cut(image))
-
-    belief = segment_layout(segments, LabellerSettings(rounds=rounds))
-
-    assert belief.shape == (len(segments.size), 3)
-    torch.testing.assert_close(belief.sum(1), torch.ones(len(belief)))
 
 
 def test_learning_the_look_of_the_classes_beats_place_and_order() -> None:

@@ -85,15 +85,6 @@ def test_a_page_or_nothing_at_all_is_no_weight_file(data: bytes, what: str, tmp_
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("share", [0.001, 0.3, 0.99])
-def test_a_truncated_file_is_told(weights: Path, share: float) -> None:
-    data = weights.read_bytes()
-    weights.write_bytes(data[: int(len(data) * share)])
-
-    with pytest.raises(WeightsError, match="damaged"):
-        load_network(weights)
-
-
 @pytest.mark.parametrize("name", ["nothing.safetensors", "."])
 def test_a_missing_file_is_told(name: str, tmp_path: Path) -> None:
     with pytest.raises(WeightsError, match="is not a file"):
@@ -139,8 +130,12 @@ def test_weights_that_make_no_sense_are_told(weights: Path, mad: str, all_of_the
     assert str(weights) in str(caught.value)
 
 
-def test_a_flipped_bit_is_told_wherever_it_is(weights: Path) -> None:
+def test_a_cut_or_a_flipped_bit_is_told_wherever_it_is(weights: Path) -> None:
     data = weights.read_bytes()
+    for share in (0.001, 0.3, 0.99):
+        weights.write_bytes(data[: int(len(data) * share)])
+        with pytest.raises(WeightsError, match="damaged"):
+            load_network(weights)
     start = 8 + int.from_bytes(data[:8], "little")
     for place in range(start, len(data), (len(data) - start) // 20):
         flipped = bytearray(data)
@@ -163,7 +158,7 @@ def test_a_file_that_is_not_what_its_card_states_is_told(weights: Path) -> None:
 
 def test_a_card_that_cannot_be_read_is_told(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     weights.with_suffix(".md").write_text("# A card\n")
-    monkeypatch.setattr("roadtorch.layout.weights.MOST_OF_CARD", 5)
+    monkeypatch.setattr("roadtorch.layout.weights.MAX_CARD_BYTES", 5)
 
     with pytest.raises(
         WeightsError, match=r"weights\.md: cannot be read: it has more than 5 bytes"
@@ -230,11 +225,7 @@ def test_headers_that_do_not_fit_are_told(
 
     with pytest.raises(WeightsError, match=what):
         load_network(weights)
-
-
-@pytest.mark.parametrize("text", ['{"format": 1e999, "kind": "patches"}', "[" * 100_000])
-def test_headers_that_trip_the_parser_are_told(text: str, weights: Path) -> None:
-    save_file(NETWORKS[0].state_dict(), weights, {"roadtorch": text})
-
-    with pytest.raises(WeightsError, match="a header that makes no sense"):
-        load_network(weights)
+    for text in ('{"format": 1e999, "kind": "patches"}', "[" * 100_000):  # trips the parser
+        save_file(NETWORKS[0].state_dict(), weights, {"roadtorch": text})
+        with pytest.raises(WeightsError, match="a header that makes no sense"):
+            load_network(weights)

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from roadtorch.errors import InputError
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
+from roadtorch.layout.fragments import reflected
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings
-from roadtorch.layout.reflection import reflected
 from roadtorch.train.config import PatchAugmentation, PatchCentres, PatchTraining, build_training
 from roadtorch.train.loop import Batch
 from roadtorch.train.patches import (
