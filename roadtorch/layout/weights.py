@@ -267,7 +267,7 @@ def network_of(weights: WeightsFile, shipped: str, kind: type[Network]) -> Netwo
     if not isinstance(network, kind):
         what = f"holds a network for {network.kind}, not for {kind.kind}"
         raise WeightsError(path, what, "use weights of that kind of training")
-    network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # stubs lack it
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # stubs lack it
     if isinstance(network, PictureNetwork):
         network.cues(torch.zeros(3, network.settings.height, network.settings.width))
     return network
