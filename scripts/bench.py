@@ -101,14 +101,11 @@ def table(times: Times) -> str:
 def keep(times: Times) -> None:
     """Write the figures of `fusion` where documents find them (scripts/readme_figures.py)."""
     values = {
-        "bench.fusion.ms": (median(times["fusion"]), "ms"),
-        "bench.fusion.of_lraspp": (ratio(times["fusion"], times[LRASPP]), "share"),
+        "bench.fusion.ms": median(times["fusion"]),
+        "bench.fusion.of_lraspp": ratio(times["fusion"], times[LRASPP]),
     }
-    lines = [
-        json.dumps({"name": name, "value": value, "unit": unit, "command": COMMAND})
-        for name, (value, unit) in values.items()
-    ]
-    KEPT.write_text("[\n" + ",\n".join(lines) + "\n]\n", encoding="utf-8")
+    text = json.dumps({"command": COMMAND, "values": values}, indent=0)
+    KEPT.write_text(f"{text}\n", encoding="utf-8")
 
 
 def size(text: str) -> tuple[int, int]:

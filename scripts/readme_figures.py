@@ -1,135 +1,231 @@
-"""The pictures and the figures of README and docs: made, and held against their sources.
+"""The figures of README and docs: written from records of evaluations, and held against them.
 
-    python scripts/readme_figures.py evaluate DATA   # score, write the documents, check
+    python scripts/readme_figures.py evaluate DATA   # score, keep the records, write the documents
     python scripts/readme_figures.py write           # documents as docs/figures have them
-    python scripts/readme_figures.py --check         # is every figure as its source has it?
-    python scripts/readme_figures.py free PAGE       # the figures of a page without a source
-    python scripts/readme_figures.py make DATA       # docs/pictures: the steps
+    python scripts/readme_figures.py check           # is every figure as its record has it?
 
-DATA holds many/, camvid/, idd_lite/ and unlabelled_free/. ``evaluate`` takes about ten minutes on
-two quiet cores; --only NAME… does some of it (camvid-slow, idd-slow: detectors of seconds a
-picture, which are in no other run). ``write`` and ``--check`` take seconds. How a figure is bound
-to its source: scripts/bound_figures.py.
+DATA holds many/, camvid/ and idd_lite/. ``evaluate`` takes about ten minutes on two quiet cores;
+--only NAME… does some of it (camvid-slow, idd-slow: detectors of seconds a picture). A figure is
+bound by a comment right after it, which no reader sees, with the name of a record::
+
+    F of the mask is .827<!-- figure: many.fusion.f_mask --> on average
+    the worst camera is `dn_tas500`<!-- figure: many.fusion.f_mask.worst.camera -->
+
+It is said with as many digits as it has there. What stands between ``<!-- table: NAME -->`` and
+``<!-- end -->`` is written whole. A file of records is {"command": …, "values": {name: value}};
+names are RUN.DETECTOR.MEASURE, with ``.low`` and ``.high`` its interval, ``@GROUP`` one camera,
+drive or condition, ``.worst`` and ``.worst.camera`` the lowest of the groups, ``.less`` the
+difference to ``fusion``.
 """
 
 import argparse
+import difflib
+import json
+import re
+import shlex
+import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the scripts beside
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
 
-from scripts import bound_figures, readme_pictures
-from scripts.bound_figures import Record
-from scripts.readme_evaluations import RUNS, SLOW_RUNS, collect, evaluate, facts
-from scripts.readme_tables import TABLES
+from roadtorch.detectors.catalogue import list_detectors
+from roadtorch.layout.weights import load_network, shipped_weights
+from roadtorch.oneclass import CLASSIFIERS
+from scripts.readme_tables import FUSIONS, MINUS, ROAD, SLOW, TABLES, Records, restated
 
 ROOT = Path(__file__).resolve().parents[1]
+FIGURES = ROOT / "docs" / "figures"
 
-FIGURES = Path("docs/figures")
-"""Where the records lie, a file a run."""
-
-WHOLLY_BOUND = ("README.md", "docs/adapting.md", "docs/many.md", "docs/results.md")
-"""Documents in which a figure without a source is an error."""
+# --- what is scored ------------------------------------------------------------------------
 
 
-def documents(root: Path) -> list[Path]:
+class Run(NamedTuple):
+    """One evaluation: the words of its command, and who is scored.
+
+    In the words DATA is the folder of the data, OUT that of all runs.
+    """
+
+    words: str
+    detectors: Sequence[str]
+
+    def command(self, name: str) -> str:
+        """What is run, from ``evaluate`` on."""
+        named = " ".join(f"--detector {one}" for one in self.detectors)
+        return f"evaluate {self.words} {named} --against fusion --montage 0 --out OUT/{name}"
+
+
+RUNS = {
+    "many": Run("folder DATA/many --leave-out india_zed", (*FUSIONS, "layout", "labeller", "ufl")),
+    "camvid": Run("camvid DATA/camvid", ROAD),
+    "idd": Run(
+        "idd-lite DATA/idd_lite --mean-from camvid:DATA/camvid "
+        "--threshold-from OUT/camvid/metrics.json",
+        ROAD,
+    ),
+    "camvid-slow": Run("camvid DATA/camvid --limit 24", SLOW),
+    "idd-slow": Run("idd-lite DATA/idd_lite --limit 24", SLOW),
+}
+
+
+def evaluate(data: Path, out: Path, names: Sequence[str], jobs: int) -> None:
+    """Run evaluations, and keep what documents use of them; CalledProcessError where one fails."""
+    asked = used()
+    for name in names:
+        command = RUNS[name].command(name)
+        words = shlex.split(command.replace("DATA", str(data)).replace("OUT", str(out)))
+        words = [sys.executable, "-m", "roadtorch", *words, "--jobs", str(jobs)]
+        subprocess.run(words, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
+        metrics = json.loads((out / name / "metrics.json").read_text(encoding="utf-8"))
+        found = records_of(name, metrics)
+        kept = {key: found[key] for key in sorted(found) if key in asked}
+        text = json.dumps({"command": f"roadtorch {command}", "values": kept}, indent=0)
+        (FIGURES / f"{name}.json").write_text(f"{text}\n", encoding="utf-8")
+
+
+NOT_FIGURES = ("settings", "images_by_f", "ci95", "groups", "left_out", "pooled", "conditions")
+
+
+def records_of(run: str, metrics: Mapping[str, Any]) -> dict[str, float | str]:
+    """All numbers of a metrics.json, flat."""
+    found: dict[str, float | str] = {f"{run}.images": metrics["images"]}
+    base = metrics["detectors"].get("lbp", {}).get("auc_pooled")
+    for detector, one in metrics["detectors"].items():
+        own, groups = f"{run}.{detector}", one.get("groups", {})
+        found |= {f"{own}.{key}": value for key, value in _flat(one)}
+        found |= _ends(own, one["ci95"])
+        for group, figures in {**groups, **one.get("conditions", {})}.items():
+            found |= {f"{own}.{key}@{group}": value for key, value in _flat(figures)}
+        for key in ("f_mask", "maxf"):
+            values = {name: each[key] for name, each in groups.items() if each.get(key) is not None}
+            if values:
+                worst = min(values, key=lambda name: values[name])
+                found |= {f"{own}.{key}.worst": values[worst], f"{own}.{key}.worst.camera": worst}
+        if base:  # P2's improvement
+            found[f"{own}.auc_pooled.over_lbp"] = one["auc_pooled"] / base - 1
+        for key, change in metrics["paired"]["detectors"].get(detector, {}).items():
+            found[f"{own}.{key}.less"] = change["difference"]
+            found |= _ends(own, {f"{key}.less": change["ci95"]})
+    return found
+
+
+def _flat(figures: Mapping[str, Any], under: str = "") -> Iterator[tuple[str, float]]:
+    for key, value in figures.items():
+        if isinstance(value, Mapping) and key not in NOT_FIGURES:
+            yield from _flat(value, f"{under}{key}.")
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            yield under + key, value
+
+
+def _ends(own: str, intervals: Mapping[str, Sequence[float] | None]) -> dict[str, float]:
+    known = {key: ends for key, ends in intervals.items() if ends and None not in ends}
+    return {
+        f"{own}.{key}.{end}": value
+        for key, ends in known.items()
+        for end, value in zip(("low", "high"), ends, strict=True)
+    }
+
+
+def records() -> dict[str, float | str]:
+    """All records that are kept, and what the code itself says."""
+    grid = {name.rpartition(":")[2] for name in list_detectors("oneclass:*")}
+    pictures = (ROOT / "train" / "pictures.csv").read_text(encoding="utf-8").splitlines()
+    weights = load_network(shipped_weights("layout")).parameters()
+    found: dict[str, float | str] = {
+        "facts.classifiers": len(CLASSIFIERS),
+        "facts.representations": len(grid),
+        "facts.network.weights": sum(each.numel() for each in weights),
+        "facts.training_pictures": len(pictures) - 1,
+    }
+    for path in sorted(FIGURES.glob("*.json")):
+        found |= json.loads(path.read_text(encoding="utf-8"))["values"]
+    return found
+
+
+# --- documents -----------------------------------------------------------------------------
+
+NUMBER = rf"[+{MINUS}-]?(?:\d{{1,3}}(?:,\d{{3}})+|\d+)?(?:\.\d+|(?<=\d))(?:\s?%)?"
+MARK = re.compile(rf"(?P<said>`[^`\n]+`|{NUMBER})<!-- figure: (?P<key>\S[^\n>]*?) -->")
+TABLE = re.compile(r"<!-- table: (?P<name>\S+) -->\n.*?<!-- end -->", re.S)
+
+
+def rewritten(text: str, known: Records) -> str:
+    """A document with every figure and table as its records have it; KeyError for a name of none.
+
+    A figure that agrees with its record stays as it is written.
+    """
+
+    def figure(one: re.Match[str]) -> str:
+        now = restated(one["said"], known[one["key"]])
+        return one[0] if now == one["said"] else f"{now}<!-- figure: {one['key']} -->"
+
+    def table(one: re.Match[str]) -> str:
+        return f"<!-- table: {one['name']} -->\n{TABLES[one['name']](known)}<!-- end -->"
+
+    return MARK.sub(figure, TABLE.sub(table, text))
+
+
+def documents() -> Iterator[Path]:
     """README and every page of docs."""
-    return [root / "README.md", *sorted((root / "docs").glob("*.md"))]
+    yield ROOT / "README.md"
+    yield from sorted((ROOT / "docs").glob("*.md"))
 
 
-def records(root: Path) -> Mapping[str, Record]:
-    """All records of a checkout, those of the benches too, and what the code says."""
-    return bound_figures.read_records(sorted((root / FIGURES).glob("*.json"))) | dict(facts())
+class _Asked(dict[str, float | str]):
+    """Records that are all there, and remember who asked."""
+
+    def __missing__(self, key: str) -> float | str:
+        return self.setdefault(key, 0.0)
+
+    def __contains__(self, key: object) -> bool:
+        self.setdefault(str(key), 0.0)
+        return True
 
 
-def used(root: Path) -> set[str]:
-    """The records that documents name."""
-    texts = [path.read_text(encoding="utf-8") for path in documents(root)]
-    return set(bound_figures.names_used(texts, TABLES))
+def used() -> set[str]:
+    """The records that documents and their tables name."""
+    asked = _Asked()
+    for path in documents():
+        rewritten(path.read_text(encoding="utf-8"), asked)
+    return set(asked)
 
 
-def check(root: Path, known: Mapping[str, Record]) -> list[str]:
-    """What is wrong in the documents, a line each; nothing where all is well."""
-    wrong = []
-    for path in documents(root):
-        name, text = path.relative_to(root).as_posix(), path.read_text(encoding="utf-8")
-        wrong += [
-            f"{name}:{one.line}: {one.what}" for one in bound_figures.stale(text, known, TABLES)
-        ]
-        if name in WHOLLY_BOUND:
-            free = bound_figures.unbound(text)
-            wrong += [f"{name}:{line}: {number} has no source" for line, number in free]
-    return wrong
-
-
-def overview(root: Path) -> list[str]:
-    """Of each document: figures that are bound, in studies measured once, and without a source."""
-    lines = [f"{'document':32} {'bound':>6} {'studies':>8} {'free':>6}"]
-    for path in documents(root):
-        name, text = path.relative_to(root).as_posix(), path.read_text(encoding="utf-8")
-        free = len(bound_figures.unbound(text))
-        counts = bound_figures.bound(text), bound_figures.in_studies(text), free
-        lines.append(f"{name:32} {counts[0]:6} {counts[1]:8} {counts[2]:6}")
-    return lines
-
-
-def write(root: Path, known: Mapping[str, Record]) -> None:
-    """Rewrite the bound figures and tables of all documents."""
-    for path in documents(root):
+def stale() -> Iterator[tuple[Path, str, str]]:
+    """Documents that are not as their records have them: before and after."""
+    known = records()
+    for path in documents():
         before = path.read_text(encoding="utf-8")
-        after = bound_figures.rewritten(before, known, TABLES)
+        after = rewritten(before, known)
         if after != before:
-            path.write_text(after, encoding="utf-8")
-            print(f"{path.relative_to(root)}: rewritten", file=sys.stderr)
-
-
-def tell(root: Path) -> int:
-    """Print how the documents stand; 1 where something is wrong."""
-    wrong = check(root, records(root))
-    print("\n".join(overview(root)))
-    print("\n".join(wrong) if wrong else "every bound figure is as its source has it")
-    return 1 if wrong else 0
-
-
-def arguments_of(words: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--check", action="store_true", help="compare, and write nothing")
-    tasks = parser.add_subparsers(dest="task")
-    scored = tasks.add_parser("evaluate", help="score, collect, write and check")
-    scored.add_argument("data", type=Path)
-    scored.add_argument("--out", type=Path, default=Path("out/figures"), help="of the evaluations")
-    every = [run.name for run in (*RUNS, *SLOW_RUNS)]
-    scored.add_argument("--only", nargs="*", choices=every, default=[run.name for run in RUNS])
-    scored.add_argument("--jobs", type=int, default=2)
-    tasks.add_parser("write", help="documents from records")
-    listed = tasks.add_parser("free", help="figures without a source")
-    listed.add_argument("page", type=Path)
-    made = tasks.add_parser("make", help="the pictures")
-    made.add_argument("data", type=Path)
-    given = parser.parse_args(words)
-    if given.check == (given.task is not None):
-        parser.error("give --check, or one of evaluate, write, free, make")
-    return given
+            yield path, before, after
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    given = arguments_of(words)
-    if given.task == "free":
-        found = bound_figures.unbound(given.page.read_text(encoding="utf-8"))
-        print("\n".join(f"{given.page}:{line}: {number}" for line, number in found))
-        return 0
-    if given.task == "make":
-        readme_pictures.make(given.data, ROOT / "docs" / "pictures")
-        return 0
+    """Do what is asked; 1 where ``check`` finds a stale figure."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("task", choices=("evaluate", "write", "check"))
+    parser.add_argument("data", type=Path, nargs="?", help="for evaluate")
+    parser.add_argument("--out", type=Path, default=Path("out/figures"), help="of the evaluations")
+    parser.add_argument("--only", nargs="*", choices=RUNS, default=["many", "camvid", "idd"])
+    parser.add_argument("--jobs", type=int, default=2)
+    given = parser.parse_args(words)
     if given.task == "evaluate":
-        evaluate(given.data, given.out, given.only, given.jobs)
-        collect(given.out, ROOT / FIGURES, used(ROOT))
-    if given.task in ("evaluate", "write"):
-        write(ROOT, records(ROOT))
-    return tell(ROOT)
+        if given.data is None:
+            parser.error("evaluate DATA: give the folder of the data")
+        evaluate(given.data.resolve(), given.out.resolve(), given.only, given.jobs)
+    found = list(stale())
+    for path, before, after in found:
+        lines = difflib.unified_diff(
+            before.splitlines(), after.splitlines(), str(path), lineterm=""
+        )
+        print("\n".join(lines))
+        if given.task != "check":
+            path.write_text(after, encoding="utf-8")
+    return 1 if found and given.task == "check" else 0
 
 
 if __name__ == "__main__":

@@ -1,5 +1,11 @@
-"""The pictures of README: what `fusion` makes of free pictures."""
+"""The picture of README: what `fusion` makes of free pictures, with their sources.
 
+    python scripts/readme_pictures.py DATA    # docs/pictures/steps.jpg and sources.csv
+
+DATA holds unlabelled_free/. How the drive beside it was made is in the history: train/README.md.
+"""
+
+import argparse
 import csv
 from dataclasses import replace
 from pathlib import Path
@@ -16,16 +22,7 @@ CHOSEN = ("udadv_test5.jpg", "mcubes_h07.jpg", "comma10k_0008.jpg", "cat_v11.jpg
 """A motorway under trees, a street, a bonnet in view, a track: one of each recording."""
 
 QUALITY = 85  # of JPEG
-
-
-def make(data: Path, out: Path) -> None:
-    """Write steps.jpg and sources.csv."""
-    out.mkdir(parents=True, exist_ok=True)
-    folder = data / "unlabelled_free"
-    write_steps(folder, out / "steps.jpg")
-    write_sources(folder, out / "sources.csv")
-    for path in sorted(out.iterdir()):
-        print(f"{path.name}: {path.stat().st_size:,} bytes")
+OUT = Path(__file__).resolve().parents[1] / "docs" / "pictures"
 
 
 def write_steps(folder: Path, path: Path) -> None:
@@ -64,3 +61,11 @@ def write_sources(folder: Path, path: Path) -> None:
         csv.writer(file, lineterminator="\n").writerows(
             [rows[0], *(r for r in rows if r[0] in CHOSEN)]
         )
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description="The picture of README.")
+    parser.add_argument("data", type=Path)
+    free = parser.parse_args().data / "unlabelled_free"
+    write_steps(free, OUT / "steps.jpg")
+    write_sources(free, OUT / "sources.csv")

@@ -1,223 +1,200 @@
-"""The tables of README and docs that are written from records (``scripts/bound_figures.py``)."""
+"""The tables of README and docs that scripts/readme_figures.py writes from records."""
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Mapping
+from typing import NamedTuple
 
-from scripts.bound_figures import Table
-from scripts.readme_evaluations import ROAD
+Records = Mapping[str, float | str]
+
+MINUS = "\N{MINUS SIGN}"
+FUSIONS = ("fusion", "fusion:research", "fusion:untrained", "fusion:paper")
+ROAD = (
+    *FUSIONS,
+    *("layout", "layout:cnn-7", "labeller", "ufl", "ufl:original", "cpf", "cpf:v2", "cpf:squares"),
+    *("grey-uniformity", "lbp", "prior:uniform"),
+)
+SLOW = ("fusion", "ufl:kitti", "kmeans-road", "vanishing-point")
+
+
+def restated(said: str, value: float | str) -> str:
+    """A value in the words of an old figure: its digits, its sign, its percent.
+
+    ".827" and .8312 → ".831"; "1,318" and 55 → "55"; "470,000" and 474,373 → "474,000"; "18 %"
+    and .2 → "20 %"; "`a`" and "b" → "`b`". A minus is a true one.
+    """
+    if said.startswith("`"):
+        return f"`{value}`"
+    percent = re.search(r"\s?%$", said)
+    digits = said.removesuffix(percent[0] if percent else "")
+    places = len(digits.partition(".")[2])
+    if not places and (zeros := len(digits) - len(digits.rstrip("0,"))) >= 3:
+        places = -3 * (zeros // 4) if "," in digits else -zeros
+    number = round(float(value) * (100 if percent else 1), places)
+    text = f"{abs(number):{',' if ',' in said else ''}.{max(places, 0)}f}"
+    if places > 0 and re.match(rf"[+{MINUS}-]?\.", said):
+        text = text.removeprefix("0")
+    signed = said[0] in f"+-{MINUS}"
+    sign = MINUS if number < 0 else "+" if signed else ""
+    return sign + text + (percent[0] if percent else "")
+
+
+class Table(NamedTuple):
+    """header: the columns. rows: what stands first → the word for {row}, from "@" on for {at}.
+
+    cells: of the further columns, with ``[[name|style]]`` for a record in the style of a figure
+    (".000" where none is given; "ci": with its interval; a dash where a name with "?" is of
+    none). sort: the record by which rows fall.
+    """
+
+    header: str
+    rows: Mapping[str, str]
+    cells: str
+    sort: str = ""
+
+    def __call__(self, known: Records) -> str:
+        """Markdown lines; KeyError for a missing record."""
+
+        def cell(match: re.Match[str]) -> str:
+            key, _, style = match[1].removeprefix("?").partition("|")
+            if match[1].startswith("?") and key not in known:
+                return "–"
+            if style != "ci":
+                return restated(style or ".000", known[key])
+            values = (restated(".000", known[one]) for one in (key, f"{key}.low", f"{key}.high"))
+            return "{} ({}–{})".format(*values)
+
+        rows = list(self.rows.items())
+        if self.sort:
+            rows.sort(key=lambda row: -float(known[_with_word(self.sort, row[1])]))
+        lines = [self.header, " | ".join(["---"] * (self.header.count("|") + 1))]
+        for first, word in rows:
+            cells = re.sub(r"\[\[(.+?)\]\]", cell, _with_word(self.cells, word))
+            lines.append(f"{first} | {cells}")
+        return "".join(f"| {line} |\n" for line in lines)
+
+
+def _with_word(text: str, word: str) -> str:
+    row, at, group = word.partition("@")
+    return text.replace("{row}", row).replace("{at}", at + group)
+
+
+def _named(*names: str) -> dict[str, str]:
+    return {f"`{name}`": name for name in names}
+
+
+def _cells(run: str, *keys: str) -> str:
+    return " | ".join(f"[[{run}.{{row}}.{key}]]" for key in keys)
+
 
 DRIVES = ("0001TP", "0006R0", "0016E5")
-
-FLOORS = ("prior:mean", "prior:rows", "prior:triangle")
-
+BASELINES = ("prior:mean", "prior:rows", "prior:triangle")
 CAMERAS = (
-    *(
-        "cityscapes",
-        "comma10k",
-        "dn_bdd_drivable",
-        "dn_cassed",
-        "dn_cat",
-        "dn_cityscapes",
-        "dn_idd",
-    ),
-    *("dn_makassar", "dn_mapillary", "dn_mcubes", "dn_nuimages", "dn_tas500", "kitti_semantics"),
-    "ycor",
+    *("cityscapes", "comma10k", "dn_bdd_drivable", "dn_cassed", "dn_cat", "dn_cityscapes"),
+    *("dn_idd", "dn_makassar", "dn_mapillary", "dn_mcubes", "dn_nuimages", "dn_tas500"),
+    *("kitti_semantics", "ycor"),
 )
-
 CONDITIONS = ("day", "offroad", "rain", "bonnet", "underexposed", "shadow", "dusk", "night")
-
 LAYOUTS = ("layout", "labeller", "layout:cnn-7")
-
-FRONT_PAGE = {
-    "`fusion`": "fusion",
-    "`fusion:research`, with weights for research and private use": "fusion:research",
-    "`fusion:untrained`, which needs no weights": "fusion:untrained",
-    "`ufl`, after Zhang et al.": "ufl",
-    "`fusion:paper`, Álvarez et al. as printed": "fusion:paper",
-    "`prior:rows`: lower is likelier, never looks at the picture": "prior:rows",
-}
-
-
-def _named(detectors: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    return tuple((f"`{name}`", name) for name in detectors)
-
-
-def _with_interval(key: str) -> str:
-    return f"[[{key}|.000]] ([[?{key}.low|.000]]–[[?{key}.high|.000]])"
-
-
-def _cells(run: str, *keys: str) -> tuple[str, ...]:
-    return tuple(f"[[{run}.{{row}}.{key}|.000]]" for key in keys)
-
-
-MEASURES = ("auc_pooled", "auc_mean", "ap", "iou", "eer", "brier")
-MEASURE_NAMES = ("AUC pooled", "AUC mean", "AP", "IoU", "EER", "Brier", "F of mask", "ECE")
-
-
-def _late(run: str) -> tuple[str, ...]:
-    """Columns that the first records of these runs had not."""
-    return tuple(f"[[?{run}.{{row}}.{key}|.000]]" for key in ("f_mask", "ece"))
-
-
-_LAYOUT_ROWS = tuple(
-    (f"`{name}`, {title}", f"{run}.{name}{at}")
-    for name in LAYOUTS
-    for run, at, title in (
-        *(("camvid", f"@{drive}", drive) for drive in DRIVES),
-        ("camvid", "", "CamVid"),
-        ("idd", "", "IDD"),
-    )
-)
+CLASSES = ("sky", "vertical", "horizontal")
+MEASURES = "AUC pooled | AUC mean | AP | IoU | EER | Brier | F of mask | ECE"
+KEYS = ("auc_pooled", "auc_mean", "ap", "iou", "eer", "brier", "f_mask", "ece")
 
 TABLES: Mapping[str, Table] = {
     "front": Table(
-        ("detector", "fourteen cameras, F", "the worst of them", "CamVid, MaxF", "IDD, MaxF"),
-        tuple(FRONT_PAGE.items()),
-        (
-            "[[many.{row}.f_mask|.000]]",
-            "[[many.{row}.f_mask.worst|.000]]",
-            "[[camvid.{row}.maxf|.000]]",
-            "[[idd.{row}.maxf|.000]]",
-        ),
+        "detector | fourteen cameras, F | the worst of them | CamVid, MaxF | IDD, MaxF",
+        {
+            "`fusion`": "fusion",
+            "`fusion:research`, with weights for research and private use": "fusion:research",
+            "`fusion:untrained`, which needs no weights": "fusion:untrained",
+            "`ufl`, after Zhang et al.": "ufl",
+            "`fusion:paper`, Álvarez et al. as printed": "fusion:paper",
+            "`prior:rows`: lower is likelier, never looks at the picture": "prior:rows",
+        },
+        f"{_cells('many', 'f_mask', 'f_mask.worst')} | [[camvid.{{row}}.maxf]] | "
+        "[[idd.{row}.maxf]]",
     ),
     "camvid-road": Table(
-        (
-            "detector",
-            *(f"MaxF {one}" for one in DRIVES),
-            "mean (95 %)",
-            *MEASURE_NAMES,
-        ),
-        _named((*ROAD, *FLOORS)),
-        (
-            *_cells("camvid", *(f"maxf@{drive}" for drive in DRIVES)),
-            _with_interval("camvid.{row}.maxf"),
-            *_cells("camvid", *MEASURES),
-            *_late("camvid"),
-        ),
-        sort="camvid.{row}.maxf",
+        f"detector | {' | '.join(f'MaxF {one}' for one in DRIVES)} | mean (95 %) | {MEASURES}",
+        _named(*ROAD, *BASELINES),
+        f"{_cells('camvid', *(f'maxf@{one}' for one in DRIVES))} | [[camvid.{{row}}.maxf|ci]] | "
+        f"{_cells('camvid', *KEYS)}",
+        "camvid.{row}.maxf",
     ),
     "idd-road": Table(
-        ("detector", "MaxF (95 %)", *MEASURE_NAMES),
-        _named((*ROAD, *FLOORS)),
-        (_with_interval("idd.{row}.maxf"), *_cells("idd", *MEASURES), *_late("idd")),
-        sort="idd.{row}.maxf",
+        f"detector | MaxF (95 %) | {MEASURES}",
+        _named(*ROAD, *BASELINES),
+        f"[[idd.{{row}}.maxf|ci]] | {_cells('idd', *KEYS)}",
+        "idd.{row}.maxf",
     ),
     "pairs": Table(
-        ("minus `fusion`", "CamVid, MaxF (95 %)", "IDD, MaxF (95 %)"),
-        _named(("fusion:research", "fusion:untrained", "layout", "ufl", "prior:mean")),
-        tuple(
+        "minus `fusion` | CamVid, MaxF (95 %) | IDD, MaxF (95 %)",
+        _named("fusion:research", "fusion:untrained", "layout", "ufl", "prior:mean"),
+        " | ".join(
             f"[[?{run}.{{row}}.maxf.less|+.000]] ([[?{run}.{{row}}.maxf.less.low|+.000]] to "
             f"[[?{run}.{{row}}.maxf.less.high|+.000]])"
             for run in ("camvid", "idd")
         ),
     ),
     "camvid-roc": Table(
-        ("detector", "AUC pooled", "AUC mean over pictures", "over `lbp`", "IDD, AUC pooled"),
-        _named(
-            ("lbp", "grey-uniformity", "cpf", "cpf:v2", "layout:cnn-7", *("fusion:paper", "fusion"))
-        ),
-        (
-            *_cells("camvid", "auc_pooled", "auc_mean"),
-            "[[camvid.{row}.auc_pooled.over_lbp|+0 %]]",
-            *_cells("idd", "auc_pooled"),
-        ),
+        "detector | AUC pooled | AUC mean over pictures | over `lbp` | IDD, AUC pooled",
+        _named("lbp", "grey-uniformity", "cpf", "cpf:v2", "layout:cnn-7", "fusion:paper", "fusion"),
+        f"{_cells('camvid', 'auc_pooled', 'auc_mean')} | "
+        "[[camvid.{row}.auc_pooled.over_lbp|+0 %]] | [[idd.{row}.auc_pooled]]",
     ),
     "layout-recall": Table(
-        (
-            "detector, pictures",
-            "sky",
-            "vertical",
-            "horizontal",
-            "mean",
-            "void as vertical",
-            "accuracy",
-            "mean, labelled",
-            "labelled",
-        ),
-        _LAYOUT_ROWS,
-        (
-            *(
-                f"[[{{row}}.layout.{key}{{at}}|.000]]"
-                for key in (
-                    "sky",
-                    "vertical",
-                    "horizontal",
-                    "mean",
-                    "void_as_vertical.mean",
-                    "accuracy",
-                )
-            ),
-            "[[?{row}.layout.labelled.mean{at}|.000]]",
-            "[[?{row}.layout.labelled_share{at}|0 %]]",
-        ),
+        "detector, pictures | sky | vertical | horizontal | mean | void as vertical | accuracy | "
+        "mean, labelled | labelled",
+        {
+            f"`{name}`, {title}": f"{run}.{name}{at}"
+            for name in LAYOUTS
+            for run, at, title in (
+                *(("camvid", f"@{drive}", drive) for drive in DRIVES),
+                ("camvid", "", "CamVid"),
+                ("idd", "", "IDD"),
+            )
+        },
+        "".join(
+            f"[[{{row}}.layout.{key}{{at}}]] | "
+            for key in (*CLASSES, "mean", "void_as_vertical.mean", "accuracy")
+        )
+        + "[[?{row}.layout.labelled.mean{at}]] | [[?{row}.layout.labelled_share{at}|0 %]]",
     ),
     "layout-confusion": Table(
-        ("detector, pictures", "sky → sky / vertical / horizontal", "vertical →", "horizontal →"),
-        tuple(
-            (f"`{name}`, {title}", f"{run}.{name}")
+        "detector, pictures | sky → sky / vertical / horizontal | vertical → | horizontal →",
+        {
+            f"`{name}`, {title}": f"{run}.{name}"
             for name in LAYOUTS
             for run, title in (("camvid", "CamVid"), ("idd", "IDD"))
-        ),
-        tuple(
-            " / ".join(
-                f"[[{{row}}.layout.confusion.{truth}.{said}|.000]]"
-                for said in ("sky", "vertical", "horizontal")
-            )
-            for truth in ("sky", "vertical", "horizontal")
+        },
+        " | ".join(
+            " / ".join(f"[[{{row}}.layout.confusion.{true}.{said}]]" for said in CLASSES)
+            for true in CLASSES
         ),
     ),
     "slow": Table(
-        (
-            "detector",
-            "CamVid, MaxF (95 %)",
-            "CamVid, F of mask",
-            "IDD, MaxF (95 %)",
-            "IDD, F of mask",
-        ),
-        _named(("fusion", "kmeans-road", "ufl:kitti", "vanishing-point", "prior:rows")),
-        tuple(
-            text
+        "detector | CamVid, MaxF (95 %) | CamVid, F of mask | IDD, MaxF (95 %) | IDD, F of mask",
+        _named(*SLOW, "prior:rows"),
+        " | ".join(
+            f"[[{run}.{{row}}.maxf|ci]] | [[{run}.{{row}}.f_mask]]"
             for run in ("camvid-slow", "idd-slow")
-            for text in (_with_interval(f"{run}.{{row}}.maxf"), *_cells(run, "f_mask"))
         ),
+        "camvid-slow.{row}.maxf",
     ),
     "many-detectors": Table(
-        ("detector", "F (95 %)", "worst camera, F", "MaxF", "IoU", "ECE"),
-        _named(
-            (
-                "fusion",
-                "fusion:research",
-                "fusion:untrained",
-                "layout",
-                "labeller",
-                "ufl",
-                "fusion:paper",
-                "prior:rows",
-            )
-        ),
-        (
-            _with_interval("many.{row}.f_mask"),
-            *_cells("many", "f_mask.worst", "maxf", "iou_mask", "ece"),
-        ),
+        "detector | F (95 %) | worst camera, F | MaxF | IoU | ECE",
+        _named(*FUSIONS[:3], "layout", "labeller", "ufl", "fusion:paper", "prior:rows"),
+        f"[[many.{{row}}.f_mask|ci]] | {_cells('many', 'f_mask.worst', 'maxf', 'iou_mask', 'ece')}",
     ),
     "many-cameras": Table(
-        ("camera", "F", "MaxF", "IoU", "`fusion:untrained`, F", "`prior:rows`, MaxF"),
-        (*((name, f"@{name}") for name in CAMERAS), ("mean of all", "")),
-        (
-            "[[many.fusion.f_mask{at}|.000]]",
-            "[[many.fusion.maxf{at}|.000]]",
-            "[[many.fusion.iou_mask{at}|.000]]",
-            "[[many.fusion:untrained.f_mask{at}|.000]]",
-            "[[many.prior:rows.maxf{at}|.000]]",
-        ),
+        "camera | F | MaxF | IoU | `fusion:untrained`, F | `prior:rows`, MaxF",
+        {**{name: f"@{name}" for name in CAMERAS}, "mean of all": ""},
+        "[[many.fusion.f_mask{at}]] | [[many.fusion.maxf{at}]] | [[many.fusion.iou_mask{at}]] | "
+        "[[many.fusion:untrained.f_mask{at}]] | [[many.prior:rows.maxf{at}]]",
     ),
     "many-conditions": Table(
-        ("condition", "pictures", "F", "MaxF"),
-        tuple((name, f"@{name}") for name in CONDITIONS),
-        (
-            "[[many.fusion.images{at}|0]]",
-            "[[many.fusion.f_mask{at}|.000]]",
-            "[[many.fusion.maxf{at}|.000]]",
-        ),
+        "condition | pictures | F | MaxF",
+        {name: f"@{name}" for name in CONDITIONS},
+        "[[many.fusion.images{at}|0]] | [[many.fusion.f_mask{at}]] | [[many.fusion.maxf{at}]]",
     ),
 }
 """By the name that documents call them."""

@@ -1,8 +1,7 @@
-"""README and docs: every bound figure is as its source has it; what the front page shows works."""
+"""README and docs: every bound figure is as its record has it; what the front page shows works."""
 
 import json
 import re
-import shutil
 from pathlib import Path
 
 import cv2
@@ -10,81 +9,67 @@ import numpy as np
 import pytest
 
 from roadtorch.scenes.street import render_scene, write_picture
-from scripts import bound_figures, readme_evaluations, readme_figures
-from scripts.readme_evaluations import RUNS, SLOW_RUNS, Run, facts, records_of
+from scripts import readme_figures, readme_tables
+from scripts.readme_tables import Table, restated
 
 ROOT = Path(__file__).resolve().parents[2]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+KNOWN = {"many.f": 0.82708, "many.f.low": 0.8, "many.f.high": 0.84, "b.f": 0.9, "worst": "ycor"}
 
 
-@pytest.fixture
-def copy(tmp_path: Path) -> Path:
-    """The documents and their records, to be changed."""
-    shutil.copy(ROOT / "README.md", tmp_path)
-    (tmp_path / "docs").mkdir()
-    for path in (ROOT / "docs").iterdir():
-        if path.suffix in (".md", ".json"):
-            shutil.copy(path, tmp_path / "docs")
-    shutil.copytree(ROOT / readme_figures.FIGURES, tmp_path / readme_figures.FIGURES)
-    return tmp_path
-
-
-# --- figures ---------------------------------------------------------------------------------
-
-
-def test_every_bound_figure_is_as_its_source_has_it() -> None:
-    assert readme_figures.check(ROOT, readme_figures.records(ROOT)) == []
-
-
-def test_a_stale_figure_planted_in_readme_is_found(copy: Path) -> None:
-    known = readme_figures.records(copy)
-    text = (copy / "README.md").read_text()
-    planted = re.sub(r"\.\d+(?=<!-- figure: many\.fusion\.f_mask\.worst -->)", ".999", text)
-    assert planted != text
-    (copy / "README.md").write_text(planted)
-
-    (wrong,) = readme_figures.check(copy, known)
-    assert wrong.startswith("README.md:")
-    assert ": .999: many.fusion.f_mask.worst is " in wrong
-
-    readme_figures.write(copy, known)
-    assert (copy / "README.md").read_text() == text
-
-
-def test_a_changed_source_makes_documents_stale(copy: Path) -> None:
-    path = copy / readme_figures.FIGURES / "many.json"
-    rows = json.loads(path.read_text())
-    for row in rows:
-        if row["name"] == "many.fusion.f_mask":
-            row["value"] += 0.02
-    path.write_text(json.dumps(rows))
-
-    wrong = readme_figures.check(copy, readme_figures.records(copy))
-    assert any(one.startswith("README.md") and "table front" in one for one in wrong)
-    assert any(one.startswith("docs/many.md") for one in wrong)
-
-
-@pytest.mark.parametrize("name", readme_figures.WHOLLY_BOUND)
-def test_a_figure_without_a_source_is_found(copy: Path, name: str) -> None:
-    path = copy / name
-    path.write_text(path.read_text() + "\nIt takes 32 ms.\n")
-    (wrong,) = readme_figures.check(copy, readme_figures.records(copy))
-    assert wrong.startswith(name)
-    assert wrong.endswith("32 has no source")
+def test_every_bound_figure_is_as_its_record_has_it() -> None:
+    assert [path for path, _, _ in readme_figures.stale()] == []
 
 
 def test_no_record_is_kept_that_no_document_uses() -> None:
-    kept = set(readme_figures.records(ROOT)) - set(facts())
-    assert kept <= readme_figures.used(ROOT)
+    kept = {name for name in readme_figures.records() if not name.startswith("facts.")}
+
+    assert kept <= readme_figures.used()
 
 
-def test_the_facts_are_those_of_the_code() -> None:
-    found = {name: one.value for name, one in facts().items()}
-    assert found["facts.classifiers"] == 17
-    assert found["facts.representations"] == 19
+@pytest.mark.parametrize(
+    ("said", "value", "now"),
+    [
+        (".827", 0.8312, ".831"),
+        ("0.82", 0.8312, "0.83"),
+        ("+.012", 0.0041, "+.004"),
+        ("+.012", -0.0041, "\N{MINUS SIGN}.004"),
+        ("\N{MINUS SIGN}0.01", 0.02, "+0.02"),
+        (".9", 1.0, "1.0"),
+        ("82.7 %", 0.8312, "83.1 %"),
+        ("1,318", 55, "55"),
+        ("470,000", 473557, "474,000"),
+        ("12", 11.6, "12"),
+        ("`dn_cat`", "dn_tas500", "`dn_tas500`"),
+    ],
+)
+def test_a_value_is_said_as_the_old_figure_was(said: str, value: float | str, now: str) -> None:
+    assert restated(said, value) == now
 
 
-# --- evaluations as records ------------------------------------------------------------------
+def test_figures_and_tables_are_written_from_records(monkeypatch: pytest.MonkeyPatch) -> None:
+    table = Table(
+        "who | F (95 %) | G", {"`a`": "many", "`b`": "b"}, "[[{row}.f]] | [[?{row}.g]]", "{row}.f"
+    )
+    monkeypatch.setitem(readme_tables.TABLES, "scores", table)  # type: ignore[arg-type]
+    text = "F .5<!-- figure: many.f -->, worst `x`<!-- figure: worst -->\n<!-- table: scores -->\n"
+
+    found = readme_figures.rewritten(f"{text}| old |\n<!-- end -->", KNOWN)
+
+    assert found.splitlines() == [
+        "F .8<!-- figure: many.f -->, worst `ycor`<!-- figure: worst -->",
+        "<!-- table: scores -->",
+        "| who | F (95 %) | G |",
+        "| --- | --- | --- |",
+        "| `b` | .900 | – |",
+        "| `a` | .827 | – |",
+        "<!-- end -->",
+    ]
+    assert Table("who | F", {"`a`": "many"}, "[[{row}.f|ci]]")(KNOWN).endswith(
+        "| `a` | .827 (.800–.840) |\n"
+    )
+    with pytest.raises(KeyError, match="gone"):
+        readme_figures.rewritten(".5<!-- figure: gone -->", KNOWN)
+
 
 METRICS = {
     "images": 5,
@@ -98,7 +83,6 @@ METRICS = {
             "conditions": {"night": {"f_mask": 0.5}},
             "ci95": {"maxf": [0.88, 0.91], "f_mask": None},
             "settings": {"random_seed": 3},
-            "floor": False,
         },
         "lbp": {"auc_pooled": 0.8, "maxf": 0.5, "groups": {}, "ci95": {}},
     },
@@ -107,7 +91,8 @@ METRICS = {
 
 
 def test_an_evaluation_becomes_flat_records() -> None:
-    found = {name: one.value for name, one in records_of("run", METRICS, "x").items()}
+    found = readme_figures.records_of("run", METRICS)
+
     wanted = {
         "run.images": 5,
         "run.fusion.maxf": 0.9,
@@ -124,20 +109,10 @@ def test_an_evaluation_becomes_flat_records() -> None:
     }
     assert {name: found.get(name) for name in wanted} == wanted
     assert found["run.fusion.auc_pooled.over_lbp"] == pytest.approx(0.2)
-    assert not [
-        name for name in found if "seed" in name or "layout.mean" in name or "floor" in name
-    ]
+    assert not [name for name in found if "seed" in name or "layout.mean" in name]
 
 
-def test_every_run_compares_with_fusion_and_keeps_its_figures_apart() -> None:
-    for run in (*RUNS, *SLOW_RUNS):
-        words = run.command("D", "O")
-        assert words[0] == "evaluate"
-        assert words[-1] == f"O/{run.name}"
-        assert not [word for word in words if "DATA" in word or "OUT" in word]
-        assert "fusion" in run.detectors
-
-
+@pytest.mark.slow
 def test_a_run_is_made_and_its_used_figures_are_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -148,65 +123,30 @@ def test_a_run_is_made_and_its_used_figures_are_kept(
             write_picture(tmp_path / "many" / camera / "images" / f"{seed}.png", street)
             mask = street.road.numpy().astype(np.uint8) * 255
             cv2.imwrite(str(tmp_path / "many" / camera / "masks" / f"{seed}.png"), mask)
-    run = Run("many", ("folder", "DATA/many"), ("fusion",))
-    monkeypatch.setattr(readme_evaluations, "RUNS", (run,))
+    run = readme_figures.Run("folder DATA/many", ("fusion",))
+    monkeypatch.setattr(readme_figures, "RUNS", {"many": run})
+    monkeypatch.setattr(readme_figures, "FIGURES", tmp_path)
+    monkeypatch.setattr(readme_figures, "used", lambda: {"many.fusion.f_mask", "other.figure"})
 
-    readme_evaluations.evaluate(tmp_path, tmp_path / "out", ["many"], jobs=1)
-    used = {"many.fusion.f_mask", "many.fusion.f_mask@a", "other.figure"}
-    (path,) = readme_evaluations.collect(tmp_path / "out", tmp_path / "figures", used)
+    readme_figures.evaluate(tmp_path, tmp_path / "out", ["many"], jobs=1)
 
-    found = bound_figures.read_records([path])
-    assert set(found) == {"many.fusion.f_mask", "many.fusion.f_mask@a"}
-    assert 0 < float(found["many.fusion.f_mask"].value) <= 1
-    assert found["many.fusion.f_mask"].command.startswith("roadtorch evaluate folder DATA/many")
-
-
-# --- the front page --------------------------------------------------------------------------
+    found = json.loads((tmp_path / "many.json").read_text())
+    assert found["command"].startswith("roadtorch evaluate folder DATA/many --detector fusion")
+    assert [*found["values"]] == ["many.fusion.f_mask"]
+    assert 0 < found["values"]["many.fusion.f_mask"] <= 1
 
 
 def test_the_example_in_python_runs_as_it_stands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (block,) = re.findall(r"```python\n(.*?)```", README, re.S)
+    (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text("utf-8"), re.S)
     write_picture(tmp_path / "street.png", render_scene(1, 96, 128))
     (tmp_path / "street.png").rename(tmp_path / "street.jpg")
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
+
     exec(block, names)
+
     detection = names["detection"]
     assert detection.mask.shape == (96, 128)  # pyright: ignore[reportAttributeAccessIssue]
     assert 0 <= detection.trust <= 1  # pyright: ignore[reportAttributeAccessIssue]
-
-
-@pytest.mark.parametrize(
-    "path", ["README.md", "docs/results.md", "docs/many.md", "docs/adapting.md"]
-)
-def test_links_lead_somewhere(path: str) -> None:
-    page = ROOT / path
-    for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
-        if not link.startswith(("https://", "#")):
-            assert (page.parent / link.partition("#")[0]).exists(), link
-
-
-def test_the_pictures_are_small_and_their_sources_named() -> None:
-    folder = ROOT / "docs" / "pictures"
-    assert sum(path.stat().st_size for path in folder.iterdir()) < 1.5e6
-    assert (folder / "drive.gif").stat().st_size < 600_000
-    sources = (folder / "sources.csv").read_text()
-    assert all(name in sources for name in readme_figures.readme_pictures.CHOSEN)
-    assert all(word in README for word in ("MIT", "CC BY 4.0", "docs/pictures/sources.csv"))
-
-
-def test_the_figures_of_a_page_without_a_source_are_listed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "page.md").write_text("F .5\n\n.6<!-- figure: x --> and 7\n")
-    assert readme_figures.main(["free", str(tmp_path / "page.md")]) == 0
-    told = capsys.readouterr().out.splitlines()
-    assert [line.rpartition("page.md:")[2] for line in told] == ["1: .5", "3: 7"]
-
-
-def test_a_figure_of_neither_task_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        readme_figures.main([])
-    assert "give --check, or one of evaluate, write, free, make" in capsys.readouterr().err
