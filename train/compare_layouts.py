@@ -27,7 +27,7 @@ from roadtorch.evaluation.uncertainty import (
     replicate,
 )
 from roadtorch.layout.weights import load_network
-from roadtorch.report.screen import align
+from roadtorch.report.table import align
 
 SEED = 11  # of the draws
 

@@ -140,7 +140,7 @@ def tune(
     from roadtorch.evaluation.tally import forget
     from roadtorch.evaluation.thresholds import choose_threshold
     from roadtorch.io.atomic import write_text
-    from roadtorch.report.choices import choice_table, provenance
+    from roadtorch.report.screen import choice_text, provenance
     from roadtorch.runs.folder import output_lock
     from roadtorch.runs.options import as_toml
     from roadtorch.settings import parse_assignments
@@ -166,7 +166,7 @@ def tune(
         lines = provenance(choice, evaluation, command_line(context))
         comment = "".join(f"# {line}\n" for line in lines)
         write_text(path, f"{comment}\n{as_toml(choice.detector, choice.settings)}\n")
-    click.echo(choice_table(choices))
+    click.echo(choice_text(choices))
     tell_failures(evaluation)
     forget(out)
     context.exit(1 if evaluation.failures else 0)

@@ -1,25 +1,30 @@
 """The page at the end of an adaptation: before and after, on one page."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from roadtorch.data.dataset import Dataset
 from roadtorch.evaluation.disagreement import Disagreement, MeanChange, Taught
-from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.methods import Method
 from roadtorch.evaluation.result import Evaluation, Failure, Interval
-from roadtorch.io.atomic import write_text
 from roadtorch.report.disagreement import both_sheets
-from roadtorch.report.page.svg import BASELINE, COLOURS, DASHES, to_svg
-from roadtorch.report.page.tables import NONE, share, signed
-from roadtorch.report.templates import template
-from roadtorch.version import __version__
+from roadtorch.report.svg import BASELINE, COLOURS, DASHES, to_svg
+from roadtorch.report.table import (
+    MINUS,
+    NONE,
+    Cell,
+    Table,
+    percent,
+    share,
+    signed,
+    write_page,
+)
 
 
 @dataclass(frozen=True)
@@ -43,85 +48,82 @@ class Adaptation:
     labelled: Evaluation | None
 
 
-class Line(NamedTuple):
-    """A row of a table as text: what it is, before, after, the change, and notes below them."""
-
-    what: str
-    before: str
-    after: str
-    change: str
-    notes: tuple[str, str, str] = ("", "", "")
-
-
 def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> None:
     """Write the page: one file that asks for no other."""
     items = [one.item for one in adaptation.shown]
     caption = "only before blue, only after orange"
     sheets = both_sheets(adaptation.dataset, adaptation.methods, items, caption)
-    page = template("adaptation.html").render(
-        one=adaptation,
-        shown=list(zip(adaptation.shown, sheets, strict=True)),
-        half=len(items) - len(items) // 2 if len(items) < len(adaptation.pictures) else len(items),
-        summary=summary_lines(adaptation),
-        scores=list(score_lines(adaptation.labelled)) if adaptation.labelled else [],
-        charts=[Markup(svg) for svg in (error_chart(adaptation.rows), trust_chart(adaptation))],
-        percent=_percent,
-        share=share,
-        version=__version__,
-        command=command,
-    )
-    # A file name may hold bytes that are no text.
-    write_text(path, page.encode("utf-8", "backslashreplace").decode())
+    is_part = len(items) < len(adaptation.pictures)
+    values = {
+        "one": adaptation,
+        "shown": list(zip(adaptation.shown, sheets, strict=True)),
+        "half": len(items) - len(items) // 2 if is_part else len(items),
+        "summary": summary_table(adaptation),
+        "scores": score_table(adaptation.labelled) if adaptation.labelled else None,
+        "charts": [Markup(svg) for svg in (error_chart(adaptation.rows), trust_chart(adaptation))],
+    }
+    write_page(path, "adaptation.html", command, values)
 
 
-def summary_lines(one: Adaptation) -> list[Line]:
+def summary_table(one: Adaptation) -> Table:
     """What can be said without a label: road, trust and agreement before and after."""
-    means = one.means
-    lines = [_line("share of road", means.road_before, means.road_after)]
+    means, rows = one.means, {}
+    rows["share of road"] = _row(means.road_before, means.road_after)
     if not math.isnan(means.trust_before):
-        counts = ("", "", f"rose on {means.grown}, fell on {means.shrunk} pictures")
         before, after = means.trust_before, means.trust_after
-        line = Line("trust", share(before), share(after), signed(after - before), counts)
-        lines.append(line)
+        note = f"rose on {means.grown}, fell on {means.shrunk} pictures"
+        change = Cell(signed(after - before), note=note)
+        rows["trust"] = (Cell(share(before)), Cell(share(after)), change)
     if one.taught is not None:
         before, after = one.taught.before, one.taught.after
-        lines.append(_line("agrees with the teacher on road", before.road, after.road))
-        lines.append(_line("agrees with the teacher on layout", before.layout, after.layout))
-    return lines
+        rows["agrees with the teacher on road"] = _row(before.road, after.road)
+        rows["agrees with the teacher on layout"] = _row(before.layout, after.layout)
+    return _table(rows)
 
 
-def _line(what: str, before: float, after: float) -> Line:
-    change = NONE if math.isnan(before + after) else f"{100 * (after - before):+.1f} points"
-    return Line(what, _percent(before), _percent(after), change.replace("-", "\N{MINUS SIGN}"))
-
-
-def _percent(value: float) -> str:
-    return NONE if math.isnan(value) else f"{100 * value:.1f} %"
-
-
-def score_lines(evaluation: Evaluation) -> Iterator[Line]:
+def score_table(evaluation: Evaluation) -> Table:
     """Measures of both on labels, with intervals, and the difference on the same pictures."""
     names = list(evaluation.detectors)
     differences = evaluation.comparison.differences[names[1]]
+    rows = {}
     for measure in evaluation.shown_in("pairs"):
-        if measure.key not in differences:
-            continue
-        before, after = (_scored(evaluation, name, measure) for name in names)
-        difference = differences[measure.key]
-        note = _interval(difference.interval, signed)
-        under = measure.key.rpartition("/")[0].replace("/", ", ")
-        what = f"{under}, {measure.line}" if under else measure.line
-        yield Line(what, before[0], after[0], signed(difference.value), (before[1], after[1], note))
+        if measure.key in differences:
+            of_both = [evaluation.detectors[name] for name in names]
+            before, after = (
+                _score(
+                    measure.of(figures.headline),
+                    figures.intervals.get(measure.key, Interval()),
+                    share,
+                )
+                for figures in of_both
+            )
+            change = differences[measure.key]
+            under = measure.key.rpartition("/")[0].replace("/", ", ")
+            what = f"{under}, {measure.line}" if under else measure.line
+            rows[what] = (before, after, _score(change.value, change.interval, signed))
+    return _table(rows)
 
 
-def _scored(evaluation: Evaluation, name: str, measure: Measure) -> tuple[str, str]:
-    figures = evaluation.detectors[name]
-    interval = figures.intervals.get(measure.key, Interval())
-    return share(measure.of(figures.headline)), _interval(interval, share)
+Row = tuple[Cell, Cell, Cell]
+"""Before, after, and the change."""
 
 
-def _interval(ends: Interval, text: Any) -> str:
-    return f"{text(ends.low)} to {text(ends.high)}" if ends.is_known else ""
+def _row(before: float, after: float) -> Row:
+    """Two shares, and what lies between them in points of a per cent."""
+    change = NONE if math.isnan(before + after) else f"{100 * (after - before):+.1f} points"
+    return Cell(percent(before)), Cell(percent(after)), Cell(change.replace("-", MINUS))
+
+
+def _score(value: float, ends: Interval, text: Callable[[float], str]) -> Cell:
+    note = f"{text(ends.low)} to {text(ends.high)}" if ends.is_known else ""
+    return Cell(text(value), note=note)
+
+
+def _table(rows: Mapping[str, Row]) -> Table:
+    table = Table(list(rows))
+    for place, header in enumerate(("before", "after", "change")):
+        table.add(header, "", [row[place] for row in rows.values()])
+    return table
 
 
 # --- charts ------------------------------------------------------------------------------

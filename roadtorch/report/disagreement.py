@@ -16,10 +16,8 @@ from roadtorch.evaluation.result import Failure
 from roadtorch.io.atomic import csv_text, write_text
 from roadtorch.io.image import read_image, tint_mask, to_pixels
 from roadtorch.report.montage import BLUE, TILE_WIDTH, VERMILLION, captioned
-from roadtorch.report.screen import align
-from roadtorch.report.templates import template
+from roadtorch.report.table import Table, number_cell, percent, table_text, write_page
 from roadtorch.runtime.image_cache import image_cache
-from roadtorch.version import __version__
 
 QUALITY = 80  # of JPEG
 
@@ -41,44 +39,50 @@ class Disagreements:
 
 def disagreement_text(seen: Disagreements, most: int = 10) -> str:
     """The screen: how much differs in all, and the pictures that differ most."""
+    return f"{table_text(_table(seen, most), 'picture')}\n\n{_summary(seen)}"
+
+
+def _table(seen: Disagreements, most: int | None = None) -> Table:
+    """The shares of each picture, or of the ``most`` first."""
+    pictures = seen.pictures[:most]
+    table = Table([one.item.name for one in pictures])
     first, second = seen.first.name, seen.second.name
-    rows = [["picture", "differs", f"road {first}", f"road {second}", "only A", "only B"]]
-    for one in seen.pictures[:most]:
-        rows.append([one.item.name, *(_percent(getattr(one, share)) for share in SHARES)])
+    headers = ("differs", f"road {first}", f"road {second}", "only A", "only B")
+    for header, key in zip(headers, SHARES, strict=True):
+        shares = [getattr(one, key) for one in pictures]
+        table.add(header, "", [number_cell(percent(share), share) for share in shares])
+    return table
+
+
+def _summary(seen: Disagreements) -> str:
     differs = [one.differs for one in seen.pictures]
-    lines = [
-        f"{len(differs)} pictures: {_percent(statistics.mean(differs))} of the pixels differ, "
-        f"median {_percent(statistics.median(differs))}",
-        f"only A: {_percent(statistics.mean(one.only_first for one in seen.pictures))}, "
-        f"only B: {_percent(statistics.mean(one.only_second for one in seen.pictures))} (means)",
-    ]
-    return "\n".join([align(rows), "", *lines])
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %"
+    only_first = statistics.mean(one.only_first for one in seen.pictures)
+    only_second = statistics.mean(one.only_second for one in seen.pictures)
+    return (
+        f"{len(differs)} pictures: {percent(statistics.mean(differs))} of the pixels differ, "
+        f"median {percent(statistics.median(differs))}\n"
+        f"only A: {percent(only_first)}, only B: {percent(only_second)} (means)"
+    )
 
 
 def write_disagreement(out: Path, seen: Disagreements, worst: int, command: str = "") -> None:
     """Write disagreement.html with the ``worst`` first pictures, and disagreement.csv with all."""
     rows: list[dict[str, str]] = []
     for one in seen.pictures:
-        shares = [f"{getattr(one, share):.6f}" for share in SHARES]
+        shares = [f"{getattr(one, key):.6f}" for key in SHARES]
         rows.append(dict(zip(COLUMNS, [one.item.name, *shares, "ok"], strict=True)))
     rows += [{"image": one.image, "status": one.reason} for one in seen.failures]
     write_text(out / "disagreement.csv", csv_text(COLUMNS, rows))
     items = [one.item for one in seen.pictures[:worst]]
     caption = "only A blue, only B orange"
     sheets = both_sheets(seen.dataset, (seen.first, seen.second), items, caption)
-    page = template("disagreement.html").render(
-        seen=seen,
-        shown=list(zip(seen.pictures, sheets, strict=False)),
-        percent=_percent,
-        summary=disagreement_text(seen, 0).rsplit("\n\n", 1)[-1],
-        version=__version__,
-        command=command,
-    )
-    write_text(out / "disagreement.html", page)
+    values = {
+        "seen": seen,
+        "shown": list(zip(seen.pictures, sheets, strict=False)),
+        "summary": _summary(seen),
+        "table": _table(seen),
+    }
+    write_page(out / "disagreement.html", "disagreement.html", command, values)
 
 
 def both_sheets(

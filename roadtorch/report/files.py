@@ -1,25 +1,52 @@
-"""What a run leaves behind in a folder: figures, curves, rows, sheets of pictures, the page."""
+"""What a run leaves behind in a folder: figures, curves, rows, sheets of pictures, the page.
 
+report.html says what a run found, in one file that a person can read without anything else.
+"""
+
+import base64
+import json
 import math
-from collections.abc import Collection, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, fields
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
+import cv2
+import numpy as np
+from markupsafe import Markup
+
+from roadtorch.errors import InputError
 from roadtorch.evaluation.document import defined, document
 from roadtorch.evaluation.group_curves import RunCurves, group_curves
 from roadtorch.evaluation.result import Evaluation, Failure
 from roadtorch.evaluation.summary import PictureRow, picture_rows
 from roadtorch.io.atomic import csv_text, write_json, write_text
 from roadtorch.oneclass import CLASSIFIERS
+from roadtorch.report import charts
 from roadtorch.report.montage import write_montages
-from roadtorch.report.page.html import write_page
-from roadtorch.report.page.roc_families import write_roc_families
+from roadtorch.report.outcome import outcome
+from roadtorch.report.roc_families import write_roc_families
+from roadtorch.report.svg import MAX_SERIES, choose_series
+from roadtorch.report.table import page_text
 from roadtorch.report.table3 import FAMILY, HALVES, table_csv, table_html, table_text
+from roadtorch.report.tables import baselines, measures_shown, page_tables
 
 SHEETS = 4  # pictures of a sheet, if nobody says
 
 COLUMNS = (*(each.name for each in fields(PictureRow)), "status")
+
+MAX_WIDTH = 1200  # pixels of a sheet; ours: as wide as the page shows it
+
+JPEG_QUALITY = 80  # of sheets; ours: no artefact is seen at the size they are shown
+
+MAX_FAILURES = 200  # listed; metrics.json has them all
+
+PARTS = {"best": "Best", "median": "Median", "worst": "Worst"}  # sheets, in this order
+
+Sheets = Mapping[str, Mapping[str, bytes]]
+"""By detector: the pictures ``best``, ``median`` and ``worst``, as JPEG or PNG."""
 
 
 def write(evaluation: Evaluation, out: Path, command: str = "", pictures: int = SHEETS) -> None:
@@ -42,7 +69,7 @@ def write(evaluation: Evaluation, out: Path, command: str = "", pictures: int = 
     write_text(out / "images.csv", rows_csv(rows, evaluation.failures, evaluation.left_out))
     write_table3(out, evaluation, curves)
     sheets = write_montages(out, evaluation, pictures) if pictures else {}
-    write_page(out / "report.html", evaluation, curves, rows, sheets, command)
+    write_text(out / "report.html", render_page(evaluation, curves, rows, sheets, command))
 
 
 def write_table3(out: Path, evaluation: Evaluation, curves: RunCurves) -> None:
@@ -84,3 +111,80 @@ def _cell(value: str | float) -> str:
     if isinstance(value, str):
         return value
     return "" if math.isnan(value) else f"{value:.6f}"
+
+
+# --- the page ---------------------------------------------------------------------------
+
+
+def render_page(
+    evaluation: Evaluation,
+    curves: RunCurves,
+    rows: Sequence[PictureRow],
+    sheets: Sheets,
+    command: str = "",
+) -> str:
+    """The page: text that needs no other file and asks for none.
+
+    rows: the figures of single pictures. sheets: pictures to look at. command: what made
+    the run, for the record. What is missing in any of them is left out; what is undefined is
+    a dash.
+
+    Raises InputError for a sheet that is no picture.
+    """
+    detectors, dataset = evaluation.detectors, evaluation.dataset
+    series = choose_series(evaluation)
+    in_charts = [one.name for one in series]
+    drawn = charts.all_charts(evaluation, series, curves, rows)
+    settings = {name: detectors[name].method.settings for name in in_charts}
+    values: dict[str, Any] = {
+        "evaluation": evaluation,
+        "dataset": dataset,
+        "view": "the picture" if dataset.view is None else dataset.view.name,
+        "series": series,
+        "groups": _groups(evaluation),
+        "baselines": baselines(evaluation),
+        "left_out": len(detectors) - len(series),
+        "outcome": outcome(evaluation),
+        "tables": page_tables(evaluation, in_charts),
+        "measures": measures_shown(evaluation),
+        "charts": {name: Markup(svg) for name, svg in drawn.items()},
+        "sheets": list(_sheets(sheets, evaluation)),
+        "sheets_left_out": max(len(sheets) - MAX_SERIES, 0),
+        "failures": evaluation.failures[:MAX_FAILURES],
+        "failures_left_out": max(len(evaluation.failures) - MAX_FAILURES, 0),
+        "settings": {
+            name: json.dumps(given, indent=2, ensure_ascii=False)
+            for name, given in settings.items()
+            if given
+        },
+        "sources": sorted({one.threshold_from for one in detectors.values()} - {""}),
+    }
+    return page_text("report.html", command, values)
+
+
+def _groups(evaluation: Evaluation) -> dict[str, int]:
+    """How many pictures were scored of each group."""
+    items = Counter(item.group for item in evaluation.dataset.items)
+    failed = Counter(one.group for one in evaluation.failures)
+    groups = sorted([*evaluation.groups, *evaluation.left_out])
+    return {group: items[group] - failed[group] for group in groups}
+
+
+def _sheets(sheets: Sheets, evaluation: Evaluation) -> Iterator[tuple[str, list[dict[str, str]]]]:
+    """(detector, its sheets) of the best detectors that have some."""
+    names = [name for name in evaluation.ranked() if sheets.get(name)]
+    for name in names[:MAX_SERIES]:
+        own = sheets[name]
+        yield name, [_sheet(name, part, own[part]) for part in PARTS if part in own]
+
+
+def _sheet(name: str, part: str, data: bytes) -> dict[str, str]:
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
+    if picture is None:
+        raise InputError(f"{name}, {part} pictures", "is not a picture", "give JPEG or PNG")
+    scale = min(1.0, MAX_WIDTH / picture.shape[1])
+    picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    small = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+    height, width = picture.shape[:2]
+    uri = f"data:image/jpeg;base64,{base64.b64encode(small).decode()}"
+    return {"title": PARTS[part], "uri": uri, "width": str(width), "height": str(height)}

@@ -20,7 +20,7 @@ from roadtorch.io.bounded import printable
 from roadtorch.io.image import to_pixels, write_jpeg
 from roadtorch.layout.classes import layout_colours
 
-MOST = 8  # detectors with sheets
+MAX_DETECTORS = 8  # detectors with sheets
 
 TILE_WIDTH = 320  # pixels
 
@@ -32,13 +32,13 @@ BLUE, VERMILLION, WHITE = (0, 114, 178), (213, 94, 0), (255, 255, 255)  # Okabe 
 def write_montages(out: Path, evaluation: Evaluation, count: int) -> dict[str, dict[str, bytes]]:
     """Write ``montage.NAME.best.jpg``, ``.median`` and ``.worst`` for the best detectors.
 
-    Floors get none, and of many detectors only the ``MOST`` with the highest MaxF do.
+    Floors get none, and of many detectors only the ``MAX_DETECTORS`` with the highest MaxF do.
     Returns the files' content by detector and part.
     """
     detectors = evaluation.detectors
     shown = [name for name in evaluation.ranked() if not detectors[name].is_baseline]
     sheets: dict[str, dict[str, bytes]] = {}
-    for name in shown[:MOST]:
+    for name in shown[:MAX_DETECTORS]:
         thresholds = detectors[name].thresholds
         look = detectors[name].method.prepare(evaluation.dataset)
         counting = evaluation.tallies[name].kept(detectors[name].counting)

@@ -8,7 +8,6 @@ import csv
 import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from importlib.resources import files
 from statistics import fmean
 
@@ -18,7 +17,7 @@ from roadtorch.evaluation.measures import AUC_MEAN
 from roadtorch.evaluation.result import Evaluation
 from roadtorch.imaging.color import REPRESENTATIONS
 from roadtorch.oneclass import CLASSIFIERS
-from roadtorch.report.templates import template
+from roadtorch.report.table import Cell, Table, page_text
 
 FAMILY = "oneclass:"
 
@@ -62,14 +61,14 @@ def measured_table(evaluation: Evaluation, group: str | None = None) -> Percents
 
     Cells without an AUC are left out.
     """
-    found = {}
+    cells = {}
     for classifier in CLASSIFIERS:
         for planes in REPRESENTATIONS:
             one = evaluation.detectors.get(f"{FAMILY}{classifier}:{planes}")
             if one is not None:
                 value = AUC_MEAN.of(one.headline if group is None else one.group(group))
-                found[classifier, planes] = 100 * value
-    return {key: value for key, value in found.items() if not math.isnan(value)}
+                cells[classifier, planes] = 100 * value
+    return {key: value for key, value in cells.items() if not math.isnan(value)}
 
 
 def best_cells(table: Percents, columns: Sequence[str]) -> set[tuple[str, str]]:
@@ -154,26 +153,33 @@ def robust_note(evaluation: Evaluation) -> str:
 
 def table_lines(ours: Percents, paper: Percents, columns: Sequence[str]) -> list[str]:
     """The classifiers that have a value in one of the columns, a line each, under the names."""
-    best = best_cells(ours, columns)
-    rows, columns = _measured(ours, columns)
-    lines = ["classifier".ljust(16) + "".join(planes.rjust(12) for planes in columns)] * bool(rows)
-    for name in rows:
-        line = name.ljust(16)
-        for key in ((name, planes) for planes in columns):
-            cell = f"{_cell(ours, key)}/{_cell(paper, key)}"
-            line += " " + (f"*{cell}" if key in best else cell).rjust(11)
-        lines.append(line)
+    half = half_table(ours, paper, columns)
+    names = "".join(header.rjust(12) for header, _ in half.headers)
+    lines = ["classifier".ljust(16) + names] * bool(half.names)
+    for name, cells in half.rows():
+        texts = [f"{cell.text}/{cell.note}" for cell in cells]
+        starred = [
+            f"*{text}" if cell.strong else text for text, cell in zip(texts, cells, strict=True)
+        ]
+        lines.append(name.ljust(16) + "".join(" " + text.rjust(11) for text in starred))
     return lines
 
 
-def _measured(ours: Percents, columns: Sequence[str]) -> tuple[list[str], list[str]]:
-    """The classifiers and those of the columns in which there is any value."""
+def half_table(ours: Percents, paper: Percents, columns: Sequence[str]) -> Table:
+    """Classifiers and representations in which there is any value, P3's as notes."""
+    best = best_cells(ours, columns)
     columns = [planes for planes in columns if any(key[1] == planes for key in ours)]
-    rows = [name for name in CLASSIFIERS if any((name, planes) in ours for planes in columns)]
-    return rows, columns
+    table = Table([name for name in CLASSIFIERS if any((name, one) in ours for one in columns)])
+    for planes in columns:
+        keys = [(name, planes) for name in table.names]
+        cells = [
+            Cell(_text(ours, key), ours.get(key), key in best, _text(paper, key)) for key in keys
+        ]
+        table.add(planes, "", cells)
+    return table
 
 
-def _cell(table: Percents, key: tuple[str, str]) -> str:
+def _text(table: Percents, key: tuple[str, str]) -> str:
     return f"{table[key]:.1f}" if key in table else "-"
 
 
@@ -190,41 +196,20 @@ def table_csv(evaluation: Evaluation) -> str:
     return file.getvalue()
 
 
-@dataclass(frozen=True)
-class Half:
-    """One half of the table on the page: rows of (ours, P3's, whether the best of its column)."""
-
-    title: str
-    columns: list[str]
-    rows: dict[str, list[tuple[str, str, bool]]]
-
-
 def table_html(evaluation: Evaluation) -> str:
     """A page: the table of a run, one of each group, the best in bold, P3's values small."""
     paper = printed_table()
     tables = {"all": measured_table(evaluation)}
     tables |= {group: measured_table(evaluation, group) for group in evaluation.groups}
-    halves = [
-        _half(f"{title}, {half}", table, paper, columns)
+    halves = {
+        f"{title}, {half}": half_table(table, paper, columns)
         for title, table in tables.items()
         for half, columns in HALVES.items()
-    ]
-    return template("table3.html").render(
-        heading=_heading(evaluation),
-        halves=[half for half in halves if half.rows],
-        note=robust_note(evaluation),
-        ranks=list(rank_correlations(tables["all"], paper)),
-    )
-
-
-def _half(title: str, ours: Percents, paper: Percents, columns: Sequence[str]) -> Half:
-    best = best_cells(ours, columns)
-    names, columns = _measured(ours, columns)
-    rows = {
-        name: [
-            (_cell(ours, key), _cell(paper, key), key in best)
-            for key in ((name, planes) for planes in columns)
-        ]
-        for name in names
     }
-    return Half(title, columns, rows)
+    values = {
+        "heading": _heading(evaluation),
+        "halves": {title: half for title, half in halves.items() if half.names},
+        "note": robust_note(evaluation),
+        "ranks": list(rank_correlations(tables["all"], paper)),
+    }
+    return page_text("table3.html", "", values)

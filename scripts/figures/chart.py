@@ -18,7 +18,7 @@ from roadtorch.evaluation.metrics import auc, count_levels
 from roadtorch.imaging.color import PLANES
 from roadtorch.io.atomic import atomic, csv_text, write_text
 from roadtorch.oneclass.axes import circular_mean, unrolled
-from roadtorch.report.page.svg import STYLE
+from roadtorch.report.svg import STYLE
 
 DOTS = 100  # per inch
 COLOURS = 128  # of a chart's file: lines and their soft edges need no more

@@ -22,7 +22,7 @@ from roadtorch.evaluation.metrics import Decisions, RoadCounts
 from roadtorch.evaluation.scoring import score_item
 from roadtorch.io.atomic import atomic, csv_text, write_text
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
-from roadtorch.report.screen import align
+from roadtorch.report.table import align
 
 EVERY = 16
 """Figures look at every so-manieth picture."""

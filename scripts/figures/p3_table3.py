@@ -20,8 +20,8 @@ from roadtorch.evaluation.curves import vertical_average, vertical_sample
 from roadtorch.evaluation.metrics import auc, count_levels
 from roadtorch.io.atomic import csv_text, write_text
 from roadtorch.oneclass import CLASSIFIERS
-from roadtorch.report.page.roc_families import KEY, ROW, draw_families
-from roadtorch.report.page.svg import WIDTH
+from roadtorch.report.roc_families import KEY, ROW, draw_families
+from roadtorch.report.svg import WIDTH
 from roadtorch.report.table3 import FAMILY, HALVES, Percents, printed_table, table_lines
 from roadtorch.runtime.image_cache import image_cache
 from scripts.figures.chart import chart, open_sets

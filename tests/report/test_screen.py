@@ -1,6 +1,7 @@
 """What a run says on the screen."""
 
-from roadtorch.report.screen import MOST_SHOWN, align, screen, shortlist
+from roadtorch.report.screen import MAX_SHOWN, screen, shortlist
+from roadtorch.report.table import align
 from tests.reports import GROUPS, changed, made_run, with_conditions
 
 
@@ -18,13 +19,13 @@ def test_of_a_grid_the_best_are_shown_beside_all_baselines() -> None:
     worse = [f"oneclass:gaussian:{number}" for number in range(100)]
     evaluation, _, _ = made_run(["fusion", *worse, "prior:rows", "prior:mean"])
 
-    kept = list(shortlist(evaluation))
+    kept = shortlist(evaluation)
     text = screen(evaluation)
 
-    assert kept == ["fusion", *worse[: MOST_SHOWN - 1], "prior:rows", "prior:mean"]
-    assert f"{100 - MOST_SHOWN + 1} more detectors, with lower MaxF, are in metrics.json" in text
-    assert worse[MOST_SHOWN - 2] in text
-    assert worse[MOST_SHOWN - 1] not in text
+    assert kept == ["fusion", *worse[: MAX_SHOWN - 1], "prior:rows", "prior:mean"]
+    assert f"{100 - MAX_SHOWN + 1} more detectors, with lower MaxF, are in metrics.json" in text
+    assert worse[MAX_SHOWN - 2] in text
+    assert worse[MAX_SHOWN - 1] not in text
 
 
 def test_the_columns_are_those_of_the_measures_that_ask_for_one() -> None:

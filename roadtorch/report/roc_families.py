@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from roadtorch.evaluation.group_curves import DetectorCurves, RunCurves
 from roadtorch.io.atomic import write_text
-from roadtorch.report.page.svg import COLOURS, DASHES, GRID, INK, Series, to_svg
+from roadtorch.report.svg import COLOURS, DASHES, GRID, INK, Series, to_svg
 
 ROW = 190  # points, of the panels of one classifier
 
@@ -48,8 +48,8 @@ def draw_families(figure: Figure, lines: Lines, classifiers: Sequence[str], halv
     panels = figure.subplots(len(classifiers), len(halves), sharex=True, sharey=True, squeeze=False)
     for row, name in zip(panels, classifiers, strict=True):
         for axes, (title, planes) in zip(row, halves.items(), strict=True):
-            found = [(one, lines.get((name, one.name))) for one in looks(planes)]
-            _panel(axes, f"{name}, {title}", found)
+            own = [(one, lines.get((name, one.name))) for one in looks(planes)]
+            _panel(axes, f"{name}, {title}", own)
     for axes, planes in zip(panels[-1], halves.values(), strict=True):
         axes.set_xlabel("false positive rate")
         handles = [axes.plot([], [], label=one.name, **one.line(1.4))[0] for one in looks(planes)]
@@ -60,8 +60,8 @@ def draw_families(figure: Figure, lines: Lines, classifiers: Sequence[str], halv
 def mean_line(own: DetectorCurves | None) -> np.ndarray | None:
     """FPR and TPR (2,points), averaged over groups at equal FPR; None where they are not known."""
     parts = [own["mean"], *own["groups"].values()] if own else []
-    found = [np.array(line) for part in parts if (line := part.get("roc_vertical"))]
-    return np.mean(found, axis=0) if found else None
+    lines = [np.array(line) for part in parts if (line := part.get("roc_vertical"))]
+    return np.mean(lines, axis=0) if lines else None
 
 
 def looks(names: Sequence[str]) -> list[Series]:

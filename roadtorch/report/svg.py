@@ -19,11 +19,11 @@ from matplotlib.figure import Figure
 
 from roadtorch.evaluation.result import Evaluation
 
-MOST = 8  # detectors in a chart, best first
+MAX_SERIES = 8  # detectors in a chart, best first
 
-MOST_BASELINES = 4
+MAX_BASELINES = 4
 
-LONGEST = 34  # letters of a name in a chart
+MAX_LETTERS = 34  # letters of a name in a chart
 
 WIDTH = 460  # points, of one panel
 
@@ -101,15 +101,15 @@ class Series:
 def choose_series(evaluation: Evaluation) -> list[Series]:
     """The detectors that charts show, by rank: the eight best, and the four best baselines."""
     ranked, detectors = evaluation.ranked(), evaluation.detectors
-    best = [name for name in ranked if not detectors[name].is_baseline][:MOST]
-    baselines = [name for name in ranked if detectors[name].is_baseline][:MOST_BASELINES]
+    best = [name for name in ranked if not detectors[name].is_baseline][:MAX_SERIES]
+    baselines = [name for name in ranked if detectors[name].is_baseline][:MAX_BASELINES]
     looks = dict(zip(best, zip(COLOURS, DASHES, strict=True), strict=False))
-    found = [Series(name, *looks[name]) for name in best]
-    found += [
+    series = [Series(name, *looks[name]) for name in best]
+    series += [
         Series(name, BASELINE, dash, is_baseline=True)
         for name, dash in zip(baselines, BASELINE_DASHES, strict=False)
     ]
-    return sorted(found, key=lambda one: ranked.index(one.name))
+    return sorted(series, key=lambda one: ranked.index(one.name))
 
 
 # --- to text ----------------------------------------------------------------------------
@@ -118,7 +118,7 @@ def choose_series(evaluation: Evaluation) -> list[Series]:
 def short(name: Any) -> str:
     """A name that can stand in a chart: printable, and not too long."""
     text = "".join(letter if letter.isprintable() else "?" for letter in str(name))
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 10]}…{text[-9:]}"
+    return text if len(text) <= MAX_LETTERS else f"{text[: MAX_LETTERS - 10]}…{text[-9:]}"
 
 
 def to_svg(name: str, label: str, height: float, draw: Callable[[Figure], None]) -> str:

@@ -12,7 +12,7 @@ import pytest
 
 from roadtorch.evaluation.group_curves import RunCurves
 from roadtorch.evaluation.measures import F_MASK, MAXF
-from roadtorch.report.page import charts, svg
+from roadtorch.report import charts, svg
 from tests.reports import GROUPS, made_row, made_run, scored
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -170,7 +170,7 @@ def test_every_picture_is_a_tick_and_thousands_are_thinned():
 
     assert len(few) == 2 * 11
     assert_proportional(few[::2, 0], np.arange(11) / 10)
-    assert len(np.unique(lines(many, svg.COLOURS[0], 0.6)[0][:, 0])) == charts.MOST_TICKS
+    assert len(np.unique(lines(many, svg.COLOURS[0], 0.6)[0][:, 0])) == charts.MAX_TICKS
 
 
 def test_many_groups_are_not_told_apart():
@@ -214,7 +214,7 @@ def test_names_are_text_and_only_text():
 def test_a_long_name_keeps_both_ends():
     found = svg.short("oneclass:" + "x" * 100 + ":linear")
 
-    assert len(found) == svg.LONGEST
+    assert len(found) == svg.MAX_LETTERS
     assert found.startswith("oneclass:")
     assert found.endswith(":linear")
 
@@ -252,7 +252,7 @@ def test_the_same_numbers_give_the_same_text_whatever_the_user_prefers(run, draw
 
 
 def test_pyplot_and_its_windows_stay_out():
-    code = "import sys, roadtorch.report.page.charts; print('matplotlib.pyplot' in sys.modules)"
+    code = "import sys, roadtorch.report.charts; print('matplotlib.pyplot' in sys.modules)"
 
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
 

@@ -15,7 +15,7 @@ from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import F_MASK, MAXF
 from roadtorch.evaluation.result import Comparison, DetectorFigures, Evaluation, Interval
 from roadtorch.evaluation.summary import PictureRow
-from roadtorch.report.page.svg import (
+from roadtorch.report.svg import (
     BAND,
     BASELINE,
     GRID,
@@ -30,7 +30,7 @@ MARKERS = ("o", "^", "s", "D", "v", "P")  # groups
 
 MAX_GROUPS = len(MARKERS)  # told apart in a chart
 
-MOST_TICKS = 300  # pictures of one group and detector in a chart
+MAX_TICKS = 300  # pictures of one group and detector in a chart
 
 # --- scores -----------------------------------------------------------------------------
 
@@ -90,9 +90,9 @@ def _dot_with_interval(axes: Axes, row: int, one: Series, value: float, ends: In
 def difference_chart(series: Sequence[Series], comparison: Comparison) -> str:
     """Differences in MaxF to the detector ``against`` with 95 % intervals."""
     changes = {
-        name: found[MAXF.key]
-        for name, found in comparison.differences.items()
-        if MAXF.key in found and not math.isnan(found[MAXF.key].value)
+        name: of_name[MAXF.key]
+        for name, of_name in comparison.differences.items()
+        if MAXF.key in of_name and not math.isnan(of_name[MAXF.key].value)
     }
     shown = [one for one in series if one.name in changes]
 
@@ -174,9 +174,9 @@ def _of(curves: RunCurves, one: Series) -> DetectorCurves:
     return curves.get(one.name, {"mean": {}, "groups": {}})
 
 
-def _lines(found: Curves, kind: str) -> Iterator[np.ndarray]:
+def _lines(curves: Curves, kind: str) -> Iterator[np.ndarray]:
     """The coordinates of one curve, float64 (coordinates,points), where they are known."""
-    lists = found.get(kind)
+    lists = curves.get(kind)
     if lists and all(lists):
         points = np.array(lists, dtype=np.float64)
         points = points[:, np.isfinite(points[:2]).all(0)]
@@ -228,11 +228,11 @@ def reliability_chart(series: Sequence[Series], curves: RunCurves) -> str:
         upper, lower = figure.subplots(2, sharex=True, height_ratios=(3, 1))
         upper.plot([0, 1], [0, 1], color=BASELINE, linewidth=1)
         for depth, one in enumerate(series):
-            for found in _lines(_of(curves, one)["mean"], "reliability"):
+            for bins in _lines(_of(curves, one)["mean"], "reliability"):
                 look = {**one.line(1.1 if one.is_baseline else 1.8), "zorder": 4 - depth / 100}
-                upper.plot(found[0], found[1], marker="" if one.is_baseline else ".", **look)
-                if len(found) > 2:
-                    lower.plot(found[0], np.where(found[2] > 0, found[2], np.nan), **look)
+                upper.plot(bins[0], bins[1], marker="" if one.is_baseline else ".", **look)
+                if len(bins) > 2:
+                    lower.plot(bins[0], np.where(bins[2] > 0, bins[2], np.nan), **look)
         upper.set(xlim=(-0.01, 1.01), ylim=(0, 1.01), ylabel="share of road")
         lower.set(yscale="log", xlabel="likelihood", ylabel="pixels")
         lower.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{100 * y:g} %"))
@@ -248,11 +248,11 @@ def risk_chart(series: Sequence[Series], curves: RunCurves) -> str:
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
         for depth, one in enumerate(series):
-            found = _of(curves, one)["mean"]
-            for x, y, *_ in _lines(found, "risk"):
+            mean = _of(curves, one)["mean"]
+            for x, y, *_ in _lines(mean, "risk"):
                 axes.plot(x, y, **one.line(2), zorder=4 - depth / 100)
                 axes.plot([0, 1], [y[-1], y[-1]], color=one.colour, linewidth=0.7, alpha=0.75)
-            for x, y, *_ in _lines(found, "risk_ideal"):
+            for x, y, *_ in _lines(mean, "risk_ideal"):
                 axes.plot(x, y, color=one.colour, linewidth=1.1, linestyle=":")
         axes.set(xlim=(0, 1), xlabel="pictures kept, the most trusted first", ylabel="mean 1 - F")
         axes.set_ylim(bottom=0)
@@ -299,7 +299,7 @@ def _draw_lane(
 ) -> None:
     """Ticks for pictures, a line from the first to the last decile, a bar between quartiles."""
     every = np.sort(np.array(values))
-    kept = every[np.unique(np.linspace(0, len(every) - 1, MOST_TICKS).round().astype(int))]
+    kept = every[np.unique(np.linspace(0, len(every) - 1, MAX_TICKS).round().astype(int))]
     x = np.repeat(kept, 3)
     y = np.tile([middle - half, middle + half, np.nan], len(kept))
     axes.plot(x, y, color=one.colour, linewidth=0.6, alpha=0.55, zorder=2)

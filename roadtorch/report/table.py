@@ -1,0 +1,150 @@
+"""One table, two renderers: text for a screen, and cells for a page; and how pages are written."""
+
+import base64
+import hashlib
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from roadtorch.evaluation.measure import Figures, Measure
+from roadtorch.io.atomic import write_text
+from roadtorch.version import __version__
+
+NONE = "–"
+
+MINUS = "\N{MINUS SIGN}"
+
+
+def share(value: float) -> str:
+    """Three decimals."""
+    return NONE if math.isnan(value) else f"{value:.3f}"
+
+
+def signed(value: float) -> str:
+    """Three decimals with a sign."""
+    return NONE if math.isnan(value) else f"{value:+.3f}".replace("-", MINUS)
+
+
+def percent(value: float) -> str:
+    """Per cent with one decimal."""
+    return NONE if math.isnan(value) else f"{100 * value:.1f} %"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell: its text, the number to sort by, whether it stands out, and a note."""
+
+    text: str
+    value: float | None = None
+    strong: bool = False
+    note: str = ""  # small, below; on the screen in a column of its own
+
+
+def number_cell(text: str, value: float, strong: bool = False, note: str = "") -> Cell:
+    """A cell that is sorted by a number; undefined ones have none to be sorted by."""
+    return Cell(text, None if math.isnan(value) else value, strong, note)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns under headers, each header with a line that explains it; rows by name.
+
+    baselines: the rows that are set apart, for they never look at the picture.
+    """
+
+    names: Sequence[str]
+    baselines: Collection[str] = ()
+    headers: list[tuple[str, str]] = field(default_factory=list)
+    columns: list[list[Cell]] = field(default_factory=list)
+
+    def add(self, header: str, hint: str, cells: Iterable[Cell]) -> None:
+        """One more column."""
+        self.headers.append((header, hint))
+        self.columns.append(list(cells))
+
+    def measure(self, one: Measure, parts: Iterable[Figures], header: str = "") -> None:
+        """A column of one measure, the best in it strong; none if nobody has the measure."""
+        rows = list(parts)
+        if any(one.key in figures for figures in rows):
+            values = [one.of(figures) for figures in rows]
+            alone = sum(not math.isnan(value) for value in values) < 2
+            best = None if alone else one.best(values)
+            cells = (number_cell(one.text(value, NONE), value, value == best) for value in values)
+            self.add(header or one.name, one.meaning, cells)
+
+    def rows(self) -> list[tuple[str, list[Cell]]]:
+        """Name and cells of each row."""
+        cells = zip(*self.columns, strict=True) if self.columns else ([] for _ in self.names)
+        return [(name, list(row)) for name, row in zip(self.names, cells, strict=True)]
+
+
+# --- the screen -------------------------------------------------------------------------
+
+
+def table_text(table: Table, title: str) -> str:
+    """The table under a title, for a screen; headers on one line; "" for one without rows.
+
+    Notes are intervals, and have a column "95 %" of their own.
+    """
+    if not table.names:
+        return ""
+    noted = [any(cell.note for cell in column) for column in table.columns]
+    lines = [[title]]
+    for (header, _), has_notes in zip(table.headers, noted, strict=True):
+        lines[0] += [header.replace("\n/", "/").replace("\n", " "), *["95 %"] * has_notes]
+    for name, cells in table.rows():
+        lines.append([name])
+        for cell, has_notes in zip(cells, noted, strict=True):
+            lines[-1] += [_plain(cell.text), *[_plain(cell.note)] * has_notes]
+    return align(lines)
+
+
+def _plain(text: str) -> str:
+    """What can be searched for and copied from a screen."""
+    return "-" if text == NONE else text.replace(MINUS, "-")
+
+
+def align(rows: Sequence[Sequence[str]]) -> str:
+    """Rows of text in columns: the first to the left, the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = []
+    for first, *rest in rows:
+        cells = [cell.rjust(width) for cell, width in zip(rest, widths[1:], strict=True)]
+        lines.append("  ".join([first.ljust(widths[0]), *cells]).rstrip())
+    return "\n".join(lines)
+
+
+# --- pages ------------------------------------------------------------------------------
+
+
+def write_page(path: Path, template: str, command: str, values: Mapping[str, Any]) -> None:
+    """Write a page from a template that lies in this package: one file that asks for no other."""
+    write_text(path, page_text(template, command, values))
+
+
+def page_text(template: str, command: str, values: Mapping[str, Any]) -> str:
+    """The page as text; whatever is put in is text and only text. command: what made the page."""
+    environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(_text_of),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"sha256": _sha256, "share": share, "percent": percent}
+    text = environment.get_template(template).render(**values, version=__version__, command=command)
+    # A file name may hold bytes that are no text.
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
+def _text_of(path: str) -> str:
+    return files("roadtorch.report").joinpath(path).read_text(encoding="utf-8")
+
+
+def _sha256(script: str) -> str:
+    """The name by which a content security policy allows one script and no other."""
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()

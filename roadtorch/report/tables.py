@@ -1,0 +1,330 @@
+"""The tables of a run: of detectors, of one detector's groups and conditions, of differences."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+from roadtorch.evaluation.measure import Figures, Measure, Place
+from roadtorch.evaluation.measures import F_MASK, MAXF
+from roadtorch.evaluation.result import DetectorFigures, Difference, Evaluation
+from roadtorch.layout.classes import NAMES
+from roadtorch.report.table import (
+    NONE,
+    Cell,
+    Table,
+    number_cell,
+    share,
+    signed,
+)
+
+WORST = (F_MASK, MAXF)
+"""Of many groups, the worst by these measures has a column on the screen."""
+
+MAX_SHOWN = 40
+"""Detectors on the screen besides the baselines, and rows of the page's tables by group; a grid
+of 310 fills neither well."""
+
+MAX_COLUMNS = {"screen": 6, "scores": 8}
+"""Groups with a column of their own, on the screen and on the page."""
+
+
+# --- all detectors ----------------------------------------------------------------------
+
+
+def scores(evaluation: Evaluation, names: Sequence[str], place: Place) -> Table:
+    """What a user gets beside MaxF, its interval, and the figures of a place; MaxF by group.
+
+    Of more groups than have columns the screen tells the worst, and it tells MaxF of all pooled;
+    the page tells how far above the best baseline MaxF is.
+    """
+    detectors, groups = evaluation.detectors, evaluation.groups
+    table = Table(names, baselines(evaluation))
+    many = len(groups) > MAX_COLUMNS[place]
+    parts = {name: detectors[name].headline for name in names}
+    for group in [] if many else groups:
+        table.measure(MAXF, [detectors[name].group(group) for name in names], f"MaxF\n{group}")
+    for one in evaluation.shown_in("headline"):
+        table.measure(one, parts.values())
+    intervals = (detectors[name].interval for name in names)
+    table.add("95 %", "Bootstrap interval of MaxF over pictures.", (
+        Cell(f"{share(ends.low)}–{share(ends.high)}", ends.low) if ends.is_known else Cell(NONE)
+        for ends in intervals
+    ))  # fmt: skip
+    if place == "scores":
+        table.add(*_above_baseline(evaluation, parts))
+    for one in WORST if many and place == "screen" else ():
+        cells = [_worst_group(detectors[name], one) for name in names]
+        table.add(f"worst\n{one.name}", "The lowest of the groups, and whose it is.", cells)
+    if place == "screen" and groups:
+        pooled = [detectors[name].pooled for name in names]
+        table.measure(MAXF, pooled, "pooled")
+    for one in evaluation.shown_in(place):
+        table.measure(one, parts.values())
+    return table
+
+
+def _worst_group(one: DetectorFigures, measure: Measure) -> Cell:
+    values = {group: measure.of(figures) for group, figures in one.groups.items()}
+    known = {group: value for group, value in values.items() if not math.isnan(value)}
+    if not known:
+        return Cell(NONE)
+    group = min(known, key=lambda name: known[name])
+    return Cell(f"{measure.text(known[group], NONE)} {group}", known[group])
+
+
+def _above_baseline(
+    evaluation: Evaluation, parts: Mapping[str, Figures]
+) -> tuple[str, str, list[Cell]]:
+    """MaxF less that of the best baseline among the same rows."""
+    baseline = best_baseline(evaluation, parts)
+    above = [MAXF.of(figures) - baseline[1] for figures in parts.values()]
+    hint = "MaxF minus that of the best blind baseline, which never looks at the picture."
+    return "above\nbaseline", hint, [number_cell(signed(value), value) for value in above]
+
+
+def baselines(evaluation: Evaluation) -> set[str]:
+    """The detectors that never look at the picture."""
+    return {name for name, one in evaluation.detectors.items() if one.is_baseline}
+
+
+def best_baseline(evaluation: Evaluation, parts: Mapping[str, Figures]) -> tuple[str, float]:
+    """The baseline with the highest MaxF of some figures by detector; ("", NaN) without any."""
+    known = [
+        (name, MAXF.of(figures))
+        for name, figures in parts.items()
+        if evaluation.detectors[name].is_baseline and MAXF.key in figures
+    ]
+    defined = [pair for pair in known if not math.isnan(pair[1])]
+    return max(defined, key=lambda pair: pair[1]) if defined else ("", math.nan)
+
+
+def measured(
+    evaluation: Evaluation, parts: Mapping[str, Figures], *places: Place, above: bool = False
+) -> Table:
+    """The measures of some places; parts: figures by detector. above: MaxF over the baselines'."""
+    table = Table(list(parts), baselines(evaluation))
+    for one in evaluation.shown_in("headline") if above else ():
+        table.measure(one, parts.values())
+    if above:
+        table.add(*_above_baseline(evaluation, parts))
+    for one in evaluation.shown_in(*places):
+        table.measure(one, parts.values())
+    return table
+
+
+def trust(evaluation: Evaluation, names: Sequence[str]) -> Table:
+    """How well trust tells good masks from bad ones, of the detectors that have it."""
+    measures = evaluation.shown_in("trust")
+    figures = {name: evaluation.detectors[name].headline for name in names}
+    known = {
+        name: part for name, part in figures.items() if any(one.key in part for one in measures)
+    }
+    return measured(evaluation, known, "trust")
+
+
+def differences(evaluation: Evaluation, names: Sequence[str], place: Place) -> Table:
+    """Differences with intervals, strong where the interval leaves out 0."""
+    changes = evaluation.comparison.differences
+    table = Table([name for name in names if name in changes], baselines(evaluation))
+    hint = "Difference on the same pictures, 95 % interval; bold where that leaves out 0."
+    for one in evaluation.shown_in(place):
+        of_measure = [changes[name].get(one.key) for name in table.names]
+        if any(of_measure):
+            under = one.key.rpartition("/")[0].replace("/", ", ") if place == "pairs" else ""
+            header = f"{under},\n{one.name}" if under else one.name
+            table.add(header, hint, [_change(change) for change in of_measure])
+    return table
+
+
+def _change(change: Difference | None) -> Cell:
+    if change is None:
+        return Cell(NONE)
+    low, high = change.interval
+    if not change.interval.is_known:
+        return number_cell(signed(change.value), change.value)
+    note = f"{signed(low)} to {signed(high)}"
+    return number_cell(signed(change.value), change.value, low > 0 or high < 0, note)
+
+
+# --- groups and conditions of one detector ----------------------------------------------
+
+
+PartRow = tuple[str, Mapping[str, Figures]]
+"""The label of a group or condition, and the figures of all detectors there."""
+
+
+class Rows(NamedTuple):
+    """The rows of one detector's table: the worst first, and what stands below them."""
+
+    counting: Sequence[PartRow]
+    beside: Sequence[PartRow]
+
+
+def group_rows(evaluation: Evaluation, name: str) -> Rows:
+    """The groups by F of the mask, the lowest first, then their mean and those left out."""
+    detectors = evaluation.detectors
+    if not detectors[name].groups:
+        return Rows([], [])
+    of_group = {
+        group: {each: one.group(group) for each, one in detectors.items()}
+        for group in (*evaluation.groups, *evaluation.left_out)
+    }
+    mean = {each: one.headline for each, one in detectors.items()}
+    left_out = [(f"{group} (left out)", of_group[group]) for group in evaluation.left_out]
+    counting = [(group, of_group[group]) for group in evaluation.groups]
+    return Rows(_worst_first(name, counting), [("mean", mean), *left_out])
+
+
+def condition_rows(evaluation: Evaluation, name: str) -> Rows:
+    """The conditions by F of the mask, the lowest first, with the number of their groups."""
+    items = evaluation.dataset.by_condition()
+    counting = []
+    for condition in evaluation.conditions:
+        groups = len({item.group for item in items[condition]} - {None})
+        of = f" ({groups} group{'' if groups == 1 else 's'})" if groups else ""
+        figures = {
+            each: one.conditions.get(condition, {}) for each, one in evaluation.detectors.items()
+        }
+        counting.append((condition + of, figures))
+    return Rows(_worst_first(name, counting), [])
+
+
+def _worst_first(name: str, rows: Sequence[PartRow]) -> list[PartRow]:
+    """By F of the mask, those without one last."""
+
+    def place(row: PartRow) -> float:
+        value = F_MASK.of(row[1][name])
+        return math.inf if math.isnan(value) else value
+
+    return sorted(rows, key=place)
+
+
+def part_table(evaluation: Evaluation, name: str, rows: Rows, most: int | None = None) -> Table:
+    """The measures in columns, the worst value of each strong, and the best baseline's MaxF.
+
+    most: of the counting rows, so many at most.
+    """
+    counting = rows.counting[:most]
+    labels, parts = zip(*counting, *rows.beside, strict=True) if counting else ((), ())
+    table = Table(list(labels))
+    for one in evaluation.shown_in("parts"):
+        if any(one.key in part[name] for part in parts):
+            values = [one.of(part[name]) for part in parts]
+            worst = one.worst(values[: len(counting)]) if len(counting) > 1 else None
+            cells = [
+                number_cell(one.text(value, NONE), value, row < len(counting) and value == worst)
+                for row, value in enumerate(values)
+            ]
+            table.add(one.name, one.meaning, cells)
+    best = [best_baseline(evaluation, part)[1] for part in parts]
+    cells = [number_cell(share(value), value) for value in best]
+    table.add("MaxF of\nbaseline", "MaxF of the best blind baseline there.", cells)
+    return table
+
+
+# --- layout -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class LayoutTables:
+    """The layout figures of one detector: its confusion as rows of shares, and recalls."""
+
+    name: str
+    confusion: list[tuple[str, list[Cell]]]
+    recalls: Table
+
+    def equals(self, other: "LayoutTables") -> bool:
+        """Whether both have the same figures: detectors may share one layout."""
+        return replace(self, name=other.name) == other
+
+
+def layouts(evaluation: Evaluation, names: Sequence[str]) -> list[LayoutTables]:
+    """Confusion and recalls of the detectors that label the layout."""
+    tables: list[LayoutTables] = []
+    for name in names:
+        one = evaluation.detectors[name]
+        parts = {**one.groups, "mean" if one.groups else "all": one.headline}
+        table = recalls(evaluation, parts)
+        if table.headers:
+            layout = LayoutTables(name, _confusion(one.headline), table)
+            twin = next((i for i, old in enumerate(tables) if layout.equals(old)), None)
+            if twin is None:
+                tables.append(layout)
+            else:
+                tables[twin] = replace(tables[twin], name=f"{tables[twin].name}, {name}")
+    return tables
+
+
+def recalls(evaluation: Evaluation, parts: Mapping[str, Figures]) -> Table:
+    """Recalls of some parts, none of them better; without columns if there are none."""
+    table = Table(list(parts))
+    for measure in evaluation.shown_in("layout"):
+        table.measure(replace(measure, better=None), parts.values())
+    return table
+
+
+def _confusion(figures: Figures) -> list[tuple[str, list[Cell]]]:
+    """Rows truth, columns decision; empty where there is none."""
+    shares = {
+        truth: [figures.get(f"layout/confusion/{truth}/{decided}", math.nan) for decided in NAMES]
+        for truth in NAMES
+    }
+    if all(math.isnan(value) for row in shares.values() for value in row):
+        return []
+    return [
+        (truth, [number_cell(share(value), value) for value in row])
+        for truth, row in shares.items()
+    ]
+
+
+# --- the page ---------------------------------------------------------------------------
+
+
+def page_tables(evaluation: Evaluation, in_charts: Sequence[str]) -> dict[str, Any]:
+    """The tables of the page by name; in_charts: detectors that are told more of."""
+    detectors, names = evaluation.detectors, evaluation.ranked()
+    shown = names if len(names) <= MAX_SHOWN else in_charts
+    of_groups = {
+        group: {name: detectors[name].group(group) for name in shown}
+        for group in (*evaluation.groups, *evaluation.left_out)
+    }
+    if any(detectors[name].pooled for name in shown):
+        of_groups["all groups, pixels pooled"] = {name: detectors[name].pooled for name in shown}
+    told = [name for name in in_charts if not detectors[name].is_baseline]
+    by = {
+        kind: {name: part_table(evaluation, name, rows(evaluation, name)) for name in told}
+        for kind, rows in (("group", group_rows), ("condition", condition_rows))
+    }
+    return {
+        "scores": scores(evaluation, names, "scores"),
+        "further": measured(
+            evaluation, {name: detectors[name].headline for name in names}, "further"
+        ),
+        "trust": trust(evaluation, names),
+        "differences": differences(evaluation, names, "pairs"),
+        "layouts": layouts(evaluation, in_charts),
+        "groups": {
+            group: measured(evaluation, part, "scores", "further", above=True)
+            for group, part in of_groups.items()
+        },
+        "by": {
+            kind: {name: table for name, table in tables.items() if table.names}
+            for kind, tables in by.items()
+        },
+        "shown": len(shown),
+    }
+
+
+def measures_shown(evaluation: Evaluation) -> list[Measure]:
+    """The measures that the tables have, for the key to them; of equal meanings the first."""
+    every = [
+        figures
+        for one in evaluation.detectors.values()
+        for figures in (one.headline, one.pooled, *one.groups.values())
+    ]
+    by_meaning: dict[str, Measure] = {}
+    for one in evaluation.shown_in("headline", "scores", "further", "parts", "trust"):
+        if any(one.key in figures for figures in every):
+            by_meaning.setdefault(one.meaning, one)
+    return list(by_meaning.values())
