@@ -27,9 +27,14 @@ def test_importing_the_package_is_light() -> None:
     assert imported_by("import roadtorch").isdisjoint({*HEAVY, "click"})
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["infer", "--help"], ["infr"]])
-def test_the_command_line_starts_without_the_heavy_packages(arguments: list[str]) -> None:
-    code = f"from roadtorch.cli import main\ntry: main({arguments})\nexcept SystemExit: pass"
+def test_the_command_line_and_help_of_every_command_start_without_the_heavy_packages() -> None:
+    code = """
+from roadtorch.cli import main
+from roadtorch.cli.group import COMMANDS
+for words in ["--help"], ["--version"], ["infr"], *([name, "--help"] for name in COMMANDS):
+    try: main(words)
+    except SystemExit: pass
+"""
 
     assert imported_by(code).isdisjoint(HEAVY)
 

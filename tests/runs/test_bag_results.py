@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.io.atomic import digest_of_folder
 from roadtorch.runs.pictures import Job
 from roadtorch.sources.bags import bag_source
 from roadtorch.sources.pictures import Picture
@@ -117,15 +116,3 @@ def test_a_folder_is_no_result_until_it_has_its_list(tmp_path: Path) -> None:
     (job.output(".road") / "metadata.yaml").touch()
     assert job.is_complete
     assert job.digest() == ""
-
-
-def test_the_digest_of_a_folder_tells_names_and_bytes(tmp_path: Path) -> None:
-    found = [digest_of_folder(tmp_path)]
-    for name, text in (("a", "1"), ("b", "1"), ("a", "2")):
-        (tmp_path / name).write_text(text)
-        found.append(digest_of_folder(tmp_path))
-    (tmp_path / "sub").mkdir()
-
-    assert found[0] == ""
-    assert len(set(found)) == 4
-    assert digest_of_folder(tmp_path) == found[-1]

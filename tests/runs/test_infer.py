@@ -49,9 +49,10 @@ def test_a_folder_gives_three_files_a_picture_and_an_index(
 
 def test_files_hold_what_the_library_says(call: Call, tmp_path: Path) -> None:
     picture = save_picture(tmp_path / "x.png")
-    out = tmp_path / "out"
+    out, kinds = tmp_path / "out", "likelihood,mask,overlay,cues, npy"
+    options = ("--detector", "grey-uniformity", "--save", kinds, "--depth", "16")
 
-    call("infer", picture, "--detector", "grey-uniformity", "--out", out, "--depth", "16")
+    call("infer", picture, *options, "--out", out)
 
     detection = load_detector("grey-uniformity").detect(read_image(picture))
     stored = np.asarray(Image.open(out / "x.likelihood.png"))
@@ -61,21 +62,10 @@ def test_files_hold_what_the_library_says(call: Call, tmp_path: Path) -> None:
     assert np.array_equal(mask == 255, detection.mask.numpy())
     with Image.open(out / "x.overlay.jpg") as overlay:
         assert overlay.size == (64, 48)
-
-
-def test_cues_and_arrays_are_written_on_demand(call: Call, tmp_path: Path) -> None:
-    picture = save_picture(tmp_path / "x.png")
-    out = tmp_path / "out"
-
-    call("infer", picture, "--detector", "grey-uniformity", "--out", out, "--save", "cues, npy")
-
-    detection = load_detector("grey-uniformity").detect(read_image(picture))
-    names = files_in(out) - {"index.csv", "config.toml", "run.json"}
-    cues = detection.cues
-    assert names == {"x.likelihood.npy"} | {f"x.cue.{cue}.png" for cue in cues} | {
-        f"x.{cue}.npy" for cue in cues
-    }
-    assert np.array_equal(np.load(out / "x.uniformity.npy"), cues["uniformity"].numpy())
+    assert np.array_equal(np.load(out / "x.likelihood.npy"), detection.likelihood.numpy())
+    for name, cue in detection.cues.items():
+        assert (out / f"x.cue.{name}.png").is_file()
+        assert np.array_equal(np.load(out / f"x.{name}.npy"), cue.numpy())
 
 
 def test_cue_pictures() -> None:
@@ -119,29 +109,21 @@ def test_several_jobs_give_the_same_bytes(call: Call, footage: Path, tmp_path: P
 # --- settings -------------------------------------------------------------------------------
 
 
-def test_the_printed_configuration_gives_the_same_run(call: Call, tmp_path: Path) -> None:
-    path = tmp_path / "c.toml"
-    options = ("--detector", "cpf", "--set", "texture.bins=32", "--threshold", "0.25")
-
-    printed = call("infer", *options, "--print-config")
-    path.write_text(printed.stdout)
-    again = call("infer", "--config", path, "--print-config")
-
-    values = tomllib.loads(printed.stdout)
-    assert (values["detector"], values["texture"]["bins"], values["threshold"]) == ("cpf", 32, 0.25)
-    assert again.stdout == printed.stdout
-
-
-def test_set_goes_over_the_file_and_threshold_over_both(call: Call, tmp_path: Path) -> None:
+def test_set_goes_over_the_file_and_threshold_over_both_and_what_is_printed_gives_the_same(
+    call: Call, tmp_path: Path
+) -> None:
     path = tmp_path / "c.toml"
     path.write_text('detector = "cpf"\nthreshold = 0.1\n[texture]\nbins = 8\n')
     options = ("--config", path, "--set", "texture.ridge=0.5", "--set", "threshold=0.2")
 
-    values = tomllib.loads(call("infer", *options, "--threshold", "0.3", "--print-config").stdout)
+    printed = call("infer", *options, "--threshold", "0.3", "--print-config").stdout
+    path.write_text(printed)
+    again = call("infer", "--config", path, "--print-config").stdout
 
-    assert values["texture"]["bins"] == 8
-    assert values["texture"]["ridge"] == 0.5
-    assert values["threshold"] == 0.3
+    values = tomllib.loads(printed)
+    assert (values["detector"], values["threshold"]) == ("cpf", 0.3)
+    assert (values["texture"]["bins"], values["texture"]["ridge"]) == (8, 0.5)
+    assert again == printed
 
 
 @pytest.mark.parametrize(
@@ -211,27 +193,6 @@ def test_results_of_other_settings_are_not_mixed_in(
     assert bytes_in(out) != before
 
 
-def test_an_interrupted_run_keeps_its_rows_and_goes_on(
-    call: Call, footage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = tmp_path / "out"
-    real = results.Inference.__call__
-
-    def interrupted(self: results.Inference, job: pictures.Job) -> pictures.Row:
-        if job.picture.name == "b":
-            raise KeyboardInterrupt
-        return real(self, job)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(results.Inference, "__call__", interrupted)
-        stopped = call("infer", footage, *ROWS, "--out", out)
-    assert stopped.exit_code == 130
-    assert list(rows_of(out)) == ["a.jpg"]
-
-    resumed = call("infer", footage, *ROWS, "--out", out)
-    assert resumed.stderr.startswith("roadtorch: 2 done, 1 skipped")
-
-
 def test_results_beside_the_pictures_are_not_taken_for_pictures(call: Call, footage: Path) -> None:
     for _ in range(2):
         result = call("infer", footage, *ROWS, "--out", footage, "--save", "mask,cues")
@@ -271,16 +232,6 @@ def test_broken_pictures_become_failed_rows_beside_finished_ones(
     assert rows["a.jpg"]["status"] == "done"
     assert not any(name.endswith(".part") for name in files_in(out))
     assert "Traceback" not in result.stderr
-
-
-def test_failed_pictures_are_tried_again(call: Call, tmp_path: Path) -> None:
-    path, out = tmp_path / "in" / "x.png", tmp_path / "out"
-    save_picture(path, size=(1, 1))
-    assert call("infer", path, *ROWS, "--out", out).exit_code == 1
-
-    save_picture(path)
-    assert call("infer", path, *ROWS, "--out", out, "--quiet").stderr == ""
-    assert rows_of(out)["x.png"]["status"] == "done"
 
 
 def test_a_detector_that_trips_costs_one_row(
@@ -328,17 +279,19 @@ def test_a_result_never_replaces_a_picture(call: Call, tmp_path: Path) -> None:
     assert other.read_bytes() == before
 
 
-@pytest.mark.parametrize("below", ["", "below"])
+@pytest.mark.parametrize("place", ["file", "file/below", "loop"])
 def test_an_output_folder_that_cannot_be_is_named(
-    call: Call, footage: Path, tmp_path: Path, below: str
+    call: Call, footage: Path, tmp_path: Path, place: str
 ) -> None:
     (tmp_path / "file").write_text("mine")
-    out = tmp_path / "file" / below if below else tmp_path / "file"
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
 
-    result = call("infer", footage, *ROWS, "--out", out)
+    result = call("infer", footage, *ROWS, "--out", tmp_path / place)
 
     assert result.exit_code == 2
-    assert result.stderr.startswith(f"roadtorch: error: {out}: cannot be made a folder")
+    assert result.stderr.startswith(
+        f"roadtorch: error: {tmp_path / place}: cannot be made a folder"
+    )
     assert (tmp_path / "file").read_text() == "mine"
 
 
@@ -351,16 +304,6 @@ def test_nothing_to_look_at_is_wrong_usage(call: Call, tmp_path: Path) -> None:
     assert bare.exit_code == missing.exit_code == 2
     assert f"{tmp_path / 'bare'}: holds no pictures" in bare.stderr
     assert f"{tmp_path / 'none'}: does not exist" in missing.stderr
-
-
-def test_a_foreign_index_is_not_overwritten(call: Call, footage: Path, tmp_path: Path) -> None:
-    (tmp_path / "index.csv").write_text("name,price\napple,3\n")
-
-    result = call("infer", footage, *ROWS, "--out", tmp_path)
-
-    assert result.exit_code == 2
-    assert "index.csv: is not an index of ours" in result.stderr
-    assert (tmp_path / "index.csv").read_text() == "name,price\napple,3\n"
 
 
 # --- trust --------------------------------------------------------------------------------
@@ -421,29 +364,17 @@ def test_names_in_any_encoding_and_files_that_are_none_cost_nobody_else(
     assert (out / os.fsdecode(b"z\xff.mask.png")).exists()
 
 
-@pytest.mark.parametrize("command", ["infer", "label"])
-def test_a_link_to_itself_as_out_is_refused_by_its_name(
-    call: Call, footage: Path, tmp_path: Path, command: str
+@pytest.mark.parametrize("text", ["name,price\napple,3\n", "width,file\n1\n"])
+def test_a_foreign_index_and_a_config_of_bytes_are_told_and_kept(
+    call: Call, footage: Path, tmp_path: Path, text: str
 ) -> None:
-    loop = tmp_path / "loop"
-    loop.symlink_to(loop)
+    (tmp_path / "index.csv").write_text(text)
 
-    result = call(command, footage, "--out", loop)
+    result = call("infer", footage, *ROWS, "--out", tmp_path)
+    (tmp_path / "config.toml").write_bytes(b"detector = '\xff'\n")
+    other = call("infer", footage, *ROWS, "--out", tmp_path)
 
-    assert result.exit_code == 2
-    assert result.stderr.startswith(f"roadtorch: error: {loop}: cannot be made a folder")
-
-
-def test_an_index_with_a_row_cut_short_and_a_config_of_bytes_are_told(
-    call: Call, footage: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    call("infer", footage, *ROWS, "--out", out)
-    (out / "config.toml").write_bytes(b"detector = '\xff'\n")
-    assert "holds results of other settings" in call("infer", footage, *ROWS, "--out", out).stderr
-    (out / "config.toml").unlink()
-
-    (out / "index.csv").write_text("width,file\n1\n")
-
-    told = call("infer", footage, *ROWS, "--out", out).stderr
-    assert f"{out}/index.csv: is not an index of ours" in told
+    assert result.exit_code == other.exit_code == 2
+    assert f"{tmp_path}/index.csv: is not an index of ours" in result.stderr
+    assert "holds results of other settings" in other.stderr
+    assert (tmp_path / "index.csv").read_text() == text

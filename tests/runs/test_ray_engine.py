@@ -12,7 +12,9 @@ from pathlib import Path
 from time import monotonic, sleep
 
 import pytest
+from click.testing import CliRunner
 
+from roadtorch.cli import main
 from roadtorch.scenes.street import render_scene, write_picture
 from tests.command import bytes_in, rows_of
 
@@ -24,10 +26,10 @@ LONGEST = 180.0  # seconds for what takes ten on an idle machine
 
 @pytest.fixture(scope="module")
 def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of 16 rendered streets, and a file that is no picture."""
+    """A folder of 16 small rendered streets, and a file that is no picture."""
     folder = tmp_path_factory.mktemp("pictures")
     for seed in range(16):
-        write_picture(folder / f"{seed:02}.png", render_scene(seed, 120, 160))
+        write_picture(folder / f"{seed:02}.png", render_scene(seed, 60, 80))
     (folder / "bad.png").write_bytes(b"no picture")
     return folder
 
@@ -36,7 +38,7 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def expected(pictures: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What threads of one process make of them."""
     out = tmp_path_factory.mktemp("expected")
-    subprocess.run([*COMMAND, pictures, *WORK, "--out", out], capture_output=True, check=False)
+    CliRunner().invoke(main, ["infer", str(pictures), *WORK, "--out", str(out)])
     return out
 
 
@@ -105,6 +107,7 @@ def test_a_killed_worker_costs_nothing_and_workers_share_no_path(
     assert without_ms(out, "file://") == without_ms(expected)
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_keeps_what_was_finished(
     pictures: Path, expected: Path, tmp_path: Path
 ) -> None:
@@ -124,6 +127,7 @@ def test_an_interrupted_run_keeps_what_was_finished(
     assert without_ms(out) == without_ms(expected)
 
 
+@pytest.mark.slow
 def test_no_cluster_at_the_address_is_one_line(pictures: Path, tmp_path: Path) -> None:
     run = start(pictures, *WORK, "--out", tmp_path / "out", *RAY, "--address", "127.0.0.1:9")
 

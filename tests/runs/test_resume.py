@@ -1,6 +1,7 @@
 """Runs that are cut short, meet each other, or are started again in another way."""
 
 import fcntl
+import json
 import os
 import shutil
 import signal
@@ -49,21 +50,33 @@ def test_other_options_are_not_done_before(
 
     again = call("infer", footage, *ROWS, "--out", out, *options)
     third = call("infer", footage, *ROWS, "--out", out, *options)
+    fewer = call("infer", footage, *ROWS, "--out", out, *options, "--save", "likelihood")
 
     call("infer", footage, *ROWS, "--out", alone, *options)
     assert again.stderr == f"roadtorch: 3 done (3 anew); results in {out}\n"
     assert bytes_in(alone).items() <= bytes_in(out).items()
-    assert third.stderr.startswith("roadtorch: 0 done, 3 skipped")
+    for nothing_new in (third, fewer):
+        assert nothing_new.stderr.startswith("roadtorch: 0 done, 3 skipped")
 
 
-def test_fewer_kinds_than_were_saved_are_done(call: Call, footage: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("what", ["settings", "version", "old rows"])
+def test_results_made_otherwise_are_done_anew_even_without_their_config(
+    call: Call, footage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
     out = tmp_path / "out"
-    for kinds in ("likelihood", "mask"):
-        call("infer", footage, *ROWS, "--out", out, "--save", kinds)
+    call("infer", footage, *ROWS, "--out", out)
+    if what == "settings":
+        (out / "config.toml").unlink()
+    elif what == "version":
+        monkeypatch.setattr(pictures, "__version__", "99.0")
+    else:  # of a version that did not note the method
+        lines = (out / "index.csv").read_text().splitlines()
+        (out / "index.csv").write_text("".join(line.rsplit(",", 4)[0] + "\n" for line in lines))
 
-    both = call("infer", footage, *ROWS, "--out", out, "--save", "likelihood,mask")
+    threshold = ("--threshold", "0.9") if what == "settings" else ()
+    again = call("infer", footage, *ROWS, *threshold, "--out", out)
 
-    assert both.stderr.startswith("roadtorch: 0 done, 3 skipped")
+    assert again.stderr.startswith("roadtorch: 3 done (3 anew);")
 
 
 def test_a_replaced_picture_is_not_done_even_with_the_same_date_and_size(
@@ -80,18 +93,6 @@ def test_a_replaced_picture_is_not_done_even_with_the_same_date_and_size(
 
     assert path.stat().st_size == before.st_size
     assert again.stderr.startswith("roadtorch: 1 done (1 anew);")
-
-
-def test_a_config_that_was_removed_does_not_hide_other_settings(
-    call: Call, footage: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    call("infer", footage, *ROWS, "--out", out)
-    (out / "config.toml").unlink()
-
-    again = call("infer", footage, *ROWS, "--threshold", "0.9", "--out", out)
-
-    assert again.stderr.startswith("roadtorch: 3 done (3 anew);")
 
 
 def test_other_bytes_of_a_file_that_the_settings_name_are_other_settings(
@@ -124,31 +125,6 @@ def test_files_of_cues_that_were_removed_are_made_again(
     assert fewer.stderr.startswith("roadtorch: 0 done, 3 skipped")
     assert again.stderr.startswith("roadtorch: 1 done (1 anew), 2 skipped")
     assert bytes_in(out) == before
-
-
-def test_what_another_version_did_is_done_anew(
-    call: Call, footage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = tmp_path / "out"
-    call("infer", footage, *ROWS, "--out", out)
-    monkeypatch.setattr(pictures, "__version__", "99.0")
-
-    again = call("infer", footage, *ROWS, "--out", out)
-
-    assert again.stderr.startswith("roadtorch: 3 done (3 anew);")
-
-
-def test_rows_of_an_earlier_version_are_done_anew(
-    call: Call, footage: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    call("infer", footage, *ROWS, "--out", out)
-    lines = (out / "index.csv").read_text().splitlines()
-    (out / "index.csv").write_text("".join(line.rsplit(",", 4)[0] + "\n" for line in lines))
-
-    again = call("infer", footage, *ROWS, "--out", out)
-
-    assert again.stderr.startswith("roadtorch: 3 done (3 anew);")
 
 
 # --- one folder -------------------------------------------------------------------------
@@ -194,25 +170,19 @@ def test_a_folder_that_is_removed_meanwhile_is_told(
     assert bytes_in(out) == bytes_in(quiet)
 
 
-def test_names_with_line_ends_are_done_once(call: Call, footage: Path, tmp_path: Path) -> None:
+def test_names_with_line_ends_and_long_ones_are_done_once(
+    call: Call, footage: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
-    for name in ("a\rb.png", "a\r\nb.png", "\r.png"):
+    for name in ("a\rb.png", "a\r\nb.png", "\r.png", "n" * 230 + ".png"):
         save_picture(footage / name)
 
     first = call("infer", footage, *ROWS, "--out", out)
     again = call("infer", footage, *ROWS, "--out", out)
 
     assert first.exit_code == again.exit_code == 0
-    assert again.stderr.startswith("roadtorch: 0 done, 6 skipped")
-    assert len(rows_of(out)) == 6
-
-
-def test_a_long_name_is_done(call: Call, tmp_path: Path) -> None:
-    path = save_picture(tmp_path / ("n" * 230 + ".png"))
-
-    result = call("infer", path, *ROWS, "--out", tmp_path / "out")
-
-    assert result.exit_code == 0
+    assert again.stderr.startswith("roadtorch: 0 done, 7 skipped")
+    assert len(rows_of(out)) == 7
 
 
 # --- killed -----------------------------------------------------------------------------
@@ -253,9 +223,11 @@ def test_a_signal_ends_the_run_with_index_and_message(
 
     with before_each(monkeypatch, send):
         stopped = call("infer", footage, *ROWS, "--out", out, "--jobs", threads)
+    record = json.loads((out / "run.json").read_text())
     resumed = call("infer", footage, *ROWS, "--out", out)
 
-    assert stopped.exit_code == code
+    assert stopped.exit_code == record["exit_status"] == code
+    assert record["pictures"]["not_tried"] == 2
     assert "roadtorch: interrupted; what was finished is kept" in stopped.stderr
     assert resumed.stderr.startswith("roadtorch: 2 done, 1 skipped")
 
@@ -300,7 +272,7 @@ def test_a_signal_before_the_work_is_told(footage: Path, tmp_path: Path) -> None
 # --- nowhere to write -------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("closed", ["2>&-", "1>&-", "0<&-", "0<&- 1>&- 2>&-"])
+@pytest.mark.parametrize("closed", ["2>&-", "0<&- 1>&- 2>&-"])
 def test_closed_streams_cost_nothing(footage: Path, tmp_path: Path, closed: str) -> None:
     words = " ".join([*COMMAND, "footage", *ROWS, "--out", "out"])
 

@@ -11,7 +11,6 @@ import torch
 from PIL import Image
 
 from roadtorch.data.labelme import open_labelme
-from roadtorch.runs import engines, results
 from roadtorch.runtime.threads import Threads
 from roadtorch.scenes.street import render_scene, write_picture
 from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
@@ -63,10 +62,15 @@ def test_run_json_says_how_the_results_were_made(call: Call, footage: Path, tmp_
     out = tmp_path / "out"
     (footage / "bad.png").write_bytes(b"no picture")
 
-    call("infer", footage, *ROWS, "--out", out, "--threshold", "0.4")
+    before = Threads.of_now()
+    try:
+        call("infer", footage, *ROWS, "--out", out, "--threshold", "0.4", "--threads", "2")
+    finally:
+        before.set()
 
     record = json.loads((out / "run.json").read_text())
     assert record["versions"]["torch"] == torch.__version__
+    assert record["threads"] == {"torch": 2, "opencv": 2}
     assert record["detector"] == "prior:rows"
     assert record["settings"]["threshold"] == 0.4
     assert record["pictures"] == {"all": 4, "done": 3, "doubtful": 0, "failed": 1, "not_tried": 0}
@@ -75,21 +79,6 @@ def test_run_json_says_how_the_results_were_made(call: Call, footage: Path, tmp_
     assert record["started"] < record["ended"]
     lines = [f"{row['sha256']}  {name}\n" for name, row in rows_of(out).items() if row["sha256"]]
     assert record["inputs_sha256"] == sha256("".join(lines).encode()).hexdigest()
-
-
-def test_an_interrupted_run_says_so(
-    call: Call, footage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(results.Inference, "__call__", interrupted)
-
-    call("infer", footage, *ROWS, "--out", tmp_path / "out")
-
-    record = json.loads((tmp_path / "out" / "run.json").read_text())
-    assert record["exit_status"] == 130
-    assert record["pictures"]["not_tried"] == 3
 
 
 # --- how it goes ------------------------------------------------------------------------
@@ -116,25 +105,6 @@ def test_fail_fast_ends_at_the_first_failure_and_goes_on_later(
     )
     assert again.exit_code == 1
     assert len(rows_of(out)) == 10
-
-
-def test_threads_are_set_and_recorded(call: Call, footage: Path, tmp_path: Path) -> None:
-    before = Threads.of_now()
-    try:
-        result = call("infer", footage, *ROWS, "--out", tmp_path / "out", "--threads", "1")
-        record = json.loads((tmp_path / "out" / "run.json").read_text())
-    finally:
-        before.set()
-
-    assert result.exit_code == 0
-    assert record["threads"] == {"torch": 1, "opencv": 1}
-
-
-def test_the_cpu_as_device_is_the_default(call: Call, footage: Path, tmp_path: Path) -> None:
-    call("infer", footage, *ROWS, "--out", tmp_path / "one")
-    call("infer", footage, *ROWS, "--out", tmp_path / "two", "--device", "cpu")
-
-    assert bytes_in(tmp_path / "one") == bytes_in(tmp_path / "two")
 
 
 @pytest.mark.parametrize("device", ["cuda", "meta", "gpu", "cuda:99"])
@@ -177,59 +147,46 @@ def test_urls_give_the_same_files_and_rows(call: Call, footage: Path, tmp_path: 
     assert "3 skipped (done before), 1 failed" in again.stderr
 
 
-def test_a_picture_that_changed_behind_its_url_is_done_anew(
+def test_what_changed_behind_a_url_is_done_anew_and_mistakes_are_refused(
     call: Call, footage: Path, tmp_path: Path
 ) -> None:
     command = ("infer", footage, *ROWS, "--out", (tmp_path / "out").as_uri())
     call(*command)
     save_picture(footage / "a.jpg", 9)
-
-    again = call(*command)
-
-    assert again.stderr.startswith("roadtorch: 1 done (1 anew), 2 skipped")
-
-
-def test_other_settings_behind_a_url_are_refused(call: Call, footage: Path, tmp_path: Path) -> None:
-    out = (tmp_path / "out").as_uri()
-    call("infer", footage, *ROWS, "--out", out)
-
-    refused = call("infer", footage, *ROWS, "--out", out, "--threshold", "0.9")
-
-    assert refused.exit_code == 2
-    assert "holds results of other settings" in refused.stderr
-
-
-def test_two_urls_for_one_result_are_refused(call: Call, footage: Path, tmp_path: Path) -> None:
     save_picture(footage / "sub" / "a.jpg")
 
-    refused = call("infer", footage.as_uri(), (footage / "sub").as_uri(), "--out", tmp_path / "o")
+    again = call(*command)
+    other = call(*command, "--threshold", "0.9")
+    twice = call("infer", footage.as_uri(), (footage / "sub").as_uri(), "--out", tmp_path / "o")
 
-    assert refused.exit_code == 2
-    assert "both would write" in refused.stderr
+    assert again.stderr.startswith("roadtorch: 2 done (1 anew), 2 skipped")
+    assert other.exit_code == twice.exit_code == 2
+    assert f"{(tmp_path / 'out').as_uri()}: holds results of other settings" in other.stderr
+    assert "both would write" in twice.stderr
 
 
 # --- engines ----------------------------------------------------------------------------
 
 
-def test_an_address_is_for_ray(call: Call, footage: Path, tmp_path: Path) -> None:
-    refused = call("infer", footage, *ROWS, "--out", tmp_path / "out", "--address", "x:1")
-
-    assert refused.stderr.startswith("roadtorch: error: --address: is for Ray alone (")
-    assert refused.exit_code == 2
-
-
-def test_ray_that_is_not_installed_is_told_with_its_extra(
-    call: Call, footage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--address", "x:1"), "--address: is for Ray alone (add --engine ray"),
+        (("--engine", "ray"), "--engine ray: Ray is not installed (pip install 'roadtorch[ray]')"),
+    ],
+)
+def test_ray_that_was_not_asked_for_or_is_not_installed(
+    call: Call,
+    footage: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    options: tuple[str, ...],
+    told: str,
 ) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
 
-    refused = call("infer", footage, *ROWS, "--out", tmp_path / "out", "--engine", "ray")
+    refused = call("infer", footage, *ROWS, "--out", tmp_path / "out", *options)
 
     assert refused.exit_code == 2
-    assert refused.stderr == (
-        "roadtorch: error: --engine ray: Ray is not installed (pip install 'roadtorch[ray]')\n"
-    )
-
-
-def test_devices_are_checked_by_name() -> None:
-    engines.check_device("cpu")
+    assert refused.stderr.startswith(f"roadtorch: error: {told}")
+    assert refused.stderr.count("\n") == 1

@@ -12,7 +12,6 @@ from PIL import Image
 
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.io.image import read_image
-from roadtorch.runs import pictures, results
 from roadtorch.scenes.street import render_scene, write_picture
 from tests.command import Call
 from tests.reference import bev as reference
@@ -143,42 +142,6 @@ def test_a_calibration_that_changed_is_looked_at_anew(
     assert third.stderr.startswith("roadtorch: 0 done, 3 skipped")
 
 
-def test_an_interrupted_run_goes_on(
-    call: Call, kitti: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = tmp_path / "out"
-    real = results.Submission.__call__
-
-    def interrupted(self: results.Submission, job: pictures.Job) -> pictures.Row:
-        if job.picture.name == "umm_road_000003":
-            raise KeyboardInterrupt
-        return real(self, job)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(results.Submission, "__call__", interrupted)
-        assert call("submit", kitti, *GREY, "--out", out).exit_code == 130
-    assert list(statuses(out)) == MAPS[:1]
-    assert not (out / "submission.zip").exists()
-
-    resumed = call("submit", kitti, *GREY, "--out", out)
-    assert resumed.stderr.startswith("roadtorch: 2 done, 1 skipped")
-
-
-def test_maps_of_other_settings_are_not_mixed_in(call: Call, kitti: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    call("submit", kitti, *GREY, "--out", out)
-    before = (out / "submission.zip").read_bytes()
-
-    other = call("submit", kitti, "--detector", "prior:rows", "--out", out)
-    assert other.exit_code == 2
-    assert "holds results of other settings" in other.stderr
-    assert (out / "submission.zip").read_bytes() == before
-
-    anew = call("submit", kitti, "--detector", "prior:rows", "--out", out, "--overwrite")
-    assert anew.exit_code == 0
-    assert (out / "submission.zip").read_bytes() != before
-
-
 @pytest.mark.parametrize(
     ("spoil", "line"),
     [
@@ -218,18 +181,3 @@ def test_the_installed_command(kitti: Path, tmp_path: Path) -> None:
 
     assert (done.returncode, done.stdout) == (0, "")
     assert done.stderr.endswith("roadtorch: 3 maps in out/submission.zip\n")
-
-
-def test_help_needs_no_torch() -> None:
-    code = (
-        "import sys\nfrom roadtorch.cli import main\n"
-        "try: main(['submit', '--help'])\nexcept SystemExit: pass\n"
-        "print(sorted({'torch', 'cv2', 'PIL', 'numpy'} & set(sys.modules)))"
-    )
-
-    shown = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
-    )
-
-    assert "Write a submission to the KITTI road benchmark." in shown.stdout
-    assert shown.stdout.splitlines()[-1] == "[]"
