@@ -9,11 +9,16 @@ from roadtorch.detector import DetectorSettings, Entry, Isolated, WorkingSetting
 from roadtorch.imaging.color import plane
 from roadtorch.imaging.resize import WorkingSize, full_size
 from roadtorch.road.seed_area import seed_rectangle
-from roadtorch.ufl.density_peaks import PeakSettings, cluster_pixels
 from roadtorch.ufl.features import DictionarySettings, assign, learn_dictionary, white_patches
 from roadtorch.ufl.maps import MapSettings, select_maps
 from roadtorch.ufl.preprocess import Smoothing, WorkingShape, bicubic, equalised
-from roadtorch.ufl.region_cut import CutSettings, connected_regions, cut_road
+from roadtorch.ufl.region_cut import (
+    CutSettings,
+    PeakSettings,
+    cluster_pixels,
+    connected_regions,
+    cut_road,
+)
 from roadtorch.ufl.road import map_to_image, mask_to_image
 from roadtorch.vanishing.borders import BorderSettings, find_borders, road_between
 from roadtorch.vanishing.orientation import GaborBank, dominant_orientation, gabor_responses

@@ -18,9 +18,14 @@ from roadtorch.ufl.hierarchy import (
     threshold_regions,
     thresholds,
 )
-from roadtorch.ufl.learned import LearnedFeatures, learn_features
-from roadtorch.ufl.maps import MapSettings, mean_map
-from roadtorch.ufl.pictures import dictionary_picture, map_pictures, mosaic
+from roadtorch.ufl.maps import (
+    LearnedFeatures,
+    MapSettings,
+    dictionary_picture,
+    learn_features,
+    mean_map,
+    mosaic,
+)
 from roadtorch.ufl.preprocess import SIGMA, TARGET, Smoothing, WorkingShape, bicubic
 from roadtorch.ufl.road import (
     DILATION,
@@ -30,6 +35,7 @@ from roadtorch.ufl.road import (
     StabilitySettings,
     enlarged_likelihood,
     find_road,
+    map_pictures,
     map_to_image,
     mask_to_image,
     road_likelihood,

@@ -8,10 +8,10 @@ root is node 1. Tables of regions have a row 0 for "none".
 from dataclasses import dataclass
 from typing import Literal
 
-import cv2
 import numpy as np
 import torch
 from pydantic import Field
+from scipy.ndimage import label
 from torch import Tensor
 
 from roadtorch.settings import Settings
@@ -77,40 +77,26 @@ def threshold_regions(mean_map: Tensor, steps: Tensor) -> Regions:
     """
     values = mean_map.detach().cpu().to(torch.float64).numpy()
     labels = np.ones((len(steps), *values.shape), np.int32)
-    first = [np.zeros(2, np.int64)]  # of "none" and of the whole map
+    first = [np.zeros(2, np.int64)]  # first pixels of "none" and of the whole map
     for level, step in enumerate(steps.tolist()[1:], 1):
-        found, start = _regions(values >= step)
-        labels[level] = np.where(found > 0, found + sum(map(len, first)) - 1, 0)
-        first.append(start)
+        regions, count = label(values >= step)  # 4-connected, in reading order
+        labels[level] = np.where(regions > 0, regions + sum(map(len, first)) - 1, 0)
+        place = np.empty(count + 1, np.int64)  # written backwards: what stays is the first
+        place[regions.reshape(-1)[::-1]] = np.arange(regions.size)[::-1]
+        first.append(place[1:])
     counts = np.array([2, *map(len, first[1:])])
     level = np.repeat(np.arange(len(steps)), counts)
     level[0] = -1
     below = labels.reshape(len(steps), -1)[np.maximum(level - 1, 0), np.concatenate(first)]
     below[:2] = 0
+    areas = np.bincount(labels.reshape(-1), minlength=int(counts.sum()))
+    areas[0] = 0
     return Regions(
         torch.from_numpy(labels),
         torch.from_numpy(level),
         torch.from_numpy(below.astype(np.int64)),
-        torch.from_numpy(_areas(labels, int(counts.sum()))),
+        torch.from_numpy(areas),
     )
-
-
-def _regions(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Labels from 1 in reading order, and the first pixel of each (flat index)."""
-    count, found = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
-    flat = np.asarray(found, dtype=np.int32).reshape(-1)
-    first = np.empty(count, np.int64)
-    first[flat[::-1]] = np.arange(flat.size)[::-1]  # the last to be written is the first pixel
-    order = first[1:].argsort()
-    rank = np.zeros(count, np.int32)
-    rank[order + 1] = np.arange(1, count)
-    return rank[flat].reshape(mask.shape), first[1:][order]
-
-
-def _areas(labels: np.ndarray, count: int) -> np.ndarray:
-    areas = np.bincount(labels.reshape(-1), minlength=count)
-    areas[0] = 0
-    return areas
 
 
 def build_tree(regions: Regions, least: int, nodes: Nodes = "runs") -> Tree:
@@ -193,17 +179,12 @@ def select_nodes(
     if len(own) == 1 and whole == "if_undivided":
         wins[0] = own[0] > 0
         best[0] = max(0.0, own[0])
-    return NodeChoice(
-        torch.tensor(_topmost(wins, parent)), stability, torch.tensor(best, dtype=torch.float64)
-    )
-
-
-def _topmost(wins: list[bool], parent: list[int]) -> list[bool]:
-    """The winners without a winner above them; parents come before their children."""
-    covered = [False] * len(wins)
-    for node in range(1, len(wins)):
+    # Of the winners those without a winner above them; parents come before their children.
+    covered = [False] * len(own)
+    for node in range(1, len(own)):
         covered[node] = covered[parent[node]] or wins[parent[node]]
-    return [won and not hidden for won, hidden in zip(wins, covered, strict=True)]
+    topmost = [won and not hidden for won, hidden in zip(wins, covered, strict=True)]
+    return NodeChoice(torch.tensor(topmost), stability, torch.tensor(best, dtype=torch.float64))
 
 
 def node_area(tree: Tree, node: int) -> Tensor:

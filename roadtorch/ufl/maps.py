@@ -1,5 +1,9 @@
-"""Feature maps: patches encoded by a dictionary, scored and selected (P1, eqs. 3 to 5)."""
+"""Feature maps: patches encoded by a dictionary, scored and selected (P1, eqs. 3 to 5).
 
+``learn_features`` is all of sections II.A and B; Figs. 3 and 4 show bases and maps as pictures.
+"""
+
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -8,11 +12,13 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.settings import Settings
+from roadtorch.ufl.features import DictionarySettings, learn_dictionary, white_patches
+from roadtorch.ufl.preprocess import Smoothing, equalised
 
 BLOCK = 16
 """Bases whose maps are held at a time; maps that are not selected are never kept."""
 
-FAINTEST = 0.01
+MIN_RESPONSE = 0.01
 """The least maximum of a map, in distances between white patches; real ones have 1 and more.
 Below it there is only rounding, as in a picture of one colour."""
 
@@ -97,7 +103,7 @@ def to_unit(responses: Tensor) -> Tensor:
 
 def _divisor(responses: Tensor) -> Tensor:
     top = responses.amax(1)
-    return torch.where(top > FAINTEST, top, torch.inf)
+    return torch.where(top > MIN_RESPONSE, top, torch.inf)
 
 
 def row_weights(rows: int, kind: RowWeights) -> Tensor:
@@ -140,3 +146,54 @@ def mean_map(maps: Tensor, scale: Literal["maximum", "none"]) -> Tensor:
         return mean
     top = mean.max()
     return mean / top if top > 0 else mean
+
+
+# --- all that is learned from one picture ------------------------------------------------
+
+
+@dataclass(frozen=True)
+class LearnedFeatures:
+    """What is learned from one picture, before any road is looked for.
+
+    even: (3,H,W), equalised. dictionary: (K,d). maps: the selected feature maps.
+    """
+
+    even: Tensor
+    dictionary: Tensor
+    maps: FeatureMaps
+
+
+def learn_features(
+    image: Tensor, smoothing: Smoothing, dictionary: DictionarySettings, maps: MapSettings
+) -> LearnedFeatures:
+    """Preprocessing, dictionary and feature maps of an image (3,H,W) (P1, sections II.A, B)."""
+    even = equalised(image, smoothing)
+    patches = white_patches(even, dictionary)
+    bases = learn_dictionary(patches, dictionary)
+    size = (image.shape[1] - dictionary.side + 1, image.shape[2] - dictionary.side + 1)
+    return LearnedFeatures(even, bases, select_maps(patches, bases, size, maps))
+
+
+def dictionary_picture(
+    dictionary: Tensor, order: Tensor, side: int, shape: tuple[int, ...]
+) -> Tensor:
+    """The bases (K,d) as small RGB pictures in one, by falling score (P1, Fig. 3): (3,h,w)."""
+    tiles = dictionary[order].view(-1, 3, side, side)
+    low, high = tiles.amin((1, 2, 3), keepdim=True), tiles.amax((1, 2, 3), keepdim=True)
+    return mosaic((tiles - low) / torch.where(high > low, high - low, 1), shape)
+
+
+def mosaic(tiles: Tensor, shape: tuple[int, ...]) -> Tensor:
+    """Tiles (k,C,h,w) side by side in reading order, on black: (C,rows·h,columns·w).
+
+    As many in a row as bring the whole near to the shape, given as height and width.
+    """
+    from skimage.util import montage  # late: half a second that only these pictures need
+
+    count, channels, height, width = tiles.shape
+    columns = round(math.sqrt(count * height * shape[1] / (width * shape[0])))
+    columns = min(max(1, columns), count)
+    rows = -(-count // columns)
+    pixels = tiles.movedim(1, -1).cpu().numpy()
+    board = montage(pixels, [0] * channels, grid_shape=(rows, columns), channel_axis=-1)
+    return torch.from_numpy(board).movedim(-1, 0).contiguous().to(tiles.device)

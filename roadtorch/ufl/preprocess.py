@@ -14,7 +14,7 @@ from roadtorch.settings import Settings
 GREY_WEIGHTS = (0.298936021, 0.587043074, 0.114020904)
 """Of R, G and B, as in the authors' program (ITU-R BT.601)."""
 
-BLACK = 1e-6
+MIN_BRIGHTNESS = 1e-6
 """The least brightness, of 1: where it is 0, eq. 2 has no value. Below what 8 bits can tell."""
 
 SIGMA = "blur of the picture, pixels; 2.5 for KITTI road"
@@ -93,18 +93,13 @@ def _cubic_weights(length: int, wanted: int) -> Tensor:
     centre = (torch.arange(wanted, dtype=torch.float64) + 0.5) / scale - 0.5
     taps = torch.arange(int(4 / shrink) + 3)
     place = (centre - 2 / shrink).floor()[:, None] + taps
-    weight = _cubic(shrink * (place - centre[:, None]).abs())
+    x = shrink * (place - centre[:, None]).abs()  # Keys' kernel, a = -0.5
+    far = -0.5 * x**3 + 2.5 * x**2 - 4 * x + 2
+    weight = torch.where(x <= 1, 1.5 * x**3 - 2.5 * x**2 + 1, torch.where(x <= 2, far, 0))
     mirrored = place.long() % (2 * length)
     mirrored = torch.where(mirrored < length, mirrored, 2 * length - 1 - mirrored)
     table = torch.zeros(wanted, length, dtype=torch.float64).scatter_add_(1, mirrored, weight)
     return table / table.sum(1, keepdim=True)
-
-
-def _cubic(x: Tensor) -> Tensor:
-    """Keys' kernel with a = -0.5 for distances x ≥ 0."""
-    near = 1.5 * x**3 - 2.5 * x**2 + 1
-    far = -0.5 * x**3 + 2.5 * x**2 - 4 * x + 2
-    return torch.where(x <= 1, near, torch.where(x <= 2, far, 0))
 
 
 def blur(maps: Tensor, sigma: float, reach: int) -> Tensor:
@@ -133,4 +128,4 @@ def equalised(image: Tensor, settings: Smoothing) -> Tensor:
     """
     smooth = blur(image, settings.sigma, settings.reach)
     light = brightness(smooth, settings.light_sigma, settings.light_reach)
-    return settings.target * smooth / light.clamp_min(BLACK)
+    return settings.target * smooth / light.clamp_min(MIN_BRIGHTNESS)

@@ -1,11 +1,11 @@
-"""Regions of an image parted into road and the rest by a graph cut, for Xia et al.'s roads.
+"""Xia et al.'s roads: clusters around peaks of density, their pieces parted by a graph cut.
 
+Rodriguez and Laio, "Clustering by fast search and find of density peaks", Science 344, 2014.
 Each connected piece of a cluster is a region; its bag of words counts the nearest bases of its
 patches. Xia, Zhang, Lu and Qin, "Road detection via unsupervised feature learning", IVCNZ 2015,
 names these parts; its costs are not in P1, so those here are ours.
 """
 
-import cv2
 import numpy as np
 import torch
 from pydantic import Field
@@ -19,6 +19,18 @@ CAPACITY = 1000
 """Steps of a capacity for each pixel: the maximum flow is one of whole numbers."""
 
 
+class PeakSettings(Settings):
+    """How many clusters, of which samples."""
+
+    clusters: int = Field(default=8, ge=2, le=100, description="peaks of density that are kept")
+    samples: int = Field(
+        default=1000, ge=10, le=10_000, description="pixels, evenly spread, among which they are"
+    )
+    neighbours: float = Field(
+        default=0.02, gt=0, le=1, description="share of all pairs that counts as near"
+    )
+
+
 class CutSettings(Settings):
     """What the cut weighs."""
 
@@ -30,16 +42,49 @@ class CutSettings(Settings):
     )
 
 
+# --- clusters ---------------------------------------------------------------------------
+
+
+def density_peaks(points: Tensor, clusters: int, neighbours: float) -> Tensor:
+    """Which of n points (n,d) are the peaks: int64 (k,), k ≤ clusters, the clearest first.
+
+    Density is a sum of Gaussians of the distances, their width the quantile ``neighbours`` of
+    all; a point's other figure is its distance to the nearest one that is denser. Peaks are where
+    the product of both is greatest.
+    """
+    far = torch.cdist(points, points)
+    width = far.flatten().kthvalue(max(1, round(neighbours * far.numel()))).values
+    density = (-(far / width.clamp_min(torch.finfo(far.dtype).tiny)).square()).exp().sum(1)
+    order = density.argsort(descending=True, stable=True)
+    rank = order.argsort()
+    denser = rank < rank[:, None]  # in row i the points that are denser than i
+    apart = far.masked_fill(~denser, torch.inf).amin(1)
+    apart[order[0]] = far[order[0]].amax()
+    return (density * apart).argsort(descending=True, stable=True)[:clusters]
+
+
+def cluster_pixels(features: Tensor, settings: PeakSettings) -> Tensor:
+    """The cluster of every pixel, int64 (H,W): that of the nearest peak; features: (m,H,W).
+
+    Xia et al. follow the chain of denser neighbours through all pixels; ours looks for peaks
+    among a sample, for the distances of all pairs of 17,825 pixels take gigabytes.
+    """
+    pixels = features.flatten(1).T
+    step = max(1, len(pixels) // settings.samples)
+    sample = pixels[::step]
+    peaks = sample[density_peaks(sample, settings.clusters, settings.neighbours)]
+    return torch.cdist(pixels, peaks).argmin(1).view(features.shape[1:])
+
+
+# --- regions and their cut --------------------------------------------------------------
+
+
 def connected_regions(clusters: Tensor) -> Tensor:
     """The 4-connected pieces of clusters int64 (H,W): int64 (H,W), numbered from 0."""
-    found = np.zeros(clusters.shape, np.int64)
-    count = 0
-    for cluster in clusters.unique().tolist():
-        mask = np.ascontiguousarray((clusters == cluster).cpu().numpy(), np.uint8)
-        pieces, labels = cv2.connectedComponents(mask, connectivity=4)
-        found += np.where(mask > 0, np.asarray(labels) - 1 + count, 0)
-        count += pieces - 1
-    return torch.from_numpy(found)
+    from skimage.measure import label  # late: slow to import
+
+    pieces = label(clusters.cpu().numpy(), background=-1, connectivity=1)
+    return torch.from_numpy(pieces.astype(np.int64)) - 1
 
 
 def bags_of_words(regions: Tensor, words: Tensor, count: int) -> Tensor:
@@ -102,6 +147,6 @@ def source_side(source: Tensor, sink: Tensor, pairs: Tensor, between: Tensor) ->
     rest.data = np.maximum(rest.data, 0)
     rest.eliminate_zeros()
     reached = breadth_first_order(rest, count, return_predecessors=False)
-    found = torch.zeros(count + 2, dtype=torch.bool)
-    found[torch.from_numpy(reached).long()] = True
-    return found[:count]
+    with_source = torch.zeros(count + 2, dtype=torch.bool)
+    with_source[torch.from_numpy(reached).long()] = True
+    return with_source[:count]

@@ -16,9 +16,11 @@ from roadtorch.ufl.hierarchy import (
     Tree,
     node_area,
     node_stability,
+    paint_nodes,
     select_nodes,
     selected_area,
 )
+from roadtorch.ufl.maps import FeatureMaps
 
 Centring = Literal["road", "none", "basis"]
 Place = Literal["symmetric", "from_one", "ahead"]
@@ -36,7 +38,7 @@ SHARPNESS = 2.0
 AS_CHOSEN = 0.5
 """The threshold at which a likelihood is exactly the mask."""
 
-NARROWEST = 0.03
+MIN_WIDTH = 0.03
 """Least width of the triangle ahead, in widths of the map: none at its apex would divide by 0."""
 
 
@@ -97,16 +99,9 @@ def place_ahead(rows: int, columns: int, apex: float, base: float) -> Tensor:
     """
     row = (torch.arange(rows, dtype=torch.float64)[:, None] + 0.5) / rows
     column = (torch.arange(columns, dtype=torch.float64) + 0.5) / columns
-    width = (base * (row - apex) / (1 - apex)).clamp_min(NARROWEST)
+    width = (base * (row - apex) / (1 - apex)).clamp_min(MIN_WIDTH)
     inside = (1 - 2 * (column - 0.5).abs() / width).clamp(-1, 1)
     return inside.where(row > apex, -1)
-
-
-def place_of(rows: int, columns: int, settings: StabilitySettings) -> Tensor:
-    """The weights of places that the settings ask for, float64 (rows,columns)."""
-    if settings.place == "ahead":
-        return place_ahead(rows, columns, settings.apex, settings.base)
-    return place_weights(rows, columns, settings.place)
 
 
 def road_basis(samples: Tensor, centring: Centring, kept: float) -> tuple[Tensor, Tensor]:
@@ -174,7 +169,11 @@ def find_road(
     maps: (m,H,W); mean_map: (H,W). Ends early when a round finds no road, which is the
     result then.
     """
-    place = place_of(mean_map.shape[0], mean_map.shape[1], settings)
+    rows, columns = mean_map.shape
+    if settings.place == "ahead":
+        place = place_ahead(rows, columns, settings.apex, settings.base)
+    else:
+        place = place_weights(rows, columns, settings.place)
     covered = mean_map != 0 if settings.error_range == "covered" else torch.ones_like(mean_map) > 0
     error = torch.zeros_like(mean_map)
     rounds = [_round(tree, place, error, settings)]
@@ -252,3 +251,20 @@ def enlarged_likelihood(likelihood: Tensor, size: tuple[int, int]) -> Tensor:
     return road_likelihood(
         at_picture_size(mask, size), at_picture_size(2 * likelihood - mask.to(likelihood), size)
     )
+
+
+def map_pictures(
+    maps: FeatureMaps, mean_map: Tensor, tree: Tree, last: Round, side: int
+) -> dict[str, Tensor]:
+    """What Fig. 4 of P1 shows, by name, each at the size of the image; side: of a patch."""
+    levels = (tree.node_of >= 0)[tree.regions.labels.long()].sum(0)
+    nodes = paint_nodes(tree, last.choice.stability.clamp_min(0) * last.choice.selected)
+    cues = {
+        "best_map": maps.maps[0],
+        "mean_map": mean_map,
+        "tree_levels": levels,
+        "error": last.error,
+        "pixel_stability": last.pixels,
+        "node_stability": nodes,
+    }
+    return {name: map_to_image(cue.float(), side) for name, cue in cues.items()}

@@ -13,7 +13,7 @@ from roadtorch.errors import ConfigError
 from roadtorch.imaging.resize import resized
 from roadtorch.scenes.street import render_scene
 from roadtorch.settings import build_settings
-from roadtorch.ufl.pictures import dictionary_picture, mosaic
+from roadtorch.ufl.maps import dictionary_picture, mosaic
 from roadtorch.ufl.preprocess import Smoothing
 from roadtorch.ufl.road import AS_CHOSEN
 
