@@ -79,7 +79,9 @@ def threshold_regions(mean_map: Tensor, steps: Tensor) -> Regions:
     labels = np.ones((len(steps), *values.shape), np.int32)
     first = [np.zeros(2, np.int64)]  # first pixels of "none" and of the whole map
     for level, step in enumerate(steps.tolist()[1:], 1):
-        regions, count = label(values >= step)  # 4-connected, in reading order
+        regions = np.empty(values.shape, np.int32)
+        # 4-connected, in reading order; with an output it returns the number alone.
+        count = int(label(values >= step, output=regions))  # type: ignore[arg-type]
         labels[level] = np.where(regions > 0, regions + sum(map(len, first)) - 1, 0)
         place = np.empty(count + 1, np.int64)  # written backwards: what stays is the first
         place[regions.reshape(-1)[::-1]] = np.arange(regions.size)[::-1]

@@ -83,8 +83,8 @@ def connected_regions(clusters: Tensor) -> Tensor:
     """The 4-connected pieces of clusters int64 (H,W): int64 (H,W), numbered from 0."""
     from skimage.measure import label  # late: slow to import
 
-    pieces = label(clusters.cpu().numpy(), background=-1, connectivity=1)
-    return torch.from_numpy(pieces.astype(np.int64)) - 1
+    pieces = np.asarray(label(clusters.cpu().numpy(), background=-1, connectivity=1), np.int64)
+    return torch.from_numpy(pieces) - 1
 
 
 def bags_of_words(regions: Tensor, words: Tensor, count: int) -> Tensor:
