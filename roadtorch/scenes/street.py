@@ -32,7 +32,7 @@ from roadtorch.scenes.canvas import (
     seen_ground,
 )
 
-FAR = 90.0  # metres: nothing upright stands farther away
+MAX_DISTANCE = 90.0  # metres: nothing upright stands farther away
 
 
 def paint_sky(canvas: Canvas, generator: np.random.Generator) -> None:
@@ -133,7 +133,7 @@ def shadow(
 def paint_side(canvas: Canvas, side: float, generator: np.random.Generator) -> None:
     """Houses and trees along one side of the street, the farthest first."""
     street = canvas.street
-    begin = FAR
+    begin = MAX_DISTANCE
     gap = street.road_width / 2 + street.pavement
     while begin > 5:
         depth = generator.uniform(5, 13)

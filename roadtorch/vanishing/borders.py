@@ -16,14 +16,17 @@ from roadtorch.vanishing.voting import angle_between
 BIN = 5
 """Degrees between rays."""
 
-FLATTEST = 20
+MIN_ANGLE = 20
 """Degrees between a ray and the horizon, and between the two borders, at least."""
 
-CANDIDATES = torch.arange(FLATTEST, 180 - FLATTEST + 1, BIN)
+CANDIDATES = torch.arange(MIN_ANGLE, 180 - MIN_ANGLE + 1, BIN)
 """The rays, 29 angles in degrees."""
 
 POINTS = 4
 """Pixels between the points of the first border that may be the vanishing point in its stead."""
+
+BEST = 8
+"""Rays by the sum of whose OCRs the vanishing point is moved."""
 
 
 class BorderSettings(Settings):
@@ -38,10 +41,6 @@ class BorderSettings(Settings):
     length: float = Field(
         default=1 / 3, ge=0, le=1, description="of a border in the picture at least, in heights"
     )
-
-
-BEST = 8
-"""Rays by the sum of whose OCRs the vanishing point is moved."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +128,7 @@ def find_borders(
     moves to where the greatest OCRs of the other rays are most together.
     """
     first = CANDIDATES[int(border_strength(image, orientation, point, settings).argmax())]
-    far = angle_between(CANDIDATES, first) > FLATTEST
+    far = angle_between(CANDIDATES, first) > MIN_ANGLE
     turn = first.deg2rad()
     steps = torch.arange(0, image.shape[1], POINTS, device=point.device)[:, None]
     points = point + steps * torch.stack([turn.sin(), turn.cos()]).to(point)

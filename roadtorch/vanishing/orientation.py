@@ -23,6 +23,9 @@ MARGIN = 24
 FIRST, LAST = 4, 15
 """The responses, by falling size, whose mean is held against the greatest one."""
 
+MIN_RESPONSE = 1e-6
+"""The least squared response, of a grey from 0 to 1: below it there is only rounding."""
+
 
 class GaborBank(Settings):
     """The filters. Kong et al. write of five scales of the frequencies 2.1·2^k.
@@ -66,15 +69,15 @@ def gabor_responses(grey: Tensor, bank: GaborBank) -> Tensor:
     padded = F.pad(grey[None, None], (margin,) * 4, mode="reflect")[0, 0]
     spectrum = torch.fft.fft2(padded)
     size = (padded.shape[0], padded.shape[1])
-    found = []
+    responses = []
     for step in range(bank.orientations):
         waves = 180 * step / bank.orientations + 90  # they run across the texture
         power = torch.zeros_like(padded)
         for scale in range(bank.scales):
-            response = filter_spectrum(size, waves, bank.frequency / 2**scale).to(padded)
-            power += torch.fft.ifft2(spectrum * response).abs().square()
-        found.append(power[margin : margin + height, margin : margin + width] / bank.scales)
-    return torch.stack(found)
+            gabor = filter_spectrum(size, waves, bank.frequency / 2**scale).to(padded)
+            power += torch.fft.ifft2(spectrum * gabor).abs().square()
+        responses.append(power[margin : margin + height, margin : margin + width] / bank.scales)
+    return torch.stack(responses)
 
 
 def dominant_orientation(responses: Tensor) -> tuple[Tensor, Tensor]:
@@ -85,11 +88,7 @@ def dominant_orientation(responses: Tensor) -> tuple[Tensor, Tensor]:
     """
     falling = responses.sort(0, descending=True).values
     top = falling[0].clamp_min(torch.finfo(falling.dtype).tiny)
-    sure = (1 - falling[FIRST:LAST].mean(0) / top).where(falling[0] > FAINTEST, 0)
+    sure = (1 - falling[FIRST:LAST].mean(0) / top).where(falling[0] > MIN_RESPONSE, 0)
     low, high = sure.aminmax()
     angle = responses.argmax(0) * (180 / len(responses))
     return angle.to(responses), (sure - low) / torch.where(high > low, high - low, 1)
-
-
-FAINTEST = 1e-6
-"""The least squared response, of a grey from 0 to 1: below it there is only rounding."""
