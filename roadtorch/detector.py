@@ -25,7 +25,7 @@ from roadtorch.road.ego import Ego, continued, ego_car, is_anywhere, is_given, r
 from roadtorch.road.seed_area import SeedArea, remove_isolated, seed_rectangle
 from roadtorch.road.trust import Judgement
 from roadtorch.runtime.threads import one_thread
-from roadtorch.settings import Settings
+from roadtorch.settings import Settings, build_settings, merge
 
 SMALLEST_SIDE = 16  # pixels; below it, superpixels and the seed area have no meaning
 
@@ -159,7 +159,8 @@ class Entry:
     build: makes from them the module whose ``forward(image)`` takes an image (3,H,W) in [0,1]
         and gives named cues, (H,W) or (C,H,W); ``likelihood`` (H,W) in [0,1] is one of them.
         Usually its class.
-    grid: where it is one of many. floor: whether it is a floor, which never looks at the picture.
+    grid: where it is one of many. baseline: whether it never looks at the picture.
+    values: its own defaults where they are not those of the model, nested.
     """
 
     name: str
@@ -167,7 +168,12 @@ class Entry:
     settings: type[DetectorSettings]
     build: Callable[[Any], nn.Module]
     grid: DetectorGrid | None = None
-    floor: bool = False
+    baseline: bool = False
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+    def configured(self, given: Mapping[str, Any]) -> DetectorSettings:
+        """Its settings with what is given, nested; ConfigError as ``build_settings``."""
+        return build_settings(self.settings, merge(self.values, given))
 
 
 class Detector(nn.Module):

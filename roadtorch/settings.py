@@ -31,6 +31,9 @@ class Settings(pydantic.BaseModel):
     renamed: ClassVar[Mapping[str, str]] = {}
     """Keys of this group that had other names: old and new, for the refusal of the old ones."""
 
+    removed: ClassVar[Mapping[str, str]] = {}
+    """Keys of this group that are gone, with what to do instead, for the refusal of them."""
+
     model_config = pydantic.ConfigDict(
         frozen=True, extra="forbid", strict=True, validate_default=True, allow_inf_nan=False
     )
@@ -52,7 +55,16 @@ def build_settings(kind: type[AnySettings], values: Mapping[str, Any]) -> AnySet
 
 
 def _first_mistake(kind: type[Settings], problem: pydantic.ValidationError) -> ConfigError:
-    error = problem.errors()[0]
+    errors = problem.errors()
+    unknown = [
+        [str(part) for part in one["loc"]] for one in errors if one["type"] == "extra_forbidden"
+    ]
+    gone = {".".join(path): group_at(kind, path[:-1]).removed.get(path[-1]) for path in unknown}
+    if remedies := [remedy for remedy in gone.values() if remedy]:  # all of a kept file at once
+        keys = ", ".join(key for key, remedy in gone.items() if remedy)
+        what = "is gone" if len(remedies) == 1 else "are gone"
+        return ConfigError(keys, what, "; ".join(dict.fromkeys(remedies)))
+    error = errors[0]
     path = [str(part) for part in error["loc"]]
     key = ".".join(path)
     if error["type"] == "extra_forbidden":

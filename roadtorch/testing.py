@@ -19,7 +19,6 @@ from torch import Tensor
 
 from roadtorch.detector import Detection, Detector, Entry
 from roadtorch.errors import InputError
-from roadtorch.settings import build_settings
 
 SIZES = ((16, 16), (17, 200), (61, 16), (48, 64), (240, 320), (241, 319))
 """Heights and widths of pictures: least, long, small, of the working size, and beyond it."""
@@ -43,7 +42,7 @@ def check_detector(entry: Entry, **settings: Any) -> None:
 
 def broken_promises(entry: Entry, **settings: Any) -> list[str]:
     """How a detector breaks its promises, the first way of each; empty for a proper one."""
-    checked = build_settings(entry.settings, settings)
+    checked = entry.configured(settings)
     detector, again = (Detector(entry, checked).eval() for _ in range(2))
     found = []
     for promise in PROMISES:

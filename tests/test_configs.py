@@ -7,7 +7,6 @@ import pytest
 from roadtorch.detectors.catalogue import detector_entry
 from roadtorch.layout.patch_network import Topology
 from roadtorch.runs.options import DetectorOptions
-from roadtorch.settings import build_settings
 from roadtorch.train.config import PatchTraining, read_training
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
@@ -43,9 +42,9 @@ def test_the_papers_config_is_to_the_letter_where_the_paper_says() -> None:
 @pytest.mark.parametrize("path", THRESHOLDS, ids=lambda path: path.stem)
 def test_the_default_threshold_is_the_one_that_was_chosen(path: Path) -> None:
     name, values = DetectorOptions(config=path).named()
-    kind = detector_entry(name).settings
+    entry = detector_entry(name)
 
-    chosen, default = build_settings(kind, values).model_dump(), kind().model_dump()
+    chosen, default = (entry.configured(given).model_dump() for given in (values, {}))
     if name not in OWN:
         assert default.pop("threshold") == pytest.approx(chosen.pop("threshold"), abs=0.01)
     else:

@@ -42,6 +42,7 @@ from roadtorch.detectors.catalogue import (
 from roadtorch.detectors.fusion import Fusion
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.io.image import overlay_pixels, to_pixels
+from roadtorch.road.seed_area import SeedArea
 from roadtorch.runtime.threads import one_thread
 from roadtorch.settings import Settings
 from roadtorch.testing import broken_promises, street
@@ -158,6 +159,15 @@ def test_a_name_is_given_once(catalogue: dict[str, Entry]) -> None:
 
     with pytest.raises(ConfigError, match="bright: is the name of another detector"):
         register(entry)
+
+
+def test_an_entry_has_defaults_of_its_own_below_what_is_given(catalogue: dict[str, Entry]) -> None:
+    values = {"gain": 3.0, "seed_area": {"width": 40}}
+    register(Entry("bright", "", Simple, Brightness, values=values))
+
+    settings = load_detector("bright", seed_area={"height": 20}).settings
+
+    assert settings == Simple(gain=3.0, seed_area=SeedArea(height=20, width=40))
 
 
 def test_settings_of_another_kind_are_refused(catalogue: dict[str, Entry]) -> None:
@@ -348,12 +358,12 @@ def test_a_ctrl_c_while_a_package_is_imported_is_not_the_packages_own(
         catalogue_module._catalogue.__wrapped__()
 
 
-def test_every_entry_has_a_summary_and_the_priors_alone_are_floors() -> None:
+def test_every_entry_has_a_summary_and_the_priors_alone_are_baselines() -> None:
     entries = [entry for group in detector_groups().values() for entry in group]
 
     assert all(entry.summary for entry in entries)
-    floors = {entry.name for entry in entries if entry.floor}
-    assert floors == {"prior:rows", "prior:triangle", "prior:uniform"}
+    baselines = {entry.name for entry in entries if entry.baseline}
+    assert baselines == {"prior:rows", "prior:triangle", "prior:uniform"}
 
 
 def test_the_likelihood_is_no_cue() -> None:

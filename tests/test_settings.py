@@ -91,6 +91,23 @@ def test_an_old_key_is_refused_with_the_new_one() -> None:
         build_settings(Outer, {"draws": {"seed": 3}})
 
 
+def test_all_keys_that_are_gone_are_told_at_once_with_what_to_do_instead() -> None:
+    class Inner(Settings):
+        removed: ClassVar[Mapping[str, str]] = {"place": "write row for place.row"}
+        row: int = 0
+
+    class Outer(Settings):
+        removed: ClassVar[Mapping[str, str]] = dict.fromkeys(("bias", "reach"), "leave it out")
+        inner: Inner = Inner()
+
+    kept = {"bias": 1, "inner": {"place": {"row": 3}}, "reach": 2}
+    told = r"inner\.place, bias, reach: are gone \(write row for place\.row; leave it out\)"
+    with pytest.raises(ConfigError, match=told):
+        build_settings(Outer, kept)
+    with pytest.raises(ConfigError, match=r"^reach: is gone \(leave it out\)"):
+        build_settings(Outer, {"reach": 2, "nonsense": 1})
+
+
 @pytest.mark.parametrize("item", ["", "bins", "=3", "a..b=1", ".a=1"])
 def test_an_item_that_is_no_assignment_is_refused(item: str) -> None:
     with pytest.raises(ConfigError, match="is not a setting"):

@@ -67,7 +67,7 @@ class Camera(Settings):
         The ego car, which every detector can, and the horizon for those with a labeller.
         """
         ego = {"ego": self.ego.model_dump(exclude_defaults=True)} if is_given(self.ego) else {}
-        place = {"labeller": {"place": {"horizon": self.horizon}}}
+        place = {"labeller": {"horizon": self.horizon}}
         return {**ego, **(place if _has(kind, place) else {})}
 
 

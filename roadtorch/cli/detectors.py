@@ -41,7 +41,9 @@ def detectors(name: str | None) -> None:
         entry = detector_entry(name)
         click.echo(f"{name}: {entry.summary}\n")
         header = ("setting", "type", "default", "allowed", "meaning")
-        rows = [header, *setting_rows(entry.settings.model_json_schema())]
+        defaults = entry.configured({}).model_dump(mode="json")
+        schema = entry.settings.model_json_schema()
+        rows = [header, *setting_rows(schema, defaults=defaults)]
     click.echo("\n".join(columns(rows)))
 
 

@@ -14,7 +14,7 @@ from roadtorch.detector import Detector, DetectorSettings, Entry
 from roadtorch.detectors import baselines, fusion, layout, oneclass, priors, texture, ufl
 from roadtorch.errors import ConfigError, unknown_name
 from roadtorch.runtime.plugins import load_plugins
-from roadtorch.settings import build_settings, merge
+from roadtorch.settings import merge
 
 ENTRY_POINT_GROUP = "roadtorch.detectors"
 
@@ -41,7 +41,7 @@ def load_detector(name: str, *, camera: Camera | None = None, **settings: Any) -
     entry = detector_entry(name)
     if camera is not None:
         settings = merge(camera.settings_for(entry.settings), settings)
-    return Detector(entry, build_settings(entry.settings, settings)).eval()
+    return Detector(entry, entry.configured(settings)).eval()
 
 
 def list_detectors(pattern: str | None = None) -> list[str]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import torch
 from pydantic import Field
@@ -12,17 +12,18 @@ from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings, lean
 from roadtorch.imaging.exposure import brightened
 from roadtorch.imaging.resize import WorkingSize
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, Share, pooled
-from roadtorch.layout.labeller import LabellerSettings, decide_layout, segment_layout
+from roadtorch.layout.labeller import EXPOSURE, HorizonSettings, decide_layout, segment_layout
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of
 from roadtorch.road.ego import continued, ego_found, is_anywhere
 from roadtorch.road.fusion import (
-    SegmentRoadSettings,
+    RULES,
     fused_log_odds,
     likelihood_product,
     log_odds,
     road_place,
+    seed_log_odds,
     segment_road,
 )
 from roadtorch.road.otsu import centred_odds
@@ -46,7 +47,7 @@ from roadtorch.superpixels.statistics import paint, segment_mean
 class LearnedRoad(Settings):
     """How much the road is trusted that the network has learned: weights of its log odds."""
 
-    weight: float = Field(default=1.0, ge=0, le=10, description="in the mean of each superpixel")
+    weight: float = Field(default=0.5, ge=0, le=10, description="in the mean of each superpixel")
     detail: float = Field(default=0.5, ge=0, le=10, description="pixel by pixel, at the end")
 
 
@@ -56,22 +57,39 @@ class RoadCalibration(Settings):
     See ``centred_odds``.
     """
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "temperature": "leave it out: log odds stay as they are"
+    }
+
     centre: float = Field(default=-0.75, ge=-20, le=20, description="what parts road in most")
     own: float = Field(
         default=0.25, ge=0, le=1, description="share of what parts this very picture (Otsu)"
     )
-    temperature: float = Field(default=1.0, gt=0, le=100, description="divides the log odds")
+
+
+class FusedTexture(Settings):
+    """What the fused detectors can be told of colour plane fusion."""
+
+    removed: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("planes", "ridge", "tail", "even"),
+        "leave it out: fusion has the defaults of cpf, which can be told it",
+    )
+
+    bins: int = Field(default=64, ge=2, le=4096, description="levels of the histograms")
 
 
 class UntrainedFusionSettings(WorkingSettings):
-    """The fused detector without a network: each part with its own group of settings."""
+    """The fused detector without a network."""
+
+    removed: ClassVar[Mapping[str, str]] = {
+        "road": "leave it out: its numbers are constants of roadtorch.road.fusion now",
+        "saturation": "leave it out: its numbers are constants now; cpf:v2 can be told them",
+    }
 
     threshold: Threshold = Field(default=0.39, description=TUNED)
     superpixels: Superpixels = Superpixels()
-    labeller: LabellerSettings = LabellerSettings()
-    texture: TextureSettings = TextureSettings()
-    saturation: Saturation = Saturation()
-    road: SegmentRoadSettings = SegmentRoadSettings()
+    labeller: HorizonSettings = HorizonSettings()
+    texture: FusedTexture = FusedTexture()
 
 
 class FusionSettings(UntrainedFusionSettings):
@@ -86,19 +104,9 @@ class FusionSettings(UntrainedFusionSettings):
     superpixels: Superpixels = Superpixels(pixels=144)
     weights: WeightsFile = WeightsFile()
     share: Share = 0.8
-    learned: LearnedRoad = LearnedRoad(weight=0.5)
+    learned: LearnedRoad = LearnedRoad()
     calibration: RoadCalibration = RoadCalibration()
     trust: TrustSettings = TrustSettings()
-
-
-class ResearchFusionSettings(FusionSettings):
-    """The same with weights for research and private use, learned from more pictures.
-
-    They have seen more and are trusted more (``train/choose_pool.py``).
-    """
-
-    weights: WeightsFile = WeightsFile(file="layout")
-    learned: LearnedRoad = LearnedRoad(weight=1.0)
 
 
 class PaperFusionSettings(WorkingSettings):
@@ -121,6 +129,8 @@ class PaperFusionSettings(WorkingSettings):
     )
 
 
+SATURATION = Saturation()
+
 PRIORS: Mapping[str, Callable[[int, int], Tensor]] = {
     "uniform": prior_uniform,
     "rows": prior_rows,
@@ -138,19 +148,16 @@ class UntrainedFusion(nn.Module):
     @lean
     def forward(self, image: Tensor) -> Mapping[str, Tensor | Callable[[], Tensor]]:
         """The cues of an image (3,H,W) in [0,1]."""
-        settings = self.settings
-        street = look_at(image, settings)
-        rectangle = seed_rectangle(street.labels.shape, settings.seed_area).to(image.device)
-        sources = seed_segments(street.labels, rectangle)
-        ground = street.layout[:, HORIZONTAL]
-        nearby = seen_from(street, rectangle, sources, settings)
-        road = segment_road(street.segments, ground, nearby.near, nearby.even, settings.road)
-        labels = decide_layout(street.layout, settings.labeller)
+        street = look_at(image, self.settings)
+        labels, ground = street.labels, street.layout[:, HORIZONTAL]
+        seed = seed_rectangle(labels.shape, self.settings.seed_area).to(image.device)
+        nearby = seen_from(street, seed, seed_segments(labels, seed), self.settings.texture)
+        road = segment_road(street.segments, ground, nearby.near, nearby.even)
         return {
-            "likelihood": paint(road, street.labels),
-            "layout": partial(paint, street.layout.T, street.labels),
-            "layout_labels": partial(paint, labels, street.labels),
-            "seed_area": rectangle,
+            "likelihood": paint(road, labels),
+            "layout": partial(paint, street.layout.T, labels),
+            "layout_labels": partial(paint, decide_layout(street.layout), labels),
+            "seed_area": seed,
             **nearby.cues,
         }
 
@@ -182,21 +189,26 @@ class Fusion(nn.Module):
         taught = segment_mean([*learned["layout"], learned["road"]], labels, segments.pixels)
         layout = pooled(street.layout.T, taught[:CLASSES], settings.share)
         known = log_odds(taught[CLASSES])
-        sources = seed_found(segments, layout[HORIZONTAL], known, settings)
+        sources = likely_seed(
+            known + seed_log_odds(segments, layout[HORIZONTAL]),
+            segments.row,
+            segments.size,
+            settings.seed_area.share,
+        )
         seed = sources[labels]
-        nearby = seen_from(street, seed, sources.nonzero()[:, 0], settings)
+        nearby = seen_from(street, seed, sources.nonzero()[:, 0], settings.texture)
         road = segment_road(
             segments,
             layout[HORIZONTAL],
             nearby.near,
             nearby.even,
-            settings.road,
             settings.learned.weight * known,
         )
         odds = fused_log_odds([paint(road, labels), learned["road"]], [1, settings.learned.detail])
-        decided = decide_layout(layout.T, settings.labeller)
+        decided = decide_layout(layout.T)
+        calibration = settings.calibration
         return {
-            "likelihood": calibrated(odds, settings.calibration),
+            "likelihood": centred_odds(odds, calibration.centre, calibration.own).sigmoid(),
             "layout": partial(
                 pooled_layout, street.layout, labels, learned["layout"], settings.share
             ),
@@ -218,26 +230,6 @@ def pooled_layout(seen: Tensor, labels: Tensor, learned: Tensor, share: float) -
     return pooled(paint(seen.T, labels), learned, share)
 
 
-def seed_found(
-    segments: Segments, ground: Tensor, known: Tensor, settings: FusionSettings
-) -> Tensor:
-    """Which of n segments are the seed area, bool (n,): by ground, place and learned road.
-
-    ground: potentials (n,); known: the learned road's log odds (n,). As large as the settings'
-    rectangle.
-    """
-    place = road_place(segments.row, segments.column, settings.road.place)
-    weights = [settings.road.exponents.layout, settings.road.place.weight]
-    evidence = known + fused_log_odds([ground, place], weights)
-    return likely_seed(evidence, segments.row, segments.size, settings.seed_area.share)
-
-
-def calibrated(odds: Tensor, calibration: RoadCalibration) -> Tensor:
-    """Likelihoods (H,W) in [0,1] of one picture's log odds (H,W), 0.5 where they part road."""
-    centred = centred_odds(odds, calibration.centre, calibration.own)
-    return (centred / calibration.temperature).sigmoid()
-
-
 class Street(NamedTuple):
     """One picture's segments at working size and their layout (n,3) by the labeller."""
 
@@ -253,9 +245,9 @@ class Street(NamedTuple):
 
 def look_at(image: Tensor, settings: UntrainedFusionSettings) -> Street:
     """Segments and layout of an image (3,H,W) at working size, brightened where it is dark."""
-    image = brightened(image, settings.labeller.exposure)
+    image = brightened(image, EXPOSURE)
     segments = measure_segments(image, settings.superpixels.cut(image))
-    return Street(image, segments, segment_layout(segments, settings.labeller))
+    return Street(image, segments, segment_layout(segments, settings.labeller.rules))
 
 
 class Nearby(NamedTuple):
@@ -266,30 +258,33 @@ class Nearby(NamedTuple):
     cues: Mapping[str, Tensor | Callable[[], Tensor]]
 
 
-def seen_from(
-    street: Street, seed: Tensor, sources: Tensor, settings: UntrainedFusionSettings
-) -> Nearby:
+def seen_from(street: Street, seed: Tensor, sources: Tensor, texture: FusedTexture) -> Nearby:
     """Texture and distance of a street's segments, seen from its seed area.
 
     seed: bool (H,W); sources: numbers (k,) of its segments.
     """
-    segments, labels, road = street.segments, street.labels, settings.road
+    segments, labels = street.segments, street.labels
+    settings = TextureSettings(bins=texture.bins)
     fused, uniformity, clipped = unsaturated_uniformity(
-        street.image, labels, seed, settings.texture, settings.saturation
+        street.image, labels, seed, settings, SATURATION
     )
-    even = uniformity_likelihood(uniformity, settings.texture.even)
-    near = distance_likelihood(seed_distance(segments, sources), road.reach)
-    place = road_place(segments.row, segments.column, road.place)
+    even = uniformity_likelihood(uniformity, settings.even)
+    near = distance_likelihood(seed_distance(segments, sources), RULES.reach)
     cues: dict[str, Tensor | Callable[[], Tensor]] = {
         "texture": partial(paint, even, labels),
         "uniformity": partial(paint, uniformity, labels),
         "fused_plane": fused,
         "saturated": clipped,
         "distance": partial(paint, near, labels),
-        "place": partial(paint, place, labels),
+        "place": partial(painted_place, segments),
         "segments": labels,
     }
     return Nearby(near, even, cues)
+
+
+def painted_place(segments: Segments) -> Tensor:
+    """The prior of place of each segment, as a map (H,W)."""
+    return paint(road_place(segments.row, segments.column), segments.labels)
 
 
 class PaperFusion(nn.Module):
@@ -339,8 +334,10 @@ ENTRIES = (
     Entry(
         "fusion:research",
         "the same with weights for research and private use",
-        ResearchFusionSettings,
+        FusionSettings,
         Fusion,
+        # They have seen more pictures, and are trusted more.
+        values={"weights": {"file": "layout"}, "learned": {"weight": 1.0}},
     ),
     Entry(
         "fusion:untrained",

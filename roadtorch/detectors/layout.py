@@ -5,7 +5,7 @@ from torch import Tensor, nn
 
 from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings, lean
 from roadtorch.layout.classes import HORIZONTAL, Share, pooled
-from roadtorch.layout.labeller import LabellerSettings, decide_layout, label_whole
+from roadtorch.layout.labeller import HorizonSettings, decide_layout, label_whole
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of
@@ -17,7 +17,7 @@ class LabellerDetectorSettings(WorkingSettings):
 
     threshold: Threshold = Field(default=0.92, description=TUNED)
     superpixels: Superpixels = Superpixels()
-    labeller: LabellerSettings = LabellerSettings()
+    labeller: HorizonSettings = HorizonSettings()
 
 
 class Cnn7Settings(WorkingSettings):
@@ -32,16 +32,9 @@ class LayoutSettings(WorkingSettings):
 
     threshold: Threshold = Field(default=0.95, description=TUNED)
     superpixels: Superpixels = Superpixels()
-    labeller: LabellerSettings = LabellerSettings()
+    labeller: HorizonSettings = HorizonSettings()
     weights: WeightsFile = WeightsFile()
     share: Share = 0.8
-
-
-class ResearchLayoutSettings(LayoutSettings):
-    """The same with weights for research and private use, learned from more pictures."""
-
-    threshold: Threshold = 0.817
-    weights: WeightsFile = WeightsFile(file="layout")
 
 
 class Labeller(nn.Module):
@@ -92,15 +85,9 @@ class Layout(nn.Module):
         return {
             "likelihood": potentials[HORIZONTAL],
             "layout": potentials,
-            "layout_labels": _decided(potentials, self.settings.labeller),
+            "layout_labels": decide_layout(potentials.flatten(1).T).view(image.shape[1:]),
             "learned_road": learned["road"],
         }
-
-
-def _decided(potentials: Tensor, settings: LabellerSettings) -> Tensor:
-    """Labels (H,W) of potentials (3,H,W); 255 in doubt."""
-    labels = decide_layout(potentials.flatten(1).T, settings)
-    return labels.reshape(potentials.shape[1:])
 
 
 ENTRIES = (
@@ -113,8 +100,9 @@ ENTRIES = (
     Entry(
         "layout:research",
         "the same with weights for research and private use",
-        ResearchLayoutSettings,
+        LayoutSettings,
         Layout,
+        values={"threshold": 0.817, "weights": {"file": "layout"}},
     ),
     Entry("layout:cnn-7", "ground of the layout by CNN-7 (Álvarez 2012)", Cnn7Settings, Cnn7),
     Entry(

@@ -1,4 +1,4 @@
-"""The floors: detectors that never look at the picture."""
+"""The baselines: detectors that never look at the picture."""
 
 from collections.abc import Callable
 from functools import partial
@@ -21,12 +21,12 @@ class Prior(nn.Module):
         return {"likelihood": self.prior(*image.shape[-2:]).to(image)}
 
 
-def _floor(name: str, summary: str, prior: Callable[[int, int], Tensor]) -> Entry:
-    return Entry(name, summary, DetectorSettings, partial(Prior, prior=prior), floor=True)
+def _baseline(name: str, summary: str, prior: Callable[[int, int], Tensor]) -> Entry:
+    return Entry(name, summary, DetectorSettings, partial(Prior, prior=prior), baseline=True)
 
 
 ENTRIES = (
-    _floor("prior:uniform", "0.5 everywhere", prior_uniform),
-    _floor("prior:rows", "row / height", prior_rows),
-    _floor("prior:triangle", "a triangle ahead of the car", prior_triangle),
+    _baseline("prior:uniform", "0.5 everywhere", prior_uniform),
+    _baseline("prior:rows", "row / height", prior_rows),
+    _baseline("prior:triangle", "a triangle ahead of the car", prior_triangle),
 )

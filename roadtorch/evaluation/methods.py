@@ -25,7 +25,7 @@ from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import load_network
 from roadtorch.runtime.shipped_configs import SUFFIX, THRESHOLDS, config_file
-from roadtorch.settings import build_settings, read_settings_file
+from roadtorch.settings import read_settings_file
 
 BASELINES = ("prior:rows", "prior:triangle")  # in every run; prior:mean joins where it can
 
@@ -121,9 +121,9 @@ def candidate(text: str, letter: str) -> Method:
 def named_detector(name: str, values: Mapping[str, Any]) -> Method:
     """A detector of the catalogue; ConfigError for settings that it does not have."""
     entry = detector_entry(name)
-    settings = build_settings(entry.settings, values).model_dump(mode="json")
+    settings = entry.configured(values).model_dump(mode="json")
     threshold = settings.pop("threshold")
-    return Method(name, partial(_load, name, values), settings, threshold, entry.floor)
+    return Method(name, partial(_load, name, values), settings, threshold, entry.baseline)
 
 
 def _load(name: str, values: Mapping[str, Any], _: Dataset) -> Look:

@@ -12,7 +12,7 @@ from roadtorch.errors import DatasetError
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.result import Evaluation
-from roadtorch.settings import Settings, build_settings
+from roadtorch.settings import Settings
 
 DIGITS = 3  # of a threshold in a config
 
@@ -92,12 +92,12 @@ def choose_threshold(
     if math.isnan(best):
         raise DatasetError(evaluation.dataset.root, "shows no road", "give pictures with road")
     threshold = round(best, DIGITS)
-    kind = detector_entry(name).settings
-    default: float = kind().model_dump()["threshold"]
+    entry = detector_entry(name)
+    default = entry.configured({}).threshold
     held_out = held_out_thresholds(groups) if len(groups) > 1 else {}
     return ThresholdChoice(
         name,
-        build_settings(kind, {**settings, "threshold": threshold}),
+        entry.configured({**settings, "threshold": threshold}),
         threshold,
         default,
         _mean_figures(groups, dict.fromkeys(groups, default))[0],

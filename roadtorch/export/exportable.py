@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from roadtorch.detector import SMALLEST_SIDE, Detector, DetectorSettings
+from roadtorch.detector import SMALLEST_SIDE, Detector
+from roadtorch.detectors.catalogue import detector_entry
 from roadtorch.detectors.fusion import Fusion, FusionSettings
 from roadtorch.detectors.layout import Cnn7, Cnn7Settings, Layout, LayoutSettings
 from roadtorch.errors import ConfigError
@@ -60,7 +61,7 @@ def exportable(detector: Detector) -> Exportable:
         part = Exportable(what, module, said, kept, "cnn-7", settings.weights)
     else:
         raise ConfigError(detector.name, "cannot be exported", f"those that can: {', '.join(CAN)}")
-    _refuse_others(settings, part.settings)
+    _refuse_others(detector, part.settings)
     return part
 
 
@@ -84,10 +85,10 @@ def _detected(detector: Detector) -> Reference:
     return said
 
 
-def _refuse_others(settings: DetectorSettings, kept: tuple[str, ...]) -> None:
+def _refuse_others(detector: Detector, kept: tuple[str, ...]) -> None:
     """ConfigError where settings were changed that have no part in what is exported."""
-    usual = type(settings)().model_dump()
-    for key, value in settings.model_dump().items():
+    usual = detector_entry(detector.name).configured({}).model_dump()
+    for key, value in detector.settings.model_dump().items():
         if key not in kept and value != usual[key]:
             raise ConfigError(key, "has no part in what is exported", "leave it out")
 

@@ -6,8 +6,9 @@ in a street picture, learns from the picture itself what each of them looks like
 each column of the picture read sky, vertical, horizontal from top to bottom.
 """
 
+from collections.abc import Mapping
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -37,79 +38,101 @@ BLUEST = 0.1
 """The b of Lab, over 100, that is as blue as a sky gets."""
 
 
-class PlacePrior(Settings):
+class PlacePrior(NamedTuple):
     """Where the classes tend to be: a logistic model of row and column (see ``place_prior``).
 
     Rows are shares of the height from the top; sides are shares of the width from the middle.
+    Sky is even with vertical ``sky_rise`` above the horizon, ground ``ground_drop`` below it; both
+    lines move by their slopes towards the sides, and fade over their softness in rows. vertical:
+    its log weight everywhere.
     """
 
-    horizon: float = Field(default=0.5, ge=0, le=1, description="row of the horizon")
-    sky_rise: float = Field(default=0.17, ge=-1, le=1, description="sky is even this far above it")
-    sky_slope: float = Field(
-        default=0.65, ge=0, le=5, description="and rises by this towards the sides"
-    )
-    sky_softness: float = Field(default=0.54, gt=0, le=5, description="rows over which sky fades")
-    ground_drop: float = Field(
-        default=-0.01, ge=-1, le=1, description="ground is even this far below it"
-    )
-    ground_slope: float = Field(
-        default=0.32, ge=0, le=5, description="and falls by this towards the sides"
-    )
-    ground_softness: float = Field(
-        default=0.13, gt=0, le=5, description="rows over which ground fades"
-    )
-    vertical: float = Field(
-        default=0.98, ge=-10, le=10, description="log weight of vertical everywhere"
-    )
+    horizon: float = 0.5
+    sky_rise: float = 0.17
+    sky_slope: float = 0.65
+    sky_softness: float = 0.54
+    ground_drop: float = -0.01
+    ground_slope: float = 0.32
+    ground_softness: float = 0.13
+    vertical: float = 0.98
 
 
-class SkyLook(Settings):
+class SkyLook(NamedTuple):
     """What sky looks like anywhere: light comes from it, it is even, and at times blue. Ours.
 
-    Each number is the log weight that a segment gains or loses at most for being sky.
+    light, even, blue: the log weights that a segment gains or loses at most for being sky. level:
+    the lightness that says nothing; from there to the whole weight it takes ``softness``.
+    gradient: the mean gradient, L per pixel, that says nothing.
     """
 
-    light: float = Field(default=0.8, ge=0, le=10, description="for being lighter than ``level``")
-    level: float = Field(default=0.62, ge=0, le=1, description="lightness that says nothing")
-    softness: float = Field(
-        default=0.2, gt=0, le=1, description="lightness from there to the whole weight"
-    )
-    even: float = Field(default=1.1, ge=0, le=10, description="for having no gradients")
-    gradient: float = Field(
-        default=0.022, gt=0, le=1, description="mean gradient, L per pixel, that says nothing"
-    )
-    blue: float = Field(default=0.4, ge=0, le=10, description="for being blue, or not yellow")
+    light: float = 0.8
+    level: float = 0.62
+    softness: float = 0.2
+    even: float = 1.1
+    gradient: float = 0.022
+    blue: float = 0.4
 
 
-class ColumnOrder(Settings):
-    """How strictly a column reads sky, vertical, horizontal from top to bottom."""
+class ColumnOrder(NamedTuple):
+    """How strictly a column reads sky, vertical, horizontal from top to bottom.
 
-    weight: float = Field(
-        default=2.1, ge=0, le=10, description="weight of a segment's own evidence"
-    )
-    change: float = Field(
-        default=0.03, gt=0, lt=0.5, description="chance of the next class, a step down"
-    )
-    breach: float = Field(
-        default=1e-3, ge=0, lt=0.5, description="chance of any other change, a step"
-    )
-    step: int = Field(default=8, ge=1, le=256, description="pixels of one step, at working size")
+    weight: of a segment's own evidence. change: chance of the next class, a step down. breach:
+    chance of any other change, a step. step: its pixels, at working size.
+    """
+
+    weight: float = 2.1
+    change: float = 0.03
+    breach: float = 1e-3
+    step: int = 8
 
 
-class LabellerSettings(Settings):
-    """Settings of the layout labeller."""
+class LabellerRules(NamedTuple):
+    """How the labeller reads a picture. sharpness: weight of appearance against place."""
 
-    exposure: Exposure = Exposure()
     place: PlacePrior = PlacePrior()
     sky: SkyLook = SkyLook()
-    bandwidths: Bandwidths = Bandwidths()
+    bandwidths: Bandwidths = Bandwidths(0.135, 0.045, 0.07, 0.09, 1.3, 0.8)
     order: ColumnOrder = ColumnOrder()
-    sharpness: float = Field(
-        default=1.17, gt=0, le=10, description="weight of appearance against place"
+    sharpness: float = 1.17
+    rounds: int = 5
+
+
+RULES = LabellerRules()
+
+EXPOSURE = Exposure()
+
+MARGIN = 0.5
+"""By how much the best potential must lead to give a label."""
+
+
+class HorizonSettings(Settings):
+    """What a detector can tell the layout labeller: what differs from camera to camera."""
+
+    removed: ClassVar[Mapping[str, str]] = {
+        "place": "write horizon for place.horizon; the rest is constant now",
+        "margin": "leave it out: roadtorch label and roadtorch train have it",
+        "support": "leave it out: roadtorch label and roadtorch train have it",
+        **dict.fromkeys(
+            ("exposure", "sky", "bandwidths", "order", "sharpness", "rounds"),
+            "leave it out: it is a constant of roadtorch.layout.labeller now",
+        ),
+    }
+
+    horizon: float = Field(
+        default=RULES.place.horizon, ge=0, le=1, description="its row, a share of the height"
     )
-    rounds: int = Field(default=5, ge=1, le=100, description="rounds of learning and labelling")
+
+    @property
+    def rules(self) -> LabellerRules:
+        """All that the labeller goes by."""
+        return RULES._replace(place=RULES.place._replace(horizon=self.horizon))
+
+
+class LabellerSettings(HorizonSettings):
+    """Settings of the layout labeller where its labels are what counts."""
+
     margin: float = Field(
-        default=0.5,
+        default=MARGIN,
         ge=0,
         le=1,
         description="by how much the best potential must lead to give a label",
@@ -118,6 +141,11 @@ class LabellerSettings(Settings):
         default="margin",
         description="leave doubtful segments unlabelled, or label all as the paper does",
     )
+
+    @property
+    def lead(self) -> float:
+        """By how much the best potential must lead: by nothing where all is labelled."""
+        return self.margin if self.support == "margin" else 0.0
 
 
 class LayoutLabels(NamedTuple):
@@ -138,41 +166,43 @@ def label_layout(
     It is looked at in its working size. Where settings are left out, their defaults hold. The
     maps have the image's size.
     """
-    given = settings or LabellerSettings(), superpixels or Superpixels()
+    settings, superpixels = settings or LabellerSettings(), superpixels or Superpixels()
     cues = at_working_size(
-        lambda small: label_whole(small, *given)._asdict(), image, working or WorkingSize()
+        lambda small: label_whole(small, settings, superpixels, settings.lead)._asdict(),
+        image,
+        working or WorkingSize(),
     )
     return LayoutLabels(cues["potentials"], cues["labels"])
 
 
 def label_whole(
-    image: Tensor, settings: LabellerSettings, superpixels: Superpixels
+    image: Tensor, settings: HorizonSettings, superpixels: Superpixels, margin: float = MARGIN
 ) -> LayoutLabels:
     """The same with the image looked at as it is."""
-    bright = brightened(image, settings.exposure)
+    bright = brightened(image, EXPOSURE)
     segments = measure_segments(bright, superpixels.cut(bright))
-    potentials = segment_layout(segments, settings)
-    labels = decide_layout(potentials, settings)
+    potentials = segment_layout(segments, settings.rules)
+    labels = decide_layout(potentials, margin)
     return LayoutLabels(paint(potentials.T, segments.labels), paint(labels, segments.labels))
 
 
 @cached_per_image
-def segment_layout(segments: Segments, settings: LabellerSettings) -> Tensor:
+def segment_layout(segments: Segments, rules: LabellerRules = RULES) -> Tensor:
     """Potentials (n,3) of n segments: sky, vertical, horizontal; each row sums to 1.
 
     Rounds of: learn each class's look from the current beliefs (kernel density), judge every
     segment by place and look, put the columns in order. Ours; the rounds are those of
     expectation maximisation with a prior that does not move.
     """
-    prior = place_prior(segments.row, segments.column, settings.place).log()
-    prior[:, SKY] += sky_look(segments, settings.sky)
+    prior = place_prior(segments.row, segments.column, rules.place).log()
+    prior[:, SKY] += sky_look(segments, rules.sky)
     prior = prior.log_softmax(1)
-    alike = likeness(segments, settings.bandwidths)
+    alike = likeness(segments, rules.bandwidths)
     belief = prior.exp()
-    samples = column_samples(segments.labels, settings.order.step)
-    for _ in range(settings.rounds):
+    samples = column_samples(segments.labels, rules.order.step)
+    for _ in range(rules.rounds):
         evidence = class_log_density(alike, belief, segments.size)
-        belief = in_order(prior.add(evidence, alpha=settings.sharpness), samples, settings.order)
+        belief = in_order(prior.add(evidence, alpha=rules.sharpness), samples, rules.order)
     return belief
 
 
@@ -253,14 +283,12 @@ def _chain_posterior(evidence: np.ndarray, moves: np.ndarray) -> np.ndarray:
     return posterior / (posterior @ np.ones((CLASSES, 1)))  # its sum over three, sooner
 
 
-def decide_layout(potentials: Tensor, settings: LabellerSettings) -> Tensor:
-    """Labels (n,) of the largest potentials (n,3); 255 where the margin to the second is small."""
+def decide_layout(potentials: Tensor, margin: float = MARGIN) -> Tensor:
+    """Labels (n,) of the largest potentials (n,3); 255 where the margin to the second is less."""
     # Of three potentials, compared plane by plane: argmax of triples takes ten times as long.
     sky, vertical, horizontal = potentials.unbind(1)
     higher, lower = torch.maximum(sky, vertical), torch.minimum(sky, vertical)
     best = torch.maximum(higher, horizontal)
     labels = torch.where(sky == best, SKY, torch.where(vertical == best, VERTICAL, HORIZONTAL))
-    if settings.support == "maximum":
-        return labels
     second = torch.maximum(lower, torch.minimum(higher, horizontal))
-    return torch.where(best - second >= settings.margin, labels, UNLABELLED)
+    return torch.where(best - second >= margin, labels, UNLABELLED)

@@ -8,14 +8,12 @@ two can rank pixels the other way round: 0.9 and 0.3 have the product 0.27 and t
 others: what the road of this very picture looks like (ours).
 """
 
-from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
-from pydantic import Field
 from torch import Tensor
 
-from roadtorch.settings import Settings
 from roadtorch.superpixels.features import Bandwidths, Segments, class_log_density, likeness
 
 SUREST = 1e-4
@@ -26,59 +24,52 @@ STRONGEST_LOOK = 3.0
 and what surrounds it must be able to say so."""
 
 
-class RoadPlace(Settings):
-    """Where the road tends to be: a soft triangle. Shares of the picture's height and width."""
+class RoadPlace(NamedTuple):
+    """Where the road tends to be: a soft triangle. Shares of the picture's height and width.
 
-    weight: float = Field(default=0.4, ge=0, le=10, description="weight of the prior; 0 is uniform")
-    apex: float = Field(
-        default=0.69, ge=-1, le=1, description="row at which the half width is `narrow`"
-    )
-    narrow: float = Field(
-        default=0.07, ge=-1, le=1, description="half width of the road at the apex"
-    )
-    spread: float = Field(
-        default=1.1, ge=0, le=10, description="half width gained per height below it"
-    )
-    softness: float = Field(
-        default=0.11, gt=0, le=10, description="widths over which the road fades"
-    )
+    weight: of the prior; 0 is uniform. apex: row at which the half width is ``narrow``. spread:
+    half width gained per height below it. softness: widths over which the road fades.
+    """
+
+    weight: float = 0.4
+    apex: float = 0.69
+    narrow: float = 0.07
+    spread: float = 1.1
+    softness: float = 0.11
 
 
-class Exponents(Settings):
-    """How much each cue is trusted: exponents of the odds L / (1-L); ours (see the module)."""
+class Exponents(NamedTuple):
+    """How much each cue is trusted: exponents of the odds L / (1-L); ours (see the module).
 
-    layout: float = Field(default=0.44, ge=0, le=10, description="the ground of the scene layout")
-    distance: float = Field(default=1.0, ge=0, le=10, description="the distance from the seed area")
-    texture: float = Field(
-        default=2.0, ge=0, le=10, description="the uniformity of the fused plane"
-    )
-    look: float = Field(default=2.0, ge=0, le=10, description="the look learned in this picture")
-    neighbours: float = Field(
-        default=6.0, ge=0, le=10, description="what the neighbouring segments are"
-    )
+    layout: the ground of the scene layout. distance: from the seed area. texture: the uniformity
+    of the fused plane. look: learned in this picture. neighbours: what the segments beside are.
+    """
+
+    layout: float = 0.44
+    distance: float = 1.0
+    texture: float = 2.0
+    look: float = 2.0
+    neighbours: float = 6.0
 
 
-class SegmentRoadSettings(Settings):
-    """How the cues of a picture's segments become p(road)."""
+class RoadRules(NamedTuple):
+    """How the cues of a picture's segments become p(road).
 
-    renamed: ClassVar[Mapping[str, str]] = {"weights": "exponents"}
+    reach: faint borders on the way from the seed area that leave it open. bias: log odds of road
+    before any cue. temperature: divides the final log odds. rounds: of learning the look.
+    Half or twice a weight moves MaxF by less than .005.
+    """
 
     place: RoadPlace = RoadPlace()
     exponents: Exponents = Exponents()
-    reach: float = Field(
-        default=1.7,
-        gt=0,
-        le=1000,
-        description="faint borders on the way from the seed area that leave it open",
-    )
-    bandwidths: Bandwidths = Bandwidths(
-        lightness=0.085, chroma=0.01, gradient=0.07, contrast=0.9, row=0.1, column=3.0
-    )
-    bias: float = Field(default=-1.8, ge=-20, le=20, description="log odds of road before any cue")
-    temperature: float = Field(default=6.0, gt=0, le=100, description="divides the final log odds")
-    rounds: int = Field(
-        default=4, ge=0, le=100, description="rounds of learning the look of the road"
-    )
+    reach: float = 1.7
+    bandwidths: Bandwidths = Bandwidths(0.085, 0.01, 0.07, 0.9, 0.1, 3.0)
+    bias: float = -1.8
+    temperature: float = 6.0
+    rounds: int = 4
+
+
+RULES = RoadRules()
 
 
 def likelihood_product(prior: Tensor, likelihoods: Sequence[Tensor]) -> Tensor:
@@ -113,10 +104,16 @@ def fused_log_odds(likelihoods: Sequence[Tensor], weights: Sequence[float]) -> T
     return total
 
 
-def road_place(row: Tensor, column: Tensor, place: RoadPlace) -> Tensor:
+def road_place(row: Tensor, column: Tensor, place: RoadPlace = RULES.place) -> Tensor:
     """Prior p(road) at rows and columns from 0 to 1: a triangle with soft sides, ahead (ours)."""
     half = place.narrow + place.spread * (row - place.apex).clamp_min(0)
     return ((half - (column - 0.5).abs()) / place.softness).sigmoid()
+
+
+def seed_log_odds(segments: Segments, ground: Tensor) -> Tensor:
+    """Log odds (n,) that segments are road by place and by the layout's ground (n,) alone."""
+    place = road_place(segments.row, segments.column)
+    return fused_log_odds([ground, place], [RULES.exponents.layout, RULES.place.weight])
 
 
 def segment_road(
@@ -124,8 +121,8 @@ def segment_road(
     layout: Tensor,
     distance: Tensor,
     texture: Tensor,
-    settings: SegmentRoadSettings,
     further: Tensor | float = 0.0,
+    rules: RoadRules = RULES,
 ) -> Tensor:
     """p(road) of each segment (n,) from its likelihoods (n,) by layout, distance and texture.
 
@@ -134,25 +131,25 @@ def segment_road(
     Naive Bayes over the cues gives a first belief; then, in rounds, kernel densities of road
     and background are learned from the belief and join as one more cue, as do the neighbours.
     """
-    exponents = settings.exponents
-    place = road_place(segments.row, segments.column, settings.place)
+    exponents = rules.exponents
+    place = road_place(segments.row, segments.column, rules.place)
     known = (
-        settings.bias
+        rules.bias
         + further
         + fused_log_odds(
             [place, layout, distance, texture],
-            [settings.place.weight, exponents.layout, exponents.distance, exponents.texture],
+            [rules.place.weight, exponents.layout, exponents.distance, exponents.texture],
         )
     )
-    alike = likeness(segments, settings.bandwidths)
+    alike = likeness(segments, rules.bandwidths)
     around = exponents.neighbours * neighbour_mean(segments)
     score = known
-    for _ in range(settings.rounds):
+    for _ in range(rules.rounds):
         belief = score.sigmoid()
         density = class_log_density(alike, torch.stack([belief, 1 - belief], 1), segments.size)
         look = (density[:, 0] - density[:, 1]).clamp(-STRONGEST_LOOK, STRONGEST_LOOK)
         score = torch.addmv(known, around, 2 * belief - 1).add_(look, alpha=exponents.look)
-    return (score / settings.temperature).sigmoid()
+    return (score / rules.temperature).sigmoid()
 
 
 def neighbour_mean(segments: Segments) -> Tensor:

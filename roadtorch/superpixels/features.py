@@ -5,16 +5,15 @@ like from the segments that are believed to belong to it. This is the part they 
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 import torch
-from pydantic import Field
 from torch import Tensor
 
 from roadtorch.imaging.color import planes
 from roadtorch.runtime.image_cache import cached_per_image
-from roadtorch.settings import Settings
 from roadtorch.superpixels.statistics import borders, segment_mean, segment_size
 
 LIGHTNESS_SHARE = 0.3
@@ -29,17 +28,19 @@ RAREST = 1e-8
 """The least density: a segment like no other keeps its prior."""
 
 
-class Bandwidths(Settings):
-    """How far two segments may be apart and still be alike: widths of Gaussian kernels."""
+class Bandwidths(NamedTuple):
+    """How far two segments may be apart and still be alike: widths of Gaussian kernels.
 
-    lightness: float = Field(default=0.135, gt=0, le=10, description="in L, L from 0 to 1")
-    chroma: float = Field(default=0.045, gt=0, le=10, description="in a and b, in units of L")
-    gradient: float = Field(
-        default=0.07, gt=0, le=10, description="in the mean gradient, L per pixel"
-    )
-    contrast: float = Field(default=0.09, gt=0, le=10, description="in the deviation of L inside")
-    row: float = Field(default=1.3, gt=0, le=100, description="in the picture's height")
-    column: float = Field(default=0.8, gt=0, le=100, description="in the picture's width")
+    lightness: in L, from 0 to 1. chroma: in a and b, in units of L. gradient: in the mean gradient,
+    L per pixel. contrast: in the deviation of L inside. row, column: in the picture's sides.
+    """
+
+    lightness: float
+    chroma: float
+    gradient: float
+    contrast: float
+    row: float
+    column: float
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,9 @@ the TurboPixels of P2 and P3: both give compact segments of about equal size tha
 follow edges.
 """
 
+from collections.abc import Mapping
 from functools import lru_cache
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -50,13 +51,18 @@ LONGEST = 4.0
 """No colour is as far from black, squared: see ``_tables``."""
 
 
+COMPACTNESS = 0.07
+"""Weight of distance against colour; high is square."""
+
+
 class Superpixels(Settings):
     """Regions that follow the edges in the picture."""
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "compactness": f"leave it out: it is {COMPACTNESS} everywhere"
+    }
+
     pixels: int = Field(default=256, ge=4, le=10**6, description="pixels of one superpixel, about")
-    compactness: float = Field(
-        default=0.07, gt=0, le=100, description="weight of distance against colour; high is square"
-    )
 
     def cut(self, image: Tensor) -> Tensor:
         """Labels int64 (H,W) of an image (3,H,W); at least 16 segments where there is room."""
@@ -66,7 +72,7 @@ class Superpixels(Settings):
 @cached_per_image
 def _cut(image: Tensor, superpixels: Superpixels) -> Tensor:
     pixels = image.shape[-2] * image.shape[-1]
-    return slic(image, max(16, round(pixels / superpixels.pixels)), superpixels.compactness)
+    return slic(image, max(16, round(pixels / superpixels.pixels)))
 
 
 def squares(height: int, width: int, size: int) -> Tensor:
@@ -96,7 +102,7 @@ class CellGrid(NamedTuple):
 
 
 def slic(
-    image: Tensor, segments: int = 300, compactness: float = 0.07, iterations: int = 5
+    image: Tensor, segments: int = 300, compactness: float = COMPACTNESS, iterations: int = 5
 ) -> Tensor:
     """Cut an image, or each image of a batch, into connected segments of similar colour.
 

@@ -91,10 +91,10 @@ def test_another_ego_car_and_another_shape_are_refused(camera: Camera) -> None:
 
 def test_detectors_take_what_they_can_of_it(camera: Camera) -> None:
     assert set(camera.settings_for(DetectorSettings)) == {"ego"}
-    assert camera.settings_for(FusionSettings)["labeller"]["place"]["horizon"] == camera.horizon
+    assert camera.settings_for(FusionSettings)["labeller"]["horizon"] == camera.horizon
     detector = load_detector("fusion", camera=camera, labeller={"place": {"horizon": 0.3}})
     assert detector.settings.ego == camera.ego
-    assert detector.settings.labeller.place.horizon == 0.3  # type: ignore[attr-defined]
+    assert detector.settings.labeller.horizon == 0.3  # type: ignore[attr-defined]
 
 
 def test_the_picture_to_check_shows_the_ego_car(camera: Camera) -> None:

@@ -78,9 +78,9 @@ def test_settings_fit_a_hundred_columns_and_none_is_lost(call: Call) -> None:
     listed = {line.split()[0] for line in lines if line[:1].strip()}
     assert {
         "seed_area.height",
-        "texture.planes",
+        "texture.bins",
         "working.pixels",
-        "road.exponents.layout",
+        "learned.weight",
     } <= listed
 
 

@@ -1,6 +1,6 @@
 """The fused detector and the labeller as a detector: cues, awkward pictures, settings."""
 
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import pytest
@@ -8,13 +8,14 @@ import torch
 from torch import Tensor
 
 from roadtorch.detector import Detection
+from roadtorch.detectors import fusion
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.fusion import FusionSettings
 from roadtorch.errors import WeightsError
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import label_layout
 from roadtorch.layout.weights import load_network, shipped_weights
-from roadtorch.road.fusion import log_odds
+from roadtorch.road.fusion import RULES, Exponents, log_odds, segment_road
 from roadtorch.road.priors import prior_rows
 from tests.networks import write_ego_network
 from tests.streets import lost_highlights
@@ -84,16 +85,15 @@ def test_the_seed_area_is_that_of_the_settings_for_texture_and_distance(cue: str
     assert not torch.equal(wide.cues[cue], detected().cues[cue])
 
 
-def test_without_learning_the_map_is_the_weighted_product_of_its_own_cues() -> None:
-    road = {
-        "rounds": 0,
-        "bias": 0.5,
-        "temperature": 2.0,
-        "place": {"weight": 0.3},
-        "exponents": {"layout": 0.9, "distance": 1.3, "texture": 0.6},
-    }
+def test_without_learning_the_map_is_the_weighted_product_of_its_own_cues(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    exponents = Exponents(layout=0.9, distance=1.3, texture=0.6)
+    place = RULES.place._replace(weight=0.3)
+    rules = RULES._replace(rounds=0, bias=0.5, temperature=2.0, place=place, exponents=exponents)
+    monkeypatch.setattr(fusion, "segment_road", partial(segment_road, rules=rules))
 
-    found = load_detector("fusion:untrained", road=road).detect(street())
+    found = load_detector("fusion:untrained").detect(street())
 
     cues = found.cues
     odds = 0.5 + 0.3 * log_odds(cues["place"]) + 0.9 * log_odds(cues["layout"][HORIZONTAL])
@@ -106,9 +106,9 @@ def test_a_network_that_is_not_trusted_says_nothing_of_the_layout(tmp_path: Path
 
     found = load_detector("fusion", share=0.0, weights=weights).detect(street())
 
-    fusion = FusionSettings()
+    usual = FusionSettings()
     alone = load_detector(
-        "fusion:untrained", working=fusion.working, superpixels=fusion.superpixels
+        "fusion:untrained", working=usual.working, superpixels=usual.superpixels
     ).detect(street())
     torch.testing.assert_close(found.cues["layout"], alone.cues["layout"], atol=2e-3, rtol=0.0)
     assert set(found.cues) == {*alone.cues, "learned_road", "ego"}

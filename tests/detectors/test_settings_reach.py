@@ -214,7 +214,7 @@ def claims() -> dict[str, list[Claim]]:
     for name in one_of_each():
         kind = detector_entry(name).settings
         groups: dict[type, Claim] = {}
-        for path, default in leaves(kind().model_dump()):
+        for path, default in leaves(detector_entry(name).configured({}).model_dump()):
             if path[0] in WITHOUT.get(name, ()):
                 continue
             if name == SHOWS_ALL or "oneclass" not in name or path[0] == "classifier":

@@ -22,7 +22,7 @@ from roadtorch.road.fusion import (
     STRONGEST_LOOK,
     Exponents,
     RoadPlace,
-    SegmentRoadSettings,
+    RoadRules,
     fused_log_odds,
     likelihood_product,
     log_odds,
@@ -220,9 +220,7 @@ def cues(count: int) -> tuple[Tensor, Tensor, Tensor]:
     return layout, distance, texture
 
 
-def known_scores(
-    segments: Segments, found: tuple[Tensor, ...], chosen: SegmentRoadSettings
-) -> list[float]:
+def known_scores(segments: Segments, found: tuple[Tensor, ...], chosen: RoadRules) -> list[float]:
     """Log odds before anything is learned, by the formula."""
     place = road_place(segments.row, segments.column, chosen.place)
     weights = chosen.exponents
@@ -240,12 +238,12 @@ def known_scores(
 @pytest.mark.parametrize("rounds", [0, 1, 3])
 def test_the_road_of_segments_is_that_of_a_loop(rounds: int) -> None:
     segments = noisy()
-    chosen = SegmentRoadSettings(
+    chosen = RoadRules(
         rounds=rounds, exponents=Exponents(look=0.7, neighbours=1.3), temperature=2.0
     )
     found = cues(len(segments.size))
 
-    road = segment_road(segments, *found, chosen)
+    road = segment_road(segments, *found, rules=chosen)
 
     scores = reference.learned_scores(
         known_scores(segments, found, chosen),
@@ -263,9 +261,9 @@ def test_the_road_of_segments_is_that_of_a_loop(rounds: int) -> None:
 def test_without_learning_it_is_naive_bayes_of_the_cues() -> None:
     segments = noisy()
     found = cues(len(segments.size))
-    chosen = SegmentRoadSettings(rounds=0, bias=0.0, temperature=1.0, place=RoadPlace(weight=1.0))
+    chosen = RoadRules(rounds=0, bias=0.0, temperature=1.0, place=RoadPlace(weight=1.0))
 
-    road = segment_road(segments, *found, chosen)
+    road = segment_road(segments, *found, rules=chosen)
 
     prior = road_place(segments.row, segments.column, chosen.place)
     weights = [chosen.exponents.layout, chosen.exponents.distance, chosen.exponents.texture]
@@ -274,14 +272,14 @@ def test_without_learning_it_is_naive_bayes_of_the_cues() -> None:
 
 def test_with_all_weights_zero_the_bias_is_all_there_is() -> None:
     segments = noisy()
-    chosen = SegmentRoadSettings(
+    chosen = RoadRules(
         place=RoadPlace(weight=0.0),
         exponents=Exponents(layout=0, distance=0, texture=0, look=0, neighbours=0),
         bias=-1.5,
         temperature=3.0,
     )
 
-    road = segment_road(segments, *cues(len(segments.size)), chosen)
+    road = segment_road(segments, *cues(len(segments.size)), rules=chosen)
 
     torch.testing.assert_close(road, torch.full_like(road, -0.5).sigmoid())
 
@@ -289,15 +287,15 @@ def test_with_all_weights_zero_the_bias_is_all_there_is() -> None:
 @pytest.mark.parametrize("cue", range(3))
 def test_before_learning_more_likely_in_a_cue_is_more_likely_road(cue: int) -> None:
     segments = noisy()
-    chosen = SegmentRoadSettings(rounds=0, exponents=Exponents(layout=1, distance=1, texture=1))
+    chosen = RoadRules(rounds=0, exponents=Exponents(layout=1, distance=1, texture=1))
     found = cues(len(segments.size))
     layout, distance, texture = (
         value + (0.5 * (1 - value) if number == cue else 0) for number, value in enumerate(found)
     )
 
-    before = segment_road(segments, *found, chosen)
+    before = segment_road(segments, *found, rules=chosen)
 
-    assert (segment_road(segments, layout, distance, texture, chosen) > before).all()
+    assert (segment_road(segments, layout, distance, texture, rules=chosen) > before).all()
 
 
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
@@ -305,7 +303,7 @@ def test_cues_that_say_the_same_everywhere_give_finite_roads(value: float) -> No
     segments = noisy()
     same = torch.full_like(segments.size, value)
 
-    road = segment_road(segments, same, same, same, SegmentRoadSettings())
+    road = segment_road(segments, same, same, same)
 
     assert road.isfinite().all()
     assert 0 <= road.min() <= road.max() <= 1
@@ -329,7 +327,7 @@ def test_a_segment_without_neighbours_hears_nothing() -> None:
     alone = measure_segments(image, torch.zeros(16, 16, dtype=torch.int64))
 
     assert neighbour_mean(alone).tolist() == [[0.0]]
-    assert segment_road(alone, *cues(1), SegmentRoadSettings()).isfinite().all()
+    assert segment_road(alone, *cues(1)).isfinite().all()
 
 
 # --- pictures -----------------------------------------------------------------------------
