@@ -1,12 +1,9 @@
 """What a run that started from weights has changed: measured, and written as a page."""
 
-import csv
-import math
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from tqdm import tqdm
 
@@ -20,22 +17,20 @@ from roadtorch.evaluation.disagreement import (
     unlabelled_set,
 )
 from roadtorch.evaluation.evaluate import evaluated
-from roadtorch.evaluation.methods import Method, candidate
-from roadtorch.evaluation.result import Evaluation, Failure
+from roadtorch.evaluation.methods import candidate
+from roadtorch.evaluation.result import Failure
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import load_network, weights_path
 from roadtorch.report.adaptation import Adaptation, write_adaptation
 from roadtorch.sources.pictures import find_images
 from roadtorch.train.config import PictureTraining, Training
-from roadtorch.train.folder import LOG, PAGE
+from roadtorch.train.folder import PAGE, RunFolder
 from roadtorch.train.prepared import name_of
 from roadtorch.train.run import FUSION, PREPARED, Outcome, Request
 from roadtorch.train.teachers import teacher_agreement
 
 SHOWN = 10
 """Pictures on the page, half of them those that changed most."""
-
-NAMES = ("before", "after")
 
 
 def show_change(
@@ -53,45 +48,21 @@ def show_change(
     """
     if outcome.weights is None:
         return None
-    start = weights_path(training.start)
-    methods = _methods(start, outcome.weights)
-    dataset = every_kth(unlabelled_set(find_images([request.images], request.out)), compared)
-    pictures, failures = _looked_at(dataset, methods, request.quiet)
-    if not pictures:
-        return None
-    adaptation = Adaptation(
-        dataset=dataset,
-        methods=methods,
-        files=(start, outcome.weights),
-        means=mean_change(pictures),
-        pictures=pictures,
-        shown=most_and_spread(pictures, SHOWN),
-        failures=failures,
-        taught=_taught(training, request, compared, (start, outcome.weights)),
-        rows=_rows(request.out / LOG),
-        labelled=_scored(labelled, methods),
+    calibrated = outcome.weights.with_name(FUSION)
+    files = (
+        weights_path(training.start),
+        calibrated if calibrated.exists() else outcome.weights,
     )
-    write_adaptation(request.out / PAGE, adaptation, command)
-    return request.out / PAGE
-
-
-def _methods(start: Path, weights: Path) -> tuple[Method, Method]:
-    """The detectors with the weights of before and after, called so."""
-    calibrated = weights.with_name(FUSION)
-    last = calibrated if calibrated.exists() else weights
-    one, other = candidate(str(start), ""), candidate(str(last), "")
-    return replace(one, name=NAMES[0]), replace(other, name=NAMES[1])
-
-
-def _looked_at(
-    dataset: Dataset, methods: tuple[Method, Method], quiet: bool
-) -> tuple[list[Disagreement], list[Failure]]:
+    before, after = (candidate(str(file), "") for file in files)
+    methods = (replace(before, name="before"), replace(after, name="after"))
+    found = find_images([request.images], request.out)
+    dataset = every_kth(unlabelled_set(found), compared)
     seen = tqdm(
         disagreements(dataset, *methods),
         "before and after",
         total=len(dataset.items),
         unit="image",
-        disable=True if quiet else None,
+        disable=True if request.quiet else None,
         file=sys.stderr,
     )
     pictures: list[Disagreement] = []
@@ -101,49 +72,36 @@ def _looked_at(
             failures.append(one)
         else:
             pictures.append(one)
-    return pictures, failures
+    if not pictures:
+        return None
+    folder = request.prepared or request.out / PREPARED
+    made = [folder / f"{name_of(picture)}.npz" for picture in found]
+    made = [file for file in made if file.exists()]  # the others were skipped
+    made = made[:: max(1, -(-len(made) // compared))]
+    adaptation = Adaptation(
+        dataset=dataset,
+        methods=methods,
+        files=(files[0], outcome.weights),
+        means=mean_change(pictures),
+        pictures=pictures,
+        shown=most_and_spread(pictures, SHOWN),
+        failures=failures,
+        taught=_taught(training, made, files[0], outcome.weights),
+        rows=RunFolder(request.out).read_log(),
+        labelled=evaluated(labelled, methods, {}, against="before") if labelled else None,
+    )
+    write_adaptation(request.out / PAGE, adaptation, command)
+    return request.out / PAGE
 
 
-def _taught(
-    training: Training, request: Request, most: int, files: tuple[Path, Path]
-) -> Taught | None:
+def _taught(training: Training, prepared: Sequence[Path], *files: Path) -> Taught | None:
     """The agreement with the teacher before and after; None for networks without its maps."""
     if not isinstance(training, PictureTraining):
         return None
-    folder = request.prepared or request.out / PREPARED
-    prepared = _prepared_of(request, folder)
-    step = max(1, math.ceil(len(prepared) / most))
-    found = []
+    agreements = []
     for file in files:
         network = load_network(file)
         if not isinstance(network, PictureNetwork):
             return None
-        found.append(teacher_agreement(network.eval(), prepared[::step], training))
-    return Taught(training.teacher.detector, *found)
-
-
-def _prepared_of(request: Request, folder: Path) -> Sequence[Path]:
-    """The prepared files of this run's pictures, those that were skipped left out."""
-    pictures = find_images([request.images], request.out)
-    files = [folder / f"{name_of(one)}.npz" for one in pictures]
-    return [file for file in files if file.exists()]
-
-
-def _rows(path: Path) -> list[dict[str, Any]]:
-    """Round, epoch and loss of each epoch, as the run's log has them."""
-    with path.open(newline="", encoding="utf-8") as file:
-        return [
-            {
-                "round": int(row["round"]),
-                "epoch": int(row["epoch"]),
-                "loss": float(row["loss"] if "loss" in row else row["error"]),  # of older runs
-            }
-            for row in csv.DictReader(file)
-        ]
-
-
-def _scored(labelled: Dataset | None, methods: tuple[Method, Method]) -> Evaluation | None:
-    """Both scored on a labelled set, the second compared with the first."""
-    if labelled is None:
-        return None
-    return evaluated(labelled, methods, {}, against=NAMES[0])
+        agreements.append(teacher_agreement(network.eval(), prepared, training))
+    return Taught(training.teacher.detector, *agreements)

@@ -204,7 +204,7 @@ def repeated(files: Sequence[Path], said: Mapping[Path, Path], share: float) -> 
 # --- what fusion makes of the weights ---------------------------------------------------
 
 
-MOST = 3.0
+MAX_DETAIL = 3.0
 """Weight of the network's road, pixel by pixel, after very many corrected pictures."""
 
 HALFWAY = 10.0
@@ -224,7 +224,7 @@ def trust_settings(pictures: float) -> dict[str, Any]:
     make 0 the log odds that part road from background: neither the centre of machine labels nor
     the picture's own (Otsu) is asked.
     """
-    detail = MOST * pictures / (pictures + HALFWAY)
+    detail = MAX_DETAIL * pictures / (pictures + HALFWAY)
     return {
         "learned": {"weight": 1.0, "detail": round(detail, 3)},
         "calibration": {"centre": 0.0, "own": 0.0},

@@ -1,8 +1,9 @@
 """The folder of a run: what it was told, how far it is, what came out."""
 
+import csv
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -163,6 +164,19 @@ class RunFolder:
         """Write the epochs as CSV."""
         write_text(self.path / LOG, csv_text(list(rows[0]), rows))
 
+    def read_log(self) -> list[dict[str, Any]]:
+        """Round, epoch and loss of each epoch; those of older versions were called errors."""
+        with (self.path / LOG).open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        return [
+            {
+                "round": int(row["round"]),
+                "epoch": int(row["epoch"]),
+                "loss": float(row.get("loss") or row["error"]),
+            }
+            for row in rows
+        ]
+
     def write_curve(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Draw the loss of the epochs, one line a round."""
         from matplotlib.figure import Figure
@@ -181,25 +195,19 @@ class RunFolder:
 
 
 def _refuse_other(path: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """ConfigError naming the first setting that differs from those of the run."""
-    one, two = flat(_completed(before)), flat(now)
+    """ConfigError naming the first setting that differs from those of the run.
+
+    Settings of a run that older code began get the names of today, and new ones their defaults.
+    """
+    before = with_current_names(before)
+    with suppress(ConfigError):  # it had some that are gone
+        before = as_values(build_training(dict(before)))
+    one, two = flat(before), flat(now)
     for key in [*two, *(key for key in one if key not in two)]:
-        if one.get(key) != two.get(key):
-            what = f"is {_told(two, key)}, and {_told(one, key)} in the run in {path}"
+        then, given = (repr(v[key]) if key in v else "not there" for v in (one, two))
+        if then != given:
+            what = f"is {given}, and {then} in the run in {path}"
             raise ConfigError(key, what, "use the run's own config, or give another --out")
-
-
-def _completed(values: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Settings of a run that older code began: names of today, new ones at their defaults."""
-    renamed = with_current_names(values)
-    try:
-        return as_values(build_training(renamed))
-    except ConfigError:  # it had some that are gone
-        return renamed
-
-
-def _told(values: Mapping[str, Any], key: str) -> str:
-    return repr(values[key]) if key in values else "not there"
 
 
 def flat(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:

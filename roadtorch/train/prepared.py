@@ -3,7 +3,7 @@
 import io
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -28,7 +28,7 @@ from roadtorch.train.processes import Processes
 
 Arrays = dict[str, Tensor]
 
-KEPT = 1000
+CACHED_PICTURES = 1000
 """Pictures whose arrays are kept in memory, about 0.2 MB each: reading and unpacking one takes a
 quarter of the time of varying it."""
 
@@ -51,7 +51,7 @@ def read_arrays(path: Path, *names: str) -> Arrays:
 
 def kept_arrays() -> Callable[..., Arrays]:
     """``read_arrays`` that keeps what it has read last; nobody may change what it gives."""
-    return lru_cache(maxsize=KEPT)(read_arrays)
+    return lru_cache(maxsize=CACHED_PICTURES)(read_arrays)
 
 
 def to_bytes(values: Tensor) -> Tensor:
@@ -94,11 +94,15 @@ class PreparedFolder:
         path = self.path / SETTINGS
         text = json.dumps(settings, indent=1, sort_keys=True) + "\n"
         if path.exists():
-            if _settings_in(path) != text.encode():
+            try:
+                same = read_regular(path) == text.encode()
+            except OSError as problem:
+                what = f"cannot be read: {problem.strerror}"
+                raise ConfigError(path, what, "give another folder") from None
+            if not same:
                 what = "holds pictures prepared with other settings"
                 raise ConfigError(self.path, what, "give another folder")
-            return
-        if self.processes.leads:
+        elif self.processes.leads:
             make_folder(self.path)
             write_text(path, text)
 
@@ -111,19 +115,14 @@ class PreparedFolder:
         Returns one item a picture, in their order, in every process. Stops early when asked
         to: then only what is ready comes back.
         """
-        mine = self.processes.share(pictures)
-        hidden = self.processes.hides_bar(self.quiet)
-        shown = tqdm(mine, title, unit="image", disable=hidden, file=sys.stderr)
-        made = [self._one(picture, make) for picture in self._until_stopped(shown)]
-        everyone = self.processes.gather(made)
-        found = {item.name: item for items in everyone for item in items}
-        return [found[name] for name in map(name_of, pictures) if name in found]
-
-    def _until_stopped(self, pictures: Iterable[Picture]) -> Iterator[Picture]:
-        for picture in pictures:
+        made = []
+        for picture in self.processes.bar(pictures, title, self.quiet):
             if self.stop.asked:
-                return
-            yield picture
+                break
+            made.append(self._one(picture, make))
+        everyone = self.processes.gather(made)
+        by_name = {item.name: item for items in everyone for item in items}
+        return [by_name[name] for name in map(name_of, pictures) if name in by_name]
 
     def _one(self, picture: Picture, make: Callable[[Tensor, str], Arrays]) -> PreparedPicture:
         name = name_of(picture)
@@ -133,21 +132,20 @@ class PreparedFolder:
         try:
             arrays = make(checked_image(read_image(picture.path)), picture.name)
         except InputError as problem:
-            return _skipped(name, str(_about(picture, problem)))
+            where = picture.path if problem.where == "image" else problem.where
+            why = str(InputError(where, problem.what, problem.remedy))
         except RoadtorchError:
             raise  # a setting is wrong, not this picture
         except Exception as problem:
             # One picture that trips a detector must not cost the night's run.
             text = f"{picture.path}: {type(problem).__name__}: {problem} (report it)"
-            return _skipped(name, " ".join(text.split()))
-        make_folder(file.parent)
-        write_arrays(file, arrays | {SOURCE: torch.tensor(bytes_of(picture))})
-        return PreparedPicture(name, file)
-
-
-def _skipped(name: str, why: str) -> PreparedPicture:
-    tqdm.write(f"roadtorch: skipped: {why}", file=sys.stderr)
-    return PreparedPicture(name, None, why)
+            why = " ".join(text.split())
+        else:
+            make_folder(file.parent)
+            write_arrays(file, arrays | {SOURCE: torch.tensor(bytes_of(picture))})
+            return PreparedPicture(name, file)
+        tqdm.write(f"roadtorch: skipped: {why}", file=sys.stderr)
+        return PreparedPicture(name, None, why)
 
 
 def _is_of(file: Path, picture: Picture) -> bool:
@@ -161,14 +159,6 @@ def _is_of(file: Path, picture: Picture) -> bool:
         return False
 
 
-def _settings_in(path: Path) -> bytes:
-    try:
-        return read_regular(path)
-    except OSError as problem:
-        what = f"cannot be read: {problem.strerror}"
-        raise ConfigError(path, what, "give another folder") from None
-
-
 def bytes_of(picture: Picture) -> int:
     """The size of a picture's file; -1 where it is gone."""
     return picture.path.stat().st_size if picture.path.exists() else -1
@@ -177,9 +167,3 @@ def bytes_of(picture: Picture) -> int:
 def name_of(picture: Picture) -> str:
     """The picture's relative name with its suffix: two of one stem stay two."""
     return picture.name + picture.path.suffix
-
-
-def _about(picture: Picture, problem: RoadtorchError) -> RoadtorchError:
-    """The same problem, told of the file."""
-    where = picture.path if problem.where == "image" else problem.where
-    return InputError(where, problem.what, problem.remedy)

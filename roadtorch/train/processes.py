@@ -1,13 +1,15 @@
 """The processes that train together: one, or those that torchrun started on this machine."""
 
 import os
-from collections.abc import Iterator, Sequence
+import sys
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
 
 import torch
 from torch import Tensor, distributed
+from tqdm import tqdm
 
 from roadtorch.errors import RoadtorchError
 
@@ -33,6 +35,11 @@ class Processes:
     def share(self, items: Sequence[Item]) -> Sequence[Item]:
         """This process's part of a list that all have: every ``size``-th item."""
         return items[self.rank :: self.size]
+
+    def bar(self, items: Sequence[Item], title: str, quiet: bool) -> Iterable[Item]:
+        """This process's part of a list, with a bar where somebody can see it."""
+        hidden = self.hides_bar(quiet)
+        return tqdm(self.share(items), title, unit="image", disable=hidden, file=sys.stderr)
 
     def add(self, values: Tensor) -> Tensor:
         """The sum of the processes' values, the same in all of them."""

@@ -1,12 +1,10 @@
 """Recordings among the pictures of a run, and the ego car that each of them shows. Ours."""
 
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 from roadtorch.camera.still_ego import still_ego
 from roadtorch.errors import InputError
@@ -21,13 +19,13 @@ from roadtorch.train.prepared import read_arrays, write_arrays
 DONE = "done"
 """The file that says that a recording has been looked at."""
 
-MOST = 120
+MAX_FRAMES = 120
 """Frames of one recording that are looked at, evenly spread: more show nothing new."""
 
 SEEN = WorkingSize(pixels=640 * 480)
 """How large frames are kept: all of one recording are in memory at once."""
 
-COLUMNS, JUMP, JUMPS = 160, 0.012, 0.1
+COLUMNS, JUMP, MAX_JUMPS = 160, 0.012, 0.1
 """Columns in which the edge of an ego car is looked at, the share of the height that is a jump
 from one to the next, and the share of jumps above which it is no line."""
 
@@ -37,8 +35,7 @@ SHAPES = 10
 
 def recording_of(name: str, separator: str) -> str:
     """A name up to the last separator; all of it where there is none, or no separator is set."""
-    head, found, _ = name.rpartition(separator) if separator else ("", "", "")
-    return head if found else name
+    return name.rpartition(separator)[0] if separator and separator in name else name
 
 
 def find_ego_cars(
@@ -54,23 +51,19 @@ def find_ego_cars(
     for picture in pictures:
         recordings.setdefault(recording_of(picture.name, settings.separator), []).append(picture)
     long = {name: each for name, each in recordings.items() if len(each) >= settings.least}
-    processes = context.processes
-    hidden = processes.hides_bar(context.quiet)
-    for name in tqdm(processes.share(list(long)), "ego cars", disable=hidden, file=sys.stderr):
+    for name in context.processes.bar(list(long), "ego cars", context.quiet):
         if context.stop.asked:
             break
-        _look(long[name], folder / name, settings.least)
-    processes.gather(None)  # nobody reads before all have written
+        if not (folder / name / DONE).exists():
+            _write_ego_car(long[name], folder / name, settings.least)
+    context.processes.gather(None)  # nobody reads before all have written
     return {picture.name: folder / name for name, each in long.items() for picture in each}
 
 
-def _look(recording: Sequence[Picture], folder: Path, least: int) -> None:
-    """Write the ego car of each shape of a recording, once."""
-    done = folder / DONE
-    if done.exists():
-        return
+def _write_ego_car(recording: Sequence[Picture], folder: Path, least: int) -> None:
+    """Write the ego car of each shape of a recording."""
     shapes: dict[int, list[Tensor]] = {}
-    for picture in recording[:: -(-len(recording) // MOST)]:
+    for picture in recording[:: -(-len(recording) // MAX_FRAMES)]:
         try:
             image = at_work(read_image(picture.path), SEEN)
         except InputError:
@@ -81,7 +74,7 @@ def _look(recording: Sequence[Picture], folder: Path, least: int) -> None:
         ego = still_ego(frames) if len(frames) >= least else None
         if ego is not None and is_line(ego):
             write_arrays(folder / f"{shape}.npz", {"ego": ego})
-    write_text(done, "")
+    write_text(folder / DONE, "")
 
 
 def is_line(ego: Tensor) -> bool:
@@ -93,7 +86,7 @@ def is_line(ego: Tensor) -> bool:
     height, width = ego.shape
     first = torch.where(ego.any(0), ego.to(torch.uint8).argmax(0), height) / height
     edge = first[torch.arange(COLUMNS) * width // COLUMNS]
-    return float((edge.diff().abs() > JUMP).double().mean()) <= JUMPS
+    return float((edge.diff().abs() > JUMP).double().mean()) <= MAX_JUMPS
 
 
 def shape_of(image: Tensor) -> int:

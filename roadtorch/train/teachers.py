@@ -4,14 +4,12 @@ The teachers are detectors, and from the second round on the last network too.
 """
 
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 from roadtorch.detector import Detector
 from roadtorch.detectors.catalogue import load_detector
@@ -107,7 +105,7 @@ def centred_as(likelihood: Tensor, settings: Teacher) -> Tensor:
 # --- teachers ---------------------------------------------------------------------------
 
 
-ACROSS, LEAST_EGO = 0.95, 0.03
+MIN_EGO_WIDTH, MIN_EGO_AREA = 0.95, 0.03
 """Shares of the columns and of the picture that an ego car takes which is cut out."""
 
 
@@ -141,7 +139,7 @@ def lends_ego(file: Path) -> bool:
     """
     ego = read_arrays(file, "ego")["ego"] == 255
     across = float(ego.any(0).double().mean())
-    return across >= ACROSS and float(ego.double().mean()) >= LEAST_EGO
+    return across >= MIN_EGO_WIDTH and float(ego.double().mean()) >= MIN_EGO_AREA
 
 
 def load_teachers(teacher: Teacher) -> list[Detector]:
@@ -159,20 +157,20 @@ def load_teachers(teacher: Teacher) -> list[Detector]:
 def teacher_maps(image: Tensor, teachers: Sequence[Detector], views: str = "one") -> Tensor:
     """Layout and road (4,H,W) in [0,1] of an image (3,H,W): the mean over all teachers.
 
-    views: "one", or another word for the mean with the mirror image.
+    views: "one", or another word for the mean with the mirror image. ConfigError for a teacher
+    without a layout.
     """
-    found = [_look(teacher, image) for teacher in teachers]
-    if views != "one":
-        found += [_look(teacher, image.flip(-1)).flip(-1) for teacher in teachers]
-    return torch.stack(found).mean(0)
-
-
-def _look(teacher: Detector, image: Tensor) -> Tensor:
-    found = teacher.detect(image)
-    if "layout" not in found.cues:
-        what = f"{teacher.name} has no layout among its cues"
-        raise ConfigError("teacher.detector", what, "use fusion or labeller")
-    return torch.cat([found.cues["layout"], found.likelihood[None]])
+    maps = []
+    for mirrored in (False,) if views == "one" else (False, True):
+        seen = image.flip(-1) if mirrored else image
+        for teacher in teachers:
+            detection = teacher.detect(seen)
+            if "layout" not in detection.cues:
+                what = f"{teacher.name} has no layout among its cues"
+                raise ConfigError("teacher.detector", what, "use fusion or labeller")
+            one = torch.cat([detection.cues["layout"], detection.likelihood[None]])
+            maps.append(one.flip(-1) if mirrored else one)
+    return torch.stack(maps).mean(0)
 
 
 def label_with_network(
@@ -183,18 +181,16 @@ def label_with_network(
     One file a picture, in the order of ``files``; those that exist are kept. Stops early
     when asked to.
     """
-    processes = context.processes
     names = [folder / f"{number:06d}.npz" for number in range(len(files))]
     make_folder(folder)
-    pairs = processes.share(list(zip(files, names, strict=True)))
-    hidden = processes.hides_bar(context.quiet)
-    for file, name in tqdm(pairs, "labels again", unit="image", disable=hidden, file=sys.stderr):
+    pairs = list(zip(files, names, strict=True))
+    for file, name in context.processes.bar(pairs, "labels again", context.quiet):
         if context.stop.asked:
             break
         if not name.exists():
             image = from_bytes(read_arrays(file, "image")["image"])
             write_arrays(name, {"maps": to_bytes(network_maps(network, image))})
-    processes.gather(None)  # nobody reads before all have written
+    context.processes.gather(None)  # nobody reads before all have written
     return names
 
 
@@ -202,8 +198,8 @@ def label_with_network(
 def network_maps(network: PictureNetwork, image: Tensor) -> Tensor:
     """Potentials (5,h,w) in [0,1] of an image (3,h,w): the mean with its mirror image."""
     pixels = normalise(image, network.settings.normalisation).pixels
-    found = potentials_of(network(torch.stack([pixels, pixels.flip(-1)])))
-    return resized((found[0] + found[1].flip(-1)) / 2, (image.shape[-2], image.shape[-1]))
+    maps = potentials_of(network(torch.stack([pixels, pixels.flip(-1)])))
+    return resized((maps[0] + maps[1].flip(-1)) / 2, (image.shape[-2], image.shape[-1]))
 
 
 # --- agreement --------------------------------------------------------------------------

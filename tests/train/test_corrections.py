@@ -20,7 +20,7 @@ from roadtorch.settings import read_settings_file
 from roadtorch.train.config import Descent, Training
 from roadtorch.train.corrections import (
     HALFWAY,
-    MOST,
+    MAX_DETAIL,
     LabelledCentres,
     corrected_centres,
     corrected_shares,
@@ -254,8 +254,8 @@ def test_a_network_is_trusted_more_the_more_of_pictures_was_corrected(tmp_path: 
     whole, half = correction(np.full((8, 8), NOT_ROAD)), correction(quarters())
     assert pictures_said([whole, half]) == 1.75  # sky is not road
     few, many = (trust_settings(count)["learned"]["detail"] for count in (5, 50))
-    assert (few, many) == (MOST * 5 / 15, MOST * 50 / 60)
-    assert trust_settings(HALFWAY)["learned"]["detail"] == MOST / 2
+    assert (few, many) == (MAX_DETAIL * 5 / 15, MAX_DETAIL * 50 / 60)
+    assert trust_settings(HALFWAY)["learned"]["detail"] == MAX_DETAIL / 2
 
     file = tmp_path / "fusion.toml"
     assert write_corrected(file, tmp_path / "weights.safetensors", [whole, half])

@@ -161,7 +161,7 @@ def test_frames_of_another_shape_are_looked_at_by_themselves(
 def test_of_long_recordings_evenly_spread_frames_are_looked_at_each_kept_small(
     looker: Looker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recordings, "MOST", 4)
+    monkeypatch.setattr(recordings, "MAX_FRAMES", 4)
     for number in range(9):
         image = torch.full((900, 1200, 3), 20 * number).byte()
         cv2.imwrite(str(tmp_path / f"cam_{number}.png"), image.numpy())
