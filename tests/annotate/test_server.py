@@ -69,14 +69,8 @@ def test_a_click_is_kept_and_the_picture_told_anew(client: Client, session: Sess
     assert len(read_log(log_path(session.out, NAME, "ann")).events) == 1
 
 
-def test_an_inference_takes_less_than_300_ms(client: Client) -> None:
-    client.get(f"/api/state?{WHO}")
-    told = client.post(f"/api/event?{WHO}", json=click()).json()
-    assert told["milliseconds"] < 300
-
-
 @pytest.mark.parametrize("headers", [{}, {"x-token": "foreign"}, {"x-token": TOKEN + "x"}])
-@pytest.mark.parametrize("path", ["/", "/api/pictures", f"/api/state?{WHO}"])
+@pytest.mark.parametrize("path", ["/", f"/api/state?{WHO}"])
 def test_a_foreign_token_is_refused(session: Session, path: str, headers: dict[str, str]) -> None:
     stranger = Client(annotation_app(session, TOKEN, 8765))
     answer = stranger.get(path, headers=headers)

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roadtorch.annotate.machine import AnnotationSettings
 from roadtorch.annotate.report import corrections_report
 from roadtorch.annotate.serving import (
     Address,
@@ -118,13 +117,7 @@ def test_a_picture_that_changed_its_size_keeps_its_corrections(session: Session)
         reopened(session).add(NAME, "ann", superpixel("b", "road", 1))
 
 
-def test_a_superpixel_that_there_is_not_is_refused(session: Session) -> None:
-    with pytest.raises(InputError, match="a higher number was clicked"):
-        session.add(NAME, "ann", superpixel("a", "road", 10_000))
-    assert session.state(NAME, "ann")["version"] == 0
-
-
-def test_a_full_disk_is_told_and_nothing_half_done(
+def test_a_full_disk_or_a_wrong_superpixel_leaves_nothing_half_done(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     session.add(NAME, "ann", superpixel("a", "road", 0))
@@ -133,6 +126,8 @@ def test_a_full_disk_is_told_and_nothing_half_done(
     def full(_: int) -> None:
         raise OSError(28, "No space left on device")
 
+    with pytest.raises(InputError, match="a higher number was clicked"):
+        session.add(NAME, "ann", superpixel("a", "road", 10_000))
     monkeypatch.setattr("roadtorch.data.event_log.os.fsync", full)
     with pytest.raises(InputError, match="cannot be written: No space left"):
         session.add(NAME, "ann", superpixel("b", "road", 1))
@@ -169,17 +164,12 @@ def test_the_background_looks_at_all_and_at_new_ones(session: Session) -> None:
 
 def test_a_folder_that_changes_is_seen(session: Session) -> None:
     names = session.pictures.names()
-    shutil.copy(session.pictures.root / NAME, session.pictures.root / "zz.png")
+    session.pictures.apart = session.pictures.root / "corrections"
+    session.pictures.apart.mkdir()
+    for other in ("zz.png", "corrections/a.png"):
+        shutil.copy(session.pictures.root / NAME, session.pictures.root / other)
     session.pictures._listed -= 10
     assert session.pictures.names() == (*names, "zz.png")
-
-
-def test_corrections_inside_the_folder_are_no_pictures(streets: Path) -> None:
-    out = streets / "corrections"
-    out.mkdir()
-    inside = opened_session(streets, out, load_detector("prior:rows"), AnnotationSettings())
-    shutil.copy(streets / NAME, out / "a.png")
-    assert len(inside.pictures.names()) == 3
 
 
 def test_a_broken_log_is_told_before_the_page_opens(session: Session) -> None:

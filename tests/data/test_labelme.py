@@ -3,14 +3,12 @@
 import base64
 import io
 import json
-import os
 import pickle
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 
 from roadtorch.data.annotations import read_annotation
@@ -147,12 +145,8 @@ def test_the_reader_travels_to_other_processes():
 # --- XML ------------------------------------------------------------------------------------------
 
 
-def test_names_are_stripped_and_lower_case(picture):
-    assert road_pixels(picture, xml(object_xml(polygon_xml(BLOB), name=" Road\n"))) == 48
-
-
 def test_other_names_on_request(picture):
-    text = xml(object_xml(polygon_xml(BLOB), name="street"))
+    text = xml(object_xml(polygon_xml(BLOB), name=" Street\n"))
 
     assert road_pixels(picture, text) == 0
     assert road_pixels(picture, text, road=("road", "street")) == 48
@@ -198,13 +192,6 @@ def test_the_size_of_a_picture_that_is_stored_lying(tmp_path):
     Image.fromarray(np.zeros((16, 12, 3), np.uint8)).save(path, exif=exif)
 
     assert truth_of(path, xml(object_xml(polygon_xml(BLOB)))).road.shape == SIZE
-
-
-def test_no_polygon_no_road(picture):
-    truth = truth_of(picture, xml())
-
-    assert torch.equal(truth.road, torch.zeros(SIZE, dtype=torch.bool))
-    assert truth.valid.all()
 
 
 def test_slightly_outside_is_clipped(picture):
@@ -368,7 +355,7 @@ def test_two_pictures_of_one_name(tmp_path, picture):
         open_dataset("labelme", tmp_path)
 
 
-@pytest.mark.parametrize("kind", ["EPS", "GIF", "TIFF", "BMP", "WEBP", "PPM", "ICO"])
+@pytest.mark.parametrize("kind", ["EPS", "GIF", "TIFF", "BMP"])
 def test_a_mask_of_another_format_reaches_no_decoder(
     tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -390,10 +377,3 @@ def test_a_mask_of_another_format_reaches_no_decoder(
     with pytest.raises(DatasetError, match="mask 'road' that cannot be decoded"):
         read_annotation(path)
     assert not reached
-
-
-def test_an_annotation_that_is_a_pipe_is_refused(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "a.json")
-
-    with pytest.raises(DatasetError, match=r"a\.json: cannot be read: it is a pipe"):
-        read_annotation(tmp_path / "a.json")

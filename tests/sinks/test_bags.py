@@ -54,6 +54,11 @@ def test_masks_are_equal_bit_for_bit_and_stamps_to_the_nanosecond(path: Path):
     with closing(BagSink(path, "camera_optical", 0.6)) as bag:
         for number in range(7):
             bag.write(detection(number), STAMP + number, overlay(number))
+    topic = image_topic(str(path), "/segmentation/mask")
+    generation = 1 if path.suffix == ".bag" else 2
+    assert (topic.frame_id, topic.count, topic.generation) == ("camera_optical", 7, generation)
+    frames = list(bag_source(str(path), "/segmentation/mask").frames())
+    assert torch.equal(frames[1].read()[0] * 255, detection(1).mask.float())
     found = list(read_bag(path))
     for topic in ("/segmentation/mask", "/segmentation/confidence", "/segmentation/overlay"):
         of_topic = [one for one in found if one.topic == topic]
@@ -102,22 +107,9 @@ def test_labels_come_once_before_the_first_mask_and_are_latched(path: Path):
     assert mask.durability == QosDurability.VOLATILE
 
 
-def test_our_own_source_reads_it(path: Path):
-    with closing(BagSink(path, "camera_optical", 0.5)) as bag:
-        bag.write(detection(0), STAMP)
-        bag.write(detection(1), STAMP + 10**8)
-    topic = image_topic(str(path), "/segmentation/mask")
-    assert (topic.frame_id, topic.count, topic.generation) == (
-        "camera_optical",
-        2,
-        1 if path.suffix == ".bag" else 2,
-    )
-    frames = list(bag_source(str(path), "/segmentation/mask").frames())
-    assert [frame.stamp for frame in frames] == [STAMP, STAMP + 10**8]
-    assert torch.equal(frames[1].read()[0] * 255, detection(1).mask.float())
-
-
 def test_an_error_in_between_keeps_the_finished_frames(path: Path):
+    BagSink(path, "camera", 0.5).close()  # nothing written leaves nothing
+    assert not list(path.parent.iterdir())
     with pytest.raises(KeyboardInterrupt), closing(BagSink(path, "camera", 0.5)) as bag:  # noqa: PT012
         bag.write(detection(0), STAMP)
         raise KeyboardInterrupt
@@ -139,11 +131,6 @@ def test_what_a_killed_process_leaves_can_be_read(tmp_path: Path):
             frames.append(frame)
     assert len(frames) >= 3
     assert torch.equal(frames[2].read()[0] * 255, detection(2, size).mask.float())
-
-
-def test_nothing_written_leaves_nothing(path: Path):
-    BagSink(path, "camera", 0.5).close()
-    assert not list(path.parent.iterdir())
 
 
 def test_an_earlier_bag_of_ours_is_replaced_at_the_end(path: Path):

@@ -3,13 +3,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from roadtorch.errors import InputError
 from roadtorch.io.atomic import RoomyFile
 from roadtorch.io.image import to_pixels
 from roadtorch.scenes.street import render_scene
 from roadtorch.sinks import video
-from roadtorch.sinks.video import VideoSink
+from roadtorch.sinks.video import GifSink, VideoSink
 from tests.videos import pixels_of, stamps_of, street_pixels
 
 
@@ -26,10 +27,8 @@ def test_time_stamps_are_kept_from_the_first_frame_on(tmp_path: Path) -> None:
 
     assert stamps_of(path) == pytest.approx([0, 0.04, 0.3, 2.0, 2 + 1001 / 30000], abs=2e-5)
     assert [one.name for one in tmp_path.iterdir()] == ["x.mp4"]
-
-
-def test_time_that_stands_still_still_gives_every_frame(tmp_path: Path) -> None:
-    assert len(stamps_of(write(tmp_path / "x.mp4", [0, 0.1, 0.1, 0.05, 0.2]))) == 5
+    still = write(tmp_path / "x.mp4", [0, 0.1, 0.1, 0.05, 0.2])
+    assert len(stamps_of(still)) == 5  # time that stands still gives every frame
 
 
 def test_without_a_clock_frames_follow_at_the_rate(tmp_path: Path) -> None:
@@ -50,23 +49,17 @@ def test_odd_sides_are_padded(size: tuple[int, int], tmp_path: Path) -> None:
     assert np.abs(inside - street_pixels(0, *size)).mean() < 8
 
 
-def test_masks_stay_masks(tmp_path: Path) -> None:
+def test_masks_stay_masks_and_other_sizes_become_the_first(tmp_path: Path) -> None:
     mask = np.zeros((48, 64), np.uint8)
     mask[20:40, 10:50] = 255
     sink = VideoSink(tmp_path / "x.mp4", 10)
     sink.write(mask, 0.0)
-    sink.close()
-
-    assert ((pixels_of(tmp_path / "x.mp4")[0][..., 0] > 127) == (mask > 0)).mean() > 0.99
-
-
-def test_frames_of_another_size_are_brought_to_the_first(tmp_path: Path) -> None:
-    sink = VideoSink(tmp_path / "x.mp4", 10)
-    sink.write(street_pixels(0), 0.0)
     sink.write(street_pixels(1, 96, 128), 0.1)
     sink.close()
 
-    assert [one.shape for one in pixels_of(tmp_path / "x.mp4")] == [(48, 64, 3)] * 2
+    frames = pixels_of(tmp_path / "x.mp4")
+    assert ((frames[0][..., 0] > 127) == (mask > 0)).mean() > 0.99
+    assert [one.shape for one in frames] == [(48, 64, 3)] * 2
 
 
 def test_no_frame_gives_no_file(tmp_path: Path) -> None:
@@ -168,3 +161,27 @@ def test_the_same_frames_give_the_same_bytes_wherever_memory_lies(tmp_path: Path
         written.add((tmp_path / "drive.mp4").read_bytes())
 
     assert len(written) == 1
+
+
+# --- GIF --------------------------------------------------------------------------------
+
+
+def test_a_stretch_is_small_and_ten_a_second(tmp_path: Path) -> None:
+    sink = GifSink(tmp_path / "x.gif", 1.0, 2.0)
+    for number in range(90):
+        sink.write(np.tile(street_pixels(number // 3 % 3), (10, 10, 1)), number / 30)
+    sink.close()
+
+    with Image.open(tmp_path / "x.gif") as gif:
+        assert gif.size == (480, 360)
+        assert gif.n_frames == 10  # pyright: ignore[reportAttributeAccessIssue]
+        assert gif.info["duration"] == pytest.approx(100, abs=10)
+        assert gif.info["loop"] == 0
+
+
+def test_a_stretch_without_frames_gives_no_file(tmp_path: Path) -> None:
+    sink = GifSink(tmp_path / "x.gif", 5.0, 6.0)
+    sink.write(street_pixels(0), 1.0)
+    sink.close()
+
+    assert list(tmp_path.iterdir()) == []

@@ -86,15 +86,14 @@ def test_gives_the_pictures_sorted_by_name(tmp_path: Path, name: str):
     assert frames[1].seconds is None
     for frame, seed in zip(reversed(frames), (2, 1, 0), strict=True):  # any order
         assert torch.equal(frame.read(), image(seed))
+    chosen = archive_source(str(path), Selection(every=2)).frames()
+    first = next(chosen)
+    assert [frame.name for frame in chosen] == ["b/2"]
+    del frames, chosen
+    assert torch.equal(first.read(), image(0))  # it outlives the iterator
 
 
-def test_selects(tmp_path: Path):
-    path = str(write_zip(tmp_path / "a.zip"))
-    frames = archive_source(path, Selection(every=2)).frames()
-    assert [frame.name for frame in frames] == ["a", "b/2"]
-
-
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", NAMES[:3])
 def test_several_threads_read_at_once(tmp_path: Path, name: str):
     members = {f"{seed:03d}.png": png(seed) for seed in range(40)}
     frames = frames_of(write_archive(tmp_path / name, members))
@@ -107,14 +106,6 @@ def test_several_threads_read_at_once(tmp_path: Path, name: str):
 
     with ThreadPoolExecutor(8) as pool:
         assert all(pool.map(read, range(8)))
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_frame_outlives_the_iterator(tmp_path: Path, name: str):
-    frames = archive_source(str(write_archive(tmp_path / name))).frames()
-    first = next(frames)
-    frames.close()  # type: ignore[attr-defined]
-    assert torch.equal(first.read(), image(0))
 
 
 # --- URLs -------------------------------------------------------------------------------
@@ -234,12 +225,6 @@ def test_a_damaged_member_is_named_and_the_others_done(tmp_path: Path):
     assert torch.equal(frames[2].read(), image(2))
     with pytest.raises(InputError, match=r"a\.zip!b/1\.png: cannot be unpacked: "):
         frames[1].read()
-
-
-def test_what_is_no_picture_is_named(tmp_path: Path):
-    (frame,) = frames_of(write_tar(tmp_path / "a.tar", {"a.png": b"garbage"}))
-    with pytest.raises(InputError, match=r"a\.tar!a\.png: is not a picture"):
-        frame.read()
 
 
 @pytest.mark.parametrize("name", ["cut.tar", "cut.tar.gz", "cut.tar.xz"])

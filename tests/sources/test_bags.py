@@ -47,40 +47,37 @@ def written(folder: Path, form: str, count: int = 5, size: tuple[int, int] = (48
 
 
 @pytest.mark.parametrize("form", FORMS)
-class TestEveryFormat:
-    def test_gives_the_images_with_their_time_stamps(self, tmp_path: Path, form: str):
-        path = written(tmp_path, form)
-        source = bag_source(str(path))
-        assert is_bag(str(path))
-        assert source.moving
-        assert source.count == 5
-        assert source.rate == pytest.approx(10)
-        frames = list(source.frames())
-        assert [frame.number for frame in frames] == [0, 1, 2, 3, 4]
-        assert frames[1].name == "drive/000001"
-        assert [frame.stamp for frame in frames] == [FIRST + STEP * (n + 5) for n in range(5)]
-        assert [frame.seconds for frame in frames] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
-        for number, frame in enumerate(frames):
-            pixels = (frame.read() * 255).round().to(torch.uint8).permute(1, 2, 0).numpy()
-            assert np.array_equal(pixels, scene(number))
+def test_gives_the_images_with_their_time_stamps(tmp_path: Path, form: str):
+    path = written(tmp_path, form)
+    source = bag_source(str(path))
+    assert is_bag(str(path))
+    assert source.moving
+    assert source.count == 5
+    assert source.rate == pytest.approx(10)
+    frames = list(source.frames())
+    assert [frame.number for frame in frames] == [0, 1, 2, 3, 4]
+    assert frames[1].name == "drive/000001"
+    assert [frame.stamp for frame in frames] == [FIRST + STEP * (n + 5) for n in range(5)]
+    assert [frame.seconds for frame in frames] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
+    for number, frame in enumerate(frames):
+        pixels = (frame.read() * 255).round().to(torch.uint8).permute(1, 2, 0).numpy()
+        assert np.array_equal(pixels, scene(number))
 
-    def test_selects(self, tmp_path: Path, form: str):
-        path = str(written(tmp_path, form))
-        frames = bag_source(path, TOPIC, Selection(every=2, start=0.1, limit=2)).frames()
-        assert [frame.number for frame in frames] == [1, 3]
 
-    def test_tells_the_camera_beside_the_topic(self, tmp_path: Path, form: str):
-        info = camera_info(str(written(tmp_path, form)))
-        assert info.matrix.tolist() == [[300, 0, 32], [0, 300, 24], [0, 0, 1]]
-        assert info.distortion.tolist() == [0.1, -0.2, 0, 0, 0]
-        told = (info.model, info.width, info.height, info.frame_id)
-        assert told == ("plumb_bob", 64, 48, "camera_optical")
-
-    def test_closes_when_it_is_left_early(self, tmp_path: Path, form: str):
-        frames = bag_source(str(written(tmp_path, form))).frames()
-        first = next(frames)
-        frames.close()  # type: ignore[attr-defined]
-        assert first.read().shape == (3, 48, 64)
+@pytest.mark.parametrize("form", FORMS)
+def test_selects_and_tells_the_camera_beside_the_topic(tmp_path: Path, form: str):
+    path = str(written(tmp_path, form))
+    frames = bag_source(path, TOPIC, Selection(every=2, start=0.1, limit=2)).frames()
+    assert [frame.number for frame in frames] == [1, 3]
+    left = bag_source(path).frames()
+    first = next(left)
+    left.close()  # type: ignore[attr-defined]  # early
+    assert first.read().shape == (3, 48, 64)
+    info = camera_info(path)
+    assert info.matrix.tolist() == [[300, 0, 32], [0, 300, 24], [0, 0, 1]]
+    assert info.distortion.tolist() == [0.1, -0.2, 0, 0, 0]
+    told = (info.model, info.width, info.height, info.frame_id)
+    assert told == ("plumb_bob", 64, 48, "camera_optical")
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -126,8 +123,8 @@ class TestTopics:
         path = write_bag(tmp_path / "none", {"/camera/camera_info": [calibration(ROS2, 0)]})
         with pytest.raises(InputError, match=r"no images \(there is /camera/camera_info \(sens"):
             bag_source(str(path))
-
-    def test_a_topic_of_another_kind_is_refused(self, tmp_path: Path):
+        with pytest.raises(InputError, match="does not exist"):
+            bag_source(str(tmp_path / "none.bag"))
         with pytest.raises(InputError, match=r"CameraInfo on /camera/camera_info, no images"):
             bag_source(str(written(tmp_path, "mcap")), "/camera/camera_info")
 
@@ -248,9 +245,3 @@ def test_what_is_no_bag_is_one_line(tmp_path: Path, form: str, content: bytes):
     with pytest.raises(InputError, match="cannot be read as a bag") as raised:
         bag_source(str(path))
     assert "\n" not in str(raised.value)
-
-
-def test_a_missing_bag(tmp_path: Path):
-    with pytest.raises(InputError, match="does not exist"):
-        bag_source(str(tmp_path / "none.bag"))
-    assert not is_bag(str(tmp_path))
