@@ -7,8 +7,6 @@ probabilities, so that what the machine knows in detail stays. The walker steps 
 to superpixels that look alike, wherever they are (ours): one click mends a whole pavement.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from pydantic import Field
@@ -39,11 +37,8 @@ class PropagationSettings(Settings):
     sure: float = Field(default=6.0, gt=0, le=50, description="log odds of what a person said")
 
 
-@dataclass(frozen=True, eq=False)
-class Graph:
-    """Superpixels (n) as a graph: Laplacian (n,n) of the walker's weights, sparse."""
-
-    laplacian: sparse.csr_matrix
+Graph = sparse.csr_matrix
+"""Superpixels (n) as a graph: the Laplacian (n,n) of the walker's weights."""
 
 
 def segment_graph(segments: Segments, settings: PropagationSettings) -> Graph:
@@ -69,7 +64,7 @@ def segment_graph(segments: Segments, settings: PropagationSettings) -> Graph:
         weights.append(np.exp(-found.square().reshape(-1).numpy() / 2))
     edges = (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns)))
     adjacent = sparse.csr_matrix(edges, shape=(count, count))
-    return Graph(sparse.csr_matrix(sparse.csgraph.laplacian(adjacent.maximum(adjacent.T))))
+    return sparse.csr_matrix(sparse.csgraph.laplacian(adjacent.maximum(adjacent.T)))
 
 
 def propagated(odds: Tensor, said: Tensor, graph: Graph, settings: PropagationSettings) -> Tensor:
@@ -88,7 +83,7 @@ def propagated(odds: Tensor, said: Tensor, graph: Graph, settings: PropagationSe
     moved[fixed] = (target - own)[fixed]
     pull = settings.anchor + settings.trust * np.abs(own)
     free = ~fixed
-    rows = graph.laplacian[free]
+    rows = graph[free]
     matrix = rows[:, free] + sparse.diags(pull[free])
     goal = -rows[:, fixed] @ moved[fixed]
     diagonal = sparse.diags(1 / matrix.diagonal())

@@ -12,7 +12,6 @@ import torch
 from scipy import sparse
 
 from roadtorch.annotate.machine import AnnotationSettings, PictureView, look_at_picture
-from roadtorch.annotate.propagation import Graph
 from roadtorch.detector import Detector
 from roadtorch.io.atomic import atomic, make_folder
 from roadtorch.io.image import read_image
@@ -94,7 +93,6 @@ def view_path(folder: Path, name: str) -> Path:
 def write_view(path: Path, view: PictureView, key: str) -> None:
     """Keep a view on disk under the key of what it was made of."""
     make_folder(path.parent)
-    laplacian = view.graph.laplacian
     with atomic(path) as temporary, temporary.open("wb") as file:
         np.savez(
             file,
@@ -104,9 +102,9 @@ def write_view(path: Path, view: PictureView, key: str) -> None:
             labels=view.labels.numpy().astype(np.int32),
             layout=view.layout.numpy().astype(np.float16),
             trust=np.nan if view.trust is None else view.trust,
-            data=laplacian.data.astype(np.float32),
-            indices=laplacian.indices,
-            indptr=laplacian.indptr,
+            data=view.graph.data.astype(np.float32),
+            indices=view.graph.indices,
+            indptr=view.graph.indptr,
         )
 
 
@@ -126,6 +124,6 @@ def read_view(path: Path, key: str | None = None) -> PictureView | None:
     except (OSError, ValueError, KeyError):
         return None
     mean = segment_mean(odds[None], labels, segment_size(labels, count))[0]
-    graph = Graph(sparse.csr_matrix(parts, shape=(count, count)))
+    graph = sparse.csr_matrix(parts, shape=(count, count))
     known = None if np.isnan(trust) else trust
     return PictureView((height, width), odds, labels, mean, graph, layout, known)

@@ -33,7 +33,7 @@ class Truth:
 class Item:
     """One picture with its label file.
 
-    group: the drive (city, category) it is from, if known. extra: further files that its
+    group: the camera, drive or city it is from, if known. extra: further files that its
     truth or view is made of, such as other people's annotations or a calibration.
     conditions: under which it was taken, in words ("night", "rain").
     """
@@ -86,7 +86,7 @@ class Dataset:
     left_out: frozenset[str] = frozenset()
 
     def groups(self) -> list[str]:
-        """The drives, sorted; empty for a set that does not know them."""
+        """The groups, sorted; empty for a set that does not know them."""
         return sorted({item.group for item in self.items if item.group is not None})
 
     def by_condition(self) -> dict[str, list[Item]]:

@@ -30,7 +30,7 @@ AGREEMENTS = ("majority", "union", "intersection")
 
 TURNED = (5, 6, 7, 8)  # EXIF orientations that swap width and height
 
-FAR = 1.0  # picture sizes that a shape may reach beyond the picture; ours: beyond is a mistake
+MAX_OVERHANG = 1.0  # picture sizes that a shape may reach beyond it; ours: more is a mistake
 
 
 @dataclass(frozen=True)
@@ -110,8 +110,8 @@ def _check_size(annotation: Annotation, size: tuple[int, int], path: Path) -> No
         raise DatasetError(path, what, "labels must have the size of the picture")
     for part in annotation.drawings:
         left, top, right, bottom = part.shape.bounds()
-        beside = max(-left, right - width) > FAR * width
-        if beside or max(-top, bottom - height) > FAR * height:
+        beside = max(-left, right - width) > MAX_OVERHANG * width
+        if beside or max(-top, bottom - height) > MAX_OVERHANG * height:
             what = (
                 f"has an object {part.name!r} from ({left:g}, {top:g}) to ({right:g}, {bottom:g})"
                 f", far outside its picture of {width} by {height}"

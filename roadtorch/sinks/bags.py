@@ -15,7 +15,6 @@ from roadtorch.sinks.messages import (
     GRID,
     IMAGE,
     LABEL_INFO,
-    class_numbers,
     confidences,
     image_of_pixels,
     label_info,
@@ -72,7 +71,7 @@ class BagSink:
         if LABELS not in self._links:
             self._add(LABELS, LABEL_INFO, stamp, label_info(self.types, stamp, self._threshold))
         for topic, pixels in (
-            (MASK, class_numbers(detection.mask)),
+            (MASK, detection.mask.cpu().numpy().astype(np.uint8)),  # the numbers of CLASSES
             (CONFIDENCE, confidences(detection)),
             (OVERLAY, overlay),
         ):

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from torch import Tensor
 
 from roadtorch.detector import Detection
 
@@ -63,11 +62,6 @@ def image_of_pixels(types: "Typestore", pixels: np.ndarray, stamp: int, frame_id
         step=pixels[0].size,
         data=np.ascontiguousarray(pixels).reshape(-1),
     )
-
-
-def class_numbers(mask: Tensor) -> np.ndarray:
-    """A mask bool (H,W) as the numbers of ``CLASSES``, uint8 (H,W)."""
-    return mask.cpu().numpy().astype(np.uint8)
 
 
 def confidences(detection: Detection) -> np.ndarray:

@@ -106,8 +106,11 @@ def coco_polygons(mask: np.ndarray) -> list[list[int]]:
     """
     done: list[_Piece] = []
     open_pieces: list[_Piece] = []
-    for row, runs in enumerate(map(_runs, mask)):
-        under = [[run for run in runs if _touch(run, one.runs[-1])] for one in open_pieces]
+    for row, line in enumerate(mask):
+        steps = np.flatnonzero(np.diff(line.astype(np.int8), prepend=0, append=0)).tolist()
+        runs = list(zip(steps[::2], steps[1::2], strict=True))  # where road begins and ends
+        last = [one.runs[-1] for one in open_pieces]
+        under = [[run for run in runs if run[0] < end and start < run[1]] for start, end in last]
         goes_on: dict[tuple[int, int], _Piece] = {}
         for one, touched in zip(open_pieces, under, strict=True):
             alone = len(touched) == 1 and sum(touched[0] in others for others in under) == 1
@@ -119,16 +122,6 @@ def coco_polygons(mask: np.ndarray) -> list[list[int]]:
         for one, run in zip(open_pieces, runs, strict=True):
             one.runs.append(run)
     return [one.polygon() for one in [*done, *open_pieces]]
-
-
-def _runs(row: np.ndarray) -> list[tuple[int, int]]:
-    """Where road begins and ends (behind its last pixel) in a row bool (W,)."""
-    steps = np.flatnonzero(np.diff(row.astype(np.int8), prepend=0, append=0))
-    return [(int(start), int(end)) for start, end in steps.reshape(-1, 2)]
-
-
-def _touch(one: tuple[int, int], other: tuple[int, int]) -> bool:
-    return one[0] < other[1] and other[0] < one[1]
 
 
 class CocoPicture(NamedTuple):

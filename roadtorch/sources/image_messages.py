@@ -80,23 +80,18 @@ def image_of(message: ImageMessage, origin: str) -> Tensor:
     if message.width * message.height > most_megapixels() * 1e6:
         what = f"has {message.width} by {message.height} pixels"
         raise InputError(origin, what, f"make it smaller, or set {MEGAPIXELS_VARIABLE}")
+    encoding = message.encoding
     try:
-        return from_pixels(_pixels(message))
+        if encoding in PLAIN:
+            channels, bits, order = PLAIN[encoding]
+            return from_pixels(_rows(message, channels, bits)[..., order])
+        if encoding in YUV:
+            return from_pixels(cv2.cvtColor(_rows(message, 2, 8), YUV[encoding]))
+        pattern = encoding.rstrip("0123456789")
+        mosaic = _rows(message, 1, int(encoding.removeprefix(pattern)))
+        return from_pixels(cv2.cvtColor(mosaic, BAYER[pattern]))
     except (ValueError, cv2.error) as problem:
         raise InputError(origin, f"cannot be read: {reason(problem)}", "record it again") from None
-
-
-def _pixels(message: ImageMessage) -> np.ndarray:
-    """RGB (H,W,3), uint8 or uint16; ValueError for a message that contradicts itself."""
-    encoding = message.encoding
-    if encoding in PLAIN:
-        channels, bits, order = PLAIN[encoding]
-        return _rows(message, channels, bits)[..., order]
-    if encoding in YUV:
-        return cv2.cvtColor(_rows(message, 2, 8), YUV[encoding])
-    pattern = encoding.rstrip("0123456789")
-    mosaic = _rows(message, 1, int(encoding.removeprefix(pattern)))
-    return cv2.cvtColor(mosaic, BAYER[pattern])
 
 
 def _rows(message: ImageMessage, channels: int, bits: int) -> np.ndarray:

@@ -52,8 +52,9 @@ def sort_inputs(inputs: Iterable[str], names: TextIO | None = None) -> Inputs:
     """
     pictures, sources, inputs = [], [], list(inputs)
     for given in named(inputs, sys.stdin if names is None else names):
-        if _is_source(given):
-            sources.append(given)
+        is_stream = camera_number(given) is not None or scheme_of(given) in STREAMS
+        if is_stream or is_bag(given) or (is_archive(given) and not is_url(given)):
+            sources.append(given)  # by itself, whatever it holds
             continue
         videos = video_files(given)
         sources += [given] if videos else []
@@ -69,28 +70,18 @@ def named(inputs: Iterable[str], names: TextIO) -> Iterator[str]:
     Empty lines are left out. A file named ``-`` or ``@…`` is given as ``./-``.
     """
     for given in inputs:
-        if given == "-":
-            yield from _lines(names)
-        elif given.startswith("@"):
+        lines: Iterable[str] = names
+        if given.startswith("@"):
             try:
-                with open(given[1:], encoding="utf-8", errors="surrogateescape") as file:
-                    yield from _lines(file)
+                text = Path(given[1:]).read_text(encoding="utf-8", errors="surrogateescape")
             except OSError as problem:
                 what = f"cannot be read: {problem.strerror}"
                 raise InputError(given[1:], what, "give @ and a text file, a name a line") from None
-        else:
+            lines = text.split("\n")
+        elif given != "-":
             yield given
-
-
-def _lines(file: Iterable[str]) -> Iterator[str]:
-    return (name for line in file if (name := line.rstrip("\r\n")).strip())
-
-
-def _is_source(given: str) -> bool:
-    """Whether an input is one source by itself, whatever it holds."""
-    if camera_number(given) is not None or scheme_of(given) in STREAMS:
-        return True
-    return is_bag(given) or (is_archive(given) and not is_url(given))
+            continue
+        yield from (name for line in lines if (name := line.rstrip("\r\n")).strip())
 
 
 def camera_number(given: str) -> int | None:
@@ -201,21 +192,19 @@ def frame_places(inputs: Sequence[str], most: int) -> list[FramePlace]:
     Raises InputError for what does not exist, holds no pictures, or is no video, ConfigError
     where there are videos and PyAV is missing.
     """
-    every = [place for given in inputs for place in _places(given)]
+    every: list[FramePlace] = []
+    for given in inputs:
+        chosen = sort_inputs([given])
+        every += [FramePlace(one.path, None) for one in find_images(chosen.pictures)]
+        for source in chosen.sources:
+            videos = video_files(source)
+            if not videos:
+                raise InputError(source, "is no footage on disk", "give pictures or video files")
+            for path, _ in videos:
+                every += [FramePlace(path, number) for number in range(count_frames(path))]
     if len(every) <= most:
         return every
     return [every[(2 * at + 1) * len(every) // (2 * most)] for at in range(most)]
-
-
-def _places(given: str) -> Iterator[FramePlace]:
-    chosen = sort_inputs([given])
-    yield from (FramePlace(one.path, None) for one in find_images(chosen.pictures))
-    for source in chosen.sources:
-        videos = video_files(source)
-        if not videos:
-            raise InputError(source, "is no footage on disk", "give pictures or video files")
-        for path, _ in videos:
-            yield from (FramePlace(path, number) for number in range(count_frames(path)))
 
 
 def read_frames(places: Sequence[FramePlace]) -> Iterator[Tensor]:

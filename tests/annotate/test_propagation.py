@@ -73,7 +73,7 @@ def test_the_field_is_the_minimum_of_what_it_is_said_to_minimise() -> None:
     pull = SETTINGS.anchor + SETTINGS.trust * odds.abs().double().numpy()
 
     def energy(field: np.ndarray) -> float:
-        return float(field @ (graph.laplacian @ field) + (pull * field**2).sum())
+        return float(field @ (graph @ field) + (pull * field**2).sum())
 
     for _ in range(20):
         step = torch.randn(len(odds), generator=generator).double().numpy() * 0.05
