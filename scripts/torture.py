@@ -34,7 +34,7 @@ import torch
 
 from roadtorch.cli import main
 from roadtorch.detectors.catalogue import list_detectors
-from roadtorch.evaluation import tally
+from roadtorch.evaluation import progress
 from roadtorch.io.image import write_mask
 from roadtorch.runs.folder import RUN
 from roadtorch.scenes.street import render_scene, write_picture
@@ -250,7 +250,7 @@ def load() -> None:
     """Import what the runs need; stop the clock of results; save as often as that can be done."""
     torch.set_num_threads(1)
     time.perf_counter = lambda: 0.0  # before those that import it by its name
-    tally.SAVE_EVERY = loop.SAVE_EVERY = 0.0
+    progress.SAVE_EVERY = loop.SAVE_EVERY = 0.0
     for name in LOADED:
         importlib.import_module(name)
 

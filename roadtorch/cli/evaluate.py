@@ -103,7 +103,7 @@ def evaluate(
     click.echo("\n\n".join(filter(None, (screen(evaluation), table_text(evaluation)))))
     tell_failures(evaluation)
     if out is not None:
-        from roadtorch.evaluation.tally import forget
+        from roadtorch.evaluation.progress import forget
         from roadtorch.report.files import write  # with what draws, which takes a while
 
         write(evaluation, out, command_line(context), montage)
@@ -137,7 +137,7 @@ def tune(
     from roadtorch.data.catalogue import open_dataset
     from roadtorch.data.dataset import leave_out
     from roadtorch.evaluation.evaluate import evaluate as score
-    from roadtorch.evaluation.tally import forget
+    from roadtorch.evaluation.progress import forget
     from roadtorch.evaluation.thresholds import choose_threshold
     from roadtorch.io.atomic import write_text
     from roadtorch.report.screen import choice_text, provenance

@@ -11,10 +11,11 @@ from roadtorch.evaluation.document import earlier_thresholds
 from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.methods import Method, methods_for
+from roadtorch.evaluation.progress import SavedTallies, fingerprint
 from roadtorch.evaluation.result import Evaluation, Failure
 from roadtorch.evaluation.scoring import score
 from roadtorch.evaluation.summary import summarise
-from roadtorch.evaluation.tally import SavedTallies, Scored, Tally, fingerprint
+from roadtorch.evaluation.tally import Scored, Tally
 from roadtorch.evaluation.uncertainty import best_of, compare, intervals, resample
 
 Watch = Callable[[Iterator[Scored], int, int], Iterable[Scored]]
@@ -81,8 +82,8 @@ def evaluated(
     if against is not None and against not in names:
         raise unknown_name("detector of this run", against, names)
     pictures = every_kth(dataset, limit)
-    tallies, failures = count_all(pictures, methods, jobs, keep_in, watch)
     left_out, conditions = pictures.left_out, pictures.by_condition()
+    tallies, failures = count_all(pictures, methods, jobs, keep_in, watch)
     figures = {
         name: summarise(one, tallies[name], given.get(name), measures, left_out, conditions)
         for name, one in zip(names, methods, strict=True)

@@ -10,8 +10,7 @@ from roadtorch.evaluation import calibration, curves
 from roadtorch.evaluation.curves import Curve
 from roadtorch.evaluation.measure import Trusted
 from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.summary import trusted, vertical_roc
-from roadtorch.evaluation.tally import WHOLE, Tally
+from roadtorch.evaluation.tally import WHOLE, Tally, trusted, vertical_roc
 from roadtorch.evaluation.trust import ideal_risk_coverage, risk_coverage
 
 STEPS = 200  # of FPR and of recall, in the mean over groups

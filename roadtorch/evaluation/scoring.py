@@ -13,9 +13,8 @@ from torch import Tensor
 
 from roadtorch.data.dataset import Dataset, Item, Truth
 from roadtorch.errors import RoadtorchError
-from roadtorch.evaluation import boundary, metrics
 from roadtorch.evaluation.methods import Look, Method
-from roadtorch.evaluation.tally import Score, Scored
+from roadtorch.evaluation.tally import Score, Scored, count
 from roadtorch.runtime.image_cache import ImageCache, image_cache
 from roadtorch.runtime.signals import end_with_parent, interrupting_none_started
 
@@ -54,27 +53,21 @@ def seen_truth(scene: LabelledPicture) -> Truth:
 
 def score_scene(look: Look, scene: LabelledPicture, shared: ImageCache) -> Score:
     """Run one detector on one picture and count."""
-    truth, saved = scene.truth, shared.saved
-    start = time.perf_counter()
+    saved, start = shared.saved, time.perf_counter()
     detection = look(scene.image, scene.item)
     # What others had made before it counts as this one's work, too.
     seconds = time.perf_counter() - start + shared.saved - saved
-    likelihood, mask = scene.seen(detection.likelihood), scene.seen(detection.mask)
     layout, labels = detection.cues.get("layout"), detection.cues.get("layout_labels")
-    return Score(
-        metrics.count_levels(likelihood, truth.road, truth.valid, scene.dataset.levels),
-        metrics.count_mask(mask, truth.road, truth.valid),
-        boundary.count_boundary(mask, truth.road, truth.valid),
-        None if layout is None else _count_layout(layout.argmax(0), scene),
-        None if labels is None else _count_layout(labels, scene),
-        seconds,
-        math.nan if detection.trust is None else detection.trust,
+    counts = count(
+        scene.truth,
+        scene.dataset.levels,
+        scene.seen(detection.likelihood),
+        scene.seen(detection.mask),
+        layout=None if layout is None else scene.seen(layout.argmax(0)),
+        labels=None if labels is None else scene.seen(labels),
     )
-
-
-def _count_layout(labels: Tensor, scene: LabelledPicture) -> Tensor | None:
-    truth = scene.truth.layout
-    return None if truth is None else metrics.count_layout(scene.seen(labels), truth)
+    trust = math.nan if detection.trust is None else detection.trust
+    return replace(counts, seconds=seconds, trust=trust)
 
 
 def score_item(dataset: Dataset, looks: Mapping[str, Look], item: Item) -> Scored:

@@ -1,25 +1,21 @@
 """From counts to figures: of each group, of all together, of conditions, and of single pictures."""
 
 import math
-import statistics
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
-from operator import add
 
 import torch
 from torch import Tensor
 
 from roadtorch.data.dataset import Item
-from roadtorch.evaluation import curves, metrics
-from roadtorch.evaluation.curves import Curve
-from roadtorch.evaluation.measure import Figures, Measure, Part, Trusted
+from roadtorch.evaluation import metrics
+from roadtorch.evaluation.measure import Figures, Measure, Part
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.methods import Method
-from roadtorch.evaluation.metrics import Decisions, RoadCounts
+from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.result import DetectorFigures, PicturesByF
-from roadtorch.evaluation.tally import WHOLE, Pictures, Tally
-from roadtorch.evaluation.thresholds import choose_thresholds, shared_threshold
+from roadtorch.evaluation.tally import WHOLE, Pictures, Tally, counted, taken_together
+from roadtorch.evaluation.thresholds import choose_thresholds
 
 SHOWN = 10  # pictures of each kind in metrics.json
 
@@ -39,39 +35,37 @@ def summarise(
     given: a threshold chosen elsewhere. left_out: groups that count in nothing but their own.
     conditions: pictures by condition, which have figures together, whatever groups they are of.
     """
-    source, thresholds = choose_thresholds(tally.road, method.threshold, given, left_out)
+    chosen = choose_thresholds(tally.road, method.threshold, given, left_out)
+    thresholds = chosen.thresholds
     counting = {group: one for group, one in thresholds.items() if group not in left_out}
     parts = {
-        group: figures_of(replace(counted(tally, {group: one}), threshold=one), measures)
+        group: replace(counted(tally, {group: one}), threshold=one)
         for group, one in thresholds.items()
     }
     of_condition = {
         name: tally.named({item.name for item in items})
         for name, items in (conditions or {}).items()
     }
-    whole = DetectorFigures(
+    together = {
+        name: taken_together(pictures, thresholds)
+        for name, pictures in of_condition.items()
+        if pictures.names
+    }
+    is_whole = list(parts) == [WHOLE]
+    pooled = {} if is_whole else figures_of(counted(tally, counting), measures)
+    figures = {group: figures_of(part, measures) for group, part in parts.items()}
+    groups = {} if is_whole else {group: figures[group] for group in counting}
+    return DetectorFigures(
         method,
-        parts.get(WHOLE, {}),
-        conditions={
-            name: figures_of(taken_together(pictures, thresholds), measures)
-            for name, pictures in of_condition.items()
-            if pictures.names
-        },
-        thresholds=thresholds,
-        threshold_from=source,
-        best_threshold=shared_threshold({group: tally.road[group] for group in counting}),
-        pictures_by_f=chosen_pictures(tally.kept(counting), thresholds, SHOWN),
-    )
-    if list(parts) == [WHOLE]:
-        return whole
-    groups = {group: parts[group] for group in counting}
-    pooled = figures_of(counted(tally, counting), measures)
-    return replace(
-        whole,
-        headline=over_groups(groups, pooled, measures),
+        figures[WHOLE] if is_whole else over_groups(groups, pooled, measures),
         groups=groups,
-        left_out={group: figures for group, figures in parts.items() if group not in counting},
         pooled=pooled,
+        left_out={group: one for group, one in figures.items() if group not in counting},
+        conditions={name: figures_of(part, measures) for name, part in together.items()},
+        thresholds=thresholds,
+        threshold_from=chosen.source,
+        best_threshold=chosen.best,
+        pictures_by_f=chosen_pictures(tally.kept(counting), thresholds, SHOWN),
     )
 
 
@@ -102,109 +96,6 @@ def mean(values: Sequence[float]) -> float:
     """The mean of the defined values; NaN when there is none."""
     defined = [value for value in values if not math.isnan(value)]
     return sum(defined) / len(defined) if defined else math.nan
-
-
-# --- what measures are taken of ----------------------------------------------------------
-
-
-def counted(tally: Tally, thresholds: Mapping[str, float]) -> Part:
-    """The groups that have thresholds, their counts added up."""
-    pictures = tally.kept(thresholds)
-    areas = [area for area in pictures.auc.tolist() if not math.isnan(area)]
-    road, mask, boundary, layout, labels = (
-        tally.total(kind, thresholds) for kind in ("road", "mask", "boundary", "layout", "labels")
-    )
-    if road is None or mask is None or boundary is None:
-        raise ValueError(f"nothing is counted of {', '.join(thresholds)}")
-    by_group = {group: tally.road[group] for group in thresholds}
-    return Part(
-        RoadCounts(*road),
-        Decisions(*mask),
-        boundary,
-        layout,
-        _at_thresholds(by_group, thresholds),
-        torch.tensor(mean(areas), dtype=torch.float64),
-        labels,
-        vertical_roc(tally, thresholds),
-        images=len(pictures.names),
-        skipped=len(pictures.names) - len(areas),
-        milliseconds=1000 * statistics.median(pictures.seconds.tolist()),
-        trusted=trusted(pictures),
-    )
-
-
-def vertical_roc(tally: Tally, groups: Collection[str]) -> Curve | None:
-    """The vertical average of the single pictures' ROC; None where none has any."""
-    summed, known = tally.total("curve", groups), ~tally.kept(groups).auc.isnan()
-    return None if summed is None else curves.vertical_average(summed / int(known.sum()))
-
-
-def _at_thresholds(
-    counts: Mapping[str, RoadCounts], thresholds: Mapping[str, float]
-) -> Decisions | None:
-    """The outcomes of the groups, each at its threshold, together; None where none has any."""
-    outcomes = [
-        metrics.decisions_at(counts[group], threshold)
-        for group, threshold in thresholds.items()
-        if group in counts and not math.isnan(threshold)
-    ]
-    return reduce(add, outcomes) if outcomes else None
-
-
-def trusted(pictures: Pictures) -> Trusted | None:
-    """The pictures that have a trust and an F of the mask; None where no picture has a trust."""
-    if pictures.trust.isnan().all():
-        return None
-    f = metrics.f_measure(pictures.mask)
-    known = ~(pictures.trust.isnan() | f.isnan())
-    groups = [group for group, kept in zip(pictures.groups, known.tolist(), strict=True) if kept]
-    return Trusted(pictures.trust[known], f[known], groups)
-
-
-def taken_together(pictures: Pictures, thresholds: Mapping[str, float]) -> Part:
-    """Pictures of any groups, their counts added up, on 8-bit maps: figures of shape (1,).
-
-    thresholds: those of their groups. Labels that may abstain are not known.
-    """
-    once = torch.ones(1, len(pictures.names), dtype=torch.int64)
-    by_group = {
-        group: metrics.pool(pictures.road, once * pictures.of_group(group))
-        for group in dict.fromkeys(pictures.groups)
-    }
-    known = ~pictures.auc.isnan()
-    rates = curves.vertical_sample(
-        RoadCounts(pictures.road.road[known], pictures.road.other[known])
-    )
-    return replace(
-        drawn(pictures, math.nan, once),
-        chosen=_at_thresholds(by_group, thresholds),
-        roc=curves.vertical_average(rates.mean(0)) if known.any() else None,
-        images=len(pictures.names),
-        skipped=int((~known).sum()),
-        milliseconds=1000 * statistics.median(pictures.seconds.tolist()),
-        trusted=trusted(pictures),
-    )
-
-
-def drawn(pictures: Pictures, threshold: float, weights: Tensor) -> Part:
-    """The pictures of one group, each as often as weights (draws,n) say, on 8-bit maps."""
-    road = metrics.pool(pictures.road, weights)
-    known = ~pictures.auc.isnan()
-    areas, of_known = pictures.auc[known], weights[:, known].to(torch.float64)
-    return Part(
-        road,
-        Decisions(*_weighted(pictures.outcomes, weights).unbind(1)),
-        _weighted(pictures.boundary, weights),
-        None if pictures.layout is None else _weighted(pictures.layout, weights),
-        None if math.isnan(threshold) else metrics.decisions_at(road, threshold),
-        (of_known @ areas) / of_known.sum(1),
-    )
-
-
-def _weighted(counts: Tensor, weights: Tensor) -> Tensor:
-    """Sums of counts (n,…) over the pictures, as often as each is drawn: float64 (draws,…)."""
-    flat = weights.to(torch.float64) @ counts.flatten(1).to(torch.float64)
-    return flat.reshape(-1, *counts.shape[1:])
 
 
 # --- single pictures ---------------------------------------------------------------------

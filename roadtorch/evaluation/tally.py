@@ -1,30 +1,25 @@
-"""What is kept of a pass: sums by group, a few numbers of each picture; in a file, to go on from.
+"""What is counted in a pass, and kept: sums by group, a few numbers of each picture.
 
 Sums have one size whatever the number of pictures. Of each picture its 8-bit histograms
 stay (2 kB), for distributions, intervals and comparisons.
 """
 
-import hashlib
-import json
 import math
-import time
+import statistics
 from collections.abc import Collection, Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, field, replace
+from functools import reduce
+from operator import add
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
 from torch import Tensor
 
-from roadtorch.data.dataset import Dataset, Item
-from roadtorch.errors import ConfigError
+from roadtorch.data.dataset import Item, Truth
 from roadtorch.evaluation import curves, metrics
-from roadtorch.evaluation.methods import Method
+from roadtorch.evaluation.boundary import count_boundary
+from roadtorch.evaluation.curves import Curve
+from roadtorch.evaluation.measure import Part, Trusted
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
-from roadtorch.io.atomic import atomic
-from roadtorch.layout.weights import tensors_hash
 
 WHOLE = "all"  # the one group of a set that knows no groups
 COARSE = 256  # levels that are kept of each picture
@@ -40,8 +35,30 @@ class Score:
     boundary: Tensor  # int64 (tolerances,4), see boundary.py
     layout: Tensor | None  # confusion (4,4) of the strongest potentials
     labels: Tensor | None  # confusion (4,4) of labels that may abstain
-    seconds: float  # for detect alone, as if nothing had been shared
+    seconds: float = math.nan  # for detect alone, as if nothing had been shared
     trust: float = math.nan  # the expected F of the mask; NaN where the detector does not say
+
+
+def count(
+    truth: Truth, levels: int, likelihood: Tensor, mask: Tensor, **labels: Tensor | None
+) -> Score:
+    """The counts of one picture's maps (H,W) in the space of the truth.
+
+    labels: the ``layout`` of the strongest potentials, and ``labels`` that may abstain; they are
+    counted where the truth has a layout.
+    """
+    confusions = {
+        kind: metrics.count_layout(values, truth.layout)
+        for kind, values in labels.items()
+        if values is not None and truth.layout is not None
+    }
+    return Score(
+        metrics.count_levels(likelihood, truth.road, truth.valid, levels),
+        metrics.count_mask(mask, truth.road, truth.valid),
+        count_boundary(mask, truth.road, truth.valid),
+        confusions.get("layout"),
+        confusions.get("labels"),
+    )
 
 
 @dataclass(frozen=True)
@@ -191,113 +208,105 @@ class Tally:
         return tally
 
 
-# --- a run that is interrupted goes on where it was: its counts so far, in one file --------
-
-FILE = "progress.safetensors"
-SAVE_EVERY = 20.0  # seconds of work that a power cut may cost, at least
-SAVING = 0.05  # the share of the time that saving may take: hundreds of detectors are a gigabyte
-REMEDY = "run it as before, or give another --out, or remove that file"
+# --- what measures are taken of ---------------------------------------------------------
 
 
-def fingerprint(dataset: Dataset, methods: Sequence[Method]) -> str:
-    """What makes two runs the same: pictures, labels, detectors with settings, and our code."""
-    files = [
-        (item.name, item.group, *(_stamp(path) for path in (item.image, item.label)))
-        for item in dataset.items
+def counted(tally: Tally, thresholds: Mapping[str, float]) -> Part:
+    """The groups that have thresholds, their counts added up."""
+    pictures = tally.kept(thresholds)
+    areas = [area for area in pictures.auc.tolist() if not math.isnan(area)]
+    mean_area = sum(areas) / len(areas) if areas else math.nan
+    road, mask, boundary, layout, labels = (
+        tally.total(kind, thresholds) for kind in ("road", "mask", "boundary", "layout", "labels")
+    )
+    if road is None or mask is None or boundary is None:
+        raise ValueError(f"nothing is counted of {', '.join(thresholds)}")
+    by_group = {group: tally.road[group] for group in thresholds}
+    return Part(
+        RoadCounts(*road),
+        Decisions(*mask),
+        boundary,
+        layout,
+        _at_thresholds(by_group, thresholds),
+        torch.tensor(mean_area, dtype=torch.float64),
+        labels,
+        vertical_roc(tally, thresholds),
+        images=len(pictures.names),
+        skipped=len(pictures.names) - len(areas),
+        milliseconds=1000 * statistics.median(pictures.seconds.tolist()),
+        trusted=trusted(pictures),
+    )
+
+
+def vertical_roc(tally: Tally, groups: Collection[str]) -> Curve | None:
+    """The vertical average of the single pictures' ROC; None where none has any."""
+    summed, known = tally.total("curve", groups), ~tally.kept(groups).auc.isnan()
+    return None if summed is None else curves.vertical_average(summed / int(known.sum()))
+
+
+def _at_thresholds(
+    counts: Mapping[str, RoadCounts], thresholds: Mapping[str, float]
+) -> Decisions | None:
+    """The outcomes of the groups, each at its threshold, together; None where none has any."""
+    outcomes = [
+        metrics.decisions_at(counts[group], threshold)
+        for group, threshold in thresholds.items()
+        if group in counts and not math.isnan(threshold)
     ]
-    code = sorted(Path(__file__).parents[1].rglob("*.py"))
-    about = [(one.name, one.settings, one.threshold) for one in methods]
-    groups = sorted(dataset.left_out)  # they teach prior:mean nothing
-    parts = [dataset.name, dataset.split, files, groups, about, [_stamp(path) for path in code]]
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+    return reduce(add, outcomes) if outcomes else None
 
 
-def _stamp(path: Path) -> tuple[str, int, int]:
-    stat = path.stat() if path.exists() else None
-    return str(path), stat.st_size if stat else -1, stat.st_mtime_ns if stat else -1
+def trusted(pictures: Pictures) -> Trusted | None:
+    """The pictures that have a trust and an F of the mask; None where no picture has a trust."""
+    if pictures.trust.isnan().all():
+        return None
+    f = metrics.f_measure(pictures.mask)
+    known = ~(pictures.trust.isnan() | f.isnan())
+    groups = [group for group, kept in zip(pictures.groups, known.tolist(), strict=True) if kept]
+    return Trusted(pictures.trust[known], f[known], groups)
 
 
-class SavedTallies:
-    """The tallies of a run, saved now and then if there is a folder to save in."""
+def taken_together(pictures: Pictures, thresholds: Mapping[str, float]) -> Part:
+    """Pictures of any groups, their counts added up, on 8-bit maps: figures of shape (1,).
 
-    def __init__(self, folder: Path | None, run: str) -> None:
-        self.path = folder / FILE if folder else None
-        self.run = run
-        self.tallies: dict[str, Tally] = {}
-        self._saved, self._pause = time.monotonic(), SAVE_EVERY
-        if self.path and self.path.is_file():
-            self.tallies = _load(self.path, run)
-
-    def add(self, result: Scored) -> None:
-        """Count one more picture, if it could be scored; save if the last time is a while ago."""
-        for name, score in result.scores.items():
-            self.tallies.setdefault(name, Tally()).add(result.item, score)
-        if time.monotonic() - self._saved > self._pause:
-            self.save()
-
-    def sort(self, names: Sequence[str]) -> None:
-        """Bring the pictures' rows into the order of the set, however the run came about."""
-        for tally in self.tallies.values():
-            tally.sort(names)
-
-    @property
-    def done(self) -> Collection[str]:
-        """The names of the pictures that are counted."""
-        first = next(iter(self.tallies.values()), Tally())
-        return {name for name, _ in first.pictures}
-
-    def save(self) -> None:
-        """Write everything counted so far, whole or not at all."""
-        if self.path is None or not self.tallies:
-            return
-        start = time.monotonic()
-        tensors = {
-            f"{index}/{key}": tensor.contiguous()
-            for index, tally in enumerate(self.tallies.values())
-            for key, tensor in tally.tensors().items()
-        }
-        pictures = next(iter(self.tallies.values())).pictures
-        about = {"run": self.run, "detectors": list(self.tallies), "pictures": pictures}
-        about["sha256"] = _digest(about, tensors)
-        data = save(tensors, {"roadtorch": json.dumps(about)})
-        with atomic(self.path) as temporary:
-            temporary.write_bytes(data)
-        self._saved = time.monotonic()
-        self._pause = max(SAVE_EVERY, (self._saved - start) / SAVING)
-
-
-def forget(folder: Path) -> None:
-    """Remove what a run saved in a folder: its results are safe, and a new run starts anew."""
-    (folder / FILE).unlink(missing_ok=True)
-
-
-def _load(path: Path, run: str) -> dict[str, Tally]:
-    """The tallies in a file of the same run.
-
-    Raises ConfigError when it is of another one, or not the file that was saved.
+    thresholds: those of their groups. Labels that may abstain are not known.
     """
-    try:
-        with safe_open(path, "pt") as file:
-            about = json.loads(file.metadata()["roadtorch"])
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-        if about["run"] != run:
-            what = "holds the beginning of another run (other pictures, settings or code)"
-            raise ConfigError(path, what, REMEDY)
-        if about.pop("sha256") != _digest(about, tensors):
-            raise ValueError("damaged")
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RecursionError):
-        raise ConfigError(path, "is not the progress of a run, or damaged", REMEDY) from None
-    by_detector: list[dict[str, Tensor]] = [{} for _ in about["detectors"]]
-    for key, tensor in tensors.items():
-        index, _, name = key.partition("/")
-        by_detector[int(index)][name] = tensor
-    return {
-        name: Tally.of(own, about["pictures"])
-        for name, own in zip(about["detectors"], by_detector, strict=True)
+    once = torch.ones(1, len(pictures.names), dtype=torch.int64)
+    by_group = {
+        group: metrics.pool(pictures.road, once * pictures.of_group(group))
+        for group in dict.fromkeys(pictures.groups)
     }
+    known = ~pictures.auc.isnan()
+    rates = curves.vertical_sample(
+        RoadCounts(pictures.road.road[known], pictures.road.other[known])
+    )
+    return replace(
+        drawn(pictures, math.nan, once),
+        chosen=_at_thresholds(by_group, thresholds),
+        roc=curves.vertical_average(rates.mean(0)) if known.any() else None,
+        images=len(pictures.names),
+        skipped=int((~known).sum()),
+        milliseconds=1000 * statistics.median(pictures.seconds.tolist()),
+        trusted=trusted(pictures),
+    )
 
 
-def _digest(about: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
-    """SHA-256 of all that a file says and counts."""
-    text = json.dumps(about, sort_keys=True) + tensors_hash(tensors)
-    return hashlib.sha256(text.encode()).hexdigest()
+def drawn(pictures: Pictures, threshold: float, weights: Tensor) -> Part:
+    """The pictures of one group, each as often as weights (draws,n) say, on 8-bit maps."""
+    road = metrics.pool(pictures.road, weights)
+    known = ~pictures.auc.isnan()
+    areas, of_known = pictures.auc[known], weights[:, known].to(torch.float64)
+    return Part(
+        road,
+        Decisions(*_weighted(pictures.outcomes, weights).unbind(1)),
+        _weighted(pictures.boundary, weights),
+        None if pictures.layout is None else _weighted(pictures.layout, weights),
+        None if math.isnan(threshold) else metrics.decisions_at(road, threshold),
+        (of_known @ areas) / of_known.sum(1),
+    )
+
+
+def _weighted(counts: Tensor, weights: Tensor) -> Tensor:
+    """Sums of counts (n,…) over the pictures, as often as each is drawn: float64 (draws,…)."""
+    flat = weights.to(torch.float64) @ counts.flatten(1).to(torch.float64)
+    return flat.reshape(-1, *counts.shape[1:])

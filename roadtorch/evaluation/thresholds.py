@@ -3,7 +3,7 @@
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
@@ -34,24 +34,33 @@ def held_out_thresholds(groups: Mapping[str, RoadCounts]) -> dict[str, float]:
     }
 
 
+class Thresholds(NamedTuple):
+    """Where they come from, in words; one for every group; the best of all groups that choose."""
+
+    source: str
+    thresholds: Mapping[str, float]
+    best: float
+
+
 def choose_thresholds(
     groups: Mapping[str, RoadCounts],
     default: float,
     given: float | None,
     left_out: Collection[str] = (),
-) -> tuple[str, dict[str, float]]:
-    """Where the thresholds come from, in words, and one for every group.
+) -> Thresholds:
+    """The thresholds of all groups: given, those of the others, or the detector's default.
 
     left_out: groups that choose for nobody.
     """
-    if given is not None:
-        return "an earlier run", dict.fromkeys(groups, given)
     choosing = {group: counts for group, counts in groups.items() if group not in left_out}
+    best = shared_threshold(choosing)
+    if given is not None:
+        return Thresholds("an earlier run", dict.fromkeys(groups, given), best)
     if len(choosing) > 1:
         held_out = held_out_thresholds(choosing)
-        shared = shared_threshold(choosing)
-        return "the other groups", {group: held_out.get(group, shared) for group in groups}
-    return "the detector's default", dict.fromkeys(groups, default)
+        by_group = {group: held_out.get(group, best) for group in groups}
+        return Thresholds("the other groups", by_group, best)
+    return Thresholds("the detector's default", dict.fromkeys(groups, default), best)
 
 
 # --- the threshold of a config -----------------------------------------------------------

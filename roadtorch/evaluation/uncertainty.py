@@ -17,8 +17,7 @@ from torch import Tensor
 from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import MAXF, MEASURES
 from roadtorch.evaluation.result import Comparison, DetectorFigures, Difference, Interval
-from roadtorch.evaluation.summary import drawn
-from roadtorch.evaluation.tally import Pictures, Tally
+from roadtorch.evaluation.tally import Pictures, Tally, drawn
 
 REPLICATES = 1000
 

@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 from roadtorch.cli.evaluate import evaluate, watched
 from roadtorch.errors import ConfigError, DatasetError, InputError
 from roadtorch.evaluation import scoring
-from roadtorch.evaluation.tally import FILE
+from roadtorch.evaluation.progress import FILE
 from roadtorch.io.image import read_image
 from roadtorch.scenes.street import render_scene
 from tests.command import Call

@@ -16,8 +16,9 @@ from roadtorch.evaluation import metrics, scoring
 from roadtorch.evaluation.document import defined, document
 from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.methods import expand_names, methods_for
+from roadtorch.evaluation.progress import FILE, fingerprint, forget
 from roadtorch.evaluation.result import Evaluation
-from roadtorch.evaluation.tally import FILE, WHOLE, fingerprint, forget
+from roadtorch.evaluation.tally import WHOLE
 from roadtorch.io.atomic import write_json
 from roadtorch.io.image import read_image
 from roadtorch.scenes.street import write_picture

@@ -26,8 +26,8 @@ from roadtorch.detectors.catalogue import detector_entry, list_detectors
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.evaluation.document import earlier_thresholds
 from roadtorch.evaluation.methods import Method, named_detector
+from roadtorch.evaluation.progress import FILE, SavedTallies
 from roadtorch.evaluation.scoring import score
-from roadtorch.evaluation.tally import FILE, SavedTallies
 from roadtorch.io.image import read_image
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings

@@ -9,8 +9,8 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset
 from roadtorch.errors import ConfigError
 from roadtorch.evaluation.methods import named_detector
+from roadtorch.evaluation.progress import FILE, SavedTallies, fingerprint, forget
 from roadtorch.evaluation.scoring import score
-from roadtorch.evaluation.tally import FILE, SavedTallies, fingerprint, forget
 from roadtorch.scenes.street import render_scene
 from tests.streets import write_camvid
 
