@@ -1,21 +1,19 @@
 from pathlib import Path
 
 from tests.command import Call
-from tests.networks import write_ego_network
 
 
 def test_export_tells_what_it_wrote_and_nothing_else(call: Call, tmp_path: Path) -> None:
-    weights = write_ego_network(tmp_path / "own.safetensors", bottom=0.2)
     out = tmp_path / "new" / "road.onnx"
 
-    result = call("export", "fusion", "--out", out, "--set", f"weights.file={weights}")
+    result = call("export", "layout:cnn-7", "--out", out)
 
     assert result.exit_code == 0, result.stderr
     assert out.is_file()
     assert result.stderr == ""
     first, what, *notes, last = result.stdout.splitlines()
     assert first.startswith(f"{out}: ")
-    assert what.startswith("fusion: its learned road")
+    assert what.startswith("layout:cnn-7: its likelihood and layout")
     assert {line.split()[0] for line in notes} >= {"colour_order", "threshold", "terms"}
     assert last.startswith("parity with Python on 6 rendered pictures: at most ")
 

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 from roadtorch.detectors.catalogue import detector_groups, list_detectors
 from roadtorch.imaging.color import PLANES, REPRESENTATIONS
 from roadtorch.oneclass import CLASSIFIERS
@@ -69,6 +71,7 @@ def test_planes_lists_planes_and_representations(call: Call) -> None:
     assert [line.split()[0] for line in planes.splitlines()[1:]] == list(PLANES)
     listed = [line.split() for line in representations.splitlines()[1:]]
     assert {name: tuple(parts) for name, *parts in listed} == dict(REPRESENTATIONS)
+    assert [line.split()[0] for line in planes.splitlines() if "circular" in line] == ["H"]
 
 
 def test_settings_fit_a_hundred_columns_and_none_is_lost(call: Call) -> None:
@@ -84,7 +87,29 @@ def test_settings_fit_a_hundred_columns_and_none_is_lost(call: Call) -> None:
     } <= listed
 
 
-def test_the_hue_is_said_to_be_circular(call: Call) -> None:
-    said = [line.split()[0] for line in call("planes").stdout.splitlines() if "circular" in line]
+# --- configs by name --------------------------------------------------------------------
 
-    assert said == ["H"]
+
+def test_a_detectors_config_is_found_by_name(call: Call) -> None:
+    result = call("infer", "--config", "thresholds/cpf-v2", "--print-config")
+
+    assert result.exit_code == 0, result.stderr
+    assert result.stdout.startswith('detector = "cpf:v2"\nthreshold = 0.517\n')
+
+
+def test_a_training_is_found_by_name(call: Call, tmp_path: Path) -> None:
+    """The key is refused by the kind of training that the config names."""
+    words = ("--images", tmp_path, "--out", tmp_path / "run", "--set", "teacher.margi=0.1")
+    result = call("train", "--config", "adapt", *words)
+
+    assert result.exit_code == 2
+    told = "roadtorch: error: teacher.margi: unknown setting (did you mean teacher.margin"
+    assert result.stderr.startswith(told)
+
+
+def test_an_unknown_name_lists_the_known_ones(call: Call, tmp_path: Path) -> None:
+    result = call("train", "--config", "xyz", "--images", tmp_path, "--out", tmp_path / "run")
+
+    assert result.exit_code == 2
+    told = "roadtorch: error: xyz: unknown config, and no file (known: adapt, cnn7, "
+    assert result.stderr.startswith(told)
