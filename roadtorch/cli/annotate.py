@@ -61,37 +61,25 @@ def annotate(
 
         click.echo(corrections_report(out, folder))
     elif exported:
-        _export(out, folder, exported, _given(to, "--to"))
+        from roadtorch.data.correction_formats import FORMATS as KNOWN
+        from roadtorch.data.corrections import read_corrections
+
+        if to is None:
+            raise click.UsageError("Missing option '--to'")
+        corrected = read_corrections(out, folder)
+        KNOWN[exported].write(corrected, to)
+        click.echo(f"{len(corrected)} pictures written to {to}")
     elif imported:
-        _import(context, out, folder, imported, _given(origin, "--from"), user)
+        from roadtorch.annotate.work import import_labels
+        from roadtorch.runs.folder import output_lock
+
+        if origin is None:
+            raise click.UsageError("Missing option '--from'")
+        context.with_resource(output_lock(out))
+        count = import_labels(imported, origin, folder, out, user)
+        click.echo(f"{count} pictures brought in as {user}")
     else:
         _serve(context, folder, out, port, order, choice)
-
-
-def _given(path: Path | None, option: str) -> Path:
-    if path is None:
-        raise click.UsageError(f"Missing option '{option}'")
-    return path
-
-
-def _export(out: Path, folder: Path, name: str, to: Path) -> None:
-    from roadtorch.data.correction_formats import FORMATS as KNOWN
-    from roadtorch.data.corrections import read_corrections
-
-    found = read_corrections(out, folder)
-    KNOWN[name].write(found, to)
-    click.echo(f"{len(found)} pictures written to {to}")
-
-
-def _import(
-    context: click.Context, out: Path, folder: Path, name: str, origin: Path, user: str
-) -> None:
-    from roadtorch.annotate.work import import_labels
-    from roadtorch.runs.folder import output_lock
-
-    context.with_resource(output_lock(out))
-    count = import_labels(name, origin, folder, out, user)
-    click.echo(f"{count} pictures brought in as {user}")
 
 
 def _serve(

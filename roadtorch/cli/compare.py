@@ -61,7 +61,10 @@ def compare(
     With --labelled or --corrections: figures with intervals, and the difference of B to A. With
     --images: where they disagree most.
     """
+    from roadtorch.data.catalogue import open_named
+    from roadtorch.data.corrections import open_corrections
     from roadtorch.evaluation.methods import candidate
+    from roadtorch.layout.weights import corrected_pictures
     from roadtorch.runs.folder import output_lock
 
     if sum((labelled is not None, corrections is not None, bool(images))) != 1:
@@ -69,30 +72,17 @@ def compare(
     methods = candidate(first, "A"), candidate(second, "B")
     if out is not None:
         context.with_resource(output_lock(out))
-    _tell_people(methods)
-    if images:
-        code = _disagree(context, methods, images, limit, worst, quiet)
-    else:
-        code = _score(context, methods, _opened(labelled, corrections, pictures), limit, jobs)
-    context.exit(code)
-
-
-def _tell_people(methods: "Sequence[Method]") -> None:
-    from roadtorch.layout.weights import corrected_pictures
-
     for one in methods:
         if count := corrected_pictures(one.settings):
             text = f"{one.name} was trained with {count} pictures that people corrected: not "
             click.echo(f"roadtorch: {text}label-free, and no news on those pictures", err=True)
-
-
-def _opened(labelled: str | None, corrections: Path | None, pictures: Path | None) -> "Dataset":
-    from roadtorch.data.catalogue import open_named
-    from roadtorch.data.corrections import open_corrections
-
-    if corrections is not None:
-        return open_corrections(corrections, pictures)
-    return open_named(str(labelled))
+    if images:
+        code = _disagree(context, methods, images, limit, worst, quiet)
+    elif corrections is not None:
+        code = _score(context, methods, open_corrections(corrections, pictures), limit, jobs)
+    else:
+        code = _score(context, methods, open_named(str(labelled)), limit, jobs)
+    context.exit(code)
 
 
 def _score(

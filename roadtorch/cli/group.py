@@ -163,7 +163,11 @@ def _debug_option() -> click.Option:
 
 def _settle_process() -> None:
     """Warnings in our words, any name tellable, streams that are open, brief waits."""
-    warnings.showwarning = _show_warning
+
+    def show_warning(message: Warning | str, *_: Any) -> None:
+        click.echo(f"roadtorch: warning: {message}", err=True)
+
+    warnings.showwarning = show_warning
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # names in any encoding can be told
             stream.reconfigure(errors="backslashreplace")
@@ -198,10 +202,6 @@ def open_streams() -> None:
     sys.stdin = sys.stdin or open(0, closefd=False)  # noqa: SIM115
     sys.stdout = sys.stdout or open(1, "w", closefd=False)  # noqa: SIM115
     sys.stderr = sys.stderr or open(2, "w", closefd=False)  # noqa: SIM115
-
-
-def _show_warning(message: Warning | str, category: type[Warning], *_: Any) -> None:
-    click.echo(f"roadtorch: warning: {message}", err=True)
 
 
 @click.group(

@@ -2,16 +2,11 @@
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from roadtorch.cli.completion import suggest_files, suggest_training_configs
 from roadtorch.cli.options import PATH, SETTING, ConfigFile, command_line
-
-if TYPE_CHECKING:
-    from roadtorch.data.dataset import Dataset
-    from roadtorch.train.config import Training
 
 
 @click.command()
@@ -83,7 +78,9 @@ def train(
     """
     import torch
 
+    from roadtorch.data.catalogue import open_named
     from roadtorch.data.corrections import read_corrections
+    from roadtorch.errors import ConfigError
     from roadtorch.settings import merge, parse_assignments, read_settings_file
     from roadtorch.train.before_after import show_change
     from roadtorch.train.config import build_training
@@ -96,7 +93,10 @@ def train(
     values = merge(read_settings_file(config), parse_assignments(assignments))
     training = build_training(values)
     said = read_corrections(corrections, pictures) if corrections else []
-    scored = _labelled_set(labelled, training)
+    if labelled is not None and not training.start:
+        what = "is for runs that start from weights: there is no before"
+        raise ConfigError("--labelled", what, "give --set start=WEIGHTS, or leave it out")
+    scored = None if labelled is None else open_named(labelled)
     request = Request(images, out, resume, prepared, quiet, said)
     outcome = run(training, request)
     if outcome.interrupted:
@@ -113,16 +113,3 @@ def train(
         if page is not None and not quiet:
             click.echo(f"roadtorch: before and after in {page}", err=True)
     context.exit(1 if outcome.skipped else 0)
-
-
-def _labelled_set(labelled: str | None, training: "Training") -> "Dataset | None":
-    """The set that the page scores; ConfigError without weights to start from."""
-    from roadtorch.data.catalogue import open_named
-    from roadtorch.errors import ConfigError
-
-    if labelled is None:
-        return None
-    if not training.start:
-        what = "is for runs that start from weights: there is no before"
-        raise ConfigError("--labelled", what, "give --set start=WEIGHTS, or leave it out")
-    return open_named(labelled)

@@ -109,11 +109,15 @@ class ResultFolder:
         interrupted. Raises InputError when it cannot be written, DatasetError for an annotation
         that cannot be read.
         """
+
+        def has_polygons(file: str) -> bool:
+            return self.remote is not None or (self.path / annotation_name(file)).is_file()
+
         rows = read_index(self.path / INDEX).values()
         ready = {
             row.file: row
             for row in sorted(rows, key=lambda row: row.file)
-            if not row.failed and "polygons" in row.saved.split() and self._has_polygons(row.file)
+            if not row.failed and "polygons" in row.saved.split() and has_polygons(row.file)
         }
         pictures = [
             CocoPicture(
@@ -131,9 +135,6 @@ class ResultFolder:
         ):
             file.writelines(coco_text(pictures, SavedMasks(ready, self, Path(scratch))))
         self.publish(path)
-
-    def _has_polygons(self, file: str) -> bool:
-        return self.remote is not None or (self.path / annotation_name(file)).is_file()
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from torch import Tensor
 from roadtorch.detector import Detector
 from roadtorch.errors import ConfigError, RoadtorchError
 from roadtorch.io.atomic import make_folder, remove_leftovers
+from roadtorch.io.bounded import printable
 from roadtorch.road.steady import Steady, SteadySettings
 from roadtorch.runs.folder import ELSEWHERE
 from roadtorch.runs.index import DONE, DOUBTFUL, FAILED, INDEX, Row, frame_index, read_index
@@ -314,7 +315,7 @@ def _run_source(
     make_folder(job.output("").parent, ELSEWHERE)
     problem: BaseException | None = None
     count = FrameCount()
-    with frame_index(job.output("", INDEX), job.file, job.picture.name) as index:
+    with frame_index(job.output("", INDEX), job.file, f"{printable(job.picture.name)}/") as index:
 
         def settle(one: Seen | Missed, write: Callable[[Seen], Row]) -> None:
             """Write what was seen of a frame, or tell why nothing was."""

@@ -140,13 +140,12 @@ class FrameIndex:
 
 
 @contextmanager
-def frame_index(path: Path, file: str, name: str) -> Iterator[FrameIndex]:
+def frame_index(path: Path, file: str, frames: str) -> Iterator[FrameIndex]:
     """The index for a source and its frames, without the rows that it had before.
 
-    file: what index.csv calls the source; its frames lie below ``name``. A row of a killed run
-    that is cut short is dropped when the index is read.
+    file: what index.csv calls the source. frames: what the names of its frames begin with. A row
+    of a killed run that is cut short is dropped when the index is read.
     """
-    frames = printable(name) + "/"
     rows = read_index(path).values()
     write_index(path, [row for row in rows if row.file != file and not row.file.startswith(frames)])
     appended = RoomyFile(path, "ab", LAST_ROWS)

@@ -282,7 +282,9 @@ def run_pictures(
             else:
                 for job in local:
                     if not rows[job.file].failed and not job.has_all(rows[job.file]):
-                        rows[job.file] = _removed(job)
+                        what = "results were removed while the run went on (run it again)"
+                        rows[job.file] = Row(job.file, status=f"{FAILED}: {job.origin}: {what}")
+                        click.echo(f"roadtorch: {rows[job.file].status}", err=True)
                 remove_leftovers(written)  # of workers that died
         finally:
             index.finish(let_go)
@@ -333,14 +335,6 @@ def attempt(job: Job, work: Work, method: Method) -> Row:
         # One picture that trips a detector must not cost the night's run.
         what = f"{job.origin}: {type(problem).__name__}: {problem} (report it)"
     return Row(job.file, status=f"{FAILED}: {' '.join(what.split())}")
-
-
-def _removed(job: Job) -> Row:
-    """The failed row of a job that was done, whose files somebody has removed meanwhile."""
-    what = "results were removed while the run went on (run it again)"
-    row = Row(job.file, status=f"{FAILED}: {job.origin}: {what}")
-    click.echo(f"roadtorch: {row.status}", err=True)
-    return row
 
 
 def least_trusted(rows: Iterable[Row]) -> list[str]:

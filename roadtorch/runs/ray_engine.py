@@ -65,7 +65,7 @@ def ray_engine(cluster: Cluster) -> Iterator[Engine]:
     """
     with (
         TemporaryDirectory(prefix="rt-", ignore_cleanup_errors=True) as folder,
-        _environment({**QUIET, **_worker_environment(Threads.of_now())}),
+        _environment({**QUIET, "OMP_NUM_THREADS": str(Threads.of_now().torch)}),
     ):
         ray = _imported()
         try:
@@ -152,19 +152,14 @@ def _join(ray: Any, cluster: Cluster, folder: str) -> None:
         )
         return
     try:
-        _knock(cluster.address)
+        if at := re.fullmatch(r"(?:ray://)?([\w.-]+):(\d+)", cluster.address):
+            # Where nobody listens Ray itself would try for minutes.
+            socket.create_connection((at[1], int(at[2])), timeout=PATIENCE).close()
         ray.init(address=cluster.address, **quiet)
     except (OSError, ValueError, RuntimeError) as problem:
         what = f"no Ray cluster answers: {' '.join(str(problem).split())[:200]}"
         remedy = "start one with 'ray start --head', or leave --address out"
         raise ConfigError(cluster.address, what, remedy) from None
-
-
-def _knock(address: str) -> None:
-    """OSError where nobody listens at ``host:port``; Ray itself would try for minutes."""
-    if found := re.fullmatch(r"(?:ray://)?([\w.-]+):(\d+)", address):
-        host, port = found.groups()
-        socket.create_connection((host, int(port)), timeout=PATIENCE).close()
 
 
 def _rows_of_actors(jobs: Sequence[Task], work: Work, cluster: Cluster) -> Rows:
@@ -180,8 +175,9 @@ def _rows_of_actors(jobs: Sequence[Task], work: Work, cluster: Cluster) -> Rows:
     from ray.exceptions import RayError
 
     threads = Threads.of_now()
-    # The workers of a local cluster have the environment of this process.
-    environment = {"env_vars": _worker_environment(threads)} if cluster.address else None
+    # OpenMP and BLAS read it before torch is loaded; Ray itself would say one thread. The workers
+    # of a local cluster have the environment of this process.
+    environment = {"env_vars": {"OMP_NUM_THREADS": str(threads.torch)}} if cluster.address else None
     blocks = min(max(len(jobs) // TOGETHER, 4 * cluster.workers), len(jobs), MAX_BLOCKS)
     items = [{"job": pickle.dumps(job)} for job in jobs]
     rows = ray.data.from_items(items, override_num_blocks=blocks).map(
@@ -200,8 +196,3 @@ def _rows_of_actors(jobs: Sequence[Task], work: Work, cluster: Cluster) -> Rows:
     except RayError as problem:
         what = f"gave up: {type(problem).__name__}: {' '.join(str(problem).split())[:300]}"
         raise InputError("--engine ray", what, "run it again; finished pictures are kept") from None
-
-
-def _worker_environment(threads: Threads) -> dict[str, str]:
-    """What OpenMP and BLAS read before torch is loaded; Ray itself would say one thread."""
-    return {"OMP_NUM_THREADS": str(threads.torch)}

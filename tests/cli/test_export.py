@@ -1,21 +1,39 @@
 from pathlib import Path
 
+import pytest
+
+from roadtorch.detector import Detector
+from roadtorch.export import export
+from roadtorch.export.export import Exported
+from roadtorch.export.parity import Parity
 from tests.command import Call
 
 
-def test_export_tells_what_it_wrote_and_nothing_else(call: Call, tmp_path: Path) -> None:
-    out = tmp_path / "new" / "road.onnx"
+def test_export_tells_what_it_wrote_and_nothing_else(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def written(detector: Detector, out: Path, kind: str) -> Exported:
+        out.write_bytes(bytes(20_000))
+        notes = {"part": f"the whole of {detector.name} as {kind}", "threshold": "0.4"}
+        return Exported((out,), notes, Parity(2e-5, 1e-7, "road at 16×16", 6))
 
-    result = call("export", "layout:cnn-7", "--out", out)
+    monkeypatch.setattr(export, "export_detector", written)
+    out = tmp_path / "road.xml"
+
+    result = call(
+        *("export", "prior:rows", "--out", out, "--format", "openvino"),
+        *("--set", "threshold=0.4"),
+    )
 
     assert result.exit_code == 0, result.stderr
-    assert out.is_file()
     assert result.stderr == ""
-    first, what, *notes, last = result.stdout.splitlines()
-    assert first.startswith(f"{out}: ")
-    assert what.startswith("layout:cnn-7: its likelihood and layout")
-    assert {line.split()[0] for line in notes} >= {"colour_order", "threshold", "terms"}
-    assert last.startswith("parity with Python on 6 rendered pictures: at most ")
+    assert result.stdout.splitlines() == [
+        f"{out}: 0.02 MB",
+        "prior:rows: the whole of prior:rows as openvino",
+        "  threshold          0.4",
+        "parity with Python on 6 rendered pictures: at most 2.0e-05 off (road at 16×16), "
+        "1.0e-07 in the mean; allowed 0.0001",
+    ]
 
 
 def test_export_says_in_one_line_what_cannot_be_exported(call: Call, tmp_path: Path) -> None:
