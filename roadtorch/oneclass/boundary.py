@@ -176,12 +176,12 @@ class MinimaxSettings(ClassifierSettings):
 
 def minimax_direction(
     features: np.ndarray, counts: np.ndarray, twins: np.ndarray, ridge: float
-) -> tuple[np.ndarray, float]:
+) -> np.ndarray:
     """Lanckriet et al.: g with least √(gᵀMg) where gᵀf̄ = 1, that is M⁻¹f̄ / ξ², ξ² = f̄ᵀM⁻¹f̄.
 
     features: (k,p), a row for each of the different samples, which occur counts (k,) times;
     f̄: their mean, M: their covariance (divisor m) + ridge·I. twins (p,): how many equal
-    features each column stands for. Returns g (p,), summed over twins, and ξ.
+    features each column stands for. Returns g (p,), summed over twins.
 
     The half-space gᵀf ≥ b keeps at least the share α of every distribution with this mean
     and covariance, for b = 1 - κ/ξ and as long as ξ > κ = √(α/(1-α)). P3 fixes α = 1 - f;
@@ -193,8 +193,8 @@ def minimax_direction(
     solved = np.linalg.solve(rows.T @ rows + ridge * np.eye(len(mean)), mean)
     strength = float(mean @ solved)
     if strength == 0:  # black, to the linear kernel: no half-space is better than another
-        return np.zeros_like(mean), 0.0
-    return np.sqrt(twins) * solved / strength, strength**0.5
+        return np.zeros_like(mean)
+    return np.sqrt(twins) * solved / strength
 
 
 def _fit_minimax(
@@ -204,13 +204,13 @@ def _fit_minimax(
     numbers = counts.double().numpy()
     if settings.kernel == "linear":
         ones = np.ones(len(axes))
-        direction, _ = minimax_direction(points.numpy(), numbers, ones, settings.ridge)
+        direction = minimax_direction(points.numpy(), numbers, ones, settings.ridge)
         state = {"direction": torch.from_numpy(direction)}
         floats = 2 * len(axes)
     else:
         scale = torch.tensor(-1 / settings.sigma**2, dtype=torch.float64)
         gram = torch.exp(squared_distances(points.T, points) * scale).numpy()
-        weights, _ = minimax_direction(gram, numbers, numbers, settings.ridge)
+        weights = minimax_direction(gram, numbers, numbers, settings.ridge)
         state = {"points": points, "weights": torch.from_numpy(weights), "scale": scale}
         floats = 2 * len(points)
     scale_of = excess_scale(lambda planes: -minimax_score(state, planes), points, counts.double())

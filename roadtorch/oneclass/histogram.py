@@ -113,17 +113,12 @@ def _fit_histogram(
     if settings.planes == "joint":
         numbers = _flat(numbers, bins)[None]
     size = bins**dimensions if settings.planes == "joint" else bins
-    tables = torch.stack([_surprise(row, size) for row in numbers])
+    tables = torch.full((len(numbers), size), math.inf)
+    for table, row in zip(tables, numbers, strict=True):
+        places, counts = row.long().unique(return_counts=True)
+        table[places] = (2 * (counts.max() / counts).double().log()).float()
     state = {"low": low, "scale": scale, "tables": tables, "bins": torch.tensor(bins)}
     return Learned(state, 4 * dimensions + 4)
-
-
-def _surprise(numbers: Tensor, size: int) -> Tensor:
-    """2 ln(peak / p) of each of ``size`` bins, float32; infinite for empty ones."""
-    table = torch.full((size,), math.inf)
-    places, counts = numbers.long().unique(return_counts=True)
-    table[places] = (2 * (counts.max() / counts).double().log()).float()
-    return table
 
 
 def histogram_distance(state: State, pixels: Tensor) -> Tensor:

@@ -192,10 +192,11 @@ def test_minimax_score_is_the_toolboxs(dimensions, sigma):
 
 def test_minimax_direction_has_the_least_spread_for_its_margin():
     rows = doubles(some(15, 4))
-    direction, strength = boundary.minimax_direction(rows, np.ones(15), np.ones(4), 1e-3)
+    direction = boundary.minimax_direction(rows, np.ones(15), np.ones(4), 1e-3)
     matrix = np.cov(rows.T, bias=True) + 1e-3 * np.eye(4)
     assert direction @ rows.mean(0) == pytest.approx(1)
-    assert np.sqrt(direction @ matrix @ direction) == pytest.approx(1 / strength)
+    strength = rows.mean(0) @ np.linalg.solve(matrix, rows.mean(0))  # ξ²
+    assert direction @ matrix @ direction == pytest.approx(1 / strength)
     # The gradient stands on the plane of equal margin, and the problem is convex.
     gradient = matrix @ direction
     assert np.allclose(
