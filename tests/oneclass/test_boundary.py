@@ -113,9 +113,8 @@ def test_distance_is_that_to_the_centre_in_the_kernels_space(dimensions):
 
 
 @DIMENSIONS
-@pytest.mark.parametrize("rejected", [0.025, 0.1, 0.5])
-@pytest.mark.parametrize("sigma", [0.3, 5.0])
-def test_svdd_is_the_one_class_machine_of_scikit_learn(dimensions, rejected, sigma):
+@pytest.mark.parametrize(("sigma", "rejected"), [(0.3, 0.025), (0.3, 0.5), (5.0, 0.1)])
+def test_svdd_is_the_one_class_machine_of_scikit_learn(dimensions, sigma, rejected):
     samples, pixels = road(90, dimensions), some(2000, dimensions)
     machine: Any = OneClassSVM(nu=rejected, tol=1e-10).set_params(gamma=1 / sigma**2)
     machine.fit(doubles(samples))
@@ -132,16 +131,6 @@ def test_svdd_is_the_one_class_machine_of_scikit_learn(dimensions, rejected, sig
     np.testing.assert_allclose(squared, slope * decision + offset, atol=2e-5)
     accepted = squared <= offset  # where the machine's decision is 0
     assert (accepted == (decision >= 0)).mean() > 0.998
-
-
-@given(st.floats(0.01, 0.9), st.sampled_from([0.05, 0.3, 5.0]), st.integers(0, 99))
-def test_no_more_than_the_rejected_fraction_is_outside_the_ball(rejected, sigma, seed):
-    samples = road(60, 2, seed)
-    learned = fitted(SVDD, samples, SvddSettings(sigma=sigma, rejected=rejected))
-    radius = float(learned.threshold)
-    outside = (learned.distance(samples) > radius * (1 + 1e-4)).sum()
-    assert outside <= rejected * 60
-    assert len(learned.state["weights"]) >= rejected * 60 - 1e-6
 
 
 def test_a_wide_ball_is_the_smallest_ball_of_colour_space():
@@ -225,30 +214,6 @@ def test_minimax_distance_ranks_as_its_score_does(dimensions):
     order = boundary.minimax_score(learned.state, pixels.T).argsort(descending=True)
     assert (distance[order].diff() >= 0).all()
     assert distance.unique().numel() > 0.97 * pixels.unique(dim=0).shape[0]
-
-
-def test_minimax_score_of_samples_off_origin_keeps_its_ranks_against_long_doubles():
-    samples, pixels = road(5, 1), road(400, 1, seed=9)
-
-    def gauss(matrix, right):
-        rows = np.c_[matrix, right].astype(np.longdouble)
-        for pivot in range(len(rows)):
-            for below in range(pivot + 1, len(rows)):
-                rows[below] -= rows[pivot] * (rows[below, pivot] / rows[pivot, pivot])
-        answer = np.zeros(len(rows), np.longdouble)
-        for row in reversed(range(len(rows))):
-            answer[row] = (rows[row, -1] - rows[row, :-1] @ answer) / rows[row, row]
-        return answer
-
-    exact = reference.minimax_score(
-        samples.numpy().astype(np.longdouble),
-        pixels.numpy().astype(np.longdouble),
-        1e-6,
-        1.0,
-        gauss,
-    )
-    found = fitted(MPM, samples).score(pixels)
-    assert correlation(found, exact.astype(np.float64)) > 0.999999
 
 
 # --- dLP --------------------------------------------------------------------------------
@@ -366,10 +331,3 @@ def test_samples_on_a_byte_grid_with_twins_give_finite_ordered_distances(classif
     assert distance.isfinite().all()
     upper = distance[pixels[:, 0] > samples.max()]
     assert (upper.diff() > 0).all()
-
-
-@ALL
-def test_order_of_samples_changes_no_rank(classifier):
-    samples, pixels = road(60, 3), some(500, 3)
-    plain = fitted(classifier, samples).distance(pixels)
-    torch.testing.assert_close(fitted(classifier, samples.flip(0)).distance(pixels), plain)

@@ -294,7 +294,8 @@ class Largest(TorchDispatchMode):
 def test_no_tensor_is_much_larger_than_the_floats_that_size_the_chunks(
     classifier: Classifier,
 ) -> None:
-    count = 70_000  # beside which the largest histogram is nothing
+    # Beside many pixels the largest histogram is nothing.
+    count = 70_000 if classifier.name in HISTOGRAMS else 5_000
     for axes in (axes_of(("S",)), HS, RGB):
         if classifier.refuses(len(axes)):
             continue

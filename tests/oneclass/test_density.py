@@ -106,7 +106,7 @@ def planted(planes: int, share: float, seed: int) -> tuple[Tensor, Tensor]:
 
 
 @pytest.mark.parametrize("planes", PLANES)
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_tenth_of_outliers_moves_the_robust_mean_five_times_less(planes: int, seed: int) -> None:
     clean, spoilt = planted(planes, 0.1, seed)
 

@@ -49,16 +49,7 @@ def test_distance_zero_is_the_fullest_bin_and_an_empty_one_is_infinitely_far() -
     assert found[0] == 0
     assert float(found[1]) == pytest.approx((2 * np.log(3)) ** 0.5)
     assert found[2] == torch.inf
-
-
-def test_the_likelihood_of_an_empty_bin_is_zero_and_of_equal_bins_equal() -> None:
-    fitted = fit(SIMPLE, samples_of(1), axes_of(("S",)))
-    same = torch.tensor([[10.1 / 64], [10.9 / 64], [25.1 / 64], [25.9 / 64]])
-
-    likelihood = fitted.likelihood(same)
-
-    assert likelihood[:2].tolist() == [0, 0]
-    assert likelihood[2] == likelihood[3] > 0
+    assert fit(SIMPLE, samples, axes_of(("S",))).likelihood(torch.tensor([[0.3]])) == 0
 
 
 def test_values_beyond_the_range_fall_into_the_last_bins() -> None:

@@ -112,13 +112,6 @@ def test_the_papers_formula_has_neither_half_nor_determinants() -> None:
     assert not np.allclose(complete.state["log_weights"].exp(), weights, atol=0.1)
 
 
-def test_far_pixels_neither_underflow_nor_tie() -> None:
-    fitted = fit(FOUR, clusters(4), AXES)
-    ray = torch.linspace(1, 50, 100)[:, None] * torch.tensor([[0.6, 0.8]])
-
-    assert (fitted.distance(ray).diff() > 0).all()
-
-
 # --- fit --------------------------------------------------------------------------------
 
 

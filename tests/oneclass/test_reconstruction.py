@@ -84,26 +84,6 @@ def test_where_all_components_are_needed_one_less_is_kept_or_none_or_nothing_is_
     assert distance("strict") == 0
 
 
-def test_the_residual_turns_with_the_planes() -> None:
-    turn = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(3))).Q
-    samples, pixels = flat_samples(), colours()
-
-    before = fit(COMPONENTS, samples, RGB).distance(pixels)
-    after = fit(COMPONENTS, samples @ turn, RGB).distance(pixels @ turn)
-
-    torch.testing.assert_close(before, after, atol=1e-5, rtol=0)
-
-
-def test_colours_on_the_plane_of_the_components_are_at_distance_zero() -> None:
-    samples = flat_samples()
-    fitted = fit(COMPONENTS, samples, RGB)
-    main = torch.linalg.eigh(samples.T.double().cov()).eigenvectors[:, 1:].float()
-
-    on_it = samples.mean(0) + colours(50)[:, :2] @ main.T
-
-    assert fitted.distance(on_it).max() < 1e-6
-
-
 # --- k-means ----------------------------------------------------------------------------
 
 
@@ -164,7 +144,7 @@ def test_the_radius_is_at_most_twice_the_least(seed: int, count: int, number: in
     assert float(radii) == pytest.approx(float(apart[centres[0]].amin(0).max()))
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_restarts_find_the_least_radius_of_few_samples(seed: int) -> None:
     samples = points(12, 3, seed)
     apart = torch.cdist(samples, samples)
@@ -202,11 +182,3 @@ def test_as_many_centres_as_samples_are_the_nearest_neighbour(classifier) -> Non
     found = fit(classifier, samples, RGB, settings).distance(pixels)
 
     torch.testing.assert_close(found, fit(NEAREST, samples, RGB).distance(pixels))
-
-
-def test_no_centre_is_nearer_than_the_nearest_sample() -> None:
-    samples, pixels = flat_samples(), colours()
-
-    centres, nearest = (fit(kind, samples, RGB).distance(pixels) for kind in (CENTRES, NEAREST))
-
-    assert (nearest <= centres + 1e-6).all()

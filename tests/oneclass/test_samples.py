@@ -100,7 +100,7 @@ def test_a_byte_plane_has_no_more_values_than_a_byte(name: str) -> None:
 
 
 def test_about_ninety_superpixels_give_about_ninety_samples() -> None:
-    image = scene(3, 360, 480).image
+    image = scene(3, 240, 320).image
 
     samples = road_samples(image, ("R", "G", "B"), SampleSettings())
 

@@ -1,6 +1,5 @@
 """The boundary classifiers of P3, slow and obvious, in NumPy's double precision."""
 
-from collections.abc import Callable
 from itertools import combinations, product
 from typing import Any
 
@@ -92,31 +91,22 @@ def ball_weights(gram: Array, cap: float) -> Array:
     return found.x
 
 
+def kernel(left: Array, right: Array, sigma: float) -> Array:
+    return np.exp(-(distance_matrix(left, right) ** 2) / sigma**2)
+
+
 def ball_distance(samples: Array, weights: Array, sigma: float, pixels: Array) -> Array:
-    def kernel(left: Array, right: Array) -> Array:
-        return np.exp(-(distance_matrix(left, right) ** 2) / sigma**2)
-
-    norm = weights @ kernel(samples, samples) @ weights
-    return np.sqrt(np.maximum(1 + norm - 2 * kernel(pixels, samples) @ weights, 0))
+    norm = weights @ kernel(samples, samples, sigma) @ weights
+    return np.sqrt(np.maximum(1 + norm - 2 * kernel(pixels, samples, sigma) @ weights, 0))
 
 
-def minimax_score(
-    samples: Array,
-    pixels: Array,
-    ridge: float,
-    sigma: float,
-    solve: Callable[[Array, Array], Array] = np.linalg.solve,
-) -> Array:
+def minimax_score(samples: Array, pixels: Array, ridge: float, sigma: float) -> Array:
     """The toolbox's steps over all samples, twins included; scaled so that their mean is 1."""
-
-    def kernel(left: Array, right: Array) -> Array:
-        return np.exp(-(distance_matrix(left, right) ** 2) / sigma**2)
-
-    gram = kernel(samples, samples)
+    gram = kernel(samples, samples, sigma)
     mean = gram.mean(0)
     rows = (gram - mean) / np.sqrt(len(samples))
-    solved = solve(rows.T @ rows + ridge * np.eye(len(samples)), mean)
-    return kernel(pixels, samples) @ solved / (mean @ solved)
+    solved = np.linalg.solve(rows.T @ rows + ridge * np.eye(len(samples)), mean)
+    return kernel(pixels, samples, sigma) @ solved / (mean @ solved)
 
 
 def game_value(dissimilarities: Array, cap: float) -> float:

@@ -90,10 +90,6 @@ def test_whitening(golden: Any) -> None:
     close(white(golden)[golden.rows], golden.patches("patches_white"), 2e-6)
 
 
-def test_float32_is_near_enough_for_whitening(golden: Any) -> None:
-    close(white(golden, torch.float32)[golden.rows].double(), golden.patches("patches_white"), 5e-5)
-
-
 def test_the_first_assignment(golden: Any) -> None:
     found = features.assign(white(golden), golden.patches("centroids_init"))
 
@@ -109,10 +105,6 @@ def test_each_of_the_ten_updates_from_the_stored_one_before(golden: Any) -> None
 
         close(bases, stored[number])
         assert torch.equal(counts, golden["cluster_counts_iter"][number])
-
-
-def test_the_ten_updates_one_after_the_other(golden: Any) -> None:
-    close(dictionary(golden), golden.patches("centroids_final"))
 
 
 def test_scores_order_and_selected_maps(golden: Any) -> None:

@@ -95,13 +95,9 @@ def test_an_only_region_joins_the_node_and_two_start_their_own() -> None:
     assert tree.parent.tolist() == [-1, 0, 0]
     levels = [tree.regions.level[tree.node_of == node].tolist() for node in range(3)]
     assert levels == [[0, 1], [2, 3, 4, 5, 6], [2, 3, 4]]
-
-
-def test_small_regions_vanish() -> None:
-    tree = hierarchy.build_tree(hierarchy.threshold_regions(two_hills(), STEPS), 10)
-
-    assert len(tree.node) == 1
-    assert hierarchy.node_area(tree, 0).all()
+    without_the_small = hierarchy.build_tree(tree.regions, 10)
+    assert len(without_the_small.node) == 1
+    assert hierarchy.node_area(without_the_small, 0).all()
 
 
 def test_the_whole_map_is_road_only_where_nothing_splits_and_only_if_allowed() -> None:
