@@ -18,7 +18,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.imaging.comparison import at_least
+from roadtorch.imaging.levels import at_least
 from roadtorch.imaging.resize import Maps, WorkingSize, at_picture_size, at_work, full_size
 from roadtorch.io.image import Order, Picture, as_image, overlay_pixels, png_bytes
 from roadtorch.road.ego import Ego, continued, ego_car, is_anywhere, is_given, read_ego_mask

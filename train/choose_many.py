@@ -39,7 +39,7 @@ from roadtorch.evaluation.trust import (
     failure_auc,
     rank_correlation,
 )
-from roadtorch.road.otsu import centred_odds
+from roadtorch.road.fusion import centred_odds
 from roadtorch.road.trust import Signs, signs_of
 
 EVERY = 4

@@ -26,8 +26,7 @@ from roadtorch.evaluation.metrics import (
     f_measure,
     max_f,
 )
-from roadtorch.road.fusion import log_odds
-from roadtorch.road.otsu import centred_odds
+from roadtorch.road.fusion import centred_odds, log_odds
 from train.choose_many import CENTRES, pictures
 
 SHARES = (0.65, 0.8)

@@ -27,9 +27,8 @@ from roadtorch.layout.classes import CLASSES, UNLABELLED
 from roadtorch.road.fusion import log_odds
 from roadtorch.runtime.image_cache import image_cache
 from roadtorch.settings import Settings
-from roadtorch.superpixels.features import measure_segments
+from roadtorch.superpixels.segments import measure_segments, segment_mean
 from roadtorch.superpixels.slic import Superpixels
-from roadtorch.superpixels.statistics import segment_mean
 
 BARELY = 0.05
 """Log odds of what the threshold says road and the mask leaves out, so that it stays out."""

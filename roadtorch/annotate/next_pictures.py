@@ -18,7 +18,7 @@ from roadtorch.annotate.machine import PictureView
 from roadtorch.imaging.resize import resized
 from roadtorch.io.image import read_image
 from roadtorch.layout.classes import CLASSES
-from roadtorch.superpixels.statistics import paint
+from roadtorch.superpixels.segments import paint
 
 GRID = (4, 5)
 """Rows and columns of the cells over which a picture's features are averaged."""

@@ -15,7 +15,7 @@ from scipy.sparse.linalg import cg
 from torch import Tensor
 
 from roadtorch.settings import Settings
-from roadtorch.superpixels.features import Segments
+from roadtorch.superpixels.segments import Segments
 
 
 class PropagationSettings(Settings):

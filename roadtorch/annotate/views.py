@@ -15,7 +15,7 @@ from roadtorch.annotate.machine import AnnotationSettings, PictureView, look_at_
 from roadtorch.detector import Detector
 from roadtorch.io.atomic import atomic, make_folder
 from roadtorch.io.image import read_image
-from roadtorch.superpixels.statistics import segment_mean, segment_size
+from roadtorch.superpixels.segments import segment_mean, segment_size
 
 VIEWS = ".machine"
 """The folder of views in the folder of corrections."""

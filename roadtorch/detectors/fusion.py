@@ -9,7 +9,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings, lean
-from roadtorch.imaging.exposure import brightened
+from roadtorch.imaging.color import brightened
 from roadtorch.imaging.resize import WorkingSize
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, Share, pooled
 from roadtorch.layout.labeller import EXPOSURE, HorizonSettings, decide_layout, segment_layout
@@ -19,17 +19,24 @@ from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of
 from roadtorch.road.ego import continued, ego_found, is_anywhere
 from roadtorch.road.fusion import (
     RULES,
+    centred_odds,
     fused_log_odds,
     likelihood_product,
     log_odds,
+    prior_rows,
+    prior_triangle,
+    prior_uniform,
     road_place,
     seed_log_odds,
     segment_road,
 )
-from roadtorch.road.otsu import centred_odds
-from roadtorch.road.priors import prior_rows, prior_triangle, prior_uniform
-from roadtorch.road.seed_area import likely_seed, seed_rectangle, seed_segments
-from roadtorch.road.seed_distance import distance_likelihood, seed_distance
+from roadtorch.road.seed_area import (
+    distance_likelihood,
+    likely_seed,
+    seed_distance,
+    seed_rectangle,
+    seed_segments,
+)
 from roadtorch.road.texture import (
     Saturation,
     TextureSettings,
@@ -39,9 +46,8 @@ from roadtorch.road.texture import (
 )
 from roadtorch.road.trust import Judgement, TrustSettings, judgement, signs_of
 from roadtorch.settings import Settings
-from roadtorch.superpixels.features import Segments, measure_segments
+from roadtorch.superpixels.segments import Segments, measure_segments, paint, segment_mean
 from roadtorch.superpixels.slic import Superpixels
-from roadtorch.superpixels.statistics import paint, segment_mean
 
 
 class LearnedRoad(Settings):
@@ -156,7 +162,7 @@ class UntrainedFusion(nn.Module):
         return {
             "likelihood": paint(road, labels),
             "layout": partial(paint, street.layout.T, labels),
-            "layout_labels": partial(paint, decide_layout(street.layout), labels),
+            "layout_labels": partial(painted_labels, street.layout, labels),
             "seed_area": seed,
             **nearby.cues,
         }
@@ -205,14 +211,13 @@ class Fusion(nn.Module):
             settings.learned.weight * known,
         )
         odds = fused_log_odds([paint(road, labels), learned["road"]], [1, settings.learned.detail])
-        decided = decide_layout(layout.T)
         calibration = settings.calibration
         return {
             "likelihood": centred_odds(odds, calibration.centre, calibration.own).sigmoid(),
             "layout": partial(
                 pooled_layout, street.layout, labels, learned["layout"], settings.share
             ),
-            "layout_labels": partial(paint, decided, labels),
+            "layout_labels": partial(painted_labels, layout.T, labels),
             "learned_road": learned["road"],
             "seed_area": seed,
             "ego": ego,
@@ -228,6 +233,11 @@ class Fusion(nn.Module):
 def pooled_layout(seen: Tensor, labels: Tensor, learned: Tensor, share: float) -> Tensor:
     """Potentials (3,H,W): those of the segments (n,3) of labels (H,W), pooled with learned ones."""
     return pooled(paint(seen.T, labels), learned, share)
+
+
+def painted_labels(potentials: Tensor, labels: Tensor) -> Tensor:
+    """Layout labels (H,W) of the segments (n,3) of labels (H,W); 255 in doubt."""
+    return paint(decide_layout(potentials), labels)
 
 
 class Street(NamedTuple):

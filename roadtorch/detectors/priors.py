@@ -6,7 +6,7 @@ from functools import partial
 from torch import Tensor, nn
 
 from roadtorch.detector import DetectorSettings, Entry
-from roadtorch.road.priors import prior_rows, prior_triangle, prior_uniform
+from roadtorch.road.fusion import prior_rows, prior_triangle, prior_uniform
 
 
 class Prior(nn.Module):

@@ -8,20 +8,21 @@ from torch import Tensor, nn
 
 from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings, lean
 from roadtorch.imaging.color import plane
-from roadtorch.road.lbp import PATTERNS, similarity
 from roadtorch.road.seed_area import seed_area, seed_rectangle
 from roadtorch.road.texture import (
+    PATTERNS,
     Saturation,
     TextureSettings,
     fused_uniformity,
     quantise,
     segment_histograms,
+    similarity,
     uniformity,
     uniformity_likelihood,
     unsaturated_uniformity,
 )
+from roadtorch.superpixels.segments import paint
 from roadtorch.superpixels.slic import Superpixels, squares
-from roadtorch.superpixels.statistics import paint
 
 
 class CpfSettings(WorkingSettings):

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from roadtorch.imaging.exposure import DARKEST, STRONGEST, Exposure
+from roadtorch.imaging.color import DARKEST, STRONGEST, Exposure
 from roadtorch.imaging.resize import SHORTEST, WorkingSize
 from roadtorch.layout.classes import CLASSES, HORIZONTAL
 from roadtorch.layout.patch_network import (

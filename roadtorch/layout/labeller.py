@@ -16,20 +16,20 @@ from pydantic import Field
 from scipy.linalg import block_diag
 from torch import Tensor
 
-from roadtorch.imaging.exposure import Exposure, brightened
+from roadtorch.imaging.color import Exposure, brightened
 from roadtorch.imaging.resize import WorkingSize, at_working_size
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, SKY, UNLABELLED, VERTICAL
 from roadtorch.runtime.image_cache import cached_per_image
 from roadtorch.settings import Settings
-from roadtorch.superpixels.features import (
+from roadtorch.superpixels.segments import (
     Bandwidths,
     Segments,
     class_log_density,
     likeness,
     measure_segments,
+    paint,
 )
 from roadtorch.superpixels.slic import Superpixels
-from roadtorch.superpixels.statistics import paint
 
 UNSCALED = 32
 """Rows of a chain, of at least 1e-4 each, whose product a float64 still holds; two of them."""
@@ -197,9 +197,9 @@ def segment_layout(segments: Segments, rules: LabellerRules = RULES) -> Tensor:
     prior = place_prior(segments.row, segments.column, rules.place).log()
     prior[:, SKY] += sky_look(segments, rules.sky)
     prior = prior.log_softmax(1)
+    samples = column_samples(segments.labels, rules.order.step)
     alike = likeness(segments, rules.bandwidths)
     belief = prior.exp()
-    samples = column_samples(segments.labels, rules.order.step)
     for _ in range(rules.rounds):
         evidence = class_log_density(alike, belief, segments.size)
         belief = in_order(prior.add(evidence, alpha=rules.sharpness), samples, rules.order)

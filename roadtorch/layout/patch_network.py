@@ -17,8 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from roadtorch.errors import ConfigError
-from roadtorch.imaging.color import plane
-from roadtorch.imaging.exposure import Exposure, brightened
+from roadtorch.imaging.color import Exposure, brightened, plane
 from roadtorch.imaging.resize import WorkingSize, at_working_size
 from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.fragments import Layer, Layers, reflected

@@ -17,8 +17,8 @@ from roadtorch.oneclass.axes import circular_mean, unrolled
 from roadtorch.road.seed_area import FRAME, SeedArea, seed_area
 from roadtorch.runtime.image_cache import cached_per_image
 from roadtorch.settings import Settings
+from roadtorch.superpixels.segments import segment_median
 from roadtorch.superpixels.slic import slic
-from roadtorch.superpixels.statistics import segment_median
 
 MIN_SIDE = 8
 """Pixels that the seed area has on each side, where the picture has them: a few samples."""

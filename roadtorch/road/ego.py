@@ -13,7 +13,7 @@ from pydantic import Field, field_validator
 from torch import Tensor
 
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.imaging.comparison import above
+from roadtorch.imaging.levels import above
 from roadtorch.io.image import read_image
 from roadtorch.runtime.image_cache import cached_per_image
 from roadtorch.settings import Settings

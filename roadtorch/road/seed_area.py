@@ -6,9 +6,12 @@ import cv2
 import numpy as np
 import torch
 from pydantic import Field
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
 from roadtorch.settings import Settings
+from roadtorch.superpixels.segments import Segments
 
 FRAME = (240, 320)
 """Height and width in pixels of the frame in which a seed area is described."""
@@ -119,3 +122,55 @@ def seed_segments(labels: Tensor, seed: Tensor) -> Tensor:
     inside = torch.bincount(labels[seed], minlength=count)
     size = torch.bincount(labels.reshape(-1), minlength=count)
     return ((2 * inside >= size.clamp_min(1)) | (inside == inside.max())).nonzero()[:, 0]
+
+
+# --- how far a segment is from it -----------------------------------------------------
+
+
+FAINTEST = 0.0034
+"""Added to the contrast of a faint border (Lab/100): in a clean picture less is no edge either."""
+
+
+def seed_distance(segments: Segments, sources: Tensor) -> Tensor:
+    """Distance (n,) of each segment from the sources, numbers (k,) of segments, along the picture.
+
+    The least sum of the contrasts of the borders crossed on the way: a kerb or a painted line
+    must be crossed somewhere even where both sides have the same colour. The unit is a faint
+    border of this picture (the lower quartile), so that grain does not count. Ours, after
+    the geodesic distances of interactive segmentation.
+    """
+    steps = segments.contrast_between
+    if len(steps):
+        steps = steps / (lower_quartile(steps) + FAINTEST)
+    return distances(segments.pairs, steps, sources, len(segments.size))
+
+
+def distance_likelihood(distance: Tensor, reach: float) -> Tensor:
+    """Likelihood of road at a distance ≥ 0 from the seed area: 0.73 there, 0.5 at ``reach``."""
+    return (1 - distance / reach).sigmoid()
+
+
+def distances(pairs: Tensor, steps: Tensor, sources: Tensor, count: int) -> Tensor:
+    """Least sum of steps on a way from any source to each of ``count`` nodes: (count,).
+
+    pairs: int64 (2,E), each edge once; steps: (E,), ≥ 0. Dijkstra's algorithm; nodes out of
+    reach are infinitely far.
+    """
+    one, two = pairs.cpu().numpy()
+    # SciPy takes a stored 0 for a missing edge.
+    cost = steps.cpu().numpy().astype(np.float64) + np.finfo(np.float32).tiny
+    graph = coo_array((cost, (one, two)), shape=(count, count)).tocsr()
+    least = dijkstra(graph, directed=False, indices=sources.cpu().numpy(), min_only=True)
+    return torch.from_numpy(least).to(steps)
+
+
+def lower_quartile(values: Tensor) -> float:
+    """What a quarter of values (n,), n ≥ 1, lie below; between two of them on a straight line.
+
+    Sorted by NumPy it takes a tenth of the time of ``torch.quantile``, and of NumPy's.
+    """
+    ordered = np.sort(values.detach().cpu().numpy())
+    place = (len(ordered) - 1) / 4
+    low = int(place)
+    high = min(low + 1, len(ordered) - 1)
+    return float(ordered[low] + (place - low) * (ordered[high] - ordered[low]))

@@ -15,7 +15,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.imaging.comparison import above
+from roadtorch.imaging.levels import above
 from roadtorch.settings import Settings
 
 

@@ -22,7 +22,7 @@ from roadtorch.layout.labeller import label_layout
 from roadtorch.layout.patch_network import PatchNetwork, normalise
 from roadtorch.layout.weights import LayoutNetwork
 from roadtorch.sources.pictures import Picture
-from roadtorch.superpixels.statistics import segment_mean, segment_size
+from roadtorch.superpixels.segments import segment_mean, segment_size
 from roadtorch.train.config import PatchAugmentation, PatchCentres, PatchTraining
 from roadtorch.train.corrections import LabelledCentres, corrected_centres, repeated, said_layout
 from roadtorch.train.loop import (

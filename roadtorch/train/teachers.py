@@ -21,8 +21,7 @@ from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.picture_network import EGO, ROAD, PictureNetwork, potentials_of
 from roadtorch.road.ego import continued
-from roadtorch.road.fusion import log_odds
-from roadtorch.road.otsu import centred_odds
+from roadtorch.road.fusion import centred_odds, log_odds
 from roadtorch.train.config import PictureTraining, Rounds, Teacher
 from roadtorch.train.loop import RunContext
 from roadtorch.train.prepared import Arrays, from_bytes, read_arrays, to_bytes, write_arrays

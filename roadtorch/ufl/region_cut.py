@@ -12,7 +12,7 @@ from pydantic import Field
 from scipy.sparse import coo_array
 from torch import Tensor
 
-from roadtorch.road.lbp import similarity
+from roadtorch.road.texture import similarity
 from roadtorch.settings import Settings
 
 CAPACITY = 1000

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from roadtorch.imaging.resize import at_picture_size
-from roadtorch.road.priors import APEX
+from roadtorch.road.fusion import TRIANGLE_APEX
 from roadtorch.settings import Settings
 from roadtorch.ufl.hierarchy import (
     NodeChoice,
@@ -49,7 +49,10 @@ class StabilitySettings(Settings):
     rounds: int = Field(default=2, ge=1, le=100, description="iterations; the first has no error")
     place: Place = Field(default="symmetric", description=PLACE)
     apex: float = Field(
-        default=APEX, ge=0, lt=1, description="top of the triangle ahead, in heights from the top"
+        default=TRIANGLE_APEX,
+        ge=0,
+        lt=1,
+        description="top of the triangle ahead, in heights from the top",
     )
     base: float = Field(
         default=1.6, gt=0, le=10, description="its base on the bottom edge, in widths"

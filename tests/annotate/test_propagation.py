@@ -16,7 +16,7 @@ from roadtorch.annotate.machine import (
 from roadtorch.annotate.propagation import PropagationSettings, propagated, segment_graph
 from roadtorch.data.correction_labels import LABELS
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.superpixels.features import Segments, measure_segments
+from roadtorch.superpixels.segments import Segments, measure_segments
 from roadtorch.superpixels.slic import Superpixels
 from tests.streets import scene
 

@@ -15,8 +15,7 @@ from roadtorch.errors import WeightsError
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import label_layout
 from roadtorch.layout.weights import load_network, shipped_weights
-from roadtorch.road.fusion import RULES, Exponents, log_odds, segment_road
-from roadtorch.road.priors import prior_rows
+from roadtorch.road.fusion import RULES, Exponents, log_odds, prior_rows, segment_road
 from tests.networks import write_ego_network
 from tests.streets import lost_highlights
 

@@ -13,7 +13,7 @@ from roadtorch.evaluation.methods import (
     resize,
     road_shares,
 )
-from roadtorch.road.priors import prior_rows
+from roadtorch.road.fusion import prior_rows
 from tests.evaluation.conftest import GROUPS
 
 

@@ -28,7 +28,7 @@ from roadtorch.layout.labeller import (
     sky_look,
 )
 from roadtorch.scenes.street import RenderedScene
-from roadtorch.superpixels.features import Segments, measure_segments
+from roadtorch.superpixels.segments import Segments, measure_segments
 from tests.reference import layout as reference
 from tests.streets import scene
 

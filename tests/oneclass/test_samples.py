@@ -15,7 +15,7 @@ from roadtorch.oneclass.samples import (
     road_samples,
     sample_area,
 )
-from roadtorch.superpixels.statistics import segment_median
+from roadtorch.superpixels.segments import segment_median
 from tests.streets import scene
 
 GRID = SampleSettings(reduction="grid")

@@ -27,13 +27,13 @@ from roadtorch.road.fusion import (
     likelihood_product,
     log_odds,
     neighbour_mean,
+    prior_rows,
     road_place,
     segment_road,
 )
-from roadtorch.road.priors import prior_rows
-from roadtorch.road.seed_distance import FAINTEST, distance_likelihood, seed_distance
+from roadtorch.road.seed_area import FAINTEST, distance_likelihood, seed_distance
 from roadtorch.scenes.street import RenderedScene, render_scene
-from roadtorch.superpixels.features import Segments, likeness, measure_segments
+from roadtorch.superpixels.segments import Segments, likeness, measure_segments
 from roadtorch.superpixels.slic import slic
 from tests.reference import fusion as reference
 

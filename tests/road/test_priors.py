@@ -5,7 +5,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roadtorch.road.priors import prior_rows, prior_triangle, prior_uniform
+from roadtorch.road.fusion import prior_rows, prior_triangle, prior_uniform
 from roadtorch.road.seed_area import seed_area
 
 SIDES = st.integers(16, 2000)

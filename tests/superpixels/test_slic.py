@@ -13,8 +13,7 @@ from torch import Tensor
 from roadtorch.errors import ConfigError
 from roadtorch.superpixels import slic as superpixels
 from roadtorch.superpixels.connectivity import connect
-from roadtorch.superpixels.slic import slic, squares
-from roadtorch.superpixels.statistics import (
+from roadtorch.superpixels.segments import (
     borders,
     paint,
     segment_histogram,
@@ -23,6 +22,7 @@ from roadtorch.superpixels.statistics import (
     segment_size,
     segment_sum,
 )
+from roadtorch.superpixels.slic import slic, squares
 from tests.reference import superpixels as reference
 
 

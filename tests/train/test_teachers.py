@@ -9,10 +9,10 @@ from torch import nn
 from roadtorch.detector import Detector, DetectorSettings, Entry
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError
+from roadtorch.imaging.levels import otsu_threshold
 from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.picture_network import OUTPUTS, PictureNetwork, PictureNetworkSettings
 from roadtorch.road.fusion import log_odds
-from roadtorch.road.otsu import otsu_threshold
 from roadtorch.train.config import (
     PictureTraining,
     Rounds,

@@ -1,4 +1,4 @@
-"""Otsu's threshold: the best of all cuts, in the middle of a gap."""
+"""The k-th smallest value, against sorting; Otsu's threshold: the best of all cuts."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from skimage.filters import threshold_otsu
 
-from roadtorch.road.otsu import BINS, centred_odds, otsu_threshold
+from roadtorch.imaging.levels import BINS, order_statistic, otsu_threshold
+from roadtorch.road.fusion import centred_odds
+from roadtorch.road.seed_area import lower_quartile
 from tests.reference import otsu as reference
 
 
@@ -93,3 +95,28 @@ def test_of_values_that_are_not_finite_no_road_is_made(odd: float) -> None:
     centred = centred_odds(values, 0.0, 0.25)
 
     assert not centred.sum().isfinite()
+
+
+levels = st.lists(st.floats(-1e6, 1e6, width=32), min_size=1, max_size=60)
+
+
+@given(levels, st.data())
+def test_it_is_what_sorting_finds_in_that_place(values: list[float], data: st.DataObject) -> None:
+    k = data.draw(st.integers(0, len(values) - 1))
+
+    found = order_statistic(torch.tensor(values), k)
+
+    assert found == sorted(torch.tensor(values).tolist())[k]
+
+
+@given(levels)
+def test_the_lower_quartile_is_that_of_torch(values: list[float]) -> None:
+    found = lower_quartile(torch.tensor(values, dtype=torch.float64))
+
+    wanted = float(torch.tensor(values, dtype=torch.float64).quantile(0.25))
+    assert found == pytest.approx(wanted, rel=1e-9, abs=1e-9)
+
+
+def test_there_is_no_value_behind_the_last() -> None:
+    with pytest.raises(ValueError, match="kth"):
+        order_statistic(torch.zeros(3), 3)

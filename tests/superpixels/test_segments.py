@@ -7,18 +7,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from roadtorch.imaging.color import planes
-from roadtorch.imaging.exposure import STRONGEST, Exposure, brightened
-from roadtorch.superpixels.features import (
+from roadtorch.imaging.color import STRONGEST, Exposure, brightened, planes
+from roadtorch.superpixels.segments import (
     Bandwidths,
     Segments,
+    borders,
     class_log_density,
     gradient_length,
     likeness,
     measure_segments,
 )
 from roadtorch.superpixels.slic import slic
-from roadtorch.superpixels.statistics import borders
 
 
 def noise(height: int, width: int, seed: int = 0) -> Tensor:
