@@ -63,7 +63,8 @@ choose_index() {
   fi
 }
 
-# Installs only when something changed since the last time. Extras that are already
+# Installs only when something changed since the last time; Python compiles what is used, not pip
+# all there is, which takes a minute. Extras that are already
 # there are kept, so that demo.sh and test.sh do not undo each other's work.
 prepare_venv() {
   local extras=${1:-} had="" asked="" python wanted INDEX
@@ -86,7 +87,7 @@ prepare_venv() {
   wanted=".${extras:+[$extras]}"
   echo "installing roadtorch${wanted#.} into .venv (some minutes the first time)" >&2
   choose_index
-  "$PYTHON" -m pip install --quiet --disable-pip-version-check ${INDEX[@]+"${INDEX[@]}"} \
+  "$PYTHON" -m pip install --quiet --disable-pip-version-check --no-compile ${INDEX[@]+"${INDEX[@]}"} \
     -c constraints.txt -e "$wanted"
   printf '%s\n%s\n' "$extras" "$(checksum)" >"$STAMP"
 }
