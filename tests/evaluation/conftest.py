@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -9,7 +10,9 @@ from torch import Tensor
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset
 from roadtorch.detector import Detection
+from roadtorch.evaluation import metrics
 from roadtorch.evaluation.methods import Look, Method
+from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.result import DetectorFigures
 from roadtorch.evaluation.scoring import score_item
 from roadtorch.evaluation.summary import summarise
@@ -60,3 +63,27 @@ def summarised(tally: Tally, threshold: float = 0.5) -> DetectorFigures:
     return summarise(
         Method("it", lambda _: looking(lambda name: torch.zeros(1)), threshold=threshold), tally
     )
+
+
+# --- counts of made-up maps ------------------------------------------------------------------
+
+
+def count(scores, road, levels=metrics.LEVELS) -> RoadCounts:
+    """The counts of one map, all of it valid."""
+    scores, road = torch.as_tensor(scores), torch.as_tensor(road, dtype=torch.bool)
+    return metrics.count_levels(scores, road, torch.ones_like(road), levels)
+
+
+def stack(*parts: RoadCounts) -> RoadCounts:
+    return RoadCounts(
+        torch.stack([part.road for part in parts]), torch.stack([part.other for part in parts])
+    )
+
+
+def random_map(seed: int, levels: int = 12) -> tuple[np.ndarray, np.ndarray]:
+    """Scores on a coarse grid, so that ties are frequent, and a road."""
+    generator = np.random.default_rng(seed)
+    road = generator.random((9, 11)) < 0.4
+    road[0, :2] = True, False
+    drawn = generator.integers(0, levels, road.shape) + 3 * road
+    return np.clip(drawn, 0, levels) / levels, road

@@ -44,6 +44,9 @@ def blob(generator: np.random.Generator) -> np.ndarray:
 def test_counts_equal_looking_at_every_pair_of_pixels(seed):
     generator = np.random.default_rng(seed)
     mask, road = blob(generator), blob(generator)
+    if seed % 2:  # a small road, of which what is far is not looked at
+        top, left = (generator.integers(1, side) for side in SIZE)
+        road[:top] = road[:, :left] = False
     valid = generator.random(SIZE) < generator.choice([0.8, 1.0])
     tolerances = (0.0, 1 * PIXEL, 2 * PIXEL, 0.123, 5 * PIXEL, 10 * PIXEL)
 
@@ -54,22 +57,6 @@ def test_counts_equal_looking_at_every_pair_of_pixels(seed):
     assert found.tolist() == [slow.count(mask, road, valid, share) for share in tolerances]
 
 
-@settings(max_examples=20, deadline=None)
-@given(st.integers(0, 10_000))
-def test_a_small_road_is_compared_with_all_that_is_near_it(seed):
-    generator = np.random.default_rng(seed)
-    mask, road = blob(generator), blob(generator)
-    top, left = (generator.integers(1, side) for side in SIZE)
-    road[:top] = road[:, :left] = False
-    tolerances = (0.0, 1 * PIXEL, 2 * PIXEL)
-
-    maps = (torch.from_numpy(mask), torch.from_numpy(road), everything())
-    found = boundary.count_boundary(*maps, tolerances)
-
-    every = np.ones(SIZE, bool)
-    assert found.tolist() == [slow.count(mask, road, every, share) for share in tolerances]
-
-
 # --- what a border is -----------------------------------------------------------------------------
 
 
@@ -78,10 +65,7 @@ def test_the_border_is_the_masks_own_last_pixel():
 
     assert found.nonzero()[:, 1].unique().tolist() == [4]
     assert int(found.sum()) == 12
-
-
-def test_the_frame_of_the_picture_is_no_border():
-    assert not boundary.border(everything(), everything()).any()
+    assert not boundary.border(everything(), everything()).any()  # the frame is no border
 
 
 def test_meeting_void_is_no_border():

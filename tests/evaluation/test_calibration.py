@@ -10,14 +10,10 @@ from hypothesis import strategies as st
 from sklearn.calibration import calibration_curve
 from sklearn.metrics import brier_score_loss
 
-from roadtorch.evaluation import calibration, metrics
+from roadtorch.evaluation import calibration
 from roadtorch.evaluation.metrics import RoadCounts
+from tests.evaluation.conftest import count, stack
 from tests.reference import calibration as slow
-
-
-def count(scores, road, levels=metrics.LEVELS) -> RoadCounts:
-    scores, road = torch.as_tensor(scores), torch.as_tensor(road, dtype=torch.bool)
-    return metrics.count_levels(scores, road, torch.ones_like(road), levels)
 
 
 def drawn(seed: int, levels: int = 256) -> tuple[np.ndarray, np.ndarray]:
@@ -36,15 +32,6 @@ def test_brier_score_equals_pixels_and_scikit_learn(seed):
 
     assert found == pytest.approx(slow.brier(scores, road), abs=1e-12)
     assert found == pytest.approx(brier_score_loss(road, scores), abs=1e-12)
-
-
-def test_default_levels_are_fine_enough_for_any_likelihood():
-    generator = np.random.default_rng(0)
-    scores, road = generator.random(4000), generator.random(4000) < 0.4
-
-    found = float(calibration.brier(count(scores, road)))
-
-    assert found == pytest.approx(brier_score_loss(road, scores), abs=1e-6)
 
 
 @pytest.mark.parametrize("bins", [1, 7, 20])
@@ -96,7 +83,7 @@ def test_a_calibrated_map_has_little_error_and_a_bold_one_much():
 
 def test_leading_dimensions_and_sums():
     one, two = count(*drawn(1), 256), count(*drawn(2), 256)
-    both = RoadCounts(torch.stack([one.road, two.road]), torch.stack([one.other, two.other]))
+    both = stack(one, two)
 
     assert calibration.brier(both).tolist() == [
         float(calibration.brier(one)),

@@ -217,10 +217,10 @@ def test_a_star_leaves_the_one_class_grid_out_and_its_family_brings_it_in():
 def test_a_group_that_is_left_out_is_scored_and_changes_no_other_figure(camvid):
     out = GROUPS[2]
     others = tuple(item for item in camvid.items if item.group != out)
-    whole = evaluate(camvid, [ORACLE, "cpf"])
+    whole = evaluate(camvid, [ORACLE, "grey-uniformity"])
 
-    found = evaluate(leave_out(camvid, [out]), [ORACLE, "cpf"])
-    alone = evaluate(replace(camvid, items=others), [ORACLE, "cpf"])
+    found = evaluate(leave_out(camvid, [out]), [ORACLE, "grey-uniformity"])
+    alone = evaluate(replace(camvid, items=others), [ORACLE, "grey-uniformity"])
 
     kept, expected = (without_times(document(one, ""))["detectors"] for one in (found, alone))
     for name, one in kept.items():
@@ -229,14 +229,14 @@ def test_a_group_that_is_left_out_is_scored_and_changes_no_other_figure(camvid):
         assert one == expected[name]
     assert (found.groups, found.left_out, found.images) == (list(GROUPS[:2]), [out], 6)
     # It is scored at the threshold that the others share, and by all that needs none as before.
-    cpf = found.detectors["cpf"]
-    assert cpf.group(out)["threshold"] == cpf.best_threshold
-    assert cpf.group(out)["maxf"] == whole.detectors["cpf"].group(out)["maxf"]
+    grey = found.detectors["grey-uniformity"]
+    assert grey.group(out)["threshold"] == grey.best_threshold
+    assert grey.group(out)["maxf"] == whole.detectors["grey-uniformity"].group(out)["maxf"]
     assert document(found, "")["left_out"] == [out]
 
 
 def test_the_same_folder_with_other_groups_left_out_is_another_run(camvid):
-    methods = methods_for(camvid, ["cpf"], {}, {}, None)
+    methods = methods_for(camvid, ["grey-uniformity"], {}, {}, None)
 
     assert fingerprint(leave_out(camvid, GROUPS[:1]), methods) != fingerprint(camvid, methods)
 
@@ -246,8 +246,12 @@ def test_a_condition_has_the_figures_of_its_pictures_whatever_their_group(camvid
     items = tuple(replace(one, conditions=rainy.get(one.name, ())) for one in camvid.items)
     chosen = tuple(item for item in camvid.items if "rain" in rainy.get(item.name, ()))
 
-    found = evaluate(replace(camvid, items=items), ["cpf"]).detectors["cpf"]
-    alone = evaluate(replace(camvid, items=chosen), ["cpf"]).detectors["cpf"].pooled
+    found = evaluate(replace(camvid, items=items), ["grey-uniformity"]).detectors["grey-uniformity"]
+    alone = (
+        evaluate(replace(camvid, items=chosen), ["grey-uniformity"])
+        .detectors["grey-uniformity"]
+        .pooled
+    )
 
     rain = found.conditions["rain"]
     assert set(found.conditions) == {"rain", "dusk"}
@@ -259,7 +263,7 @@ def test_a_condition_has_the_figures_of_its_pictures_whatever_their_group(camvid
     assert {"threshold", "trust/auc"}.isdisjoint(rain)
     counts = [
         metrics.decisions_at(
-            metrics.count_levels(look("cpf", item), *truth_of(camvid, item), 256),
+            metrics.count_levels(look(name, item), *truth_of(camvid, item), 256),
             found.thresholds[item.group or ""],
         )
         for item in chosen

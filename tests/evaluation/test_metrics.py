@@ -12,38 +12,8 @@ from sklearn.metrics import roc_auc_score
 from roadtorch.errors import InputError
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
+from tests.evaluation.conftest import count, random_map, stack
 from tests.reference import metrics as slow
-
-EVERYTHING = torch.ones(1, dtype=torch.bool)
-
-
-def count(scores, road, levels=metrics.LEVELS) -> RoadCounts:
-    scores, road = torch.as_tensor(scores), torch.as_tensor(road, dtype=torch.bool)
-    return metrics.count_levels(scores, road, EVERYTHING.expand(road.shape), levels)
-
-
-def random_map(seed: int, levels: int = 12) -> tuple[np.ndarray, np.ndarray]:
-    """Scores on a coarse grid, so that ties are frequent, and a road."""
-    generator = np.random.default_rng(seed)
-    road = generator.random((9, 11)) < 0.4
-    road[0, :2] = True, False
-    drawn = generator.integers(0, levels, road.shape) + 3 * road
-    return np.clip(drawn, 0, levels) / levels, road
-
-
-# --- the worked example of Fawcett's averaging: two small images ----------------------------------
-
-FIRST = ([0.9, 0.8, 0.7, 0.6, 0.4, 0.3, 0.2, 0.1], [1, 1, 0, 1, 1, 0, 0, 0])
-SECOND = ([0.7, 0.6, 0.6, 0.5, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05], [1, 0, 1, 1, 0, 1, 0, 0, 0, 0])
-
-
-def test_auc_of_the_worked_example_single_and_pooled():
-    first, second = count(*FIRST), count(*SECOND)
-
-    assert float(metrics.auc(first)) == pytest.approx(0.875, abs=1e-12)
-    assert float(metrics.auc(second)) == pytest.approx(0.833333, abs=1e-6)
-    assert float(metrics.auc(first + second)) == pytest.approx(0.85, abs=1e-12)
-
 
 # --- brute force ----------------------------------------------------------------------------------
 
@@ -121,16 +91,6 @@ def test_level_counts_equal_counting_pixel_by_pixel(levels):
     assert np.array_equal(found.other.numpy(), other)
 
 
-def test_maps_in_double_precision_and_cut_out_of_larger_ones_are_counted_alike():
-    scores, road = random_map(3)
-    wide = torch.from_numpy(np.repeat(scores, 2, axis=1))[:, ::2]
-
-    counted, again = count(scores, road), count(wide, road)
-
-    assert torch.equal(counted.road, again.road)
-    assert int(counted.road.sum()) == road.sum()
-
-
 # --- P1: precision, recall and F of a whole data set (eq. 11) -------------------------------------
 
 # Table I: the method's own rows, as printed, in per cent.
@@ -154,20 +114,6 @@ def test_f_of_table_1_follows_from_its_precision_and_recall(name, precision, rec
     assert float(metrics.precision(pooled)) == pytest.approx(precision / 100, abs=1e-12)
     assert float(metrics.recall(pooled)) == pytest.approx(recall / 100, abs=1e-12)
     assert round(100 * float(metrics.f_measure(pooled)), 2) == f
-
-
-def test_counts_are_pooled_before_dividing():
-    # One image with much road, all found; one with little, none of it called.
-    much, little = (
-        Decisions(*torch.tensor([90, 10, 0, 0])),
-        Decisions(*torch.tensor([0, 0, 10, 90])),
-    )
-
-    pooled = much + little
-
-    assert float(metrics.precision(pooled)) == 0.9
-    assert float(metrics.recall(pooled)) == 0.9  # the image without a call still counts its road
-    assert float(metrics.f_measure(pooled)) == pytest.approx(0.9)
 
 
 # --- KITTI's synthetic case -----------------------------------------------------------------------
@@ -264,22 +210,10 @@ def test_counts_of_the_development_kit_at_single_thresholds(name):
     assert found == KITTI_COUNTED[name]
 
 
-def test_pooled_max_f_is_not_the_mean_of_the_frames():
-    cases = kitti_cases()
-
-    single = [float(metrics.max_f(cases[name])[0]) for name in ("first", "second")]
-
-    assert sum(single) / 2 == pytest.approx(0.782181, abs=1e-6)
-    assert float(metrics.max_f(cases["pooled"])[0]) == pytest.approx(0.780858, abs=6e-7)
-
-
 def test_figures_of_many_counts_at_once_are_those_of_each():
     cases = [kitti_cases()[name] for name in ("first", "binary", "constant")]
-    together = RoadCounts(
-        torch.stack([case.road for case in cases]), torch.stack([case.other for case in cases])
-    )
 
-    found = metrics.working_point(together)
+    found = metrics.working_point(stack(*cases))
 
     for index, case in enumerate(cases):
         alone = metrics.working_point(case)
@@ -338,21 +272,10 @@ def test_the_lowest_of_equal_thresholds_is_taken():
     assert float(threshold) == pytest.approx(0.3)
 
 
-def test_pooling_is_adding():
-    (scores, road), (others, more) = random_map(1), random_map(2)
-
-    together = count(np.concatenate([scores, others]), np.concatenate([road, more]))
-    added = count(scores, road) + count(others, more)
-
-    assert torch.equal(together.road, added.road)
-    assert torch.equal(together.other, added.other)
-
-
 def test_pooled_weights_repeat_images():
     one, two = count([0.1, 0.9], [0, 1], 5), count([0.4, 0.9], [1, 0], 5)
-    stacked = RoadCounts(torch.stack([one.road, two.road]), torch.stack([one.other, two.other]))
 
-    pooled = metrics.pool(stacked, torch.tensor([[2, 0], [1, 1]]))
+    pooled = metrics.pool(stack(one, two), torch.tensor([[2, 0], [1, 1]]))
 
     assert torch.equal(pooled.road[0], 2 * one.road)
     assert torch.equal(pooled.other[1], one.other + two.other)
