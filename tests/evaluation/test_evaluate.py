@@ -246,12 +246,9 @@ def test_a_condition_has_the_figures_of_its_pictures_whatever_their_group(camvid
     items = tuple(replace(one, conditions=rainy.get(one.name, ())) for one in camvid.items)
     chosen = tuple(item for item in camvid.items if "rain" in rainy.get(item.name, ()))
 
-    found = evaluate(replace(camvid, items=items), ["grey-uniformity"]).detectors["grey-uniformity"]
-    alone = (
-        evaluate(replace(camvid, items=chosen), ["grey-uniformity"])
-        .detectors["grey-uniformity"]
-        .pooled
-    )
+    name = "grey-uniformity"
+    found = evaluate(replace(camvid, items=items), [name]).detectors[name]
+    alone = evaluate(replace(camvid, items=chosen), [name]).detectors[name].pooled
 
     rain = found.conditions["rain"]
     assert set(found.conditions) == {"rain", "dusk"}
