@@ -15,20 +15,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
+from pydantic import Field
 from torch import Tensor
 from torch.nn import functional as F
 
 from roadtorch.layout.classes import CLASSES
 from roadtorch.runtime.vision import import_torchvision
-from roadtorch.train.config import (
-    EgoCarAugmentation,
-    GeometryAugmentation,
-    LightAugmentation,
-    NightAugmentation,
-    ShadowAugmentation,
-    SurfaceAugmentation,
-)
-from roadtorch.train.loop import uniform
+from roadtorch.settings import Settings
 from roadtorch.train.prepared import from_bytes, read_arrays
 
 GRAIN_CELLS = (4, 12, 40)
@@ -47,7 +40,110 @@ EGO_TINT = 0.2
 """Share of the variation of an ego car's light that each colour has alone."""
 
 
+# --- settings ---------------------------------------------------------------------------
+
+
+class LightAugmentation(Settings):
+    """How the light of whole pictures is varied."""
+
+    gamma: float = Field(default=0.7, ge=0, le=3, description="exponents from 1/e^gamma to e^gamma")
+    gain: float = Field(default=0.4, ge=0, le=3, description="brightness by e^-gain to e^gain")
+    tint: float = Field(default=0.15, ge=0, le=3, description="the same for each colour alone")
+    saturation: float = Field(
+        default=0.6, ge=0, le=1, description="by which colour may fade or grow"
+    )
+    noise: float = Field(
+        default=6.0, ge=0, le=255, description="deviation of the noise at most, grey levels of 255"
+    )
+
+
+class GeometryAugmentation(Settings):
+    """How the frame of whole pictures is varied; every second picture is mirrored."""
+
+    scale: float = Field(
+        default=0.25, ge=0, le=2, description="magnification by e^-scale to e^scale"
+    )
+    stretch: float = Field(default=0.1, ge=0, le=2, description="the same for the width alone")
+    rotation: float = Field(default=4.0, ge=0, le=90, description="degrees to either side")
+    move: float = Field(
+        default=0.1, ge=0, le=1, description="by this share of the size to either side"
+    )
+    lower: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        description="share of the pictures of which only a lower part is seen: a road uphill",
+    )
+    cut: float = Field(
+        default=0.5, ge=0, le=0.9, description="share of their height that is cut off at most"
+    )
+
+
+class SurfaceAugmentation(Settings):
+    """How road and other ground get other colours and grain, each its own: asphalt, gravel, sand.
+
+    On the road that the teacher sees, and on the rest of its ground.
+    """
+
+    share: float = Field(default=0.0, ge=0, le=1, description="of the pictures")
+    gain: float = Field(default=0.45, ge=0, le=3, description="brightness by e^-gain to e^gain")
+    tint: float = Field(default=0.2, ge=0, le=3, description="the same for each colour alone")
+    grain: float = Field(
+        default=0.15, ge=0, le=1, description="deviation of the grain at most, share of the level"
+    )
+
+
+class ShadowAugmentation(Settings):
+    """How hard shadows fall across pictures: bands with straight edges, below the horizon."""
+
+    share: float = Field(default=0.0, ge=0, le=1, description="of the pictures")
+    darkest: float = Field(
+        default=0.25, gt=0, le=0.7, description="levels in the shadow, of those in the light"
+    )
+    widest: float = Field(
+        default=0.5, gt=0, le=2, description="half the width of a band, share of the picture"
+    )
+
+
+class NightAugmentation(Settings):
+    """How day becomes night: dark but for what headlights reach, a few lamps, warmer light."""
+
+    share: float = Field(default=0.0, ge=0, le=1, description="of the pictures")
+    darkest: float = Field(
+        default=0.03, gt=0, le=1, description="levels where no headlight reaches, of those by day"
+    )
+    lamps: int = Field(default=6, ge=0, le=100, description="lamps at most, above the road")
+
+
+class EgoCarAugmentation(Settings):
+    """Ego cars that footage shows, cut out and laid over the lower edge of other pictures."""
+
+    share: float = Field(default=0.0, ge=0, le=1, description="of the pictures that get one")
+    tallest: float = Field(
+        default=0.7, ge=0, le=3, description="grown in height by at most e to this"
+    )
+    flattest: float = Field(default=0.3, ge=0, le=3, description="or shrunk by e to this")
+    widest: float = Field(default=0.25, ge=0, le=3, description="grown in width likewise")
+    light: float = Field(default=0.5, ge=0, le=3, description="gamma and gain by e to this")
+
+
+class Augmentation(Settings):
+    """How whole pictures are varied."""
+
+    light: LightAugmentation = LightAugmentation()
+    geometry: GeometryAugmentation = GeometryAugmentation()
+    surface: SurfaceAugmentation = SurfaceAugmentation()
+    shadow: ShadowAugmentation = ShadowAugmentation()
+    night: NightAugmentation = NightAugmentation()
+    ego_car: EgoCarAugmentation = EgoCarAugmentation()
+
+
 # --- frame ------------------------------------------------------------------------------
+
+
+def uniform(generator: torch.Generator, count: int, low: float, high: float) -> Tensor:
+    """``count`` numbers between low and high, (count,)."""
+    return low + (high - low) * torch.rand(count, generator=generator)
 
 
 def draw_frames(

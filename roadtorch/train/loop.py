@@ -45,11 +45,6 @@ def seeded(seed: int, *place: int) -> Iterator[None]:
         yield
 
 
-def uniform(generator: torch.Generator, count: int, low: float, high: float) -> torch.Tensor:
-    """``count`` numbers between low and high, (count,)."""
-    return low + (high - low) * torch.rand(count, generator=generator)
-
-
 # --- samples ----------------------------------------------------------------------------
 
 

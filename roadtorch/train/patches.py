@@ -23,6 +23,7 @@ from roadtorch.layout.patch_network import PatchNetwork, normalise
 from roadtorch.layout.weights import LayoutNetwork
 from roadtorch.sources.pictures import Picture
 from roadtorch.superpixels.segments import segment_mean, segment_size
+from roadtorch.train.augmentation import uniform
 from roadtorch.train.config import PatchAugmentation, PatchCentres, PatchTraining
 from roadtorch.train.corrections import LabelledCentres, corrected_centres, repeated, said_layout
 from roadtorch.train.loop import (
@@ -33,7 +34,6 @@ from roadtorch.train.loop import (
     RunContext,
     generator_at,
     seeded,
-    uniform,
 )
 from roadtorch.train.prepared import Arrays, from_bytes, kept_arrays, read_arrays, to_bytes
 from roadtorch.train.processes import Processes

@@ -10,6 +10,12 @@ import torch
 from roadtorch.layout.classes import CLASSES
 from roadtorch.train.augmentation import (
     EgoCar,
+    EgoCarAugmentation,
+    GeometryAugmentation,
+    LightAugmentation,
+    NightAugmentation,
+    ShadowAugmentation,
+    SurfaceAugmentation,
     at_night,
     draw_ego_car,
     draw_frames,
@@ -19,14 +25,6 @@ from roadtorch.train.augmentation import (
     resurfaced,
     shaded,
     varied,
-)
-from roadtorch.train.config import (
-    EgoCarAugmentation,
-    GeometryAugmentation,
-    LightAugmentation,
-    NightAugmentation,
-    ShadowAugmentation,
-    SurfaceAugmentation,
 )
 from roadtorch.train.prepared import write_arrays
 from roadtorch.train.teachers import PLANES, Targets
