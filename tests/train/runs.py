@@ -122,7 +122,7 @@ def run(words: Sequence[object], folder: Path) -> subprocess.CompletedProcess[st
         capture_output=True,
         text=True,
         cwd=folder,
-        timeout=120,
+        timeout=300,
         env=os.environ | {"OMP_NUM_THREADS": "1"},
     )
 
