@@ -34,7 +34,7 @@ from roadtorch.io.atomic import (
 )
 from roadtorch.io.bounded import printable, read_regular
 from roadtorch.layout.weights import corrected_pictures, tensors_hash
-from roadtorch.runs.index import DOUBTFUL, INDEX, Row, read_index
+from roadtorch.runs.index import DOUBTFUL, INDEX, read_index
 from roadtorch.runtime.signals import Terminated
 from roadtorch.runtime.threads import Threads
 from roadtorch.sinks.polygons import ROAD, CocoPicture, coco_text
@@ -109,15 +109,12 @@ class ResultFolder:
         interrupted. Raises InputError when it cannot be written, DatasetError for an annotation
         that cannot be read.
         """
-
-        def has_polygons(file: str) -> bool:
-            return self.remote is not None or (self.path / annotation_name(file)).is_file()
-
         rows = read_index(self.path / INDEX).values()
+        saved = [row for row in rows if not row.failed and "polygons" in row.saved.split()]
         ready = {
             row.file: row
-            for row in sorted(rows, key=lambda row: row.file)
-            if not row.failed and "polygons" in row.saved.split() and has_polygons(row.file)
+            for row in sorted(saved, key=lambda row: row.file)
+            if self.remote is not None or (self.path / annotation_name(row.file)).is_file()
         }
         pictures = [
             CocoPicture(
@@ -128,12 +125,21 @@ class ResultFolder:
             for row in ready.values()
         ]
         path = self.path / COCO
-        with (
-            tempfile.TemporaryDirectory(prefix="roadtorch-") as scratch,
-            atomic(path) as temporary,
-            temporary.open("w", encoding="utf-8") as file,
-        ):
-            file.writelines(coco_text(pictures, SavedMasks(ready, self, Path(scratch))))
+        with tempfile.TemporaryDirectory(prefix="roadtorch-") as scratch:
+
+            def mask_of(file: str) -> np.ndarray:
+                """bool (H,W), as the annotation of a picture draws it."""
+                annotation = self.path / annotation_name(file)
+                if self.remote is not None:
+                    annotation = Path(scratch, "annotation.json")
+                    annotation.write_bytes(self.remote.read(annotation_name(file)) or b"")
+                drawings = read_annotation(annotation).drawings
+                shapes = [(one.shape, int(one.name == ROAD)) for one in drawings]
+                size = int(ready[file].height), int(ready[file].width)
+                return filled_shapes(shapes, size) > 0
+
+            with atomic(path) as temporary, temporary.open("w", encoding="utf-8") as text:
+                text.writelines(coco_text(pictures, mask_of))
         self.publish(path)
 
 
@@ -159,37 +165,6 @@ def result_folder(out: Path | RemoteFolder) -> Iterator[ResultFolder]:
 def annotation_name(file: str) -> str:
     """The annotation file of a picture that index.csv calls ``file``, below the results."""
     return PurePath(file).with_suffix("").as_posix() + POLYGONS
-
-
-@dataclass(frozen=True)
-class SavedMasks(Mapping[str, np.ndarray]):
-    """The masks bool (H,W) that annotation files draw, by picture; each is read when asked for.
-
-    rows: of the pictures. scratch: where one that is behind a URL is kept while it is read.
-    """
-
-    rows: Mapping[str, Row]
-    folder: ResultFolder
-    scratch: Path
-
-    def __getitem__(self, file: str) -> np.ndarray:
-        """The mask of a picture; DatasetError when its annotation cannot be read."""
-        row, name = self.rows[file], annotation_name(file)
-        path = self.folder.path / name
-        if self.folder.remote is not None:
-            path = self.scratch / "annotation.json"
-            path.write_bytes(self.folder.remote.read(name) or b"")
-        drawings = read_annotation(path).drawings
-        shapes = [(one.shape, int(one.name == ROAD)) for one in drawings]
-        return filled_shapes(shapes, (int(row.height), int(row.width))) > 0
-
-    def __iter__(self) -> Iterator[str]:
-        """The files of the pictures."""
-        return iter(self.rows)
-
-    def __len__(self) -> int:
-        """How many there are."""
-        return len(self.rows)
 
 
 # --- run.json ---------------------------------------------------------------------------

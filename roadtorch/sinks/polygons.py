@@ -1,7 +1,7 @@
 """Labels as polygons: outlines as labelme draws them, and COCO's."""
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -132,11 +132,14 @@ class CocoPicture(NamedTuple):
     trust: float | None = None
 
 
-def coco_text(pictures: Iterable[CocoPicture], masks: Mapping[str, np.ndarray]) -> Iterator[str]:
+def coco_text(
+    pictures: Iterable[CocoPicture], mask_of: Callable[[str], np.ndarray]
+) -> Iterator[str]:
     """A COCO file, in pieces: one annotation of category 1, road, for each picture with road.
 
-    masks: bool (H,W) by file; each is asked for once, in order. Pictures and their annotations
-    are numbered from 1 in the order given. ``score`` is the trust, as in COCO's results.
+    mask_of: gives the mask bool (H,W) of a file; each is asked for once, in order. Pictures and
+    their annotations are numbered from 1 in the order given. ``score`` is the trust, as in COCO's
+    results.
     """
     pictures = list(pictures)
     yield '{"info": {"description": "roads found by roadtorch"}, "licenses": [],\n'
@@ -148,7 +151,7 @@ def coco_text(pictures: Iterable[CocoPicture], masks: Mapping[str, np.ndarray]) 
     yield '],\n"annotations": ['
     separator = "\n"
     for number, one in enumerate(pictures, 1):
-        annotation = _coco_annotation(number, one, masks[one.file])
+        annotation = _coco_annotation(number, one, mask_of(one.file))
         if annotation is not None:
             yield separator + json.dumps(annotation)
             separator = ",\n"

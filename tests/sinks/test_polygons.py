@@ -76,7 +76,7 @@ def test_coco_files_have_an_annotation_for_each_picture_with_road(masks: list[np
     by_file = {f"{at}.png": mask for at, mask in enumerate(masks)}
     pictures = [CocoPicture(file, mask.shape[::-1], 0.5) for file, mask in by_file.items()]
 
-    document = json.loads("".join(coco_text(pictures, by_file)))
+    document = json.loads("".join(coco_text(pictures, by_file.__getitem__)))
 
     assert [one["id"] for one in document["images"]] == list(range(1, len(masks) + 1))
     areas = {one["image_id"]: one["area"] for one in document["annotations"]}
