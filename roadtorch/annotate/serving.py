@@ -14,9 +14,9 @@ from pydantic import Field
 
 from roadtorch.annotate.machine import AnnotationSettings
 from roadtorch.annotate.next_pictures import PictureOrder
-from roadtorch.annotate.pictures import PictureFolder
 from roadtorch.annotate.session import Session, look_at_all
 from roadtorch.annotate.views import VIEWS, ViewStore
+from roadtorch.annotate.work import PictureFolder
 from roadtorch.data.event_log import find_logs, read_log
 from roadtorch.detector import Detector
 from roadtorch.errors import ConfigError

@@ -20,9 +20,8 @@ from roadtorch.annotate.machine import (
     shown_road,
 )
 from roadtorch.annotate.next_pictures import PictureOrder
-from roadtorch.annotate.pictures import PictureFolder
 from roadtorch.annotate.views import ViewStore
-from roadtorch.annotate.work import USER, Work, checked_user, open_work
+from roadtorch.annotate.work import USER, PictureFolder, Work, checked_user, open_work
 from roadtorch.data.corrections import agreement_share
 from roadtorch.data.event_log import ENDING, LogHead, log_path
 from roadtorch.data.events import AnyEvent, Confirm, SuperpixelStroke, runs_of
