@@ -125,3 +125,14 @@ def test_sums_of_regions() -> None:
     sums = hierarchy.region_sums(regions, torch.ones(8, 12))
 
     assert sums.tolist() == regions.area.tolist()
+
+
+def test_nothing_below_a_winner_is_chosen_however_deep() -> None:
+    regions = hierarchy.threshold_regions(two_hills(), STEPS)
+    chain = torch.tensor([-1, 0, 1, 2])
+    tree = hierarchy.Tree(regions, torch.arange(1, 5), chain, torch.zeros(0))
+
+    choice = hierarchy.select_nodes(tree, torch.tensor([9.0, 5.0, 0.5, 1.0]))
+
+    assert choice.selected.tolist() == [False, True, False, False]
+    assert choice.best.tolist() == [5, 5, 1, 1]

@@ -27,6 +27,7 @@ def test_pieces_of_one_cluster_are_regions_of_their_own() -> None:
     assert found[0, 0] == found[0, 1] != found[0, 3]
     assert found[0, 3] == found[2, 3]
     assert found.unique().tolist() == [0, 1, 2, 3]
+    assert connected_regions(torch.eye(2)).unique().tolist() == [0, 1, 2, 3]  # not by corners
 
 
 def test_bags_count_the_words_of_each_region() -> None:
