@@ -230,6 +230,8 @@ def _rows(path: Path) -> list[Any]:
 def _metrics_that_differ(one: Path, two: Path) -> Iterator[str]:
     before, after = (flat(json.loads(path.read_text())) for path in (one, two))
     before = {renamed(key): value for key, value in before.items()}
+    for key in [key for key in before if key.endswith(".threshold_from")]:
+        before[key] = before[key].replace("other drives", "other groups")
     for key in sorted(before.keys() | after.keys()):
         is_new = key not in before and NEW.search(key)
         if is_new or key.rpartition(".")[2] in TIMES or key == "command":

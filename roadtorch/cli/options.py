@@ -195,7 +195,7 @@ LABELLED_SET = (
         "left_out",
         multiple=True,
         metavar="GROUP",
-        help="Score this drive or folder, but leave it out of means and choices.",
+        help="Score this group, but leave it out of means and choices.",
     ),
     click.option("--limit", type=click.IntRange(min=1), help="Look at this many pictures only."),
     JOBS,

@@ -5,6 +5,7 @@ import hashlib
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -129,6 +130,15 @@ def write_page(path: Path, template: str, command: str, values: Mapping[str, Any
 
 def page_text(template: str, command: str, values: Mapping[str, Any]) -> str:
     """The page as text; whatever is put in is text and only text. command: what made the page."""
+    text = (
+        _environment().get_template(template).render(**values, version=__version__, command=command)
+    )
+    # A file name may hold bytes that are no text.
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
+@cache
+def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(_text_of),
         autoescape=True,
@@ -136,9 +146,7 @@ def page_text(template: str, command: str, values: Mapping[str, Any]) -> str:
         lstrip_blocks=True,
     )
     environment.filters |= {"sha256": _sha256, "share": share, "percent": percent}
-    text = environment.get_template(template).render(**values, version=__version__, command=command)
-    # A file name may hold bytes that are no text.
-    return text.encode("utf-8", "backslashreplace").decode()
+    return environment
 
 
 def _text_of(path: str) -> str:
