@@ -197,19 +197,17 @@ def test_a_soft_edge_is_mixed_in_the_picture_and_one_or_the_other_in_the_targets
 # --- varied --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(30))
-def test_however_it_is_varied_it_covers_the_lower_edge_and_has_a_height_within_bounds(
-    seed: int,
-) -> None:
+def test_however_it_is_varied_it_covers_the_lower_edge_and_has_a_height_within_bounds() -> None:
     settings = EgoCarAugmentation(tallest=0.7, flattest=0.3, widest=0.25)
 
-    car = varied(car_of(80, 60, 20), settings, seeded(seed))
+    for seed in range(30):
+        car = varied(car_of(80, 60, 20), settings, seeded(seed))
 
-    assert (car.ego[0, 0, -1] == 1).all()
-    rows = car.ego[0, 0].sum(0)
-    assert rows.min() >= 20 * math.exp(-0.3) - 1
-    assert rows.max() <= 20 * math.exp(0.7) + 1
-    assert 0 <= car.image.min() <= car.image.max() <= 1
+        assert (car.ego[0, 0, -1] == 1).all()
+        rows = car.ego[0, 0].sum(0)
+        assert rows.min() >= 20 * math.exp(-0.3) - 1
+        assert rows.max() <= 20 * math.exp(0.7) + 1
+        assert 0 <= car.image.min() <= car.image.max() <= 1
 
 
 def test_it_becomes_larger_and_smaller_brighter_and_darker() -> None:
