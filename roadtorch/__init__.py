@@ -14,10 +14,9 @@ from roadtorch.version import __version__
 if TYPE_CHECKING:
     from roadtorch.camera.calibration import read_camera_info
     from roadtorch.camera.camera import Camera
-    from roadtorch.camera.footage import camera_of
+    from roadtorch.camera.footage import camera_of, still_ego
     from roadtorch.camera.ground import GroundCamera, Lens, lens_of_view, mounted
     from roadtorch.camera.ground_grid import Grid, GridSettings, ground_grid
-    from roadtorch.camera.still_ego import still_ego
     from roadtorch.data.catalogue import list_datasets, open_dataset
     from roadtorch.data.dataset import Dataset, Item, Kind, Truth
     from roadtorch.data.labels import ColourLabels, NumberLabels
@@ -78,7 +77,7 @@ _HOMES = {
     "open_dataset": "roadtorch.data.catalogue",
     "read_camera_info": "roadtorch.camera.calibration",
     "read_image": "roadtorch.io.image",
-    "still_ego": "roadtorch.camera.still_ego",
+    "still_ego": "roadtorch.camera.footage",
     "write_grid": "roadtorch.sinks.grid",
 }
 

@@ -9,17 +9,13 @@ Image: u to the right, v down, in pixels counted from ONE, as the kit reads them
 pixels: row and column, counted from zero; cell row 0 is far, cell column 0 is left.
 """
 
-import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from roadtorch.errors import DatasetError
-from roadtorch.io.bounded import read_regular, reason
+from roadtorch.camera.calibration import Calibration, image_to_road, road_to_image
 
 ROWS, COLUMNS = 800, 400
 
@@ -27,106 +23,7 @@ CELL = 0.05  # metres
 
 LEFT, NEAR, FAR = -10.0, 6.0, 46.0  # metres; the right end is at 10
 
-ROW_NAMES = {"projection": "P2", "rectification": "R0_rect", "camera_to_road": "Tr_cam_to_road"}
-
-ROW_LENGTHS = {"projection": 12, "rectification": 9, "camera_to_road": 12}
-
 Pair = tuple[Tensor, Tensor]
-
-# --- calibration ------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """What one calibration file says of the left colour camera; matrices row by row.
-
-    projection: P2 (3,4), rectified camera to image. rectification: R0_rect (3,3).
-    camera_to_road: Tr_cam_to_road (3,4), metres; the road plane has y = 0.
-    """
-
-    projection: tuple[float, ...]
-    rectification: tuple[float, ...]
-    camera_to_road: tuple[float, ...]
-
-
-def read_calibration(path: Path) -> Calibration:
-    """Read P2, R0_rect and Tr_cam_to_road from a calibration file; other rows are not used.
-
-    Raises DatasetError, naming the file and the row, when the file is missing or no text,
-    a row is missing, has too few or too many values or one that is not a finite number,
-    and when the road plane cannot be seen (a singular matrix).
-    """
-    rows = _read_rows(path)
-    calibration = Calibration(**{field: _numbers(path, field, rows) for field in ROW_NAMES})
-    _check_regular(path, calibration)
-    return calibration
-
-
-def _read_rows(path: Path) -> dict[str, list[str]]:
-    """The words behind each ``NAME:`` of the file."""
-    try:
-        lines = read_regular(path).decode().splitlines()
-    except FileNotFoundError:
-        raise DatasetError(path, "is missing", "give the picture's calibration file") from None
-    except (OSError, UnicodeDecodeError) as problem:
-        raise DatasetError(path, f"cannot be read: {reason(problem)}", "replace the file") from None
-    split = (line.partition(":") for line in lines)
-    return {name.strip(): values.split() for name, _, values in split}
-
-
-def _numbers(path: Path, field: str, rows: Mapping[str, list[str]]) -> tuple[float, ...]:
-    name, wanted = ROW_NAMES[field], ROW_LENGTHS[field]
-    remedy = f"a row {name}: with {wanted} numbers is needed"
-    if name not in rows:
-        raise DatasetError(path, f"has no row {name}", remedy)
-    words = rows[name]
-    if len(words) != wanted:
-        raise DatasetError(path, f"{name} has {len(words)} values", remedy)
-    for word in words:
-        if not _is_finite(word):
-            raise DatasetError(path, f"{name} holds {word!r}", remedy)
-    return tuple(map(float, words))
-
-
-def _is_finite(word: str) -> bool:
-    try:
-        return math.isfinite(float(word))
-    except ValueError:
-        return False
-
-
-def _check_regular(path: Path, calibration: Calibration) -> None:
-    remedy = "replace the file"
-    pose = _to_four(calibration.camera_to_road, 4)
-    if torch.linalg.matrix_rank(pose) < 4:
-        raise DatasetError(path, "Tr_cam_to_road has no inverse", remedy)
-    plane = road_to_image(calibration)
-    if not plane.isfinite().all() or torch.linalg.matrix_rank(plane) < 3:
-        raise DatasetError(path, "its matrices show the road as a line", remedy)
-
-
-def road_to_image(calibration: Calibration) -> Tensor:
-    """The homography (3,3) float64 from (x, z, 1) to (u, v, 1) up to scale.
-
-    Columns 0, 2 and 3 of P2 · R0_rect · Tr_cam_to_road⁻¹, as the plane has y = 0.
-    """
-    projection = torch.tensor(calibration.projection, dtype=torch.float64).view(3, 4)
-    rectification = _to_four(calibration.rectification, 3)
-    road_to_camera = torch.linalg.inv(_to_four(calibration.camera_to_road, 4))
-    return (projection @ rectification @ road_to_camera)[:, [0, 2, 3]]
-
-
-def image_to_road(calibration: Calibration) -> Tensor:
-    """The homography (3,3) float64 from (u, v, 1) to (x, z, 1) up to scale."""
-    return torch.linalg.inv(road_to_image(calibration))
-
-
-def _to_four(values: tuple[float, ...], columns: int) -> Tensor:
-    """A matrix of three rows as (4,4), the rest from the identity."""
-    matrix = torch.eye(4, dtype=torch.float64)
-    matrix[:3, :columns] = torch.tensor(values, dtype=torch.float64).view(3, columns)
-    return matrix
-
 
 # --- points -----------------------------------------------------------------------------
 

@@ -1,18 +1,115 @@
 """What stays the same in all pictures of one camera, as a file: ego car, horizon, seed row."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import Field
+import torch
+from pydantic import Field, model_validator
 from torch import Tensor
+from torch.nn import functional as F
 
-from roadtorch.camera.look import Look, image_likeness
+from roadtorch.camera.gradients import Stillness, gradients, small_grey, small_size, softened
 from roadtorch.errors import ConfigError, InputError
+from roadtorch.imaging.resize import resized
 from roadtorch.io.atomic import write_text
-from roadtorch.road.ego import Ego, is_given
+from roadtorch.io.image import ORANGE, SKY_BLUE, tint_mask, to_pixels
+from roadtorch.road.ego import Ego, ego_car, is_given
 from roadtorch.settings import Settings, build_settings, read_settings_file, toml_lines
+
+# --- the look of the ego car ----------------------------------------------------------
+
+
+POINTS = 160
+"""Points of a look: enough for a sure answer, few enough for a file that people read."""
+
+EDGE_ROWS = 2
+"""Rows above the ego car that its edge is spread over, of a picture 320 pixels wide."""
+
+SHIFT = 1
+"""Pixels by which a picture may be displaced, as rounding does when pictures are scaled."""
+
+MAX_LIKENESS, MIN_LIKENESS = 0.5, 0.2
+"""The likeness that is asked for lies between: other cameras have about .1, and .5 hardly ever."""
+
+Shares = tuple[Annotated[float, Field(ge=0, le=1)], ...]
+Parts = tuple[Annotated[float, Field(ge=-1, le=1)], ...]
+
+
+class EgoLook(Settings):
+    """Softened gradients of the ego car at some points; no points where there is no ego car."""
+
+    least: float = Field(
+        default=MIN_LIKENESS, ge=-1, le=1, description="likeness of its own pictures"
+    )
+    rows: Shares = Field(default=(), strict=False, description="points, shares of the height")
+    columns: Shares = Field(default=(), strict=False, description="shares of the width")
+    across: Parts = Field(default=(), strict=False, description="mean gradient to the right")
+    down: Parts = Field(default=(), strict=False, description="mean gradient downwards")
+
+    @model_validator(mode="after")
+    def _has_all_of_each_point(self) -> "EgoLook":
+        if len({len(self.rows), len(self.columns), len(self.across), len(self.down)}) > 1:
+            raise ValueError("Give as many rows, columns, across and down")
+        return self
+
+
+def ego_look(still: Stillness, rows: Tensor) -> EgoLook:
+    """The look of the ego car that begins at rows (w,) int64 in pictures (h,w): the surest points.
+
+    Points lie apart (each the best of 3×3 pixels), so that one long edge is not all there is.
+    """
+    height, width = still.length.shape
+    row = torch.arange(height)[:, None]
+    sure = still.common * still.coherence * ((row >= rows - EDGE_ROWS) & (rows < height))
+    is_peak = sure == F.max_pool2d(sure[None, None], 3, 1, 1)[0, 0]
+    peaks = torch.where(is_peak, sure, 0).reshape(-1)
+    best = peaks.sort(descending=True, stable=True).indices[:POINTS]
+    best = best[peaks[best] > 0].sort().values
+    across, down = still.mean.flatten(1)[:, best]
+    return EgoLook(
+        rows=_rounded((best // width + 0.5) / height, 4),
+        columns=_rounded((best % width + 0.5) / width, 4),
+        across=_rounded(across, 3),
+        down=_rounded(down, 3),
+    )
+
+
+def _rounded(values: Tensor, digits: int) -> tuple[float, ...]:
+    return tuple(round(value, digits) for value in values.tolist())
+
+
+def sure_look(look: EgoLook, found: list[Tensor]) -> EgoLook:
+    """The look with the likeness that most of its own pictures have, gradients (2,h,w).
+
+    Three fifths of what four pictures of five exceed: those to come differ more than these do.
+    """
+    own = torch.tensor([gradient_likeness(look, gradient) for gradient in found])
+    least = min(MAX_LIKENESS, max(MIN_LIKENESS, 0.6 * float(own.quantile(0.2))))
+    return look.model_copy(update={"least": round(least, 3)})
+
+
+def image_likeness(look: EgoLook, image: Tensor) -> float:
+    """How alike an image (3,H,W) in [0,1] is to a look, from -1 to 1; .1 for other cameras."""
+    return gradient_likeness(look, next(gradients([small_grey(image, small_size([image]))])))
+
+
+def gradient_likeness(look: EgoLook, gradient: Tensor) -> float:
+    """The same for the gradient (2,h,w) of a small grey picture: a cosine, the best of shifts."""
+    height, width = gradient.shape[1:]
+    rows = (torch.tensor(look.rows) * height).long()
+    columns = (torch.tensor(look.columns) * width).long()
+    expected = torch.tensor([look.across, look.down]).reshape(-1)
+    unit, best = softened(gradient), -1.0
+    for down, right in product(range(-SHIFT, SHIFT + 1), repeat=2):
+        seen = unit[:, (rows + down).clamp(0, height - 1), (columns + right).clamp(0, width - 1)]
+        best = max(best, float(F.cosine_similarity(seen.reshape(-1), expected, 0)))
+    return best
+
+
+# --- the camera ------------------------------------------------------------------------
 
 SAME_SHAPE = 1.06
 """Ratio of two aspect ratios up to which pictures may come from one camera: crops, rounding."""
@@ -31,7 +128,7 @@ class Camera(Settings):
         ge=0, le=1, description="the lowest ground in the middle: where the ego car begins, or 1"
     )
     ego: Ego = Field(default=Ego(), description="the vehicle that carries the camera")
-    look: Look = Field(default=Look(), description="how pictures of another camera are told")
+    look: EgoLook = Field(default=EgoLook(), description="how pictures of another camera are told")
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> "Camera":
@@ -82,3 +179,41 @@ def _has(kind: type[Settings], values: Mapping[str, Any]) -> bool:
             if not (isinstance(group, type) and issubclass(group, Settings) and _has(group, value)):
                 return False
     return True
+
+
+# --- the picture beside the file ------------------------------------------------------
+
+
+CHECK_WIDTH = 640
+"""Pixels of each half."""
+
+SEED_SIDES = (3 / 8, 5 / 8)
+"""Shares of the width between which the seed row is drawn."""
+
+
+def check_picture(camera: Camera, frames: Sequence[Tensor]) -> Tensor:
+    """The mean of frames (3,H,W) and their middle one, side by side: an image (3,h,1280) in [0,1].
+
+    The ego car is tinted and outlined; the horizon is a blue line, the seed row an orange one.
+    """
+    size = round(CHECK_WIDTH * camera.height / camera.width), CHECK_WIDTH
+    small = [resized(frame, size).clamp(0, 1) for frame in frames]
+    halves = (torch.stack(small).mean(0), small[len(small) // 2])
+    return torch.cat([_drawn(camera, half) for half in halves], 2)
+
+
+def _drawn(camera: Camera, image: Tensor) -> Tensor:
+    pixels = to_pixels(image)
+    if is_given(camera.ego):
+        pixels = tint_mask(pixels, ego_car(image, camera.ego).numpy())
+    drawn = torch.from_numpy(pixels).permute(2, 0, 1) / 255
+    left, right = (round(side * CHECK_WIDTH) for side in SEED_SIDES)
+    _draw_row(drawn, camera.horizon, slice(None), SKY_BLUE)
+    _draw_row(drawn, camera.seed_row, slice(left, right), ORANGE)
+    return drawn
+
+
+def _draw_row(image: Tensor, row: float, columns: slice, colour: tuple[int, int, int]) -> None:
+    """Draw a line two pixels high into an image (3,H,W), at a share of its height."""
+    top = min(round(row * image.shape[1]), image.shape[1] - 2)
+    image[:, top : top + 2, columns] = torch.tensor(colour).view(3, 1, 1) / 255

@@ -2,33 +2,198 @@
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from roadtorch.camera.camera import SAME_SHAPE, Camera
-from roadtorch.camera.look import Look, ego_look, gradient_likeness, sure_look
-from roadtorch.camera.still import gradients, small_grey, small_size, softened, stillness
-from roadtorch.camera.still_ego import EARLIEST, Footage, ego_rows, look_through
-from roadtorch.camera.vanishing_point import VanishingPoint, crossing, road_lines
+from roadtorch.camera.camera import (
+    SAME_SHAPE,
+    Camera,
+    EgoLook,
+    ego_look,
+    gradient_likeness,
+    sure_look,
+)
+from roadtorch.camera.gradients import (
+    Stillness,
+    VanishingPoint,
+    crossing,
+    gradients,
+    road_lines,
+    small_grey,
+    small_size,
+    softened,
+    stillness,
+    vanishing_point,
+)
 from roadtorch.errors import InputError
+from roadtorch.imaging.resize import at_picture_size
 from roadtorch.road.ego import Ego
 
-FEWEST = 5
+# --- the ego car below an edge that never moves ---------------------------------------
+
+
+NEUTRAL_EVIDENCE = 0.35
+"""Evidence of an edge at which a column neither gains nor loses."""
+
+MIN_EVIDENCE = 0.08
+"""Evidence above NEUTRAL_EVIDENCE, mean over all columns, from which there is an ego car."""
+
+MAX_CLIMB, CLIMB_COST = 3, 0.15
+"""Rows by which a path may climb in a column, and what each costs."""
+
+NEXT_EDGE = 0.6
+"""Share of the best path's evidence that an edge above must have to be the ego car's as well."""
+
+MAX_EDGE_DISTANCE = 0.15
+"""Share of the height within which an edge above belongs to the same car."""
+
+MIN_APART = 3
+"""Rows between two edges: less is the same edge, blurred."""
+
+MIN_EGO_ROW, BELOW_HORIZON = 0.6, 0.12
+"""An ego car begins below this share of the height, and this far below the vanishing point."""
+
+MIN_EGO_HEIGHT = 0.02
+"""Share of the height; a strip that is nowhere higher is a border of the picture, or nothing."""
+
+MAX_ROAD_LINES = 0.45
+"""Share of slanting edges that aim at the vanishing point, from which a place is road. About
+.1 to .3 on bonnets, .4 to .9 on roads with lanes; chance is .16."""
+
+
+class Footage(NamedTuple):
+    """What frames of one camera have in common, all of the size (h,w) at which they are seen.
+
+    lines: (2,h,w), strength of edges that aim at the vanishing point, and of all.
+    """
+
+    still: Stillness
+    point: VanishingPoint
+    lines: Tensor
+
+
+class EdgePath(NamedTuple):
+    """A row (w,) int64 in each column, h where the path is below the picture.
+
+    evidence: above NEUTRAL_EVIDENCE, mean over the columns.
+    """
+
+    rows: Tensor
+    evidence: float
+
+
+def still_ego(frames: Sequence[Tensor]) -> Tensor | None:
+    """The ego car in frames (3,H,W) of one camera, floating point in [0,1]: bool (H,W), or None.
+
+    None where the camera sees none, which is common. 10 frames of different places are enough,
+    more are better. The map has the size of the first frame; the others may differ in size.
+    Raises InputError for fewer than two frames.
+    """
+    if len(frames) < 2:
+        raise InputError("footage", f"is {len(frames)} frame(s)", "give 10 or more of one camera")
+    size = small_size(frames)
+    rows = ego_rows(look_through(list(gradients(small_grey(frame, size) for frame in frames))))
+    if rows is None:
+        return None
+    below = torch.arange(size[0])[:, None] >= rows
+    return at_picture_size(below, (frames[0].shape[-2], frames[0].shape[-1]))
+
+
+def look_through(found: Sequence[Tensor]) -> Footage:
+    """What the gradients (2,h,w) of two or more frames say together."""
+    point = vanishing_point(found)
+    return Footage(stillness(found), point, road_lines(found, point))
+
+
+def ego_rows(footage: Footage) -> Tensor | None:
+    """The row (w,) int64 at which the ego car begins in each column, h for none; None without one.
+
+    The best path of an edge that stays, below which no road goes on; then, as long as there is
+    one nearly as good close above it, that one: a bonnet has several edges, and wipers before it.
+    """
+    evidence = edge_evidence(footage.still, footage.point)
+    height, row = len(evidence), torch.arange(len(evidence))[:, None]
+    best = best_path(evidence)
+    while best.evidence >= MIN_EVIDENCE and _is_road(footage.lines, row >= best.rows + MIN_APART):
+        # A reflection in the windscreen, or the road's own texture: look further down.
+        best = best_path(evidence * (row > best.rows + MIN_APART))
+    if best.evidence < MIN_EVIDENCE:
+        return None
+    rows = best.rows
+    while (above := _edge_above(footage.lines, evidence, rows, best.evidence)) is not None:
+        rows = above
+    return rows if height - int(rows.min()) >= MIN_EGO_HEIGHT * height else None
+
+
+def _edge_above(lines: Tensor, evidence: Tensor, rows: Tensor, enough: float) -> Tensor | None:
+    """The rows (w,) of an edge close above that is the ego car's too; None where there is none."""
+    height, row = len(evidence), torch.arange(len(evidence))[:, None]
+    close = (row < rows - MIN_APART) & (row >= rows - MAX_EDGE_DISTANCE * height)
+    above = best_path(evidence * close)
+    if above.evidence < max(MIN_EVIDENCE, NEXT_EDGE * enough):
+        return None
+    higher = torch.minimum(rows, above.rows)
+    return (
+        None if _is_road(lines, (row >= higher + MIN_APART) & (row < rows - MIN_APART)) else higher
+    )
+
+
+def _is_road(lines: Tensor, where: Tensor) -> bool:
+    """Whether the edges of a place bool (h,w) aim at the vanishing point."""
+    aiming, every = (float(strength[where].sum()) for strength in lines)
+    return aiming > MAX_ROAD_LINES * every
+
+
+def edge_evidence(still: Stillness, point: VanishingPoint) -> Tensor:
+    """Where an edge stays that is no line of the road: (h,w) in [0,1]."""
+    direction = still.direction
+    evidence = still.coherence * crossing(direction, point) * direction[1].abs()
+    height = len(evidence)
+    evidence[: round(max(MIN_EGO_ROW, point.row + BELOW_HORIZON) * height)] = 0
+    return F.max_pool2d(evidence[None, None], (3, 1), 1, (1, 0))[0, 0]
+
+
+def best_path(evidence: Tensor) -> EdgePath:
+    """The path across evidence (h,w) that gains most; below the picture it is free.
+
+    Dynamic programming over the columns.
+    """
+    height, width = evidence.shape
+    gain = torch.cat([evidence - NEUTRAL_EVIDENCE, evidence.new_zeros(1, width)])
+    steps = torch.arange(-MAX_CLIMB, MAX_CLIMB + 1)
+    cost = CLIMB_COST * steps.abs()[:, None]
+    total, came = gain[:, 0], []
+    for column in range(1, width):
+        padded = F.pad(total, (MAX_CLIMB, MAX_CLIMB), value=-torch.inf)
+        best = (padded.unfold(0, height + 1, 1) - cost).max(0)
+        total = best.values + gain[:, column]
+        came.append(torch.arange(height + 1) + steps[best.indices])
+    row = int(total.argmax())
+    rows = [row]
+    for back in reversed(came):
+        rows.append(row := int(back[row]))
+    return EdgePath(torch.tensor(rows[::-1]), float(total.max()) / width)
+
+
+# --- the camera ------------------------------------------------------------------------
+
+MIN_FRAMES = 5
 """Frames; fewer have edges in common by chance."""
 
-COLUMNS = 64
+OUTLINE_COLUMNS = 64
 """Columns of the outline in a camera's file."""
 
-STANDS = 0.85
+STILL_SHARE = 0.85
 """Share of common gradients from which nothing moves. Straight motorways have up to .7."""
 
-OWN, FOREIGN = 0.8, 0.35
+OWN_LIKENESS, FOREIGN_LIKENESS = 0.8, 0.35
 """Likeness to the ego car of some frames that four of five others of them have at least, and that
 four of five frames of another camera have at most."""
 
-MIDDLE = slice(COLUMNS * 3 // 8, COLUMNS * 5 // 8)
+MIDDLE = slice(OUTLINE_COLUMNS * 3 // 8, OUTLINE_COLUMNS * 5 // 8)
 """Columns of the outline over which the seed row is taken: those of the seed area."""
 
 
@@ -47,11 +212,11 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
     _check_shapes(sizes, where)
     found = list(gradients(at_one_size(greys)))
     footage = look_through(found)
-    if footage.still.share >= STANDS:
+    if footage.still.share >= STILL_SHARE:
         raise InputError(where, "stands still: nothing moves", "give footage of a drive")
     _check_looks(footage, found, where)
     rows = ego_rows(footage)
-    look = Look() if rows is None else sure_look(ego_look(footage.still, rows), found)
+    look = EgoLook() if rows is None else sure_look(ego_look(footage.still, rows), found)
     return _camera(footage, rows, look, Counter(sizes).most_common(1)[0][0])
 
 
@@ -66,7 +231,7 @@ def at_one_size(greys: Sequence[Tensor]) -> list[Tensor]:
     ]
 
 
-def _camera(footage: Footage, rows: Tensor | None, look: Look, size: tuple[int, int]) -> Camera:
+def _camera(footage: Footage, rows: Tensor | None, look: EgoLook, size: tuple[int, int]) -> Camera:
     """The camera of what was found; size: height and width of most of its frames."""
     height, width = size
     outline = () if rows is None else outline_of(rows, footage.still.length.shape[0])
@@ -83,7 +248,7 @@ def _camera(footage: Footage, rows: Tensor | None, look: Look, size: tuple[int, 
 
 def outline_of(rows: Tensor, height: int) -> tuple[float, ...]:
     """An outline as ``Ego`` has it, of rows (w,) int64 in a picture of that height."""
-    shares = F.adaptive_avg_pool1d(rows[None].to(torch.float64) / height, COLUMNS)[0]
+    shares = F.adaptive_avg_pool1d(rows[None].to(torch.float64) / height, OUTLINE_COLUMNS)[0]
     return tuple(round(share, 4) for share in shares.tolist())
 
 
@@ -91,7 +256,7 @@ def outline_of(rows: Tensor, height: int) -> tuple[float, ...]:
 
 
 def _check_number(sizes: Sequence[tuple[int, int]], where: str) -> None:
-    if len(sizes) < FEWEST:
+    if len(sizes) < MIN_FRAMES:
         number = "one frame" if len(sizes) == 1 else f"{len(sizes)} frames"
         raise InputError(where, f"has {number}", "give 10 or more, of different places")
 
@@ -120,7 +285,7 @@ def _check_looks(footage: Footage, found: list[Tensor], where: str) -> None:
 
 def _is_foreign(point: VanishingPoint, half: list[Tensor], other: list[Tensor]) -> bool:
     """Whether frames have an ego car in common that others lack; gradients (2,h,w) of both."""
-    if min(len(half), len(other)) < FEWEST:
+    if min(len(half), len(other)) < MIN_FRAMES:
         return False
     still = stillness(half)
     rows = ego_rows(Footage(still, point, road_lines(half, point)))
@@ -130,10 +295,10 @@ def _is_foreign(point: VanishingPoint, half: list[Tensor], other: list[Tensor]) 
     odd, even = (ego_look(stillness(part), rows) for part in (half[::2], half[1::2]))
     own = [*_likenesses(odd, half[1::2]), *_likenesses(even, half[::2])]
     strange = _likenesses(ego_look(still, rows), other)
-    return _quantile(own, 0.2) >= OWN and _quantile(strange, 0.8) <= FOREIGN
+    return _quantile(own, 0.2) >= OWN_LIKENESS and _quantile(strange, 0.8) <= FOREIGN_LIKENESS
 
 
-def _likenesses(look: Look, found: Iterable[Tensor]) -> list[float]:
+def _likenesses(look: EgoLook, found: Iterable[Tensor]) -> list[float]:
     return [gradient_likeness(look, gradient) for gradient in found]
 
 
@@ -146,7 +311,7 @@ def halved(footage: Footage, found: Sequence[Tensor]) -> tuple[list[int], list[i
 
     The sign of the first principal component of the softened gradients that are no road lines.
     """
-    top = round(EARLIEST * found[0].shape[1])
+    top = round(MIN_EGO_ROW * found[0].shape[1])
     weight = crossing(footage.still.direction, footage.point)
     low = torch.stack([(softened(one) * weight)[:, top:].reshape(-1) for one in found])
     centred = low - low.mean(0)

@@ -16,18 +16,18 @@ from pydantic import Field, ValidationInfo, field_validator
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.settings import Settings
 
-LOWEST_PITCH, HIGHEST_PITCH = -30.0, 89.0
+MIN_PITCH, MAX_PITCH = -30.0, 89.0
 """Degrees; upwards less ground is seen, and straight down the picture has no forward."""
 
-MOST_ROLL = 45.0
+MAX_ROLL = 45.0
 
 SAME_ASPECT = 0.01
 """Share by which two aspect ratios may differ: a picture scaled to whole pixels."""
 
-CLOSEST = 1e-6
+MIN_DISTANCE = 1e-6
 """Metres ahead of the lens from which a point has a picture."""
 
-UNDONE = 0.5
+MAX_MISS = 0.5
 """Pixels by which a point may miss itself when its distortion is undone and done again."""
 
 COEFFICIENTS = {
@@ -135,11 +135,11 @@ def mounted(
     """
     if not 0.01 <= height <= 1000:
         raise ConfigError("--height", f"{height:g} was given", "give 0.01 to 1000 metres")
-    if not LOWEST_PITCH <= pitch <= HIGHEST_PITCH:
-        remedy = f"give {LOWEST_PITCH:g} to {HIGHEST_PITCH:g} degrees; positive looks down"
+    if not MIN_PITCH <= pitch <= MAX_PITCH:
+        remedy = f"give {MIN_PITCH:g} to {MAX_PITCH:g} degrees; positive looks down"
         raise ConfigError("--pitch", f"{pitch:g} was given", remedy)
-    if not -MOST_ROLL <= roll <= MOST_ROLL:
-        remedy = f"give -{MOST_ROLL:g} to {MOST_ROLL:g} degrees"
+    if not -MAX_ROLL <= roll <= MAX_ROLL:
+        remedy = f"give -{MAX_ROLL:g} to {MAX_ROLL:g} degrees"
         raise ConfigError("--roll", f"{roll:g} was given", remedy)
     sine, cosine = math.sin(math.radians(pitch)), math.cos(math.radians(pitch))
     right, down = np.array([0.0, -1.0, 0.0]), np.array([-sine, 0.0, -cosine])
@@ -173,7 +173,7 @@ class GroundCamera:
         distortion turns back on itself.
         """
         seen = (points - self.pose.position) @ np.array(self.pose.axes).T
-        ahead = seen[:, 2] > CLOSEST
+        ahead = seen[:, 2] > MIN_DISTANCE
         seen = np.where(ahead[:, None], seen, (0.0, 0.0, 1.0))
         pixels = distorted(self.lens, seen[:, :2] / seen[:, 2:])
         inside = (pixels >= -0.5).all(1) & (pixels[:, 0] < self.lens.width - 0.5)
@@ -181,7 +181,7 @@ class GroundCamera:
         if self.lens.coefficients and inside.any():
             again = undistorted(self.lens, pixels[inside])
             missed = np.abs(again - seen[inside, :2] / seen[inside, 2:]).max(1)
-            inside[inside] = missed * self.lens.focal_x < UNDONE
+            inside[inside] = missed * self.lens.focal_x < MAX_MISS
         return pixels, inside
 
     def rays_of(self, pixels: np.ndarray) -> np.ndarray:
@@ -192,7 +192,7 @@ class GroundCamera:
     def ground_of(self, pixels: np.ndarray) -> np.ndarray:
         """Ground points (n,2), x and y in metres, of pixels (n,2); NaN at and above the horizon."""
         rays = self.rays_of(pixels)
-        falls = rays[:, 2] < -CLOSEST
+        falls = rays[:, 2] < -MIN_DISTANCE
         far = self.pose.position[2] / np.where(falls, -rays[:, 2], np.nan)
         return np.array(self.pose.position[:2]) + far[:, None] * rays[:, :2]
 

@@ -26,20 +26,20 @@ FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 ALONG, ACROSS = 2, 4
 """Samples per cell, along a ray and, at the farthest, from ray to ray."""
 
-FEWEST, MOST = 4, 2000
+MIN_CELLS, MAX_CELLS = 4, 2000
 """Cells ahead of the camera."""
 
-MOST_SAMPLES = 2**24
+MAX_SAMPLES = 2**24
 """Of all rays: some seconds, and a gigabyte."""
 
-SEEN = 0.5
+MIN_SEEN = 0.5
 """Share of a cell's samples that a picture must show."""
 
 JOINED, BETWEEN = 4, 8
 """Cells that the ends of neighbouring rays may lie apart and still be one edge, and the points
 that are set between them."""
 
-MOST_HALVINGS = 8  # of the picture, for cells that cover many of its pixels
+MAX_HALVINGS = 8  # of the picture, for cells that cover many of its pixels
 
 BORDER = 64  # pixels of each side of the picture whose rays bound the view
 
@@ -61,8 +61,8 @@ class GridSettings(Settings):
     @classmethod
     def _is_some_cells(cls, value: float, info: ValidationInfo) -> float:
         cells = value / info.data.get("resolution", 0.1)
-        if not FEWEST <= cells <= MOST:
-            raise ValueError(f"give {FEWEST} to {MOST} times the resolution")
+        if not MIN_CELLS <= cells <= MAX_CELLS:
+            raise ValueError(f"give {MIN_CELLS} to {MAX_CELLS} times the resolution")
         return value
 
 
@@ -177,7 +177,7 @@ def ray_places(camera: GroundCamera, settings: GridSettings) -> RayPlaces:
     reach = math.hypot(settings.range, min(settings.side, settings.range))
     step = settings.resolution / ALONG
     distance = (np.arange(math.ceil(reach / step) + 1) + 0.5) * step
-    if len(distance) * count > MOST_SAMPLES:
+    if len(distance) * count > MAX_SAMPLES:
         what = f"{len(distance) * count} samples are too many"
         raise InputError("grid", what, "give a coarser resolution, or less ahead")
     direction = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(count)], 1)
@@ -191,7 +191,7 @@ def ray_places(camera: GroundCamera, settings: GridSettings) -> RayPlaces:
         what = f"shows no ground within {settings.range:g} m"
         raise InputError("image", what, "check height, pitch and field of view")
     typical = (apart * inside).sum(1) / np.maximum(inside.sum(1), 1)
-    halvings = np.floor(np.log2(np.clip(typical, 1, 2**MOST_HALVINGS))).astype(int)
+    halvings = np.floor(np.log2(np.clip(typical, 1, 2**MAX_HALVINGS))).astype(int)
     columns, rows = (np.ascontiguousarray(pixels[..., axis], np.float32) for axis in (0, 1))
     return RayPlaces(
         torch.from_numpy(azimuth),
@@ -260,7 +260,7 @@ def _cell_means(
     total = total[:, 1:] + total[:, :-1]
     width = (right - left)[1:] + (right - left)[:-1]
     mean = total[0] / total[1].clamp_min(1e-9)
-    return mean.float(), total[1] >= SEEN * width
+    return mean.float(), total[1] >= MIN_SEEN * width
 
 
 def _cell_centres(

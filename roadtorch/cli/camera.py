@@ -36,7 +36,7 @@ def camera(footage: tuple[str, ...], out: Path, most: int) -> None:
     places. Writes --out for infer --camera, and beside it a picture to check: the mean of
     the frames and one of them, with the ego car tinted, the horizon blue, the seed row orange.
     """
-    from roadtorch.camera.check_picture import check_picture
+    from roadtorch.camera.camera import check_picture
     from roadtorch.camera.footage import camera_of
     from roadtorch.io.image import write_jpeg
     from roadtorch.sources.open import frame_places, read_frames

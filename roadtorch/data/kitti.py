@@ -13,7 +13,8 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from roadtorch.camera.birds_eye import read_calibration, to_birds_eye
+from roadtorch.camera.birds_eye import to_birds_eye
+from roadtorch.camera.calibration import read_calibration
 from roadtorch.data.dataset import Dataset, Item
 from roadtorch.data.labels import ColourLabels, NumberLabels
 from roadtorch.errors import ConfigError, DatasetError

@@ -16,9 +16,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.camera.birds_eye import Calibration, read_calibration
-from roadtorch.camera.calibration import kitti_ground_camera, lens_of_info, read_camera_info
+from roadtorch.camera.calibration import (
+    Calibration,
+    kitti_ground_camera,
+    lens_of_info,
+    read_calibration,
+    read_camera_info,
+)
 from roadtorch.camera.camera import Camera
+from roadtorch.camera.gradients import horizon_of
 from roadtorch.camera.ground import (
     GroundCamera,
     Lens,
@@ -28,7 +34,6 @@ from roadtorch.camera.ground import (
     pitch_of_horizon,
 )
 from roadtorch.camera.ground_grid import FREE, Grid, GridSettings, ground_grid
-from roadtorch.camera.horizon import horizon_of
 from roadtorch.detector import Detection, Detector
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.io.atomic import make_folder

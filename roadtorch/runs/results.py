@@ -10,7 +10,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from roadtorch.camera.birds_eye import read_calibration, to_birds_eye
+from roadtorch.camera.birds_eye import to_birds_eye
+from roadtorch.camera.calibration import read_calibration
 from roadtorch.camera.camera import Camera
 from roadtorch.data.kitti import result_name
 from roadtorch.data.maps import MASK

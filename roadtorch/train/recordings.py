@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from roadtorch.camera.still_ego import still_ego
+from roadtorch.camera.footage import still_ego
 from roadtorch.errors import InputError
 from roadtorch.imaging.resize import WorkingSize, at_picture_size, at_work
 from roadtorch.io.atomic import make_folder, write_text

@@ -12,20 +12,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadtorch.camera.birds_eye import (
-    Calibration,
     cell_pixels,
     cell_to_road,
     image_to_pixel,
-    image_to_road,
     pixel_cells,
     pixel_to_image,
     project,
-    read_calibration,
     road_to_cell,
-    road_to_image,
     to_birds_eye,
     to_image,
 )
+from roadtorch.camera.calibration import Calibration, image_to_road, read_calibration, road_to_image
 from roadtorch.errors import DatasetError
 from tests.reference import bev as reference
 

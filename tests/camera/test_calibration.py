@@ -7,8 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from roadtorch.camera.birds_eye import Calibration, cell_to_road, project, road_to_image
-from roadtorch.camera.calibration import kitti_ground_camera, read_camera_info
+from roadtorch.camera.birds_eye import cell_to_road, project
+from roadtorch.camera.calibration import (
+    Calibration,
+    kitti_ground_camera,
+    read_camera_info,
+    road_to_image,
+)
 from roadtorch.camera.ground import GroundCamera
 from roadtorch.errors import InputError, RoadtorchError
 from tests.reference import bev as reference

@@ -6,11 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from roadtorch.camera.camera import Camera
-from roadtorch.camera.check_picture import check_picture
-from roadtorch.camera.footage import camera_of
-from roadtorch.camera.look import image_likeness
-from roadtorch.camera.still_ego import best_path, still_ego
+from roadtorch.camera.camera import Camera, check_picture, image_likeness
+from roadtorch.camera.footage import best_path, camera_of, still_ego
 from roadtorch.detector import DetectorSettings
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.fusion import FusionSettings
@@ -92,7 +89,7 @@ def test_another_ego_car_and_another_shape_are_refused(camera: Camera) -> None:
 def test_detectors_take_what_they_can_of_it(camera: Camera) -> None:
     assert set(camera.settings_for(DetectorSettings)) == {"ego"}
     assert camera.settings_for(FusionSettings)["labeller"]["horizon"] == camera.horizon
-    detector = load_detector("fusion", camera=camera, labeller={"place": {"horizon": 0.3}})
+    detector = load_detector("fusion", camera=camera, labeller={"horizon": 0.3})
     assert detector.settings.ego == camera.ego
     assert detector.settings.labeller.horizon == 0.3  # type: ignore[attr-defined]
 

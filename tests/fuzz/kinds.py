@@ -13,9 +13,9 @@ import torch
 from hypothesis import strategies as st
 from PIL import Image
 
-from roadtorch.camera.birds_eye import read_calibration, to_birds_eye
-from roadtorch.camera.camera import Camera
-from roadtorch.camera.look import Look
+from roadtorch.camera.birds_eye import to_birds_eye
+from roadtorch.camera.calibration import read_calibration
+from roadtorch.camera.camera import Camera, EgoLook
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.conditions import with_conditions
 from roadtorch.data.dataset import Dataset, Item
@@ -229,7 +229,7 @@ def read_assignments(path: Path) -> bool:
 
 def make_camera(draw: Draw, folder: Path) -> Path:
     path, rows = folder / "camera.toml", (0.9, 0.92, 0.95)
-    look = Look(rows=rows, columns=rows, across=(0.1, -0.2, 0.3), down=(0.5, 0.1, 0.0))
+    look = EgoLook(rows=rows, columns=rows, across=(0.1, -0.2, 0.3), down=(0.5, 0.1, 0.0))
     ego = Ego(outline=(0.9, 0.8, 0.9))
     camera = Camera(width=64, height=48, frames=9, horizon=0.4, seed_row=0.9, ego=ego, look=look)
     camera.write(path)

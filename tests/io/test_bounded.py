@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadtorch.camera.birds_eye import read_calibration
+from roadtorch.camera.calibration import read_calibration
 from roadtorch.camera.camera import Camera
 from roadtorch.data.annotations import read_annotation
 from roadtorch.data.conditions import with_conditions

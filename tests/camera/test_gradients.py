@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from roadtorch.camera.horizon import horizon_of
+from roadtorch.camera.gradients import horizon_of
 from roadtorch.errors import InputError
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.scenes.street import draw_street, render_scene
