@@ -1,6 +1,6 @@
 """The vanishing point of one picture, by locally adaptive soft voting (Kong et al., 2010).
 
-``camera.gradients.vanishing_point`` is its heir for footage: it votes with gradients, over many frames.
+``camera.gradients`` has its heir for footage: it votes with gradients, over many frames.
 """
 
 from dataclasses import dataclass
