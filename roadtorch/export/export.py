@@ -11,11 +11,17 @@ import torch
 
 from roadtorch.detector import Detector
 from roadtorch.errors import ConfigError, InputError, unknown_name
-from roadtorch.export.exportable import exportable, notes_of
+from roadtorch.export.exportable import (
+    BOUND,
+    Parity,
+    Run,
+    exportable,
+    notes_of,
+    parity,
+    rendered_batches,
+)
+from roadtorch.export.files import open_onnx, open_openvino, write_onnx, write_openvino
 from roadtorch.export.graph import EveryPixel, WholePictures
-from roadtorch.export.onnx_file import open_onnx, write_onnx
-from roadtorch.export.openvino_file import open_openvino, write_openvino
-from roadtorch.export.parity import BOUND, Parity, Run, parity, rendered_batches
 from roadtorch.io.atomic import atomic, make_folder
 
 

@@ -1,8 +1,11 @@
-"""What of a detector can be exported, and what its file says about itself."""
+"""What of a detector can be exported, what its file says about itself, and whether it says what
+Python says."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+import torch
 from torch import Tensor
 
 from roadtorch.detector import SMALLEST_SIDE, Detector
@@ -12,9 +15,11 @@ from roadtorch.detectors.layout import Cnn7, Cnn7Settings, Layout, LayoutSetting
 from roadtorch.errors import ConfigError
 from roadtorch.export.graph import OUTPUTS, EveryPixel, WholePictures
 from roadtorch.io.atomic import digest_of
+from roadtorch.io.image import from_pixels, to_pixels
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.picture_network import ROAD, PictureNetwork
 from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, terms_of, weights_path
+from roadtorch.scenes.street import render_scene
 from roadtorch.version import __version__
 
 CAN = ("fusion", "layout", "layout:cnn-7")
@@ -112,3 +117,59 @@ def notes_of(detector: Detector, part: Exportable) -> dict[str, str]:
         "weights_sha256": digest_of(path),
         "terms": f"{terms}; the code is Apache-2.0",
     }
+
+
+# --- whether a file says what Python says ---------------------------------------------
+
+
+BOUND = 1e-4
+"""How far a file may be off. Ours: a fortieth of the step between two grey levels."""
+
+SIZES = ((48, 64), (121, 317), (360, 480))
+"""Height and width of the rendered pictures on which it is tried: below the network's size, above
+it, and above the size at which detectors think."""
+
+Run = Callable[[np.ndarray], Mapping[str, np.ndarray]]
+"""Pictures uint8 (N,H,W,3) RGB → maps by name, by a runtime that has read a file."""
+
+
+@dataclass(frozen=True)
+class Parity:
+    """How far a file is off what Python says: ``most`` anywhere, ``mean`` over all pixels.
+
+    where: the output, and the size of the picture, with the most. pictures: how many were tried.
+    """
+
+    most: float
+    mean: float
+    where: str
+    pictures: int
+
+
+def rendered_batches() -> Iterator[np.ndarray]:
+    """Pictures uint8 (2,H,W,3) RGB, by day and at dusk, of each of ``SIZES``."""
+    for seed, (height, width) in enumerate(SIZES):
+        scenes = (render_scene(seed, height, width, dusk=dusk) for dusk in (0.0, 0.9))
+        yield np.stack([to_pixels(scene.image) for scene in scenes])
+
+
+def parity(run: Run, reference: Reference, batches: Iterable[np.ndarray]) -> Parity:
+    """How far ``run`` is off the reference on batches of pictures uint8 (N,H,W,3), at least one."""
+    seen = [one for batch in batches for one in _differences(run(batch), reference, batch)]
+    most, where = max((float(apart.max()), where) for where, apart in seen)
+    pixels = sum(apart.numel() for _, apart in seen)
+    mean = sum(float(apart.double().sum()) for _, apart in seen) / pixels
+    outputs = len({where.split()[0] for where, _ in seen})
+    return Parity(most, mean, where, len(seen) // outputs)
+
+
+def _differences(
+    found: Mapping[str, np.ndarray], reference: Reference, batch: np.ndarray
+) -> Iterator[tuple[str, Tensor]]:
+    """For each picture and output: name and size, and how far it is off; NaN is endless."""
+    for at, pixels in enumerate(batch):
+        wanted = reference(from_pixels(pixels))
+        height, width = pixels.shape[:2]
+        for name, maps in found.items():
+            apart = (torch.from_numpy(maps[at]) - wanted[name]).abs()
+            yield f"{name} at {width}×{height}", apart.nan_to_num(torch.inf)

@@ -46,7 +46,7 @@ def dense_flow(here: Tensor, there: Tensor, preset: int = FASTEST) -> Tensor:
     return torch.from_numpy(flow)
 
 
-def carried(plane: Tensor, flow: Tensor) -> Tensor:
+def warp(plane: Tensor, flow: Tensor) -> Tensor:
     """The values of a plane float32 (H,W) or (H,W,2) where a flow (h,w,2) points, at its size.
 
     Between pixels they are interpolated; outside, those at the edge. A flow of another size is
@@ -70,7 +70,7 @@ def _pointed(flow: Tensor, height: int, width: int) -> tuple[np.ndarray, np.ndar
     return columns, rows
 
 
-def round_trip(flow: Tensor, back: Tensor) -> Tensor:
+def forward_backward_error(flow: Tensor, back: Tensor) -> Tensor:
     """Pixels between where a round trip begins and where it ends, float32 (h,w).
 
     flow: (h,w,2) from here to there. back: from there to here. Infinite where it leaves the
@@ -79,7 +79,7 @@ def round_trip(flow: Tensor, back: Tensor) -> Tensor:
     height, width = flow.shape[:2]
     columns, rows = _pointed(flow, height, width)
     outside = (columns < 0) | (columns > width - 1) | (rows < 0) | (rows > height - 1)
-    right, down = cv2.split((flow + carried(back, flow)).numpy())
+    right, down = cv2.split((flow + warp(back, flow)).numpy())
     missed = cv2.magnitude(right, down)
     missed[outside] = np.inf
     return torch.from_numpy(missed)

@@ -23,7 +23,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.imaging.motion import FAST, carried, dense_flow, flow_picture, round_trip
+from roadtorch.imaging.motion import FAST, dense_flow, flow_picture, forward_backward_error, warp
 from roadtorch.road.fusion import log_odds
 from roadtorch.settings import Settings
 
@@ -145,11 +145,11 @@ def recalled(past: Past | None, seen: Observation, settings: SteadySettings) -> 
     if past is None or past.odds.shape != seen.odds.shape or past.grey.shape != seen.grey.shape:
         return begun
     flow = dense_flow(seen.grey, past.grey, FAST)
-    belief = believed(past.grey, seen.grey, flow, settings)
+    belief = flow_confidence(past.grey, seen.grey, flow, settings)
     if belief.mean() < settings.cut:
         return begun
-    weight = carried(past.frames, flow).clamp_max(settings.memory) * belief
-    before = carried(past.odds, flow)
+    weight = warp(past.frames, flow).clamp_max(settings.memory) * belief
+    before = warp(past.odds, flow)
     now = seen.odds.where(~seen.hidden, before)
     return Past(seen.grey, blended(before, now, weight, fresh), weight + fresh)
 
@@ -162,7 +162,7 @@ def _small(plane: Tensor, grey: Tensor) -> Tensor:
     )
 
 
-def believed(before: Tensor, grey: Tensor, flow: Tensor, settings: SteadySettings) -> Tensor:
+def flow_confidence(before: Tensor, grey: Tensor, flow: Tensor, settings: SteadySettings) -> Tensor:
     """How far the past can be believed, float32 (h,w) in [0,1], for a flow from ``grey`` to it.
 
     before, grey: uint8 (h,w). 1 where the round trip closes and the place looks the same; outside
@@ -170,8 +170,8 @@ def believed(before: Tensor, grey: Tensor, flow: Tensor, settings: SteadySetting
     2010, eq. 5). A change of light all over the picture is no difference.
     """
     allowed = settings.miss + settings.slack * torch.hypot(flow[..., 0], flow[..., 1])
-    missed = round_trip(flow, dense_flow(before, grey, FAST)) / allowed
-    change = grey.to(torch.float32) - carried(before.to(torch.float32), flow)
+    missed = forward_backward_error(flow, dense_flow(before, grey, FAST)) / allowed
+    change = grey.to(torch.float32) - warp(before.to(torch.float32), flow)
     change = np.abs((change - change.median()).numpy()) / 255
     around = torch.from_numpy(cv2.blur(change, (AROUND, AROUND))) / settings.contrast
     return (-(missed.square() + around.square())).exp()

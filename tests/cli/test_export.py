@@ -4,8 +4,7 @@ import pytest
 
 from roadtorch.detector import Detector
 from roadtorch.export import export
-from roadtorch.export.export import Exported
-from roadtorch.export.parity import Parity
+from roadtorch.export.export import Exported, Parity
 from tests.command import Call
 
 

@@ -18,11 +18,9 @@ from PIL import Image
 import roadtorch.export.export as export_module
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.export.export import BOUND, Exported, export_detector
+from roadtorch.export.export import BOUND, Exported, export_detector, parity
 from roadtorch.export.exportable import exportable
-from roadtorch.export.onnx_file import open_onnx
-from roadtorch.export.openvino_file import open_openvino
-from roadtorch.export.parity import parity
+from roadtorch.export.files import open_onnx, open_openvino
 from roadtorch.io.atomic import digest_of
 from roadtorch.io.image import read_image, to_pixels
 from roadtorch.layout.weights import shipped_weights

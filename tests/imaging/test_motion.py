@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from roadtorch.imaging.motion import EXACT, carried, dense_flow, flow_picture, round_trip
+from roadtorch.imaging.motion import EXACT, dense_flow, flow_picture, forward_backward_error, warp
 from roadtorch.scenes.street import render_scene
 
 
@@ -15,7 +15,7 @@ def everywhere(right: float, down: float, height: int = 40, width: int = 60) -> 
 def test_values_come_from_where_the_flow_points() -> None:
     plane = torch.arange(40 * 60, dtype=torch.float32).reshape(40, 60)
 
-    moved = carried(plane, everywhere(3, -2))
+    moved = warp(plane, everywhere(3, -2))
 
     assert torch.equal(moved[2:, :-3], plane[:-2, 3:])
 
@@ -23,7 +23,7 @@ def test_values_come_from_where_the_flow_points() -> None:
 def test_between_pixels_values_are_interpolated_and_outside_those_at_the_edge() -> None:
     plane = torch.tensor([[0.0, 1.0, 4.0]]).repeat(3, 1)
 
-    moved = carried(plane, everywhere(0.5, 0, 3, 3))
+    moved = warp(plane, everywhere(0.5, 0, 3, 3))
 
     assert torch.allclose(moved[1], torch.tensor([0.5, 2.5, 4.0]))
 
@@ -31,7 +31,7 @@ def test_between_pixels_values_are_interpolated_and_outside_those_at_the_edge() 
 def test_a_flow_of_another_size_moves_by_the_same_share_of_the_picture() -> None:
     plane = torch.rand(80, 120, generator=torch.Generator().manual_seed(0))
 
-    moved = carried(plane, everywhere(2, 1))
+    moved = warp(plane, everywhere(2, 1))
 
     assert torch.allclose(moved[:-2, :-4], plane[2:, 4:], atol=1e-6)
 
@@ -39,7 +39,7 @@ def test_a_flow_of_another_size_moves_by_the_same_share_of_the_picture() -> None
 def test_a_round_trip_closes_misses_or_leaves_the_picture() -> None:
     there, back, off = everywhere(4, 0), everywhere(-4, 0), everywhere(-4, 3)
 
-    closed, missed = round_trip(there, back), round_trip(there, off)
+    closed, missed = forward_backward_error(there, back), forward_backward_error(there, off)
 
     assert (closed[:, :-4] == 0).all()
     assert closed[:, -4:].isinf().all()

@@ -10,8 +10,8 @@ from roadtorch.road.steady import (
     Past,
     Steady,
     SteadySettings,
-    believed,
     blended,
+    flow_confidence,
     recalled,
 )
 from roadtorch.scenes.street import render_scene
@@ -117,7 +117,7 @@ def test_what_looks_different_now_is_not_believed() -> None:
     covered[60:100, 60:100] = 255 - covered[60:100, 60:100]
     still = torch.zeros(*grey.shape, 2)
 
-    belief = believed(grey, covered, still, settings())
+    belief = flow_confidence(grey, covered, still, settings())
 
     assert belief[66:94, 66:94].mean() < 0.2
     assert belief[:40].mean() > 0.8
@@ -126,7 +126,7 @@ def test_what_looks_different_now_is_not_believed() -> None:
 def test_a_change_of_light_is_no_difference() -> None:
     grey = flow_picture(STREET * 0.8, 240)
 
-    belief = believed(grey, grey + 20, torch.zeros(*grey.shape, 2), settings())
+    belief = flow_confidence(grey, grey + 20, torch.zeros(*grey.shape, 2), settings())
 
     assert belief.mean() > 0.95
 

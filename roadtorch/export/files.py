@@ -1,4 +1,4 @@
-"""ONNX files: written by torch's exporter, run by ONNX Runtime."""
+"""ONNX files, written by torch's exporter, and OpenVINO files made of them; and what runs them."""
 
 import logging
 import warnings
@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from roadtorch.export.exportable import Run
 from roadtorch.export.graph import EveryPixel, WholePictures
-from roadtorch.export.parity import Run
 from roadtorch.version import __version__
 
 OPSET = 18
@@ -76,3 +76,40 @@ def quiet_exporter() -> Iterator[None]:
     finally:
         for name, level in before.items():
             logging.getLogger(name).setLevel(level)
+
+
+# --- OpenVINO -------------------------------------------------------------------------
+
+
+SECTION = "roadtorch"
+"""Where the notes are in the rt_info of the model."""
+
+
+def write_openvino(
+    module: WholePictures | EveryPixel, notes: Mapping[str, str], path: Path
+) -> None:
+    """Write a module of ``graph`` as path (.xml) and weights beside it (.bin), in float32."""
+    import openvino
+
+    between = path.with_suffix(".onnx")
+    write_onnx(module, {}, between)
+    model = openvino.Core().read_model(between)
+    for name, text in notes.items():
+        model.set_rt_info(text, [SECTION, name])
+    openvino.save_model(model, path, compress_to_fp16=False)
+    between.unlink()
+
+
+def open_openvino(path: Path, threads: int) -> Run:
+    """What runs an OpenVINO or ONNX file on so many threads, by OpenVINO."""
+    import openvino
+
+    settings = {"INFERENCE_NUM_THREADS": threads, "INFERENCE_PRECISION_HINT": "f32"}
+    model = openvino.Core().compile_model(path, "CPU", settings)
+    names = [output.any_name for output in model.outputs]
+
+    def run(pictures: np.ndarray) -> dict[str, np.ndarray]:
+        found = model(np.ascontiguousarray(pictures))
+        return {name: np.array(found[name]) for name in names}
+
+    return run
