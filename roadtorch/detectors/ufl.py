@@ -147,10 +147,27 @@ def _image_mask(road: Tensor, settings: OriginalUflSettings) -> Tensor:
     return remove_isolated(mask, seed_rectangle(mask.shape, settings.seed_area))
 
 
+TEXT = {
+    "smoothing": {"target": 1.0},
+    "maps": {"row_weights": "from_one", "scale": "none"},
+    "tree": {"top": "left_out"},
+    "road": {
+        "place": "from_one",
+        "centring": "basis",
+        "error_range": "everywhere",
+        "model": "best",
+        "whole": "never",
+    },
+}
+"""Where the text of P1 differs from its authors' program, all of it together."""
+
 ENTRIES = (
     Entry(
         "ufl", "features learned from the picture, regions chosen (Zhang 2016)", UflSettings, Ufl
     ),
     Entry("ufl:kitti", "ufl:original with the blur of the paper's Table II", KittiUflSettings, Ufl),
     Entry("ufl:original", "the same as the authors' program has it", OriginalUflSettings, Ufl),
+    Entry(
+        "ufl:paper", "the same as the paper's text has it", OriginalUflSettings, Ufl, values=TEXT
+    ),
 )

@@ -57,7 +57,7 @@ def one_of_each() -> list[str]:
 
 QUICK: dict[str, dict] = {"working": {"rows": 48}, "dictionary": {"bases": 20, "rounds": 3}}
 USUAL = {
-    **dict.fromkeys(("ufl", "ufl:kitti", "ufl:original", "kmeans-road"), QUICK),
+    **dict.fromkeys(("ufl", "ufl:kitti", "ufl:original", "ufl:paper", "kmeans-road"), QUICK),
     "vanishing-point": {"working": {"pixels": 3000}, "gabor": {"orientations": 16, "scales": 2}},
     "oneclass:mog_opt:HS": {},
     "oneclass:dlp:HS": {},
