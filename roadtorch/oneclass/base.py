@@ -62,6 +62,11 @@ class ClassifierSettings(Settings):
     )
 
 
+def _takes_all(planes: int) -> str:
+    """No number of planes is refused; a function, as processes are sent classifiers."""
+    return ""
+
+
 @dataclass(frozen=True)
 class Learned:
     """What fitting gives.
@@ -97,7 +102,7 @@ class Classifier:
     settings: type[ClassifierSettings]
     fit: Callable[[Tensor, Axes, Any, torch.Generator], Learned]
     distance: Callable[[State, Tensor], Tensor]
-    refuses: Callable[[int], str] = lambda planes: ""
+    refuses: Callable[[int], str] = _takes_all
 
     def chunked_distance(self, learned: Learned, planes: Tensor) -> Tensor:
         """The distance of finite pixels (d,n), arranged, in chunks that stay in the cache: (n,)."""
