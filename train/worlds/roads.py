@@ -1,10 +1,11 @@
 """The road: its course over hills, its surface, what bounds it, the land beside it.
 
-A cross-section is given as (across, up) in metres from the road's middle and swept along the course;
-the land is swept as well, so that everything follows the hills.
+A cross-section is given as (across, up) in metres from the road's middle and swept along the
+course; the land is swept as well, so that everything follows the hills.
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 from math import cos, pi, sin
 from typing import NamedTuple
 
@@ -94,7 +95,7 @@ class Road(NamedTuple):
     def spot(self, index: int, beyond: float, side: int) -> tuple[float, float, float]:
         """A place on the land, metres beyond where it begins."""
         rises = self.land_rises[side]
-        for (near, low), (far, high) in zip(rises, rises[1:], strict=False):
+        for (near, low), (far, high) in pairwise(rises):
             if near <= beyond <= far:
                 up = low + (high - low) * (beyond - near) / (far - near)
                 break

@@ -1,4 +1,4 @@
-"""What stands beside the road, and over it: plants, houses, walls, posts, people, bridges, hills."""
+"""What stands beside the road, and over it: plants, houses, posts, people, bridges, hills."""
 
 from math import cos, pi, sin
 from typing import Any
