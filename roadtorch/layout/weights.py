@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from roadtorch.errors import ConfigError, WeightsError
 from roadtorch.files import atomic, digest_of
+from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.outside import read_regular, regular_size
@@ -46,9 +47,10 @@ MOST_OF_CARD = 2**20
 NETWORKS = {
     PatchNetwork.kind: (PatchNetwork, PatchNetworkSettings),
     PictureNetwork.kind: (PictureNetwork, PictureNetworkSettings),
+    BackboneNetwork.kind: (BackboneNetwork, BackboneNetworkSettings),
 }
 
-LayoutNetwork = PatchNetwork | PictureNetwork
+LayoutNetwork = PatchNetwork | PictureNetwork | BackboneNetwork
 
 
 def save_network(
@@ -59,7 +61,7 @@ def save_network(
     The same network and origin give the same bytes. Raises InputError when the folder
     cannot be written.
     """
-    tensors = {name: value.contiguous() for name, value in network.state_dict().items()}
+    tensors = {name: _kept(network, value) for name, value in network.state_dict().items()}
     header = {
         "format": FORMAT,
         "kind": network.kind,
@@ -70,6 +72,12 @@ def save_network(
     data = save(tensors, {HEADER: json.dumps(header, sort_keys=True)})
     with atomic(path) as temporary:
         temporary.write_bytes(data)
+
+
+def _kept(network: nn.Module, values: Tensor) -> Tensor:
+    """As values are written: those of large networks in half precision, half the bytes."""
+    half = isinstance(network, BackboneNetwork) and values.is_floating_point()
+    return (values.half() if half else values).contiguous()
 
 
 def load_network(path: str | os.PathLike[str]) -> LayoutNetwork:
@@ -160,7 +168,7 @@ def fill(network: nn.Module, tensors: Mapping[str, Tensor], path: str | os.PathL
 def _check_values(
     path: str | os.PathLike[str], name: str, values: Tensor, wanted: torch.dtype
 ) -> None:
-    if values.dtype != wanted:
+    if values.dtype != wanted and (values.dtype, wanted) != (torch.float16, torch.float32):
         what = f"holds {values.dtype} in {name}, not {wanted}".replace("torch.", "")
         raise WeightsError(path, what, "use weights of this network")
     if values.is_floating_point() and not (values.abs() <= LARGEST).all():  # also true of NaN
@@ -242,7 +250,7 @@ def _checked(path: Path, text: str | None) -> dict[str, Any]:
     return header
 
 
-Network = TypeVar("Network", PatchNetwork, PictureNetwork)
+Network = TypeVar("Network", PatchNetwork, PictureNetwork, BackboneNetwork)
 
 
 FOR_PICTURES = "layout-free"
@@ -279,5 +287,5 @@ def network_of(weights: WeightsFile, shipped: str, kind: type[Network]) -> Netwo
 
 def _run_once(network: LayoutNetwork) -> None:
     """Have torch make the programs of a network that works at one size; others are left alone."""
-    if isinstance(network, PictureNetwork):
+    if isinstance(network, PictureNetwork | BackboneNetwork):
         network.cues(torch.zeros(3, network.settings.height, network.settings.width))

@@ -168,7 +168,7 @@ def _put_head_lights(stage: Stage, camera: Any, tall: float) -> None:
     if stage.chance(0.1):
         return
     low, watts = min(tall - 0.1, 0.75) - tall, at.uniform(200, 1500)
-    spread, tilt = radians(at.uniform(45, 100)), radians(at.uniform(2, 6))
+    spread, tilt = radians(at.uniform(28, 70)), radians(at.uniform(0.5, 3.5))
     for side in (-0.6, 0.6):
         light: Any = bpy.data.lights.new("head light", "SPOT")
         light.energy, light.spot_size, light.spot_blend = watts, spread, at.uniform(0.5, 1)

@@ -27,7 +27,7 @@ def develop(light: np.ndarray, truth: np.ndarray, night: bool, at: Random) -> Lo
     light = light * exposure(light, night, at) * vignette(light.shape, at)
     if at.random() < 0.22:
         light = behind_glass(light, at)
-    tone = toned(light * np.exp(at.normal(0, 0.07, 3)).astype(np.float32), at)
+    tone = toned(light * np.exp(at.normal(0, 0.05, 3)).astype(np.float32), at)
     return Look(stored(tone, night, at), truth, int(at.integers(45, 96)))
 
 
