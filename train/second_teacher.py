@@ -9,8 +9,8 @@
 ImageNet's object labels, and no road label by people: WORLDS is what ``train.worlds`` rendered,
 TRUTH what ``train.rendered_streets`` and ``train.rendered_ego_cars`` wrote, DATA holds
 ``simulated/``. With ``--real PREPARED`` it learns from what ``teach`` wrote as well, which is
-`fusion` and the teacher pooled on real pictures. ``lay`` writes WORLDS for ``roadtorch train``.
-``measure`` tells F on DATA/many: of `fusion`, of the teacher, of both pooled.
+`fusion:large` with a teacher of before on real pictures. ``lay`` writes WORLDS for
+``roadtorch train``. ``measure`` tells F on DATA/many: of `fusion`, of the teacher, of both pooled.
 """
 
 import argparse
@@ -346,8 +346,9 @@ def both_ways(network: BackboneNetwork, image: Tensor) -> dict[str, Tensor]:
 
 
 def teach(given: argparse.Namespace) -> None:
-    """Write real pictures as training runs prepare them, taught by `fusion` and the teacher."""
-    network, fusion = read_teacher(given.teacher), load_detector(given.detector)
+    """Write real pictures as training runs prepare them, taught by `fusion:large`."""
+    network = read_teacher(given.teacher)
+    fusion = load_detector("fusion:large", backbone={"file": str(given.teacher)})
     make_folder(given.truth)
     for file in tqdm(sorted(given.pictures.glob("*.jpg")), disable=None):
         target = given.truth / f"{file.name}.npz"
@@ -421,8 +422,7 @@ def main() -> None:
     laying.add_argument("--worlds", type=Path, required=True)
     laying.add_argument("--truth", type=Path, required=True)
     laying.set_defaults(run=lay)
-    for command in (measuring, teaching):
-        command.add_argument("--detector", default="fusion")
+    measuring.add_argument("--detector", default="fusion")
     given = parser.parse_args()
     torch.set_num_threads(1)
     given.run(given)

@@ -6,7 +6,7 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.detector import Entry
-from roadtorch.detectors.fusion import Fusion, FusionSettings, LearnedRoad
+from roadtorch.detectors.fusion import Fusion, FusionSettings, LearnedRoad, RoadCalibration
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.opinion_pool import Share
 from roadtorch.layout.weights import WeightsFile, network_of
@@ -19,8 +19,9 @@ class LargeFusionSettings(FusionSettings):
     """`fusion` and how far its second network is trusted."""
 
     backbone: WeightsFile = WeightsFile()
-    second: Share = Field(default=0.6, description="of the second network, the first has the rest")
+    second: Share = Field(default=0.7, description="of the second network, the first has the rest")
     learned: LearnedRoad = LearnedRoad(weight=1.0, detail=1.0)
+    calibration: RoadCalibration = RoadCalibration(centre=-1.0)
 
 
 class LargeFusion(Fusion):

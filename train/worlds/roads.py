@@ -112,7 +112,11 @@ def drawn_course(stage: Stage, kind: str) -> Course:
     bend = {"motorway": 0.3, "yard": 0.0}.get(kind, 1.0) * at.choice([0.3, 1.0, 1.0])
     first, change = at.uniform(-0.012, 0.012) * bend, at.uniform(-0.00022, 0.00022) * bend
     wave, length = at.uniform(100, 300), SPACING
-    steep = at.choice([0.0, 0.02, 0.07]) * at.choice([-1, 1]) * (kind != "yard")
+    steep = (
+        at.choice([0.0, 0.02, 0.14 if kind == "trail" else 0.07])
+        * at.choice([-1, 1])
+        * (kind != "yard")
+    )
     x, y, heading = 0.0, -START * length, 0.0
     points, headings = [], []
     for index in range(130):

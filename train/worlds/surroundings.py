@@ -161,7 +161,10 @@ def _grass(stage: Stage, road: Road, count: int) -> None:
     tones = LITTER + GREENS[2:] if road.season in ("litter", "dry", "earth", "snow") else GREENS
     blade = plain(stage, drawn(stage, tones, 0.35), 0.8, vary=0.5)
     points, faces = [], []
-    tall = at.uniform(0.08, 0.5)
+    overgrown = road.kind in ("track", "trail") and stage.chance(0.45)
+    tall = at.uniform(0.6, 1.6) if overgrown else at.uniform(0.08, 0.5)
+    count = max(count, 700) if overgrown else count
+    truth = VERTICAL if overgrown else HORIZONTAL
     for number in range(220):
         x, y, turn, high = (
             at.uniform(-1, 1),
@@ -178,13 +181,10 @@ def _grass(stage: Stage, road: Road, count: int) -> None:
         faces.append((3 * number, 3 * number + 1, 3 * number + 2))
     mesh = stage.mesh([((points, faces), blade)])
     for _ in range(count):
-        index = START + min(int(at.expovariate(0.06)), 90)
-        stage.put(
-            mesh,
-            HORIZONTAL,
-            road.spot(index, 0.8 + at.expovariate(0.4), at.choice((-1, 1))),
-            at.uniform(0, 6),
-        )
+        index = START - 3 + min(int(at.expovariate(0.06)), 90)
+        beyond = (0.9 if overgrown else 0.8) + at.expovariate(0.4)
+        where = road.spot(index, beyond, at.choice((-1, 1)))
+        stage.put(mesh, truth, where, at.uniform(0, 6))
 
 
 def _houses(stage: Stage, road: Road, count: int) -> None:
