@@ -34,7 +34,7 @@ def test_cues_are_potentials_of_the_size_of_the_image(
 
     assert cues["layout"].shape == (3, *size)
     assert cues["road"].shape == cues["ego"].shape == size
-    assert all(0 <= float(maps.min()) and float(maps.max()) <= 1 for maps in cues.values())
+    assert all(float(maps.min()) >= 0 and float(maps.max()) <= 1 for maps in cues.values())
     torch.testing.assert_close(cues["layout"].sum(0), torch.ones(size))
 
 
