@@ -7,12 +7,15 @@ writes WORLDS/images/NUMBER_KIND_HOUR.jpg and WORLDS/truth/….png (0 sky, 1 ver
 without road, 3 road, 4 ego car, 255 void). What is there is kept; a number gives the same picture.
 Several at a time: ``--every 2 --from 1`` takes every second number.
 """
+# pyright: reportMissingImports=false
+# (Blender is in an environment of its own)
 
 import argparse
 import os
 import time
 from pathlib import Path
 from random import Random
+from typing import Any
 
 os.environ["OPENCV_IO_ENABLE_OPENEXR"] = "1"  # before cv2
 
@@ -89,10 +92,10 @@ def render_truth(stage: Stage, place: Path) -> np.ndarray:
     return truth
 
 
-def _written(scene: object, file: Path) -> np.ndarray:
-    scene.render.filepath = str(file)  # pyright: ignore[reportAttributeAccessIssue]
+def _written(scene: Any, file: Path) -> np.ndarray:
+    scene.render.filepath = str(file)
     bpy.ops.render.render(write_still=True)
-    seen = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)[..., :3].astype(np.float32)
+    seen = np.asarray(cv2.imread(str(file), cv2.IMREAD_UNCHANGED))[..., :3].astype(np.float32)
     file.unlink()
     return seen
 
@@ -115,8 +118,9 @@ def sheet(out: Path, first: int, last: int, columns: int = 8) -> np.ndarray:
     for file in sorted((out / "images").glob("*.jpg")):
         if not first <= int(file.name[:5]) < last:
             continue
-        truth = cv2.imread(str(out / "truth" / f"{file.stem}.png"), cv2.IMREAD_UNCHANGED)
-        picture = cv2.imread(str(file))
+        known = out / "truth" / f"{file.stem}.png"
+        truth = np.asarray(cv2.imread(str(known), cv2.IMREAD_UNCHANGED))
+        picture = np.asarray(cv2.imread(str(file)))
         drawn = picture.copy()
         for what, tone in (
             (0, (255, 160, 60)),

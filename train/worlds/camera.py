@@ -1,4 +1,6 @@
 """The camera and the car that carries it: height, lens, tilt; bonnets, dashboards, robots."""
+# pyright: reportMissingImports=false
+# (Blender is in an environment of its own)
 
 from math import atan, degrees, radians, tan
 from typing import Any, NamedTuple

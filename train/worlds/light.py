@@ -1,4 +1,6 @@
 """Weather and hour: sun, clouds, dusk, night, and the air between."""
+# pyright: reportMissingImports=false
+# (Blender is in an environment of its own)
 
 from math import pi, radians
 from typing import Any
@@ -49,7 +51,7 @@ def build_light(stage: Stage, hour: str) -> None:
         dark = tuple(c * at.uniform(0.5, 0.95) for c in bright)
         look = nodes.mix(_clouds(stage, nodes), dark, bright)
     else:
-        sky = {"sky_type": "MULTIPLE_SCATTERING"}
+        sky: dict[str, Any] = {"sky_type": "MULTIPLE_SCATTERING"}
         sky["sun_elevation"] = radians(at.uniform(0, 6) if hour == "dusk" else at.uniform(8, 70))
         sky |= {"sun_rotation": at.uniform(0, 2 * pi), "air_density": at.uniform(0.7, 2.5)}
         look = nodes.add("ShaderNodeTexSky", {}, **sky)

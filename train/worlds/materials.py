@@ -1,4 +1,6 @@
 """How surfaces look: colour that varies, grain, cracks, stones, water, snow, windows."""
+# pyright: reportMissingImports=false
+# (Blender is in an environment of its own)
 
 from collections.abc import Sequence
 from typing import Any

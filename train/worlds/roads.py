@@ -3,6 +3,8 @@
 A cross-section is given as (across, up) in metres from the road's middle and swept along the
 course; the land is swept as well, so that everything follows the hills.
 """
+# pyright: reportMissingImports=false
+# (Blender is in an environment of its own)
 
 from collections.abc import Sequence
 from itertools import pairwise

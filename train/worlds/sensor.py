@@ -37,12 +37,12 @@ def bent(light: np.ndarray, truth: np.ndarray, barrel: float) -> tuple[np.ndarra
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)
     x, y = 2 * (x + 0.5) / width - 1, 2 * (y + 0.5) / height - 1
     scale = (1 + barrel * (x * x + y * y)) / (1 + 2 * max(barrel, 0.0))
-    maps = [
+    across, down = (
         ((axis * scale + 1) * side / 2 - 0.5).astype(np.float32)
         for axis, side in ((x, width), (y, height))
-    ]
-    seen = cv2.remap(light, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return seen, cv2.remap(truth, *maps, cv2.INTER_NEAREST, borderValue=VOID)
+    )
+    seen = cv2.remap(light, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return seen, cv2.remap(truth, across, down, cv2.INTER_NEAREST, borderValue=VOID)
 
 
 def with_glare(light: np.ndarray, night: bool, at: Random) -> np.ndarray:

@@ -3,6 +3,8 @@
 Metres; x to the right, y ahead, z up. A part has one truth, written as a colour that the pass of
 ``train.worlds.truth`` shows.
 """
+# pyright: reportMissingImports=false
+# (Blender is in an environment of its own)
 
 from collections.abc import Iterable, Sequence
 from math import cos, pi, sin
@@ -26,7 +28,7 @@ COLOURS = {
 
 Point = tuple[float, float, float]
 Material = Any
-Shape = tuple[list[Point], list[Sequence[int]]]
+Shape = tuple[Sequence[Point], Sequence[Sequence[int]]]
 """Points and the faces between them."""
 
 

@@ -1,4 +1,6 @@
 """What stands beside the road, and over it: plants, houses, posts, people, bridges, hills."""
+# pyright: reportMissingImports=false
+# (Blender is in an environment of its own)
 
 from math import cos, pi, sin
 from typing import Any
