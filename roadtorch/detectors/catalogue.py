@@ -11,7 +11,16 @@ from typing import Any
 
 from roadtorch.camera.camera import Camera
 from roadtorch.detector import Detector, DetectorSettings, Entry
-from roadtorch.detectors import baselines, fusion, layout, oneclass, priors, texture, ufl
+from roadtorch.detectors import (
+    baselines,
+    fusion,
+    large_fusion,
+    layout,
+    oneclass,
+    priors,
+    texture,
+    ufl,
+)
 from roadtorch.errors import ConfigError, unknown_name
 from roadtorch.runtime.plugins import load_plugins
 from roadtorch.settings import merge
@@ -20,6 +29,7 @@ ENTRY_POINT_GROUP = "roadtorch.detectors"
 
 ENTRIES: tuple[Entry, ...] = (
     *fusion.ENTRIES,
+    *large_fusion.ENTRIES,
     *layout.ENTRIES,
     *texture.ENTRIES,
     *ufl.ENTRIES,

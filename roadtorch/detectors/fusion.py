@@ -184,7 +184,7 @@ class Fusion(nn.Module):
     def forward(self, image: Tensor) -> Mapping[str, Tensor | Callable[[], Tensor]]:
         """The cues of an image (3,H,W) in [0,1]."""
         settings = self.settings
-        learned = self.network.cues(image)
+        learned = self.learned(image)
         ego = ego_found(learned["ego"])
         if is_anywhere(ego):
             known = torch.cat([image, learned["layout"], learned["road"][None]])
@@ -223,6 +223,10 @@ class Fusion(nn.Module):
             "ego": ego,
             **nearby.cues,
         }
+
+    def learned(self, image: Tensor) -> Mapping[str, Tensor]:
+        """What is known from other streets of an image (3,H,W): ``layout``, ``road``, ``ego``."""
+        return self.network.cues(image)
 
     def judge(self, mask: Tensor, found: Mapping[str, Tensor]) -> Judgement:
         """How far a mask bool (H,W) of what was found can be trusted."""

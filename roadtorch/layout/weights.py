@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from roadtorch.errors import ConfigError, WeightsError
 from roadtorch.io.atomic import atomic, digest_of
 from roadtorch.io.bounded import read_regular, regular_size
+from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.settings import Settings, build_settings
@@ -30,6 +31,9 @@ HEADER = "roadtorch"
 MAX_WEIGHT = 1e6
 """The largest weight that is believed; ours: those that ship stay below 3, and the convolutions
 of a network a million times larger overflow."""
+
+HALVES = {torch.float32: (torch.float16,)}
+"""Types that a file may hold in the place of the network's own: half the size, the same maps."""
 
 SHIPPED = Path(__file__).parents[1] / "weights"
 """Where the weights lie that come with roadtorch."""
@@ -46,9 +50,10 @@ MAX_CARD_BYTES = 2**20
 NETWORKS = {
     PatchNetwork.kind: (PatchNetwork, PatchNetworkSettings),
     PictureNetwork.kind: (PictureNetwork, PictureNetworkSettings),
+    BackboneNetwork.kind: (BackboneNetwork, BackboneNetworkSettings),
 }
 
-LayoutNetwork = PatchNetwork | PictureNetwork
+LayoutNetwork = PatchNetwork | PictureNetwork | BackboneNetwork
 
 
 def save_network(
@@ -59,7 +64,7 @@ def save_network(
     The same network and origin give the same bytes. Raises InputError when the folder
     cannot be written.
     """
-    tensors = {name: value.contiguous() for name, value in network.state_dict().items()}
+    tensors = {name: _kept(network, value) for name, value in network.state_dict().items()}
     header = {
         "format": FORMAT,
         "kind": network.kind,
@@ -70,6 +75,12 @@ def save_network(
     data = save(tensors, {HEADER: json.dumps(header, sort_keys=True)})
     with atomic(path) as temporary:
         temporary.write_bytes(data)
+
+
+def _kept(network: nn.Module, values: Tensor) -> Tensor:
+    """As values are written: those of large networks in half precision, half the bytes."""
+    half = isinstance(network, BackboneNetwork) and values.is_floating_point()
+    return (values.half() if half else values).contiguous()
 
 
 def load_network(path: str | os.PathLike[str]) -> LayoutNetwork:
@@ -154,7 +165,7 @@ def fill(network: nn.Module, tensors: Mapping[str, Tensor], path: str | os.PathL
         raise WeightsError(path, what, "use weights of this network")
     for name, own in network.state_dict().items():
         values = tensors[name]
-        if values.dtype != own.dtype:
+        if values.dtype not in (own.dtype, *HALVES.get(own.dtype, ())):
             what = f"holds {values.dtype} in {name}, not {own.dtype}".replace("torch.", "")
             raise WeightsError(path, what, "use weights of this network")
         if values.is_floating_point() and not (values.abs() <= MAX_WEIGHT).all():  # or NaN
@@ -237,7 +248,7 @@ def _checked(path: Path, text: str | None) -> dict[str, Any]:
     return header
 
 
-Network = TypeVar("Network", PatchNetwork, PictureNetwork)
+Network = TypeVar("Network", PatchNetwork, PictureNetwork, BackboneNetwork)
 
 
 FOR_PICTURES = "layout-free"
@@ -268,6 +279,6 @@ def network_of(weights: WeightsFile, shipped: str, kind: type[Network]) -> Netwo
         what = f"holds a network for {network.kind}, not for {kind.kind}"
         raise WeightsError(path, what, "use weights of that kind of training")
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # stubs lack it
-    if isinstance(network, PictureNetwork):
+    if isinstance(network, PictureNetwork | BackboneNetwork):
         network.cues(torch.zeros(3, network.settings.height, network.settings.width))
     return network

