@@ -5,14 +5,11 @@ from collections.abc import Mapping
 from pydantic import Field
 from torch import Tensor, nn
 
-from roadtorch.detector import DetectorSettings, Entry, Isolated, Threshold
+from roadtorch.detector import DetectorSettings, Entry, Threshold
 from roadtorch.imaging.resize import full_size
 from roadtorch.road.seed_area import remove_isolated, seed_rectangle
 from roadtorch.ufl.features import DictionarySettings
 from roadtorch.ufl.hierarchy import (
-    LEAST,
-    NODES,
-    Nodes,
     RegionTreeSettings,
     build_tree,
     threshold_regions,
@@ -26,12 +23,8 @@ from roadtorch.ufl.maps import (
     mean_map,
     mosaic,
 )
-from roadtorch.ufl.preprocess import SIGMA, TARGET, Smoothing, WorkingShape, bicubic
+from roadtorch.ufl.preprocess import Smoothing, WorkingShape, bicubic
 from roadtorch.ufl.road import (
-    DILATION,
-    PLACE,
-    WEIGHT,
-    Place,
     StabilitySettings,
     enlarged_likelihood,
     find_road,
@@ -46,7 +39,7 @@ from roadtorch.ufl.road import (
 THRESHOLD = "road from this likelihood on; at 0.5 the mask is exactly the regions chosen"
 
 
-class OriginalUflSettings(DetectorSettings):
+class UflSettings(DetectorSettings):
     """P1 as its authors' program has it."""
 
     threshold: Threshold = Field(default=0.5, description=THRESHOLD)
@@ -58,52 +51,10 @@ class OriginalUflSettings(DetectorSettings):
     road: StabilitySettings = StabilitySettings()
 
 
-class KittiSmoothing(Smoothing):
-    """The blur of the paper's Table II."""
-
-    sigma: float = Field(default=2.5, gt=0, le=50, description=SIGMA)
-
-
-class KittiUflSettings(OriginalUflSettings):
-    """P1 as its text has it for the KITTI road benchmark: a wider blur, the rest unchanged."""
-
-    smoothing: KittiSmoothing = KittiSmoothing()
-
-
-class BestSmoothing(Smoothing):
-    """Equalisation of the detector ``ufl``."""
-
-    target: float = Field(default=0.25, gt=0, le=10, description=TARGET)
-
-
-class BestTree(RegionTreeSettings):
-    """The tree of the detector ``ufl``."""
-
-    least: int = Field(default=25, ge=1, le=10**6, description=LEAST)
-    nodes: Nodes = Field(default="regions", description=NODES)
-
-
-class BestStability(StabilitySettings):
-    """Stability in the detector ``ufl``."""
-
-    weight: float = Field(default=1.5, ge=0, le=1000, description=WEIGHT)
-    place: Place = Field(default="ahead", description=PLACE)
-    dilation: int = Field(default=2, ge=0, le=50, description=DILATION)
-
-
-class UflSettings(OriginalUflSettings):
-    """The best readings and settings we know for P1."""
-
-    isolated: Isolated = "drop"
-    smoothing: BestSmoothing = BestSmoothing()
-    tree: BestTree = BestTree()
-    road: BestStability = BestStability()
-
-
 class Ufl(nn.Module):
     """Features learned in one picture, regions chosen from a tree of thresholds (P1)."""
 
-    def __init__(self, settings: OriginalUflSettings) -> None:
+    def __init__(self, settings: UflSettings) -> None:
         super().__init__()
         self.settings = settings
 
@@ -118,7 +69,7 @@ class Ufl(nn.Module):
         return full_size(cues, (height, width)).but(likelihood=likelihood)
 
 
-def road_cues(learned: LearnedFeatures, settings: OriginalUflSettings) -> dict[str, Tensor]:
+def road_cues(learned: LearnedFeatures, settings: UflSettings) -> dict[str, Tensor]:
     """The likelihood (H,W) and the cues, from what was learned (P1, section II.C)."""
     side = settings.dictionary.side
     found = learned.maps
@@ -138,7 +89,7 @@ def road_cues(learned: LearnedFeatures, settings: OriginalUflSettings) -> dict[s
     }
 
 
-def _image_mask(road: Tensor, settings: OriginalUflSettings) -> Tensor:
+def _image_mask(road: Tensor, settings: UflSettings) -> Tensor:
     """The road of one iteration, bool, at the size of the image."""
     wide = widened(road, settings.road.dilation)
     mask = mask_to_image(wide, settings.dictionary.side)
@@ -163,11 +114,25 @@ TEXT = {
 
 ENTRIES = (
     Entry(
-        "ufl", "features learned from the picture, regions chosen (Zhang 2016)", UflSettings, Ufl
+        "ufl",
+        "features learned from the picture, regions chosen (Zhang 2016)",
+        UflSettings,
+        Ufl,
+        # The best readings and settings we know.
+        values={
+            "isolated": "drop",
+            "smoothing": {"target": 0.25},
+            "tree": {"least": 25, "nodes": "regions"},
+            "road": {"weight": 1.5, "place": "ahead", "dilation": 2},
+        },
     ),
-    Entry("ufl:kitti", "ufl:original with the blur of the paper's Table II", KittiUflSettings, Ufl),
-    Entry("ufl:original", "the same as the authors' program has it", OriginalUflSettings, Ufl),
     Entry(
-        "ufl:paper", "the same as the paper's text has it", OriginalUflSettings, Ufl, values=TEXT
+        "ufl:kitti",
+        "ufl:original with the blur of the paper's Table II",
+        UflSettings,
+        Ufl,
+        values={"smoothing": {"sigma": 2.5}},
     ),
+    Entry("ufl:paper", "the same as the paper's text has it", UflSettings, Ufl, values=TEXT),
+    Entry("ufl:original", "the same as the authors' program has it", UflSettings, Ufl),
 )

@@ -12,7 +12,6 @@ from roadtorch.detectors.ufl import ENTRIES
 from roadtorch.errors import ConfigError
 from roadtorch.imaging.resize import resized
 from roadtorch.scenes.street import render_scene
-from roadtorch.settings import build_settings
 from roadtorch.ufl.maps import dictionary_picture, mosaic
 from roadtorch.ufl.preprocess import Smoothing
 from roadtorch.ufl.road import AS_CHOSEN
@@ -23,7 +22,7 @@ QUICK = {"working": {"rows": 48}, "dictionary": {"bases": 30, "rounds": 3}}
 
 def detector(name: str, **settings: Any) -> Detector:
     entry = BY_NAME[name]
-    return Detector(entry, build_settings(entry.settings, settings))
+    return Detector(entry, entry.configured(settings))
 
 
 @cache
