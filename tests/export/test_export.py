@@ -156,6 +156,7 @@ def test_the_same_detector_gives_the_same_bytes(fusion: Exported, tmp_path: Path
     [
         ("lbp", {}, "a.onnx", "onnx", "lbp: cannot be exported"),
         ("fusion:untrained", {}, "a.onnx", "onnx", "cannot be exported"),
+        ("fusion:large", {}, "a.onnx", "onnx", "fusion:large: cannot be exported"),
         ("fusion", {"ego": {"bottom": 0.2}}, "a.onnx", "onnx", "ego: has no part"),
         ("layout", {"share": 0.5}, "a.onnx", "onnx", "share: has no part"),
         ("fusion", {}, "a.xml", "onnx", r"a.xml: does not end .* \(name it a.onnx\)"),
