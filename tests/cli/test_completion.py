@@ -36,7 +36,10 @@ def offered(line: str, shell: str = "zsh") -> list[str]:
         ("label --set supp", ["support="]),
         ("train --config adapt --set teacher.mar", ["teacher.margin="]),
         ("train --config cnn7 --set centres.", ["centres.around=", "centres.distance="]),
-        ("train --config adapt --set start=", ["start=cnn-7", "start=layout", "start=layout-free"]),
+        (
+            "train --config adapt --set start=",
+            ["start=backbone-free", "start=cnn-7", "start=layout", "start=layout-free"],
+        ),
         ("train --config ad", ["adapt"]),
         (
             "infer --config thresholds/cpf",
