@@ -11,7 +11,6 @@ from torch import Tensor
 from roadtorch.detector import SMALLEST_SIDE, Detector
 from roadtorch.detectors.catalogue import detector_entry
 from roadtorch.detectors.fusion import Fusion, FusionSettings
-from roadtorch.detectors.large_fusion import LargeFusion
 from roadtorch.detectors.layout import Cnn7, Cnn7Settings, Layout, LayoutSettings
 from roadtorch.errors import ConfigError
 from roadtorch.export.graph import OUTPUTS, EveryPixel, WholePictures
@@ -54,9 +53,8 @@ def exportable(detector: Detector) -> Exportable:
     Raises ConfigError for a detector that has none, and for settings that have no part in it.
     """
     analysis, settings = detector.analysis, detector.settings
-    if isinstance(analysis, LargeFusion):  # one of two networks alone would be another detector
-        raise ConfigError(detector.name, "cannot be exported", f"those that can: {', '.join(CAN)}")
-    if isinstance(analysis, Fusion) and isinstance(settings, FusionSettings):
+    # Not what is made of it, as fusion:large: one of its networks alone is another detector.
+    if type(analysis) is Fusion and isinstance(settings, FusionSettings):
         what = "its learned road, layout and ego car, without the superpixels"
         part = _whole_pictures(what, analysis.network, ROAD, settings.weights)
     elif isinstance(analysis, Layout) and isinstance(settings, LayoutSettings):

@@ -32,9 +32,6 @@ MAX_WEIGHT = 1e6
 """The largest weight that is believed; ours: those that ship stay below 3, and the convolutions
 of a network a million times larger overflow."""
 
-HALVES = {torch.float32: (torch.float16,)}
-"""Types that a file may hold in the place of the network's own: half the size, the same maps."""
-
 SHIPPED = Path(__file__).parents[1] / "weights"
 """Where the weights lie that come with roadtorch."""
 
@@ -64,7 +61,10 @@ def save_network(
     The same network and origin give the same bytes. Raises InputError when the folder
     cannot be written.
     """
-    tensors = {name: _kept(network, value) for name, value in network.state_dict().items()}
+    tensors = {
+        name: value.to(_stored_type(network, value)).contiguous()
+        for name, value in network.state_dict().items()
+    }
     header = {
         "format": FORMAT,
         "kind": network.kind,
@@ -77,10 +77,10 @@ def save_network(
         temporary.write_bytes(data)
 
 
-def _kept(network: nn.Module, values: Tensor) -> Tensor:
-    """As values are written: those of large networks in half precision, half the bytes."""
+def _stored_type(network: nn.Module, values: Tensor) -> torch.dtype:
+    """How values are written: those of large networks in half precision, half the bytes."""
     half = isinstance(network, BackboneNetwork) and values.is_floating_point()
-    return (values.half() if half else values).contiguous()
+    return torch.float16 if half else values.dtype
 
 
 def load_network(path: str | os.PathLike[str]) -> LayoutNetwork:
@@ -165,7 +165,7 @@ def fill(network: nn.Module, tensors: Mapping[str, Tensor], path: str | os.PathL
         raise WeightsError(path, what, "use weights of this network")
     for name, own in network.state_dict().items():
         values = tensors[name]
-        if values.dtype not in (own.dtype, *HALVES.get(own.dtype, ())):
+        if values.dtype not in (own.dtype, _stored_type(network, own)):
             what = f"holds {values.dtype} in {name}, not {own.dtype}".replace("torch.", "")
             raise WeightsError(path, what, "use weights of this network")
         if values.is_floating_point() and not (values.abs() <= MAX_WEIGHT).all():  # or NaN
