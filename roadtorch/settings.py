@@ -92,12 +92,15 @@ def _unknown_key(group: type[Settings], path: list[str]) -> ConfigError:
 
 
 def group_at(kind: type[Settings], path: Sequence[str]) -> type[Settings]:
-    """The group of settings found by following ``path`` from ``kind``."""
+    """The innermost group of settings on ``path`` from ``kind``.
+
+    What is no group, as the place in a list or the kind of a union, is passed over.
+    """
     for name in path:
-        annotation = kind.model_fields[name].annotation
-        assert isinstance(annotation, type)
-        assert issubclass(annotation, Settings)
-        kind = annotation
+        field = kind.model_fields.get(name)
+        annotation = field.annotation if field else None
+        if isinstance(annotation, type) and issubclass(annotation, Settings):
+            kind = annotation
     return kind
 
 

@@ -168,3 +168,16 @@ def test_lists_of_many_numbers_are_no_long_keys() -> None:
     numbers = [number + 0.5 for number in range(100)]
 
     assert parse_assignments([f"weights={numbers}"]) == {"weights": numbers}
+
+
+class Item(Settings):
+    size: int = 1
+
+
+class Listed(Settings):
+    items: tuple[Item, ...] = ()
+
+
+def test_an_unknown_key_inside_a_list_is_refused_with_its_path() -> None:
+    with pytest.raises(ConfigError, match=r"items\.0\.wide: unknown setting"):
+        build_settings(Listed, {"items": ({"wide": 2},)})
