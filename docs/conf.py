@@ -54,6 +54,9 @@ python_maximum_signature_line_length = 88
 html_theme = "pydata_sphinx_theme"
 html_title = "roadtorch"
 html_static_path = ["_static"]
+html_sidebars = {
+    name: [] for name in ("start", "results", "limits", "faq", "contributing", "changelog")
+}
 html_css_files = ["quiet.css"]
 html_show_sourcelink = False
 html_copy_source = True  # the search shows excerpts of it
@@ -61,11 +64,11 @@ html_math_renderer = "mathml"
 html_theme_options = {
     "navbar_align": "left",
     "navbar_end": ["theme-switcher"],
-    "header_links_before_dropdown": 7,
+    "header_links_before_dropdown": 8,
     "show_prev_next": True,
     "collapse_navigation": True,
     "navigation_depth": 2,
-    "secondary_sidebar_items": {"**": ["page-toc"], "papers": []},
+    "secondary_sidebar_items": {"**": ["page-toc"], "research/papers": []},
     "footer_start": ["copyright"],
     "footer_end": [],
     "navigation_with_keys": False,

@@ -1,9 +1,9 @@
 """roadtorch: find the road in a single picture, on a CPU, without labels.
 
-The names in ``__all__`` are what programs may rely on; so are ``roadtorch.testing``, the
-one-class classifiers of ``roadtorch.oneclass`` and the steps of the papers by the names that
-the documents give. They are loaded when they are first used, so that ``import roadtorch``
-(and with it ``roadtorch --help``) does not wait for torch.
+The names in ``__all__`` are what most programs need. What else they may rely on is in the modules
+that the reference documents; what earlier versions had here can still be imported from here.
+All is loaded when it is first used, so that ``import roadtorch`` (and with it ``roadtorch --help``)
+does not wait for torch.
 """
 
 import importlib
@@ -12,30 +12,44 @@ from typing import TYPE_CHECKING
 from roadtorch.version import __version__
 
 if TYPE_CHECKING:
-    from roadtorch.camera.calibration import read_camera_info
-    from roadtorch.camera.camera import Camera
-    from roadtorch.camera.footage import camera_of, still_ego
-    from roadtorch.camera.ground import GroundCamera, Lens, lens_of_view, mounted
-    from roadtorch.camera.ground_grid import Grid, GridSettings, ground_grid
-    from roadtorch.data.catalogue import list_datasets, open_dataset
-    from roadtorch.data.dataset import Dataset, Item, Kind, Truth
-    from roadtorch.data.labels import ColourLabels, NumberLabels
-    from roadtorch.detector import Detection, Detector, DetectorSettings, Entry
+    from roadtorch.camera.calibration import read_camera_info as read_camera_info
+    from roadtorch.camera.camera import Camera as Camera
+    from roadtorch.camera.footage import camera_of as camera_of
+    from roadtorch.camera.footage import still_ego as still_ego
+    from roadtorch.camera.ground import GroundCamera as GroundCamera
+    from roadtorch.camera.ground import Lens as Lens
+    from roadtorch.camera.ground import lens_of_view as lens_of_view
+    from roadtorch.camera.ground import mounted as mounted
+    from roadtorch.camera.ground_grid import Grid as Grid
+    from roadtorch.camera.ground_grid import GridSettings as GridSettings
+    from roadtorch.camera.ground_grid import ground_grid as ground_grid
+    from roadtorch.data.catalogue import list_datasets as list_datasets
+    from roadtorch.data.catalogue import open_dataset as open_dataset
+    from roadtorch.data.dataset import Dataset as Dataset
+    from roadtorch.data.dataset import Item as Item
+    from roadtorch.data.dataset import Kind as Kind
+    from roadtorch.data.dataset import Truth as Truth
+    from roadtorch.data.labels import ColourLabels as ColourLabels
+    from roadtorch.data.labels import NumberLabels as NumberLabels
+    from roadtorch.detector import Detection
+    from roadtorch.detector import Detector as Detector
+    from roadtorch.detector import DetectorSettings as DetectorSettings
+    from roadtorch.detector import Entry as Entry
     from roadtorch.detectors.catalogue import list_detectors, load_detector
-    from roadtorch.errors import (
-        ConfigError,
-        DatasetError,
-        InputError,
-        RoadtorchError,
-        WeightsError,
-    )
-    from roadtorch.evaluation.evaluate import evaluate
-    from roadtorch.evaluation.measure import Measure
-    from roadtorch.evaluation.result import Evaluation
+    from roadtorch.errors import ConfigError as ConfigError
+    from roadtorch.errors import DatasetError as DatasetError
+    from roadtorch.errors import InputError as InputError
+    from roadtorch.errors import RoadtorchError as RoadtorchError
+    from roadtorch.errors import WeightsError as WeightsError
+    from roadtorch.evaluation.evaluate import evaluate as evaluate
+    from roadtorch.evaluation.measure import Measure as Measure
+    from roadtorch.evaluation.result import Evaluation as Evaluation
     from roadtorch.io.image import read_image
-    from roadtorch.layout.labeller import label_layout
-    from roadtorch.sinks.grid import write_grid
-    from roadtorch.sources.frame import Frame, Selection, Source
+    from roadtorch.layout.labeller import label_layout as label_layout
+    from roadtorch.sinks.grid import write_grid as write_grid
+    from roadtorch.sources.frame import Frame as Frame
+    from roadtorch.sources.frame import Selection as Selection
+    from roadtorch.sources.frame import Source as Source
     from roadtorch.stream import detect_stream
 
 _HOMES = {
@@ -82,47 +96,12 @@ _HOMES = {
 }
 
 __all__ = [
-    "Camera",
-    "ColourLabels",
-    "ConfigError",
-    "Dataset",
-    "DatasetError",
     "Detection",
-    "Detector",
-    "DetectorSettings",
-    "Entry",
-    "Evaluation",
-    "Frame",
-    "Grid",
-    "GridSettings",
-    "GroundCamera",
-    "InputError",
-    "Item",
-    "Kind",
-    "Lens",
-    "Measure",
-    "NumberLabels",
-    "RoadtorchError",
-    "Selection",
-    "Source",
-    "Truth",
-    "WeightsError",
     "__version__",
-    "camera_of",
     "detect_stream",
-    "evaluate",
-    "ground_grid",
-    "label_layout",
-    "lens_of_view",
-    "list_datasets",
     "list_detectors",
     "load_detector",
-    "mounted",
-    "open_dataset",
-    "read_camera_info",
     "read_image",
-    "still_ego",
-    "write_grid",
 ]
 
 

@@ -6,28 +6,64 @@ found by name. What all detectors share (checking the image, deciding on the mas
 is ``Detector``, here, once; it knows none of them.
 """
 
-from collections.abc import Callable, Mapping
+import importlib
+import os
+import sys
+from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import partial, reduce, wraps
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, runtime_checkable
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    NamedTuple,
+    Protocol,
+    cast,
+    overload,
+    runtime_checkable,
+)
 
 import numpy as np
 import torch
+from PIL import Image
 from pydantic import Field
 from torch import Tensor, nn
 
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.imaging.levels import at_least
-from roadtorch.imaging.resize import Maps, WorkingSize, at_picture_size, at_work, full_size
-from roadtorch.io.image import Order, Picture, as_image, overlay_pixels, png_bytes
+from roadtorch.imaging.resize import (
+    Maps,
+    WorkingSize,
+    at_picture_size,
+    at_work,
+    full_size,
+    resized,
+)
+from roadtorch.io.atomic import atomic
+from roadtorch.io.image import (
+    Order,
+    Picture,
+    as_image,
+    checked_order,
+    overlay_pixels,
+    png_bytes,
+    write_map,
+    write_mask,
+    write_pixels,
+)
 from roadtorch.road.ego import Ego, continued, ego_car, is_anywhere, is_given, read_ego_mask
+from roadtorch.road.outlines import filled, followed
 from roadtorch.road.seed_area import SeedArea, remove_isolated, seed_rectangle
 from roadtorch.road.trust import Judgement
-from roadtorch.runtime.threads import one_thread
+from roadtorch.runtime.threads import one_thread, ordered_results
 from roadtorch.settings import Settings, build_settings, merge
 
 SMALLEST_SIDE = 16  # pixels; below it, superpixels and the seed area have no meaning
+
+LARGER = 8
+"""Times the pixels of the working size: 640x480, of 240x180."""
 
 NOTEBOOK_SIDE = 960  # pixels of the longer side of what notebooks show; ours: the width of a page
 
@@ -39,6 +75,12 @@ Isolated = Annotated[
 
 TUNED = "road from this likelihood on; the default has the best F on CamVid's three drives"
 """The description of a threshold that was chosen on labelled pictures."""
+
+
+Outlines = Annotated[
+    Literal["guided", "smooth"],
+    Field(description="guided by the picture, without thin holes; or smooth, as they were found"),
+]
 
 
 class DetectorSettings(Settings):
@@ -64,6 +106,7 @@ class WorkingSettings(DetectorSettings):
 
     isolated: Isolated = "drop"
     working: WorkingSize = WorkingSize()
+    outlines: Outlines = "smooth"
 
 
 @dataclass(frozen=True)
@@ -77,6 +120,14 @@ class Detection:
     doubt: why the mask should be looked at before it is used, in words; empty where it need not.
     name, seconds: of the frame, where a source gave it: its name, the time since the source began.
     image: (3,H,W) in [0,1], what was looked at; None where a Detection is made without one.
+
+        >>> from roadtorch import load_detector
+        >>> found = load_detector("prior:rows")("street.jpg")
+        >>> found
+        <Detection 320×240, road 50%>
+        >>> found.save("street.mask.png")
+        >>> sorted(found.numpy())
+        ['likelihood', 'mask']
     """
 
     likelihood: Tensor
@@ -92,6 +143,40 @@ class Detection:
     def caption(self) -> str:
         """What an overlay says of it; nothing where the detector does not judge itself."""
         return "" if self.trust is None else f"trust {self.trust:.2f}"
+
+    def numpy(self) -> dict[str, np.ndarray]:
+        """The maps as arrays by name: ``likelihood``, ``mask`` and the cues."""
+        maps = {"likelihood": self.likelihood, "mask": self.mask, **self.cues}
+        return {name: map.detach().cpu().numpy() for name, map in maps.items()}
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write what the end of the file's name says.
+
+        ``….mask.png`` (road 255, the rest 0), ``….likelihood.png`` (0 to 255), ``….overlay.jpg`` or
+        ``….overlay.png``, or ``….npz`` with the arrays of ``numpy`` and the trust. Raises
+        ConfigError for another end, and InputError where the file cannot be written.
+        """
+        name = os.fspath(path)
+        if name.endswith("mask.png"):
+            write_mask(path, self.mask)
+        elif name.endswith("likelihood.png"):
+            write_map(path, self.likelihood)
+        elif name.endswith(("overlay.jpg", "overlay.png")):
+            write_pixels(path, self.overlay())
+        elif name.endswith(".npz"):
+            trust = {} if self.trust is None else {"trust": np.float32(self.trust)}
+            with atomic(path) as temporary, temporary.open("wb") as file:
+                np.savez_compressed(file, allow_pickle=False, **self.numpy(), **trust)
+        else:
+            remedy = "end it with .mask.png, .likelihood.png, .overlay.jpg or .npz"
+            raise ConfigError(path, "does not say what to write", remedy)
+
+    def show(self) -> None:
+        """Show the overlay: in the notebook, or else in the computer's viewer of pictures."""
+        if "ipykernel" in sys.modules:
+            importlib.import_module("IPython.display").display(self)
+        else:
+            Image.fromarray(self.overlay()).show()
 
     def overlay(self) -> np.ndarray:
         """The image with its road tinted and outlined, uint8 (H,W,3) RGB, as ``infer`` draws it.
@@ -135,8 +220,9 @@ class Found(NamedTuple):
 class DetectorGrid:
     """Many detectors of one family, one for each combination of options.
 
-    Lists show them once, and a wildcard matches them only where it names the family.
-    name: ``family:<option>:<option>``, the options by what they are. summary: one line.
+    Lists show them once, and a wildcard matches them only where it names the family, and the
+    preset where they have one.
+    name: ``family:<option>:<option>[:preset]``, the options by what they are. summary: one line.
     refused: combinations that make no sense, by the name they would have, with the reason.
     """
 
@@ -148,6 +234,17 @@ class DetectorGrid:
     def family(self) -> str:
         """What all their names begin with, the colon included."""
         return self.name.partition(":")[0] + ":"
+
+    @property
+    def wildcard(self) -> str:
+        """What lists them all: ``family:*``, or ``family:*:preset``."""
+        last = self.name.rpartition(":")[2]
+        return f"{self.family}*" if last.startswith("<") else f"{self.family}*:{last}"
+
+    def fits(self, pattern: str) -> bool:
+        """Whether a pattern names the family and the preset."""
+        begin, _, end = self.wildcard.partition("*")
+        return pattern.startswith(begin) and pattern.endswith(end)
 
 
 @dataclass(frozen=True)
@@ -179,12 +276,16 @@ class Entry:
 class Detector(nn.Module):
     """A detector that is ready to look at images; made by ``load_detector``.
 
-    name, settings: what it was made from. analysis: the module that finds the cues, its
-    parts (networks among them) as attributes.
+    name, settings: what it was made from. order: of the colours of NumPy arrays, where none is
+    told with them. analysis: the module that finds the cues, its parts (networks among them) as
+    attributes.
     """
 
-    def __init__(self, entry: Entry, settings: DetectorSettings) -> None:
+    def __init__(
+        self, entry: Entry, settings: DetectorSettings, order: Order | None = None
+    ) -> None:
         super().__init__()
+        self.order: Order | None = None if order is None else checked_order(order)
         self.name = entry.name
         self.settings = settings
         # Read once, and before any work: what is wrong with it is told now.
@@ -196,15 +297,77 @@ class Detector(nn.Module):
             raise ConfigError(entry.name, what, remedy)
         self.analysis = analysis
 
+    @overload
+    def __call__(self, pictures: Tensor) -> Any: ...
+
+    @overload
+    def __call__(self, pictures: Picture, order: Order | None = None) -> Detection: ...
+
+    @overload
+    def __call__(
+        self, pictures: Iterable[Picture], order: Order | None = None, *, jobs: int = 1
+    ) -> list[Detection]: ...
+
+    def __call__(self, pictures: Any, order: Order | None = None, *, jobs: int = 1) -> Any:
+        """A picture's Detection, as ``detect``; those of several as a list, as ``detect_many``.
+
+        Of a tensor (B,3,H,W) it is what networks give, the likelihoods (B,H,W) of ``forward``.
+        """
+        if isinstance(pictures, Tensor) and pictures.ndim == 4:
+            return super().__call__(pictures)
+        if isinstance(pictures, np.ndarray):
+            several = pictures.ndim == 4
+        else:
+            one = isinstance(pictures, (Tensor, str, bytes))
+            several = isinstance(pictures, Iterable) and not one
+        if several:
+            return list(self.detect_many(pictures, order, jobs=jobs))
+        return self.detect(cast("Picture", pictures), order)
+
     def detect(self, image: Picture, order: Order | None = None) -> Detection:
         """Find the road in one picture, from 16×16 up.
 
-        image: RGB as tensor (3,H,W), floating point in [0,1] or uint8; a NumPy array uint8 (H,W,3)
-        with the ``order`` of its colours; a Pillow image; a path. Raises InputError when it is
-        anything else, and when what the detector makes of it is not finite: there is no
-        decision on NaN.
+        image: a path or URL; a NumPy array (H,W,3) with the ``order`` of its colours, also with
+        alpha (H,W,4) or grey (H,W), uint8, uint16 or floating point in [0,1]; a Pillow image; an
+        RGB tensor (3,H,W), floating point in [0,1] or uint8. Raises InputError when it is anything
+        else, and when what the detector makes of it is not finite: there is no decision on NaN.
         """
-        return self.conclude(self.find(as_image(image, order)))
+        if order == "bgr" and isinstance(image, Tensor):
+            raise InputError("order", "is of NumPy arrays; tensors are RGB", "give image.flip(0)")
+        return self.conclude(self.find(as_image(image, order or self.order)))
+
+    def detect_many(
+        self, images: Iterable[Picture], order: Order | None = None, *, jobs: int = 1
+    ) -> Generator[Detection]:
+        """Find the road in picture after picture, each given as to ``detect``, in their order.
+
+        images: a list, a generator, which is asked when it is needed, or a stack of arrays of one
+        size. jobs: pictures at a time; the results do not depend on it. Raises what ``detect``
+        raises, naming the picture ``images[3]``, and ends there.
+
+            >>> import numpy
+            >>> from roadtorch import load_detector
+            >>> detector = load_detector("prior:rows", order="bgr")
+            >>> frames = (numpy.zeros((60, 80 + n, 3), numpy.uint8) for n in range(2))
+            >>> [found.mask.shape[1] for found in detector.detect_many(frames, jobs=2)]
+            [80, 81]
+        """
+        if isinstance(images, (str, os.PathLike, bytes)) or not isinstance(images, Iterable):
+            what = f"are {type(images).__name__}"
+            raise InputError("images", what, "give a list; detect takes one picture")
+        if jobs < 1:
+            raise ConfigError("jobs", f"is {jobs}", "give 1 or more")
+
+        def one(numbered: tuple[int, Picture]) -> Detection:
+            number, image = numbered
+            try:
+                return self.detect(image, order)
+            except InputError as problem:
+                if problem.where != "image":
+                    raise
+                raise InputError(f"images[{number}]", problem.what, problem.remedy) from None
+
+        return ordered_results(enumerate(images), one, jobs)
 
     @one_thread()
     @torch.no_grad()
@@ -272,13 +435,20 @@ class Detector(nn.Module):
         told = self.settings.ego
         given = ego_car(image, told, self._ego_mask) if is_given(told) else None
         seen = image if given is None else continued(image, given)
-        working = self.settings.working if isinstance(self.settings, WorkingSettings) else None
-        analysed = self.analysis(at_work(seen, working) if working else seen)
+        settings = self.settings if isinstance(self.settings, WorkingSettings) else None
+        small = at_work(seen, settings.working) if settings else seen
+        analysed = self.analysis(small)
+        if not isinstance(analysed, Mapping) or "likelihood" not in analysed:
+            what = f"gives no likelihood: {type(self.analysis).__name__}.forward has to"
+            raise ConfigError(self.name, what, "let it return a mapping with likelihood (H,W)")
         if not analysed["likelihood"].sum().isfinite():  # one that is not makes the sum so
             what = f"gives {self.name} a likelihood that is not finite"
             raise InputError("image", what, "check the weights and the settings; else report it")
         size = (image.shape[-2], image.shape[-1])
-        maps = full_size(analysed, size) if working else Maps(analysed)
+        maps = Maps(analysed)
+        if settings and settings.outlines == "guided":
+            maps = maps.but(likelihood=guided(maps, small, seen, settings))
+        maps = full_size(maps, size) if settings else maps
         cars = [car for car in (given, maps.get("ego")) if car is not None]
         if cars:
             maps = without_ego(maps, reduce(torch.logical_or, cars))
@@ -287,6 +457,26 @@ class Detector(nn.Module):
     def extra_repr(self) -> str:
         """The name and settings, for ``print(detector)``."""
         return f"{self.name!r}, {self.settings!r}"
+
+
+def guided(maps: Maps, small: Tensor, image: Tensor, settings: WorkingSettings) -> Tensor:
+    """The likelihood of what was found in a small image (3,h,w), as large as it is worth.
+
+    image: the same (3,H,W) at the picture's own size.
+
+    It follows the picture where that decides otherwise, and stays as it is elsewhere: smoothed all
+    over, MaxF on the fourteen cameras falls by .004. At most ``LARGER`` times the working size's
+    pixels: beyond that, an image shows but grain. Where the ego car is, the ground above goes on,
+    so that its looks change nothing.
+    """
+    more = settings.working.model_copy(update={"pixels": LARGER * settings.working.pixels})
+    larger = image if image[0].numel() <= more.pixels else at_work(image, more)
+    if "ego" in maps and is_anywhere(maps["ego"]):
+        small = continued(small, maps["ego"])
+    found = followed(maps["likelihood"], small, larger)
+    before = resized(maps["likelihood"], (larger.shape[-2], larger.shape[-1]))
+    same = at_least(found, settings.threshold) == at_least(before, settings.threshold)
+    return filled(torch.where(same, before, found), settings.threshold)
 
 
 def lean(
@@ -327,6 +517,8 @@ def checked_image(image: Tensor) -> Tensor:
     if not isinstance(image, Tensor) or not image.is_floating_point():
         given = image.dtype if isinstance(image, Tensor) else type(image).__name__
         raise InputError("image", f"is {given}", "give float32 RGB in [0, 1], as read_image does")
+    if image.layout != torch.strided:
+        raise InputError("image", f"has the layout {image.layout}", "give image.to_dense()")
     if image.ndim != 3 or image.shape[0] != 3:
         raise InputError(
             "image", f"has the shape {tuple(image.shape)}", "give RGB as (3, height, width)"

@@ -4,6 +4,7 @@ RoadtorchError
 ├── InputError      a picture, map or folder that cannot be used
 ├── ConfigError     a setting, a name or an option that is wrong
 ├── DatasetError    a data set that is incomplete or not what it says
+│   └── UnscorableError  one whose labels say nothing about road
 └── WeightsError    a weight file that is damaged or foreign
 """
 
@@ -12,7 +13,7 @@ import os
 from collections.abc import Iterable
 from enum import IntEnum
 
-MOST_LETTERS = 400
+MAX_LETTERS = 400
 """Of what a refusal repeats of a file's content: a line that can be read, whatever is in there."""
 
 
@@ -30,8 +31,10 @@ class RoadtorchError(Exception):
 
     The text reads ``where: what (remedy)``; the command line prints it behind
     ``roadtorch: error:`` and nothing else. Where and what lose their middle when they are
-    longer than ``MOST_LETTERS``; paths are told whole.
+    longer than ``MAX_LETTERS``; paths are told whole.
     """
+
+    exit_code = ExitCode.WRONG_USAGE
 
     def __init__(self, where: object, what: str, remedy: str) -> None:
         self.where = str(where) if isinstance(where, os.PathLike) else shortened(str(where))
@@ -44,7 +47,7 @@ class RoadtorchError(Exception):
         return type(self), (self.where, self.what, self.remedy)
 
 
-def shortened(text: str, most: int = MOST_LETTERS) -> str:
+def shortened(text: str, most: int = MAX_LETTERS) -> str:
     """A text of at most ``most`` letters, an ellipsis in the place of its middle."""
     half = (most - 1) // 2
     return text if len(text) <= most else f"{text[:half]}…{text[-half:]}"
@@ -62,8 +65,34 @@ class DatasetError(RoadtorchError):
     """A data set that is incomplete or not what it says."""
 
 
+class UnscorableError(DatasetError):
+    """A data set that was read whole, and whose labels say nothing about road."""
+
+    exit_code = ExitCode.SOME_FAILED
+
+
 class WeightsError(RoadtorchError):
     """A weight file that is damaged or foreign."""
+
+
+def lacks_memory(problem: Exception) -> bool:
+    """Whether it is of memory that was not there: Python's, NumPy's, torch's, OpenCV's words."""
+    words = (
+        "allocate memory",
+        "out of memory",
+        "Insufficient memory",
+        "bad_alloc",
+        "bad allocation",
+    )
+    return isinstance(problem, MemoryError) or any(word in str(problem) for word in words)
+
+
+def fault(where: object, problem: Exception) -> InputError:
+    """The error for what nobody foresaw: more memory than there is, or a fault of ours."""
+    if lacks_memory(problem):
+        what = "needs more memory than there is"
+        return InputError(where, what, "give smaller pictures, or fewer --jobs")
+    return InputError(where, f"{type(problem).__name__}: {problem}", "report it")
 
 
 def unknown_name(

@@ -13,15 +13,15 @@ import pydantic
 from roadtorch.errors import ConfigError, InputError, shortened, unknown_name
 from roadtorch.io.bounded import read_regular
 
-MOST_PARTS = 32
+MAX_PARTS = 32
 """Of a key, and levels of a value: far more than any setting has; deeper ones take minutes."""
 
-MOST_BYTES = 2**20  # of a file of settings; ours: they have thousands
+MAX_BYTES = 2**20  # of a file of settings; ours: they have thousands
 
 SHOWN = 200  # letters of what was given that a refusal repeats
 
 _LONG_KEY = re.compile(
-    rf"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{MOST_PARTS}}}"""
+    rf"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{MAX_PARTS}}}"""
 )
 
 
@@ -114,8 +114,8 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
     tree: dict[str, Any] = {}
     for item in assignments:
         key, equals, text = item.partition("=")
-        names = key.strip().split(".", MOST_PARTS)
-        if len(names) > MOST_PARTS:
+        names = key.strip().split(".", MAX_PARTS)
+        if len(names) > MAX_PARTS:
             raise ConfigError(item, "has too many parts", _FEWER_PARTS)
         if not equals or not all(names):
             raise ConfigError(
@@ -140,7 +140,7 @@ def _toml_value(key: str, text: str) -> Any:
     return text if isinstance(value, float) and not math.isfinite(value) else value
 
 
-_FEWER_PARTS = f"no setting has more than {MOST_PARTS}"
+_FEWER_PARTS = f"no setting has more than {MAX_PARTS}"
 
 
 def _parsed(where: object, text: str) -> dict[str, Any]:
@@ -158,7 +158,7 @@ def _parsed(where: object, text: str) -> dict[str, Any]:
         raise ConfigError(where, "is nested too deep", "give plain values") from None
     except ValueError as problem:
         raise ConfigError(where, f"cannot be read: {problem}", "give a shorter number") from None
-    _check_values(where, values, MOST_PARTS + 1)
+    _check_values(where, values, MAX_PARTS + 1)
     return values
 
 
@@ -186,7 +186,7 @@ def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]
 def read_settings_file(path: Path) -> dict[str, Any]:
     """The nested values of a TOML file; InputError when it cannot be read or parsed."""
     try:
-        return _parsed(path, read_regular(path, MOST_BYTES).decode())
+        return _parsed(path, read_regular(path, MAX_BYTES).decode())
     except OSError as problem:
         what = f"cannot be read: {problem.strerror}"
         raise InputError(path, what, "give a TOML file") from None

@@ -2,7 +2,7 @@
 
 import os
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
@@ -15,12 +15,12 @@ from typing import NamedTuple, Protocol, TypeVar
 from torch import Tensor
 
 from roadtorch.detector import Detection, Detector, Found
-from roadtorch.errors import InputError, RoadtorchError
+from roadtorch.errors import InputError, RoadtorchError, fault
+from roadtorch.runtime.threads import ordered_results
 from roadtorch.sources.frame import Frame, Selection, Source
 from roadtorch.sources.open import open_source
 
 Item = TypeVar("Item")
-Result = TypeVar("Result")
 
 
 class Steadying(Protocol):
@@ -76,6 +76,11 @@ def detect_stream(
     failed: told of a frame without a result, which is then left out; without it, its error is
     raised. Leaving the loop, closing the generator and any error close the source. Raises
     InputError when the source cannot be opened, and behind the last frame when it is cut.
+
+        >>> from roadtorch import detect_stream, load_detector
+        >>> for found in detect_stream("street.jpg", load_detector("prior:rows"), jobs=2):
+        ...     print(found.name, found)
+        street <Detection 320×240, road 50%>
     """
     if not isinstance(source, Source):
         source = open_source(os.fspath(source), selection)
@@ -132,8 +137,7 @@ def _found(
         return Missed(frame, InputError(where, problem.what, problem.remedy))
     except Exception as problem:
         # One frame that trips a detector must not cost the night's run.
-        what = f"{type(problem).__name__}: {problem}"
-        return Missed(frame, InputError(frame.origin, what, "report it"))
+        return Missed(frame, fault(frame.origin, problem))
     return _Look(frame, image, found, 1000 * (perf_counter() - start))
 
 
@@ -206,31 +210,6 @@ def _taken(box: Queue[tuple[Item] | BaseException | None]) -> Iterator[Item]:
         if isinstance(what, BaseException):
             raise what
         yield what[0]
-
-
-def ordered_results(
-    items: Iterable[Item], work: Callable[[Item], Result], threads: int
-) -> Generator[Result]:
-    """The results of all items in their order, a few items ahead at most.
-
-    Threads, not processes: torch and OpenCV release Python's lock, nothing has to be
-    loaded twice, and the thread count inside torch, hence every byte, stays the same.
-    """
-    if threads == 1:
-        yield from map(work, items)
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        waiting: deque[Future[Result]] = deque()
-        try:
-            for item in items:
-                waiting.append(pool.submit(work, item))
-                if len(waiting) > threads:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
-        finally:
-            for future in waiting:
-                future.cancel()
 
 
 class Behind:

@@ -7,7 +7,7 @@
 Each round runs every contestant once, in an order that moves on by one from round to round. Times
 are medians over the rounds; a ratio is the median of the rounds' ratios: what slows the whole
 machine for a while slows both sides of it. Other work on the same cores does not; measure on a
-quiet machine. ``--write`` keeps the figures of ``fusion`` in docs/figures/bench.json.
+quiet machine. ``--write`` keeps the figures in docs/figures/bench.json.
 """
 
 import argparse
@@ -24,17 +24,21 @@ import torch
 from torch import Tensor
 from torch.utils.benchmark import Timer
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the scripts beside
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
 
 from roadtorch.detectors.catalogue import list_detectors, load_detector
 from roadtorch.scenes.street import render_scene
 from roadtorch.superpixels.slic import slic
+from scripts.readme_tables import TIMED
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = ROOT / "docs" / "figures" / "bench.json"
 COMMAND = "python scripts/bench.py --write"
 LRASPP = "LRASPP (torchvision)"
 SEGMENTS = 400
+SLIC, SKIMAGE = f"slic, {SEGMENTS} segments", f"slic, {SEGMENTS} segments (scikit-image)"
+PEERS = {LRASPP: "LRASPP", SLIC: "slic", SKIMAGE: "slic-skimage"}
+"""Peers, and the names of their records."""
 WARM_UP = 2  # rounds that are not counted
 
 Calls = Mapping[str, Callable[[], Any]]
@@ -85,8 +89,8 @@ def contestants(names: Sequence[str], image: Tensor) -> Calls:
     return {
         **{name: partial(load_detector(name).detect, image) for name in names},
         LRASPP: lraspp(image),
-        f"slic, {SEGMENTS} segments": partial(slic, image, SEGMENTS),
-        f"slic, {SEGMENTS} segments (scikit-image)": theirs,
+        SLIC: partial(slic, image, SEGMENTS),
+        SKIMAGE: theirs,
     }
 
 
@@ -99,12 +103,15 @@ def table(times: Times) -> str:
 
 
 def keep(times: Times) -> None:
-    """Write the figures of `fusion` where documents find them (scripts/readme_figures.py)."""
-    values = {
-        "bench.fusion.ms": median(times["fusion"]),
-        "bench.fusion.of_lraspp": ratio(times["fusion"], times[LRASPP]),
-    }
-    text = json.dumps({"command": COMMAND, "values": values}, indent=0)
+    """Write the figures where documents find them (scripts/readme_figures.py)."""
+    values: dict[str, float] = {}
+    for name in set(times) & {*TIMED, *PEERS}:
+        taken = times[name]
+        values[f"bench.{PEERS.get(name, name)}.ms"] = median(taken)
+        values[f"bench.{PEERS.get(name, name)}.of_lraspp"] = ratio(taken, times[LRASPP])
+    text = json.dumps(
+        {"command": COMMAND, "values": {key: values[key] for key in sorted(values)}}, indent=0
+    )
     KEPT.write_text(f"{text}\n", encoding="utf-8")
 
 

@@ -15,7 +15,7 @@ It is said with as many digits as it has there. What stands between ``<!-- table
 ``<!-- end -->`` is written whole. A file of records is {"command": …, "values": {name: value}};
 names are RUN.DETECTOR.MEASURE, with ``.low`` and ``.high`` its interval, ``@GROUP`` one camera,
 drive or condition, ``.worst`` and ``.worst.camera`` the lowest of the groups, ``.less`` the
-difference to ``fusion``.
+difference to ``fusion``, ``.iou`` that of an F.
 """
 
 import argparse
@@ -103,6 +103,7 @@ def records_of(run: str, metrics: Mapping[str, Any]) -> dict[str, float | str]:
             if values:
                 worst = min(values, key=lambda name: values[name])
                 found |= {f"{own}.{key}.worst": values[worst], f"{own}.{key}.worst.camera": worst}
+                found |= {f"{own}.{key}.iou@{name}": f / (2 - f) for name, f in values.items()}
         if base:  # P2's improvement
             found[f"{own}.auc_pooled.over_lbp"] = one["auc_pooled"] / base - 1
         for key, change in metrics["paired"]["detectors"].get(detector, {}).items():
@@ -170,7 +171,7 @@ def rewritten(text: str, known: Records) -> str:
 def documents() -> Iterator[Path]:
     """README and every page of docs."""
     yield ROOT / "README.md"
-    yield from sorted((ROOT / "docs").glob("*.md"))
+    yield from sorted((ROOT / "docs").rglob("*.md"))
 
 
 class _Asked(dict[str, float | str]):

@@ -7,11 +7,17 @@ from typing import NamedTuple
 Records = Mapping[str, float | str]
 
 MINUS = "\N{MINUS SIGN}"
-FUSIONS = ("fusion", "fusion:research", "fusion:untrained", "fusion:paper")
+LEARNED = ("fusion", "fusion:large", "fusion:scratch", "fusion:research", "fusion:untrained")
+FUSIONS = (*LEARNED, "fusion:paper")
 ROAD = (
     *FUSIONS,
     *("layout", "layout:cnn-7", "labeller", "ufl", "ufl:original", "cpf", "cpf:v2", "cpf:squares"),
     *("grey-uniformity", "lbp", "prior:uniform"),
+)
+TIMED = (
+    *("fusion", "fusion:research", "fusion:untrained", "fusion:paper"),
+    *("layout", "labeller", "layout:cnn-7", "cpf", "ufl", "ufl:original"),
+    *("kmeans-road", "vanishing-point"),
 )
 SLOW = ("fusion", "ufl:kitti", "kmeans-road", "vanishing-point")
 
@@ -104,6 +110,8 @@ TABLES: Mapping[str, Table] = {
         "detector | fourteen cameras, F | the worst of them | CamVid, MaxF | IDD, MaxF",
         {
             "`fusion`": "fusion",
+            "`fusion:large`, at half again the size": "fusion:large",
+            "`fusion:scratch`, whose network has seen no label of any kind": "fusion:scratch",
             "`fusion:research`, with weights for research and private use": "fusion:research",
             "`fusion:untrained`, which needs no weights": "fusion:untrained",
             "`ufl`, after Zhang et al.": "ufl",
@@ -126,9 +134,25 @@ TABLES: Mapping[str, Table] = {
         f"[[idd.{{row}}.maxf|ci]] | {_cells('idd', *KEYS)}",
         "idd.{row}.maxf",
     ),
+    "road": Table(
+        "detector | CamVid, MaxF (95 %) | F | IoU | IDD, MaxF (95 %) | F | IoU",
+        _named(*LEARNED, "layout", "ufl", "ufl:original", "fusion:paper", *BASELINES[:2]),
+        " | ".join(
+            f"[[{run}.{{row}}.maxf|ci]] | {_cells(run, 'f_mask', 'iou')}"
+            for run in ("camvid", "idd")
+        ),
+        "camvid.{row}.maxf",
+    ),
+    "ufl": Table(
+        "detector | CamVid: F of mask | MaxF (95 %) | IDD: F of mask | MaxF (95 %)",
+        _named("ufl", "ufl:original", *BASELINES),
+        " | ".join(
+            f"[[{run}.{{row}}.f_mask]] | [[{run}.{{row}}.maxf|ci]]" for run in ("camvid", "idd")
+        ),
+    ),
     "pairs": Table(
         "minus `fusion` | CamVid, MaxF (95 %) | IDD, MaxF (95 %)",
-        _named("fusion:research", "fusion:untrained", "layout", "ufl", "prior:mean"),
+        _named(*LEARNED[1:], "layout", "ufl", "prior:mean"),
         " | ".join(
             f"[[?{run}.{{row}}.maxf.less|+.000]] ([[?{run}.{{row}}.maxf.less.low|+.000]] to "
             f"[[?{run}.{{row}}.maxf.less.high|+.000]])"
@@ -180,9 +204,19 @@ TABLES: Mapping[str, Table] = {
         ),
         "camvid-slow.{row}.maxf",
     ),
+    "speed": Table(
+        "detector | ms | of LRASPP",
+        {
+            **_named(*TIMED),
+            "LRASPP (torchvision)": "LRASPP",
+            "slic, ours": "slic",
+            "slic of scikit-image": "slic-skimage",
+        },
+        "[[bench.{row}.ms|0.0]] | [[bench.{row}.of_lraspp|.00]]",
+    ),
     "many-detectors": Table(
         "detector | F (95 %) | worst camera, F | MaxF | IoU | ECE",
-        _named(*FUSIONS[:3], "layout", "labeller", "ufl", "fusion:paper", "prior:rows"),
+        _named(*LEARNED, "layout", "labeller", "ufl", "fusion:paper", "prior:rows"),
         f"[[many.{{row}}.f_mask|ci]] | {_cells('many', 'f_mask.worst', 'maxf', 'iou_mask', 'ece')}",
     ),
     "many-cameras": Table(

@@ -34,7 +34,7 @@ import torch
 
 from roadtorch.cli import main
 from roadtorch.detectors.catalogue import list_detectors
-from roadtorch.evaluation import progress
+from roadtorch.evaluation import evaluate
 from roadtorch.io.image import write_mask
 from roadtorch.runs.folder import RUN
 from roadtorch.scenes.street import render_scene, write_picture
@@ -62,7 +62,7 @@ network = { height = 32, width = 40, narrow = 8, wide = 8 }
 teacher = { detector = "labeller", working = { pixels = 4800 } }
 recordings = { separator = "_", least = 5 }
 rounds = { count = 2 }
-descent = { batch = 2, method = "adam", rate = 0.01, average = 0.7 }
+descent = { batch = 2, method = "adam", learning_rate = 0.01, ema = 0.7 }
 stopping = { rule = "epochs", epochs = 3 }
 """
 
@@ -81,7 +81,7 @@ class Torture:
     def begin(self) -> None:
         """The quiet run, its time taken."""
         start = time.monotonic()
-        status = _ended(self._started(self.quiet))
+        status = ended(self._started(self.quiet))
         self.seconds = time.monotonic() - start
         if status != 0:
             self._blame(self.quiet, f"ended with {status}")
@@ -99,16 +99,16 @@ class Torture:
     def _run(self, place: Path, longest: float) -> int | None:
         """One run: None where a signal met it, within so many seconds, else its exit status."""
         child = self._started(place)
-        status = _ended(child, self.chance.uniform(0, longest))
+        status = ended(child, self.chance.uniform(0, longest))
         if status is not None:
             return status
         number = self.chance.choice(SIGNALS)
         os.kill(child, number)
-        status = _ended(child, PATIENCE)
+        status = ended(child, PATIENCE)
         self.kills[number.name] += 1
         if status is None:
             os.kill(child, signal.SIGKILL)
-            _ended(child)
+            ended(child)
         if status == 0:  # it was just done
             return 0
         if status not in (-number, 128 + number):
@@ -130,22 +130,23 @@ class Torture:
         signal.pthread_sigmask(signal.SIG_BLOCK, ASKED)
         child = os.fork()
         if child == 0:
-            _become(lambda: main([*self.words, "--out", OUT]), place)
+            become(lambda: main([*self.words, "--out", OUT]), place)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, ASKED)
         return child
 
 
-def _become(command: Callable[[], object], place: Path) -> None:
+def become(command: Callable[[], object], place: Path, notes: str = "told") -> None:
     """End this process with a command's status, and as Python does where it is interrupted."""
     status = 70
     try:
         os.chdir(place)
-        told = os.open("told", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        told = os.open(notes, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         nowhere = os.open(os.devnull, os.O_RDWR)
         for stream, target in enumerate((nowhere, nowhere, told)):
             os.dup2(target, stream)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, ASKED)
         command()
+        status = 0
     except SystemExit as end:
         status = end.code if isinstance(end.code, int) else 0
     except KeyboardInterrupt:
@@ -156,7 +157,7 @@ def _become(command: Callable[[], object], place: Path) -> None:
         os._exit(status)
 
 
-def _ended(child: int, seconds: float | None = None) -> int | None:
+def ended(child: int, seconds: float | None = None) -> int | None:
     """How a child ended, a signal as its negative number; None where it still runs by then."""
     end = None if seconds is None else time.monotonic() + seconds
     while end is None or time.monotonic() < end:
@@ -250,7 +251,7 @@ def load() -> None:
     """Import what the runs need; stop the clock of results; save as often as that can be done."""
     torch.set_num_threads(1)
     time.perf_counter = lambda: 0.0  # before those that import it by its name
-    progress.SAVE_EVERY = loop.SAVE_EVERY = 0.0
+    evaluate.SAVE_EVERY = loop.SAVE_EVERY = 0.0
     for name in LOADED:
         importlib.import_module(name)
 

@@ -221,8 +221,20 @@ def output_as_shown(expected: Sequence[str], found: Sequence[str]) -> str:
     kept = [line.rstrip() for line in expected]
     while kept and not kept[-1]:
         kept.pop()
-    shown = expected if same(kept, found) else found
+    shown = expected if same(kept, found) else shortened(kept, found)
     return "".join(f"{line}\n" for line in shown)
+
+
+def shortened(expected: Sequence[str], found: Sequence[str]) -> list[str]:
+    """The lines found, each ending in ``…`` where the one expected of its first word does."""
+    ends = [line.removesuffix(ANYTHING).split() for line in expected if line.endswith(ANYTHING)]
+    words = {line[0]: len(line) for line in ends if line}
+    shown = []
+    for line in found:
+        first = next(iter(line.split()), "")
+        start = re.match(rf"(\s*\S+){{{words.get(first, 0)}}}", line)
+        shown.append(f"{start[0]}  {ANYTHING}" if start and first in words else line)
+    return shown
 
 
 def run_page(page: str, name: str) -> str:

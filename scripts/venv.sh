@@ -1,10 +1,12 @@
 # shellcheck shell=bash
-# Sourced by demo.sh and test.sh: goes to the repository's root and makes .venv ready.
+# Sourced by demo.sh, test.sh and site.sh: goes to the repository's root and makes $VENV ready, which
+# is .venv unless they say otherwise.
 # After `prepare_venv [EXTRA]`, $PYTHON is an interpreter with roadtorch and that extra.
 
 cd "$(dirname "${BASH_SOURCE[0]}")/.." || exit 1
-PYTHON=.venv/bin/python
-STAMP=.venv/roadtorch-installed # holds the extras and the checksum of what was asked for
+VENV=${VENV:-.venv}
+PYTHON=$VENV/bin/python
+STAMP=$VENV/roadtorch-installed # holds the extras and the checksum of what was asked for
 CPU_INDEX=${ROADTORCH_CPU_INDEX:-https://download.pytorch.org/whl/cpu} # or a mirror of it
 CPU_INDEX_SECONDS=3
 
@@ -21,7 +23,7 @@ find_python() {
 }
 
 checksum() {
-  cat pyproject.toml constraints.txt | cksum
+  cat pyproject.toml constraints.txt requirements/*.txt | cksum
 }
 
 # Succeeds when the index of CPU wheels knows torch, and says so within CPU_INDEX_SECONDS; the
@@ -63,6 +65,17 @@ choose_index() {
   fi
 }
 
+# Installs what is in . as it was tested: install_tested PYTHON base|test PIPS-OPTIONS…
+# The package index may serve the files whose hashes are in requirements/ and no others. torch and
+# torchvision come by their version alone: the hashes of the index of CPU wheels are not ours to know.
+install_tested() {
+  local pip=("$1" -m pip install --quiet --disable-pip-version-check --no-compile) kind=$2
+  shift 2
+  "${pip[@]}" --no-deps ${INDEX[@]+"${INDEX[@]}"} -c constraints.txt torch torchvision
+  "${pip[@]}" --no-deps --require-hashes -r "requirements/$kind.txt"
+  "${pip[@]}" --no-deps --no-build-isolation "$@"
+}
+
 # Installs only when something changed since the last time; Python compiles what is used, not pip
 # all there is, which takes a minute. Extras that are already
 # there are kept, so that demo.sh and test.sh do not undo each other's work.
@@ -81,13 +94,16 @@ prepare_venv() {
   fi
   if ! "$PYTHON" -m pip --version >/dev/null 2>&1; then
     python=$(find_python)
-    echo "making .venv with $("$python" --version)" >&2
-    "$python" -m venv .venv
+    echo "making $VENV with $("$python" --version)" >&2
+    "$python" -m venv "$VENV"
   fi
   wanted=".${extras:+[$extras]}"
-  echo "installing roadtorch${wanted#.} into .venv (some minutes the first time)" >&2
+  echo "installing roadtorch${wanted#.} into $VENV (some minutes the first time)" >&2
   choose_index
-  "$PYTHON" -m pip install --quiet --disable-pip-version-check --no-compile ${INDEX[@]+"${INDEX[@]}"} \
-    -c constraints.txt -e "$wanted"
+  case "$extras" in
+    "" | test) install_tested "$PYTHON" "${extras:-base}" -e . ;;
+    *) "$PYTHON" -m pip install --quiet --disable-pip-version-check --no-compile \
+      ${INDEX[@]+"${INDEX[@]}"} -c constraints.txt -e "$wanted" ;;
+  esac
   printf '%s\n%s\n' "$extras" "$(checksum)" >"$STAMP"
 }

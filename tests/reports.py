@@ -10,7 +10,7 @@ import numpy as np
 
 from roadtorch.data.dataset import Dataset, Item
 from roadtorch.data.folder import FolderLabels
-from roadtorch.evaluation.group_curves import DetectorCurves, RunCurves
+from roadtorch.evaluation.document import DetectorCurves, RunCurves
 from roadtorch.evaluation.measure import Figures
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.methods import Look, Method
@@ -21,8 +21,8 @@ from roadtorch.evaluation.result import (
     Evaluation,
     Failure,
     Interval,
+    PictureRow,
 )
-from roadtorch.evaluation.summary import PictureRow
 from roadtorch.layout.classes import NAMES as CLASSES
 
 GROUPS = ("0001TP", "0006R0", "0016E5")

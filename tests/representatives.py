@@ -4,7 +4,7 @@ from roadtorch.detectors.catalogue import detector_groups
 
 
 def representatives() -> list[str]:
-    """Names of detectors without those of grids that differ in their last option alone.
+    """Names of detectors without those of grids that differ in their second option alone.
 
     Of ``oneclass:nn:…`` the first stays, of the next classifier the second, and so on, so
     that few names see most of the options.
@@ -15,5 +15,5 @@ def representatives() -> list[str]:
             if entry.grid is None:
                 found.append(entry.name)
             else:
-                grids.setdefault(entry.name.rpartition(":")[0], []).append(entry.name)
+                grids.setdefault((entry.grid.name, entry.name.split(":")[1]), []).append(entry.name)
     return found + [members[number % len(members)] for number, members in enumerate(grids.values())]

@@ -7,23 +7,24 @@ import pytest
 from roadtorch.detectors.catalogue import detector_entry
 from roadtorch.layout.patch_network import Topology
 from roadtorch.runs.options import DetectorOptions
-from roadtorch.train.config import PatchTraining, read_training
+from roadtorch.settings import read_settings_file
+from roadtorch.train.config import PatchTraining, build_training
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 THRESHOLDS = sorted((CONFIGS / "thresholds").glob("*.toml"))
 TRAINING = sorted(CONFIGS.glob("*.toml"))
 OWN = ("ufl", "ufl:kitti", "ufl:original", "fusion", "fusion:untrained", "layout", "labeller")
 """Their default is not CamVid's: it is the mask that the method chooses (ufl), or serves seventeen
-cameras (``train/choose_many.py``)."""
+cameras (docs/many.md)."""
 
 
 @pytest.mark.parametrize("path", TRAINING, ids=lambda path: path.stem)
 def test_every_training_config_is_one(path: Path) -> None:
-    assert read_training(path).descent.learning_rate > 0
+    assert build_training(read_settings_file(path)).descent.learning_rate > 0
 
 
 def test_the_papers_config_is_to_the_letter_where_the_paper_says() -> None:
-    paper = read_training(CONFIGS / "cnn7-paper.toml")
+    paper = build_training(read_settings_file(CONFIGS / "cnn7-paper.toml"))
 
     assert isinstance(paper, PatchTraining)
     assert paper.network.topology == Topology()

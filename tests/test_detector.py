@@ -1,14 +1,23 @@
-"""How the maps of an analysis are made, and what may be done with them."""
+"""What a detector takes and gives, and how the maps of an analysis are made."""
 
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
+from PIL import Image, ImageShow
 from torch import Tensor, nn
 
 from roadtorch import load_detector
-from roadtorch.detector import lean
+from roadtorch.detector import Detection, lean
+from roadtorch.errors import ConfigError, InputError
 from roadtorch.imaging.resize import Maps, averaging_bands
+from roadtorch.io.image import read_image
 from roadtorch.oneclass import base
 from roadtorch.oneclass.axes import axes_of
 from roadtorch.oneclass.density import floor_of
@@ -85,3 +94,126 @@ def test_what_is_kept_for_later_calls_is_no_tensor_of_inference_mode() -> None:
         ]
 
     assert [tensor.is_inference() for tensor in kept] == [False] * len(kept)
+
+
+# --- pictures in --------------------------------------------------------------------------
+
+BGR = [(255 * scene(seed).image[:, ::2, 8 * seed :: 2]).byte().numpy()[::-1] for seed in range(4)]
+BGR = [picture.transpose(1, 2, 0) for picture in BGR]  # of four sizes, as OpenCV has them
+
+
+def same(one: Detection, other: Detection) -> bool:
+    return one.trust == other.trust and all(
+        map(np.array_equal, one.numpy().values(), other.numpy().values())
+    )
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_several_pictures_give_what_each_gives_by_itself(jobs: int) -> None:
+    detector = load_detector("fusion:untrained", order="bgr")
+    singles = [detector.detect(picture) for picture in BGR]
+    square = [picture[:96, :128] for picture in BGR[:2]]
+
+    assert all(map(same, detector(BGR, jobs=jobs), singles))
+    assert all(map(same, detector.detect_many(iter(BGR), jobs=jobs), singles))
+    assert all(map(same, detector.detect_many(np.stack(square)), detector(square)))
+    assert len(detector(np.stack(square))) == 2  # type: ignore[arg-type]
+    assert same(detector(BGR[0]), load_detector("fusion:untrained").detect(BGR[0], "bgr"))
+    images = torch.stack([found.image for found in detector(square)])  # type: ignore[arg-type]
+    assert all(map(same, detector.detect_many(images), detector(square)))
+    assert torch.equal(detector(images)[1], detector(square)[1].likelihood)
+    assert detector([]) == []
+
+
+def test_a_generator_is_asked_when_a_picture_is_needed_and_left_where_one_is_wrong() -> None:
+    asked = []
+
+    def pictures() -> Iterator[Any]:
+        for number, picture in enumerate([*BGR[:2], None, BGR[3]]):
+            asked.append(number)
+            yield picture
+
+    found = load_detector("prior:rows", order="bgr").detect_many(pictures())
+
+    assert asked == []
+    assert [next(found).mask.shape[1], next(found).mask.shape[1]] == [160, 156]
+    assert asked == [0, 1]
+    with pytest.raises(InputError, match=r"images\[2\]: is None"):
+        next(found)
+    assert asked == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("pictures", "options", "what"),
+    [
+        ("x.jpg", {}, "x.jpg: does not exist"),
+        (None, {}, "image: is None"),
+        (3.5, {}, "image: is float"),
+        (["x.jpg", "y.jpg"], {}, "x.jpg: does not exist"),
+        ([torch.rand(3, 20, 20)], {"order": "bgr"}, "order: is of NumPy arrays"),
+        ([np.full((20, 20, 3), 200.0)], {"order": "rgb"}, "images[0]: has values from 200 to 200"),
+        ([BGR[0]], {"order": "gbr"}, "gbr: unknown order of colours"),
+        ([BGR[0]], {"jobs": 0}, "jobs: is 0"),
+    ],
+)
+def test_what_cannot_be_looked_at_is_refused_in_the_words_of_the_caller(
+    pictures: Any, options: dict[str, Any], what: str
+) -> None:
+    with pytest.raises((InputError, ConfigError)) as caught:
+        load_detector("prior:rows")(pictures, **options)
+
+    assert what in str(caught.value)
+
+
+def test_one_picture_is_no_list_and_an_order_is_checked_at_once() -> None:
+    with pytest.raises(InputError, match=r"images: are str \(give a list"):
+        load_detector("prior:rows").detect_many("street.jpg")
+    with pytest.raises(ConfigError, match="BGR: unknown order of colours"):
+        load_detector("prior:rows", order="BGR")  # type: ignore[arg-type]
+
+
+# --- detections out -----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def found() -> Detection:
+    seen = load_detector("fusion:untrained").detect(scene(1).image[:, ::2, ::2])
+    return replace(seen, trust=0.75)
+
+
+def test_a_detection_is_saved_as_its_name_says(found: Detection, tmp_path: Path) -> None:
+    for end in ("mask.png", "likelihood.png", "overlay.jpg", "overlay.png", "npz"):
+        found.save(tmp_path / f"street.{end}")
+
+    assert torch.equal(read_image(tmp_path / "street.mask.png")[0] == 1, found.mask)
+    levels = read_image(tmp_path / "street.likelihood.png")[0]
+    torch.testing.assert_close(levels, found.likelihood, rtol=0, atol=0.5001 / 255)
+    with Image.open(tmp_path / "street.overlay.png") as overlay:
+        assert np.array_equal(np.array(overlay), found.overlay())
+    with Image.open(tmp_path / "street.overlay.jpg") as overlay:
+        assert overlay.format == "JPEG"
+    with np.load(tmp_path / "street.npz") as stored:
+        assert set(stored) == {"likelihood", "mask", "trust", *found.cues}
+        assert all(np.array_equal(stored[name], map) for name, map in found.numpy().items())
+    with pytest.raises(ConfigError, match=r"street\.png: does not say what to write \(end it with"):
+        found.save(tmp_path / "street.png")
+
+
+def test_a_detection_shows_itself_in_a_notebook_or_a_window(
+    found: Detection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown: list[object] = []
+
+    class Window(ImageShow.Viewer):
+        def show(self, image: Image.Image, **_: Any) -> int:
+            shown.append(np.asarray(image))
+            return 1
+
+    monkeypatch.setattr(ImageShow, "_viewers", [Window()])
+    found.show()
+    assert np.array_equal(shown.pop(), found.overlay())  # type: ignore[arg-type]
+
+    monkeypatch.setitem(sys.modules, "ipykernel", SimpleNamespace())
+    monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=shown.append))
+    found.show()
+    assert shown == [found]

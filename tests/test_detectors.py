@@ -95,9 +95,22 @@ def with_value(value: float) -> Tensor:
         (street(15, 15), "is 15×15 pixels"),
         (torch.zeros(3, 32, 0), "is 0×32 pixels"),
         (torch.zeros(3, 32, 32, dtype=torch.int32), "is torch.int32"),
-        ([[0.5]], "is list"),
+        ([[0.5]], "is a list, not one picture"),
+        (torch.zeros(3, 32, 32).to_sparse(), "has the layout torch.sparse_coo"),
     ],
-    ids=["nan", "inf", "bright", "negative", "grey", "batch", "small", "none", "int", "list"],
+    ids=[
+        "nan",
+        "inf",
+        "bright",
+        "negative",
+        "grey",
+        "batch",
+        "small",
+        "none",
+        "int",
+        "list",
+        "sparse",
+    ],
 )
 def test_what_is_no_image_is_refused_with_the_reason(image: Any, what: str) -> None:
     with pytest.raises(InputError) as caught:
@@ -109,7 +122,7 @@ def test_what_is_no_image_is_refused_with_the_reason(image: Any, what: str) -> N
 
 def test_a_batch_that_is_none_is_refused() -> None:
     with pytest.raises(InputError, match=r"images: have the shape \(3, 32, 32\)"):
-        load_detector("prior:rows")(street(32, 32))
+        load_detector("prior:rows").forward(street(32, 32))
 
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64])
@@ -183,6 +196,18 @@ def test_what_is_built_must_be_a_module(catalogue: dict[str, Entry]) -> None:
 
     with pytest.raises(ConfigError, match=r"bright: builds function \(build an nn\.Module"):
         load_detector("bright")
+
+
+@pytest.mark.parametrize("given", [torch.ones(16, 16), {"road": torch.ones(16, 16)}])
+def test_an_analysis_without_likelihood_is_named(catalogue: dict[str, Entry], given: Any) -> None:
+    class Silent(nn.Module):
+        def forward(self, image: Tensor) -> Any:
+            return given
+
+    register(Entry("silent", "", Simple, lambda settings: Silent()))
+
+    with pytest.raises(ConfigError, match=r"silent: gives no likelihood: Silent\.forward has to"):
+        load_detector("silent").detect(torch.rand(3, 16, 16))
 
 
 def test_weights_of_an_analysis_belong_to_the_detector(catalogue: dict[str, Entry]) -> None:

@@ -1,12 +1,15 @@
 """What gets imported when, looked at in fresh interpreters."""
 
+import doctest
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
 import roadtorch
+from roadtorch.scenes.street import render_scene, write_picture
 
 HEAVY = ("torch", "cv2", "skimage", "sklearn", "matplotlib", "scipy", "PIL", "pydantic")
 
@@ -49,10 +52,26 @@ def test_help_answers_in_under_three_tenths_of_a_second() -> None:
     assert min(seconds() for _ in range(9)) < 0.3
 
 
-def test_public_names_are_sorted_and_all_there() -> None:
-    assert roadtorch.__all__ == sorted({*roadtorch._HOMES, "__version__"})
+def test_the_names_that_most_need_are_few_and_those_of_earlier_versions_still_there() -> None:
+    assert len(set(roadtorch.__all__) - {"__version__"}) == 5
+    assert dir(roadtorch) == roadtorch.__all__ == sorted(roadtorch.__all__)
+    assert roadtorch._HOMES.keys() > set(roadtorch.__all__) - {"__version__"}
     for name, home in roadtorch._HOMES.items():
         assert getattr(roadtorch, name).__module__ == home, name
+
+
+@pytest.mark.parametrize("name", sorted({"Detector", *roadtorch.__all__} - {"__version__"}))
+def test_what_docstrings_show_is_what_happens(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_picture(tmp_path / "street.jpg", render_scene(1, 240, 320))
+    monkeypatch.chdir(tmp_path)
+
+    tests = doctest.DocTestFinder().find(getattr(roadtorch, name), name, globs={})
+    results = [doctest.DocTestRunner(verbose=False).run(one) for one in tests]
+
+    assert sum(one.attempted for one in results) > 1
+    assert not any(one.failed for one in results)
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:

@@ -94,7 +94,8 @@ from pathlib import Path
 from roadtorch.runs.options import DetectorOptions
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.runtime.shipped_configs import THRESHOLDS, config_file, shipped_configs
-from roadtorch.train.config import read_training
+from roadtorch.settings import read_settings_file
+from roadtorch.train.config import build_training
 from roadtorch.layout.weights import weights_path
 
 assert config_file("adapt").is_relative_to(Path.cwd() / "site"), config_file("adapt")
@@ -104,7 +105,7 @@ for name in shipped_configs():
         detector, values = DetectorOptions(config=config_file(name)).named()
         load_detector(detector, **values)
     else:
-        read_training(config_file(name))
+        build_training(read_settings_file(config_file(name)))
     print(name)
 """
     names = run(code, tmp_path, tmp_path / "site").split()

@@ -22,7 +22,7 @@ SETTINGS_OF = (
 
 
 def text_of(page: str) -> str:
-    return (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
+    return (ROOT / "docs/research" / f"{page}.md").read_text(encoding="utf-8")
 
 
 def is_setting(assignment: str) -> bool:
@@ -52,4 +52,4 @@ def test_what_a_page_names_exists(page: str) -> None:
     ] == []
     assert [n for n in re.findall(r"scripts/figures (\S+)", text) if n not in FIGURES] == []
     for target in re.findall(r"\]\(([^)#]+)\)", text):
-        assert (ROOT / "docs" / target).exists(), target
+        assert (ROOT / "docs/research" / target).exists(), target

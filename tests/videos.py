@@ -23,10 +23,12 @@ def write_video(
     codec: str = "libx264",
     change: Callable[[int, np.ndarray], np.ndarray] = lambda _, pixels: pixels,
     options: dict[str, str] | None = None,
+    ticks: int = 1000,
 ) -> Path:
     """A video with a frame at each of the seconds; of rate 10 where it has no such stamps.
 
     Frame n is a street whose brightness tells n apart from its neighbours. size: height and width.
+    ticks: of its clock, a second.
     """
     header = {"movflags": "faststart"} if path.suffix == ".mp4" else {}
     with av.open(str(path), "w", options=header) as container:
@@ -34,11 +36,11 @@ def write_video(
         assert isinstance(stream, av.VideoStream)
         stream.height, stream.width = size
         stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
-        stream.time_base = stream.codec_context.time_base = Fraction(1, 1000)
+        stream.time_base = stream.codec_context.time_base = Fraction(1, ticks)
         for number, at in enumerate(seconds):
             pixels = change(number, street_pixels(number % 3, *size))
             frame = av.VideoFrame.from_ndarray(pixels, "rgb24").reformat(format=stream.pix_fmt)
-            frame.pts, frame.time_base = round(at * 1000), Fraction(1, 1000)
+            frame.pts, frame.time_base = round(at * ticks), Fraction(1, ticks)
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
     return path

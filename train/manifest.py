@@ -6,7 +6,7 @@
 PICTURES is a folder of street pictures called RECORDING_NUMBER. ``check`` tells which pictures of
 train/pictures.csv are missing there, changed, or extra, and exits with 1 if any is. ``write`` makes
 that file anew; every recording needs a row in recordings.csv beside it: where its pictures are
-from, and on what terms. docs/training_data.md says what the weights were trained on.
+from, and on what terms. docs/research/training_data.md says what the weights were trained on.
 """
 
 import argparse
@@ -52,14 +52,9 @@ def fingerprint(path: Path) -> str:
 def manifest_row(picture: Picture) -> dict[str, object]:
     """The row of one picture. Raises InputError when it is no picture."""
     height, width = read_image(picture.path).shape[-2:]
-    values = (
-        name_of(picture),
-        picture.path.stat().st_size,
-        fingerprint(picture.path),
-        width,
-        height,
-        recording_of(picture.name, SEPARATOR),
-    )
+    size, digest = picture.path.stat().st_size, fingerprint(picture.path)
+    recording = recording_of(picture.name, SEPARATOR)
+    values = (name_of(picture), size, digest, width, height, recording)
     return dict(zip(COLUMNS, values, strict=True))
 
 

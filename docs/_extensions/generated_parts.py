@@ -5,8 +5,9 @@ A line ``{{ KIND WORDS… }}`` alone in a page stands for Markdown that this mod
 - ``{{ commands }}``: every command of the command line, with what ``--help`` says.
 - ``{{ settings MODULE… }}``: every setting of the detectors of modules of roadtorch.detectors.
 - ``{{ classifiers }}``: of the one-class classifiers; ``{{ training }}``: of ``roadtorch train``.
+- ``{{ measures }}``: what evaluation measures.
 - ``{{ api MODULE… }}``: what the docstrings of modules say.
-- ``{{ public }}``: the names of ``roadtorch.__all__`` and where each is explained.
+- ``{{ public }}``: the names of ``roadtorch.__all__``, and the others by module.
 - ``{{ file PATH }}``: a Markdown file of the repository, its heading included.
 - ``{{ contents NAME… }}``: a table of contents of pages right under docs/; a name that ends in
   ``?`` is of a page that may be missing.
@@ -115,6 +116,14 @@ def training(_: Sequence[str]) -> str:
     return "\n".join(lines)
 
 
+def measures(_: Sequence[str]) -> str:
+    """A table of the measures: key and meaning."""
+    from roadtorch.evaluation.measures import MEASURES
+
+    rows = [f"| {code(one.key)} | {escaped(one.meaning)} |" for one in MEASURES]
+    return "\n".join(["| key | what it is |", "|---|---|", *rows])
+
+
 def settings_list(kind: type[Settings], before: str = "", leave_out: str = "-") -> list[str]:
     """A list of the settings of a kind: name, type, default, what is allowed; below it the meaning.
 
@@ -158,8 +167,21 @@ def public(_: Sequence[str]) -> str:
         if not name.startswith("__"):
             found = getattr(roadtorch, name)
             first = (found.__doc__ or "").strip().split("\n\n")[0]
-            lines.append(f"| {{py:obj}}`{name} <{home_of(found)}>` | {escaped(first)} |")
+            lines.append(f"| {link_to(name)} | {escaped(first)} |")
+    modules: dict[str, list[str]] = {}
+    for name, module in roadtorch._HOMES.items():
+        if name not in roadtorch.__all__:
+            modules.setdefault(module, []).append(link_to(name))
+    lines += ["", "Programs may rely on these as well:", "", "| module | names |", "|---|---|"]
+    lines += [f"| `{module}` | {', '.join(names)} |" for module, names in sorted(modules.items())]
     return "\n".join(lines)
+
+
+def link_to(name: str) -> str:
+    """A link to where a public name is explained."""
+    import roadtorch
+
+    return f"{{py:obj}}`{name} <{home_of(getattr(roadtorch, name))}>`"
 
 
 def home_of(found: Any) -> str:
@@ -249,6 +271,7 @@ KINDS: dict[str, Callable[[Sequence[str]], str]] = {
     "settings": settings,
     "classifiers": classifiers,
     "training": training,
+    "measures": measures,
     "api": api,
     "public": public,
     "file": repository_file,

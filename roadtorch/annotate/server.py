@@ -2,28 +2,33 @@
 
 It listens on the loopback interface alone, but every page that a browser shows can send requests
 there, and a foreign name can be made to point there (DNS rebinding). So: the Host header must be
-the loopback's, the token must come with every request for data, and pages that we send may load
-nothing but what we serve.
+the loopback's, an Origin that a browser sends its own, the token must come with every request for
+data, and pages that we send may load nothing but what we serve.
 """
 
+import asyncio
 import base64
 import hashlib
 import json
 import secrets
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from functools import lru_cache
 from importlib.resources import files
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import cv2
+import h11
 import numpy as np
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
-from starlette.middleware.base import BaseHTTPMiddleware
+from starlette.datastructures import MutableHeaders
+from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from roadtorch.annotate.session import Session
 from roadtorch.data.events import parse_event
@@ -31,16 +36,12 @@ from roadtorch.errors import RoadtorchError
 from roadtorch.imaging.resize import WorkingSize, resized, working_size
 from roadtorch.io.image import read_image, to_pixels
 
-STATIC = {
-    "annotate.css": "text/css",
-    "annotate.js": "text/javascript",
-    "canvas.js": "text/javascript",
-    "controls.js": "text/javascript",
-    "hand.js": "text/javascript",
-    "link.js": "text/javascript",
-    "list.js": "text/javascript",
+TYPES = {".css": "text/css", ".js": "text/javascript", ".html": "text/html"}
+
+PAGE = {
+    one.name: one.read_bytes() for one in files("roadtorch.annotate").joinpath("static").iterdir()
 }
-"""The page's files, by name, with their type."""
+"""The page's files."""
 
 SHOWN = WorkingSize(pixels=1600 * 1200)
 """What is sent of a picture at most; strokes are in pixels of the whole one."""
@@ -50,6 +51,10 @@ THUMBNAIL = WorkingSize(pixels=112 * 84)
 MAX_BODY = 2 * 2**20  # bytes of one event; ours: a long stroke has some ten thousand
 
 MAX_DRAINED = 64 * 2**20  # bytes of a refused body that are read, so that the refusal arrives
+
+DECODED = 2  # pictures at a time: each takes some ten times its bytes
+
+PATIENCE = 20.0  # seconds after which a client that sends or reads nothing whole is closed
 
 HEADERS = {
     "Content-Security-Policy": (
@@ -66,8 +71,6 @@ HEADERS = {
 
 # --- who may speak ----------------------------------------------------------------------
 
-Answer = Callable[[Request], Awaitable[Response]]
-
 
 def refusal(status: int, where: str, what: str, remedy: str) -> JSONResponse:
     """What is wrong, as the page shows it."""
@@ -75,22 +78,43 @@ def refusal(status: int, where: str, what: str, remedy: str) -> JSONResponse:
 
 
 class Guard:
-    """Lets requests through that name this host and bear the token."""
+    """Lets requests through that name this host and bear the token; gives all answers ``HEADERS``.
 
-    def __init__(self, token: str, port: int) -> None:
+    Who is cut off at the end of the server is told to ask again.
+    """
+
+    def __init__(self, app: ASGIApp, token: str, port: int) -> None:
+        self._app = app
         self._token = token
         self._hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]")}
 
-    async def __call__(self, request: Request, answer: Answer) -> Response:
-        """The answer, with the headers that every answer has; a refusal where one is due."""
-        response = self._refused(request) or await answer(request)
-        response.headers.update(HEADERS)
-        return response
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request."""
+        if scope["type"] != "http":
+            return await self._app(scope, receive, send)
+        begun = False
+
+        async def sent(message: Message) -> None:
+            nonlocal begun
+            if message["type"] == "http.response.start":
+                begun = True
+                MutableHeaders(scope=message).update(HEADERS)
+            await send(message)
+
+        try:
+            await (self._refused(Request(scope)) or self._app)(scope, receive, sent)
+        except asyncio.CancelledError:
+            if not begun:
+                ended = refusal(503, "server", "was ended", "start roadtorch annotate again")
+                await ended(scope, receive, sent)
 
     def _refused(self, request: Request) -> Response | None:
         host = request.headers.get("host", "")
         if host not in self._hosts:
             return refusal(421, host[:100] or "host", "is not this server", "use 127.0.0.1")
+        origin = request.headers.get("origin", f"http://{host}")
+        if origin != f"http://{host}":
+            return refusal(403, origin[:100], "is another page", "use the page of this server")
         if request.url.path.startswith("/static/"):
             return None  # public code, the same for everybody
         given = request.headers.get("x-token") or request.query_params.get("token", "")
@@ -98,6 +122,24 @@ class Guard:
             remedy = "open the address that roadtorch annotate printed"
             return refusal(403, "token", "is missing or wrong", remedy)
         return None
+
+
+class Impatient(H11Protocol):
+    """A connection that ends when its client neither sends a whole request nor reads its answer."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # pyright: ignore
+        """Look after it from now on."""
+        super().connection_made(transport)
+        self.loop.call_later(PATIENCE, self._look, None)
+
+    def _look(self, last: object) -> None:
+        """last: the request at the last look."""
+        unread = self.transport.get_write_buffer_size() > 0
+        unsaid = self.conn.their_state in (h11.IDLE, h11.SEND_BODY)
+        if self.cycle is last and (unread or unsaid):
+            self.transport.abort()
+        elif unread or not self.transport.is_closing():
+            self.loop.call_later(PATIENCE, self._look, self.cycle)
 
 
 async def bounded_body(request: Request) -> bytes | None:
@@ -129,14 +171,8 @@ def annotation_app(session: Session, token: str, port: int) -> Starlette:
         Route("/api/event", page.event, methods=["POST"]),
     ]
     handlers: dict[Any, Any] = {RoadtorchError: _mistake, OSError: _disk}
-    app = Starlette(routes=routes, exception_handlers=handlers)
-    app.add_middleware(BaseHTTPMiddleware, dispatch=Guard(token, port))
-    return app
-
-
-def page_file(name: str) -> bytes:
-    """One of the files that the page is made of."""
-    return files("roadtorch.annotate").joinpath("static", name).read_bytes()
+    guard = Middleware(Guard, token=token, port=port)
+    return Starlette(routes=routes, middleware=[guard], exception_handlers=handlers)
 
 
 class Page:
@@ -144,17 +180,18 @@ class Page:
 
     def __init__(self, session: Session) -> None:
         self._session = session
+        self._few = asyncio.Semaphore(DECODED)
 
     async def start(self, _: Request) -> Response:
         """The page itself."""
-        return Response(page_file("annotate.html"), media_type="text/html")
+        return Response(PAGE["annotate.html"], media_type=TYPES[".html"])
 
     async def static(self, request: Request) -> Response:
         """One of its files."""
         name = request.path_params["name"]
-        if name not in STATIC:
+        if name not in PAGE:
             return refusal(404, name, "is no file of the page", "load the page again")
-        return Response(page_file(name), media_type=STATIC[name])
+        return Response(PAGE[name], media_type=TYPES[PurePath(name).suffix])
 
     async def pictures(self, request: Request) -> Response:
         """The list; 204 for who has this very list already."""
@@ -166,14 +203,16 @@ class Page:
 
     async def picture(self, request: Request) -> Response:
         """A picture as JPEG."""
-        path = self._session.pictures.path(_given(request, "name"))
-        data = await run_in_threadpool(picture_jpeg, path, SHOWN, 90)
-        return Response(data, media_type="image/jpeg")
+        return await self._jpeg(request, lambda path: picture_jpeg(path, SHOWN, 90))
 
     async def thumbnail(self, request: Request) -> Response:
         """The same, small."""
-        path = self._session.pictures.path(_given(request, "name"))
-        data = await run_in_threadpool(thumbnail_jpeg, path, path.stat().st_mtime_ns)
+        return await self._jpeg(request, lambda p: thumbnail_jpeg(p, p.stat().st_mtime_ns))
+
+    async def _jpeg(self, request: Request, encoded: Callable[[Path], bytes]) -> Response:
+        async with self._few:
+            path = await run_in_threadpool(self._session.pictures.path, _given(request, "name"))
+            data = await run_in_threadpool(encoded, path)
         return Response(data, media_type="image/jpeg")
 
     async def superpixels(self, request: Request) -> Response:

@@ -17,10 +17,10 @@ from roadtorch.annotate.next_pictures import PictureOrder
 from roadtorch.annotate.session import Session, look_at_all
 from roadtorch.annotate.views import VIEWS, ViewStore
 from roadtorch.annotate.work import PictureFolder
-from roadtorch.data.event_log import find_logs, read_log
+from roadtorch.data.event_log import read_logs
 from roadtorch.detector import Detector
 from roadtorch.errors import ConfigError
-from roadtorch.io.atomic import atomic
+from roadtorch.io.atomic import atomic, remove_leftovers
 from roadtorch.settings import Settings
 
 HOST = "127.0.0.1"  # and never another one
@@ -89,10 +89,13 @@ def opened_session(
     settings: AnnotationSettings | None = None,
     order: PictureOrder | None = None,
 ) -> Session:
-    """A session for a folder; DatasetError where a log in ``out`` cannot be read."""
+    """A session for a folder; DatasetError where a log in ``out`` cannot be read.
+
+    What killed ones left half-written is removed, so no other may be at work there.
+    """
     settings = settings or AnnotationSettings()
-    for path in find_logs(out):
-        read_log(path)
+    read_logs(out)
+    remove_leftovers(Path(below) for below, _, _ in os.walk(out / VIEWS))
     views = ViewStore(out / VIEWS, lambda: detector, settings)
     return Session(PictureFolder(folder, out), views, out, settings, order=order)
 
@@ -130,7 +133,7 @@ def page_server(session: Session, port: int | None = None) -> PageServer:
     try:
         import uvicorn
 
-        from roadtorch.annotate.server import annotation_app
+        from roadtorch.annotate.server import Impatient, annotation_app
     except ImportError:
         remedy = "pip install 'roadtorch[annotate]'"
         raise ConfigError("annotate", "needs Starlette and uvicorn", remedy) from None
@@ -140,5 +143,7 @@ def page_server(session: Session, port: int | None = None) -> PageServer:
     address = Address(port=listening.getsockname()[1], token=token)
     keep_address(session.out, address)
     app = annotation_app(session, token, address.port)
-    config = uvicorn.Config(app, log_level="error", access_log=False, timeout_graceful_shutdown=2)
+    config = uvicorn.Config(
+        app, http=Impatient, log_level="error", access_log=False, timeout_graceful_shutdown=2
+    )
     return PageServer(address, session, uvicorn.Server(config), listening)

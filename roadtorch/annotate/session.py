@@ -3,10 +3,10 @@
 import os
 import threading
 import time
-from collections import OrderedDict
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -21,13 +21,13 @@ from roadtorch.annotate.machine import (
 )
 from roadtorch.annotate.next_pictures import PictureOrder
 from roadtorch.annotate.views import ViewStore
-from roadtorch.annotate.work import USER, PictureFolder, Work, checked_user, open_work
+from roadtorch.annotate.work import PictureFolder, Work, checked_user, open_work
 from roadtorch.data.corrections import agreement_share
-from roadtorch.data.event_log import ENDING, LogHead, log_path
-from roadtorch.data.events import AnyEvent, Confirm, SuperpixelStroke, runs_of
+from roadtorch.data.event_log import ENDING, LogHead, log_path, read_log
+from roadtorch.data.events import AnyEvent, Confirm, SuperpixelStroke, runs_of, standing
 from roadtorch.errors import InputError
 
-HELD = 24  # works in memory
+HELD = 2**26  # bytes of labels in memory, and one picture's in any case
 
 
 @dataclass
@@ -43,7 +43,10 @@ class Session:
     settings: AnnotationSettings
     trusts: dict[str, float] = field(default_factory=dict)
     order: PictureOrder | None = None
-    _works: OrderedDict[tuple[str, str], Work] = field(default_factory=OrderedDict, repr=False)
+    _works: WeakValueDictionary[tuple[str, str], Work] = field(
+        default_factory=WeakValueDictionary, repr=False
+    )
+    _held: list[Work] = field(default_factory=list, repr=False)
     _lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
     _summaries: dict[Path, tuple[int, dict[str, Any]]] = field(default_factory=dict, repr=False)
 
@@ -73,15 +76,15 @@ class Session:
         for path in sorted(self.out.rglob(f"*{ENDING}")):
             stem = path.relative_to(self.out).as_posix().removesuffix(ENDING)
             name, _, user = stem.rpartition(".")
-            if not USER.fullmatch(user):
-                continue
             length, (known, summary) = path.stat().st_size, self._summaries.get(path, (-1, {}))
             if known != length:
-                work = self._work(name, user, None)
+                log = read_log(path)
+                events = log.events if log else ()
+                lasting = standing(events)
                 summary = {
-                    "events": len(work.standing()),
-                    "confirmed": work.confirmed,
-                    "version": len(work.events),
+                    "events": len(lasting),
+                    "confirmed": any(isinstance(event, Confirm) for event in lasting),
+                    "version": len(events),
                 }
                 self._summaries[path] = length, summary
             if summary["version"]:
@@ -105,28 +108,21 @@ class Session:
                 raise
             return view
 
-    def _work(self, name: str, user: str, view: PictureView | None) -> Work:
-        checked_user(user)
+    def _work(self, name: str, user: str, view: PictureView) -> Work:
+        key, (height, width) = (name, checked_user(user)), view.size
         with self._lock:
-            key = (name, user)
-            if key not in self._works:
-                path = log_path(self.out, name, user)
-                height, width = view.size if view else (1, 1)
+            if (work := self._works.get(key)) is None:
                 picture = os.path.relpath(self.pictures.root / name, self.pictures.apart)
                 head = LogHead(picture=picture, user=user, height=height, width=width)
-                work = open_work(path, head)
-                if view is None and not path.exists():
-                    return work
-                self._works[key] = work
-            self._works.move_to_end(key)
-            while len(self._works) > HELD:
-                self._works.popitem(last=False)
-            work = self._works[key]
-            if view is not None and work.size != view.size:
-                what = f"was corrected at {work.head.width} by {work.head.height} pixels"
-                remedy = f"it has another size now; move {work.path.name} away"
-                raise InputError(name, what, remedy)
-            return work
+                work = self._works[key] = open_work(log_path(self.out, name, user), head)
+            self._held = [*(one for one in self._held if one is not work), work]
+            while len(self._held) > 1 and sum(one.labels.nbytes for one in self._held) > HELD:
+                del self._held[0]
+        if work.size != view.size:
+            what = f"was corrected at {work.head.width} by {work.head.height} pixels"
+            remedy = f"it has another size now; move {work.path.name} away"
+            raise InputError(name, what, remedy)
+        return work
 
     def state(self, name: str, user: str) -> dict[str, Any]:
         """A person's picture as the page shows it; see docs/annotate.md for the fields."""
@@ -187,7 +183,13 @@ class Session:
         users = sorted(self._work_by_picture().get(name, {}))
         if len(users) < 2:
             return None
-        return agreement_share([self._work(name, user, None).labels for user in users])
+        said = []
+        for user in users:
+            if (work := self._works.get((name, user))) is not None:
+                said.append(work.labels)
+            elif (log := read_log(log_path(self.out, name, user))) is not None:
+                said.append(log.labels())
+        return agreement_share(said)
 
 
 def look_at_all(session: Session, stop: threading.Event) -> None:

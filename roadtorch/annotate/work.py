@@ -1,8 +1,8 @@
 """The folder of pictures that is corrected, and one person's work on one of them, by its log."""
 
+import hashlib
 import os
 import re
-import secrets
 import threading
 import time
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ import numpy as np
 
 from roadtorch.data.correction_formats import FORMATS
 from roadtorch.data.correction_labels import LABELS
-from roadtorch.data.event_log import LogHead, append_event, log_path, read_log
+from roadtorch.data.event_log import EventLog, LogHead, append_event, log_path, read_log
 from roadtorch.data.events import (
     AnyEvent,
     Confirm,
@@ -26,7 +26,6 @@ from roadtorch.data.events import (
     standing,
 )
 from roadtorch.data.labelme import picture_size
-from roadtorch.data.labels import is_picture
 from roadtorch.errors import InputError
 from roadtorch.io.bounded import printable
 from roadtorch.sources.pictures import find_images
@@ -44,6 +43,7 @@ class PictureFolder:
     apart: Path
     _names: tuple[str, ...] = ()
     _listed: float = field(default=-FRESH, repr=False)
+    _known: set[str] = field(default_factory=set, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     def __post_init__(self) -> None:
@@ -60,16 +60,19 @@ class PictureFolder:
                 inside = [one for one in found if one.resolve().is_relative_to(self.root)]
                 names = [one.relative_to(self.root).as_posix() for one in inside]
                 self._names = tuple(one for one in names if one == printable(one))
+                self._known.update(self._names)
                 self._listed = time.monotonic()
             return self._names
 
     def path(self, name: str) -> Path:
         """The file of a name that came from outside.
 
-        Raises InputError for one that leads out of the folder, is no picture, or is gone.
+        Raises InputError for one that was never in ``names``, letter by letter, one that leads out
+        of the folder by now, and one that is gone.
         """
-        path = (self.root / name).resolve() if "\0" not in name else self.root
-        if not path.is_relative_to(self.root) or not is_picture(path):
+        self.names()
+        path = self.root / name if name in self._known else None
+        if path is None or not path.resolve().is_relative_to(self.root):
             raise InputError(name[:200], "is no picture of this folder", "choose one of the list")
         if not path.is_file():
             raise InputError(name, "is no longer there", "choose another picture")
@@ -150,11 +153,8 @@ class Work:
 
 def open_work(path: Path, head: LogHead) -> Work:
     """The work in a log, or a new one with this head; DatasetError if it cannot be read."""
-    events: tuple[AnyEvent, ...] = ()
-    if path.exists():
-        log = read_log(path)
-        head, events = log.head, log.events
-    return Work(path, head, list(events), folded(events, (head.height, head.width)))
+    log = (read_log(path) if path.exists() else None) or EventLog(path, head, ())
+    return Work(path, log.head, list(log.events), log.labels())
 
 
 # --- labels of other programs -----------------------------------------------------------
@@ -174,12 +174,14 @@ def import_labels(name: str, origin: Path, folder: Path, out: Path, user: str) -
         height, width = sizes[picture]
         relative = os.path.relpath(pictures.root / picture, pictures.apart)
         head = LogHead(picture=relative, user=user, height=height, width=width)
-        open_work(log_path(out, picture, user), head).add(import_event(labels))
+        work = open_work(log_path(out, picture, user), head)
+        if not work.events or (work.labels != labels).any():  # else they were brought in before
+            work.add(import_event(labels, len(work.events)))
     return len(found)
 
 
-def import_event(labels: np.ndarray) -> Import:
-    """The event that makes labels uint8 (H,W) what they are here."""
-    runs = {LABELS[number]: runs_of(labels == number) for number in np.unique(labels).tolist()}
-    now = round(time.time(), 3)
-    return Import(kind="brought", id=secrets.token_hex(16), time=now, labels=runs)
+def import_event(labels: np.ndarray, number: int = 0) -> Import:
+    """The event of a number that makes labels uint8 (H,W) what they are here."""
+    runs = {LABELS[one]: runs_of(labels == one) for one in np.unique(labels).tolist()}
+    identity = hashlib.sha256(f"{number} {runs}".encode()).hexdigest()[:32]
+    return Import(kind="brought", id=identity, time=round(time.time(), 3), labels=runs)

@@ -1,4 +1,4 @@
-"""KITTI's bird's-eye view: maps between a picture and the road plane, 800×400 cells of 5 cm.
+"""KITTI's bird's-eye view: maps of a picture on the road plane, 800×400 cells of 5 cm.
 
 Fritsch, Kuehnl, Geiger, "A New Performance Measure and Evaluation Benchmark for Road
 Detection Algorithms" (ITSC 2013), and what the benchmark's development kit of 2015 does
@@ -15,13 +15,13 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from roadtorch.camera.calibration import Calibration, image_to_road, road_to_image
+from roadtorch.camera.calibration import Calibration, road_to_image
 
 ROWS, COLUMNS = 800, 400
 
 CELL = 0.05  # metres
 
-LEFT, NEAR, FAR = -10.0, 6.0, 46.0  # metres; the right end is at 10
+LEFT, FAR = -10.0, 46.0  # metres; the right end is at 10, the near one at 6
 
 Pair = tuple[Tensor, Tensor]
 
@@ -46,28 +46,12 @@ def cell_to_road(row: Tensor, column: Tensor) -> Pair:
     return x.float().double(), z.float().double()
 
 
-def road_to_cell(x: Tensor, z: Tensor) -> Pair:
-    """Row and column of the cells of points, whole numbers in float64, also beyond the map.
-
-    Rounded half to even and one less, as the kit does: half a cell left of and farther
-    than the cell that holds the point.
-    """
-    column = ((x - LEFT) / CELL).round() - 1
-    row = (ROWS - (z - NEAR) / CELL).round() - 1
-    return row, column
-
-
 def image_to_pixel(u: Tensor, v: Tensor) -> Pair:
     """Row and column of the pixels of image points, whole numbers in float64.
 
     The nearest lower pixel, counted from one by the kit.
     """
     return v.floor() - 1, u.floor() - 1
-
-
-def pixel_to_image(row: Tensor, column: Tensor) -> Pair:
-    """The image point (u, v) of pixels, float64."""
-    return column.double() + 1, row.double() + 1
 
 
 # --- maps -------------------------------------------------------------------------------
@@ -97,12 +81,6 @@ class Lookup:
         return taken.unflatten(-1, index.shape).masked_fill(~inside, 0)
 
 
-def _lookup(pixel: Pair, inside: Tensor, size: tuple[int, int]) -> Lookup:
-    row, column = pixel
-    flat = torch.where(inside, row * size[1] + column, 0)  # first: NaN has no integer
-    return Lookup(flat.long(), inside, size)
-
-
 @lru_cache(maxsize=4)  # 3 MB each; the maps of one picture come one after the other
 def cell_pixels(calibration: Calibration, height: int, width: int) -> Lookup:
     """The picture's pixel of each cell (800,400): what is submitted and scored.
@@ -110,35 +88,15 @@ def cell_pixels(calibration: Calibration, height: int, width: int) -> Lookup:
     A cell has a pixel where 1 ≤ u ≤ width and 1 ≤ v ≤ height. Sampling takes single
     pixels, so thresholds and rounding may come before or after it.
     """
-    u, v = project(road_to_image(calibration), *cell_to_road(*_places(ROWS, COLUMNS)))
+    cells = torch.arange(ROWS)[:, None], torch.arange(COLUMNS)[None]
+    u, v = project(road_to_image(calibration), *cell_to_road(*cells))
     inside = (u >= 1) & (u <= width) & (v >= 1) & (v <= height)
-    return _lookup(image_to_pixel(u, v), inside, (height, width))
-
-
-@lru_cache(maxsize=4)
-def pixel_cells(calibration: Calibration, height: int, width: int) -> Lookup:
-    """The cell of each pixel (height,width): a bird's-eye map seen from the camera.
-
-    Not the inverse of ``cell_pixels``: cells there stand for their centres, here for
-    their corners (see ``road_to_cell``).
-    """
-    u, v = pixel_to_image(*_places(height, width))
-    row, column = road_to_cell(*project(image_to_road(calibration), u, v))
-    inside = (row >= 0) & (row < ROWS) & (column >= 0) & (column < COLUMNS)
-    return _lookup((row, column), inside, (ROWS, COLUMNS))
-
-
-def _places(rows: int, columns: int) -> Pair:
-    """Row (R,1) and column (1,C) of every place of a map."""
-    return torch.arange(rows)[:, None], torch.arange(columns)[None]
+    row, column = image_to_pixel(u, v)
+    flat = torch.where(inside, row * width + column, 0)  # first: NaN has no integer
+    return Lookup(flat.long(), inside, (height, width))
 
 
 def to_birds_eye(values: Tensor, calibration: Calibration) -> Tensor:
     """Values (…,H,W) of a picture as (…,800,400), type kept; 0 where no pixel shows the cell."""
     height, width = values.shape[-2:]
     return cell_pixels(calibration, height, width)(values)
-
-
-def to_image(cells: Tensor, calibration: Calibration, height: int, width: int) -> Tensor:
-    """Cells (…,800,400) as (…,height,width), type kept; 0 for pixels that show no cell."""
-    return pixel_cells(calibration, height, width)(cells)

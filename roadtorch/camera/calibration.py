@@ -20,9 +20,8 @@ MAX_BYTES = 2**20  # of a camera_info file; ours: they have a thousand
 
 REMEDY = "give what camera_calibration writes, or ros2 topic echo --once of the camera_info topic"
 
-ROW_NAMES = {"projection": "P2", "rectification": "R0_rect", "camera_to_road": "Tr_cam_to_road"}
-
-ROW_LENGTHS = {"projection": 12, "rectification": 9, "camera_to_road": 12}
+ROWS = {"P2": 12, "R0_rect": 9, "Tr_cam_to_road": 12}
+"""Rows of KITTI's files that are read, as ``Calibration`` has them, and how many numbers each."""
 
 MODEL_NAMES = {"fisheye": "equidistant", "": "pinhole", "none": "pinhole", "pinhole": "pinhole"}
 """Names of models of distortion besides those of ``COEFFICIENTS``."""
@@ -142,14 +141,6 @@ def read_calibration(path: Path) -> Calibration:
     a row is missing, has too few or too many values or one that is not a finite number,
     and when the road plane cannot be seen (a singular matrix).
     """
-    rows = _kitti_rows(path)
-    calibration = Calibration(**{field: _kitti_row(path, field, rows) for field in ROW_NAMES})
-    _check_regular(path, calibration)
-    return calibration
-
-
-def _kitti_rows(path: Path) -> dict[str, list[str]]:
-    """The words behind each ``NAME:`` of the file."""
     try:
         lines = read_regular(path).decode().splitlines()
     except FileNotFoundError:
@@ -157,38 +148,33 @@ def _kitti_rows(path: Path) -> dict[str, list[str]]:
     except (OSError, UnicodeDecodeError) as problem:
         raise DatasetError(path, f"cannot be read: {reason(problem)}", "replace the file") from None
     split = (line.partition(":") for line in lines)
-    return {name.strip(): values.split() for name, _, values in split}
-
-
-def _kitti_row(path: Path, field: str, rows: Mapping[str, list[str]]) -> tuple[float, ...]:
-    name, wanted = ROW_NAMES[field], ROW_LENGTHS[field]
-    remedy = f"a row {name}: with {wanted} numbers is needed"
-    if name not in rows:
-        raise DatasetError(path, f"has no row {name}", remedy)
-    words = rows[name]
-    if len(words) != wanted:
-        raise DatasetError(path, f"{name} has {len(words)} values", remedy)
-    for word in words:
-        if not _is_finite(word):
-            raise DatasetError(path, f"{name} holds {word!r}", remedy)
-    return tuple(map(float, words))
-
-
-def _is_finite(word: str) -> bool:
-    try:
-        return math.isfinite(float(word))
-    except ValueError:
-        return False
-
-
-def _check_regular(path: Path, calibration: Calibration) -> None:
-    remedy = "replace the file"
-    pose = _to_four(calibration.camera_to_road, 4)
-    if torch.linalg.matrix_rank(pose) < 4:
-        raise DatasetError(path, "Tr_cam_to_road has no inverse", remedy)
+    rows = {name.strip(): values.split() for name, _, values in split}
+    matrices = [_kitti_row(path, name, wanted, rows.get(name)) for name, wanted in ROWS.items()]
+    calibration = Calibration(*matrices)
+    if torch.linalg.matrix_rank(_to_four(calibration.camera_to_road, 4)) < 4:
+        raise DatasetError(path, "Tr_cam_to_road has no inverse", "replace the file")
     plane = road_to_image(calibration)
     if not plane.isfinite().all() or torch.linalg.matrix_rank(plane) < 3:
-        raise DatasetError(path, "its matrices show the road as a line", remedy)
+        raise DatasetError(path, "its matrices show the road as a line", "replace the file")
+    return calibration
+
+
+def _kitti_row(path: Path, name: str, wanted: int, words: list[str] | None) -> tuple[float, ...]:
+    """The numbers of a row, all finite; DatasetError for anything else."""
+    remedy = f"a row {name}: with {wanted} numbers is needed"
+    if words is None:
+        raise DatasetError(path, f"has no row {name}", remedy)
+    if len(words) != wanted:
+        raise DatasetError(path, f"{name} has {len(words)} values", remedy)
+    numbers = []
+    for word in words:
+        try:
+            numbers.append(float(word))
+        except ValueError:
+            numbers.append(math.nan)
+        if not math.isfinite(numbers[-1]):
+            raise DatasetError(path, f"{name} holds {word!r}", remedy)
+    return tuple(numbers)
 
 
 def road_to_image(calibration: Calibration) -> Tensor:
@@ -200,11 +186,6 @@ def road_to_image(calibration: Calibration) -> Tensor:
     rectification = _to_four(calibration.rectification, 3)
     road_to_camera = torch.linalg.inv(_to_four(calibration.camera_to_road, 4))
     return (projection @ rectification @ road_to_camera)[:, [0, 2, 3]]
-
-
-def image_to_road(calibration: Calibration) -> Tensor:
-    """The homography (3,3) float64 from (u, v, 1) to (x, z, 1) up to scale."""
-    return torch.linalg.inv(road_to_image(calibration))
 
 
 def _to_four(values: tuple[float, ...], columns: int) -> Tensor:

@@ -1,7 +1,7 @@
 """What stays the same in all pictures of one camera, as a file: ego car, horizon, seed row."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,7 +17,7 @@ from roadtorch.imaging.resize import resized
 from roadtorch.io.atomic import write_text
 from roadtorch.io.image import ORANGE, SKY_BLUE, tint_mask, to_pixels
 from roadtorch.road.ego import Ego, ego_car, is_given
-from roadtorch.settings import Settings, build_settings, read_settings_file, toml_lines
+from roadtorch.settings import Settings, build_settings, group_at, read_settings_file, toml_lines
 
 # --- the look of the ego car ----------------------------------------------------------
 
@@ -86,7 +86,7 @@ def sure_look(look: EgoLook, found: list[Tensor]) -> EgoLook:
 
     Three fifths of what four pictures of five exceed: those to come differ more than these do.
     """
-    own = torch.tensor([gradient_likeness(look, gradient) for gradient in found])
+    own = likenesses(look, found)
     least = min(MAX_LIKENESS, max(MIN_LIKENESS, 0.6 * float(own.quantile(0.2))))
     return look.model_copy(update={"least": round(least, 3)})
 
@@ -94,6 +94,11 @@ def sure_look(look: EgoLook, found: list[Tensor]) -> EgoLook:
 def image_likeness(look: EgoLook, image: Tensor) -> float:
     """How alike an image (3,H,W) in [0,1] is to a look, from -1 to 1; .1 for other cameras."""
     return gradient_likeness(look, next(gradients([small_grey(image, small_size([image]))])))
+
+
+def likenesses(look: EgoLook, found: Sequence[Tensor]) -> Tensor:
+    """The likeness (n,) of each of the gradients (2,h,w) of n small pictures."""
+    return torch.tensor([gradient_likeness(look, gradient) for gradient in found])
 
 
 def gradient_likeness(look: EgoLook, gradient: Tensor) -> float:
@@ -163,22 +168,13 @@ class Camera(Settings):
 
         The ego car, which every detector can, and the horizon for those with a labeller.
         """
-        ego = {"ego": self.ego.model_dump(exclude_defaults=True)} if is_given(self.ego) else {}
-        place = {"labeller": {"horizon": self.horizon}}
-        return {**ego, **(place if _has(kind, place) else {})}
-
-
-def _has(kind: type[Settings], values: Mapping[str, Any]) -> bool:
-    """Whether settings of that kind have the keys of nested values."""
-    for key, value in values.items():
-        field = kind.model_fields.get(key)
-        if field is None:
-            return False
-        if isinstance(value, Mapping):
-            group = field.annotation
-            if not (isinstance(group, type) and issubclass(group, Settings) and _has(group, value)):
-                return False
-    return True
+        values: dict[str, Any] = {}
+        if is_given(self.ego):
+            values["ego"] = self.ego.model_dump(exclude_defaults=True)
+        labeller = group_at(kind, ["labeller"])
+        if labeller is not kind and "horizon" in labeller.model_fields:
+            values["labeller"] = {"horizon": self.horizon}
+        return values
 
 
 # --- the picture beside the file ------------------------------------------------------
@@ -198,22 +194,15 @@ def check_picture(camera: Camera, frames: Sequence[Tensor]) -> Tensor:
     """
     size = round(CHECK_WIDTH * camera.height / camera.width), CHECK_WIDTH
     small = [resized(frame, size).clamp(0, 1) for frame in frames]
-    halves = (torch.stack(small).mean(0), small[len(small) // 2])
-    return torch.cat([_drawn(camera, half) for half in halves], 2)
-
-
-def _drawn(camera: Camera, image: Tensor) -> Tensor:
-    pixels = to_pixels(image)
-    if is_given(camera.ego):
-        pixels = tint_mask(pixels, ego_car(image, camera.ego).numpy())
-    drawn = torch.from_numpy(pixels).permute(2, 0, 1) / 255
     left, right = (round(side * CHECK_WIDTH) for side in SEED_SIDES)
-    _draw_row(drawn, camera.horizon, slice(None), SKY_BLUE)
-    _draw_row(drawn, camera.seed_row, slice(left, right), ORANGE)
-    return drawn
-
-
-def _draw_row(image: Tensor, row: float, columns: slice, colour: tuple[int, int, int]) -> None:
-    """Draw a line two pixels high into an image (3,H,W), at a share of its height."""
-    top = min(round(row * image.shape[1]), image.shape[1] - 2)
-    image[:, top : top + 2, columns] = torch.tensor(colour).view(3, 1, 1) / 255
+    lines = ((camera.horizon, slice(None), SKY_BLUE), (camera.seed_row, slice(left, right), ORANGE))
+    halves = []
+    for image in (torch.stack(small).mean(0), small[len(small) // 2]):
+        pixels = to_pixels(image)
+        if is_given(camera.ego):
+            pixels = tint_mask(pixels, ego_car(image, camera.ego).numpy())
+        for row, columns, colour in lines:
+            top = min(round(row * size[0]), size[0] - 2)
+            pixels[top : top + 2, columns] = colour
+        halves.append(torch.from_numpy(pixels).permute(2, 0, 1) / 255)
+    return torch.cat(halves, 2)

@@ -13,7 +13,7 @@ from roadtorch.camera.camera import (
     Camera,
     EgoLook,
     ego_look,
-    gradient_likeness,
+    likenesses,
     sure_look,
 )
 from roadtorch.camera.gradients import (
@@ -208,8 +208,14 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
     for frame in frames:
         sizes.append((frame.shape[-2], frame.shape[-1]))
         greys.append(small_grey(frame, small_size([frame])))
-    _check_number(sizes, where)
-    _check_shapes(sizes, where)
+    if len(sizes) < MIN_FRAMES:
+        number = "one frame" if len(sizes) == 1 else f"{len(sizes)} frames"
+        raise InputError(where, f"has {number}", "give 10 or more, of different places")
+    shapes = sorted(set(sizes), key=lambda size: size[1] / size[0])
+    (low_height, low_width), (height, width) = shapes[0], shapes[-1]
+    if width / height > SAME_SHAPE * low_width / low_height:
+        what = f"is of several cameras: {low_width}×{low_height} and {width}×{height} pixels"
+        raise InputError(where, what, "give the footage of one")
     found = list(gradients(at_one_size(greys)))
     footage = look_through(found)
     if footage.still.share >= STILL_SHARE:
@@ -217,7 +223,17 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
     _check_looks(footage, found, where)
     rows = ego_rows(footage)
     look = EgoLook() if rows is None else sure_look(ego_look(footage.still, rows), found)
-    return _camera(footage, rows, look, Counter(sizes).most_common(1)[0][0])
+    outline = () if rows is None else outline_of(rows, footage.still.length.shape[0])
+    height, width = Counter(sizes).most_common(1)[0][0]
+    return Camera(
+        width=width,
+        height=height,
+        frames=footage.still.frames,
+        horizon=round(footage.point.row, 3),
+        seed_row=min(outline[MIDDLE], default=1.0),
+        ego=Ego(outline=outline),
+        look=look,
+    )
 
 
 def at_one_size(greys: Sequence[Tensor]) -> list[Tensor]:
@@ -231,21 +247,6 @@ def at_one_size(greys: Sequence[Tensor]) -> list[Tensor]:
     ]
 
 
-def _camera(footage: Footage, rows: Tensor | None, look: EgoLook, size: tuple[int, int]) -> Camera:
-    """The camera of what was found; size: height and width of most of its frames."""
-    height, width = size
-    outline = () if rows is None else outline_of(rows, footage.still.length.shape[0])
-    return Camera(
-        width=width,
-        height=height,
-        frames=footage.still.frames,
-        horizon=round(footage.point.row, 3),
-        seed_row=min(outline[MIDDLE], default=1.0),
-        ego=Ego(outline=outline),
-        look=look,
-    )
-
-
 def outline_of(rows: Tensor, height: int) -> tuple[float, ...]:
     """An outline as ``Ego`` has it, of rows (w,) int64 in a picture of that height."""
     shares = F.adaptive_avg_pool1d(rows[None].to(torch.float64) / height, OUTLINE_COLUMNS)[0]
@@ -253,21 +254,6 @@ def outline_of(rows: Tensor, height: int) -> tuple[float, ...]:
 
 
 # --- what forbids it --------------------------------------------------------------------
-
-
-def _check_number(sizes: Sequence[tuple[int, int]], where: str) -> None:
-    if len(sizes) < MIN_FRAMES:
-        number = "one frame" if len(sizes) == 1 else f"{len(sizes)} frames"
-        raise InputError(where, f"has {number}", "give 10 or more, of different places")
-
-
-def _check_shapes(sizes: Sequence[tuple[int, int]], where: str) -> None:
-    """InputError when the frames' aspect ratios differ more than one camera's do."""
-    shapes = sorted(set(sizes), key=lambda size: size[1] / size[0])
-    (low_height, low_width), (height, width) = shapes[0], shapes[-1]
-    if width / height > SAME_SHAPE * low_width / low_height:
-        what = f"is of several cameras: {low_width}×{low_height} and {width}×{height} pixels"
-        raise InputError(where, what, "give the footage of one")
 
 
 def _check_looks(footage: Footage, found: list[Tensor], where: str) -> None:
@@ -293,17 +279,10 @@ def _is_foreign(point: VanishingPoint, half: list[Tensor], other: list[Tensor]) 
         return False
     # Each is compared with frames that it is not among.
     odd, even = (ego_look(stillness(part), rows) for part in (half[::2], half[1::2]))
-    own = [*_likenesses(odd, half[1::2]), *_likenesses(even, half[::2])]
-    strange = _likenesses(ego_look(still, rows), other)
-    return _quantile(own, 0.2) >= OWN_LIKENESS and _quantile(strange, 0.8) <= FOREIGN_LIKENESS
-
-
-def _likenesses(look: EgoLook, found: Iterable[Tensor]) -> list[float]:
-    return [gradient_likeness(look, gradient) for gradient in found]
-
-
-def _quantile(values: list[float], share: float) -> float:
-    return float(torch.tensor(values).quantile(share))
+    own = torch.cat([likenesses(odd, half[1::2]), likenesses(even, half[::2])])
+    strange = likenesses(ego_look(still, rows), other)
+    is_sure = float(own.quantile(0.2)) >= OWN_LIKENESS
+    return is_sure and float(strange.quantile(0.8)) <= FOREIGN_LIKENESS
 
 
 def halved(footage: Footage, found: Sequence[Tensor]) -> tuple[list[int], list[int]]:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import PATH, with_detector
+from roadtorch.cli.options import PATH, Sectioned, with_detector
 from roadtorch.runs.options import DetectorOptions
 
 ORDERS = ("least-trust", "random", "different")
@@ -12,7 +12,7 @@ ORDERS = ("least-trust", "random", "different")
 FORMATS = ("labelme", "xml", "png", "cvat", "label-studio")
 
 
-@click.command()
+@click.command(cls=Sectioned)
 @click.argument("folder", type=PATH)
 @click.option("--out", type=PATH, help="Where corrections are kept. [FOLDER/corrections]")
 @click.option("--port", type=click.IntRange(1, 65535), help="Port of the page. [a free one]")
@@ -63,10 +63,12 @@ def annotate(
     elif exported:
         from roadtorch.data.correction_formats import FORMATS as KNOWN
         from roadtorch.data.corrections import read_corrections
+        from roadtorch.io.atomic import shared
 
         if to is None:
             raise click.UsageError("Missing option '--to'")
         corrected = read_corrections(out, folder)
+        context.with_resource(shared(to))
         KNOWN[exported].write(corrected, to)
         click.echo(f"{len(corrected)} pictures written to {to}")
     elif imported:

@@ -39,12 +39,14 @@ def camera(footage: tuple[str, ...], out: Path, most: int) -> None:
     from roadtorch.camera.camera import check_picture
     from roadtorch.camera.footage import camera_of
     from roadtorch.io.image import write_jpeg
+    from roadtorch.runtime.progress import Progress
     from roadtorch.sources.open import frame_places, read_frames
 
     picture = out.with_suffix(".jpg")
     places = frame_places(footage, most)
     _refuse_replacing(out, picture, {place.path.resolve() for place in places})
-    found = camera_of(read_frames(places), footage[0])
+    seen = Progress(read_frames(places), total=len(places), unit="frame")
+    found = camera_of(seen, footage[0])
     shown = places[:: max(1, len(places) // SHOWN)]
     found.write(out)
     write_jpeg(picture, check_picture(found, list(read_frames(shown))))

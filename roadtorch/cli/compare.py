@@ -92,9 +92,10 @@ def _score(
     limit: int | None,
     jobs: int,
 ) -> int:
-    from roadtorch.cli.evaluate import tell_failures, watched
+    from roadtorch.cli.evaluate import tell_failures
     from roadtorch.evaluation.evaluate import evaluated
     from roadtorch.report.screen import screen
+    from roadtorch.runtime.progress import watched
 
     against = methods[0].name
     evaluation = evaluated(
@@ -117,23 +118,18 @@ def _disagree(
     worst: int,
     quiet: bool,
 ) -> int:
-    from tqdm import tqdm
-
     from roadtorch.data.dataset import every_kth
     from roadtorch.errors import InputError
     from roadtorch.evaluation.disagreement import disagreements, unlabelled_set, worst_first
     from roadtorch.evaluation.result import Failure
     from roadtorch.report.disagreement import Disagreements, disagreement_text, write_disagreement
+    from roadtorch.runtime.progress import Progress
     from roadtorch.sources.pictures import find_images
 
     out = context.params["out"]
     dataset = every_kth(unlabelled_set(find_images(images, out)), limit)
-    seen = tqdm(
-        disagreements(dataset, methods[0], methods[1]),
-        total=len(dataset.items),
-        unit="image",
-        disable=True if quiet else None,
-    )
+    looked = disagreements(dataset, methods[0], methods[1])
+    seen = Progress(looked, total=len(dataset.items), unit="image", quiet=quiet)
     compared, failures = [], []
     for one in seen:
         (failures if isinstance(one, Failure) else compared).append(one)

@@ -70,10 +70,11 @@ def listed(name: str, entries: Sequence["Entry"]) -> Iterator[tuple[str, str]]:
     if grid is None:
         yield name, entries[0].summary
         return
-    yield name, f"{grid.summary}: {len(entries)} detectors, '{grid.family}*' lists them"
+    yield name, f"{grid.summary}: {len(entries)} detectors, '{grid.wildcard}' lists them"
     options = zip(*(entry.name.split(":")[1:] for entry in entries), strict=True)
     for option, values in zip(name.split(":")[1:], options, strict=True):
-        yield f"  {option}", " ".join(dict.fromkeys(values))
+        if option.startswith("<"):
+            yield f"  {option}", " ".join(dict.fromkeys(values))
 
 
 def columns(rows: list[tuple[str, ...]]) -> Iterator[str]:

@@ -1,6 +1,6 @@
 """roadtorch evaluate, roadtorch tune: detectors over labelled pictures, beside the baselines."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,6 @@ from roadtorch.cli.options import CAMERA, PATH, command_line, labelled_set
 
 if TYPE_CHECKING:
     from roadtorch.evaluation.result import Evaluation
-    from roadtorch.evaluation.scoring import Scored
 
 
 @click.command()
@@ -76,6 +75,7 @@ def evaluate(
     from roadtorch.report.screen import screen
     from roadtorch.report.table3 import table_text
     from roadtorch.runs.folder import output_lock
+    from roadtorch.runtime.progress import watched
     from roadtorch.settings import merge, parse_assignments
 
     if out is not None:
@@ -103,7 +103,7 @@ def evaluate(
     click.echo("\n\n".join(filter(None, (screen(evaluation), table_text(evaluation)))))
     tell_failures(evaluation)
     if out is not None:
-        from roadtorch.evaluation.progress import forget
+        from roadtorch.evaluation.evaluate import forget
         from roadtorch.report.files import write  # with what draws, which takes a while
 
         write(evaluation, out, command_line(context), montage)
@@ -136,13 +136,13 @@ def tune(
     """
     from roadtorch.data.catalogue import open_dataset
     from roadtorch.data.dataset import leave_out
+    from roadtorch.evaluation.evaluate import choose_threshold, forget
     from roadtorch.evaluation.evaluate import evaluate as score
-    from roadtorch.evaluation.progress import forget
-    from roadtorch.evaluation.thresholds import choose_threshold
     from roadtorch.io.atomic import write_text
     from roadtorch.report.screen import choice_text, provenance
     from roadtorch.runs.folder import output_lock
     from roadtorch.runs.options import as_toml
+    from roadtorch.runtime.progress import watched
     from roadtorch.settings import parse_assignments
 
     context.with_resource(output_lock(out))
@@ -170,20 +170,6 @@ def tune(
     tell_failures(evaluation)
     forget(out)
     context.exit(1 if evaluation.failures else 0)
-
-
-def watched(results: "Iterator[Scored]", done: int, total: int) -> "Iterator[Scored]":
-    """The same results under a progress bar; KeyboardInterrupt after the one in hand."""
-    from tqdm import tqdm
-
-    from roadtorch.runtime.signals import stop_on_signals
-
-    if done:
-        click.echo(f"roadtorch: going on after {done} of {total} pictures", err=True)
-    with stop_on_signals() as stop:
-        for result in tqdm(results, initial=done, total=total, unit="image", disable=None):
-            yield result
-            stop.interrupt()
 
 
 def camera_settings(path: Path | None, names: Sequence[str]) -> dict[str, Any]:

@@ -29,10 +29,12 @@ def export(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> Non
     """
     from roadtorch.detectors.catalogue import load_detector
     from roadtorch.export.export import BOUND, export_detector
+    from roadtorch.runs.folder import output_lock
     from roadtorch.settings import parse_assignments
 
     detector = load_detector(name, **parse_assignments(assignments))
-    exported = export_detector(detector, out, kind)
+    with output_lock(out.parent):
+        exported = export_detector(detector, out, kind)
     for file in exported.files:
         click.echo(f"{file}: {file.stat().st_size / 1e6:.2f} MB")
     click.echo(f"{name}: {exported.notes['part']}")

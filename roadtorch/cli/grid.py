@@ -11,6 +11,7 @@ from roadtorch.cli.options import (
     OVERWRITE,
     PATH,
     QUIET,
+    Sectioned,
     with_detector,
     with_frames,
 )
@@ -32,7 +33,7 @@ def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, fl
     return x, y
 
 
-@click.command()
+@click.command(cls=Sectioned)
 @click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, shell_complete=suggest_files)
 @click.option("--out", type=PATH, required=True, help="Folder for the grids.")
 @click.option("--height", type=float, help="Height of the camera above the ground, in metres.")
@@ -114,7 +115,7 @@ def grid(
     from roadtorch.camera.ground_grid import GridSettings
     from roadtorch.detectors.catalogue import load_detector
     from roadtorch.runs import footage, grids, pictures, results
-    from roadtorch.runs.folder import result_folder
+    from roadtorch.runs.folder import Owners, result_folder
     from roadtorch.runs.options import as_toml
     from roadtorch.settings import build_settings
     from roadtorch.sources.open import sort_inputs
@@ -130,10 +131,11 @@ def grid(
     kinds = ("pgm", "yaml", "npy", *["likelihood"] * likelihood, *["picture"] * picture)
     suffixes = {kind: grids.SUFFIXES[kind] for kind in kinds}
     chosen = footage.selected(frames)
-    planned_pictures = pictures.plan(sorted_inputs.pictures, out, suffixes, chosen)
+    owners = Owners(out)
+    planned_pictures = pictures.plan(sorted_inputs.pictures, out, suffixes, chosen, owners=owners)
     work = grids.Gridding(loaded, placing, settings, kinds, known)
     written = grids.FootageGrids(work, frames.topic, frame_id)
-    planned = footage.plan_footage(sorted_inputs.sources, out, frames, written)
+    planned = footage.plan_footage(sorted_inputs.sources, out, frames, written, owners)
     folder = context.with_resource(result_folder(out))
     effective = as_toml(loaded.name, loaded.settings)
     effective = "\n".join([effective, f"# {settings.model_dump_json()}", placing.words])
@@ -147,6 +149,6 @@ def grid(
         parts = repr((frames, frame_id)).encode()
         method = results.detector_method(loaded, effective, (), parts)
         check = None if known is None else known.check
-        seen = footage.FootageWork(loaded, written, check, footage.steadied)
+        seen = footage.FootageWork(loaded, written, owners, check, footage.steadied)
         codes.append(footage.run_footage(planned, seen, method, options))
     context.exit(max(codes))

@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 
 import click
 
-from roadtorch.errors import ExitCode, RoadtorchError
+from roadtorch.errors import ExitCode, RoadtorchError, fault, lacks_memory
 from roadtorch.runtime.signals import Terminated, interruption_first, terminated_in_words
 from roadtorch.version import __version__
 
@@ -36,6 +36,14 @@ COMMANDS = {
     "submit": ("roadtorch.cli.submit:submit", "Write a submission to the KITTI road benchmark."),
     "tune": ("roadtorch.cli.evaluate:tune", "Choose a detector's threshold on labelled pictures."),
 }
+
+ELSEWHERE = {
+    **dict.fromkeys(("predict", "segment", "detect", "run", "mask"), "infer"),
+    **dict.fromkeys(("adapt", "finetune", "fine-tune", "learn"), "train --config adapt"),
+    **dict.fromkeys(("score", "test", "eval", "benchmark", "val"), "evaluate"),
+    **dict.fromkeys(("calibrate", "ego"), "camera"),
+}
+"""What other programs call our commands."""
 
 ALLOCATIONS = 50_000
 """New objects after which Python looks for circles, of its own 700; ours: ten pictures' worth."""
@@ -70,6 +78,7 @@ class CommandGroup(click.Group):
         """The command that the first argument names; misspelt, the nearest ones are told."""
         if args[0] not in COMMANDS and not (ctx.resilient_parsing or args[0].startswith("-")):
             near = get_close_matches(args[0], COMMANDS, n=3, cutoff=0.5)
+            near = [ELSEWHERE[args[0]]] if args[0] in ELSEWHERE else near
             remedy = f"did you mean {', '.join(near)}?" if near else "see roadtorch --help"
             raise _Mistake(f"{args[0]}: no such command ({remedy})")
         return super().resolve_command(ctx, args)
@@ -85,11 +94,15 @@ class CommandGroup(click.Group):
             return super().invoke(ctx)
         except RoadtorchError as problem:
             _trace(ctx)
-            raise _Mistake(str(problem)) from None
+            mistake = _Mistake(str(problem))
+            mistake.exit_code = problem.exit_code
+            raise mistake from None
         except (click.ClickException, click.exceptions.Exit, click.Abort, OSError):
             raise  # OSError: a closed pipe, which click ends quietly
         except Exception as problem:
             _trace(ctx)
+            if lacks_memory(problem):
+                raise click.ClickException(str(fault(ctx.invoked_subcommand, problem))) from None
             what = f"a fault of roadtorch: {type(problem).__name__}: {problem}"
             raise click.ClickException(
                 f"{ctx.invoked_subcommand}: {what} (report it with --debug)"
@@ -123,7 +136,7 @@ class CommandGroup(click.Group):
 class _Mistake(click.ClickException):
     """A mistake that is already told as ``where: what (remedy)``."""
 
-    exit_code = ExitCode.WRONG_USAGE
+    exit_code: int = ExitCode.WRONG_USAGE
 
 
 def _one_line(problem: click.ClickException) -> str:
@@ -171,6 +184,8 @@ def _settle_process() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # names in any encoding can be told
             stream.reconfigure(errors="backslashreplace")
+    if isinstance(sys.stdin, io.TextIOWrapper):  # and read
+        sys.stdin.reconfigure(errors="surrogateescape")
     if not any(name in os.environ for name in (*BRIEF_WAITS, "KMP_BLOCKTIME")):
         os.environ.update(BRIEF_WAITS)  # read by OpenMP when torch is loaded
     _spare_collector()

@@ -10,6 +10,7 @@ from roadtorch.cli.options import (
     CAMERA,
     OVERWRITE,
     QUIET,
+    Sectioned,
     with_compute,
     with_detector,
     with_frames,
@@ -53,7 +54,7 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
     return start, end
 
 
-@click.command()
+@click.command(cls=Sectioned)
 @click.argument("inputs", metavar="INPUT...", nargs=-1, shell_complete=suggest_files)
 @with_detector
 @click.option("--out", default="roads", show_default=True, help="Folder or URL for results.")
@@ -125,12 +126,13 @@ def infer(
 
     from roadtorch.camera.camera import Camera
     from roadtorch.detectors.catalogue import load_detector
+    from roadtorch.io.addresses import is_url
     from roadtorch.runs import engines, footage, pictures, results
-    from roadtorch.runs.folder import RunRecord, result_folder
+    from roadtorch.runs.folder import Owners, RunRecord, result_folder
     from roadtorch.runs.options import as_toml
     from roadtorch.sinks.remote_folder import RemoteFolder
-    from roadtorch.sources.addresses import is_url
     from roadtorch.sources.open import sort_inputs
+    from roadtorch.sources.pictures import label_and_picture
 
     engines.prepare(compute)
     known = None if camera is None else Camera.read(camera)
@@ -144,10 +146,15 @@ def infer(
     kinds = footage.USUAL_OF_PICTURES if save is None else save
     place = RemoteFolder(out) if is_url(out) else Path(out)
     chosen = footage.selected(frames)
-    jobs = results.plan_results(sorted_inputs.pictures, place, kinds, chosen)
+    owners = Owners(place)
+    jobs = results.plan_results(sorted_inputs.pictures, place, kinds, chosen, owners)
     written = footage.FootageResults(save, bits, gif, loaded, frames.topic)
-    planned = footage.plan_footage(sorted_inputs.sources, place, frames, written)
+    planned = footage.plan_footage(sorted_inputs.sources, place, frames, written, owners)
     folder = context.with_resource(result_folder(place))
+    if found := label_and_picture(job.picture for job in jobs):
+        label, picture = found
+        what = f"{label.origin} looks like a label of {picture.origin}"
+        click.echo(f"roadtorch: {what}; give the folder of the pictures alone", err=True)
     folder.keep_config(effective, overwrite)
     of_frames = {**asdict(frames), "gif": gif, "steady": steady}
     options = pictures.RunOptions(compute.jobs or 1, overwrite, quiet, compute.fail_fast)
@@ -166,7 +173,7 @@ def infer(
                 method = results.detector_method(loaded, effective, (), parts)
                 check = None if known is None else known.check
                 steadied = footage.steadied if steady else None
-                seen = footage.FootageWork(loaded, written, check, steadied)
+                seen = footage.FootageWork(loaded, written, owners, check, steadied)
                 codes.append(footage.run_footage(planned, seen, method, options))
             return max(codes)
         finally:

@@ -20,6 +20,16 @@ from roadtorch.runs.options import ComputeOptions, DetectorOptions, FrameSelecti
 PATH = click.Path(path_type=Path)
 Command = Callable[..., Any]
 
+SECTIONS = {
+    **dict.fromkeys((*DetectorOptions.__dataclass_fields__, "camera", "threshold"), "Detector"),
+    **dict.fromkeys((*FrameSelection.__dataclass_fields__, "steady", "gif"), "Footage"),
+    **dict.fromkeys(ComputeOptions.__dataclass_fields__, "Computing"),
+    **dict.fromkeys(
+        ("reports", "exported", "to", "imported", "origin", "user"), "Without the page"
+    ),
+}
+"""The section of ``--help`` in which an option stands."""
+
 
 class ConfigFile(click.ParamType):
     """A TOML file, or the name of a config that is shipped."""
@@ -134,6 +144,24 @@ FRAMES = (
         help="Seconds within which a stream has to answer.",
     ),
 )
+
+
+class Sectioned(click.Command):
+    """A command whose ``--help`` has its options in sections.
+
+    Those of its own stand first; what is gathered for a kind of ``SECTIONS`` has one of its own.
+    """
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options, section by section."""
+        rows: dict[str, list[tuple[str, str]]] = {"Options": []}
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx)
+            if record and isinstance(parameter, click.Option):
+                rows.setdefault(SECTIONS.get(parameter.name or "", "Options"), []).append(record)
+        for section, records in rows.items():
+            with formatter.section(section):
+                formatter.write_dl(records)
 
 
 def _gathered(

@@ -112,4 +112,7 @@ def train(
         page = show_change(training, request, outcome, compared, scored, command)
         if page is not None and not quiet:
             click.echo(f"roadtorch: before and after in {page}", err=True)
+            if scored is None:
+                what = "not scored, and it may have lost; --labelled SET:ROOT would tell"
+                click.echo(f"roadtorch: {what}", err=True)
     context.exit(1 if outcome.skipped else 0)

@@ -1,23 +1,23 @@
 """Annotation files and what is drawn in them: LabelMe's XML and labelme's JSON."""
 
 import base64
-import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-from xml.etree.ElementTree import Element, ParseError
+from typing import Annotated, Any, NamedTuple
+from xml.etree.ElementTree import Element
 
 import numpy as np
-from defusedxml import DefusedXmlException, ElementTree
+from defusedxml import ElementTree
+from pydantic import BeforeValidator, StringConstraints
 
+from roadtorch.data.imported import Coordinate, Imported, Side, imported
 from roadtorch.data.polygons import Disc, Polygon, Shape, Stamp
-from roadtorch.errors import DatasetError
-from roadtorch.io.bounded import read_regular, reason
 from roadtorch.io.decoding import open_picture
 
 CORNERS = 3  # a polygon needs as many to have an area
+
+MAX_OVERHANG = 1.0  # picture sizes that a shape may reach beyond it; ours: more is a mistake
 
 MASK_FORMATS = ("PNG", "JPEG")  # of masks inside JSON; labelme itself writes PNG
 
@@ -25,8 +25,7 @@ MASK_FORMATS = ("PNG", "JPEG")  # of masks inside JSON; labelme itself writes PN
 WITHOUT_AREA = ("line", "linestrip", "point", "points")
 
 
-@dataclass(frozen=True)
-class Drawing:
+class Drawing(NamedTuple):
     """A shape, the object it belongs to (stripped, lower case) and who drew it ("" unknown)."""
 
     name: str
@@ -34,169 +33,114 @@ class Drawing:
     shape: Shape
 
 
-@dataclass(frozen=True)
-class Annotation:
-    """An annotation file: what was drawn, in the order of the file.
+class _Shape(Imported):
+    """A shape of a labelme file; older ones leave polygons unnamed."""
 
-    size: (height, width) of the picture, if the file says.
+    label: Annotated[str, StringConstraints(strip_whitespace=True, to_lower=True)]
+    username: str = ""
+    shape_type: str | None = None
+    points: tuple[tuple[Coordinate, Coordinate], ...]
+    mask: str | None = None
+
+
+_Length = Annotated[
+    Side | None, BeforeValidator(lambda given: None if given in ("", "0", 0) else given)
+]
+
+
+class _Document(Imported):
+    """A labelme file; a length that is left out, empty or zero is that of the picture."""
+
+    shapes: tuple[_Shape, ...]
+    imageHeight: _Length = None  # noqa: N815, as labelme has it
+    imageWidth: _Length = None  # noqa: N815
+
+
+def read_annotation(path: Path, size: tuple[int, int]) -> list[Drawing]:
+    """What is drawn in an annotation file, XML or JSON by its ending, on a picture of (H,W).
+
+    Shapes may stick out of the picture. Raises DatasetError, naming the file, when it cannot be
+    read, is for a picture of another size, or has a shape far outside.
     """
-
-    size: tuple[int, int] | None
-    drawings: tuple[Drawing, ...]
-
-
-def read_annotation(path: Path) -> Annotation:
-    """Read an annotation file, XML or JSON by its ending.
-
-    Raises DatasetError, naming the file, when it cannot be read or is not what it seems.
-    """
-    try:
-        data = read_regular(path)
-    except OSError as problem:
-        what = f"cannot be read: {problem.strerror}"
-        raise DatasetError(path, what, "every picture needs its annotation") from None
-    return _read_json(data, path) if path.suffix.lower() == ".json" else _read_xml(data, path)
-
-
-def _broken(path: Path, what: str, remedy: str = "mend the file") -> DatasetError:
-    return DatasetError(path, what, remedy)
-
-
-# --- LabelMe XML ------------------------------------------------------------------------
-
-
-def _read_xml(data: bytes, path: Path) -> Annotation:
-    try:
-        root = ElementTree.fromstring(data)
-    except DefusedXmlException as problem:
-        what = f"declares entities, which can be a bomb: {type(problem).__name__}"
-        raise _broken(path, what, "remove the declarations") from None
-    except (ParseError, ValueError, LookupError) as problem:
-        raise _broken(path, f"is not XML: {problem}") from None
-    if root.tag != "annotation":
-        what = f"is not a LabelMe annotation but has the root element {root.tag!r}"
-        raise _broken(path, what, "give LabelMe's XML")
-    drawings = tuple(part for element in root.findall("object") for part in _object(element, path))
-    height, width = _text(root, "imagesize/nrows"), _text(root, "imagesize/ncols")
-    return Annotation(_size(height, width, ("nrows", "ncols"), path), drawings)
-
-
-def _object(element: Element, path: Path) -> Iterator[Drawing]:
-    """The polygons of one object, its blobs; none of a deleted one."""
-    if _text(element, "deleted") == "1":
-        return
-    name = _text(element, "name").lower()
-    polygons = element.findall("polygon")
-    if not polygons and element.find("segm") is not None:
-        what = f"has the object {name!r} as a mask file (segm), which is not read"
-        raise _broken(path, what, "draw it as a polygon, or delete it")
-    for polygon in polygons:
-        points = [
-            (_coordinate(_text(pt, "x"), name, path), _coordinate(_text(pt, "y"), name, path))
-            for pt in polygon.findall("pt")
+    with imported(path, "give the annotation of this picture, in pixels of it") as data:
+        if path.suffix.lower() == ".json":
+            document = _Document.model_validate_json(data)
+        else:
+            document = _Document.model_validate(_xml_values(data), strict=False)
+        rows, columns = document.imageHeight or size[0], document.imageWidth or size[1]
+        if (rows, columns) != size:
+            told = f"it is for {columns} by {rows} pixels"
+            raise ValueError(f"{told}, its picture has {size[1]} by {size[0]}")
+        return [
+            _drawing(one, size) for one in document.shapes if one.shape_type not in WITHOUT_AREA
         ]
+
+
+def _xml_values(data: bytes) -> dict[str, Any]:
+    """LabelMe's XML as the values of a labelme file: the polygons of the objects not deleted."""
+    root = ElementTree.fromstring(data)
+    if root.tag != "annotation":
+        raise ValueError(f"not a LabelMe annotation: its root element is {root.tag!r}")
+    shapes = [shape for element in root.findall("object") for shape in _xml_shapes(element)]
+    lengths = {
+        key: root.findtext(f"imagesize/{name}", "").strip()
+        for key, name in (("imageHeight", "nrows"), ("imageWidth", "ncols"))
+    }
+    return {"shapes": shapes, **lengths}
+
+
+def _xml_shapes(element: Element) -> Iterator[dict[str, Any]]:
+    if element.findtext("deleted", "").strip() == "1":
+        return
+    name, polygons = element.findtext("name", ""), element.findall("polygon")
+    if not polygons and element.find("segm") is not None:
+        raise ValueError(f"the object {name!r} is a mask file (segm): draw it as a polygon")
+    for polygon in polygons:
+        points = [(pt.findtext("x", ""), pt.findtext("y", "")) for pt in polygon.findall("pt")]
         if len(points) >= CORNERS:
-            user = _text(polygon, "username") or _text(element, "username")
-            yield Drawing(name, user, Polygon(np.array(points)))
+            user = (polygon.findtext("username") or element.findtext("username", "")).strip()
+            yield {"label": name, "username": user, "points": points}
 
 
-def _text(element: Element, name: str) -> str:
-    return (element.findtext(name) or "").strip()
-
-
-# --- labelme JSON -----------------------------------------------------------------------
-
-
-def _read_json(data: bytes, path: Path) -> Annotation:
-    try:
-        document = json.loads(data)
-    except (ValueError, RecursionError) as problem:
-        raise _broken(path, f"is not JSON: {problem}") from None
-    shapes = document.get("shapes") if isinstance(document, dict) else None
-    if not isinstance(shapes, list):
-        raise _broken(path, "is not a labelme annotation: it has no list of shapes")
-    parts = (_shape(shape, path) for shape in shapes)
-    drawings = tuple(part for part in parts if part is not None)
-    keys = "imageHeight", "imageWidth"
-    return Annotation(_size(document.get(keys[0]), document.get(keys[1]), keys, path), drawings)
-
-
-def _shape(shape: Any, path: Path) -> Drawing | None:
-    """One shape; None for those without area."""
-    if not isinstance(shape, dict) or not isinstance(shape.get("label"), str):
-        raise _broken(path, "has a shape without label")
-    name = shape["label"].strip().lower()
-    kind = shape.get("shape_type") or "polygon"  # older files leave polygons unnamed
-    if kind in WITHOUT_AREA:
-        return None
-    points = _points(shape, name, path)
-    match kind, len(points):
-        case "polygon" | "oriented_rectangle", n if n >= CORNERS:
-            return Drawing(name, "", Polygon(points))
+def _drawing(one: _Shape, size: tuple[int, int]) -> Drawing:
+    """What a shape with an area draws; ValueError for one that is none, or far outside."""
+    points = np.array(one.points, np.float64).reshape(-1, 2)
+    match one.shape_type or "polygon", len(points):
+        case "polygon" | "oriented_rectangle", count if count >= CORNERS:
+            shape = Polygon(points)
         case "rectangle", 4:
-            return Drawing(name, "", Polygon(points))
+            shape = Polygon(points)
         case "rectangle", 2:
             (left, top), (right, bottom) = points
-            corners = np.array([(left, top), (right, top), (right, bottom), (left, bottom)])
-            return Drawing(name, "", Polygon(corners))
+            corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
+            shape = Polygon(np.array(corners))
         case "circle", 2:
             x, y = points[0].tolist()
-            return Drawing(name, "", Disc(x, y, math.dist(*points)))
+            shape = Disc(x, y, math.dist(*points))
         case "mask", 2:
-            return Drawing(name, "", _stamp(shape.get("mask"), points, name, path))
-        case _:
-            raise _broken(path, f"has a shape {name!r} of type {kind!r} with {len(points)} points")
+            shape = _stamp(one, points)
+        case kind, count:
+            raise ValueError(f"a shape {one.label!r} of type {kind!r} with {count} points")
+    left, top, right, bottom = shape.bounds()
+    beside = max(-left, right - size[1]) > MAX_OVERHANG * size[1]
+    if beside or max(-top, bottom - size[0]) > MAX_OVERHANG * size[0]:
+        raise ValueError(
+            f"an object {one.label!r} from ({left:g}, {top:g}) to ({right:g}, {bottom:g}), "
+            f"far outside its picture of {size[1]} by {size[0]}"
+        )
+    return Drawing(one.label, one.username, shape)
 
 
-def _points(shape: dict[str, Any], name: str, path: Path) -> np.ndarray:
-    """The points float64 (N,2) of a shape."""
-    points = shape.get("points")
-    is_list = isinstance(points, list)
-    if not is_list or not all(isinstance(pair, list) and len(pair) == 2 for pair in points):
-        raise _broken(path, f"has a shape {name!r} whose points are not pairs")
-    numbers = [[_coordinate(value, name, path) for value in pair] for pair in points]
-    return np.array(numbers, np.float64).reshape(-1, 2)
-
-
-def _stamp(encoded: Any, points: np.ndarray, name: str, path: Path) -> Stamp:
+def _stamp(one: _Shape, points: np.ndarray) -> Stamp:
     """A mask shape: PNG or JPEG as base64, filling the box from its first to its last corner."""
-    left, top = (int(value) for value in points.min(0))
-    right, bottom = (int(value) for value in points.max(0))
-    box = (bottom - top + 1, right - left + 1)
+    (left, top), (right, bottom) = points.min(0).astype(int), points.max(0).astype(int)
+    box = (right - left + 1, bottom - top + 1)
     try:
-        with open_picture(base64.b64decode(encoded, validate=True), MASK_FORMATS) as picture:
-            if (picture.height, picture.width) != box:
-                what = f"is {picture.width} by {picture.height}, its box {box[1]} by {box[0]}"
-                raise _broken(path, f"has a mask {name!r} that {what}")
-            return Stamp(left, top, np.asarray(picture.convert("L")) > 0)
-    except DatasetError:
-        raise
-    except Exception as problem:
-        what = f"has a mask {name!r} that cannot be decoded: {reason(problem)}"
-        raise _broken(path, what, "give it as PNG or JPEG") from None
-
-
-# --- numbers ----------------------------------------------------------------------------
-
-
-def _coordinate(value: Any, name: str, path: Path) -> float:
-    """A number that was given for ``name``, white space around it allowed."""
-    try:
-        number = math.nan if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError, OverflowError):
-        number = math.nan
-    if not math.isfinite(number):
-        raise _broken(path, f"has {value!r} where {name!r} needs a number")
-    return number
-
-
-def _size(height: Any, width: Any, names: tuple[str, str], path: Path) -> tuple[int, int] | None:
-    """(height, width) if both are positive; None where a file leaves them out, empty or zero."""
-    if height in (None, "") or width in (None, ""):
-        return None
-    rows, columns = _coordinate(height, names[0], path), _coordinate(width, names[1], path)
-    if rows == 0 or columns == 0:
-        return None
-    if rows < 0 or columns < 0 or rows % 1 or columns % 1:
-        raise _broken(path, f"says its picture has {columns:g} by {rows:g} pixels")
-    return int(rows), int(columns)
+        data = base64.b64decode(one.mask or "", validate=True)
+        with open_picture(data, MASK_FORMATS) as picture:
+            if picture.size == box:
+                return Stamp(int(left), int(top), np.asarray(picture.convert("L")) > 0)
+            told = f"is {picture.width} by {picture.height}, its box {box[0]} by {box[1]}"
+    except Exception as problem:  # Pillow raises anything
+        told = f"cannot be decoded: {problem}"
+    raise ValueError(f"a mask {one.label!r} that {told}")

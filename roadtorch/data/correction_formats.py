@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from roadtorch.data.annotations import read_annotation
-from roadtorch.data.correction_labels import LABELS
+from roadtorch.data.correction_labels import LABELS, check_stems
 from roadtorch.data.corrections import Correction
 from roadtorch.data.cvat import read_cvat_mask, read_labelmap, write_cvat
 from roadtorch.data.label_studio import read_label_studio, write_label_studio
@@ -55,6 +55,7 @@ def write_png(corrections: Sequence[Correction], folder: Path) -> None:
 
     In road 0 is not road, 1 road, 255 void or untouched; in layout 255 is unknown.
     """
+    check_stems(one.name for one in corrections)
     for one in corrections:
         road = np.where(one.road > 1, 255, one.road)
         layers = {"labels": one.labels, "road": road, "layout": one.layout}
@@ -68,12 +69,12 @@ def read_png(folder: Path, sizes: Sizes) -> dict[str, np.ndarray]:
     """What ``write_png`` wrote to FOLDER/labels; DatasetError for other numbers and sizes."""
     found = {}
     for name, path in _present(folder / "labels", sizes, ".png"):
-        labels = read_labels(path)
-        if labels.max() >= len(LABELS):
-            what = f"has the unknown value {labels.max()}"
-            raise DatasetError(path, what, f"known: 0 to {len(LABELS) - 1}")
+        labels = read_labels(path, sizes[name])
+        if not np.isin(labels, range(len(LABELS))).all():
+            what = f"has other values than 0 to {len(LABELS) - 1}"
+            raise DatasetError(path, what, f"0 is {LABELS[0]}, 1 {LABELS[1]}, …")
         found[name] = labels.astype(np.uint8)
-    return _fitting(found, sizes, folder)
+    return found
 
 
 def _present(folder: Path, sizes: Sizes, ending: str) -> list[tuple[str, Path]]:
@@ -82,16 +83,9 @@ def _present(folder: Path, sizes: Sizes, ending: str) -> list[tuple[str, Path]]:
     if not any(path.is_file() for path in paths.values()):
         what = "has no file for any of the pictures"
         raise DatasetError(folder, what, "give the folder that holds the labels")
-    return [(name, path) for name, path in paths.items() if path.is_file()]
-
-
-def _fitting(found: dict[str, np.ndarray], sizes: Sizes, folder: Path) -> dict[str, np.ndarray]:
-    """The labels, if they have the sizes of their pictures; DatasetError naming the first not."""
-    for name, labels in found.items():
-        if labels.shape != sizes[name]:
-            what = f"has labels of {labels.shape[1]} by {labels.shape[0]} pixels for {name}"
-            raise DatasetError(folder, what, "labels must have the size of the picture")
-    return found
+    present = {name: path for name, path in paths.items() if path.is_file()}
+    check_stems(present)
+    return list(present.items())
 
 
 # --- LabelMe (XML) and labelme (JSON) ---------------------------------------------------
@@ -99,6 +93,7 @@ def _fitting(found: dict[str, np.ndarray], sizes: Sizes, folder: Path) -> dict[s
 
 def write_xml(corrections: Sequence[Correction], folder: Path) -> None:
     """Write FOLDER/NAME.xml for each picture, as P3's tool has it."""
+    check_stems(one.name for one in corrections)
     for one in corrections:
         root = Element("annotation")
         SubElement(root, "filename").text = Path(one.name).name
@@ -119,6 +114,7 @@ def write_xml(corrections: Sequence[Correction], folder: Path) -> None:
 
 def write_labelme(corrections: Sequence[Correction], folder: Path) -> None:
     """Write FOLDER/NAME.json for each picture, as the program labelme has it."""
+    check_stems(one.name for one in corrections)
     for one in corrections:
         document = labelme_document(one.labels, Path(one.name).name, DRAWN, NOTHING)
         _write(folder, one.name, ".json", json.dumps(document))
@@ -138,15 +134,11 @@ def read_drawn(ending: str, folder: Path, sizes: Sizes) -> dict[str, np.ndarray]
     """
     found = {}
     for name, path in _present(folder, sizes, ending):
-        annotation, size = read_annotation(path), sizes[name]
-        if annotation.size not in (None, size):
-            what = f"is for {annotation.size[1]} by {annotation.size[0]} pixels"
-            raise DatasetError(path, what, f"its picture has {size[1]} by {size[0]}")
         shapes = [
             (part.shape, DRAWN.index(part.name) if part.name in DRAWN else LABELS.index("not_road"))
-            for part in annotation.drawings
+            for part in read_annotation(path, sizes[name])
         ]
-        found[name] = filled_shapes(shapes, size)
+        found[name] = filled_shapes(shapes, sizes[name])
     return found
 
 
@@ -157,7 +149,7 @@ def read_cvat(folder: Path, sizes: Sizes) -> dict[str, np.ndarray]:
     """FOLDER/SegmentationClass of an export that was unzipped."""
     classes = read_labelmap(folder / "labelmap.txt")
     present = _present(folder / "SegmentationClass", sizes, ".png")
-    return _fitting({name: read_cvat_mask(path, classes) for name, path in present}, sizes, folder)
+    return {name: read_cvat_mask(path, classes, sizes[name]) for name, path in present}
 
 
 FORMATS: Mapping[str, CorrectionFormat] = {

@@ -6,8 +6,12 @@ asked with one set of keys, and what follows is drawn: road is horizontal, sky a
 are not road.
 """
 
+from collections.abc import Iterable
+from pathlib import PurePath
+
 import numpy as np
 
+from roadtorch.errors import DatasetError
 from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 
 LABELS = (
@@ -75,3 +79,13 @@ def labels_of(road: np.ndarray, layout: np.ndarray) -> np.ndarray:
     for number in reversed(range(len(LABELS))):
         table[_ROAD[number], _LAYOUT[number]] = number
     return table[road, layout]
+
+
+def check_stems(names: Iterable[str]) -> None:
+    """DatasetError for two pictures of one name without ending, of which a format has one file."""
+    owners: dict[str, str] = {}
+    for name in names:
+        stem = PurePath(name).with_suffix("").as_posix()
+        if (other := owners.setdefault(stem, name)) != name:
+            what = f"have one file, {stem}, in this format"
+            raise DatasetError(f"{other} and {name}", what, "rename one of the pictures")

@@ -23,9 +23,9 @@ from roadtorch.data.correction_labels import (
     road_layer,
 )
 from roadtorch.data.dataset import Dataset, Item, Truth
-from roadtorch.data.event_log import ENDING, EventLog, find_logs, read_log
-from roadtorch.data.events import Confirm, folded, standing
-from roadtorch.errors import DatasetError, InputError
+from roadtorch.data.event_log import ENDING, EventLog, read_log, read_logs
+from roadtorch.data.events import Confirm, standing
+from roadtorch.errors import DatasetError
 from roadtorch.layout.classes import UNLABELLED
 
 
@@ -70,7 +70,7 @@ def read_corrections(folder: Path, pictures: Path | None = None) -> list[Correct
     by_picture = logs_by_picture(folder)
     found = []
     for name, logs in sorted(by_picture.items()):
-        known = folder / logs[0][1].head.picture
+        known = folder / logs[0].head.picture
         picture = pictures / name if pictures else Path(os.path.normpath(known))
         correction = corrected(picture, name, logs)
         if (correction.labels > 0).any():
@@ -78,41 +78,33 @@ def read_corrections(folder: Path, pictures: Path | None = None) -> list[Correct
     return found
 
 
-def logs_by_picture(folder: Path) -> dict[str, list[tuple[Path, EventLog]]]:
+def logs_by_picture(folder: Path) -> dict[str, list[EventLog]]:
     """The logs below a folder by the picture's name with ending; DatasetError without any."""
-    found: dict[str, list[tuple[Path, EventLog]]] = defaultdict(list)
-    for path in find_logs(folder):
-        log = read_log(path)
-        name = path.relative_to(folder).as_posix().removesuffix(f".{log.head.user}{ENDING}")
-        found[name].append((path, log))
+    found: dict[str, list[EventLog]] = defaultdict(list)
+    for log in read_logs(folder):
+        ending = f".{log.head.user}{ENDING}"
+        found[log.path.relative_to(folder).as_posix().removesuffix(ending)].append(log)
     if not found:
         raise DatasetError(folder, "holds no corrections", "make some with roadtorch annotate")
     return found
 
 
-def corrected(picture: Path, name: str, logs: Sequence[tuple[Path, EventLog]]) -> Correction:
+def corrected(picture: Path, name: str, logs: Sequence[EventLog]) -> Correction:
     """What one or more logs of a picture come to.
 
     Raises DatasetError where two are for pictures of different sizes or events do not fit theirs.
     """
-    sizes = {(one.head.height, one.head.width) for _, one in logs}
-    if len(sizes) > 1:
-        what = f"is for another picture size than {logs[0][0].name}"
-        raise DatasetError(logs[-1][0], what, "correct one version of the picture")
-    said = []
-    for path, log in logs:
-        try:
-            said.append(folded(log.events, (log.head.height, log.head.width)))
-        except InputError as problem:
-            what = f"has an event that does not fit: {problem.where} {problem.what}"
-            raise DatasetError(path, what, "give the picture that was corrected") from None
-    events = [event for _, log in logs for event in log.events]
+    if len({(one.head.height, one.head.width) for one in logs}) > 1:
+        what = f"is for another picture size than {logs[0].path.name}"
+        raise DatasetError(logs[-1].path, what, "correct one version of the picture")
+    said = [log.labels() for log in logs]
+    events = [event for log in logs for event in log.events]
     return Correction(
         picture,
         name,
         agreed_labels(said),
-        any(isinstance(event, Confirm) for _, one in logs for event in standing(one.events)),
-        tuple(sorted(one.head.user for _, one in logs)),
+        any(isinstance(event, Confirm) for one in logs for event in standing(one.events)),
+        tuple(sorted(one.head.user for one in logs)),
         sum(event.seconds for event in events),
         len({event.id for event in events}),
         agreement_share(said),
@@ -167,7 +159,7 @@ class CorrectionLabels:
 
     def truth(self, item: Item) -> Truth:
         """What people said; DatasetError for a log that cannot be read."""
-        logs = [(path, read_log(path)) for path in (item.label, *item.extra)]
+        logs = [log for path in (item.label, *item.extra) if (log := read_log(path)) is not None]
         found = corrected(item.image, item.name, logs)
         road, layout = torch.from_numpy(found.road), torch.from_numpy(found.layout)
         valid = (road == ROAD_SAID) | (road == NOT_ROAD)
@@ -184,7 +176,7 @@ def open_corrections(folder: Path, pictures: Path | None = None) -> Dataset:
     items = []
     for one in read_corrections(folder, pictures):
         if ((one.road == ROAD_SAID) | (one.road == NOT_ROAD)).any():
-            label, *extra = [path for path, _ in logs[one.name]]
+            label, *extra = [log.path for log in logs[one.name]]
             name = PurePosixPath(one.name).with_suffix("").as_posix()
             items.append(Item(name, one.picture, label, None, tuple(extra)))
     if not items:

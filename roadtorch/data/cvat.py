@@ -16,13 +16,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+from pydantic import TypeAdapter, ValidationError
 
-from roadtorch.data.correction_labels import LABELS
+from roadtorch.data.correction_labels import LABELS, check_stems
 from roadtorch.data.corrections import Correction
+from roadtorch.data.imported import Byte, imported
 from roadtorch.data.labels import colour_indices, read_colours
 from roadtorch.errors import DatasetError
 from roadtorch.io.atomic import make_folder, write_text
-from roadtorch.io.bounded import read_regular
 from roadtorch.io.image import write_colours
 
 Colour = tuple[int, int, int]
@@ -54,6 +55,7 @@ def voc_colour(number: int) -> Colour:
 
 def write_cvat(corrections: Sequence[Correction], folder: Path) -> None:
     """Write corrections as a folder that, zipped, CVAT takes as "Segmentation mask 1.1"."""
+    check_stems(one.name for one in corrections)
     make_folder(folder / LIST.parent)
     lines = ["# label:color_rgb:parts:actions"]
     lines += [f"{name}:{','.join(map(str, colour))}::" for name, colour in COLOURS.items()]
@@ -82,37 +84,35 @@ def _write_colours(path: Path, colours: np.ndarray) -> None:
     write_colours(path, torch.from_numpy(colours).permute(2, 0, 1) / 255)
 
 
+_COLOUR: TypeAdapter[Colour] = TypeAdapter(tuple[Byte, Byte, Byte])
+
+
 def read_labelmap(path: Path) -> dict[Colour, str]:
     """The classes of a labelmap.txt by colour; DatasetError naming the line that is wrong."""
-    try:
-        lines = read_regular(path).decode().splitlines()
-    except (OSError, UnicodeDecodeError) as problem:
-        raise DatasetError(path, f"cannot be read: {problem}", "export from CVAT anew") from None
     found: dict[Colour, str] = {}
-    for number, line in enumerate(lines, start=1):
-        if not line.strip() or line.startswith("#"):
-            continue
-        name, _, rest = line.partition(":")
-        try:
-            red, green, blue = (int(part) for part in rest.split(":")[0].split(","))
-        except ValueError:
-            what = "has no colour as red,green,blue"
-            raise DatasetError(f"{path}:{number}", what, "mend that line") from None
-        if (red, green, blue) in found:
-            what = f"has the colour of {found[red, green, blue]}"
-            raise DatasetError(f"{path}:{number}", what, "give each class its own")
-        found[red, green, blue] = name.strip()
+    with imported(path, "export from CVAT anew, or mend that line") as data:
+        for number, line in enumerate(data.decode().splitlines(), start=1):
+            if not line.strip() or line.startswith("#"):
+                continue
+            name, _, rest = line.partition(":")
+            try:
+                colour = _COLOUR.validate_python(tuple(rest.split(":")[0].split(",")))
+            except ValidationError:
+                raise ValueError(f"line {number} has no colour as red,green,blue") from None
+            if colour in found:
+                raise ValueError(f"line {number} has the colour of {found[colour]}")
+            found[colour] = name.strip()
     return found
 
 
-def read_cvat_mask(path: Path, classes: Mapping[Colour, str]) -> np.ndarray:
-    """The labels uint8 (H,W) of SegmentationClass/NAME.png.
+def read_cvat_mask(path: Path, classes: Mapping[Colour, str], size: tuple[int, int]) -> np.ndarray:
+    """The labels uint8 (H,W) of SegmentationClass/NAME.png, for a picture of this size.
 
-    Raises DatasetError naming unknown colours and counting their pixels, and for a class that is
-    used and has none of our names.
+    Raises DatasetError for another size, for unknown colours, which are named and their pixels
+    counted, and for a class that is used and has none of our names.
     """
     known = tuple(classes) if (0, 0, 0) in classes else (*classes, (0, 0, 0))
-    indices = colour_indices(read_colours(path), known, path)
+    indices = colour_indices(read_colours(path, size), known, path)
     numbers = np.zeros(len(known), np.uint8)
     for place in np.unique(indices).tolist():
         name = classes.get(known[place], BACKGROUND)

@@ -1,22 +1,25 @@
 """Event logs: all that one person did to one picture, a line for each event, only ever appended.
 
 DIR/PICTURE.USER.strokes.jsonl, PICTURE with its ending and its sub-folders. The first line says
-which picture and who. A line is on disk (fsync) before anybody is told that it is.
+which picture and who. A line is on disk (fsync) before anybody is told that it is. What has no
+whole first line, after a crash or on a full disk, is no log: the next event begins it anew.
 """
 
-import json
 import os
+from contextlib import suppress
 from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path, PurePosixPath
-from typing import BinaryIO
+from typing import Annotated, Self
 
-import pydantic
-from pydantic import Field
+import numpy as np
+from pydantic import Field, model_validator
 
-from roadtorch.data.events import AnyEvent, Name, parse_event
+from roadtorch.data.events import AnyEvent, Name, folded, parse_event
+from roadtorch.data.imported import Side, imported
 from roadtorch.errors import DatasetError, InputError
 from roadtorch.io.atomic import make_folder
-from roadtorch.io.bounded import read_regular
+from roadtorch.io.decoding import most_megapixels
 from roadtorch.settings import Settings
 
 ENDING = ".strokes.jsonl"
@@ -29,19 +32,34 @@ class LogHead(Settings):
     """
 
     roadtorch: int = Field(default=1, ge=1, le=1, description="version of the format")
-    picture: str
+    picture: Annotated[str, Field(pattern=r"^[^\x00]+$")]
     user: Name
-    height: int = Field(ge=1)
-    width: int = Field(ge=1)
+    height: Side
+    width: Side
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Self:
+        if self.height * self.width > most_megapixels() * 1e6:
+            raise ValueError(f"a picture has at most {most_megapixels():g} megapixels")
+        return self
 
 
 @dataclass(frozen=True)
 class EventLog:
-    """A log as it was read. whole: bytes up to the end of the last whole line."""
+    """A log as it was read."""
 
+    path: Path
     head: LogHead
     events: tuple[AnyEvent, ...]
-    whole: int
+
+    def labels(self) -> np.ndarray:
+        """What the events come to, uint8 (H,W); DatasetError where one does not fit the picture."""
+        try:
+            return folded(self.events, (self.head.height, self.head.width))
+        except InputError as problem:
+            what = f"has an event that does not fit: {problem.where} {problem.what}"
+            remedy = "give the picture that was corrected"
+            raise DatasetError(self.path, what, remedy) from None
 
 
 def log_path(folder: Path, picture: str, user: str) -> Path:
@@ -49,62 +67,59 @@ def log_path(folder: Path, picture: str, user: str) -> Path:
     return folder / f"{PurePosixPath(picture)}.{user}{ENDING}"
 
 
-def read_log(path: Path) -> EventLog:
-    """Read a log; a last line that was cut off by a crash is passed over.
+def read_log(path: Path) -> EventLog | None:
+    """Read a log; a last line that was cut off is passed over, None where the first one was.
 
     Raises DatasetError naming file and line for anything else that is wrong.
     """
-    try:
-        data = read_regular(path)
-    except OSError as problem:
-        raise DatasetError(path, f"cannot be read: {problem.strerror}", "give logs") from None
-    whole = data.rfind(b"\n") + 1
-    lines = data[:whole].splitlines()
-    if not lines:
-        raise DatasetError(path, "has no first line", "remove the file")
-    try:
+    with imported(path, "give logs that roadtorch wrote") as data:
+        lines = data[: data.rfind(b"\n") + 1].splitlines()
+        if not lines:
+            return None
         head = LogHead.model_validate_json(lines[0])
-        events = tuple(
-            parse_event(line, f"{path}:{number}") for number, line in enumerate(lines[1:], start=2)
-        )
-    except pydantic.ValidationError as problem:
-        what = f"does not begin as a log of corrections: {problem.errors()[0]['msg']}"
-        raise DatasetError(path, what, "give logs that roadtorch wrote") from None
+        if not path.name.endswith(f".{head.user}{ENDING}"):
+            raise ValueError(f"it is of {head.user}, which its name does not say")
+    try:
+        events = [parse_event(line, f"{path}:{at}") for at, line in enumerate(lines[1:], start=2)]
     except InputError as problem:
         raise DatasetError(problem.where, problem.what, "mend or remove that line") from None
-    return EventLog(head, events, whole)
+    return EventLog(path, head, tuple(events))
 
 
 def append_event(path: Path, head: LogHead, event: AnyEvent) -> None:
     """Add an event at the end, of a new log behind its head; on disk when this returns.
 
-    InputError when it cannot be written.
+    InputError when it cannot be written; then what was there stands, and no more of this event.
     """
-    is_new = not path.exists()
     make_folder(path.parent, "give a folder that you may write to with --out")
     try:
-        with path.open("ab+") as file:
-            lines = [event.model_dump_json()]
-            if not _whole_size(file):
-                lines.insert(0, json.dumps(head.model_dump()))
-            file.write("".join(f"{line}\n" for line in lines).encode())
-            file.flush()
-            os.fsync(file.fileno())
+        with path.open("ab+", buffering=0) as file:
+            size = _whole_size(file)
+            lines = [*([] if size else [head.model_dump_json()]), event.model_dump_json(), ""]
+            try:
+                left = memoryview("\n".join(lines).encode())
+                while left:
+                    left = left[file.write(left) :]
+                os.fsync(file.fileno())
+                if not size:
+                    _sync_folder(path.parent)
+            except OSError:
+                with suppress(OSError):
+                    file.truncate(size)
+                raise
     except OSError as problem:
         what = f"cannot be written: {problem.strerror or problem}"
         raise InputError(path, what, "make room, or give another folder with --out") from None
-    if is_new:
-        _sync_folder(path.parent)
 
 
-def _whole_size(file: BinaryIO) -> int:
+def _whole_size(file: FileIO) -> int:
     """The bytes of a file after half a line of a crash is dropped, if it ends in one."""
     size = file.seek(0, os.SEEK_END)
     if size:
         file.seek(size - 1)
         if file.read(1) != b"\n":
             file.seek(0)
-            size = file.read().rfind(b"\n") + 1
+            size = file.readall().rfind(b"\n") + 1
             file.truncate(size)
     return size
 
@@ -119,8 +134,9 @@ def _sync_folder(folder: Path) -> None:
             os.close(handle)
 
 
-def find_logs(folder: Path) -> list[Path]:
-    """All logs below a folder, sorted; DatasetError where it is no folder."""
+def read_logs(folder: Path) -> list[EventLog]:
+    """All logs below a folder, sorted; DatasetError where it is no folder, or as ``read_log``."""
     if not folder.is_dir():
         raise DatasetError(folder, "is no folder", "give the folder with corrections")
-    return sorted(path for path in folder.rglob(f"*{ENDING}") if path.is_file())
+    paths = sorted(path for path in folder.rglob(f"*{ENDING}") if path.is_file())
+    return [log for path in paths if (log := read_log(path)) is not None]

@@ -13,6 +13,7 @@ import pydantic
 from pydantic import Field
 
 from roadtorch.data.correction_labels import LABELS, after_saying
+from roadtorch.data.imported import first_mistake
 from roadtorch.data.polygons import Polygon
 from roadtorch.errors import InputError
 from roadtorch.settings import Settings
@@ -29,7 +30,9 @@ Point = tuple[
 ]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 Saying = Literal["road", "not_road", "void", "sky", "vertical", "horizontal"]
-Runs = Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(description="start, length, …")]
+Number = Annotated[int, Field(ge=0, lt=2**31)]  # of a pixel or a superpixel
+Runs = Annotated[tuple[Number, ...], Field(description="start, length, …")]
+Label = Annotated[str, Field(pattern=f"^({'|'.join(LABELS)})$")]
 
 
 class Event(Settings):
@@ -49,7 +52,7 @@ class SuperpixelStroke(Event):
 
     kind: Literal["superpixel"]
     saying: Saying
-    segments: tuple[Annotated[int, Field(ge=0)], ...]
+    segments: tuple[Number, ...]
     cut: str = Field(default="", max_length=64, description="digest of the segmentation")
     runs: Runs = ()
 
@@ -82,7 +85,7 @@ class Import(Event):
     """Labels from another program: the runs of each label, by its name."""
 
     kind: Literal["brought"]
-    labels: dict[str, Runs]
+    labels: dict[Label, Runs]
 
 
 class Undo(Event):
@@ -113,9 +116,7 @@ def parse_event(text: str | bytes, where: object) -> AnyEvent:
     try:
         return _ADAPTER.validate_json(text)
     except pydantic.ValidationError as problem:
-        error = problem.errors()[0]
-        place = ".".join(str(part) for part in error["loc"]) or "the line"
-        what = f"is no event of a correction: {place}: {error['msg']}"
+        what = f"is no event of a correction: {first_mistake(problem)}"
         raise InputError(where, what, "give one as docs/annotate.md has it") from None
 
 
@@ -130,43 +131,34 @@ def runs_of(mask: np.ndarray) -> tuple[int, ...]:
     return tuple(np.stack([starts, ends - starts], 1).reshape(-1).tolist())
 
 
-def run_pixels(runs: Sequence[int], size: tuple[int, int]) -> np.ndarray:
-    """The pixels int64 (k,) of runs, counted row by row; InputError where they do not fit."""
+def mask_of(runs: Sequence[int], size: tuple[int, int]) -> np.ndarray:
+    """The mask bool (H,W) of runs; InputError where they do not fit the picture, or overlap."""
     if len(runs) % 2:
         raise InputError("runs", "have an odd number of values", "give start, length, …")
-    starts, lengths = np.array(runs, np.int64).reshape(-1, 2).T
-    pixels = size[0] * size[1]
-    if len(starts) and ((starts > pixels) | (lengths > pixels - starts)).any():
-        raise InputError("runs", f"reach beyond {pixels} pixels", "they are of another picture")
-    if lengths.sum() > pixels:
-        raise InputError("runs", "cover pixels twice", "give each pixel once")
-    first = np.repeat(starts - lengths.cumsum() + lengths, lengths)
-    return first + np.arange(len(first))
+    borders = np.array(runs, np.int64).reshape(-1, 2).cumsum(1).reshape(-1)
+    lengths = np.diff(borders, prepend=0, append=size[0] * size[1])
+    if (lengths < 0).any():
+        what = f"overlap, or reach beyond {size[0] * size[1]} pixels"
+        raise InputError("runs", what, "give those of this picture, in order")
+    return np.repeat(np.arange(len(lengths)) % 2 == 1, lengths).reshape(size)
 
 
-def mask_of(runs: Sequence[int], size: tuple[int, int]) -> np.ndarray:
-    """The mask bool (H,W) of runs; InputError where they do not fit the picture."""
-    mask = np.zeros(size, np.bool_)
-    mask.reshape(-1)[run_pixels(runs, size)] = True
-    return mask
-
-
-def stroke_pixels(stroke: Stroke, size: tuple[int, int]) -> np.ndarray:
-    """The pixels int64 (k,) that a stroke speaks of; what is outside the picture is cut off."""
+def stroke_mask(stroke: Stroke, size: tuple[int, int]) -> np.ndarray:
+    """The mask bool (H,W) that a stroke speaks of; what is outside the picture is cut off."""
     if isinstance(stroke, SuperpixelStroke):
-        return run_pixels(stroke.runs, size)
+        return mask_of(stroke.runs, size)
     height, width = size
     points = np.array(stroke.points, np.float64)
     points = points.clip([-width, -height], [2 * width, 2 * height])
     canvas = np.zeros(size, np.uint8)
     if isinstance(stroke, PolygonStroke):
         Polygon(points).fill(canvas, 1)
-        return np.flatnonzero(canvas)
+        return canvas > 0
     corners, radius = np.floor(points + 0.5).astype(np.int32), round(stroke.radius)
     cv2.polylines(canvas, [corners], isClosed=False, color=1, thickness=2 * radius + 1)
     for corner in (corners[0], corners[-1]):
         cv2.circle(canvas, (int(corner[0]), int(corner[1])), radius, 1, -1)
-    return np.flatnonzero(canvas)
+    return canvas > 0
 
 
 # --- folding ----------------------------------------------------------------------------
@@ -188,7 +180,7 @@ def standing(events: Iterable[AnyEvent]) -> list[LastingEvent]:
 
 def apply_event(labels: np.ndarray, event: LastingEvent) -> None:
     """Change labels uint8 (H,W) in place as one event says; InputError for what does not fit."""
-    size, flat = (labels.shape[0], labels.shape[1]), labels.reshape(-1)
+    size = (labels.shape[0], labels.shape[1])
     if isinstance(event, Confirm):
         road = mask_of(event.runs, size)
         for silent, other in (("untouched", "not_road"), ("horizontal", "not_road_horizontal")):
@@ -197,12 +189,10 @@ def apply_event(labels: np.ndarray, event: LastingEvent) -> None:
             labels[where & ~road] = LABELS.index(other)
     elif isinstance(event, Import):
         for name, runs in event.labels.items():
-            if name not in LABELS:
-                raise InputError(name, "is no label", f"known: {', '.join(LABELS)}")
-            flat[run_pixels(runs, size)] = LABELS.index(name)
+            labels[mask_of(runs, size)] = LABELS.index(name)
     else:
-        where = stroke_pixels(event, size)
-        flat[where] = after_saying(flat[where], event.saying)
+        where = stroke_mask(event, size)
+        labels[where] = after_saying(labels[where], event.saying)
 
 
 def folded(events: Iterable[AnyEvent], size: tuple[int, int]) -> np.ndarray:

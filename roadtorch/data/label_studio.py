@@ -5,20 +5,22 @@ label_config.xml    the labelling interface that they are for
 """
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import Any
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any
 from urllib.parse import unquote
 
 import numpy as np
+from pydantic import Field, TypeAdapter
 
 from roadtorch.data.correction_labels import LABELS
 from roadtorch.data.corrections import Correction
 from roadtorch.data.cvat import COLOURS
+from roadtorch.data.imported import Byte, Imported, Side, imported
 from roadtorch.data.polygons import Polygon
-from roadtorch.errors import DatasetError
+from roadtorch.errors import shortened
 from roadtorch.io.atomic import make_folder, write_text
-from roadtorch.io.bounded import read_regular
 
 TASKS, CONFIG = "tasks.json", "label_config.xml"
 
@@ -65,70 +67,112 @@ def _results(labels: np.ndarray) -> Iterator[dict[str, Any]]:
             }
 
 
+# --- back ---------------------------------------------------------------------------------
+
+Percent = Annotated[float, Field(ge=-100, le=200)]  # of a side; what sticks out is cut off
+Names = Annotated[tuple[str, ...], Field(max_length=1)]
+
+
+class _Value(Imported):
+    rle: tuple[Byte, ...] | None = None
+    points: tuple[tuple[Percent, Percent], ...] | None = Field(default=None, min_length=1)
+    brushlabels: Names = ()
+    polygonlabels: Names = ()
+
+
+class _Region(Imported):
+    type: str = ""
+    original_height: Side | None = None
+    original_width: Side | None = None
+    value: _Value = _Value()
+
+
+class _Annotation(Imported):
+    result: tuple[_Region, ...] = ()
+    was_cancelled: bool = False
+
+
+class _Picture(Imported):
+    image: str = ""
+
+
+class _Task(Imported):
+    data: _Picture = _Picture()
+    annotations: tuple[_Annotation, ...] = ()
+    predictions: tuple[_Annotation, ...] = ()
+
+
+_TASKS: TypeAdapter[tuple[_Task, ...]] = TypeAdapter(tuple[_Task, ...])
+
+_UPLOAD = re.compile(r".*/upload/\d+/[0-9a-f]{8}-([^/]+)")
+"""Where the program keeps what was uploaded; sub-folders are lost there."""
+
+
 def read_label_studio(path: Path, sizes: Mapping[str, tuple[int, int]]) -> dict[str, np.ndarray]:
     """Labels uint8 (H,W) by the name of the picture, for those that are in ``sizes``.
 
-    path: of a folder with tasks.json, or of a file of any name. A task is for the picture whose
-    name its image ends with. What people annotated last counts, else the prediction. Raises
-    DatasetError for what is no list of tasks, for a region that does not fit its picture, and for
-    a label that is none of ours.
+    path: of a folder with tasks.json, or of a file of any name. What people annotated last
+    counts, else the prediction. Raises DatasetError for what is no list of tasks, without one for
+    any of the pictures, for two tasks of one picture, for a region that does not fit its picture,
+    and for a label that is none of ours.
     """
     path = path / TASKS if path.is_dir() else path
-    try:
-        tasks = json.loads(read_regular(path))
-    except OSError as problem:
-        raise DatasetError(path, f"cannot be read: {problem.strerror}", "export it anew") from None
-    except (ValueError, RecursionError) as problem:
-        raise DatasetError(path, f"is not JSON: {problem}", "export it anew") from None
-    if not isinstance(tasks, list) or not all(isinstance(task, dict) for task in tasks):
-        raise DatasetError(path, "is no list of tasks", "export as JSON from Label Studio")
-    found = {}
-    for task in tasks:
-        # Uploads carry a prefix: /data/upload/3/1f2e3d4c-NAME.
-        image = unquote(str((task.get("data") or {}).get("image", "")))
-        fitting = [name for name in sizes if image.endswith(name)]
-        if fitting:
-            name = max(fitting, key=len)
-            found[name] = _task_labels(task, sizes[name], path, name)
+    found, images = {}, {}
+    with imported(path, "export it anew from Label Studio, as JSON") as data:
+        for task in _TASKS.validate_json(data, strict=True):
+            image = task.data.image
+            if (name := _picture_of(image, sizes)) is None:
+                continue
+            if images.setdefault(name, image) != image:
+                raise ValueError(
+                    f"{shortened(images[name])} and {shortened(image)} are both {name}"
+                )
+            said = [one for one in task.annotations if not one.was_cancelled] or task.predictions
+            labels = found[name] = np.zeros(sizes[name], np.uint8)
+            for region in said[-1].result if said else ():
+                if region.type in REGIONS:
+                    _paint(labels, region, name)
+        if not found:
+            raise ValueError("no task is for any of the pictures")
     return found
 
 
-def _task_labels(
-    task: Mapping[str, Any], size: tuple[int, int], path: Path, name: str
-) -> np.ndarray:
-    labels = np.zeros(size, np.uint8)
-    said = task.get("annotations") or task.get("predictions") or [{}]
-    for region in said[-1].get("result") or []:
-        kind = region.get("type")
-        if kind not in REGIONS:
-            continue
-        value = region.get("value") or {}
-        label = ([*(value.get(kind) or []), ""])[0]
-        if label not in LABELS[1:]:
-            what = f"has the label {label!r} on {name}, which says nothing about the road"
-            raise DatasetError(path, what, f"name it one of {', '.join(LABELS[1:])}")
-        shape = (region.get("original_height"), region.get("original_width"))
-        if shape != size:
-            what = f"is for {shape[1]} by {shape[0]} pixels on {name}"
-            raise DatasetError(path, what, f"the picture has {size[1]} by {size[0]}")
-        _paint(labels, LABELS.index(label), kind, value, (path, name))
-    return labels
+def _picture_of(image: str, names: Collection[str]) -> str | None:
+    """The picture that a task's address ends with, whole parts of its path; None without one.
+
+    ValueError for an upload that could be either of two pictures.
+    """
+    path = unquote(image)
+    parts = re.split(r"[/=]", path)  # /data/local-files/?d=folder/NAME
+    ends = ("/".join(parts[at:]) for at in range(len(parts)))
+    if (name := next((end for end in ends if end in names), None)) is not None:
+        return name
+    if (upload := _UPLOAD.fullmatch(path)) is None:
+        return None
+    fitting = [name for name in names if PurePosixPath(name).name == upload[1]]
+    if len(fitting) > 1:
+        raise ValueError(f"the upload {upload[1]} could be {' or '.join(sorted(fitting)[:2])}")
+    return fitting[0] if fitting else None
 
 
-def _paint(
-    labels: np.ndarray, number: int, kind: str, value: Mapping[str, Any], where: tuple[Path, str]
-) -> None:
-    """Paint one region; polygons are in percent of the picture's sides."""
+def _paint(labels: np.ndarray, region: _Region, name: str) -> None:
+    """Paint one region into labels (H,W); polygons are in percent of the picture's sides."""
     height, width = labels.shape
-    try:
-        if kind == "brushlabels":
-            labels[unpacked_mask(value["rle"], (height, width))] = number
-            return
-        percent = np.array(value["points"], np.float64).reshape(-1, 2)
-        Polygon(percent.clip(-100, 200) * [width / 100, height / 100]).fill(labels, number)
-    except (KeyError, ValueError, TypeError, OverflowError) as problem:
-        what = f"has a region on {where[1]} that cannot be read: {problem}"
-        raise DatasetError(where[0], what, "export it anew") from None
+    value = region.value
+    label = next(iter(getattr(value, region.type)), "")
+    if label not in LABELS[1:]:
+        known = ", ".join(LABELS[1:])
+        raise ValueError(f"the label {label!r} on {name} says nothing about the road: use {known}")
+    if (region.original_height, region.original_width) != (height, width):
+        told = f"a region is for {region.original_width} by {region.original_height} pixels"
+        raise ValueError(f"{told}, {name} has {width} by {height}")
+    if region.type == "polygonlabels" and value.points:
+        corners = np.array(value.points) * [width / 100, height / 100]
+        Polygon(corners).fill(labels, LABELS.index(label))
+    elif region.type == "brushlabels" and value.rle is not None:
+        labels[unpacked_mask(value.rle, (height, width))] = LABELS.index(label)
+    else:
+        raise ValueError(f"a region on {name} is empty")
 
 
 # --- brush masks ------------------------------------------------------------------------
@@ -163,18 +207,18 @@ def unpacked_mask(data: Sequence[int], size: tuple[int, int]) -> np.ndarray:
     sizes = [bits.read(4) + 1 for _ in SIZES]
     if count != size[0] * size[1] * CHANNELS:
         raise ValueError(f"{count} values, not those of {size[1]} by {size[0]} pixels")
-    values = np.zeros(count, np.uint32)
+    values = np.zeros(count, np.bool_)
     place = 0
     while place < count:
         is_run = bits.read(1)
         length = bits.read(sizes[bits.read(2)]) + 1
         end = min(place + length, count)
         if is_run:
-            values[place:end] = bits.read(word)
+            values[place:end] = bits.read(word) > 0
         else:
-            values[place:end] = [bits.read(word) for _ in range(end - place)]
+            values[place:end] = [bits.read(word) > 0 for _ in range(end - place)]
         place = end
-    return values.reshape(*size, CHANNELS)[..., -1] > 0
+    return values.reshape(*size, CHANNELS)[..., -1]
 
 
 class _Bits:

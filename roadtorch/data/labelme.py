@@ -15,7 +15,7 @@ from pathlib import Path, PurePath
 
 from PIL.ExifTags import Base as ExifTag
 
-from roadtorch.data.annotations import Annotation, Drawing, read_annotation
+from roadtorch.data.annotations import Drawing, read_annotation
 from roadtorch.data.dataset import Dataset, Item, Truth
 from roadtorch.data.labels import is_picture
 from roadtorch.data.polygons import OTHER, ROAD, VOID, Agreement, agree, filled_shapes
@@ -29,8 +29,6 @@ ENDINGS = (".xml", ".json")
 AGREEMENTS = ("majority", "union", "intersection")
 
 TURNED = (5, 6, 7, 8)  # EXIF orientations that swap width and height
-
-MAX_OVERHANG = 1.0  # picture sizes that a shape may reach beyond it; ours: more is a mistake
 
 
 @dataclass(frozen=True)
@@ -60,12 +58,11 @@ class PolygonLabels:
         size = picture_size(item.image)
         by_user: dict[str, list[Drawing]] = {}
         for path in (item.label, *item.extra):
-            annotation = read_annotation(path)
-            _check_size(annotation, size, path)
+            drawings = read_annotation(path, size)
             owner = file_user(path, item.name, self.root)
             if owner:  # all of it is theirs, were it nothing
                 by_user.setdefault(owner, [])
-            for part in annotation.drawings:
+            for part in drawings:
                 by_user.setdefault(owner or part.user, []).append(part)
         if self.user is not None and self.user not in by_user:
             known = ", ".join(sorted(by_user)) or "nobody"
@@ -96,27 +93,6 @@ def picture_size(path: Path) -> tuple[int, int]:
         raise DatasetError(
             path, f"cannot be opened: {reason(problem)}", "replace the file"
         ) from None
-
-
-def _check_size(annotation: Annotation, size: tuple[int, int], path: Path) -> None:
-    """The file is for a picture of this size, and nothing lies far outside it.
-
-    Shapes may stick out of the picture, and are clipped.
-    """
-    height, width = size
-    if annotation.size not in (None, size):
-        rows, columns = annotation.size
-        what = f"is for {columns} by {rows} pixels, its picture has {width} by {height}"
-        raise DatasetError(path, what, "labels must have the size of the picture")
-    for part in annotation.drawings:
-        left, top, right, bottom = part.shape.bounds()
-        beside = max(-left, right - width) > MAX_OVERHANG * width
-        if beside or max(-top, bottom - height) > MAX_OVERHANG * height:
-            what = (
-                f"has an object {part.name!r} from ({left:g}, {top:g}) to ({right:g}, {bottom:g})"
-                f", far outside its picture of {width} by {height}"
-            )
-            raise DatasetError(path, what, "give coordinates in pixels of this picture")
 
 
 # --- finding the files ------------------------------------------------------------------

@@ -102,12 +102,13 @@ def is_picture(path: Path) -> bool:
 # --- reading ----------------------------------------------------------------------------
 
 
-def read_labels(path: Path) -> np.ndarray:
+def read_labels(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
     """The numbers (H,W) in a label picture; palette files keep their indices.
 
-    Raises DatasetError for a file that cannot be decoded or has different colour channels.
+    size: that it has to have, looked at before anything is decoded. Raises DatasetError for a
+    file of another size, that cannot be decoded or has different colour channels.
     """
-    labels = _read(path, None)
+    labels = _read(path, None, size)
     if labels.ndim == 3:
         grey = labels[..., 0]
         opaque = labels.shape[2] % 2 == 1 or (labels[..., -1] == 255).all()
@@ -118,17 +119,22 @@ def read_labels(path: Path) -> np.ndarray:
     return labels.astype(np.uint8) if labels.dtype == np.bool_ else labels
 
 
-def read_colours(path: Path) -> np.ndarray:
-    """The colours uint8 (H,W,3) of a label picture; DatasetError if it cannot be decoded."""
-    return _read(path, "RGB")
+def read_colours(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
+    """The colours uint8 (H,W,3) of a label picture; size and errors as for ``read_labels``."""
+    return _read(path, "RGB", size)
 
 
-def _read(path: Path, mode: str | None) -> np.ndarray:
+def _read(path: Path, mode: str | None, size: tuple[int, int] | None) -> np.ndarray:
     try:
         with open_picture(read_regular(path)) as picture, without_warnings():
+            if size not in (None, (picture.height, picture.width)):
+                what = f"has {picture.width} by {picture.height} pixels"
+                raise DatasetError(path, what, f"its picture has {size[1]} by {size[0]}")
             return np.asarray(picture.convert(mode) if mode else picture)
     except FileNotFoundError:
         raise DatasetError(path, "is missing", "every picture needs its label file") from None
+    except DatasetError:
+        raise
     except Exception as problem:
         what = f"cannot be decoded: {reason(problem)}"
         raise DatasetError(path, what, "replace the file") from None

@@ -1,4 +1,4 @@
-"""The two detectors with which P1 compares its own: floors worth having."""
+"""The two detectors with which P1 compares its own: baselines worth having."""
 
 from collections.abc import Mapping
 

@@ -14,7 +14,6 @@ from roadtorch.detector import Detector, DetectorSettings, Entry
 from roadtorch.detectors import (
     baselines,
     fusion,
-    large_fusion,
     layout,
     oneclass,
     priors,
@@ -22,6 +21,7 @@ from roadtorch.detectors import (
     ufl,
 )
 from roadtorch.errors import ConfigError, unknown_name
+from roadtorch.io.image import Order
 from roadtorch.runtime.plugins import load_plugins
 from roadtorch.settings import merge
 
@@ -29,7 +29,6 @@ ENTRY_POINT_GROUP = "roadtorch.detectors"
 
 ENTRIES: tuple[Entry, ...] = (
     *fusion.ENTRIES,
-    *large_fusion.ENTRIES,
     *layout.ENTRIES,
     *texture.ENTRIES,
     *ufl.ENTRIES,
@@ -40,31 +39,44 @@ ENTRIES: tuple[Entry, ...] = (
 """All detectors of this package."""
 
 
-def load_detector(name: str, *, camera: Camera | None = None, **settings: Any) -> Detector:
+def load_detector(
+    name: str, *, camera: Camera | None = None, order: Order | None = None, **settings: Any
+) -> Detector:
     """Make a detector; settings that are not given keep their defaults.
 
     Nested settings are dictionaries: ``load_detector("cpf", texture={"bins": 64})``.
     camera: the one whose pictures it will see, such as ``Camera.read("camera.toml")``; it sets
     the ego car and, where the detector has one, the horizon, unless they are given.
+    order: of the colours of the NumPy arrays it will see: ``"bgr"`` of OpenCV's, else ``"rgb"``.
     Raises ConfigError for an unknown name or key and for values that are not allowed.
+
+        >>> from roadtorch import load_detector
+        >>> detector = load_detector("fusion", threshold=0.6)
+        >>> detector("street.jpg").mask.shape
+        torch.Size([240, 320])
     """
     entry = detector_entry(name)
     if camera is not None:
         settings = merge(camera.settings_for(entry.settings), settings)
-    return Detector(entry, entry.configured(settings)).eval()
+    return Detector(entry, entry.configured(settings), order).eval()
 
 
 def list_detectors(pattern: str | None = None) -> list[str]:
     """What there is to compare, sorted: every detector, and of a grid of hundreds its name alone.
 
     With a pattern (``cpf*``) the detectors that it fits: those of a grid only where it begins
-    with their family (``oneclass:*:HS``), so that ``*`` does not mean hundreds of combinations.
+    with their family (``oneclass:*:HS``) and ends with their preset (``oneclass:*:paper``), so
+    that ``*`` does not mean hundreds of combinations.
     Detectors of other packages are among them. Raises ConfigError for a pattern that fits none.
+
+        >>> from roadtorch import list_detectors
+        >>> list_detectors("prior:t*")
+        ['prior:triangle']
     """
     if pattern is None:
         return list(detector_groups())
     fitting = [detector_entry(name) for name in fnmatch.filter(sorted(_catalogue()), pattern)]
-    found = [one for one in fitting if not one.grid or pattern.startswith(one.grid.family)]
+    found = [one for one in fitting if not one.grid or one.grid.fits(pattern)]
     if not fitting:
         raise unknown_detector(pattern)
     if not found:
@@ -102,7 +114,7 @@ def unknown_detector(name: str) -> ConfigError:
         if name in grid.refused:
             return ConfigError(name, grid.refused[name], f"choose another {grid.name}")
     if name in grids:
-        remedy = f"name one; '{grids[name].family}*' lists them"
+        remedy = f"name one; '{grids[name].wildcard}' lists them"
         return ConfigError(name, "stands for many detectors", remedy)
     return unknown_name("detector", name, _catalogue(), detector_groups())
 

@@ -8,18 +8,23 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings, lean
+from roadtorch.detector import (
+    TUNED,
+    Entry,
+    Outlines,
+    Threshold,
+    WorkingSettings,
+    lean,
+)
 from roadtorch.imaging.color import brightened
 from roadtorch.imaging.resize import WorkingSize
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, Share, pooled
 from roadtorch.layout.labeller import EXPOSURE, HorizonSettings, decide_layout, segment_layout
 from roadtorch.layout.patch_network import PatchNetwork
-from roadtorch.layout.picture_network import PictureNetwork
-from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of
+from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of, picture_network_of
 from roadtorch.road.ego import continued, ego_found, is_anywhere
 from roadtorch.road.fusion import (
     RULES,
-    centred_odds,
     fused_log_odds,
     likelihood_product,
     log_odds,
@@ -53,35 +58,26 @@ from roadtorch.superpixels.slic import Superpixels
 class LearnedRoad(Settings):
     """How much the road is trusted that the network has learned: weights of its log odds."""
 
-    weight: float = Field(default=0.5, ge=0, le=10, description="in the mean of each superpixel")
-    detail: float = Field(default=0.5, ge=0, le=10, description="pixel by pixel, at the end")
+    weight: float = Field(default=1.0, ge=0, le=10, description="in the mean of each superpixel")
+    detail: float = Field(default=4.0, ge=0, le=10, description="pixel by pixel, at the end")
 
 
 class RoadCalibration(Settings):
-    """What makes 0.5 mean as likely road as not on any camera, in log odds.
+    """What makes 0.5 mean as likely road as not on any camera, and other values what they say.
 
-    See ``centred_odds``.
+    Platt scaling: what is found depends on evidence that is not independent, and says too much.
     """
 
     removed: ClassVar[Mapping[str, str]] = {
-        "temperature": "leave it out: log odds stay as they are"
+        "own": "leave it out: what parts the very picture (Otsu) has no part any more"
     }
 
-    centre: float = Field(default=-0.75, ge=-20, le=20, description="what parts road in most")
-    own: float = Field(
-        default=0.25, ge=0, le=1, description="share of what parts this very picture (Otsu)"
+    centre: float = Field(
+        default=-1.5, ge=-20, le=20, description="log odds that part road in most pictures"
     )
-
-
-class FusedTexture(Settings):
-    """What the fused detectors can be told of colour plane fusion."""
-
-    removed: ClassVar[Mapping[str, str]] = dict.fromkeys(
-        ("planes", "ridge", "tail", "even"),
-        "leave it out: fusion has the defaults of cpf, which can be told it",
+    temperature: float = Field(
+        default=5.0, gt=0, le=100, description="by which log odds are divided then"
     )
-
-    bins: int = Field(default=64, ge=2, le=4096, description="levels of the histograms")
 
 
 class UntrainedFusionSettings(WorkingSettings):
@@ -90,12 +86,12 @@ class UntrainedFusionSettings(WorkingSettings):
     removed: ClassVar[Mapping[str, str]] = {
         "road": "leave it out: its numbers are constants of roadtorch.road.fusion now",
         "saturation": "leave it out: its numbers are constants now; cpf:v2 can be told them",
+        "texture": "leave it out: fusion has the defaults of cpf, which can be told it",
     }
 
     threshold: Threshold = Field(default=0.39, description=TUNED)
     superpixels: Superpixels = Superpixels()
     labeller: HorizonSettings = HorizonSettings()
-    texture: FusedTexture = FusedTexture()
 
 
 class FusionSettings(UntrainedFusionSettings):
@@ -107,8 +103,15 @@ class FusionSettings(UntrainedFusionSettings):
 
     threshold: Threshold = 0.5
     working: WorkingSize = WorkingSize(pixels=240 * 180)
+    outlines: Outlines = "guided"
     superpixels: Superpixels = Superpixels(pixels=144)
     weights: WeightsFile = WeightsFile()
+    network_scale: float = Field(
+        default=1.0,
+        ge=0.5,
+        le=4,
+        description="size at which the network sees pictures, against that at which it learned",
+    )
     share: Share = 0.8
     learned: LearnedRoad = LearnedRoad()
     calibration: RoadCalibration = RoadCalibration()
@@ -119,7 +122,7 @@ class PaperFusionSettings(WorkingSettings):
     """P2 as it is written: CNN-7, colour plane fusion over superpixels, a uniform prior.
 
     P2 combines CNN-7 with CPF, and shows CPFv2 beside it (Fig. 6a); it names the prior of eq. 4
-    and tests a uniform one alone. The other two priors are our floors.
+    and tests a uniform one alone. The other two priors are baselines of ours.
     """
 
     threshold: Threshold = Field(default=0.258, description=TUNED)
@@ -157,7 +160,7 @@ class UntrainedFusion(nn.Module):
         street = look_at(image, self.settings)
         labels, ground = street.labels, street.layout[:, HORIZONTAL]
         seed = seed_rectangle(labels.shape, self.settings.seed_area).to(image.device)
-        nearby = seen_from(street, seed, seed_segments(labels, seed), self.settings.texture)
+        nearby = seen_from(street, seed, seed_segments(labels, seed))
         road = segment_road(street.segments, ground, nearby.near, nearby.even)
         return {
             "likelihood": paint(road, labels),
@@ -178,7 +181,7 @@ class Fusion(nn.Module):
     def __init__(self, settings: FusionSettings) -> None:
         super().__init__()
         self.settings = settings
-        self.network = network_of(settings.weights, FOR_PICTURES, PictureNetwork)
+        self.network = picture_network_of(settings.weights, FOR_PICTURES, settings.network_scale)
 
     @lean
     def forward(self, image: Tensor) -> Mapping[str, Tensor | Callable[[], Tensor]]:
@@ -202,7 +205,7 @@ class Fusion(nn.Module):
             settings.seed_area.share,
         )
         seed = sources[labels]
-        nearby = seen_from(street, seed, sources.nonzero()[:, 0], settings.texture)
+        nearby = seen_from(street, seed, sources.nonzero()[:, 0])
         road = segment_road(
             segments,
             layout[HORIZONTAL],
@@ -213,7 +216,7 @@ class Fusion(nn.Module):
         odds = fused_log_odds([paint(road, labels), learned["road"]], [1, settings.learned.detail])
         calibration = settings.calibration
         return {
-            "likelihood": centred_odds(odds, calibration.centre, calibration.own).sigmoid(),
+            "likelihood": ((odds - calibration.centre) / calibration.temperature).sigmoid(),
             "layout": partial(
                 pooled_layout, street.layout, labels, learned["layout"], settings.share
             ),
@@ -272,13 +275,13 @@ class Nearby(NamedTuple):
     cues: Mapping[str, Tensor | Callable[[], Tensor]]
 
 
-def seen_from(street: Street, seed: Tensor, sources: Tensor, texture: FusedTexture) -> Nearby:
+def seen_from(street: Street, seed: Tensor, sources: Tensor) -> Nearby:
     """Texture and distance of a street's segments, seen from its seed area.
 
     seed: bool (H,W); sources: numbers (k,) of its segments.
     """
     segments, labels = street.segments, street.labels
-    settings = TextureSettings(bins=texture.bins)
+    settings = TextureSettings()
     fused, uniformity, clipped = unsaturated_uniformity(
         street.image, labels, seed, settings, SATURATION
     )
@@ -338,6 +341,12 @@ def described(
     return unsaturated_uniformity(image, labels, seed, settings.texture, settings.saturation)[:2]
 
 
+FROM_SCRATCH = {
+    "learned": {"weight": 1.0, "detail": 0.5},
+    "calibration": {"centre": -0.75, "temperature": 1.0},
+}
+"""How far networks are trusted that began with random weights (train/calibrate.py)."""
+
 ENTRIES = (
     Entry(
         "fusion",
@@ -350,8 +359,26 @@ ENTRIES = (
         "the same with weights for research and private use",
         FusionSettings,
         Fusion,
-        # They have seen more pictures, and are trusted more.
-        values={"weights": {"file": "layout"}, "learned": {"weight": 1.0}},
+        values={"weights": {"file": "layout"}, **FROM_SCRATCH},
+    ),
+    Entry(
+        "fusion:scratch",
+        "the same with a network that has seen no label of any kind, not even ImageNet's",
+        FusionSettings,
+        Fusion,
+        values={"weights": {"file": "layout-free"}, **FROM_SCRATCH},
+    ),
+    Entry(
+        "fusion:large",
+        "the same at half again the size: twice the time, more often right",
+        FusionSettings,
+        Fusion,
+        values={
+            "network_scale": 1.5,
+            "calibration": {"centre": -1.0},
+            "working": {"pixels": 320 * 240},
+            "superpixels": {"pixels": 256},
+        },
     ),
     Entry(
         "fusion:untrained",

@@ -7,8 +7,7 @@ from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings, lean
 from roadtorch.layout.classes import HORIZONTAL, Share, pooled
 from roadtorch.layout.labeller import HorizonSettings, decide_layout, label_whole
 from roadtorch.layout.patch_network import PatchNetwork
-from roadtorch.layout.picture_network import PictureNetwork
-from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of
+from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of, picture_network_of
 from roadtorch.superpixels.slic import Superpixels
 
 
@@ -74,7 +73,7 @@ class Layout(nn.Module):
     def __init__(self, settings: LayoutSettings) -> None:
         super().__init__()
         self.settings = settings
-        self.network = network_of(settings.weights, FOR_PICTURES, PictureNetwork)
+        self.network = picture_network_of(settings.weights, FOR_PICTURES)
 
     @lean
     def forward(self, image: Tensor) -> dict[str, Tensor]:

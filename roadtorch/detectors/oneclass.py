@@ -40,6 +40,17 @@ GRID = DetectorGrid(
     },
 )
 
+PAPER = DetectorGrid(
+    "oneclass:<classifier>:<planes>:paper",
+    "those of which the default is ours, as P3 has them to the letter",
+    {
+        f"{_name(classifier, planes)}:paper": "is P3's to the letter without that"
+        for classifier in CLASSIFIERS.values()
+        for planes in REPRESENTATIONS
+        if not classifier.paper
+    },
+)
+
 PIXELS = 640 * 480
 """Of P3's pictures, as far as is known."""
 
@@ -133,19 +144,19 @@ class OneClass(nn.Module):
 def _entries() -> Iterator[Entry]:
     for classifier in CLASSIFIERS.values():
         for planes in REPRESENTATIONS:
-            if _name(classifier, planes) not in GRID.refused:
-                yield _entry(classifier, planes)
-
-
-def _entry(classifier: Classifier, planes: str) -> Entry:
-    return Entry(
-        _name(classifier, planes),
-        f"{classifier.summary}, in {planes} (Álvarez 2014)",
-        settings_of(classifier),
-        partial(OneClass, classifier=classifier, planes=planes),
-        GRID,
-    )
+            name = _name(classifier, planes)
+            summary = f"{classifier.summary}, in {planes} (Álvarez 2014)"
+            build = partial(OneClass, classifier=classifier, planes=planes)
+            if name not in GRID.refused:
+                yield Entry(name, summary, settings_of(classifier), build, GRID)
+            if classifier.paper:
+                letter = f"{summary}, to the letter"
+                values = {"classifier": classifier.paper}
+                yield Entry(
+                    f"{name}:paper", letter, settings_of(classifier), build, PAPER, values=values
+                )
 
 
 ENTRIES = tuple(_entries())
-"""The 310 detectors: 17 classifiers on 19 representations, but PCA on a single plane."""
+"""17 classifiers on 19 representations, but PCA on a single plane: 310. And of the five whose
+defaults are ours P3's own."""

@@ -1,15 +1,23 @@
-"""An evaluation as metrics.json has it, and what a later run reads back of one."""
+"""An evaluation as metrics.json and curves.json have it, and what a later run reads back."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
+
+import torch
+from pydantic import BaseModel, Field, ValidationError
+from torch import Tensor
 
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.evaluation.measure import Figures, Measure
+from roadtorch.evaluation import curves
+from roadtorch.evaluation.curves import Curve
+from roadtorch.evaluation.measure import Figures, Measure, Trusted
 from roadtorch.evaluation.methods import Method
+from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.result import DetectorFigures, Evaluation
+from roadtorch.evaluation.tally import WHOLE, Tally, trusted, vertical_roc
+from roadtorch.evaluation.trust import ideal_risk_coverage, risk_coverage
 from roadtorch.io.bounded import read_regular, reason
 from roadtorch.version import __version__
 
@@ -31,7 +39,16 @@ def document(evaluation: Evaluation, command: str) -> dict[str, Any]:
         "detectors": {
             name: _detector(one, measures) for name, one in evaluation.detectors.items()
         },
-        "paired": _paired(evaluation),
+        "paired": {
+            "against": evaluation.comparison.against,
+            "detectors": {
+                name: {
+                    key.replace("/", "_"): {"difference": change.value, "ci95": change.interval}
+                    for key, change in changes.items()
+                }
+                for name, changes in evaluation.comparison.differences.items()
+            },
+        },
     })  # fmt: skip
 
 
@@ -58,7 +75,7 @@ def _detector(one: DetectorFigures, measures: Sequence[Measure]) -> dict[str, An
     if one.conditions:
         content["conditions"] = {name: _levels(part) for name, part in one.conditions.items()}
     content["ci95"] = {
-        measure.flat_key: one.intervals[measure.key]
+        measure.key.replace("/", "_"): one.intervals[measure.key]
         for measure in measures
         if measure.key in one.intervals
     }
@@ -82,20 +99,6 @@ def _levels(figures: Figures) -> dict[str, Any]:
     return levels
 
 
-def _paired(evaluation: Evaluation) -> dict[str, Any]:
-    flat = {measure.key: measure.flat_key for measure in evaluation.measures}
-    return {
-        "against": evaluation.comparison.against,
-        "detectors": {
-            name: {
-                flat[key]: {"difference": change.value, "ci95": change.interval}
-                for key, change in changes.items()
-            }
-            for name, changes in evaluation.comparison.differences.items()
-        },
-    }
-
-
 def defined(value: Any) -> Any:
     """The same with None for every NaN, as JSON wants it."""
     if isinstance(value, Mapping):
@@ -105,7 +108,111 @@ def defined(value: Any) -> Any:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
+# --- curves.json --------------------------------------------------------------------------
+
+
+STEPS = 200  # of FPR and of recall, in the mean over groups
+MAX_POINTS = 400  # points of a curve
+DIGITS = 6
+
+Curves = Mapping[str, Sequence[Sequence[float]] | None]
+"""Lists of coordinates by kind of curve; None where a curve is not defined.
+
+``roc`` (FPR, TPR) and ``pr`` (recall, precision) of pooled counts, ``reliability`` (predicted,
+observed, share of pixels); of groups also P3's averages over pictures, ``roc_vertical`` and
+``roc_threshold``; of all pictures, where the detector has trust, ``risk`` and
+``risk_ideal`` (coverage, mean 1 - F).
+"""
+
+
+class DetectorCurves(TypedDict):
+    """The curves of one detector, as curves.json has them."""
+
+    mean: Curves
+    groups: Mapping[str, Curves]
+
+
+RunCurves = Mapping[str, DetectorCurves]
+"""By detector."""
+
+
+def group_curves(tally: Tally, counting: Sequence[str]) -> DetectorCurves:
+    """Curves of one detector: ``mean`` over the groups that count, and ``groups`` by group."""
+    groups = {group: _curves_of(tally, group) for group in counting}
+    risk = risk_curves(trusted(tally.kept(counting)))
+    if list(groups) == [WHOLE]:
+        return {"mean": {**groups[WHOLE], **risk}, "groups": {}}
+    counts = [tally.road[group] for group in counting]
+    bins = torch.tensor([one["reliability"] for one in groups.values()], dtype=torch.float64)
+    mean: Curves = {
+        "roc": _lists(mean_roc(counts)),
+        "pr": _lists(mean_precision(counts)),
+        "reliability": _rounded(bins.nanmean(0)),
+        **risk,
+    }
+    return {"mean": mean, "groups": groups}
+
+
+def _curves_of(tally: Tally, group: str) -> Curves:
+    counts, vertical = tally.road[group], vertical_roc(tally, [group])
+    bins = curves.reliability(counts)
+    return {
+        "roc": _thinned(curves.roc(counts)),
+        "pr": _thinned(curves.precision_recall(counts)),
+        "reliability": [_rounded(each) for each in (bins.predicted, bins.observed, bins.share)],
+        "roc_vertical": None if vertical is None else _lists(vertical),
+        "roc_threshold": _thinned(curves.threshold_average(tally.kept([group]).road)),
+    }
+
+
+def risk_curves(pictures: Trusted | None) -> Curves:
+    """Risk over coverage as trust orders the pictures, and the ideal one; empty without trust."""
+    if pictures is None:
+        return {}
+    return {
+        "risk": _thinned(risk_coverage(pictures.trust, pictures.f)),
+        "risk_ideal": _thinned(ideal_risk_coverage(pictures.f)),
+    }
+
+
+def mean_roc(groups: Sequence[RoadCounts]) -> Curve:
+    """Vertical average of the groups' pooled curves: each group weighs the same."""
+    rates = torch.stack([curves.vertical_sample(counts, STEPS) for counts in groups])
+    return curves.vertical_average(rates.nanmean(0))
+
+
+def mean_precision(groups: Sequence[RoadCounts]) -> Curve:
+    """Mean over groups of the best precision at a recall or above (as in KITTI's AP)."""
+    recalls, rows = torch.linspace(0, 1, STEPS + 1, dtype=torch.float64), []
+    for curve in map(curves.precision_recall, groups):
+        best = curve.y.flip(0).cummax(0).values.flip(0)
+        place = torch.searchsorted(curve.x, recalls).clamp(max=len(best) - 1)
+        rows.append(best[place].where(~curve.x[-1].isnan(), torch.nan))  # without road
+    return Curve(recalls, torch.stack(rows).nanmean(0))
+
+
+def _thinned(curve: Curve) -> list[list[float]]:
+    return _lists(curves.thin(curve, MAX_POINTS))
+
+
+def _lists(curve: Curve) -> list[list[float]]:
+    return [_rounded(curve.x), _rounded(curve.y)]
+
+
+def _rounded(values: Tensor) -> Any:
+    return values.to(torch.float64).mul(10**DIGITS).round().div(10**DIGITS).tolist()
+
+
 # --- thresholds of an earlier run -------------------------------------------------------
+
+
+class _EarlierFigures(BaseModel):
+    maxf_threshold: float | None = Field(ge=0, le=1, allow_inf_nan=False)
+    settings: dict[str, Any] = {}
+
+
+class _EarlierRun(BaseModel):
+    detectors: dict[str, _EarlierFigures]
 
 
 def earlier_thresholds(path: Path, methods: Sequence[Method]) -> dict[str, float]:
@@ -114,42 +221,21 @@ def earlier_thresholds(path: Path, methods: Sequence[Method]) -> dict[str, float
     path: its metrics.json. Raises InputError for another file; ConfigError when the run has
     no such detector, or it had other settings: a threshold means nothing for another detector.
     """
-    earlier = _read_thresholds(path)
-    return {one.name: _threshold_for(one, path, earlier) for one in methods}
-
-
-def _read_thresholds(path: Path) -> dict[str, tuple[float, Mapping[str, Any]]]:
-    """Detector → (threshold, settings)."""
     try:
-        detectors = json.loads(read_regular(path).decode())["detectors"]
-        return {
-            name: (_share(figures["maxf_threshold"]), dict(figures.get("settings", {})))
-            for name, figures in detectors.items()
-            if figures["maxf_threshold"] is not None
-        }
-    except (OSError, UnicodeDecodeError) as problem:
+        earlier = _EarlierRun.model_validate_json(read_regular(path)).detectors
+    except OSError as problem:
         what = f"cannot be read: {reason(problem)}"
         raise InputError(path, what, "give a metrics.json") from None
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
+    except ValidationError:
         raise InputError(path, "is not a metrics.json", "give one that evaluate wrote") from None
-
-
-def _share(value: Any) -> float:
-    """A number in [0,1]; ValueError or TypeError for anything else, NaN among it."""
-    if not 0 <= float(value) <= 1:
-        raise ValueError("not in [0,1]")
-    return float(value)
-
-
-def _threshold_for(
-    method: Method, path: Path, earlier: Mapping[str, tuple[float, Mapping[str, Any]]]
-) -> float:
-    name = method.name
-    if name not in earlier:
-        remedy = f"it has {', '.join(sorted(earlier))}"
-        raise ConfigError(path, f"has no threshold for {name}", remedy)
-    threshold, settings = earlier[name]
-    if settings != method.settings:
-        what = f"chose the threshold of {name} with other settings"
-        raise ConfigError(path, what, "run both with the same --set")
-    return threshold
+    chosen: dict[str, float] = {}
+    for name, settings in ((one.name, one.settings) for one in methods):
+        threshold = earlier[name].maxf_threshold if name in earlier else None
+        if threshold is None:
+            known = sorted(key for key, one in earlier.items() if one.maxf_threshold is not None)
+            raise ConfigError(path, f"has no threshold for {name}", f"it has {', '.join(known)}")
+        if earlier[name].settings != settings:
+            what = f"chose the threshold of {name} with other settings"
+            raise ConfigError(path, what, "run both with the same --set")
+        chosen[name] = threshold
+    return chosen

@@ -1,22 +1,35 @@
-"""Score detectors on a labelled set: every picture once, then figures and comparisons."""
+"""Score detectors on a labelled set: every picture once, then figures and comparisons.
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+A run that is interrupted goes on where it was: its counts so far are in one file.
+"""
+
+import hashlib
+import io
+import json
+import math
+import time
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from roadtorch.data.dataset import Dataset, every_kth
-from roadtorch.errors import DatasetError, unknown_name
+from roadtorch.detectors.catalogue import detector_entry
+from roadtorch.errors import ConfigError, DatasetError, UnscorableError, unknown_name
+from roadtorch.evaluation import metrics
 from roadtorch.evaluation.document import earlier_thresholds
 from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.methods import Method, methods_for
-from roadtorch.evaluation.progress import SavedTallies, fingerprint
-from roadtorch.evaluation.result import Evaluation, Failure
+from roadtorch.evaluation.metrics import RoadCounts
+from roadtorch.evaluation.result import Evaluation, Failure, held_out_thresholds, summarise
 from roadtorch.evaluation.scoring import score
-from roadtorch.evaluation.summary import summarise
 from roadtorch.evaluation.tally import Scored, Tally
 from roadtorch.evaluation.uncertainty import best_of, compare, intervals, resample
+from roadtorch.io.atomic import atomic
+from roadtorch.settings import Settings
 
 Watch = Callable[[Iterator[Scored], int, int], Iterable[Scored]]
 """Results as they come, how many pictures were done before, of how many → the same results."""
@@ -56,7 +69,7 @@ def evaluate(
     and may raise to interrupt.
 
     Raises ConfigError for what can be refused before the run, DatasetError when no picture
-    could be scored.
+    could be scored, UnscorableError when no label has any road.
     """
     methods = methods_for(dataset, detectors, settings or {}, maps or {}, mean_from)
     given = earlier_thresholds(threshold_from, methods) if threshold_from else {}
@@ -121,4 +134,168 @@ def count_all(
         first = failures[0].reason if failures else "all groups are left out"
         what = f"none of its {total} pictures could be scored; the first: {first}"
         raise DatasetError(dataset.root, what, "mend that first")
+    roads = [road for tally in saved.tallies.values() for road in tally.sums["road"].values()]
+    if not any(bool(road[0].any()) for road in roads):
+        what = "there is no road in any label"
+        raise UnscorableError(dataset.root, what, "check which numbers mean road in this set")
     return saved.tallies, failures
+
+
+# --- a run that is interrupted ----------------------------------------------------------
+
+
+FILE = "progress.pt"
+SAVE_EVERY = 20.0  # seconds of work that a power cut may cost, at least
+SAVING = 0.05  # the share of the time that saving may take: hundreds of detectors are a gigabyte
+REMEDY = "run it as before, or give another --out, or remove that file"
+
+
+def fingerprint(dataset: Dataset, methods: Sequence[Method]) -> str:
+    """What makes two runs the same: pictures, labels, detectors with settings, and our code."""
+    files = [
+        (item.name, item.group, *(_stamp(path) for path in (item.image, item.label)))
+        for item in dataset.items
+    ]
+    code = sorted(Path(__file__).parents[1].rglob("*.py"))
+    about = [(one.name, one.settings, one.threshold) for one in methods]
+    groups = sorted(dataset.left_out)  # they teach prior:mean nothing
+    parts = [dataset.name, dataset.split, files, groups, about, [_stamp(path) for path in code]]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def _stamp(path: Path) -> tuple[str, int, int]:
+    stat = path.stat() if path.exists() else None
+    return str(path), stat.st_size if stat else -1, stat.st_mtime_ns if stat else -1
+
+
+class SavedTallies:
+    """The tallies of a run, saved now and then if there is a folder to save in.
+
+    Raises ConfigError for a file that another run left there, or that is not the one that was
+    saved: before its bytes stands their SHA-256.
+    """
+
+    def __init__(self, folder: Path | None, run: str) -> None:
+        self.path = folder / FILE if folder else None
+        self.run = run
+        self.tallies: dict[str, Tally] = {}
+        self._saved, self._pause = time.monotonic(), SAVE_EVERY
+        if self.path and self.path.is_file():
+            try:
+                content = self.path.read_bytes()
+                if hashlib.sha256(content[32:]).digest() != content[:32]:
+                    raise ValueError("damaged")
+            except (OSError, ValueError):
+                what = "is not the progress of a run, or damaged"
+                raise ConfigError(self.path, what, REMEDY) from None
+            saved = torch.load(io.BytesIO(content[32:]), weights_only=True)
+            if saved["run"] != run:
+                what = "holds the beginning of another run (other pictures, settings or code)"
+                raise ConfigError(self.path, what, REMEDY)
+            self.tallies = {name: Tally(**parts) for name, parts in saved["tallies"].items()}
+
+    def add(self, result: Scored) -> None:
+        """Count one more picture, if it could be scored; save if the last time is a while ago."""
+        for name, counts in result.scores.items():
+            self.tallies.setdefault(name, Tally()).add(result.item, counts)
+        if time.monotonic() - self._saved > self._pause:
+            self.save()
+
+    def sort(self, names: Sequence[str]) -> None:
+        """Bring the pictures' rows into the order of the set, however the run came about."""
+        for tally in self.tallies.values():
+            tally.sort(names)
+
+    @property
+    def done(self) -> Collection[str]:
+        """The names of the pictures that are counted."""
+        first = next(iter(self.tallies.values()), Tally())
+        return {name for name, _ in first.pictures}
+
+    def save(self) -> None:
+        """Write everything counted so far, whole or not at all."""
+        if self.path is None or not self.tallies:
+            return
+        start, file = time.monotonic(), io.BytesIO()
+        tallies = {name: vars(tally) for name, tally in self.tallies.items()}
+        torch.save({"run": self.run, "tallies": tallies}, file)
+        with atomic(self.path) as temporary:
+            temporary.write_bytes(hashlib.sha256(file.getvalue()).digest() + file.getvalue())
+        self._saved = time.monotonic()
+        self._pause = max(SAVE_EVERY, (self._saved - start) / SAVING)
+
+
+def forget(folder: Path) -> None:
+    """Remove what a run saved in a folder: its results are safe, and a new run starts anew."""
+    (folder / FILE).unlink(missing_ok=True)
+
+
+# --- the threshold of a config -----------------------------------------------------------
+
+
+DIGITS = 3  # of a threshold in a config
+
+
+@dataclass(frozen=True)
+class ThresholdChoice:
+    """What was chosen for one detector, and how it does.
+
+    default: the threshold until now. f_default: mean over the groups there.
+    f, iou: mean over the groups at the chosen threshold, which these very pictures chose.
+    f_held_out, iou_held_out: each group at the threshold of the others, NaN without groups.
+    """
+
+    detector: str
+    settings: Settings
+    threshold: float
+    default: float
+    f_default: float
+    images: int
+    f: float
+    iou: float
+    f_held_out: float
+    iou_held_out: float
+
+
+def choose_threshold(
+    evaluation: Evaluation, name: str, settings: Mapping[str, Any]
+) -> ThresholdChoice:
+    """Choose the threshold with the highest F, averaged over groups, to three digits.
+
+    settings: those that the run gave to the detector. Raises DatasetError when no picture
+    shows road.
+    """
+    tally = evaluation.tallies[name]
+    groups = {group: tally.road[group] for group in evaluation.detectors[name].counting}
+    best = evaluation.detectors[name].best_threshold
+    if math.isnan(best):
+        raise DatasetError(evaluation.dataset.root, "shows no road", "give pictures with road")
+    threshold = round(best, DIGITS)
+    entry = detector_entry(name)
+    default = entry.configured({}).threshold
+    held_out = held_out_thresholds(groups) if len(groups) > 1 else {}
+    return ThresholdChoice(
+        name,
+        entry.configured({**settings, "threshold": threshold}),
+        threshold,
+        default,
+        _mean_figures(groups, dict.fromkeys(groups, default))[0],
+        sum(group in groups for _, group in tally.pictures),
+        *_mean_figures(groups, dict.fromkeys(groups, threshold)),
+        *_mean_figures(groups, held_out),
+    )
+
+
+def _mean_figures(
+    groups: Mapping[str, RoadCounts], thresholds: Mapping[str, float]
+) -> tuple[float, float]:
+    """F and IoU at each group's threshold, averaged over the groups with road; NaN without any."""
+    outcomes = [
+        metrics.decisions_at(groups[group], threshold)
+        for group, threshold in thresholds.items()
+        if not math.isnan(threshold) and groups[group].road.sum() > 0
+    ]
+    if not outcomes:
+        return math.nan, math.nan
+    f, iou = ([float(of(one)) for one in outcomes] for of in (metrics.f_measure, metrics.iou))
+    return sum(f) / len(f), sum(iou) / len(iou)

@@ -97,14 +97,14 @@ class Measure:
         """The name on one line."""
         return self.name.replace("\n/", "/").replace("\n", " ")
 
-    @property
-    def flat_key(self) -> str:
-        """The key where metrics.json has no levels: among intervals and differences."""
-        return self.key.replace("/", "_")
-
     def of(self, figures: Figures) -> float:
         """The number among a part's figures; NaN where it is undefined or not there."""
         return figures.get(self.key, math.nan)
+
+    def known(self, parts: Mapping[str, Figures]) -> dict[str, float]:
+        """The numbers by part, of the parts in which it is defined."""
+        values = {name: self.of(figures) for name, figures in parts.items()}
+        return {name: value for name, value in values.items() if not math.isnan(value)}
 
     def best(self, values: Iterable[float]) -> float | None:
         """The best of several values; None without any, and where none is better."""

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from roadtorch.evaluation import boundary, calibration, curves, metrics
+from roadtorch.evaluation import boundary, curves, metrics
 from roadtorch.evaluation.measure import Formula, Measure, Part
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
 from roadtorch.evaluation.trust import TRUST
@@ -43,10 +43,6 @@ def _of_mask(figure: Callable[[Decisions], Tensor]) -> Formula:
 def _of_roc(figure: Callable[[curves.Curve], Tensor]) -> Formula:
     """Of the average curve of the pictures; NaN without a picture that has one."""
     return lambda part: math.nan if part.roc is None else figure(part.roc)
-
-
-def _eer(counts: RoadCounts) -> Tensor:
-    return curves.equal_error_rate(curves.operating_points(counts))
 
 
 # --- the road ---------------------------------------------------------------------------
@@ -165,7 +161,7 @@ SCORES = (
         "eer",
         "EER",
         "Error rate where false positives and misses are as many.",
-        _of_road(_eer),
+        _of_road(lambda counts: curves.equal_error_rate(curves.operating_points(counts))),
         better="lower",
         interval=True,
         shown=("screen", "scores"),
@@ -181,7 +177,7 @@ SCORES = (
         "brier",
         "Brier",
         "Mean squared distance of likelihood and truth.",
-        _of_road(calibration.brier),
+        _of_road(curves.brier),
         better="lower",
         interval=True,
         shown=("screen", "scores", "pairs"),
@@ -200,7 +196,7 @@ SCORES = (
         "ece",
         "ECE",
         "Mean distance of the likelihood and the share of road that really has it.",
-        _of_road(calibration.expected_error),
+        _of_road(curves.expected_error),
         better="lower",
         shown=("screen", "further", "parts"),
     ),
@@ -256,7 +252,7 @@ def _border(place: int, share: float) -> Measure:
         f"border F\n{100 * share:g} %",
         "F of borders: decided and true ones count as met within this share of the diagonal.",
         lambda part: boundary.boundary_f(part.boundary[..., place, :]),
-        shown=("further",),
+        shown=("further", "parts") if share == boundary.THREE_PIXELS else ("further",),
     )
 
 

@@ -21,6 +21,7 @@ from roadtorch.detectors.catalogue import (
 )
 from roadtorch.errors import ConfigError
 from roadtorch.io.bounded import printable
+from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import load_network
@@ -33,7 +34,11 @@ MEAN = "prior:mean"  # the evaluator's own
 
 MEAN_THRESHOLD = 0.5  # road at this place in at least half of the pictures
 
-BY_NETWORK = {PictureNetwork.kind: "fusion", PatchNetwork.kind: "layout:cnn-7"}
+BY_NETWORK = {
+    PictureNetwork.kind: "fusion",
+    BackboneNetwork.kind: "fusion",
+    PatchNetwork.kind: "layout:cnn-7",
+}
 """The detector that weights alone stand for, by the kind of their network."""
 
 Look = Callable[[Tensor, Item], Detection]
@@ -224,13 +229,12 @@ def mean_baseline(masks: Mapping[str, Tensor]) -> Method:
 
 
 def _mean_look(masks: Mapping[str, Tensor], _: Dataset) -> Look:
-    return lambda image, item: mean_detection(image, item, masks)
+    def look(image: Tensor, item: Item) -> Detection:
+        likelihood = resize(masks[item.group or ""], image.shape[1:]).to(torch.float32)
+        likelihood = likelihood.clamp(0, 1)
+        return Detection(likelihood, likelihood >= MEAN_THRESHOLD, {})
 
-
-def mean_detection(image: Tensor, item: Item, masks: Mapping[str, Tensor]) -> Detection:
-    """What the mask of the item's group says, at the image's size."""
-    likelihood = resize(masks[item.group or ""], image.shape[1:]).to(torch.float32).clamp(0, 1)
-    return Detection(likelihood, likelihood >= MEAN_THRESHOLD, {})
+    return look
 
 
 def resize(values: Tensor, size: tuple[int, int] | torch.Size) -> Tensor:

@@ -1,15 +1,20 @@
-"""What an evaluation found: figures by detector and group, their intervals, differences."""
+"""What an evaluation found: figures by detector and group, from counts at chosen thresholds."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from roadtorch.data.dataset import Dataset
-from roadtorch.evaluation.measure import Figures, Measure, Place
+import torch
+from torch import Tensor
+
+from roadtorch.data.dataset import Dataset, Item
+from roadtorch.evaluation import metrics
+from roadtorch.evaluation.measure import Figures, Measure, Part, Place
 from roadtorch.evaluation.measures import MAXF, MEASURES
 from roadtorch.evaluation.methods import Method
-from roadtorch.evaluation.tally import WHOLE, Tally
+from roadtorch.evaluation.metrics import RoadCounts
+from roadtorch.evaluation.tally import WHOLE, Pictures, Tally, counted, taken_together
 
 
 class Interval(NamedTuple):
@@ -124,6 +129,15 @@ class Evaluation:
     measures: Sequence[Measure] = field(default=MEASURES, repr=False)
 
     @property
+    def headlines(self) -> dict[str, Figures]:
+        """The headline figures by detector."""
+        return {name: one.headline for name, one in self.detectors.items()}
+
+    def of_group(self, group: str) -> dict[str, Figures]:
+        """The figures of one group by detector."""
+        return {name: one.group(group) for name, one in self.detectors.items()}
+
+    @property
     def images(self) -> int:
         """How many pictures were scored."""
         return len(self.dataset.items) - len(self.failures)
@@ -146,12 +160,219 @@ class Evaluation:
     def ranked(self) -> list[str]:
         """The detectors by MaxF, highest first; those without one last, then by name."""
 
-        def place(name: str) -> tuple[float, str]:
-            value = MAXF.of(self.detectors[name].headline)
-            return (math.inf if math.isnan(value) else -value), name
-
-        return sorted(self.detectors, key=place)
+        scores = MAXF.known(self.headlines)
+        return sorted(self.detectors, key=lambda name: (-scores.get(name, -math.inf), name))
 
     def shown_in(self, *tables: Place) -> list[Measure]:
         """The measures that are columns of one of these tables."""
         return [one for one in self.measures if set(tables) & set(one.shown)]
+
+
+# --- thresholds that labels choose ------------------------------------------------------
+
+
+def shared_threshold(groups: Mapping[str, RoadCounts]) -> float:
+    """The threshold with the highest F, averaged over groups; the lowest of equals.
+
+    NaN when no group has road.
+    """
+    known = [metrics.f_curve(counts) for counts in groups.values() if counts.road.sum() > 0]
+    return float(metrics.best_threshold(torch.stack(known).mean(0))[1]) if known else math.nan
+
+
+def held_out_thresholds(groups: Mapping[str, RoadCounts]) -> dict[str, float]:
+    """For every group the threshold that the other groups choose; it never sees its own."""
+    return {
+        group: shared_threshold({name: groups[name] for name in groups if name != group})
+        for group in groups
+    }
+
+
+class Thresholds(NamedTuple):
+    """Where they come from, in words; one for every group; the best of all groups that choose."""
+
+    source: str
+    thresholds: Mapping[str, float]
+    best: float
+
+
+def choose_thresholds(
+    groups: Mapping[str, RoadCounts],
+    default: float,
+    given: float | None,
+    left_out: Collection[str] = (),
+) -> Thresholds:
+    """The thresholds of all groups: given, those of the others, or the detector's default.
+
+    left_out: groups that choose for nobody.
+    """
+    choosing = {group: counts for group, counts in groups.items() if group not in left_out}
+    best = shared_threshold(choosing)
+    if given is not None:
+        return Thresholds("an earlier run", dict.fromkeys(groups, given), best)
+    if len(choosing) > 1:
+        held_out = held_out_thresholds(choosing)
+        by_group = {group: held_out.get(group, best) for group in groups}
+        return Thresholds("the other groups", by_group, best)
+    return Thresholds("the detector's default", dict.fromkeys(groups, default), best)
+
+
+# --- from counts to figures -------------------------------------------------------------
+
+
+SHOWN = 10  # pictures of each kind in metrics.json
+
+QUANTILES = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
+
+
+def summarise(
+    method: Method,
+    tally: Tally,
+    given: float | None = None,
+    measures: Sequence[Measure] = MEASURES,
+    left_out: Collection[str] = (),
+    conditions: Mapping[str, Sequence[Item]] | None = None,
+) -> DetectorFigures:
+    """All figures of one detector but its intervals.
+
+    given: a threshold chosen elsewhere. left_out: groups that count in nothing but their own.
+    conditions: pictures by condition, which have figures together, whatever groups they are of.
+    """
+    chosen = choose_thresholds(tally.road, method.threshold, given, left_out)
+    thresholds = chosen.thresholds
+    counting = {group: one for group, one in thresholds.items() if group not in left_out}
+    parts = {
+        group: replace(counted(tally, {group: one}), threshold=one)
+        for group, one in thresholds.items()
+    }
+    of_condition = {
+        name: tally.named({item.name for item in items})
+        for name, items in (conditions or {}).items()
+    }
+    together = {
+        name: taken_together(pictures, thresholds)
+        for name, pictures in of_condition.items()
+        if pictures.names
+    }
+    is_whole = list(parts) == [WHOLE]
+    pooled = {} if is_whole else figures_of(counted(tally, counting), measures)
+    figures = {group: figures_of(part, measures) for group, part in parts.items()}
+    groups = {} if is_whole else {group: figures[group] for group in counting}
+    return DetectorFigures(
+        method,
+        figures[WHOLE] if is_whole else over_groups(groups, pooled, measures),
+        groups=groups,
+        pooled=pooled,
+        left_out={group: one for group, one in figures.items() if group not in counting},
+        conditions={name: figures_of(part, measures) for name, part in together.items()},
+        thresholds=thresholds,
+        threshold_from=chosen.source,
+        best_threshold=chosen.best,
+        pictures_by_f=chosen_pictures(tally.kept(counting), thresholds, SHOWN),
+    )
+
+
+def figures_of(part: Part, measures: Sequence[Measure]) -> Figures:
+    """The measures of a part, without those that it does not have."""
+    values = {one.key: one.formula(part) for one in measures}
+    return {
+        key: value.item() if isinstance(value, Tensor) else value
+        for key, value in values.items()
+        if value is not None
+    }
+
+
+def over_groups(
+    groups: Mapping[str, Figures], pooled: Figures, measures: Sequence[Measure]
+) -> Figures:
+    """What stands above the figures of the groups: means, or those of all pictures together."""
+    figures = {}
+    for one in measures:
+        if one.key in pooled and one.over_groups == "whole":
+            figures[one.key] = pooled[one.key]
+        elif one.key in pooled and one.over_groups == "mean":
+            figures[one.key] = mean([one.of(group) for group in groups.values()])
+    return figures
+
+
+def mean(values: Sequence[float]) -> float:
+    """The mean of the defined values; NaN when there is none."""
+    defined = [value for value in values if not math.isnan(value)]
+    return sum(defined) / len(defined) if defined else math.nan
+
+
+# --- single pictures ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class PictureRow:
+    """One picture as one detector saw it: a row of images.csv; NaN where undefined.
+
+    threshold: of its group; f: there, of the 8-bit map; f_mask, iou_mask: of the detector's
+    own mask; trust: its expected F, by the detector; ms: the time of detect.
+    """
+
+    image: str
+    group: str
+    detector: str
+    auc: float
+    maxf: float
+    threshold: float
+    f: float
+    f_mask: float
+    iou_mask: float
+    trust: float
+    ms: float
+
+
+def picture_rows(name: str, tally: Tally, figures: DetectorFigures) -> list[PictureRow]:
+    """A row for every picture that one detector has seen."""
+    kept = tally.kept()
+    columns = (
+        kept.auc.tolist(),
+        kept.max_f.tolist(),
+        [figures.thresholds[group] for group in kept.groups],
+        image_f(kept, figures.thresholds).tolist(),
+        metrics.f_measure(kept.mask).tolist(),
+        metrics.iou(kept.mask).tolist(),
+        kept.trust.tolist(),
+        (1000 * kept.seconds).tolist(),
+    )
+    return [
+        PictureRow(image, group, name, *values)
+        for image, group, *values in zip(kept.names, kept.groups, *columns, strict=True)
+    ]
+
+
+def image_f(pictures: Pictures, thresholds: Mapping[str, float]) -> Tensor:
+    """F of each picture at its group's threshold, of its 8-bit map, float64 (n,).
+
+    NaN without road or threshold.
+    """
+    f = torch.full((len(pictures.names),), math.nan, dtype=torch.float64)
+    for group, threshold in thresholds.items():
+        if not math.isnan(threshold):
+            own = pictures.of_group(group)
+            counts = RoadCounts(pictures.road.road[own], pictures.road.other[own])
+            outcome = metrics.decisions_at(counts, threshold)
+            has_road = outcome.true_positive + outcome.false_negative > 0
+            f[own] = metrics.f_measure(outcome).where(has_road, torch.nan)
+    return f
+
+
+def chosen_pictures(pictures: Pictures, thresholds: Mapping[str, float], count: int) -> PicturesByF:
+    """Quantiles of F over the pictures with road, and the best, median and worst ``count``."""
+    values = image_f(pictures, thresholds).tolist()
+    known = [(f, name) for f, name in zip(values, pictures.names, strict=True) if not math.isnan(f)]
+    if not known:
+        return PicturesByF()
+    order = sorted(known, key=lambda pair: (-pair[0], pair[1]))
+    begin = max((len(order) - count) // 2, 0)
+    shares = torch.tensor(QUANTILES, dtype=torch.float64)
+    of_all = torch.tensor([value for value, _ in order], dtype=torch.float64)
+    return PicturesByF(
+        dict(zip(QUANTILES, of_all.quantile(shares).tolist(), strict=True)),
+        order[:count],
+        order[begin : begin + count],
+        order[::-1][:count],
+    )

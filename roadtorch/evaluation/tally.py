@@ -131,19 +131,16 @@ class Tally:
         numbers = [area, best, score.seconds, score.trust]
         known["numbers"] = torch.tensor(numbers, dtype=torch.float64)
         known.pop("labels", None)
-        self._append(known)
-        self.pictures.append((item.name, group))
-
-    def _append(self, values: Mapping[str, Tensor]) -> None:
         row = len(self.pictures)
-        for key in values.keys() - self.columns.keys():
-            self.columns[key] = values[key].new_zeros((FIRST_ROWS, *values[key].shape))
+        for key in known.keys() - self.columns.keys():
+            self.columns[key] = known[key].new_zeros((FIRST_ROWS, *known[key].shape))
         for key, column in self.columns.items():  # those as well that this picture has not
             while len(column) <= row:
                 column = torch.cat([column, torch.zeros_like(column)])
-            if key in values:
-                column[row] = values[key]
+            if key in known:
+                column[row] = known[key]
             self.columns[key] = column
+        self.pictures.append((item.name, group))
 
     @property
     def road(self) -> dict[str, RoadCounts]:
@@ -186,26 +183,6 @@ class Tally:
         order = sorted(range(len(self.pictures)), key=lambda i: place[self.pictures[i][0]])
         self.pictures = [self.pictures[index] for index in order]
         self.columns = {key: column[order] for key, column in self.columns.items()}
-
-    def tensors(self) -> dict[str, Tensor]:
-        """All numbers as tensors by name: ``KIND/GROUP``, and ``rows/COLUMN``."""
-        sums = {
-            f"{kind}/{group}": part
-            for kind, by_group in self.sums.items()
-            for group, part in by_group.items()
-        }
-        rows = {f"rows/{key}": part[: len(self.pictures)] for key, part in self.columns.items()}
-        return sums | rows
-
-    @classmethod
-    def of(cls, tensors: Mapping[str, Tensor], pictures: Sequence[Sequence[str]]) -> "Tally":
-        """The tally that ``tensors`` took apart; pictures: name and group of its rows."""
-        tally = cls(pictures=[(name, group) for name, group in pictures])
-        for key, tensor in tensors.items():
-            kind, _, name = key.partition("/")
-            by_name = tally.columns if kind == "rows" else tally.sums.setdefault(kind, {})
-            by_name[name] = tensor
-        return tally
 
 
 # --- what measures are taken of ---------------------------------------------------------

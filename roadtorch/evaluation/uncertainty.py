@@ -8,7 +8,7 @@ of two detectors cancels in their difference.
 Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 13 (percentiles).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -23,9 +23,6 @@ REPLICATES = 1000
 
 SEED = 11  # of the draws of a run
 
-Figure = Callable[[list[Tensor]], Tensor]
-"""One weight tensor int64 (replicates,images) per group → the figure, float64 (replicates,)."""
-
 
 @dataclass(frozen=True)
 class Replicated:
@@ -35,23 +32,12 @@ class Replicated:
     draws: Tensor
 
 
-def bootstrap_weights(images: int, replicates: int, generator: torch.Generator) -> Tensor:
+def bootstrap_weights(
+    images: int, generator: torch.Generator, replicates: int = REPLICATES
+) -> Tensor:
     """How often each image is drawn, int64 (replicates,images): each row sums to ``images``."""
     places = torch.randint(images, (replicates, images), generator=generator)
     return torch.zeros_like(places).scatter_add_(1, places, torch.ones_like(places))
-
-
-def group_weights(
-    group_sizes: Sequence[int], generator: torch.Generator, replicates: int = REPLICATES
-) -> list[Tensor]:
-    """One draw of every group's images for all figures: int64 (replicates,images) each."""
-    return [bootstrap_weights(size, replicates, generator) for size in group_sizes]
-
-
-def replicate(figure: Figure, weights: Sequence[Tensor]) -> Replicated:
-    """A figure over all images and over every draw of ``weights`` (of `group_weights`)."""
-    once = [torch.ones_like(part[:1]) for part in weights]
-    return Replicated(float(figure(once)), figure(list(weights)))
 
 
 def interval(figure: Replicated) -> Interval:
@@ -94,7 +80,7 @@ def resample(
     groups = [tally.kept([group]) for group in figures.counting]
     thresholds = [figures.thresholds[group] for group in figures.counting]
     generator = torch.Generator().manual_seed(SEED)
-    weights = group_weights([len(group.names) for group in groups], generator)
+    weights = [bootstrap_weights(len(group.names), generator) for group in groups]
     once = [torch.ones_like(drawing[:1]) for drawing in weights]
     kept = [one for one in measures if one.interval and one.key in figures.headline]
     coarse, draws = (_mean_over_groups(groups, thresholds, each, kept) for each in (once, weights))
@@ -131,9 +117,8 @@ def intervals(draws: Draws) -> dict[str, Interval]:
 
 def best_of(detectors: Mapping[str, DetectorFigures]) -> str:
     """The detector with the highest MaxF, the first of equals."""
-    scores = {name: MAXF.of(one.headline) for name, one in detectors.items()}
-    best = MAXF.best(scores.values())
-    return next((name for name, value in scores.items() if value == best), next(iter(scores)))
+    scores = MAXF.known({name: one.headline for name, one in detectors.items()})
+    return max(scores, key=scores.__getitem__) if scores else next(iter(detectors))
 
 
 def compare(

@@ -2,7 +2,7 @@
 
 import logging
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from roadtorch.export.exportable import Run
 from roadtorch.export.graph import EveryPixel, WholePictures
 from roadtorch.version import __version__
 
 OPSET = 18
+
+Run = Callable[[np.ndarray], Mapping[str, np.ndarray]]
+"""Pictures uint8 (N,H,W,3) RGB → maps by name, by a runtime that has read a file."""
 
 EXAMPLE = (2, 240, 320, 3)
 """The shape of the pictures that the graph is traced with; no number of it stays but the 3."""

@@ -25,7 +25,9 @@ from roadtorch.layout.patch_network import (
     Normalisation,
     PatchNetwork,
 )
-from roadtorch.layout.picture_network import EGO, PictureNetwork, potentials_of
+from roadtorch.layout.picture_network import EGO, potentials_of
+from roadtorch.layout.weights import WholePictureNetwork
+from roadtorch.road.fusion import log_odds
 
 LONGEST = 10**5
 """Pixels of a side at most, so that sizes have a bound when a graph is made."""
@@ -38,18 +40,37 @@ OUTPUTS: Mapping[str, str] = {
 """What graphs give, by name."""
 
 
+class Platt(NamedTuple):
+    """What becomes of log odds: (weight x - centre) / temperature."""
+
+    weight: float
+    centre: float
+    temperature: float
+
+
+def calibrated(road: Tensor, ego: Tensor, platt: Platt) -> Tensor:
+    """Likelihoods of potentials of road and ego car, in [0,1], of any shape.
+
+    They are those of ``fusion`` where the single picture adds nothing to what the network knows.
+    """
+    odds = (platt.weight * log_odds(road) - platt.centre) / platt.temperature
+    return torch.where(ego >= 0.5, 0.0, odds.sigmoid())
+
+
 class WholePictures(nn.Module):
-    """``PictureNetwork.cues`` for bytes: likelihood, layout, ego.
+    """``cues`` of a network for whole pictures, for bytes: likelihood, layout, ego.
 
     place: which potential of the network is the likelihood, its road or the layout's horizontal.
+    platt: weight, centre and temperature of its log odds; the ego car's are none then.
     """
 
     outputs = ("likelihood", "layout", "ego")
 
-    def __init__(self, network: PictureNetwork, place: int) -> None:
+    def __init__(self, network: WholePictureNetwork, place: int, platt: Platt | None) -> None:
         super().__init__()
         self.network = network
         self.place = place
+        self.platt = platt
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Maps (N,H,W), (N,3,H,W) and (N,H,W) of pictures uint8 (N,H,W,3) RGB."""
@@ -58,7 +79,10 @@ class WholePictures(nn.Module):
         small = averaged(planes, settings.height, settings.width).clamp(0, 1)
         scores = self.network(normalised(small, settings.normalisation))
         maps = averaged(potentials_of(scores), planes.shape[-2], planes.shape[-1]).clamp(0, 1)
-        return maps[:, self.place], maps[:, :CLASSES], maps[:, EGO]
+        likelihood = maps[:, self.place]
+        if self.platt is not None:
+            likelihood = calibrated(likelihood, maps[:, EGO], self.platt)
+        return likelihood, maps[:, :CLASSES], maps[:, EGO]
 
 
 class EveryPixel(nn.Module):
@@ -128,6 +152,8 @@ def size_at_work(planes: Tensor, working: WorkingSize) -> _Size:
 
 def normalised(images: Tensor, normalisation: Normalisation) -> Tensor:
     """``normalisation.normalise`` for images (N,3,H,W) in [0,1]."""
+    if normalisation.kind == "none":
+        return images
     if normalisation.kind.startswith("brightened"):
         images = brightened_alike(images, normalisation.exposure)
     if normalisation.kind.endswith("picture"):

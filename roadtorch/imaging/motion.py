@@ -13,7 +13,6 @@ from torch import Tensor
 
 FASTEST = cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST
 FAST = cv2.DISOPTICAL_FLOW_PRESET_FAST
-EXACT = cv2.DISOPTICAL_FLOW_PRESET_MEDIUM
 
 SMALLEST = 32
 """Pixels of a side at the least: OpenCV 5.0 crashes on smaller pictures with the fast presets."""

@@ -1,7 +1,7 @@
 """The size at which detectors think, and the way back to the size of the picture."""
 
 from collections.abc import Callable, Iterator, Mapping
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
@@ -50,7 +50,8 @@ def resized(maps: Tensor, size: tuple[int, int]) -> Tensor:
     before = (maps.shape[-2], maps.shape[-1])
     if before == tuple(size):
         return maps
-    if _is_plain(maps):
+    if maps.device.type == "cpu" and maps.dtype == torch.float32 and not maps.requires_grad:
+        # Faster than by torch.
         larger = size[0] >= before[0] and size[1] >= before[1]
         flat = maps.reshape(-1, *before)
         found = _enlarged(flat, size) if larger else _averaged(flat, size)
@@ -58,11 +59,6 @@ def resized(maps: Tensor, size: tuple[int, int]) -> Tensor:
     batch = maps.reshape(1, -1, *maps.shape[-2:])
     batch = F.interpolate(batch, size=size, mode="bilinear", antialias=True)
     return batch.reshape(*maps.shape[:-2], *size)
-
-
-def _is_plain(maps: Tensor) -> bool:
-    """Whether maps can be resized faster than by torch: on the CPU, float32, no gradient."""
-    return maps.device.type == "cpu" and maps.dtype == torch.float32 and not maps.requires_grad
 
 
 def _enlarged(maps: Tensor, size: tuple[int, int]) -> Tensor:
@@ -173,11 +169,7 @@ class Maps(Mapping[str, Tensor]):
 def full_size(analysed: Mapping[str, Tensor], size: tuple[int, int]) -> Maps:
     """Cues by name, each brought to the picture's own size when it is asked for."""
     maps = Maps(analysed)
-    return Maps({name: partial(_enlarged_cue, maps, name, size) for name in maps})
-
-
-def _enlarged_cue(maps: Maps, name: str, size: tuple[int, int]) -> Tensor:
-    return at_picture_size(maps[name], size)
+    return Maps({name: lambda name=name: at_picture_size(maps[name], size) for name in maps})
 
 
 def at_working_size(

@@ -28,8 +28,12 @@ REMEDIES = {
     errno.ENAMETOOLONG: "give it a shorter name",
     errno.ENOSPC: "make room, or choose a folder with room",
     errno.EDQUOT: "make room, or choose a folder with room",
+    None: "see whether the disk has room and is whole",
 }
-"""What helps when a file cannot be written, by the number of the error."""
+"""What helps when a file cannot be written, by the number of the error, which some errors lack."""
+
+FORMULA = ("=", "+", "-", "@", "\t", "\r", "'")
+"""What a cell begins with that spreadsheets take for a formula, and the sign against that."""
 
 # --- in ---------------------------------------------------------------------------------
 
@@ -81,13 +85,17 @@ def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, path)
     except OSError as problem:
-        what = f"cannot be written: {problem.strerror or problem}"
-        remedy = REMEDIES.get(problem.errno or 0, "choose a folder that you may write to")
-        raise InputError(path, what, remedy) from None
+        raise unwritable(path, problem) from None
     finally:
         # Where even looking for the file fails there is none to remove.
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def unwritable(path: Path, problem: OSError, what: str = "cannot be written") -> InputError:
+    """The error for a file that cannot be written, with what helps."""
+    remedy = REMEDIES.get(problem.errno, "choose a folder that you may write to")
+    return InputError(path, f"{what}: {problem.strerror or problem}", remedy)
 
 
 def remove_leftovers(folders: Iterable[Path]) -> None:
@@ -127,17 +135,29 @@ def locked(folder: Path, remedy: str = "wait for it, or give another folder") ->
 def shared(folder: Path) -> Iterator[None]:
     """Write into a folder, which is made, beside other runs that do so with this function.
 
-    Who finds nobody there removes what killed runs left, in all folders below as well. Where a
-    system or a disk has no locks, nobody does.
+    Who finds nobody there removes what killed runs left, in all folders below as well but those
+    that a run has for itself. Where a system or a disk has no locks, nobody does.
     """
     make_folder(folder)
     with _lock_of(folder) as lock:
         with suppress(OSError):
             lock(alone=True)
-            remove_leftovers(Path(below) for below, _, _ in os.walk(folder))
+            for below, folders, _ in os.walk(folder):
+                remove_leftovers([Path(below)])
+                folders[:] = [one for one in folders if _is_free(Path(below, one))]
         with suppress(OSError):
             lock(alone=False)
         yield
+
+
+def _is_free(folder: Path) -> bool:
+    """Whether no run has a folder for itself; OSError where there are no locks."""
+    with _lock_of(folder) as lock:
+        try:
+            lock(alone=True)
+        except BlockingIOError:
+            return False
+    return True
 
 
 @contextmanager
@@ -235,12 +255,29 @@ def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> st
     """Rows as CSV under a line with the names of the columns; lines end in a line feed.
 
     A column that a row lacks stays empty; ValueError for a row with a key that is no column.
+    A text that spreadsheets would take for a formula has an apostrophe before it; ``from_cell``
+    takes it away.
     """
     # The csv module quotes only the line ends that it is told to write: told of both, it quotes
     # a carriage return in a name, which readers would take for the end of a row.
     lines: list[str] = []
     for row in ({name: name for name in columns}, *rows):
         text = io.StringIO(newline="")
-        csv.DictWriter(text, columns, lineterminator="\r\n").writerow(row)
+        cells = {name: _cell(value) for name, value in row.items()}
+        csv.DictWriter(text, columns, lineterminator="\r\n").writerow(cells)
         lines.append(text.getvalue().removesuffix("\r\n") + "\n")
     return "".join(lines)
+
+
+def _cell(value: object) -> object:
+    if isinstance(value, str) and value.startswith(FORMULA):
+        with suppress(ValueError):
+            float(value)
+            return value
+        return f"'{value}"
+    return value
+
+
+def from_cell(text: str) -> str:
+    """The text of a cell of ours, without an apostrophe that keeps it from being a formula."""
+    return text[1:] if text[:1] == "'" and text[1:].startswith(FORMULA) else text

@@ -1,12 +1,16 @@
 """Decoding: the bytes of a picture to its pixels, or the reason why not."""
 
+import ctypes
 import io
+import logging
+import math
 import os
 import re
 import threading
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import IO, Any
 
 import cv2
 import numpy as np
@@ -28,10 +32,13 @@ of 16 megapixels."""
 
 PILLOWS_MEGAPIXELS = 178  # Pillow opens nothing larger, whatever we allow
 
-# TIFF 6.0: tags, and their values that are read with more than 8 bits
-BITS_PER_SAMPLE, PHOTOMETRIC, SAMPLE_FORMAT = 258, 262, 339
-BLACK_IS_ZERO, RGB, UNSIGNED, FLOATING_POINT = 1, 2, 1, 3
-STRIPS_AND_TILES = ((273, 279), (324, 325))  # where they begin, and their bytes
+LARGE, BYTES_PER_PIXEL = 2**28, 16
+"""Files of more bytes than the first are read only where their header says that their pixels fill
+them, at most so many bytes each; ours: four samples of 16 bits, twice."""
+
+# TIFF 6.0: tags, and values of theirs
+BITS_PER_SAMPLE, COMPRESSION, PHOTOMETRIC, SAMPLE_FORMAT = 258, 259, 262, 339
+UNCOMPRESSED, BLACK_IS_ZERO, RGB, UNSIGNED, FLOATING_POINT, ALPHA = 1, 1, 2, 1, 3, 2
 
 # PNG: where the first chunk and its bits a sample are, and the chunks that say what pixels are
 PNG_START, PNG_DEPTH = 8, 24
@@ -56,19 +63,16 @@ def decode(data: bytes) -> np.ndarray:
     """
     with open_picture(data) as header:
         if header.format in ("JPEG", "MPO"):
-            return _oriented(_jpeg(data, header.mode), _orientation(header))
+            return _oriented(_jpeg(data, header.mode), _orientation(header.getexif))
         if header.format == "PNG":
-            orientation = _orientation(header)
             header.verify()  # checks every chunk, and closes the picture
-            if data[PNG_DEPTH] == 16:
-                return _oriented(_opencv(_without_metadata(data)), orientation)
-            return pillow_pixels(open_picture(data))
-        if header.format == "TIFF" and _is_deep_tiff(header, len(data)):
-            return _opencv(data)  # which turns TIFFs upright itself
-        return pillow_pixels(header)
+            plain, exif = _parted(data)
+            pixels = _opencv(plain) if data[PNG_DEPTH] == 16 else pillow_pixels(open_picture(plain))
+            return _oriented(pixels, _orientation(lambda: _png_exif(header, exif)))
+        return _tiff(data, header) if header.format == "TIFF" else pillow_pixels(header)
 
 
-def open_picture(data: bytes, formats: tuple[str, ...] = FORMATS) -> Image.Image:
+def open_picture(data: bytes | IO[bytes], formats: tuple[str, ...] = FORMATS) -> Image.Image:
     """A picture opened by Pillow, not decoded yet, of one of the formats.
 
     Raises TooLargeError for more pixels than allowed, ValueError for more than ``LONGEST_SIDE`` in
@@ -76,16 +80,34 @@ def open_picture(data: bytes, formats: tuple[str, ...] = FORMATS) -> Image.Image
     """
     try:
         with without_warnings():
-            picture = Image.open(io.BytesIO(data), formats=formats)
+            file = io.BytesIO(data) if isinstance(data, bytes) else data
+            picture = Image.open(file, formats=formats)
     except Image.DecompressionBombError:
         most = min(PILLOWS_MEGAPIXELS, most_megapixels())
         raise TooLargeError(f"has more than {most:g} megapixels") from None
-    if picture.width * picture.height > most_megapixels() * 1e6:
-        what = f"has {picture.width} by {picture.height} pixels"
-        raise TooLargeError(f"{what}, more than {most_megapixels():g} megapixels")
+    check_pixels(*picture.size)
     if max(picture.size) > LONGEST_SIDE:
         raise ValueError(f"a side of {max(picture.size)} pixels, more than {LONGEST_SIDE}")
     return picture
+
+
+def check_pixels(width: int, height: int) -> None:
+    """Raises TooLargeError for more pixels than are allowed, in a picture of any source."""
+    if width * height > most_megapixels() * 1e6:
+        what = f"has {width} by {height} pixels"
+        raise TooLargeError(f"{what}, more than {most_megapixels():g} megapixels")
+
+
+def check_bytes(start: IO[bytes], size: int) -> None:
+    """Raises TooLargeError for a file of so many bytes that are not for its pixels.
+
+    start: the file, or as much of it as holds its header. Others are raised as ``open_picture``
+    raises them.
+    """
+    if size > LARGE:  # of WebP Pillow would read all for the header; they are never so large
+        width, height = open_picture(start, ("JPEG", "PNG", "TIFF", "BMP")).size
+        if size > BYTES_PER_PIXEL * width * height:
+            raise TooLargeError(f"has {size:,} bytes for {width} by {height} pixels")
 
 
 def most_megapixels() -> float:
@@ -109,6 +131,18 @@ def without_warnings() -> Iterator[None]:
     with _WARNING_FILTERS, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
+
+
+@contextmanager
+def quiet_opencv() -> Iterator[None]:
+    """Within the block OpenCV writes no warnings to stderr; our errors tell it in one line."""
+    log = cv2.utils.logging
+    before = log.getLogLevel()
+    log.setLogLevel(log.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        log.setLogLevel(before)
 
 
 # --- JPEG -------------------------------------------------------------------------------
@@ -155,15 +189,20 @@ def _opencv(data: bytes, mode: int = cv2.IMREAD_UNCHANGED) -> np.ndarray:
     return pixels
 
 
-def _without_metadata(data: bytes) -> bytes:
-    """A PNG of whole chunks with its pixels alone: of the rest libpng talks on stderr."""
-    kept, at = [data[:PNG_START]], PNG_START
+def _parted(data: bytes) -> tuple[bytes, bytes]:
+    """A PNG of whole chunks with its first picture alone, and its EXIF, wherever that stands.
+
+    Of the rest libpng talks on stderr.
+    """
+    kept, exif, at = [data[:PNG_START]], b"", PNG_START
     while at < len(data):
         end = at + 12 + int.from_bytes(data[at : at + 4], "big")
         if data[at + 4 : at + 8] in PNG_PIXELS:
             kept.append(data[at:end])
+        elif data[at + 4 : at + 8] == b"eXIf":
+            exif = data[at + 8 : end - 4]
         at = end
-    return b"".join(kept)
+    return b"".join(kept), exif
 
 
 def pillow_pixels(picture: Image.Image) -> np.ndarray:
@@ -181,12 +220,60 @@ def pillow_pixels(picture: Image.Image) -> np.ndarray:
         return np.array(upright.convert("RGBA" if upright.has_transparency_data else "RGB"))
 
 
-def _is_deep_tiff(header: Image.Image, size: int) -> bool:
-    """Whether a TIFF of so many bytes has 16 bits a sample.
+def _tiff(data: bytes, header: Image.Image) -> np.ndarray:
+    """Decode a TIFF: tifffile what is not compressed, Pillow 8 bits, OpenCV usual layouts of 16.
 
-    ValueError for one whose black and white would not be scaled right, and for a deep one that
-    ends before its pixels do.
+    ValueError for one whose black and white would not be scaled right, that lacks strips or
+    tiles, and for layouts that these decoders mistake.
     """
+    from tifffile import TiffFile
+
+    logging.getLogger("tifffile").addHandler(logging.NullHandler())  # it would talk on stderr,
+    with suppress(OSError, AttributeError):  # as would Pillow's libtiff, where that can be found
+        ctypes.CDLL(Image.core.__file__).TIFFSetErrorHandler(None)
+    is_deep = _is_deep_tiff(header)
+    is_plain = _tiff_tag(header, COMPRESSION)[0] == UNCOMPRESSED
+    is_simple = _tiff_tag(header, PHOTOMETRIC)[0] in (BLACK_IS_ZERO, RGB)
+    with TiffFile(io.BytesIO(data)) as file:
+        page: Any = file.pages.first
+        parts = list(zip(page.dataoffsets, page.databytecounts, strict=False))
+        if len(parts) != math.prod(page.chunked) or not all(map(all, parts)):
+            raise ValueError("it lacks strips or tiles")
+        if max(map(sum, parts)) > len(data):
+            raise ValueError("the file ends before its pixels do")
+        bits = page.imagelength * page.imagewidth * sum(_tiff_tag(header, BITS_PER_SAMPLE))
+        if is_plain and 8 * sum(page.databytecounts) < bits:
+            raise ValueError("its strips are too short for its pixels")
+        extra, is_planar = page.extrasamples[:1], page.planarconfig != 1
+        if is_plain and is_simple and page.dtype in (np.uint8, np.uint16):
+            return _oriented(_plain_tiff(page), _orientation(header.getexif))
+        if is_planar and (is_deep or page.photometric == BLACK_IS_ZERO):
+            raise ValueError("compressed TIFF with a plane for each colour is not read")
+        if not is_deep:
+            return pillow_pixels(header)
+    with quiet_opencv():
+        pixels = _opencv(data)  # which turns TIFFs upright itself
+    return pixels if pixels.ndim == 2 or extra == (ALPHA,) else pixels[..., :3]
+
+
+def _plain_tiff(page: Any) -> np.ndarray:
+    """The pixels (H,W,3) or (H,W,4) of an uncompressed page of tifffile's, grey or RGB.
+
+    Alpha that the colours were multiplied with is left out: over black they stay as they are.
+    """
+    whole = np.empty(page.shaped, page.dtype)  # planes, depth, rows, columns, samples
+    for part, (plane, _, top, left, _), _ in page.segments(maxworkers=1):
+        place = whole[plane, 0, top:, left:][: part.shape[1], : part.shape[2]]
+        place[...] = part[0, : place.shape[0], : place.shape[1]]
+    samples = np.moveaxis(whole[:, 0], 0, -1).reshape(*whole.shape[2:4], -1)
+    colours = 3 if page.photometric == RGB else 1
+    pixels = np.broadcast_to(samples[..., :colours], (*samples.shape[:2], 3))
+    alpha = samples[..., colours : colours + 1]
+    return np.dstack([pixels, alpha]) if page.extrasamples[:1] == (ALPHA,) else pixels
+
+
+def _is_deep_tiff(header: Image.Image) -> bool:
+    """Whether a TIFF has 16 bits a sample; ValueError where its white would not be scaled right."""
     kinds = set(_tiff_tag(header, SAMPLE_FORMAT))
     bits = _tiff_tag(header, BITS_PER_SAMPLE)
     is_deep = max(bits) > 8
@@ -197,11 +284,6 @@ def _is_deep_tiff(header: Image.Image, size: int) -> bool:
         raise ValueError(f"TIFF of {told} bits a sample is not read, only 8 and 16 without sign")
     if is_deep and _tiff_tag(header, PHOTOMETRIC)[0] not in (BLACK_IS_ZERO, RGB):
         raise ValueError("TIFF of 16 bits is read as grey, black being 0, or as RGB")
-    if is_deep:
-        for offsets, counts in STRIPS_AND_TILES:
-            parts = zip(_tiff_tag(header, offsets), _tiff_tag(header, counts), strict=False)
-            if any(offset + count > size for offset, count in parts):
-                raise ValueError("the file ends before its pixels do")
     return is_deep
 
 
@@ -215,15 +297,20 @@ def _tiff_tag(header: Image.Image, tag: int) -> tuple[int, ...]:
 # --- which way is up --------------------------------------------------------------------
 
 
-def _orientation(header: Image.Image) -> int:
+def _png_exif(header: Image.Image, chunk: bytes) -> Image.Exif:
+    """What a PNG's chunk of EXIF says, or, without one, its texts."""
+    if chunk:
+        header.info["exif"] = chunk
+    return Image.Image.getexif(header)  # that of its class would decode the pixels
+
+
+def _orientation(exif: Callable[[], Image.Exif]) -> int:
     """The EXIF orientation 1…8; 1 when there is none or it makes no sense."""
-    exif = Image.Exif()
     with without_warnings():
         try:
-            exif.load(header.info.get("exif", b""))
+            value = exif().get(ExifTag.Orientation, 1)
         except Exception:
             return 1  # a damaged note about the picture is no damage of the picture
-        value = exif.get(ExifTag.Orientation, 1)
     return value if value in range(1, 9) else 1
 
 

@@ -1,19 +1,31 @@
 """Pictures in and out: decoding to RGB tensors, encoding maps, masks and overlays."""
 
 import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
-from typing import Literal, get_args
+from types import SimpleNamespace
+from typing import Any, Literal, get_args
 
 import cv2
 import numpy as np
 import torch
-from PIL import Image, UnidentifiedImageError
+from PIL import Image, ImageDraw, ImageFont, UnidentifiedImageError
 from torch import Tensor
 
-from roadtorch.errors import InputError, unknown_name
+from roadtorch.errors import InputError, fault, lacks_memory, unknown_name
+from roadtorch.io.addresses import is_url, url_bytes, without_password
 from roadtorch.io.atomic import atomic
-from roadtorch.io.bounded import read_regular, reason
-from roadtorch.io.decoding import MEGAPIXELS_VARIABLE, TooLargeError, decode, pillow_pixels
+from roadtorch.io.bounded import read_regular, reason, regular_size
+from roadtorch.io.decoding import (
+    LARGE,
+    MEGAPIXELS_VARIABLE,
+    TooLargeError,
+    check_bytes,
+    decode,
+    pillow_pixels,
+)
 
 READABLE = "JPEG, PNG, TIFF, WebP or BMP"
 
@@ -32,6 +44,8 @@ TINTED = cv2.addWeighted(LEVELS, 1 - TINT, np.full_like(LEVELS, SKY_BLUE), TINT,
 
 OUTLINE = 1 / 240  # the outline's width as a share of the shorter side; ours
 
+LETTERS = 14  # pixels that a caption's letters have at least; ours: legible in a picture of 320
+
 JPEG_OPTIONS = (cv2.IMWRITE_JPEG_QUALITY, 92)
 
 MAP_OPTIONS = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
@@ -49,6 +63,7 @@ Picture = Tensor | np.ndarray | Image.Image | str | os.PathLike[str]
 def read_image(path: str | os.PathLike[str]) -> Tensor:
     """Read a picture as float32 RGB (3,H,W) in [0,1], sRGB, upright.
 
+    path: of a file, or, as text, a URL that fsspec reads (``https://…``, ``s3://…``).
     JPEG, PNG, TIFF, WebP and BMP; 8 or 16 bits (65535 becomes 1), grey, palette. EXIF
     orientation is applied. Alpha is composited over black: see-through pixels of
     footage are the rims of rectified frames, where no light was measured. Of several
@@ -58,7 +73,13 @@ def read_image(path: str | os.PathLike[str]) -> Tensor:
     Raises InputError when the file is missing, a folder, a pipe, empty, truncated, damaged
     where the decoder can tell, no picture, or has more than 1 GiB or 100 megapixels (the
     environment's ROADTORCH_MAX_MEGAPIXELS says otherwise, up to Pillow's own 178).
+
+        >>> from roadtorch import read_image
+        >>> read_image("street.jpg").shape
+        torch.Size([3, 240, 320])
     """
+    if isinstance(path, str) and is_url(path):
+        return decode_image(url_bytes(path), without_password(path))
     path = Path(path)
     return decode_image(_read_bytes(path), path)
 
@@ -70,20 +91,32 @@ def decode_image(data: bytes, origin: object) -> Tensor:
     """
     if not data:
         raise InputError(origin, "is empty", "replace the file")
-    try:
+    with undecodable(origin):
         return from_pixels(decode(data))
+
+
+@contextmanager
+def undecodable(origin: object) -> Iterator[None]:
+    """What goes wrong as a picture is decoded in the block, as InputError with that origin."""
+    try:
+        yield
     except UnidentifiedImageError:
         raise InputError(origin, "is not a picture", f"give {READABLE}") from None
     except TooLargeError as problem:
         remedy = f"make it smaller, or set {MEGAPIXELS_VARIABLE}"
         raise InputError(origin, str(problem), remedy) from None
     except Exception as problem:
+        if lacks_memory(problem):
+            raise fault(origin, problem) from None
         what = f"cannot be decoded: {reason(problem)}"
         raise InputError(origin, what, "replace the file") from None
 
 
 def _read_bytes(path: Path) -> bytes:
     try:
+        if (size := regular_size(path)) > LARGE:
+            with path.open("rb") as file, undecodable(path):
+                check_bytes(file, size)
         return read_regular(path)
     except FileNotFoundError:
         raise InputError(path, "does not exist", "check the name") from None
@@ -94,8 +127,11 @@ def _read_bytes(path: Path) -> bytes:
 
 
 def from_pixels(pixels: np.ndarray) -> Tensor:
-    """uint8 or uint16 pixels (H,W), (H,W,3) RGB or (H,W,4) RGBA to float32 (3,H,W)."""
-    levels = np.iinfo(pixels.dtype).max
+    """Pixels (H,W), (H,W,3) RGB or (H,W,4) RGBA to float32 (3,H,W).
+
+    Of uint8 and uint16 the highest value becomes 1; floating point stays as it is.
+    """
+    levels = 1 if pixels.dtype.kind == "f" else np.iinfo(pixels.dtype).max
     if pixels.ndim == 2:
         pixels = np.broadcast_to(pixels[..., None], (*pixels.shape, 3))
     planes = torch.from_numpy(np.array(pixels.transpose(2, 0, 1), order="C"))
@@ -107,18 +143,17 @@ def as_image(picture: Picture, order: Order | None = None) -> Tensor:
     """What a program has of a picture, as image (3,H,W) in [0,1].
 
     A tensor (3,H,W) is RGB: floating point stays as it is, uint8 is divided by 255. A NumPy array
-    is uint8 (H,W,3), and its order of colours is told, not guessed. A Pillow image is turned and
-    converted as ``read_image`` does, which reads a path. Whether a tensor is an image is for
-    ``detect`` to say.
+    is (H,W) grey, or (H,W,3) or (H,W,4) in the ``order`` of colours that is told, not guessed;
+    uint8, uint16 or floating point in [0,1]. A Pillow image is turned and converted as
+    ``read_image`` does, which reads a path or URL. Whether values are in range is for ``detect``.
 
-    Raises InputError for anything else, for an order told of what needs none, and as ``read_image``
-    does; ConfigError for an order that is none.
+    Raises InputError for anything else, and as ``read_image`` does; ConfigError for an order that
+    is none.
     """
+    if order is not None:
+        checked_order(order)
     if isinstance(picture, np.ndarray):
         return from_pixels(_as_rgb(picture, order))
-    if order is not None:
-        what = f"is told for {type(picture).__name__}"
-        raise InputError("order", what, "leave it out: only NumPy arrays need it")
     if isinstance(picture, Tensor):
         return picture.to(torch.float32).div_(255) if picture.dtype == torch.uint8 else picture
     if isinstance(picture, Image.Image):
@@ -129,24 +164,45 @@ def as_image(picture: Picture, order: Order | None = None) -> Tensor:
             raise InputError("image", what, "give another one") from None
     if isinstance(picture, str | os.PathLike):
         return read_image(picture)
-    remedy = "give a tensor, a NumPy array, a Pillow image or a path"
+    if picture is None:
+        raise InputError("image", "is None", "check its path: cv2.imread gives that for a bad one")
+    if isinstance(picture, Iterable) and not isinstance(picture, bytes):
+        what = f"is a {type(picture).__name__}, not one picture"
+        raise InputError("image", what, "give one, or all of them to detect_many")
+    remedy = "give a path, a NumPy array, a Pillow image or a tensor"
     raise InputError("image", f"is {type(picture).__name__}", remedy)
 
 
-def _as_rgb(pixels: np.ndarray, order: Order | None) -> np.ndarray:
-    """Pixels uint8 (H,W,3) of an order as RGB; InputError or ConfigError where they are not."""
-    if pixels.dtype != np.uint8:
-        remedy = "give uint8 from 0 to 255, or a float tensor (3, height, width) in [0, 1]"
-        raise InputError("image", f"is an array of {pixels.dtype}", remedy)
-    if pixels.ndim != 3 or pixels.shape[2] != 3:
-        what = f"is an array of the shape {pixels.shape}"
-        raise InputError("image", what, "give (height, width, 3)")
-    if order is None:
-        what = "is an array whose order of colours is not told"
-        raise InputError("image", what, 'give order="rgb", or order="bgr" if it is from OpenCV')
+def checked_order(order: Order) -> Order:
+    """The order of colours, if it is one; else ConfigError."""
     if order not in get_args(Order):
         raise unknown_name("order of colours", order, get_args(Order))
-    return pixels if order == "rgb" else pixels[..., ::-1]
+    return order
+
+
+def _as_rgb(pixels: np.ndarray, order: Order | None) -> np.ndarray:
+    """Pixels (H,W) or (H,W,C), C being 1, 3 or 4, as grey, RGB or RGBA; else InputError."""
+    if pixels.dtype not in (np.uint8, np.uint16) and pixels.dtype.kind != "f":
+        remedy = "give uint8 from 0 to 255, or floating point from 0 to 1"
+        raise InputError("image", f"is an array of {pixels.dtype}", remedy)
+    if pixels.ndim == 2:
+        return pixels
+    if pixels.ndim != 3 or pixels.shape[2] not in (1, 3, 4):
+        what = f"is an array of the shape {pixels.shape}"
+        stack = pixels.ndim == 4
+        remedy = "give (height, width, 3), or (height, width) if it is grey"
+        raise InputError("image", what, "give all of them to detect_many" if stack else remedy)
+    if pixels.shape[2] == 1:
+        return pixels[..., 0]
+    if order is None:
+        what = "is an array whose order of colours is not told"
+        remedy = (
+            'give order="rgb", or order="bgr" if it is from OpenCV; once: load_detector(…, order=…)'
+        )
+        raise InputError("image", what, remedy)
+    if order == "rgb":
+        return pixels
+    return pixels[..., ::-1] if pixels.shape[2] == 3 else pixels[..., [2, 1, 0, 3]]
 
 
 # --- out --------------------------------------------------------------------------------
@@ -187,8 +243,7 @@ def write_overlay(
     caption: str = "",
 ) -> None:
     """Write ``overlay_pixels`` as JPEG."""
-    pixels = overlay_pixels(image, mask, ego, caption)
-    _write_encoded(path, ".jpg", _bgr(pixels), *JPEG_OPTIONS)
+    write_pixels(path, overlay_pixels(image, mask, ego, caption))
 
 
 def overlay_pixels(
@@ -208,13 +263,21 @@ def overlay_pixels(
 
 def write_jpeg(path: str | os.PathLike[str], image: Tensor) -> None:
     """Write an image (3,H,W) in [0,1] as JPEG, for looking at."""
-    _write_encoded(path, ".jpg", _bgr(to_pixels(image)), *JPEG_OPTIONS)
+    write_pixels(path, to_pixels(image))
+
+
+def write_pixels(path: str | os.PathLike[str], pixels: np.ndarray) -> None:
+    """Write pixels uint8 (H,W,3) RGB as PNG where the name ends so, else as JPEG."""
+    kind, options = (".png", ()) if os.fspath(path).endswith(".png") else (".jpg", JPEG_OPTIONS)
+    _write_encoded(path, kind, _bgr(pixels), *options)
 
 
 def write_npy(path: str | os.PathLike[str], values: Tensor) -> None:
     """Write a tensor as NumPy file, type and shape unchanged."""
     with atomic(path) as temporary, temporary.open("wb") as file:
-        np.save(file, values.detach().cpu().numpy())
+        # To a file that it knows NumPy writes past Python, and a full disk has no number then.
+        plain: Any = SimpleNamespace(write=file.write)
+        np.lib.format.write_array(plain, values.detach().cpu().numpy(), allow_pickle=False)
 
 
 def tint_mask(pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:
@@ -237,13 +300,17 @@ def with_caption(pixels: np.ndarray, caption: str) -> np.ndarray:
     """Pixels uint8 (H,W,3) with a line of white text on a dark rim, sized with the picture."""
     if not caption:
         return pixels
-    scale = max(0.3, min(pixels.shape[:2]) / 600)
-    at = (round(10 * scale), round(30 * scale))
-    result = np.ascontiguousarray(pixels)
-    for colour, width in (((0, 0, 0), 6), ((255, 255, 255), 2)):
-        line = max(1, round(width * scale))
-        cv2.putText(result, caption, at, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, line, cv2.LINE_AA)
-    return result
+    size = max(LETTERS, round(min(pixels.shape[:2]) / 22))
+    band = Image.fromarray(pixels[: 2 * size])
+    rim = {"stroke_width": max(1, size // 12), "stroke_fill": "black"}
+    ImageDraw.Draw(band).text((size // 2, size // 2), caption, "white", _font(size), **rim)
+    return np.concatenate([np.asarray(band), pixels[2 * size :]])
+
+
+@cache
+def _font(size: int) -> Any:
+    """The font that Pillow brings, of a height in pixels."""
+    return ImageFont.load_default(size)
 
 
 def to_pixels(image: Tensor) -> np.ndarray:

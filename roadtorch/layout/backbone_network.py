@@ -2,9 +2,9 @@
 
 The backbone is EfficientNet-Lite0 (Tan and Le, "EfficientNet", ICML 2019; the "lite" variants of
 their repository, without squeeze-and-excitation) as far as its fifteenth block, its weights as
-they were learned from ImageNet's object labels, frozen. Batch normalisation is part of the
-convolutions here. What is learned for roads are the heads: small convolutions at an eighth and a
-quarter of the size. Several heads that began differently are averaged.
+they were learned from ImageNet's object labels, or learned on from there. Batch normalisation is
+part of the convolutions here. What is learned for roads anew are the heads: small convolutions at
+an eighth and a quarter of the size. Several heads that began differently are averaged.
 """
 
 from collections.abc import Mapping
@@ -16,8 +16,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from roadtorch.imaging.resize import resized
-from roadtorch.layout.classes import CLASSES
-from roadtorch.layout.picture_network import EGO, OUTPUTS, ROAD, place_planes, potentials_of
+from roadtorch.layout.patch_network import Normalisation, normalise
+from roadtorch.layout.picture_network import OUTPUTS, cues_of, place_planes
 from roadtorch.settings import Settings
 
 
@@ -70,6 +70,7 @@ class BackboneNetworkSettings(Settings):
     wide: int = Field(default=48, ge=8, le=512, description="channels of a head at an eighth")
     narrow: int = Field(default=24, ge=8, le=512, description="channels of a head at a quarter")
     heads: int = Field(default=3, ge=1, le=16, description="heads that are averaged")
+    normalisation: Normalisation = Normalisation(kind="none")
 
 
 class SamePadded(nn.Conv2d):
@@ -78,13 +79,26 @@ class SamePadded(nn.Conv2d):
     def __init__(
         self, inputs: int, outputs: int, kernel: int, stride: int, groups: int = 1
     ) -> None:
-        padding = kernel // 2 if stride == 1 else 0
-        super().__init__(inputs, outputs, kernel, stride, padding, groups=groups)
-        self.ends = (0, 0) if stride == 1 else (kernel // 2 - 1, kernel // 2)
+        super().__init__(inputs, outputs, kernel, stride, kernel // 2, groups=groups)
 
     def forward(self, maps: Tensor) -> Tensor:
-        """Maps (B,outputs,H/stride,W/stride); H and W are multiples of the stride."""
-        return super().forward(F.pad(maps, self.ends * 2) if self.stride[0] > 1 else maps)
+        """Maps (B,outputs,H/stride,W/stride); H and W are multiples of the stride.
+
+        On processors a product of matrices is faster than torch's convolution of single pixels,
+        and a kernel with a row and a column of zeros than padded maps, which are copies.
+        """
+        kernel, exporting = self.kernel_size[0], torch.compiler.is_exporting()
+        if kernel == 1 and not self.training and not exporting:
+            pixels = F.linear(maps.permute(0, 2, 3, 1), self.weight[:, :, 0, 0], self.bias)
+            return pixels.permute(0, 3, 1, 2)
+        if self.stride[0] == 1:
+            return super().forward(maps)
+        if exporting:
+            ends = (kernel // 2 - 1, kernel // 2)
+            maps = F.pad(maps, ends * 2)
+            return F.conv2d(maps, self.weight, self.bias, self.stride, 0, groups=self.groups)
+        weight = F.pad(self.weight, (1, 0, 1, 0))
+        return F.conv2d(maps, weight, self.bias, self.stride, kernel // 2, groups=self.groups)
 
 
 class Bottleneck(nn.Module):
@@ -100,8 +114,9 @@ class Bottleneck(nn.Module):
 
     def forward(self, maps: Tensor) -> Tensor:
         """Maps (B,outputs,H/stride,W/stride) of maps (B,inputs,H,W)."""
-        wide = maps if self.widen is None else F.relu6(self.widen(maps))
-        changed = self.narrow(F.relu6(self.look(wide)))
+        in_place = not self.training
+        wide = maps if self.widen is None else F.relu6(self.widen(maps), in_place)
+        changed = self.narrow(F.relu6(self.look(wide), in_place))
         return maps + changed if self.added else changed
 
 
@@ -173,6 +188,14 @@ class BackboneNetwork(nn.Module):
         wide, narrow = self.settings.wide, self.settings.narrow
         self.heads = nn.ModuleList(Head(wide, narrow) for _ in range(self.settings.heads))
 
+    def train(self, mode: bool = True) -> "BackboneNetwork":
+        """Learn on, or not; statistics stay what they were: batches of a few streets wander."""
+        super().train(mode)
+        for head in self.heads:
+            head.get_submodule("levels").eval()
+            head.get_submodule("drop").eval()  # it would draw what no seed of a run tells
+        return self
+
     def forward(self, images: Tensor) -> Tensor:
         """Scores (B,5,H/4,W/4) of images (B,3,H,W) in [0,1], the mean of the heads'."""
         features = self.backbone(images)
@@ -183,6 +206,5 @@ class BackboneNetwork(nn.Module):
         """Of an image (3,H,W): ``layout`` (3,H,W), ``road`` and ``ego`` (H,W), all in [0,1]."""
         size = (image.shape[-2], image.shape[-1])
         small = resized(image, (self.settings.height, self.settings.width)).clamp(0, 1)
-        scores = self(small[None].to(self.backbone.stem.weight)).to(image)
-        potentials = resized(potentials_of(scores)[0], size).clamp(0, 1)
-        return {"layout": potentials[:CLASSES], "road": potentials[ROAD], "ego": potentials[EGO]}
+        pixels = normalise(small, self.settings.normalisation).pixels[None]
+        return cues_of(self(pixels.to(self.backbone.stem.weight)).to(image), size)

@@ -8,7 +8,6 @@ the family that P2 selects, and the default here.
 
 import math
 from collections.abc import Mapping
-from itertools import product
 from typing import ClassVar, Literal, NamedTuple
 
 import torch
@@ -23,12 +22,7 @@ from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.fragments import Layer, Layers, reflected
 from roadtorch.settings import Settings
 
-PATCHES = (32, 48, 64)
-"""The sizes of patches that P2 compares (Fig. 3)."""
-
 MIN_KERNEL, MAX_KERNEL = 5, 13
-
-PROPOSALS = 3
 
 
 class Topology(Settings):
@@ -37,7 +31,9 @@ class Topology(Settings):
     The defaults are CNN-7 (P2, Fig. 4). ConfigError for sizes that do not end in 1×1.
     """
 
-    patch: Literal[32, 48, 64] = Field(default=32, description="pixels of the patch's side")
+    patch: Literal[32, 48, 64] = Field(
+        default=32, description="pixels of the patch's side; Álvarez 2012 compares these (Fig. 3)"
+    )
     input: Literal["colour", "grey"] = Field(
         default="colour",
         description="three planes, or their luma alone (Álvarez 2012, section 6.1)",
@@ -75,14 +71,19 @@ class Topology(Settings):
 
     @model_validator(mode="after")
     def _ends_in_one(self) -> "Topology":
-        sizes = (self.patch, self.size1, self.size2, self.size3, self.subsamplings)
-        if _last_side(*sizes) != 1:
-            side = _last_side(*sizes)
-            end = f"ends in {side}×{side}, not in 1×1"
-            if side is None:
-                end = "has a map that 2×2 subsampling cannot halve, or none left"
-            remedy = f"nearest that do: {_nearest(*sizes)}"
-            raise ConfigError("topology", f"{_told(*sizes)} {end}", remedy)
+        side = self.patch
+        for stage, size in enumerate((self.size1, self.size2, self.size3), 1):
+            side -= size - 1
+            if stage <= self.subsamplings:
+                side = side // 2 if side % 2 == 0 else 0
+            if side < 1:
+                what = f"has a map behind size{stage} that is empty, or that 2×2 cannot halve"
+                raise ConfigError("topology", what, "the usual sizes are 7, 7, 7 for a patch of 32")
+        if side != 1:
+            fits, what = self.size3 + side - 1, f"ends in {side}×{side}, not in 1×1"
+            remedy = "give a smaller patch, larger kernels or one more subsampling"
+            remedy = f"size3={fits} would end in it" if fits <= MAX_KERNEL else remedy
+            raise ConfigError("topology", what, remedy)
         if self.connections > self.k1:
             what = f"is {self.connections}, and the first layer has {self.k1} kernels"
             raise ConfigError("topology.connections", what, f"give 0 to {self.k1}")
@@ -92,46 +93,6 @@ class Topology(Settings):
     def stride(self) -> int:
         """Pixels between neighbouring outputs when the network runs over a whole picture."""
         return 2**self.subsamplings
-
-
-def _layer(convolution: nn.Conv2d) -> Layer:
-    """What a convolution of ours learned; all have a bias."""
-    assert convolution.bias is not None
-    return Layer(convolution.weight, convolution.bias)
-
-
-def _last_side(patch: int, size1: int, size2: int, size3: int, subsamplings: int) -> int | None:
-    """The side of the last map; None where a map is empty or an odd one would be halved."""
-    side = patch
-    for stage, size in enumerate((size1, size2, size3), 1):
-        side -= size - 1
-        if stage <= subsamplings:
-            if side % 2:
-                return None
-            side //= 2
-    return side if side > 0 else None
-
-
-def _told(patch: int, size1: int, size2: int, size3: int, subsamplings: int) -> str:
-    return f"patch={patch} size1={size1} size2={size2} size3={size3} subsamplings={subsamplings}"
-
-
-def _nearest(*sizes: int) -> str:
-    """The sizes with the smallest changes that end in 1×1, as settings."""
-    kernels = range(MIN_KERNEL, MAX_KERNEL + 1)
-    fitting = [
-        other
-        for other in product(PATCHES, kernels, kernels, kernels, (1, 2))
-        if _last_side(*other) == 1
-    ]
-    # A step in the patch is 16 pixels; odd kernels, which have a centre, go first.
-    weights = (0.25, 1, 1, 1, 2)
-
-    def change(other: tuple[int, ...]) -> tuple[float, int]:
-        steps = (w * abs(a - b) for w, a, b in zip(weights, sizes, other, strict=True))
-        return sum(steps), sum(size % 2 == 0 for size in other[1:4])
-
-    return "; ".join(_told(*other) for other in sorted(fitting, key=change)[:PROPOSALS])
 
 
 # --- before a network --------------------------------------------------------------------
@@ -146,10 +107,10 @@ MIN_DEVIATION = 0.02
 class Normalisation(Settings):
     """What is done to a picture before a network sees it."""
 
-    kind: Literal["fixed", "picture", "brightened", "brightened picture"] = Field(
+    kind: Literal["none", "fixed", "picture", "brightened", "brightened picture"] = Field(
         default="fixed",
-        description="levels as they are; less the picture's mean colour, over its deviation; "
-        "brightened as for the labeller; or first this, then that",
+        description="levels as they are; about zero; less the picture's mean colour, over its "
+        "deviation; brightened as for the labeller; or first this, then that",
     )
     exposure: Exposure = Exposure()
 
@@ -163,6 +124,8 @@ class Normalised(NamedTuple):
 
 def normalise(image: Tensor, normalisation: Normalisation) -> Normalised:
     """An image (3,H,W) in [0,1] as the networks want it. Ours; P2 says "RGB pixel values"."""
+    if normalisation.kind == "none":
+        return Normalised(image, 1.0)
     if normalisation.kind.startswith("brightened"):
         image = brightened(image, normalisation.exposure)
     if normalisation.kind.endswith("picture"):
@@ -227,14 +190,10 @@ class PatchNetwork(nn.Module):
         fragment (see ``fragments``). Past the border the picture is reflected.
         """
         shape = self.settings.topology
-        layers = Layers(
-            _layer(self.first),
-            _layer(self.second)._replace(weight=self.second.weight * self.table),
-            _layer(self.last),
-            shape.patch,
-            shape.pooling,
-            shape.subsamplings,
-        )
+        weights = (self.first.weight, self.second.weight * self.table, self.last.weight)
+        biases = (self.first.bias, self.second.bias, self.last.bias)
+        first, second, last = (Layer(*pair) for pair in zip(weights, biases, strict=True))  # type: ignore[arg-type]  # all have a bias
+        layers = Layers(first, second, last, shape.patch, shape.pooling, shape.subsamplings)
         return self._squashed(layers.scores(self._seen(pixels))[None])[0]
 
     def everywhere(self, pixels: Tensor) -> Tensor:

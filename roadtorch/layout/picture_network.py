@@ -89,17 +89,13 @@ class PictureNetwork(nn.Module):
         size = (image.shape[-2], image.shape[-1])
         small = resized(image, (self.settings.height, self.settings.width)).clamp(0, 1)
         pixels = normalise(small, self.settings.normalisation).pixels[None]
-        scores = self(pixels.to(self.heads.weight)).to(image)
-        potentials = resized(potentials_of(scores)[0], size).clamp(0, 1)
-        return {"layout": potentials[:CLASSES], "road": potentials[ROAD], "ego": potentials[EGO]}
+        return cues_of(self(pixels.to(self.heads.weight)).to(image), size)
 
 
-def network_at(network: PictureNetwork, height: int, width: int) -> PictureNetwork:
-    """The same weights for pictures of another size, multiples of 8: convolutions know no size."""
-    sized = network.settings.model_copy(update={"height": height, "width": width})
-    other = PictureNetwork(sized)
-    other.load_state_dict(network.state_dict())
-    return other.train(network.training)
+def cues_of(scores: Tensor, size: tuple[int, int]) -> Mapping[str, Tensor]:
+    """Scores (1,5,h,w) as maps (…,H,W) in [0,1] of that size: ``layout``, ``road``, ``ego``."""
+    potentials = resized(potentials_of(scores)[0], size).clamp(0, 1)
+    return {"layout": potentials[:CLASSES], "road": potentials[ROAD], "ego": potentials[EGO]}
 
 
 class Stage(nn.Sequential):

@@ -1,5 +1,6 @@
 """Weight files: a network with everything needed to run it, in one safetensors file."""
 
+import copy
 import json
 import os
 import re
@@ -9,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import torch
-from pydantic import Field
+from pydantic import BaseModel, Field, ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
@@ -41,6 +42,9 @@ STATED = re.compile(r"^\|\s*sha256\s*\|\s*`([0-9a-f]{64})`\s*\|", re.MULTILINE)
 TERMS = re.compile(r"^\|\s*terms\s*\|\s*(.+?)\s*\|$", re.MULTILINE)
 """The row of a card that says in a few words what the weights may be used for."""
 
+STEP = 32
+"""Pixels by which the sides differ at which networks see pictures: halved five times."""
+
 MAX_CARD_BYTES = 2**20
 """Bytes; ours: cards have thousands."""
 
@@ -50,7 +54,10 @@ NETWORKS = {
     BackboneNetwork.kind: (BackboneNetwork, BackboneNetworkSettings),
 }
 
-LayoutNetwork = PatchNetwork | PictureNetwork | BackboneNetwork
+WholePictureNetwork = PictureNetwork | BackboneNetwork
+"""Say layout, road and ego car of a whole picture."""
+
+LayoutNetwork = PatchNetwork | WholePictureNetwork
 
 
 def save_network(
@@ -91,14 +98,22 @@ def load_network(path: str | os.PathLike[str]) -> LayoutNetwork:
     or the card beside it states.
     """
     header, tensors = _read(Path(path))
-    network_class, settings_class = NETWORKS[header["kind"]]
+    network_class, settings_class = NETWORKS[header.kind]
     try:
-        network = network_class(build_settings(settings_class, header["settings"]))
+        network = network_class(build_settings(settings_class, header.settings))
     except ConfigError as problem:
         what = f"was made for other settings: {problem.where} {problem.what}"
         raise WeightsError(path, what, "use the roadtorch that made it") from None
     fill(network, tensors, path)
     return network.eval()
+
+
+def network_at(network: WholePictureNetwork, height: int, width: int) -> WholePictureNetwork:
+    """The same weights for pictures of another size: convolutions know none."""
+    other = copy.deepcopy(network)
+    sized = network.settings.model_copy(update={"height": height, "width": width})
+    other.settings = sized  # pyright: ignore[reportAttributeAccessIssue]  # of its own kind
+    return other
 
 
 def shipped_weights(name: str) -> Path:
@@ -129,7 +144,7 @@ def terms_of(path: Path) -> str:
 
 def read_origin(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Where the weights of a file come from; WeightsError as for ``load_network``."""
-    return _read(Path(path))[0]["origin"]
+    return _read(Path(path))[0].origin
 
 
 def people_behind(path: str | os.PathLike[str]) -> list[Mapping[str, Any]]:
@@ -187,14 +202,14 @@ def _shape(shapes: Mapping[str, tuple[int, ...]], name: str) -> str:
     return "×".join(map(str, shapes[name])) or "a number" if name in shapes else "missing"
 
 
-def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    """The header and the tensors of a weight file of ours."""
+def _read(path: Path) -> tuple["_Header", dict[str, Tensor]]:
+    """The header and the tensors of a weight file of ours, as it and its card state them."""
     if not path.is_file():
         raise WeightsError(path, "is not a file", "give a .safetensors file")
     try:
         regular_size(path)
         with safe_open(path, "pt") as file:
-            header = _checked(path, (file.metadata() or {}).get(HEADER))
+            header = _header(path, (file.metadata() or {}).get(HEADER))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except SafetensorError as problem:
         what = f"is damaged or no weight file: {problem}"
@@ -202,20 +217,14 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     except OSError as problem:
         what = f"cannot be read: {problem.strerror}"
         raise WeightsError(path, what, "check the file") from None
-    _check_hashes(path, header, tensors)
-    return header, tensors
-
-
-def _check_hashes(path: Path, header: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
-    """WeightsError for other bytes than the header states, or the card where there is one."""
-    stated = header.get("sha256")  # files of earlier versions state none
-    if stated is not None and stated != tensors_hash(tensors):
+    if header.sha256 is not None and header.sha256 != tensors_hash(tensors):
         what = "is damaged: its weights are not those that its header states"
         raise WeightsError(path, what, "fetch or train it again")
     row = STATED.search(_card_of(path))
     if row is not None and row[1] != digest_of(path):
         what = f"is not the file whose SHA-256 {path.stem}.md states"
         raise WeightsError(path, what, "fetch it again, or remove the card")
+    return header, tensors
 
 
 def _card_of(path: Path) -> str:
@@ -230,28 +239,36 @@ def _card_of(path: Path) -> str:
         raise WeightsError(card, what, "check the file, or remove it") from None
 
 
-def _checked(path: Path, text: str | None) -> dict[str, Any]:
+class _Header(BaseModel):
+    """What a weight file says of itself; files of earlier versions state no hash."""
+
+    format: int
+    kind: str
+    settings: dict[str, Any]
+    origin: dict[str, Any]
+    sha256: str | None = None
+
+
+def _header(path: Path, text: str | None) -> _Header:
     """The header of a weight file, if this code can use it."""
     if text is None:
         raise WeightsError(path, "holds weights that are not roadtorch's", "give weights of ours")
     try:
-        header = json.loads(text)
-        number, kind = int(header["format"]), str(header["kind"])
-        complete = isinstance(header["settings"], dict) and isinstance(header["origin"], dict)
-    except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
-        complete, number, kind = False, 0, ""
-    if number > FORMAT:
-        what = f"has the format {number}; this roadtorch reads up to {FORMAT}"
+        header = _Header.model_validate_json(text)
+    except ValidationError:
+        header = None
+    if header and header.format > FORMAT:
+        what = f"has the format {header.format}; this roadtorch reads up to {FORMAT}"
         raise WeightsError(path, what, "install a newer roadtorch")
-    if not complete or kind not in NETWORKS:
+    if not header or header.kind not in NETWORKS:
         raise WeightsError(path, "has a header that makes no sense", "fetch or train it again")
     return header
 
 
-Network = TypeVar("Network", PatchNetwork, PictureNetwork, BackboneNetwork)
+Network = TypeVar("Network", bound=LayoutNetwork)
 
 
-FOR_PICTURES = "layout-free"
+FOR_PICTURES = "backbone-free"
 """The shipped weights that `fusion` and `layout` take unless told otherwise."""
 
 
@@ -265,20 +282,32 @@ class WeightsFile(Settings):
     )
 
 
-def network_of(weights: WeightsFile, shipped: str, kind: type[Network]) -> Network:
+def network_of(weights: WeightsFile, shipped: str, *kinds: type[Network]) -> Network:
     """The network with the weights of a file, or with those shipped under a name.
 
-    One for whole pictures, which are all of one size to it, has run once: torch makes the programs
-    of its convolutions in the first run, which takes twice as long as a later one. Channels lie
-    side by side in memory, as processors convolve them fastest.
     Raises WeightsError for a file that cannot be used, or holds another kind of network.
     """
     path = weights_path(weights.file or shipped)
     network = load_network(path)
-    if not isinstance(network, kind):
-        what = f"holds a network for {network.kind}, not for {kind.kind}"
+    if not isinstance(network, kinds):
+        wanted = " or ".join(one.kind for one in kinds)
+        what = f"holds a network for {network.kind}, not for {wanted}"
         raise WeightsError(path, what, "use weights of that kind of training")
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # stubs lack it
-    if isinstance(network, PictureNetwork | BackboneNetwork):
-        network.cues(torch.zeros(3, network.settings.height, network.settings.width))
     return network
+
+
+def picture_network_of(
+    weights: WeightsFile, shipped: str, scale: float = 1.0
+) -> WholePictureNetwork:
+    """The same for a network that sees whole pictures, so many times as large as it learned them.
+
+    It has run once: torch makes the programs of its convolutions in the first run, which takes
+    twice as long as a later one.
+    """
+    network = network_of(weights, shipped, PictureNetwork, BackboneNetwork)
+    learned = (network.settings.height, network.settings.width)
+    height, width = (max(1, round(scale * side / STEP)) * STEP for side in learned)
+    sized = network_at(network, height, width) if scale != 1 else network
+    sized.cues(torch.zeros(3, *learned))
+    return sized

@@ -19,7 +19,7 @@ that a 16-bit map can hold; without the root, a tight threshold still does.
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
@@ -62,11 +62,6 @@ class ClassifierSettings(Settings):
     )
 
 
-def _takes_all(planes: int) -> str:
-    """No number of planes is refused; a function, as processes are sent classifiers."""
-    return ""
-
-
 @dataclass(frozen=True)
 class Learned:
     """What fitting gives.
@@ -94,7 +89,8 @@ class Classifier:
         constant planes and fewer samples than dimensions.
     distance: state and pixels float32 (d,n) to (n,), ≥ 0; called chunk by chunk. What it
         says of values that are not finite does not matter.
-    refuses: why it cannot work with so many planes; empty where it can.
+    single: why it cannot work with a single plane; empty where it can.
+    paper: settings with which it is P3's to the letter, where its defaults are not.
     """
 
     name: str
@@ -102,7 +98,12 @@ class Classifier:
     settings: type[ClassifierSettings]
     fit: Callable[[Tensor, Axes, Any, torch.Generator], Learned]
     distance: Callable[[State, Tensor], Tensor]
-    refuses: Callable[[int], str] = _takes_all
+    single: str = ""
+    paper: Mapping[str, Any] = field(default_factory=dict, hash=False)
+
+    def refuses(self, planes: int) -> str:
+        """Why it cannot work with so many planes; empty where it can."""
+        return self.single if planes == 1 else ""
 
     def chunked_distance(self, learned: Learned, planes: Tensor) -> Tensor:
         """The distance of finite pixels (d,n), arranged, in chunks that stay in the cache: (n,)."""
@@ -161,10 +162,6 @@ class Fitted:
     def squashed(self, distance: Tensor) -> Tensor:
         """The likelihood that belongs to a distance, any shape."""
         return (distance / self.threshold).sqrt_().add_(1).reciprocal_()
-
-    def accepts(self, pixels: Tensor) -> Tensor:
-        """Whether pixels (n,d) are within the threshold: bool (n,)."""
-        return self.distance(pixels) <= self.threshold
 
 
 def _joined(parts: list[Tensor]) -> Tensor:

@@ -366,4 +366,5 @@ DLP = Classifier(
     LinearSettings,
     _fit_linear,
     linear_distance,
+    paper={"dissimilarity": "euclid"},
 )

@@ -264,6 +264,7 @@ ROBUST_GAUSSIAN = Classifier(
     RobustSettings,
     _fit_robust,
     gaussian_distance,
+    paper={"method": "huber"},
 )
 CLASSIFIERS: tuple[Classifier, ...] = (GAUSSIAN, ROBUST_GAUSSIAN)
 """The single Gaussians of P3."""

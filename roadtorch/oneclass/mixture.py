@@ -333,7 +333,7 @@ def mixture_distance(state: State, pixels: Tensor) -> Tensor:
 
 
 CLASSIFIERS = tuple(
-    Classifier(name, summary, settings, _fit_mixture, mixture_distance)
+    Classifier(name, summary, settings, _fit_mixture, mixture_distance, paper={"formula": "paper"})
     for name, summary, settings in (
         ("mog2", "mixture of 2 Gaussians", MixtureSettings),
         ("mog4", "mixture of 4 Gaussians", LargerMixtureSettings),

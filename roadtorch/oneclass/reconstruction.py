@@ -176,9 +176,7 @@ def _fit_centres(
     ]
     middle = int(apart.amax(1).argmin())
     start = torch.stack([farthest_first(apart, count, middle), *draws])
-    together = max(
-        1, MAX_DISTINCT**2 // len(points) ** 2
-    )  # a start takes as much room as ``apart``
+    together = max(1, MAX_DISTINCT**2 // len(points) ** 2)  # each takes as much room as ``apart``
     runs = [k_centres(apart, part) for part in start.split(together)]
     centres, radii = (torch.cat(parts) for parts in zip(*runs, strict=True))
     best = points[centres[int(radii.argmin())]].float()
@@ -190,18 +188,13 @@ def centre_distance(state: State, pixels: Tensor) -> Tensor:
     return squared_distances(pixels, state["centres"]).amin(0).sqrt_()
 
 
-def _refuses_single(planes: int) -> str:
-    """Why so few planes are refused; a function, as processes are sent classifiers."""
-    return SINGLE if planes < 2 else ""
-
-
 PCA = Classifier(
     "pca",
     "distance to the principal components",
     ComponentSettings,
     _fit_components,
     residual_distance,
-    _refuses_single,
+    SINGLE,
 )
 K_MEANS = Classifier(
     "kmeans", "distance to the nearest of a few means", CentreSettings, _fit_means, centre_distance

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from roadtorch.evaluation.disagreement import Disagreement, MeanChange, Taught
 from roadtorch.evaluation.methods import Method
 from roadtorch.evaluation.result import Evaluation, Failure, Interval
 from roadtorch.report.disagreement import both_sheets
-from roadtorch.report.svg import BASELINE, COLOURS, DASHES, to_svg
+from roadtorch.report.svg import BASELINE, COLOURS, DASHES, Series, to_svg
 from roadtorch.report.table import (
     MINUS,
     NONE,
@@ -54,13 +55,15 @@ def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> N
     caption = "only before blue, only after orange"
     sheets = both_sheets(adaptation.dataset, adaptation.methods, items, caption)
     is_part = len(items) < len(adaptation.pictures)
+    draw = partial(draw_losses, rows=adaptation.rows)
+    loss_chart = to_svg("loss", "Mean loss of the epochs", 260, draw)
     values = {
         "one": adaptation,
         "shown": list(zip(adaptation.shown, sheets, strict=True)),
         "half": len(items) - len(items) // 2 if is_part else len(items),
         "summary": summary_table(adaptation),
         "scores": score_table(adaptation.labelled) if adaptation.labelled else None,
-        "charts": [Markup(svg) for svg in (error_chart(adaptation.rows), trust_chart(adaptation))],
+        "charts": [Markup(svg) for svg in (loss_chart, trust_chart(adaptation))],
     }
     write_page(path, "adaptation.html", command, values)
 
@@ -129,28 +132,19 @@ def _table(rows: Mapping[str, Row]) -> Table:
 # --- charts ------------------------------------------------------------------------------
 
 
-def error_chart(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The mean error of the epochs, one line a round, as SVG text."""
-
-    def draw(figure: Figure) -> None:
-        axes = figure.subplots()
-        rounds = sorted({row["round"] for row in rows})
-        for place, number in enumerate(rounds):
-            own = [row for row in rows if row["round"] == number]
-            look = place % len(COLOURS)
-            axes.plot(
-                [row["epoch"] for row in own],
-                [row["loss"] for row in own],
-                color=COLOURS[look],
-                dashes=DASHES[look] or (None, None),
-                marker=".",
-                label=f"round {number}",
-            )
-        axes.set(xlabel="epoch", ylabel="mean error")
-        if len(rounds) > 1:
-            axes.legend()
-
-    return to_svg("loss", "Mean loss of the epochs", 260, draw)
+def draw_losses(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Draw the mean loss of the epochs, one line a round."""
+    axes = figure.subplots()
+    rounds = sorted({row["round"] for row in rows})
+    for place, number in enumerate(rounds):
+        own = [row for row in rows if row["round"] == number]
+        look = place % len(COLOURS)
+        series = Series(f"round {number}", COLOURS[look], DASHES[look])
+        epochs, losses = ([row[key] for row in own] for key in ("epoch", "loss"))
+        axes.plot(epochs, losses, marker=".", label=series.name, **series.line(1.5))
+    axes.set(xlabel="epoch", ylabel="mean loss of the epoch")
+    if len(rounds) > 1:
+        axes.legend()
 
 
 def trust_chart(one: Adaptation) -> str:

@@ -10,11 +10,16 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter
 
-from roadtorch.evaluation.group_curves import Curves, DetectorCurves, RunCurves
+from roadtorch.evaluation.document import Curves, DetectorCurves, RunCurves
 from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import F_MASK, MAXF
-from roadtorch.evaluation.result import Comparison, DetectorFigures, Evaluation, Interval
-from roadtorch.evaluation.summary import PictureRow
+from roadtorch.evaluation.result import (
+    Comparison,
+    DetectorFigures,
+    Evaluation,
+    Interval,
+    PictureRow,
+)
 from roadtorch.report.svg import (
     BAND,
     BASELINE,
@@ -25,6 +30,7 @@ from roadtorch.report.svg import (
     short,
     to_svg,
 )
+from roadtorch.report.table import MINUS
 
 MARKERS = ("o", "^", "s", "D", "v", "P")  # groups
 
@@ -54,7 +60,11 @@ def score_chart(series: Sequence[Series], evaluation: Evaluation, measure: Measu
             _score_row(axes, row, one, evaluation.detectors[one.name], measure, groups)
         axes.set_xlabel(f"{measure.line} (mean over groups)" if groups else measure.line)
         if 1 < len(groups) <= MAX_GROUPS:
-            marks = [_mark(MARKERS[i], name) for i, name in enumerate(groups)]
+            look = {"linestyle": "", "color": INK, "mfc": "none", "markersize": 4.5, "mew": 0.8}
+            marks = [
+                Line2D([], [], marker=MARKERS[i], label=short(name), **look)
+                for i, name in enumerate(groups)
+            ]
             figure.legend(handles=marks, loc="outside lower left", ncols=3, fontsize=9)
 
     label, height = f"{measure.line} with 95 % intervals", 78 + 24 * len(shown)
@@ -103,17 +113,17 @@ def difference_chart(series: Sequence[Series], comparison: Comparison) -> str:
         for row, one in enumerate(shown):
             change = changes[one.name]
             _dot_with_interval(axes, row, one, change.value, change.interval)
-        axes.xaxis.set_major_formatter(FuncFormatter(_difference))
+        # What rounding leaves of zero has no sign.
+        axes.xaxis.set_major_formatter(
+            FuncFormatter(
+                lambda x, _: f"{round(x, 9):+g}".replace("-", MINUS) if abs(x) > 5e-10 else "0"
+            )
+        )
         axes.set_xlabel(f"MaxF minus that of {short(comparison.against)}")
         axes.margins(x=0.08)
 
     label = "Paired differences in MaxF with 95 % intervals"
     return to_svg("paired", label, 62 + 24 * len(shown), draw) if shown else ""
-
-
-def _difference(value: float, _: int | None = None) -> str:
-    """A tick's text; what rounding leaves of zero has no sign."""
-    return f"{round(value, 9):+g}".replace("-", "\N{MINUS SIGN}") if round(value, 9) else "0"
 
 
 def _name_rows(axes: Axes, shown: Sequence[Series]) -> None:
@@ -126,11 +136,6 @@ def _name_rows(axes: Axes, shown: Sequence[Series]) -> None:
         if one.is_baseline:
             axes.axhspan(row - 0.5, row + 0.5, color=BAND, linewidth=0, zorder=0)
             text.set_color(BASELINE)
-
-
-def _mark(marker: str, label: str) -> Line2D:
-    return Line2D([], [], linestyle="", marker=marker, color=INK, mfc="none", markersize=4.5,
-                  mew=0.8, label=short(label))  # fmt: skip
 
 
 # --- curves -----------------------------------------------------------------------------

@@ -18,19 +18,23 @@ import numpy as np
 from markupsafe import Markup
 
 from roadtorch.errors import InputError
-from roadtorch.evaluation.document import defined, document
-from roadtorch.evaluation.group_curves import RunCurves, group_curves
-from roadtorch.evaluation.result import Evaluation, Failure
-from roadtorch.evaluation.summary import PictureRow, picture_rows
+from roadtorch.evaluation.document import RunCurves, defined, document, group_curves
+from roadtorch.evaluation.result import Evaluation, Failure, PictureRow, picture_rows
 from roadtorch.io.atomic import csv_text, write_json, write_text
 from roadtorch.oneclass import CLASSIFIERS
 from roadtorch.report import charts
 from roadtorch.report.montage import write_montages
-from roadtorch.report.outcome import outcome
 from roadtorch.report.roc_families import write_roc_families
+from roadtorch.report.screen import outcome
 from roadtorch.report.svg import MAX_SERIES, choose_series
 from roadtorch.report.table import page_text
-from roadtorch.report.table3 import FAMILY, HALVES, table_csv, table_html, table_text
+from roadtorch.report.table3 import (
+    FAMILY,
+    HALVES,
+    table_csv,
+    table_html,
+    table_text,
+)
 from roadtorch.report.tables import baselines, measures_shown, page_tables
 
 SHEETS = 4  # pictures of a sheet, if nobody says
@@ -96,8 +100,14 @@ def rows_csv(
 
     left_out: groups whose pictures say so, since no mean counts them.
     """
+
+    def cell(value: str | float) -> str:
+        if isinstance(value, str):
+            return value
+        return "" if math.isnan(value) else f"{value:.6f}"
+
     scored = (
-        {key: _cell(value) for key, value in asdict(row).items()}
+        {key: cell(value) for key, value in asdict(row).items()}
         | {"ms": f"{row.ms:.2f}", "status": "left out" if row.group in left_out else "ok"}
         for row in rows
     )
@@ -105,12 +115,6 @@ def rows_csv(
         {"image": one.image, "group": one.group or "", "status": one.reason} for one in failures
     )
     return csv_text(COLUMNS, chain(scored, failed))
-
-
-def _cell(value: str | float) -> str:
-    if isinstance(value, str):
-        return value
-    return "" if math.isnan(value) else f"{value:.6f}"
 
 
 # --- the page ---------------------------------------------------------------------------
@@ -136,12 +140,15 @@ def render_page(
     in_charts = [one.name for one in series]
     drawn = charts.all_charts(evaluation, series, curves, rows)
     settings = {name: detectors[name].method.settings for name in in_charts}
+    groups = [*evaluation.groups, *evaluation.left_out]
+    scored = Counter(item.group for item in dataset.items)
+    scored.subtract(one.group for one in evaluation.failures)
     values: dict[str, Any] = {
         "evaluation": evaluation,
         "dataset": dataset,
         "view": "the picture" if dataset.view is None else dataset.view.name,
         "series": series,
-        "groups": _groups(evaluation),
+        "groups": {group: scored[group] for group in sorted(groups)},
         "baselines": baselines(evaluation),
         "left_out": len(detectors) - len(series),
         "outcome": outcome(evaluation),
@@ -160,14 +167,6 @@ def render_page(
         "sources": sorted({one.threshold_from for one in detectors.values()} - {""}),
     }
     return page_text("report.html", command, values)
-
-
-def _groups(evaluation: Evaluation) -> dict[str, int]:
-    """How many pictures were scored of each group."""
-    items = Counter(item.group for item in evaluation.dataset.items)
-    failed = Counter(one.group for one in evaluation.failures)
-    groups = sorted([*evaluation.groups, *evaluation.left_out])
-    return {group: items[group] - failed[group] for group in groups}
 
 
 def _sheets(sheets: Sheets, evaluation: Evaluation) -> Iterator[tuple[str, list[dict[str, str]]]]:

@@ -12,9 +12,8 @@ from torch import Tensor
 from roadtorch.data.dataset import Dataset, Item, Truth
 from roadtorch.detector import Detection
 from roadtorch.evaluation.methods import Look
-from roadtorch.evaluation.result import Evaluation
+from roadtorch.evaluation.result import Evaluation, chosen_pictures
 from roadtorch.evaluation.scoring import LabelledPicture, seen_truth
-from roadtorch.evaluation.summary import chosen_pictures
 from roadtorch.evaluation.tally import WHOLE
 from roadtorch.io.bounded import printable
 from roadtorch.io.image import to_pixels, write_jpeg
@@ -32,7 +31,7 @@ BLUE, VERMILLION, WHITE = (0, 114, 178), (213, 94, 0), (255, 255, 255)  # Okabe 
 def write_montages(out: Path, evaluation: Evaluation, count: int) -> dict[str, dict[str, bytes]]:
     """Write ``montage.NAME.best.jpg``, ``.median`` and ``.worst`` for the best detectors.
 
-    Floors get none, and of many detectors only the ``MAX_DETECTORS`` with the highest MaxF do.
+    Baselines get none, and of many detectors only the ``MAX_DETECTORS`` with the highest MaxF do.
     Returns the files' content by detector and part.
     """
     detectors = evaluation.detectors

@@ -3,13 +3,14 @@
 import re
 from collections.abc import Mapping, Sequence
 from functools import partial
+from itertools import chain, product
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from roadtorch.evaluation.group_curves import DetectorCurves, RunCurves
+from roadtorch.evaluation.document import DetectorCurves, RunCurves
 from roadtorch.io.atomic import write_text
 from roadtorch.report.svg import COLOURS, DASHES, GRID, INK, Series, to_svg
 
@@ -28,14 +29,14 @@ def roc_families(curves: RunCurves, family: str, classifiers: Sequence[str], hal
     """One row a classifier, one column a half, one line a representation; "" without curves.
 
     Drawn are P3's averages over the pictures (``roc_vertical``), and of them the mean over
-    groups. Names are ``family`` + ``classifier:planes``.
+    groups. Names are ``family`` + ``classifier:planes``, with ``:paper`` where that ran.
     """
-    lines = {
-        (name, planes): line
-        for name in classifiers
-        for planes in (plane for half in halves.values() for plane in half)
-        if (line := mean_line(curves.get(f"{family}{name}:{planes}"))) is not None
-    }
+    lines = {}
+    for name, planes in product(classifiers, chain.from_iterable(halves.values())):
+        cell = f"{family}{name}:{planes}"
+        line = mean_line(curves.get(f"{cell}:paper") or curves.get(cell))
+        if line is not None:
+            lines[name, planes] = line
     shown = [name for name in classifiers if any(key[0] == name for key in lines)]
     label = f"ROC curves of {', '.join(shown)}"
     height = KEY + ROW * len(shown)

@@ -3,13 +3,14 @@
 import math
 from collections.abc import Sequence
 
-from roadtorch.evaluation.measures import MAXF
-from roadtorch.evaluation.result import Evaluation
-from roadtorch.evaluation.thresholds import DIGITS, ThresholdChoice
-from roadtorch.report.table import Cell, Table, share, table_text
+from roadtorch.evaluation.evaluate import DIGITS, ThresholdChoice
+from roadtorch.evaluation.measures import F_MASK, IOU, IOU_MASK, MAXF, F
+from roadtorch.evaluation.result import DetectorFigures, Evaluation, Interval
+from roadtorch.report.table import Cell, Table, share, signed, table_text
 from roadtorch.report.tables import (
     MAX_COLUMNS,
     MAX_SHOWN,
+    best_baseline,
     condition_rows,
     differences,
     group_rows,
@@ -29,7 +30,7 @@ MAX_ROWS = 20
 def screen(evaluation: Evaluation) -> str:
     """The tables of a run: road, then what there is of groups, conditions, trust, layout, pairs."""
     shown = shortlist(evaluation)
-    best_first = sorted(shown, key=lambda name: -_maxf(evaluation, name))
+    best_first = [name for name in evaluation.ranked() if name in shown]
     told = [name for name in best_first if not evaluation.detectors[name].is_baseline][:MAX_TOLD]
     by_group = len(evaluation.groups) > MAX_COLUMNS["screen"] or evaluation.left_out
     against = evaluation.comparison.against
@@ -49,15 +50,8 @@ def screen(evaluation: Evaluation) -> str:
 def shortlist(evaluation: Evaluation) -> list[str]:
     """The baselines and the best of the others by MaxF, in the order in which they stand."""
     detectors = evaluation.detectors
-    others = [name for name, one in detectors.items() if not one.is_baseline]
-    best = sorted(others, key=lambda name: -_maxf(evaluation, name))[:MAX_SHOWN]
+    best = [name for name in evaluation.ranked() if not detectors[name].is_baseline][:MAX_SHOWN]
     return [name for name, one in detectors.items() if one.is_baseline or name in best]
-
-
-def _maxf(evaluation: Evaluation, name: str) -> float:
-    """That of the headline, to be sorted by: the lowest of all where there is none."""
-    value = MAXF.of(evaluation.detectors[name].headline)
-    return -math.inf if math.isnan(value) else value
 
 
 def _part_text(evaluation: Evaluation, name: str, kind: str) -> str:
@@ -115,3 +109,99 @@ def provenance(choice: ThresholdChoice, evaluation: Evaluation, command: str) ->
         return lines
     held_out = f"F {choice.f_held_out:.3f}, IoU {choice.iou_held_out:.3f}"
     return [*lines, f"Each group at the threshold of the others: {held_out}."]
+
+
+def outcome(evaluation: Evaluation) -> list[str]:
+    """The best detector against the best baseline; how far the groups differ; how sure it is."""
+    detectors = evaluation.detectors
+    scores = MAXF.known(evaluation.headlines)
+    baseline, level = best_baseline(evaluation, evaluation.headlines)
+    scored = [n for n in evaluation.ranked() if n in scores and not detectors[n].is_baseline]
+    if not scored:
+        if not baseline:
+            return ["No detector has a score."]
+        alone = f"the best is {baseline} with a MaxF of {share(level)}"
+        return [f"Only blind baselines were scored; {alone}."]
+    best = scored[0]
+    sentences = [_first(best, detectors[best], baseline, level), *_mask(detectors[best])]
+    if baseline and (ends := paired_interval(evaluation, best, baseline)):
+        sentences.append(f"The distance to {baseline} has a 95 % interval of {_range(*ends)}.")
+    sentences += _groups(best, evaluation)
+    if len(scored) > 1:
+        second = scored[1]
+        ends = paired_interval(evaluation, best, second)
+        interval = f" (95 % interval {_range(*ends)})" if ends else ""
+        behind = share(scores[best] - scores[second])
+        sentences.append(f"Next is {second}, {behind} behind{interval}.")
+    return sentences + _decided(best, detectors[best])
+
+
+def _first(name: str, figures: DetectorFigures, baseline: str, level: float) -> str:
+    """How far the best detector is above the best baseline, whose MaxF is ``level``."""
+    score, ends = MAXF.of(figures.headline), figures.interval
+    interval = f" (95 % interval {share(ends.low)} to {share(ends.high)})" if ends.is_known else ""
+    text, distance = f"{name} is best: MaxF {share(score)}{interval}", score - level
+    if not baseline:
+        return f"{text}. No blind baseline was scored beside it."
+    if round(distance, 3) <= 0:
+        text = f"No detector is above the blind baselines: {name} has a MaxF of {share(score)}"
+        return f"{text}{interval}, {share(-distance)} below {baseline} ({share(level)})."
+    return f"{text}, {share(distance)} above the best blind baseline, {baseline} ({share(level)})."
+
+
+def _mask(figures: DetectorFigures) -> list[str]:
+    """What a user gets, with no label to choose a threshold, and where that is worst."""
+    f, overlap = F_MASK.of(figures.headline), IOU_MASK.of(figures.headline)
+    if math.isnan(f) or math.isnan(overlap):
+        return []
+    text = (
+        f"Its mask at the default threshold has an F of {share(f)} and an IoU of {share(overlap)}"
+    )
+    known = F_MASK.known(figures.groups)
+    if len(known) < 2:
+        return [f"{text}."]
+    low = min(known, key=known.__getitem__)
+    return [f"{text}; on the worst of {len(known)} groups, {low}, an F of {share(known[low])}."]
+
+
+def _groups(name: str, evaluation: Evaluation) -> list[str]:
+    """The worst and the best group, and on how many the detector is above the baselines."""
+    scores = MAXF.known(evaluation.detectors[name].groups)
+    if len(scores) < 2:
+        return []
+    low, high = min(scores, key=scores.__getitem__), max(scores, key=scores.__getitem__)
+    text = f"By group from {share(scores[low])} ({low}) to {share(scores[high])} ({high})"
+    levels = {group: best_baseline(evaluation, evaluation.of_group(group))[1] for group in scores}
+    compared = [group for group, level in levels.items() if not math.isnan(level)]
+    if not compared:
+        return [f"{text}."]
+    above = sum(scores[group] > levels[group] for group in compared)
+    return [f"{text}; above every blind baseline on {above} of {len(compared)} groups."]
+
+
+def paired_interval(evaluation: Evaluation, one: str, other: str) -> Interval | None:
+    """The interval of one detector's MaxF less that of another, if the run compared them."""
+    comparison = evaluation.comparison
+    for name, against, sign in ((one, other, 1), (other, one, -1)):
+        change = comparison.differences.get(name, {}).get(MAXF.key)
+        if comparison.against == against and change and change.interval.is_known:
+            return Interval(*sorted(sign * end for end in change.interval))
+    return None
+
+
+def _range(low: float, high: float) -> str:
+    """An interval in words; one that has 0 inside tells nothing apart."""
+    apart = "" if low > 0 or high < 0 else ", which these pictures do not tell from 0"
+    return f"{signed(low)} to {signed(high)}{apart}"
+
+
+def _decided(name: str, figures: DetectorFigures) -> list[str]:
+    """MaxF flatters; what is left of it when the threshold comes from elsewhere."""
+    f, overlap = F.of(figures.headline), IOU.of(figures.headline)
+    if math.isnan(f) or math.isnan(overlap):
+        return []
+    origin = f", from {figures.threshold_from}," if figures.threshold_from else ""
+    return [
+        f"MaxF picks its threshold on the labels it is scored on; at the chosen threshold{origin} "
+        f"{name} has an F of {share(f)} and an IoU of {share(overlap)}."
+    ]

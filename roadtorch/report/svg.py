@@ -142,7 +142,9 @@ def _inline(svg: str, label: str, width: float, height: float) -> str:
     body = svg[svg.index("<svg") :].split(">", 1)[1]
     body = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", body, flags=re.S)
     body = re.sub(r'<g id="[^"]*"', "<g", body)  # the same in every chart
-    body = re.sub(r'(?<= )(?:d|x|y|transform)="[^"]*"', lambda m: _rounded(m[0]), body)
+    body = re.sub(
+        r'(?<= )(?:d|x|y|transform)="[^"]*"', lambda m: re.sub(r"(\.\d\d)\d+", r"\1", m[0]), body
+    )
     body = re.sub(r"(?<=: )#[0-9a-f]{6}", lambda m: VARIABLES.get(m[0], m[0]), body)
     body = re.sub(r"\n\s*", "\n", body)
     return (
@@ -150,8 +152,3 @@ def _inline(svg: str, label: str, width: float, height: float) -> str:
         f'viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escape(label)}" '
         f'stroke-linejoin="round" stroke-linecap="butt">{body.strip()}'
     )
-
-
-def _rounded(attribute: str) -> str:
-    """Two decimals are a hundredth of a point."""
-    return re.sub(r"(\.\d\d)\d+", r"\1", attribute)

@@ -140,17 +140,15 @@ def page_text(template: str, command: str, values: Mapping[str, Any]) -> str:
 @cache
 def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
-        loader=jinja2.FunctionLoader(_text_of),
+        loader=jinja2.FunctionLoader(
+            lambda path: files("roadtorch.report").joinpath(path).read_text(encoding="utf-8")
+        ),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     environment.filters |= {"sha256": _sha256, "share": share, "percent": percent}
     return environment
-
-
-def _text_of(path: str) -> str:
-    return files("roadtorch.report").joinpath(path).read_text(encoding="utf-8")
 
 
 def _sha256(script: str) -> str:

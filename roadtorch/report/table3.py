@@ -9,12 +9,13 @@ import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
+from itertools import product
 from statistics import fmean
 
 import numpy as np
 
 from roadtorch.evaluation.measures import AUC_MEAN
-from roadtorch.evaluation.result import Evaluation
+from roadtorch.evaluation.result import DetectorFigures, Evaluation
 from roadtorch.imaging.color import REPRESENTATIONS
 from roadtorch.oneclass import CLASSIFIERS
 from roadtorch.report.table import Cell, Table, page_text
@@ -26,14 +27,6 @@ SINGLE = tuple(name for name, planes in REPRESENTATIONS.items() if len(planes) =
 COMBINED = tuple(name for name in REPRESENTATIONS if name not in SINGLE)
 
 HALVES = {"single planes": SINGLE, "combinations": COMBINED}
-
-ROBUST = "robust_gaussian"
-
-WEIGHTS = {
-    "reweighted": "a weight of ours; the paper's is classifier.method=huber",
-    "huber": "the weight of the paper's text",
-}
-"""Whose the method of the robust Gaussian is."""
 
 Percents = Mapping[tuple[str, str], float]
 """AUC in percent by classifier and representation."""
@@ -61,14 +54,21 @@ def measured_table(evaluation: Evaluation, group: str | None = None) -> Percents
 
     Cells without an AUC are left out.
     """
-    cells = {}
-    for classifier in CLASSIFIERS:
-        for planes in REPRESENTATIONS:
-            one = evaluation.detectors.get(f"{FAMILY}{classifier}:{planes}")
-            if one is not None:
-                value = AUC_MEAN.of(one.headline if group is None else one.group(group))
-                cells[classifier, planes] = 100 * value
+    cells = {
+        key: 100 * AUC_MEAN.of(one.headline if group is None else one.group(group))
+        for key, one in _cells(evaluation)
+    }
     return {key: value for key, value in cells.items() if not math.isnan(value)}
+
+
+def _cells(evaluation: Evaluation) -> Iterator[tuple[tuple[str, str], DetectorFigures]]:
+    """Classifier, representation, and what a run has of it: P3's to the letter where it ran."""
+    for key in product(CLASSIFIERS, REPRESENTATIONS):
+        name = FAMILY + ":".join(key)
+        found = evaluation.detectors
+        one = found.get(f"{name}:paper") or found.get(name)
+        if one is not None:
+            yield key, one
 
 
 def best_cells(table: Percents, columns: Sequence[str]) -> set[tuple[str, str]]:
@@ -123,7 +123,7 @@ def table_text(evaluation: Evaluation) -> str:
     for half, columns in HALVES.items():
         if lines := table_lines(ours, paper, columns):
             parts.append("\n".join([f"{half}: ours/the paper's, * best of the column", *lines]))
-    if note := robust_note(evaluation):
+    if note := letter_note(evaluation):
         parts.append(note)
     ranks = [f"  {name} ({n}): {value:+.2f}" for name, n, value in rank_correlations(ours, paper)]
     return "\n\n".join([*parts, "\n".join(["Spearman's rank correlation with the paper", *ranks])])
@@ -142,13 +142,16 @@ def _heading(evaluation: Evaluation) -> str:
     return f"One-class classifiers, {pictures}{over}{beside}"
 
 
-def robust_note(evaluation: Evaluation) -> str:
-    """Whose weight the robust Gaussian of a run has, for the default is not P3's; "" without it."""
-    for name, one in evaluation.detectors.items():
-        if name.startswith(f"{FAMILY}{ROBUST}:") and "classifier" in one.method.settings:
-            method = one.method.settings["classifier"]["method"]
-            return f"{ROBUST}, {method}: {WEIGHTS.get(method, 'another reading')}"
-    return ""
+def letter_note(evaluation: Evaluation) -> str:
+    """Which classifiers of a run are not as P3 has them; "" where all are."""
+    ours = {
+        name
+        for (name, _), one in _cells(evaluation)
+        if not CLASSIFIERS[name].paper.items()
+        <= one.method.settings.get("classifier", CLASSIFIERS[name].paper).items()
+    }
+    remedy = f"({FAMILY}CLASSIFIER:PLANES:paper is)"
+    return f"not the paper's to the letter: {', '.join(sorted(ours))} {remedy}" if ours else ""
 
 
 def table_lines(ours: Percents, paper: Percents, columns: Sequence[str]) -> list[str]:
@@ -209,7 +212,7 @@ def table_html(evaluation: Evaluation) -> str:
     values = {
         "heading": _heading(evaluation),
         "halves": {title: half for title, half in halves.items() if half.names},
-        "note": robust_note(evaluation),
+        "note": letter_note(evaluation),
         "ranks": list(rank_correlations(tables["all"], paper)),
     }
     return page_text("table3.html", "", values)

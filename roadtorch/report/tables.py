@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from roadtorch.evaluation.measure import Figures, Measure, Place
 from roadtorch.evaluation.measures import F_MASK, MAXF
-from roadtorch.evaluation.result import DetectorFigures, Difference, Evaluation
+from roadtorch.evaluation.result import Difference, Evaluation
 from roadtorch.layout.classes import NAMES
 from roadtorch.report.table import (
     NONE,
@@ -54,7 +54,11 @@ def scores(evaluation: Evaluation, names: Sequence[str], place: Place) -> Table:
     if place == "scores":
         table.add(*_above_baseline(evaluation, parts))
     for one in WORST if many and place == "screen" else ():
-        cells = [_worst_group(detectors[name], one) for name in names]
+        cells = []
+        for known in (one.known(detectors[name].groups) for name in names):
+            group = min(known, key=known.__getitem__, default=None)
+            text = NONE if group is None else f"{one.text(known[group], NONE)} {group}"
+            cells.append(Cell(text, None if group is None else known[group]))
         table.add(f"worst\n{one.name}", "The lowest of the groups, and whose it is.", cells)
     if place == "screen" and groups:
         pooled = [detectors[name].pooled for name in names]
@@ -62,15 +66,6 @@ def scores(evaluation: Evaluation, names: Sequence[str], place: Place) -> Table:
     for one in evaluation.shown_in(place):
         table.measure(one, parts.values())
     return table
-
-
-def _worst_group(one: DetectorFigures, measure: Measure) -> Cell:
-    values = {group: measure.of(figures) for group, figures in one.groups.items()}
-    known = {group: value for group, value in values.items() if not math.isnan(value)}
-    if not known:
-        return Cell(NONE)
-    group = min(known, key=lambda name: known[name])
-    return Cell(f"{measure.text(known[group], NONE)} {group}", known[group])
 
 
 def _above_baseline(
@@ -90,13 +85,9 @@ def baselines(evaluation: Evaluation) -> set[str]:
 
 def best_baseline(evaluation: Evaluation, parts: Mapping[str, Figures]) -> tuple[str, float]:
     """The baseline with the highest MaxF of some figures by detector; ("", NaN) without any."""
-    known = [
-        (name, MAXF.of(figures))
-        for name, figures in parts.items()
-        if evaluation.detectors[name].is_baseline and MAXF.key in figures
-    ]
-    defined = [pair for pair in known if not math.isnan(pair[1])]
-    return max(defined, key=lambda pair: pair[1]) if defined else ("", math.nan)
+    blind = baselines(evaluation)
+    scores = MAXF.known({name: figures for name, figures in parts.items() if name in blind})
+    return max(scores.items(), key=lambda pair: pair[1]) if scores else ("", math.nan)
 
 
 def measured(
@@ -115,12 +106,10 @@ def measured(
 
 def trust(evaluation: Evaluation, names: Sequence[str]) -> Table:
     """How well trust tells good masks from bad ones, of the detectors that have it."""
-    measures = evaluation.shown_in("trust")
+    keys = {one.key for one in evaluation.shown_in("trust")}
     figures = {name: evaluation.detectors[name].headline for name in names}
-    known = {
-        name: part for name, part in figures.items() if any(one.key in part for one in measures)
-    }
-    return measured(evaluation, known, "trust")
+    with_trust = {name: part for name, part in figures.items() if keys & part.keys()}
+    return measured(evaluation, with_trust, "trust")
 
 
 def differences(evaluation: Evaluation, names: Sequence[str], place: Place) -> Table:
@@ -163,17 +152,12 @@ class Rows(NamedTuple):
 
 def group_rows(evaluation: Evaluation, name: str) -> Rows:
     """The groups by F of the mask, the lowest first, then their mean and those left out."""
-    detectors = evaluation.detectors
-    if not detectors[name].groups:
+    if not evaluation.detectors[name].groups:
         return Rows([], [])
-    of_group = {
-        group: {each: one.group(group) for each, one in detectors.items()}
-        for group in (*evaluation.groups, *evaluation.left_out)
-    }
-    mean = {each: one.headline for each, one in detectors.items()}
-    left_out = [(f"{group} (left out)", of_group[group]) for group in evaluation.left_out]
-    counting = [(group, of_group[group]) for group in evaluation.groups]
-    return Rows(_worst_first(name, counting), [("mean", mean), *left_out])
+    counting = [(group, evaluation.of_group(group)) for group in evaluation.groups]
+    beside = [("mean", evaluation.headlines)]
+    beside += [(f"{one} (left out)", evaluation.of_group(one)) for one in evaluation.left_out]
+    return Rows(_worst_first(name, counting), beside)
 
 
 def condition_rows(evaluation: Evaluation, name: str) -> Rows:
@@ -192,12 +176,8 @@ def condition_rows(evaluation: Evaluation, name: str) -> Rows:
 
 def _worst_first(name: str, rows: Sequence[PartRow]) -> list[PartRow]:
     """By F of the mask, those without one last."""
-
-    def place(row: PartRow) -> float:
-        value = F_MASK.of(row[1][name])
-        return math.inf if math.isnan(value) else value
-
-    return sorted(rows, key=place)
+    known = F_MASK.known({label: figures[name] for label, figures in rows})
+    return sorted(rows, key=lambda row: known.get(row[0], math.inf))
 
 
 def part_table(evaluation: Evaluation, name: str, rows: Rows, most: int | None = None) -> Table:

@@ -8,6 +8,7 @@ bottom of the picture is ground.
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import torch
 from pydantic import Field, field_validator
 from torch import Tensor
@@ -18,7 +19,7 @@ from roadtorch.io.image import read_image
 from roadtorch.runtime.image_cache import cached_per_image
 from roadtorch.settings import Settings
 
-LEAST_FREE = 0.1
+MIN_FREE = 0.1
 """Share of the picture that an ego car must leave free."""
 
 STRIP = 0.08
@@ -32,7 +33,7 @@ needs more certainty."""
 SOLID = 0.6
 """Share of the pixels below that must be ego car."""
 
-REMEDY = f"leave at least {LEAST_FREE:.0%} of the picture free"
+REMEDY = f"leave at least {MIN_FREE:.0%} of the picture free"
 
 Row = Annotated[float, Field(ge=0, le=1)]
 
@@ -41,7 +42,7 @@ class Ego(Settings):
     """Where the ego car is in every picture, in up to three ways; what any of them says counts."""
 
     bottom: float = Field(
-        default=0, ge=0, le=1 - LEAST_FREE, description="share of the height, at the bottom"
+        default=0, ge=0, le=1 - MIN_FREE, description="share of the height, at the bottom"
     )
     mask: str = Field(
         default="", description="picture file of the same size as the pictures; black is no ego car"
@@ -55,7 +56,7 @@ class Ego(Settings):
     @field_validator("outline")
     @classmethod
     def _leaves_something(cls, outline: tuple[float, ...]) -> tuple[float, ...]:
-        if outline and sum(outline) < LEAST_FREE * len(outline):
+        if outline and sum(outline) < MIN_FREE * len(outline):
             raise ValueError(f"{REMEDY}: these rows cover nearly all")
         return outline
 
@@ -71,7 +72,7 @@ def read_ego_mask(path: str) -> Tensor:
     Raises InputError when it cannot be read, ConfigError when it covers nearly everything.
     """
     mask = read_image(Path(path)).amax(0) > 0
-    if float((~mask).double().mean()) < LEAST_FREE:
+    if float((~mask).double().mean()) < MIN_FREE:
         raise ConfigError(path, "covers nearly everything with ego car", REMEDY)
     return mask
 
@@ -95,7 +96,7 @@ def ego_car(image: Tensor, ego: Ego, mask: Tensor | None = None) -> Tensor:
             what = f"is {width}×{height} pixels, the ego mask {ego.mask} {_size(mask)}"
             raise InputError("image", what, "give a mask of the pictures' size")
         car = car | mask.to(image.device)
-    if float((~car).double().mean()) < LEAST_FREE:
+    if float((~car).double().mean()) < MIN_FREE:
         raise InputError("image", "is covered nearly everywhere by the ego car", REMEDY)
     return car
 
@@ -142,7 +143,7 @@ def ego_found(potential: Tensor) -> Tensor:
     car = (ego & (below >= SOLID * left)).cumsum(0, dtype=torch.int32) > 0
     share = float(car.sum()) / car.numel()
     needed = CONFIDENT + LARGER * share
-    is_one = share <= 1 - LEAST_FREE and float(potential[car].mean()) >= needed
+    is_one = share <= 1 - MIN_FREE and float(potential[car].mean()) >= needed
     return car if is_one else torch.zeros_like(car)
 
 
@@ -170,16 +171,23 @@ def continued(maps: Tensor, ego: Tensor) -> Tensor:
 
 
 def _continued_down(maps: Tensor, ego: Tensor) -> tuple[Tensor, Tensor]:
-    """Maps (C,H,W) continued downwards over ego (H,W), and the ego that has nothing above it."""
-    height = ego.shape[0]
-    row = torch.arange(height, device=ego.device)[:, None].expand_as(ego)
-    free = torch.where(ego, -1, row).cummax(0).values
-    car = torch.where(ego, row, -1).cummax(0).values
-    above = free.clamp_min(0)
-    run = (above - car.gather(0, above)).clamp(1, max(1, round(STRIP * height)))
-    step = (row - above - 1).clamp_min(0) % (2 * run)
-    step = torch.minimum(step, 2 * run - 1 - step)
-    source = torch.where(ego & (free >= 0), above - step, row)
-    place = source * ego.shape[1] + torch.arange(ego.shape[1], device=ego.device)
-    found = maps.reshape(len(maps), -1).index_select(1, place.reshape(-1))
-    return found.reshape(maps.shape), ego & (free < 0)
+    """Maps (C,H,W) continued downwards over ego (H,W), and the ego that has nothing above it.
+
+    Only rows from the one above the highest ego car on are looked at.
+    """
+    height, width = ego.shape
+    car = ego.cpu().numpy()
+    first = max(int(car.any(1).argmax()) - 1, 0)
+    car, rows = car[first:], np.arange(first, height)[:, None]
+    free = np.maximum.accumulate(np.where(car, -1, rows), 0)
+    last = np.maximum.accumulate(np.where(car, rows, -1), 0)
+    above = np.maximum(free, first)
+    run = above - np.take_along_axis(last, above - first, 0)
+    run = run.clip(1, max(1, round(STRIP * height)))
+    step = (rows - above - 1).clip(0) % (2 * run)
+    source = np.where(car & (free >= 0), above - np.minimum(step, 2 * run - 1 - step), rows)
+    place = torch.from_numpy((source * width + np.arange(width)).reshape(-1)).to(maps.device)
+    found, hidden = maps.clone(), torch.zeros_like(ego)
+    found[:, first:] = maps.flatten(1).index_select(1, place).view(len(maps), -1, width)
+    hidden[first:] = torch.from_numpy(car & (free < 0)).to(ego.device)
+    return found, hidden

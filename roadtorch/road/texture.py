@@ -33,8 +33,8 @@ def minimum_variance_weights(samples: Tensor, ridge: float) -> Tensor:
     R + G - 2B - √6·O2 = 0), so its Σ has no inverse, and (R - G - √2·O1) / -√2, whose weights sum
     to 1, is 0 in every picture: the least variance that there is, and no texture. So ``ridge`` ≥ 0
     times the mean variance is added to the diagonal. 0 leaves ``VARIANCE_FLOOR`` alone, which is
-    P2's formula as far as numbers go, and collapses (docs/p2.md); large values give the plain
-    mean of the planes. Solved in float64, returned in the samples' dtype.
+    P2's formula as far as numbers go, and collapses (docs/research/p2.md); large values give the
+    plain mean of the planes. Solved in float64, returned in the samples' dtype.
     """
     # In NumPy: with matrices as small as these torch takes twice as long.
     centred = samples.cpu().numpy().astype(np.float64)

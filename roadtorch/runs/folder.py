@@ -5,13 +5,15 @@ That is config.toml (the settings), coco.json (the masks as polygons) and run.js
 
 import hashlib
 import platform
+import re
 import shlex
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import product
 from pathlib import Path, PurePath
 
 import cv2
@@ -43,6 +45,9 @@ from roadtorch.version import __version__
 
 ELSEWHERE = "give another --out"
 COCO, RUN = "coco.json", "run.json"
+FRAME_NUMBER = r"\d{6,}"
+"""What follows ``NAME/`` in the names of a source's frames."""
+
 POLYGONS = ".labelme.json"
 """How the name of the annotation file of a picture ends."""
 
@@ -62,6 +67,46 @@ def output_lock(out: Path) -> Iterator[None]:
     with locked(out, "wait for it, or give another --out"):
         remove_leftovers([out])
         yield
+
+
+class Owners:
+    """Whose results have which name in a run, whatever their source, so that none is lost."""
+
+    def __init__(self, out: Path | RemoteFolder) -> None:
+        self._out = out
+        self._names: dict[str, str] = {}
+        self._footage: dict[str, str] = {}
+        self._numbered: dict[str, str] = {}
+
+    def take(self, name: str, suffixes: Iterable[str], origin: str) -> None:
+        """Note whose results are ``name`` and a suffix; ConfigError where one is another's.
+
+        That are equal names, ``a.labelme`` with ``.json`` beside ``a`` with ``.labelme.json``, a
+        numbered picture in the place of a frame, and a file that the run keeps for itself.
+        """
+        suffixes = tuple(suffixes) or ("",)
+        for one, end in product(suffixes, repeat=2):
+            middle = one.removesuffix(end) if one.endswith(end) else ""
+            for near in (name + middle, name.removesuffix(middle)):
+                self._refuse(self._names.get(near), origin, near + end)
+        for own in {name + end for end in suffixes} & {INDEX, CONFIG, COCO, RUN}:
+            self._refuse("the run itself", origin, own)
+        folder, _, last = name.rpartition("/")
+        if re.fullmatch(FRAME_NUMBER, last):
+            self._refuse(self._footage.get(folder), origin, name + suffixes[0])
+            self._numbered[folder] = origin
+        self._names[name] = origin
+
+    def take_frames(self, name: str, origin: str) -> None:
+        """Note whose frames have results NAME/000123; ConfigError as above."""
+        self._refuse(self._numbered.get(name), origin, f"frames in {name}")
+        self._footage[name] = origin
+
+    def _refuse(self, other: str | None, origin: str, file: str) -> None:
+        if other is not None:
+            result = self._out / file if isinstance(self._out, Path) else self._out.shown(file)
+            remedy = "rename one, or use two --out folders"
+            raise ConfigError(f"{other} and {origin}", f"both would write {result}", remedy)
 
 
 @dataclass(frozen=True)
@@ -114,7 +159,7 @@ class ResultFolder:
         ready = {
             row.file: row
             for row in sorted(saved, key=lambda row: row.file)
-            if self.remote is not None or (self.path / annotation_name(row.file)).is_file()
+            if self.remote is not None or self._annotation(row.file).is_file()
         }
         pictures = [
             CocoPicture(
@@ -129,18 +174,23 @@ class ResultFolder:
 
             def mask_of(file: str) -> np.ndarray:
                 """bool (H,W), as the annotation of a picture draws it."""
-                annotation = self.path / annotation_name(file)
+                annotation = self._annotation(file)
                 if self.remote is not None:
                     annotation = Path(scratch, "annotation.json")
                     annotation.write_bytes(self.remote.read(annotation_name(file)) or b"")
-                drawings = read_annotation(annotation).drawings
-                shapes = [(one.shape, int(one.name == ROAD)) for one in drawings]
                 size = int(ready[file].height), int(ready[file].width)
+                drawings = read_annotation(annotation, size)
+                shapes = [(one.shape, int(one.name == ROAD)) for one in drawings]
                 return filled_shapes(shapes, size) > 0
 
             with atomic(path) as temporary, temporary.open("w", encoding="utf-8") as text:
                 text.writelines(coco_text(pictures, mask_of))
         self.publish(path)
+
+    def _annotation(self, file: str) -> Path:
+        """Where the outline is of a frame, whose name has no suffix, or else of a picture."""
+        of_frame = self.path / (file + POLYGONS)
+        return of_frame if of_frame.is_file() else self.path / annotation_name(file)
 
 
 @contextmanager

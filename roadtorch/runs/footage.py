@@ -1,9 +1,12 @@
 """Videos, cameras, streams and bags: what ``infer`` writes of them, and how they are done."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
-from dataclasses import dataclass, replace
+import re
+from collections import Counter, deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
+from dataclasses import dataclass, field, replace
 from functools import partial
+from heapq import nsmallest
 from pathlib import Path
 from time import perf_counter
 from typing import Literal, Protocol
@@ -13,15 +16,32 @@ import numpy as np
 from torch import Tensor
 
 from roadtorch.detector import Detector
-from roadtorch.errors import ConfigError, RoadtorchError
+from roadtorch.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.io.atomic import make_folder, remove_leftovers
 from roadtorch.io.bounded import printable
 from roadtorch.road.steady import Steady, SteadySettings
-from roadtorch.runs.folder import ELSEWHERE
-from roadtorch.runs.index import DONE, DOUBTFUL, FAILED, INDEX, Row, frame_index, read_index
+from roadtorch.runs.folder import ELSEWHERE, FRAME_NUMBER, Owners
+from roadtorch.runs.index import (
+    DONE,
+    DOUBTFUL,
+    FAILED,
+    INDEX,
+    PARTIAL,
+    Row,
+    frame_index,
+    read_index,
+)
 from roadtorch.runs.options import FrameSelection
-from roadtorch.runs.pictures import Job, Method, RunOptions, settled
-from roadtorch.runs.results import row_of, write_documents, write_files
+from roadtorch.runs.pictures import (
+    LEAST_TRUSTED,
+    Job,
+    Method,
+    RunOptions,
+    least_trusted,
+    spared,
+    trust_of,
+)
+from roadtorch.runs.results import SUFFIXES, row_of, write_documents, write_files
 from roadtorch.runtime.signals import stop_on_signals
 from roadtorch.sinks.bags import BagSink
 from roadtorch.sinks.remote_folder import RemoteFolder
@@ -82,6 +102,10 @@ class WhatIsWritten(Protocol):
 
     def suffixes(self, source: Source) -> dict[str, str]:
         """How the names of the files of the whole source end, by kind."""
+        ...
+
+    def frame_suffixes(self, source: Source) -> tuple[str, ...]:
+        """How the names of the files of each frame end."""
         ...
 
     def open(self, source: Source, job: Job) -> AbstractContextManager[Callable[[Seen], Row]]:
@@ -148,16 +172,24 @@ class FootageResults:
         ends |= {"gif": GIF, "bag": bag_ending(source, ".road")}
         return {kind: ends[kind] for kind in self.kinds(source) if kind in ends}
 
+    def _frame_kinds(self, source: Source) -> frozenset[str]:
+        kinds = frozenset(self.kinds(source))
+        if source.moving:
+            frames = kinds - {*VIDEOS, "gif", "bag", "overlay-frames"}
+            kinds = frames | {"overlay"} if "overlay-frames" in kinds else frames
+        return kinds
+
+    def frame_suffixes(self, source: Source) -> tuple[str, ...]:
+        """How the names of the files of each frame end."""
+        return tuple(SUFFIXES.get(kind, f".{kind}") for kind in self._frame_kinds(source))
+
     @contextmanager
     def open(self, source: Source, job: Job) -> Iterator[Callable[[Seen], Row]]:
         """What writes the results of a frame and gives its row.
 
         However the block ends, videos and bags are finished with the frames that they have.
         """
-        kinds = frozenset(self.kinds(source))
-        if source.moving:
-            frames = kinds - {*VIDEOS, "gif", "bag", "overlay-frames"}
-            kinds = frames | {"overlay"} if "overlay-frames" in kinds else frames
+        kinds = self._frame_kinds(source)
         with ExitStack() as stack:
             puts: list[tuple[Draw, Put]] = []
             if self.gif and source.moving:
@@ -179,18 +211,22 @@ class FootageResults:
     def _write(
         self, puts: list[tuple[Draw, Put]], kinds: frozenset[str], job: Job, seen: Seen
     ) -> Row:
-        """Write what was seen, to the files of the frame first; the row for index.csv."""
+        """Write what was seen; the row for index.csv, a failed one without the frame's files."""
         start = perf_counter()
         frame, detection = seen.frame, seen.detection
-        if kinds:
+        failed: Row | None = None
+        try:
             output = partial(job.output, name=frame.name)
-            make_folder(output("").parent, ELSEWHERE)
+            if kinds:
+                make_folder(output("").parent, ELSEWHERE)
             write_files(output, kinds, self.depth, seen.image, detection)
             write_documents(output, kinds, frame.name, detection, self.detector)
+        except InputError as problem:
+            failed = missed_row(Missed(frame, problem))
         drawn = {draw: draw(seen) for draw in dict.fromkeys(draw for draw, _ in puts)}
         for draw, put in puts:
             put(seen, drawn[draw])
-        row = row_of(frame.name, detection, seen.ms + 1000 * (perf_counter() - start))
+        row = failed or row_of(frame.name, detection, seen.ms + 1000 * (perf_counter() - start))
         return replace(row, seconds=clock_text(frame.seconds))
 
 
@@ -209,12 +245,14 @@ def _add_to_bag(sink: BagSink, seen: Seen, pixels: np.ndarray) -> None:
 class FootageWork:
     """The work on sources.
 
-    check: raises InputError for an image of another camera. steady: makes, for each source that
-    moves, what steadies its likelihood; None leaves the frames as they are.
+    owners: of the names that the run has given. check: raises InputError for an image of another
+    camera. steady: makes, for each source that moves, what steadies its likelihood; None leaves
+    the frames as they are.
     """
 
     detector: Detector
     results: WhatIsWritten
+    owners: Owners
     check: Callable[[Tensor], None] | None = None
     steady: Callable[[], Steadying] | None = None
 
@@ -229,11 +267,12 @@ def plan_footage(
     out: Path | RemoteFolder,
     selection: FrameSelection,
     results: WhatIsWritten,
+    owners: Owners,
 ) -> list[tuple[Source, Job]]:
     """The sources of footage among inputs, each with its job.
 
-    Raises ConfigError where results would go behind a URL, or replace a source, and what
-    ``open_sources`` raises.
+    owners: of the names that the run has given, who are told of these. Raises ConfigError where
+    results would go behind a URL, or replace a source, and what ``open_sources`` raises.
     """
     if not isinstance(out, Path):
         if not inputs:
@@ -246,7 +285,10 @@ def plan_footage(
         Job(Picture(source.path or Path(source.origin), source.name), out, results.suffixes(source))
         for source in sources
     ]
-    return list(zip(sources, settled(jobs), strict=True))
+    for source in sources:
+        if source.moving and results.frame_suffixes(source):
+            owners.take_frames(source.name, source.origin)
+    return list(zip(sources, spared(jobs), strict=True))
 
 
 def selected(selection: FrameSelection) -> Selection:
@@ -260,35 +302,43 @@ def run_footage(
     """Work through the sources that are not done yet; returns the exit code.
 
     A source is done when index.csv says so, of this method and of the bytes that its file has now,
-    and its videos are there; live ones never are. One that fails, or ends early, becomes a failed
-    row behind those of its frames, and the others go on. When interrupted, what was finished is
-    kept, the videos with what they have.
+    and its videos are there; live ones never are. One that fails becomes a failed row behind those
+    of its frames, a partial one where some were done, and the others go on. When interrupted, what
+    was finished is kept, the videos with what they have.
     """
-    skipped, failed = 0, 0
+    skipped, ended = 0, Counter[str]()
     for source, job in planned:
         own = replace(method, kinds=work.results.kinds(source))
         row = read_index(job.output("", INDEX)).get(job.file)
         if not options.overwrite and own.covers(row, job):
             skipped += 1
+            if not source.moving:  # its results are there, and stay
+                deque(_owned(source, work.results, work.owners), maxlen=0)
         else:
-            failed += _run_source(source, job, work, own, options).failed
+            status = _run_source(source, job, work, own, options).status
+            ended[status.partition(":")[0]] += 1
+    failed = ended[PARTIAL] + ended[FAILED]
     if not options.quiet or failed:
-        parts = [f"{len(planned) - skipped - failed} done"]
+        parts = [f"{ended[DONE]} done"]
         parts += [f"{skipped} skipped (done before)"] if skipped else []
-        parts += [f"{failed} failed"] if failed else []
+        parts += [f"{ended[kind]} {kind}" for kind in (PARTIAL, FAILED) if ended[kind]]
         click.echo(f"roadtorch: {', '.join(parts)}; results in {planned[0][1].out}", err=True)
     return 1 if failed else 0
 
 
 @dataclass
 class FrameCount:
-    """What was counted over the frames of one source. ms: of the done ones; last: of them."""
+    """What was counted over the frames of one source.
+
+    ms: of the done ones; last: of them; least: those of the least trust.
+    """
 
     done: int = 0
     failed: int = 0
     doubtful: int = 0
     ms: float = 0.0
     last: Row = Row("")  # noqa: RUF009 - it is frozen
+    least: list[Row] = field(default_factory=list)
 
     def add(self, row: Row) -> None:
         """Count the row of a frame."""
@@ -298,6 +348,7 @@ class FrameCount:
             self.done += 1
             self.doubtful += row.status.startswith(DOUBTFUL)
             self.ms += float(row.ms)
+            self.least = nsmallest(LEAST_TRUSTED, [*self.least, row], key=trust_of)
 
     def __str__(self) -> str:
         """In words."""
@@ -315,7 +366,8 @@ def _run_source(
     make_folder(job.output("").parent, ELSEWHERE)
     problem: BaseException | None = None
     count = FrameCount()
-    with frame_index(job.output("", INDEX), job.file, f"{printable(job.picture.name)}/") as index:
+    own_frames = f"{re.escape(printable(job.picture.name))}/{FRAME_NUMBER}"
+    with frame_index(job.output("", INDEX), job.file, own_frames) as index:
 
         def settle(one: Seen | Missed, write: Callable[[Seen], Row]) -> None:
             """Write what was seen of a frame, or tell why nothing was."""
@@ -336,6 +388,9 @@ def _run_source(
         index.add(row)
     if not options.quiet:
         click.echo(f"roadtorch: {job.file}: {count}", err=True)
+        shown = least_trusted(count.least) if count.doubtful or not source.moving else []
+        for line in shown[1:]:
+            click.echo(line, err=True)
     if isinstance(problem, KeyboardInterrupt):
         raise problem
     if row.failed:
@@ -345,16 +400,35 @@ def _run_source(
 
 def _row(source: Source, job: Job, count: FrameCount, problem: BaseException | None) -> Row:
     """The row of a source; to be interrupted is the usual end of a live one."""
-    status = DONE
+    why = ""
     if isinstance(problem, RoadtorchError):
-        status = f"{FAILED}: {' '.join(str(problem).split())}"
+        why = " ".join(str(problem).split())
     elif problem is not None and not source.live:
-        status = f"{FAILED}: {source.origin}: was interrupted (run it again)"
+        why = f"{source.origin}: was interrupted (run it again)"
     elif count.failed:
-        status = f"{FAILED}: {source.origin}: {count.failed} frames failed (see their rows)"
+        of = f"{count.done} of {count.done + count.failed} frames"
+        why = f"{source.origin}: {of} (see the rows of the others)"
+    status = f"{PARTIAL if count.done else FAILED}: {why}" if why else DONE
     last = count.last
     row = Row(job.file, last.width, last.height, f"{count.ms:.0f}", status=status)
     return replace(row, seconds=last.seconds)
+
+
+def _owned(source: Source, results: WhatIsWritten, owners: Owners) -> Generator[Frame]:
+    """The frames of a source; one whose results would be another's fails, as SOURCE!NAME.png."""
+
+    def refuse(problem: ConfigError) -> Tensor:
+        raise problem
+
+    frames, suffixes = source.frames(), results.frame_suffixes(source)
+    with closing(frames) if isinstance(frames, Generator) else nullcontext():
+        for frame in frames:
+            try:
+                owners.take(frame.name, suffixes, frame.origin)
+            except ConfigError as problem:
+                name = f"{Path(source.origin).name}!{frame.name}{Path(frame.origin).suffix}"
+                frame = replace(frame, name=name, read=partial(refuse, problem))
+            yield frame
 
 
 def _work_through(
@@ -364,13 +438,14 @@ def _work_through(
     options: RunOptions,
 ) -> None:
     """Look at all frames, and write what is found in a thread of its own, a few frames behind."""
-    from tqdm import tqdm
+    from roadtorch.runtime.progress import Progress
 
+    if not source.moving:
+        source = replace(source, frames=partial(_owned, source, work.results, work.owners))
     steady = work.steady() if work.steady and source.moving else None
     seen = seen_frames(source, work.detector, jobs=options.jobs, steady=steady, check=work.check)
-    hidden = True if options.quiet else None  # None: hidden unless stderr is a terminal
     behind = Behind(AHEAD)
-    with closing(seen), tqdm(total=source.count, unit="frame", disable=hidden) as bar:
+    with closing(seen), Progress(total=source.count, unit="frame", quiet=options.quiet) as bar:
         try:
             for one in seen:
                 behind.do(partial(settle, one))

@@ -300,6 +300,10 @@ class FootageGrids:
         """How the names of the files of the whole source end, by kind."""
         return {"bag": bag_ending(source, ".grid")} if is_from_bag(source) else {}
 
+    def frame_suffixes(self, source: Source) -> tuple[str, ...]:
+        """How the names of the files of each frame end."""
+        return tuple(SUFFIXES[kind] for kind in self.gridding.kinds)
+
     @contextmanager
     def open(self, source: Source, job: Job) -> Iterator[Callable[[Seen], Row]]:
         """What writes the grid of a frame and gives its row; the pitch is found before.

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
@@ -9,11 +10,11 @@ from pathlib import Path
 from time import monotonic
 
 from roadtorch.errors import InputError
-from roadtorch.io.atomic import REMEDIES, RoomyFile, csv_text, write_text
+from roadtorch.io.atomic import RoomyFile, csv_text, from_cell, unwritable, write_text
 from roadtorch.io.bounded import printable, read_regular
 
 INDEX = "index.csv"
-DONE, DOUBTFUL, FAILED = "done", "doubtful", "failed"
+DONE, DOUBTFUL, PARTIAL, FAILED = "done", "doubtful", "partial", "failed"
 """What the status of a row begins with; after a colon it says why."""
 
 SAVE_EVERY = 5.0  # seconds of work that a power cut may cost, at most
@@ -50,8 +51,8 @@ class Row:
 
     @property
     def failed(self) -> bool:
-        """Whether there is no result."""
-        return self.status.startswith(FAILED)
+        """Whether there is no result, or, of footage, only a part of it."""
+        return self.status.startswith((FAILED, PARTIAL))
 
 
 class SavedIndex:
@@ -106,7 +107,8 @@ def read_index(path: Path) -> dict[str, Row]:
     try:
         text = read_regular(path).decode()
         whole = io.StringIO(text[: text.rfind("\n") + 1], newline="")  # a killed run may cut a row
-        rows = [Row(**line) for line in csv.DictReader(whole)]
+        lines = csv.DictReader(whole)
+        rows = [Row(**{key: from_cell(cell) for key, cell in line.items()}) for line in lines]
         if any(None in vars(row).values() for row in rows):
             raise TypeError("a row is cut short")
         return {row.file: row for row in rows}
@@ -134,20 +136,18 @@ class FrameIndex:
         text = csv_text(list(Row.__dataclass_fields__), [asdict(row)]).partition("\n")[2]
         self._file.write(printable(text).encode())
         if (problem := self._file.lost) is not None:
-            what = f"cannot be written: {problem.strerror}"
-            remedy = REMEDIES.get(problem.errno or 0, "choose a folder that you may write to")
-            raise InputError(self._path, what, remedy)
+            raise unwritable(self._path, problem)
 
 
 @contextmanager
 def frame_index(path: Path, file: str, frames: str) -> Iterator[FrameIndex]:
     """The index for a source and its frames, without the rows that it had before.
 
-    file: what index.csv calls the source. frames: what the names of its frames begin with. A row
-    of a killed run that is cut short is dropped when the index is read.
+    file: what index.csv calls the source. frames: the pattern of its frames' names. A row of a
+    killed run that is cut short is dropped when the index is read.
     """
-    rows = read_index(path).values()
-    write_index(path, [row for row in rows if row.file != file and not row.file.startswith(frames)])
+    rows, own = read_index(path).values(), re.compile(f"{re.escape(file)}|{frames}")
+    write_index(path, [row for row in rows if not own.fullmatch(row.file)])
     appended = RoomyFile(path, "ab", LAST_ROWS)
     try:
         yield FrameIndex(path, appended)

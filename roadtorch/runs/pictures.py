@@ -14,16 +14,16 @@ from typing import Any, Protocol
 
 import click
 
-from roadtorch.errors import ConfigError, InputError, RoadtorchError
+from roadtorch.errors import ConfigError, InputError, RoadtorchError, fault
 from roadtorch.io.atomic import digest_of, digest_of_folder, remove_leftovers, reserved
 from roadtorch.io.bounded import printable
-from roadtorch.runs.folder import ResultFolder
+from roadtorch.runs.folder import Owners, ResultFolder
 from roadtorch.runs.index import DONE, DOUBTFUL, FAILED, INDEX, Row, SavedIndex, read_index
 from roadtorch.runtime.signals import stop_on_signals
+from roadtorch.runtime.threads import ordered_results
 from roadtorch.sinks.remote_folder import RemoteFolder
 from roadtorch.sources.frame import Selection
 from roadtorch.sources.pictures import Picture, find_images
-from roadtorch.stream import ordered_results
 from roadtorch.version import __version__
 
 BAG_LIST = "metadata.yaml"
@@ -198,30 +198,26 @@ def plan(
     suffixes: Mapping[str, str],
     selection: Selection = Selection(),  # noqa: B008 - it is frozen
     cue_suffixes: Sequence[str] = (),
+    owners: Owners | None = None,
 ) -> list[Job]:
     """The jobs for all inputs; no file is written yet.
 
-    suffixes: kind of result → what its file name ends with. cue_suffixes: see ``Job``.
+    suffixes: kind of result → what its file name ends with. cue_suffixes: see ``Job``. owners:
+    of the names that the run has given already.
     Raises ConfigError when two pictures share a result or a result would replace a
     picture, InputError when nothing is found or ``out`` cannot be a folder.
     """
     found = find_images(inputs, apart=out if isinstance(out, Path) else None)
     chosen = selection.of_pictures(found)
-    return settled([Job(picture, out, suffixes, cue_suffixes) for picture in chosen])
-
-
-def settled(jobs: list[Job]) -> list[Job]:
-    """The jobs, if all can be done; ConfigError as ``plan`` says."""
-    owners: dict[str, Job] = {}
+    jobs = [Job(picture, out, suffixes, cue_suffixes) for picture in chosen]
+    owners = owners or Owners(out)
     for job in jobs:
-        other = owners.setdefault(job.picture.name, job)
-        if other is not job:
-            name = job.picture.name + next(iter(job.suffixes.values()), "")
-            result = job.out / name if isinstance(job.out, Path) else job.out.shown(name)
-            remedy = "rename one, or use two --out folders"
-            raise ConfigError(
-                f"{other.origin} and {job.origin}", f"both would write {result}", remedy
-            )
+        owners.take(job.picture.name, suffixes.values(), job.origin)
+    return spared(jobs)
+
+
+def spared(jobs: list[Job]) -> list[Job]:
+    """The jobs; ConfigError where the result of one would replace the picture of another."""
     # Path.resolve raises for a link to itself.
     inputs = {os.path.realpath(job.picture.path) for job in jobs if not job.picture.is_remote}
     for job in jobs:
@@ -307,15 +303,14 @@ def run_pictures(
 def _rows(todo: Sequence[Job], work: Work, method: Method, options: RunOptions) -> Iterator[Row]:
     """The rows of the jobs, as the engine gives them; closing this stops it.
 
-    With a bar on a terminal, and each failure on a line.
+    With what ``Progress`` shows, and each failure on a line.
     """
-    from tqdm import tqdm
+    from roadtorch.runtime.progress import Progress
 
     engine = options.engine or partial(ordered_results, threads=options.jobs)
-    hidden = True if options.quiet else None  # None: hidden unless stderr is a terminal
     with (
         closing(engine(todo, partial(attempt, work=work, method=method))) as rows,
-        tqdm(rows, total=len(todo), unit="image", disable=hidden, file=sys.stderr) as bar,
+        Progress(rows, total=len(todo), unit="image", quiet=options.quiet) as bar,
     ):
         for row in bar:
             if row.failed:
@@ -333,8 +328,13 @@ def attempt(job: Job, work: Work, method: Method) -> Row:
         what = f"{where}: {problem.what} ({problem.remedy})"
     except Exception as problem:
         # One picture that trips a detector must not cost the night's run.
-        what = f"{job.origin}: {type(problem).__name__}: {problem} (report it)"
+        what = str(fault(job.origin, problem))
     return Row(job.file, status=f"{FAILED}: {' '.join(what.split())}")
+
+
+def trust_of(row: Row) -> float:
+    """The trust of a row; infinite where it has none."""
+    return float(row.trust or "inf")
 
 
 def least_trusted(rows: Iterable[Row]) -> list[str]:
@@ -342,7 +342,7 @@ def least_trusted(rows: Iterable[Row]) -> list[str]:
 
     None where no row has a trust.
     """
-    judged = sorted((row for row in rows if row.trust), key=lambda row: float(row.trust))
+    judged = sorted((row for row in rows if row.trust), key=trust_of)
     if not judged:
         return []
     doubtful = sum(row.status.startswith(DOUBTFUL) for row in judged)

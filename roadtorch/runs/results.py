@@ -29,7 +29,7 @@ from roadtorch.io.image import (
 from roadtorch.layout.classes import HORIZONTAL, LAYOUT_COLOURS, layout_colours
 from roadtorch.layout.labeller import LabellerSettings, label_layout
 from roadtorch.layout.weights import tensors_hash
-from roadtorch.runs.folder import ELSEWHERE, POLYGONS
+from roadtorch.runs.folder import ELSEWHERE, POLYGONS, Owners
 from roadtorch.runs.index import DONE, DOUBTFUL, Row
 from roadtorch.runs.pictures import Job, Method, method_of, plan
 from roadtorch.sinks.polygons import labelme_document
@@ -58,11 +58,12 @@ def plan_results(
     out: Path | RemoteFolder,
     kinds: Sequence[str],
     selection: Selection = Selection(),  # noqa: B008 - it is frozen
+    owners: Owners | None = None,
 ) -> list[Job]:
     """The jobs that give results of those kinds for all inputs; raises what ``plan`` raises."""
     suffixes = {kind: SUFFIXES[kind] for kind in kinds if kind in SUFFIXES}
     of_cues = [CUE_SUFFIXES[kind] for kind in kinds if kind in CUE_SUFFIXES]
-    return plan(inputs, out, suffixes, selection, of_cues)
+    return plan(inputs, out, suffixes, selection, of_cues, owners)
 
 
 def detector_method(

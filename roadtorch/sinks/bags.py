@@ -10,7 +10,7 @@ import numpy as np
 
 from roadtorch.detector import Detection
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.io.atomic import REMEDIES, make_folder
+from roadtorch.io.atomic import make_folder, unwritable
 from roadtorch.sinks.messages import (
     GRID,
     IMAGE,
@@ -156,10 +156,9 @@ class BagSink:
             raise InputError(self.path, what, "make room, or choose a folder with room")
 
     def _told(self, problem: OSError) -> InputError:
-        what = f"cannot be written: {problem.strerror or problem}"
+        told = unwritable(self.path, problem)
         rest = f"; what there is lies in {self._folder}" if self._folder.exists() else ""
-        remedy = REMEDIES.get(problem.errno or 0, "choose a folder that you may write to")
-        return InputError(self.path, what + rest, remedy)
+        return InputError(self.path, told.what + rest, told.remedy)
 
 
 def is_result(path: Path) -> bool:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from roadtorch.errors import InputError
+from roadtorch.io.addresses import file_system, url_errors
 from roadtorch.io.atomic import LEFTOVER
-from roadtorch.sources.addresses import file_system, url_errors
 
 RENAMING = ("file", "local", "memory", "sftp", "ssh", "smb", "hdfs")
 """File systems that show a file while it is written, and rename at no cost. Those of object

@@ -3,15 +3,15 @@
 import warnings
 from contextlib import ExitStack
 from fractions import Fraction
+from io import BytesIO
 from pathlib import Path
 
 import cv2
 import numpy as np
 from PIL import Image
 
-from roadtorch.errors import InputError
-from roadtorch.io.atomic import REMEDIES, RoomyFile, atomic
-from roadtorch.sources.video import import_av, reason_of
+from roadtorch.io.atomic import RoomyFile, atomic, unwritable
+from roadtorch.sources.video import import_av
 
 TICKS = 60_000
 """Time stamps a second: a multiple of 24, 25, 30 and 30000/1001; MPEG-4 part 2 has up to 65,535."""
@@ -73,9 +73,7 @@ class VideoSink:
         frame.pts, frame.time_base = self._last, self._stream.time_base
         self._container.mux(self._stream.encode(frame))
         if (problem := self._file.problem) is not None:
-            what = f"ends here: {reason_of(problem)}"
-            remedy = REMEDIES.get(problem.errno or 0, "choose a folder that you may write to")
-            raise InputError(self.path, what, remedy)
+            raise unwritable(self.path, problem, "ends here")
 
     def close(self) -> None:
         """Finish the video; there is none where no frame was written. InputError on a full disk."""
@@ -156,12 +154,14 @@ class GifSink:
         durations = [max(20, round(float(step) * 100) * 10) for step in steps]  # whole 10 ms
         first, *others = self._frames
         self._frames = []
+        data = BytesIO()  # to a file that it knows Pillow writes past Python: no number of errors
         with atomic(self.path) as temporary:
             first.save(
-                temporary,
+                data,
                 format="GIF",
                 save_all=True,
                 append_images=others,
                 duration=durations,
                 loop=0,
             )
+            temporary.write_bytes(data.getvalue())

@@ -26,9 +26,10 @@ from typing import IO
 from torch import Tensor
 
 from roadtorch.errors import InputError
+from roadtorch.io.addresses import STREAMS, file_system, is_url, scheme_of
 from roadtorch.io.bounded import MOST_BYTES, printable, reason
-from roadtorch.io.image import READABLE, decode_image
-from roadtorch.sources.addresses import STREAMS, file_system, is_url, scheme_of
+from roadtorch.io.decoding import LARGE, check_bytes
+from roadtorch.io.image import READABLE, decode_image, undecodable
 from roadtorch.sources.frame import Frame, Selection, Source
 from roadtorch.sources.pictures import names_picture, picture_source
 from roadtorch.sources.video import VIDEO_SUFFIXES
@@ -41,6 +42,8 @@ COMPRESSED = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\x00": lzma.op
 
 CHUNK = 2**16  # bytes that are unpacked at once
 
+HEAD = 2**20  # bytes in which a large member has to have its header
+
 MAX_GROWTH = 100
 """Of a compressed tar, times its size, if that is more than ``MOST_BYTES``; ours: pictures hardly
 shrink, while zeros shrink a thousandfold."""
@@ -51,13 +54,13 @@ REPACK = "pack it again, or unpack it and give the folder"
 @dataclass(frozen=True)
 class Member:
     """A file in an archive: its name there, what messages call it, its size as declared, and a
-    way to its bytes.
+    way to its first bytes, so many at most.
     """
 
     name: str
     origin: str
     size: int
-    read: Callable[[], bytes]
+    read: Callable[[int], bytes]
 
 
 def is_archive(given: str) -> bool:
@@ -184,11 +187,11 @@ def _zip_members(file: IO[bytes], url: str) -> list[Member]:
         raise
     weakref.finalize(archive, file.close)  # with the last frame that may be read
 
-    def read(info: zipfile.ZipInfo) -> bytes:
+    def read(info: zipfile.ZipInfo, most: int) -> bytes:
         if info.flag_bits & 0x1:  # APPNOTE.TXT 4.4.4, bit 0
             raise PermissionError("it is encrypted")
         with archive.open(info) as member:
-            return member.read(MOST_BYTES + 1)
+            return member.read(most)
 
     return [
         Member(info.filename, f"{url}!{info.filename}", info.file_size, partial(read, info))
@@ -205,12 +208,12 @@ class Unpacked:
         self._lock = threading.Lock()
         weakref.finalize(self, file.close)
 
-    def piece(self, start: int, size: int) -> bytes:
-        """So many bytes from there; OSError where there are fewer."""
+    def piece(self, start: int, size: int, most: int) -> bytes:
+        """So many bytes from there, at most the first of them; OSError where there are fewer."""
         with self._lock:
             self._file.seek(start)
-            data = self._file.read(size)
-        if len(data) < size:
+            data = self._file.read(min(size, most))
+        if len(data) < min(size, most):
             raise OSError("it is cut off")
         return data
 
@@ -235,8 +238,11 @@ def _tar_members(file: IO[bytes], url: str) -> tuple[list[Member], str]:
     try:
         for info in archive:
             if info.isreg() and not info.issparse():
-                read = partial(unpacked.piece, info.offset_data, min(info.size, MOST_BYTES + 1))
+                read = partial(unpacked.piece, info.offset_data, info.size)
                 found[info.name] = Member(info.name, f"{url}!{info.name}", info.size, read)
+        file.seek(archive.offset)
+        if not problem and any(file.read(tarfile.BLOCKSIZE) or b"\1"):
+            problem = "a header is damaged, or its end is missing"
     except (tarfile.TarError, OSError, EOFError) as raised:
         problem = problem or reason(raised)
     return list(found.values()), problem
@@ -269,7 +275,13 @@ def _read(member: Member, origin: str) -> Tensor:
     if member.size > MOST_BYTES:
         raise InputError(origin, f"has more than {MOST_BYTES:,} bytes", "make it smaller")
     try:
-        data = member.read()
+        if member.size > LARGE:
+            head = io.BytesIO(member.read(HEAD))
+            with undecodable(origin):
+                check_bytes(head, member.size)
+        data = member.read(MOST_BYTES + 1)
+    except InputError:
+        raise
     except PermissionError as problem:
         raise InputError(origin, f"cannot be read: {problem}", "unpack it first") from None
     except Exception as problem:  # zlib, lzma, and file systems of others

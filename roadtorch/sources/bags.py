@@ -214,6 +214,7 @@ def _messages(given: str, bag: Recording, topic: str) -> Generator[Read]:
     """The messages of a topic in the order of the recording; InputError where it ends early."""
     links = [link for link in bag.reader.connections if link.topic == topic]
     waiting, cut = bag.reader.messages(connections=links), bag.cut
+    read, every = 0, sum(link.msgcount for link in links)
     while True:
         try:
             link, time, data = next(waiting)
@@ -222,6 +223,7 @@ def _messages(given: str, bag: Recording, topic: str) -> Generator[Read]:
         except Exception as problem:  # zlib, struct, sqlite, …
             cut = reason(problem)
             break
+        read += 1
         try:
             content: Any = bag.reader.deserialize(data, link.msgtype)
             stamp = content.header.stamp
@@ -229,8 +231,10 @@ def _messages(given: str, bag: Recording, topic: str) -> Generator[Read]:
             yield Read(time, None, reason(problem))
         else:
             yield Read(stamp.sec * 10**9 + stamp.nanosec or time, content, "")
-    if cut:
-        raise InputError(given, f"ends early: {cut}", "what could be read was given")
+    parts = [f"{read} of {every} frames"] if read < every else []
+    parts += [f"ends early: {cut}"] if cut else []
+    if parts:
+        raise InputError(given, ", ".join(parts), "what could be read was given")
 
 
 # --- bags -------------------------------------------------------------------------------

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from roadtorch.errors import InputError
 from roadtorch.io.bounded import reason
-from roadtorch.io.decoding import MEGAPIXELS_VARIABLE, most_megapixels
-from roadtorch.io.image import decode_image, from_pixels
+from roadtorch.io.decoding import check_pixels
+from roadtorch.io.image import decode_image, from_pixels, undecodable
 
 RAW = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
@@ -77,9 +77,8 @@ def image_of(message: ImageMessage, origin: str) -> Tensor:
     if message.encoding not in READ_ENCODINGS:
         what = f"has the encoding {message.encoding!r}, which is not read"
         raise InputError(origin, what, f"record one of {', '.join(READ_ENCODINGS)}")
-    if message.width * message.height > most_megapixels() * 1e6:
-        what = f"has {message.width} by {message.height} pixels"
-        raise InputError(origin, what, f"make it smaller, or set {MEGAPIXELS_VARIABLE}")
+    with undecodable(origin):
+        check_pixels(message.width, message.height)
     encoding = message.encoding
     try:
         if encoding in PLAIN:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Generator, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from threading import Condition, Thread
@@ -12,9 +12,10 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.errors import InputError
+from roadtorch.io.addresses import without_password
+from roadtorch.io.decoding import quiet_opencv
 from roadtorch.io.image import from_pixels
 from roadtorch.settings import Settings
-from roadtorch.sources.addresses import without_password
 from roadtorch.sources.frame import Frame, Selection, Source
 from roadtorch.sources.video import import_av, moving_pictures, reason_of, upright
 
@@ -180,18 +181,6 @@ def _stream(url: str, patience: Patience) -> Generator[Picture]:
             what = f"gives no answer within {patience.answer:g} seconds"
         raise InputError(origin, what, "check the address and the stream") from None
     raise InputError(origin, "has ended", "check the stream")
-
-
-@contextmanager
-def quiet_opencv() -> Iterator[None]:
-    """Within the block OpenCV writes no warnings to stderr; our errors tell it in one line."""
-    log = cv2.utils.logging
-    before = log.getLogLevel()
-    log.setLogLevel(log.LOG_LEVEL_SILENT)
-    try:
-        yield
-    finally:
-        log.setLogLevel(before)
 
 
 def _camera(number: int) -> Generator[Picture]:

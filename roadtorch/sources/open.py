@@ -12,8 +12,8 @@ from typing import NamedTuple, TextIO
 from torch import Tensor
 
 from roadtorch.errors import ConfigError, InputError
+from roadtorch.io.addresses import STREAMS, files_at, is_url, scheme_of, without_password
 from roadtorch.io.image import read_image
-from roadtorch.sources.addresses import STREAMS, files_at, is_url, scheme_of, without_password
 from roadtorch.sources.archives import archive_source, is_archive
 from roadtorch.sources.bags import bag_source, is_bag
 from roadtorch.sources.frame import Selection, Source
@@ -81,7 +81,12 @@ def named(inputs: Iterable[str], names: TextIO) -> Iterator[str]:
         elif given != "-":
             yield given
             continue
-        yield from (name for line in lines if (name := line.rstrip("\r\n")).strip())
+        for line in lines:
+            if any(letter < " " for letter in line.strip("\t\r\n")):
+                remedy = "give the file itself, or names, one a line"
+                raise InputError(given, "takes names of files, not their bytes", remedy)
+            if line.strip():
+                yield line.rstrip("\r\n")
 
 
 def camera_number(given: str) -> int | None:

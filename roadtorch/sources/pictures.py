@@ -1,17 +1,23 @@
 """Pictures: the files that names, folders, globs and URLs stand for."""
 
 import os
+import re
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import permutations
 from pathlib import Path, PurePosixPath
 
+from PIL import Image
 from torch import Tensor
 
 from roadtorch.errors import InputError
-from roadtorch.io.bounded import MOST_BYTES
-from roadtorch.io.image import READABLE, SUFFIXES, decode_image, read_image
-from roadtorch.sources.addresses import file_system, files_at, is_url, url_errors
+from roadtorch.io.addresses import file_system, files_at, is_url, url_bytes, url_errors
+from roadtorch.io.image import READABLE, SUFFIXES, read_image
 from roadtorch.sources.frame import Frame, Selection, Source
+
+LABEL = re.compile(r"[-_.]?(mask|label|labels|labelIds|gt|gtFine|road|seg)$", re.IGNORECASE)
+"""What the names of labels end with beside those of their pictures."""
 
 RESULTS = (".likelihood.png", ".mask.png", ".overlay.jpg")  # ours; never pictures to look at
 
@@ -56,18 +62,11 @@ class Picture:
 
         Raises InputError naming it when they cannot be had.
         """
-        where, here = str(self.origin), self.origin
-        system, path = file_system(here if isinstance(here, str) else str(here.absolute()))
-        with url_errors(where):
-            data = system.cat_file(path, end=MOST_BYTES + 1)
-        if len(data) > MOST_BYTES:
-            raise InputError(where, f"has more than {MOST_BYTES:,} bytes", "make it smaller")
-        return data
+        here = self.origin
+        return url_bytes(here if isinstance(here, str) else str(here.absolute()))
 
     def read(self) -> Tensor:
-        """The image (3,H,W) in [0,1]; raises what ``read_image`` and ``data`` raise."""
-        if isinstance(self.origin, str):
-            return decode_image(self.data(), self.origin)
+        """The image (3,H,W) in [0,1]; raises what ``read_image`` raises."""
         return read_image(self.origin)
 
 
@@ -88,6 +87,24 @@ def find_images(
     if given and not any(picture.exists() for picture in found):
         raise InputError(given[0], "does not exist", "check the name")
     return list(dict.fromkeys(found))
+
+
+def label_and_picture(pictures: Iterable[Picture]) -> tuple[Picture, Picture] | None:
+    """The first picture that looks like the label of another, and that one; None without any.
+
+    It has the other's name, ``_mask`` or the like left out, and is a PNG of one channel.
+    """
+    namesakes: dict[str, list[Picture]] = {}
+    for one in pictures:
+        if not one.is_remote:
+            namesakes.setdefault(LABEL.sub("", one.path.stem), []).append(one)
+    for group in namesakes.values():
+        for label, other in permutations(group, 2):
+            if label.suffix.lower() == ".png":
+                with suppress(OSError), Image.open(label.path) as header:
+                    if header.mode in ("1", "L", "P"):
+                        return label, other
+    return None
 
 
 def _at(given: str, apart: Path | None) -> list[Picture]:

@@ -12,7 +12,8 @@ import numpy as np
 from torch import Tensor
 
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.io.image import from_pixels
+from roadtorch.io.decoding import check_pixels, most_megapixels
+from roadtorch.io.image import from_pixels, undecodable
 from roadtorch.sources.frame import Frame, Selection, Source
 
 if TYPE_CHECKING:
@@ -32,8 +33,15 @@ MADE_HERE = (".overlay.mp4", ".mask.mp4", ".likelihood.mp4")  # ours; never vide
 SILENCE = 10.0  # seconds within which an address has to answer
 
 SLACK = 0.5
-"""Seconds by which a video may be shorter than it says before it is called cut; ours: the longest
-picture-less rest beside sound that cameras leave."""
+"""Seconds without pictures that are no damage: at the end beside sound, or where a recorder paused;
+ours: the longest that cameras leave. At one rate, and of a length of its own, it may lack none."""
+
+
+TAIL = 0.2
+"""Share of a file that may follow its last frame where it does not say how long it is; ours."""
+
+REGULAR = 0.9
+"""Share of pictures that follow at one rate, from which a hole in their time stamps is damage."""
 
 
 def names_video(name: str) -> bool:
@@ -109,6 +117,10 @@ def moving_pictures(path: Path | str, container: "InputContainer") -> "VideoStre
     stream = videos[0]
     if stream.codec_context is None:
         raise InputError(path, "is of a codec that FFmpeg cannot decode", "convert it to H.264")
+    with undecodable(path):
+        check_pixels(stream.codec_context.width, stream.codec_context.height)
+    # A frame may be larger than what the header says.
+    stream.codec_context.options = {"max_pixels": f"{most_megapixels() * 1e6:.0f}"}
     stream.thread_type = "AUTO"  # the same pictures, on all cores
     return stream
 
@@ -120,23 +132,59 @@ def reason_of(problem: Exception) -> str:
 
 @dataclass
 class Damage:
-    """What went wrong while a video was read."""
+    """What was counted while a video was read, from which it is known what is missing.
+
+    packets: that hold a picture to be shown; reach, at: the last of them ends at so many seconds,
+    and bytes of the file.
+    regular: pictures that follow at the stream's rate; lost: frames in holes between pictures.
+    """
 
     packets: int = 0
+    refused: int = 0
     pictures: int = 0
+    corrupt: int = 0
+    interlaced: bool = False
+    regular: int = 0
+    lost: int = 0
+    reach: float = 0.0
+    at: int = 0
     stopped: str = ""
+    _end: float | None = None
 
-    def told(self, seconds: float, lasts: float) -> str:
-        """In words; empty where nothing is missing. Both in seconds: what was read, what it says.
+    def passed(self, picture: "VideoFrame", seconds: float, step: float) -> None:
+        """Count a picture at so many seconds of a stream with a frame each ``step`` seconds."""
+        self.pictures += 1
+        self.corrupt += picture.is_corrupt
+        self.interlaced |= picture.interlaced_frame
+        hole = 0.0 if self._end is None else seconds - self._end
+        self.regular += abs(hole) < step / 4
+        if step and hole > max(SLACK, 2 * step):
+            self.lost += round(hole / step)
+        base = picture.time_base or 0
+        self._end = seconds + max(
+            step, float(getattr(picture, "duration", None) or 0) * float(base)
+        )
 
-        Being shorter by ``SLACK`` or less is nothing.
+    def told(self, ahead: int, step: float, lasts: float, is_own: bool) -> str:
+        """In words; empty where nothing is missing.
+
+        ahead: frames that were passed over. step: see ``passed``. lasts, is_own: see
+        ``declared_length``.
         """
+        read, every = ahead + self.pictures, ahead + self.packets
+        if self.interlaced and 2 * self.pictures >= self.packets:
+            every = read  # a packet a field
+        is_regular = step > 0 and self.regular >= REGULAR * self.pictures
+        slack = min(SLACK, 0.75 * step) if is_regular and is_own else SLACK
         parts = []
-        if self.stopped or seconds + SLACK < lasts:
+        if self.stopped or self.reach + slack < lasts:
             of = f" of {lasts:.1f}" if lasts else ""
-            parts.append(f"ends early, after {seconds:.1f}{of} seconds")
-        parts += [f"packets that cannot be decoded: {self.packets}"] if self.packets else []
-        parts += [f"damaged frames: {self.pictures}"] if self.pictures else []
+            parts.append(f"ends early, after {self.reach:.1f}{of} seconds")
+        if is_regular:
+            every = max(every, read + self.lost, round(lasts / step) if parts else 0)
+        parts = [f"{read} of {every} frames", *parts] if read < every else parts
+        parts += [f"packets that cannot be decoded: {self.refused}"] if self.refused else []
+        parts += [f"damaged frames: {self.corrupt}"] if self.corrupt else []
         return ", ".join(parts)
 
 
@@ -158,35 +206,54 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[F
     begins = _entry_point(path, start) if start > 0 else EntryPoint()
     damage = Damage()
     with opened_video(path) as (container, stream):
-        clock = Clock(stream)
-        lasts = clock.lasts or (container.duration or 0) / 1e6  # it is in microseconds
-        number, seconds = begins.number, 0.0
-        for picture in _decoded(container, stream, begins.packets, damage):
-            if picture.pts is not None and begins.pts is not None and picture.pts < begins.pts:
-                continue  # shown before the key frame, and made of frames that were passed over
+        clock, number = Clock(stream), begins.number
+        length, size = declared_length(container, stream), container.size
+        for picture in _decoded(container, stream, begins, damage):
             seconds = clock.seconds(picture.pts)
-            read = partial(upright, picture)
-            yield Frame(number, f"{name}/{number:06d}", f"{path}: frame {number}", seconds, read)
+            damage.passed(picture, seconds, clock.step)
+            origin = f"{path}: frame {number}"
+            read = partial(_damaged, origin) if picture.is_corrupt else partial(upright, picture)
+            yield Frame(number, f"{name}/{number:06d}", origin, seconds, read)
             number += 1
-        told = damage.told(clock.seconds(None) if number else 0.0, lasts)
-    if told and number > begins.number:
+    if not length[0] and damage.at < (1 - TAIL) * size:
+        damage.stopped = damage.stopped or "the rest holds no frames"
+    if (told := damage.told(begins.number, clock.step, *length)) and number > begins.number:
         raise InputError(path, told, "what could be read was used; copy it again, or repair it")
 
 
+def _damaged(origin: str) -> Tensor:
+    raise InputError(origin, "is damaged", "copy the video again, or repair it")
+
+
+def declared_length(container: "InputContainer", stream: "VideoStream") -> tuple[float, bool]:
+    """The seconds that a video says it has, and whether they are of its pictures alone.
+
+    AVI counts its frames, in its time base, and FFmpeg takes less for the duration where it is cut.
+    """
+    count = stream.frames if container.format.name == "avi" else 0
+    lasts = float(max(stream.duration or 0, count) * (stream.time_base or 0))
+    is_own = lasts > 0 or len(container.streams) == 1
+    return lasts or (container.duration or 0) / 1e6, is_own  # the latter is in microseconds
+
+
 class Clock:
-    """Seconds since a stream began, of its time stamps; where one is missing, by its rate."""
+    """Seconds since a stream began, of its time stamps; where one is missing, by its rate.
+
+    step: seconds between two frames of that rate; 0 where it is not known.
+    """
 
     def __init__(self, stream: "VideoStream") -> None:
-        rate = stream.average_rate or stream.guessed_rate
+        # In AVI whose ticks are finer than its frames the average is that of ticks.
+        rates = filter(None, (stream.average_rate, stream.base_rate))
+        rate = min(rates, default=stream.guessed_rate)
         self._base, self._zero = stream.time_base, stream.start_time
-        self._step = float(1 / rate) if rate else 0.0
+        self.step = float(1 / rate) if rate else 0.0
         self._last: float | None = None
-        self.lasts = float((stream.duration or 0) * (self._base or 0))
 
     def seconds(self, pts: int | None) -> float:
         """Of one frame after the other."""
         if pts is None or self._base is None:
-            self._last = 0.0 if self._last is None else self._last + self._step
+            self._last = 0.0 if self._last is None else self._last + self.step
         else:
             self._zero = pts if self._zero is None else self._zero
             self._last = float((pts - self._zero) * self._base)
@@ -222,22 +289,36 @@ def _packets(
 
 
 def _decoded(
-    container: "InputContainer", stream: "VideoStream", skip: int, damage: Damage
+    container: "InputContainer", stream: "VideoStream", begins: EntryPoint, damage: Damage
 ) -> "Iterator[VideoFrame]":
-    """The pictures of all packets but the first ``skip``; what cannot be decoded is counted."""
-    av = import_av()
-    for packet in islice(_packets(container, stream, damage), skip, None):
+    """The pictures from an entry point on; what cannot be decoded is counted.
+
+    What is shown before the key frame there is left out: it is made of frames before it.
+    """
+    av, clock, first = import_av(), Clock(stream), begins.pts
+    for packet in islice(_packets(container, stream, damage), begins.packets, None):
+        if first is None and packet.is_keyframe:
+            first = packet.pts
+        if _is_shown(packet) and not (packet.pts is not None and first and packet.pts < first):
+            damage.packets += 1
+            damage.at = max(damage.at, (packet.pos or 0) + packet.size)
+            step = (packet.duration or 0) * float(packet.time_base or 0)
+            damage.reach = max(damage.reach, clock.seconds(packet.pts) + (step or clock.step))
         try:
             pictures = packet.decode()
         except av.FFmpegError:
-            damage.packets += 1
+            damage.refused += 1
             continue
-        for picture in pictures:
-            damage.pictures += picture.is_corrupt
-            yield picture
+        yield from (one for one in pictures if not (begins.pts and (one.pts or 0) < begins.pts))
     if damage.stopped:  # what the decoder still holds; else the last packet has fetched it
         with suppress(av.FFmpegError):
             yield from stream.codec_context.decode(None)
+
+
+def _is_shown(packet: "Packet[VideoStream]") -> bool:
+    """Whether a packet gives a picture: it has data, is in an edit, in VP8 says so (RFC 6386)."""
+    is_whole = packet.size > 0 and not packet.is_discard
+    return is_whole and (packet.stream.name != "vp8" or bool(memoryview(packet)[0] & 0x10))
 
 
 def count_frames(path: Path) -> int:

@@ -37,7 +37,12 @@ def connect(labels: Tensor, smallest: float = 1.0) -> Tensor:
     label[region] = pictures.reshape(-1)[start]
     picture = label // stride
     settled = _largest_of(label, size) & (size >= smallest) | _largest_of(picture, size)
-    number = _numbers_within(picture, settled)[region]
+    # Settled regions are numbered 0…n-1 in each picture, as they are met; the others are -1.
+    kept = np.nonzero(settled)[0]
+    kept = kept[np.argsort(picture[kept], kind="stable")]
+    numbers = np.full(len(picture), -1, dtype=np.int64)
+    numbers[kept] = np.arange(len(kept)) - np.searchsorted(picture[kept], picture[kept])
+    number = numbers[region]
     grown = _grow(number.repeat(length).reshape(pictures.shape))
     return torch.from_numpy(grown).to(labels.device)
 
@@ -66,16 +71,6 @@ def _largest_of(group: np.ndarray, size: np.ndarray) -> np.ndarray:
     best = np.zeros(group.max() + 1, dtype=rank.dtype)
     np.maximum.at(best, group, rank)
     return rank == best[group]
-
-
-def _numbers_within(picture: np.ndarray, settled: np.ndarray) -> np.ndarray:
-    """Settled regions numbered 0…n-1 in each picture, as they are met; -1 for the others."""
-    kept = np.nonzero(settled)[0]
-    kept = kept[np.argsort(picture[kept], kind="stable")]
-    starts = np.searchsorted(picture[kept], picture[kept])
-    number = np.full(len(picture), -1, dtype=np.int64)
-    number[kept] = np.arange(len(kept)) - starts
-    return number
 
 
 def _grow(numbers: np.ndarray) -> np.ndarray:

@@ -138,12 +138,6 @@ def _grid(height: int, width: int, segments: int) -> CellGrid:
     return CellGrid(-(-height // tall), -(-width // wide), tall, wide, stride)
 
 
-def _metric(step: float) -> Tensor:
-    """M (5,5): |f-c|² = (f-c)ᵀM(f-c) of R, G, B, row, column; nearly Lab/100, and pixels·step."""
-    lab = torch.tensor(LAB_TANGENT)
-    return torch.block_diag(lab.T @ lab, step**2 * torch.eye(2))
-
-
 def _cells(maps: Tensor, grid: CellGrid, stride: int) -> Tensor:
     """Every ``stride``-th pixel of maps (B,C,H,W): (B, rows, columns, C, pixels, pixels) of cells.
 
@@ -178,13 +172,6 @@ def _neighbours(grid: CellGrid, batch: int) -> Tensor:
     return framed.unfold(1, 3, 1).unfold(2, 3, 1).reshape(-1, NEIGHBOURS)
 
 
-def _shifts(grid: CellGrid) -> Tensor:
-    """(9,5): from the middle of a cell to those around it, in R, G, B, row, column."""
-    number = torch.arange(NEIGHBOURS)
-    row, column = grid.height * (number // 3 - 1), grid.width * (number % 3 - 1)
-    return F.pad(torch.stack([row, column], 1), (3, 0)).to(torch.float32)
-
-
 class Moves(NamedTuple):
     """What turns sums over segments into factors of distances, and sums over cells into those.
 
@@ -214,10 +201,15 @@ class Moves(NamedTuple):
 def _moves(grid: CellGrid, step: float, batch: int) -> Moves:
     """The squared distance of a point f is |f-c-s|² where s leads to the middle of c's cell.
 
+    |f-c|² = (f-c)ᵀM(f-c) of R, G, B, row, column: nearly Lab/100, and pixels times ``step``.
     |f-c|² - fᵀMf = -2 cᵀM f + cᵀMc: fᵀMf is the same for all nine. More than it can be is added,
-    so that all are positive. step: see ``_metric``.
+    so that all are positive.
     """
-    metric, shifts = _metric(step), _shifts(grid)
+    lab, number = torch.tensor(LAB_TANGENT), torch.arange(NEIGHBOURS)
+    metric = torch.block_diag(lab.T @ lab, step**2 * torch.eye(2))
+    # From the middle of a cell to those around it, in R, G, B, row, column.
+    away = torch.stack([grid.height * (number // 3 - 1), grid.width * (number % 3 - 1)], 1)
+    shifts = F.pad(away, (3, 0)).to(torch.float32)
     leaning = shifts @ metric
     most = LONGEST + float(metric[3, 3]) * (grid.height**2 + grid.width**2) / 4
     factors = metric.new_zeros(NEIGHBOURS, 7, 6)
@@ -228,7 +220,7 @@ def _moves(grid: CellGrid, step: float, batch: int) -> Moves:
     factors[:, 6, 5] = (leaning * shifts).sum(1) + most
     sums = torch.eye(6).repeat(NEIGHBOURS, 1, 1)
     sums[:, 5, :5] = shifts
-    around, number = _neighbours(grid, batch), torch.arange(NEIGHBOURS)
+    around = _neighbours(grid, batch)
     beyond = torch.full((1, NEIGHBOURS), len(around))
     return Moves(
         metric,

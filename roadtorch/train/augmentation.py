@@ -146,6 +146,11 @@ def uniform(generator: torch.Generator, count: int, low: float, high: float) -> 
     return low + (high - low) * torch.rand(count, generator=generator)
 
 
+def drawn(generator: torch.Generator, *bounds: tuple[float, float]) -> list[float]:
+    """A number between each pair of bounds."""
+    return [float(uniform(generator, 1, low, high)) for low, high in bounds]
+
+
 def draw_frames(
     count: int, size: tuple[int, int], geometry: GeometryAugmentation, at: torch.Generator
 ) -> Tensor:
@@ -190,17 +195,11 @@ def reframed(maps: Tensor, frames: Tensor, outside: str) -> Tensor:
 def relit(image: Tensor, light: LightAugmentation, at: torch.Generator) -> Tensor:
     """An image (1,3,H,W) in [0,1] in another light, as another sensor would see it."""
     adjust = import_torchvision().transforms.v2.functional
-    gamma, gain = (_factor(at, limit) for limit in (light.gamma, light.gain))
+    gamma, gain = (math.exp(drawn(at, (-top, top))[0]) for top in (light.gamma, light.gain))
     tint = torch.exp(uniform(at, 3, -light.tint, light.tint)).reshape(1, 3, 1, 1)
-    colour = float(uniform(at, 1, 1 - light.saturation, 1 + light.saturation))
-    noise = float(uniform(at, 1, 0, light.noise / 255))
+    colour, noise = drawn(at, (1 - light.saturation, 1 + light.saturation), (0, light.noise / 255))
     image = adjust.adjust_saturation(adjust.adjust_gamma(image, gamma), colour)
     return (image * gain * tint + noise * torch.randn(image.shape, generator=at)).clamp(0, 1)
-
-
-def _factor(at: torch.Generator, limit: float) -> float:
-    """A factor from e^-limit to e^limit."""
-    return math.exp(float(uniform(at, 1, -limit, limit)))
 
 
 def resurfaced(
@@ -241,14 +240,11 @@ def shaded(image: Tensor, shadow: ShadowAugmentation, at: torch.Generator) -> Te
     height, width = image.shape[-2:]
     down = torch.linspace(0, 1, height)[:, None]
     along = torch.linspace(-0.5, 0.5, width)
-    angle, aside, half = (
-        float(uniform(at, 1, *bounds))
-        for bounds in ((0, math.pi), (-0.3, 0.3), (0.05, shadow.widest))
-    )
-    edge, horizon = float(uniform(at, 1, 0.002, 0.03)), float(uniform(at, 1, 0.3, 0.6))
+    angle, aside, half = drawn(at, (0, math.pi), (-0.3, 0.3), (0.05, shadow.widest))
+    edge, horizon = drawn(at, (0.002, 0.03), (0.3, 0.6))
     off = along * math.cos(angle) + (down - 0.65) * math.sin(angle) - aside
     inside = ((half - off.abs()) / edge).sigmoid() * ((down - horizon) / SHADOW_END).sigmoid()
-    level = float(uniform(at, 1, shadow.darkest, MAX_SHADOW_LEVEL))
+    (level,) = drawn(at, (shadow.darkest, MAX_SHADOW_LEVEL))
     return image * (1 - (1 - level) * inside)
 
 
@@ -261,10 +257,8 @@ def at_night(image: Tensor, unlit: Tensor, night: NightAugmentation, at: torch.G
     height, width = image.shape[-2:]
     down = torch.linspace(0, 1, height)[:, None]
     across = torch.linspace(-0.5, 0.5, width)
-    horizon, aside, spread, nearest = (
-        float(uniform(at, 1, *bounds))
-        for bounds in ((0.35, 0.55), (-0.1, 0.1), (0.4, 1.5), (0.15, 0.35))
-    )
+    ranges = (0.35, 0.55), (-0.1, 0.1), (0.4, 1.5), (0.15, 0.35)
+    horizon, aside, spread, nearest = drawn(at, *ranges)
     below = (down - horizon).clamp_min(0)
     beam = torch.exp(-(((across - aside) / (0.06 + spread * below)) ** 2))
     reach = (below / nearest) * torch.exp(1 - below / nearest)
@@ -281,10 +275,8 @@ def at_night(image: Tensor, unlit: Tensor, night: NightAugmentation, at: torch.G
 
 def lamp(size: Sequence[int], horizon: float, at: torch.Generator) -> Tensor:
     """The light (1,1,H,W) of one lamp or of another car's headlights, not below the horizon."""
-    row, column, wide, peak = (
-        float(uniform(at, 1, *bounds))
-        for bounds in ((0.1, horizon + 0.02), (0, 1), (0.003, 0.02), (0.3, MAX_LAMP))
-    )
+    ranges = (0.1, horizon + 0.02), (0, 1), (0.003, 0.02), (0.3, MAX_LAMP)
+    row, column, wide, peak = drawn(at, *ranges)
     down = torch.linspace(0, size[0] / size[1], size[0])[:, None] - row * size[0] / size[1]
     across = torch.linspace(0, 1, size[1]) - column
     return (peak * torch.exp(-(down**2 + across**2) / wide**2))[None, None]

@@ -1,11 +1,8 @@
 """What a run that started from weights has changed: measured, and written as a page."""
 
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-
-from tqdm import tqdm
 
 from roadtorch.data.dataset import Dataset, every_kth
 from roadtorch.evaluation.disagreement import (
@@ -19,9 +16,9 @@ from roadtorch.evaluation.disagreement import (
 from roadtorch.evaluation.evaluate import evaluated
 from roadtorch.evaluation.methods import candidate
 from roadtorch.evaluation.result import Failure
-from roadtorch.layout.picture_network import PictureNetwork
-from roadtorch.layout.weights import load_network, weights_path
+from roadtorch.layout.weights import WholePictureNetwork, load_network, weights_path
 from roadtorch.report.adaptation import Adaptation, write_adaptation
+from roadtorch.runtime.progress import Progress
 from roadtorch.sources.pictures import find_images
 from roadtorch.train.config import PictureTraining, Training
 from roadtorch.train.folder import PAGE, RunFolder
@@ -57,13 +54,12 @@ def show_change(
     methods = (replace(before, name="before"), replace(after, name="after"))
     found = find_images([request.images], request.out)
     dataset = every_kth(unlabelled_set(found), compared)
-    seen = tqdm(
+    seen = Progress(
         disagreements(dataset, *methods),
-        "before and after",
+        desc="before and after",
         total=len(dataset.items),
         unit="image",
-        disable=True if request.quiet else None,
-        file=sys.stderr,
+        quiet=request.quiet,
     )
     pictures: list[Disagreement] = []
     failures: list[Failure] = []
@@ -101,7 +97,7 @@ def _taught(training: Training, prepared: Sequence[Path], *files: Path) -> Taugh
     agreements = []
     for file in files:
         network = load_network(file)
-        if not isinstance(network, PictureNetwork):
+        if not isinstance(network, WholePictureNetwork):
             return None
         agreements.append(teacher_agreement(network.eval(), prepared, training))
     return Taught(training.teacher.detector, *agreements)

@@ -1,18 +1,18 @@
-"""What a training run is told: one TOML file, one kind of network."""
+"""The settings of a training run: one TOML file, one kind of network."""
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
 from roadtorch.errors import ConfigError, unknown_name
 from roadtorch.imaging.resize import WorkingSize
+from roadtorch.layout.backbone_network import BackboneNetworkSettings
 from roadtorch.layout.labeller import LabellerSettings
 from roadtorch.layout.patch_network import PatchNetworkSettings
 from roadtorch.layout.picture_network import PictureNetworkSettings
-from roadtorch.settings import Settings, build_settings, group_at, read_settings_file
+from roadtorch.settings import Settings, build_settings, group_at
 from roadtorch.superpixels.slic import Superpixels
 from roadtorch.train.augmentation import Augmentation
 
@@ -231,6 +231,9 @@ class HeadWeights(Settings):
     ego: float = Field(default=0.5, ge=0, le=100, description="of the ego car's loss")
 
 
+NetworkScale = Annotated[float, Field(ge=0.25, le=4)]
+
+
 class Rounds(Settings):
     """Training again on labels that the last network and the teacher agree on.
 
@@ -264,7 +267,7 @@ class PictureTraining(Beginning):
         "ego_cars": "augmentation.ego_car",
     }
 
-    network: PictureNetworkSettings = PictureNetworkSettings()
+    network: PictureNetworkSettings | BackboneNetworkSettings = PictureNetworkSettings()
     teacher: Teacher = Teacher()
     rounds: Rounds = Rounds()
     recordings: Recordings = Recordings()
@@ -272,6 +275,13 @@ class PictureTraining(Beginning):
     heads: HeadWeights = HeadWeights()
     samples_per_epoch: int = Field(
         default=0, ge=0, le=10**7, description="pictures of an epoch; 0: as many as there are"
+    )
+    scales: tuple[NetworkScale, ...] = Field(
+        strict=False,
+        default=(1.0,),
+        min_length=1,
+        max_length=16,
+        description="sizes, against the network's, of which each batch has one",
     )
     descent: Descent = Descent(method="adam", learning_rate=0.003, schedule="cosine", batch=16)
     stopping: Stopping = Stopping(epochs=15, rule="epochs")
@@ -295,25 +305,19 @@ def build_training(values: dict[str, Any]) -> Training:
         raise unknown_name("kind of training", kind, KINDS)
     settings = build_settings(KINDS[kind], rest)
     if isinstance(settings, PatchTraining):
-        _check_bounds(settings.augmentation)
+        for name in ("scale", "noise"):
+            low, high = (getattr(settings.augmentation, f"{end}_{name}") for end in ("min", "max"))
+            if low > high:
+                what = f"{low:g} was given, and augmentation.max_{name} is {high:g}"
+                raise ConfigError(f"augmentation.min_{name}", what, "give the lower bound first")
+    elif isinstance(settings.network, BackboneNetworkSettings) and not settings.start:
+        what = "is empty, and a backbone does not learn from new weights"
+        raise ConfigError("start", what, "give weights of such a network, such as backbone-free")
     elif (share := settings.augmentation.ego_car.share) and not settings.recordings.separator:
         what = f"is {share:g}, and without recordings no ego car is known"
         remedy = 'set recordings.separator, such as "_"'
         raise ConfigError("augmentation.ego_car.share", what, remedy)
     return settings
-
-
-def _check_bounds(settings: PatchAugmentation) -> None:
-    for name in ("scale", "noise"):
-        least, most = getattr(settings, f"min_{name}"), getattr(settings, f"max_{name}")
-        if least > most:
-            what = f"{least:g} was given, and augmentation.max_{name} is {most:g}"
-            raise ConfigError(f"augmentation.min_{name}", what, "give the lower bound first")
-
-
-def read_training(path: Path) -> Training:
-    """The settings of a TOML file; InputError or ConfigError when it cannot be used."""
-    return build_training(read_settings_file(path))
 
 
 def with_current_names(values: Mapping[str, Any]) -> dict[str, Any]:

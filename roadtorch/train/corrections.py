@@ -1,7 +1,7 @@
 """Corrections of people in training: what they said is the truth, machine labels fill the rest."""
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -57,7 +57,7 @@ def corrections_by_picture(
     return found
 
 
-def corrections_told(corrections: Mapping[str, Correction]) -> dict[str, Any] | None:
+def corrections_summary(corrections: Mapping[str, Correction]) -> dict[str, Any] | None:
     """What is kept of the corrections that a run uses; None without any.
 
     pictures, people and pixels: how many. sha256: of all that was said.
@@ -88,54 +88,51 @@ def paced(descent: Descent, halfway: float, pictures: int) -> Descent:
     return descent.model_copy(update={"learning_rate": rate})
 
 
-Shrink = Callable[[Correction], Arrays]
-"""What training needs of one correction, at the size at which the network works."""
-
-
-def keep_corrections(
-    folder: Path, files: Mapping[Path, Correction], shrink: Shrink
+def write_corrections(
+    folder: Path, files: Mapping[Path, Correction], shrink: Callable[[Correction], Arrays]
 ) -> dict[Path, Path]:
-    """Write what training needs of the corrections; the written file of each prepared one."""
+    """Write what training needs of the corrections; the written file of each prepared one.
+
+    shrink: what that is of one, at the size at which the network works.
+    """
     make_folder(folder)
-    said = {file: folder / f"{number:06d}.npz" for number, file in enumerate(sorted(files))}
-    for file, path in said.items():
+    written = {file: folder / f"{number:06d}.npz" for number, file in enumerate(sorted(files))}
+    for file, path in written.items():
         write_arrays(path, shrink(files[file]))
-    return said
+    return written
 
 
 # --- whole pictures ---------------------------------------------------------------------
 
 
-def said_planes(correction: Correction, size: tuple[int, int]) -> Arrays:
-    """``said``, uint8 (7,h,w) as 255ths: shares of a cell's pixels that people said something of.
+def correction_planes(correction: Correction, size: tuple[int, int]) -> Arrays:
+    """``planes``, uint8 (6,h,w) as 255ths: shares of a cell's pixels that people called so.
 
-    Road, not road, void; sky, vertical, horizontal; the last plane is 0 where nothing was said.
+    Road, not road, void; sky, vertical, horizontal.
     """
     road, layout = torch.from_numpy(correction.road), torch.from_numpy(correction.layout)
     planes = [road == value for value in (ROAD_SAID, NOT_ROAD, VOID_SAID)]
     planes += [layout == number for number in range(CLASSES)]
-    planes.append(torch.from_numpy(correction.labels > 0))
-    return {"said": to_bytes(adaptive_avg_pool2d(torch.stack(planes).to(torch.float32), size))}
+    return {"planes": to_bytes(adaptive_avg_pool2d(torch.stack(planes).to(torch.float32), size))}
 
 
-def corrected_targets(targets: Targets, said: Tensor, weight: float) -> Targets:
-    """Targets in which what people said replaces the machine's; said: (B,7,H,W) of ``said_planes``.
+def corrected_targets(targets: Targets, planes: Tensor, weight: float) -> Targets:
+    """Targets in which what people said replaces the machine's.
 
-    Where they said void, neither counts. Where they said road there is no ego car.
+    planes: (B,6,H,W) of ``correction_planes``. Where they are void, neither counts; where they
+    are road there is no ego car.
     """
-    road, other, void = said[:, 0:1], said[:, 1:2], said[:, 2:3]
+    road, other, void, layout = planes.split((1, 1, 1, CLASSES), 1)
     known, left_out = road + other >= HALF, void > HALF
     share = road / (road + other).clamp_min(1e-6)
-    told = said[:, 3 : 3 + CLASSES]
-    told_share = told.sum(1, keepdim=True)
-    layout_known = told_share >= HALF
-    no_ego = road >= HALF
+    layout_share = layout.sum(1, keepdim=True)
+    layout_known, no_ego = layout_share >= HALF, road >= HALF
 
     def weighed(own: Tensor, where: Tensor) -> Tensor:
         return torch.where(where, weight, own).masked_fill(left_out, 0)
 
     return Targets(
-        torch.where(layout_known, told / told_share.clamp_min(1e-6), targets.layout),
+        torch.where(layout_known, layout / layout_share.clamp_min(1e-6), targets.layout),
         weighed(targets.layout_weight, layout_known),
         torch.where(known, share, targets.road),
         weighed(targets.road_weight, known),
@@ -166,7 +163,7 @@ class LabelledCentres(NamedTuple):
     weights: Tensor
 
 
-def said_layout(correction: Correction, size: tuple[int, int]) -> Arrays:
+def correction_layout(correction: Correction, size: tuple[int, int]) -> Arrays:
     """``layout``, uint8 (h,w): 0, 1, 2, 255 not said; ``known``: 1 where no machine label counts.
 
     Who says void, or "not road", says nothing of the layout; void counts as known all the same.
@@ -176,9 +173,11 @@ def said_layout(correction: Correction, size: tuple[int, int]) -> Arrays:
     return {"layout": layout, "known": ((layout != UNLABELLED) | void).to(torch.uint8)}
 
 
-def corrected_centres(labelled: LabelledCentres, said: Arrays, weight: float) -> LabelledCentres:
+def corrected_centres(
+    labelled: LabelledCentres, correction: Arrays, weight: float
+) -> LabelledCentres:
     """The machine's where nobody spoke, and a grid of places where somebody named a class."""
-    layout, known = said["layout"], said["known"].bool()
+    layout, known = correction["layout"], correction["known"].bool()
     rows, columns = labelled.centres.long().unbind(1)
     kept = ~known[rows, columns]
     places = torch.zeros_like(known)
@@ -192,57 +191,32 @@ def corrected_centres(labelled: LabelledCentres, said: Arrays, weight: float) ->
     )
 
 
-def repeated(files: Sequence[Path], said: Mapping[Path, Path], share: float) -> list[Path]:
+def repeated(files: Sequence[Path], corrected: Container[Path], share: float) -> list[Path]:
     """The files, corrected ones so often that they are about ``share`` of all, once at least."""
-    corrected, others = len(said), len(files) - len(said)
-    if not corrected or not others or share == 1:
-        return [file for file in files if share < 1 or not said or file in said]
-    times = max(1, round(share * others / ((1 - share) * corrected)))
-    return [file for file in files for _ in range(times if file in said else 1)]
+    own = [file for file in files if file in corrected]
+    others = len(files) - len(own)
+    if not own or not others or share == 1:
+        return own if own and share == 1 else list(files)
+    times = max(1, round(share * others / ((1 - share) * len(own))))
+    return [file for file in files for _ in range(times if file in corrected else 1)]
 
 
 # --- what fusion makes of the weights ---------------------------------------------------
 
 
-MAX_DETAIL = 3.0
-"""Weight of the network's road, pixel by pixel, after very many corrected pictures."""
-
-HALFWAY = 10.0
-"""Corrected pictures that bring half of it."""
-
-
-def pictures_said(corrections: Sequence[Correction]) -> float:
-    """How many whole pictures it makes: the sum of the shares that people called road or not."""
-    roads = [one.road for one in corrections]
-    return float(sum(((road == ROAD_SAID) | (road == NOT_ROAD)).mean() for road in roads))
-
-
-def trust_settings(pictures: float) -> dict[str, Any]:
-    """Settings of ``fusion`` after so many corrected pictures (> 0).
-
-    The detail grows as a mean does that is drawn to nothing known: n / (n + HALFWAY). True labels
-    make 0 the log odds that part road from background: neither the centre of machine labels nor
-    the picture's own (Otsu) is asked.
-    """
-    detail = MAX_DETAIL * pictures / (pictures + HALFWAY)
-    return {
-        "learned": {"weight": 1.0, "detail": round(detail, 3)},
-        "calibration": {"centre": 0.0, "own": 0.0},
-    }
-
-
 def write_corrected(path: Path, weights: Path, corrections: Sequence[Correction]) -> bool:
-    """Write a file for ``--config``: ``fusion`` with these weights, trusted as far as they learned.
+    """Write a file for ``--config``: ``fusion`` with these weights.
 
+    By true labels 0 are the log odds that part road from background, not the usual centre.
     False, and nothing written, where people called no pixel road or not road.
     """
-    said = pictures_said(corrections)
-    if not said:
+    roads = [one.road for one in corrections]
+    if not any(((road == ROAD_SAID) | (road == NOT_ROAD)).any() for road in roads):
         return False
     lines = [
         f"# From {len(corrections)} pictures that people corrected: not label-free.",
         'detector = "fusion"',
-        *toml_lines({"weights": {"file": str(weights.resolve())}, **trust_settings(said)}),
+        *toml_lines({"weights": {"file": str(weights.resolve())}, "calibration": {"centre": 0.0}}),
     ]
     write_text(path, "\n".join([*lines, ""]))
     return True

@@ -1,4 +1,4 @@
-"""The folder of a run: what it was told, how far it is, what came out."""
+"""The folder of a run: its settings, how far it is, what came out."""
 
 import csv
 import json
@@ -18,6 +18,7 @@ from roadtorch.io.decoding import without_warnings
 from roadtorch.sources.pictures import Picture
 from roadtorch.train.config import as_values, build_training, with_current_names
 from roadtorch.train.prepared import PreparedPicture, bytes_of, name_of
+from roadtorch.version import __version__
 
 FORMAT = 2
 """Of checkpoints; raised when older code could not go on with them."""
@@ -47,6 +48,22 @@ def pictures_hash(pictures: Iterable[Picture]) -> str:
     return sha256(printable("".join(lines)).encode()).hexdigest()
 
 
+def record_of(
+    config: Mapping[str, Any],
+    pictures: Sequence[Picture],
+    corrections: Mapping[str, Any] | None,
+) -> dict[str, Any]:
+    """What run.json says of a run: version, settings, pictures, corrections."""
+    return {
+        "roadtorch": __version__,
+        "config": config,
+        "config_sha256": config_hash(config),
+        "count": len(pictures),
+        "pictures": pictures_hash(pictures),
+        "corrections": corrections,
+    }
+
+
 @dataclass(frozen=True)
 class RunFolder:
     """The files of one run."""
@@ -64,20 +81,14 @@ class RunFolder:
         """The folder of what the network of the round before says, for round ``number``."""
         return self.path / f"{LABELS}{number + 1}"
 
-    def begin(
-        self,
-        config: Mapping[str, Any],
-        pictures: Sequence[Picture],
-        corrections: Mapping[str, Any] | None,
-        resume: bool,
-    ) -> None:
-        """Check that this run may write here; nothing is written yet.
+    def check(self, record: Mapping[str, Any], resume: bool) -> None:
+        """Check that the run of a record (``record_of``) may write here; nothing is written yet.
 
         A fresh run wants a folder without files of ours; ``resume`` wants the same settings,
         pictures and corrections as before, or an empty folder. Raises ConfigError, InputError.
         """
-        record = self._record()
-        if record is None:
+        before = self._record()
+        if before is None:
             taken = [name for name in OURS if (self.path / name).exists()]
             if taken:
                 what = f"holds {taken[0]}, which is not of a run"
@@ -86,35 +97,21 @@ class RunFolder:
         if not resume:
             what = "holds a run already"
             raise ConfigError(self.path, what, "go on with --resume, or give another --out")
-        _refuse_other(self.path, record["config"], config)
-        if record["pictures"] != pictures_hash(pictures):
+        _refuse_other(self.path, before["config"], record["config"])
+        if before["pictures"] != record["pictures"]:
             what = "holds a run on other pictures"
             raise ConfigError(self.path, what, "give the same --images, or another --out")
-        if record.get("corrections") != corrections:
+        if before.get("corrections") != record["corrections"]:
             what = "holds a run with other corrections"
             raise ConfigError(self.path, what, "give the same --corrections, or another --out")
 
-    def claim(
-        self,
-        config: Mapping[str, Any],
-        pictures: Sequence[Picture],
-        corrections: Mapping[str, Any] | None,
-        version: str,
-    ) -> None:
-        """Remove what killed runs left half-written, and write what this one was told."""
+    def begin(self, record: Mapping[str, Any]) -> None:
+        """Remove what killed runs left half-written, and write the record of this one."""
         remove_leftovers([self.path, *self.path.glob(f"{LABELS}*")])
-        record = {
-            "roadtorch": version,
-            "config": config,
-            "config_sha256": config_hash(config),
-            "count": len(pictures),
-            "pictures": pictures_hash(pictures),
-            "corrections": corrections,
-        }
         write_text(self.path / RUN, json.dumps(record, indent=1) + "\n")
 
     def _record(self) -> dict[str, Any] | None:
-        """What the run in the folder was told; None where there is no run."""
+        """The record of the run in the folder; None where there is no run."""
         path = self.path / RUN
         if not path.exists():
             return None
@@ -181,15 +178,10 @@ class RunFolder:
         """Draw the loss of the epochs, one line a round."""
         from matplotlib.figure import Figure
 
+        from roadtorch.report.adaptation import draw_losses
+
         figure = Figure(figsize=(6, 4), layout="constrained")
-        axes = figure.add_subplot()
-        for number in sorted({row["round"] for row in rows}):
-            own = [row for row in rows if row["round"] == number]
-            places = [row["epoch"] for row in own]
-            axes.plot(places, [row["loss"] for row in own], marker=".", label=f"round {number}")
-        axes.set(xlabel="epoch", ylabel="mean loss of the epoch")
-        axes.grid(alpha=0.3)
-        axes.legend()
+        draw_losses(figure, rows)
         with atomic(self.path / CURVE) as temporary:
             figure.savefig(temporary, format="png", dpi=120)
 

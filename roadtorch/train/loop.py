@@ -4,17 +4,19 @@ import copy
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor, nn
-from tqdm import tqdm
 
 from roadtorch.errors import ConfigError
+from roadtorch.layout.weights import LayoutNetwork
+from roadtorch.runtime.progress import Progress
 from roadtorch.runtime.signals import Stop
 from roadtorch.train.config import Descent, Stopping
 from roadtorch.train.folder import RunFolder
@@ -132,11 +134,6 @@ class TrainingProgress:
     finished: bool = False
     rows: list[dict[str, Any]] = field(default_factory=list)
 
-    def begin_round(self, number: int) -> None:
-        """Start another round from its first epoch."""
-        self.round, self.epoch, self.chunk, self.steps = number, 0, 0, 0
-        self.loss, self.count, self.seconds, self.finished = 0.0, 0, 0.0, False
-
 
 class TrainingSetup(NamedTuple):
     """What a round trains, and how; average: what becomes of the weights over the steps."""
@@ -148,6 +145,19 @@ class TrainingSetup(NamedTuple):
     loss: Loss
     descent: Descent
     stopping: Stopping
+
+
+class RoundStart(NamedTuple):
+    """What a round begins with.
+
+    files: prepared pictures. corrected: by prepared picture, what people said of it. last: the
+    network of the round before, or the one that the run starts from.
+    """
+
+    number: int
+    files: Sequence[Path]
+    corrected: Mapping[Path, Path]
+    last: LayoutNetwork | None
 
 
 class RunContext(NamedTuple):
@@ -174,7 +184,7 @@ def train_round(setup: TrainingSetup, progress: TrainingProgress, context: RunCo
     Raises ConfigError when the loss is no longer a number.
     """
     setup.network.train()
-    while not progress.finished and not _stop_asked(context):
+    while not progress.finished and not context.processes.any(context.stop.asked):
         _train_epoch(setup, progress, context)
         if progress.chunk == setup.samples.chunks:
             _end_epoch(setup, progress, context)
@@ -194,19 +204,14 @@ def save_checkpoint(setup: TrainingSetup, progress: TrainingProgress, context: R
         )
 
 
-def _stop_asked(context: RunContext) -> bool:
-    return context.processes.any(context.stop.asked)
-
-
 def _train_epoch(setup: TrainingSetup, progress: TrainingProgress, context: RunContext) -> None:
     """Work through the rest of an epoch, at least a chunk of it, or until asked to stop."""
-    hidden = context.processes.hides_bar(context.quiet)
-    bar = tqdm(
+    bar = Progress(
         desc=f"epoch {progress.epoch + 1}",
         total=setup.samples.chunks,
         initial=progress.chunk,
-        disable=hidden,
-        file=sys.stderr,
+        unit="chunk",
+        quiet=context.quiet or not context.processes.leads,
     )
     saved = time.monotonic()
     with bar:
@@ -214,12 +219,12 @@ def _train_epoch(setup: TrainingSetup, progress: TrainingProgress, context: RunC
             start = time.perf_counter()
             _train_chunk(setup, progress, context.processes)
             progress.seconds += time.perf_counter() - start
+            bar.set_postfix(loss=f"{progress.loss / max(1, progress.count):.4f}", refresh=False)
             bar.update()
-            bar.set_postfix(loss=f"{progress.loss / max(1, progress.count):.4f}")
             if time.monotonic() - saved > SAVE_EVERY:
                 save_checkpoint(setup, progress, context)
                 saved = time.monotonic()
-            if _stop_asked(context):
+            if context.processes.any(context.stop.asked):
                 return
 
 
@@ -300,4 +305,4 @@ def _end_epoch(setup: TrainingSetup, progress: TrainingProgress, context: RunCon
                 f"loss {row['loss']:.4f}{change}, {row['samples']} samples in "
                 f"{row['seconds']:.0f} s"
             )
-            tqdm.write(text, file=sys.stderr)
+            Progress.write(text, file=sys.stderr)

@@ -25,12 +25,18 @@ from roadtorch.sources.pictures import Picture
 from roadtorch.superpixels.segments import segment_mean, segment_size
 from roadtorch.train.augmentation import uniform
 from roadtorch.train.config import PatchAugmentation, PatchCentres, PatchTraining
-from roadtorch.train.corrections import LabelledCentres, corrected_centres, repeated, said_layout
+from roadtorch.train.corrections import (
+    LabelledCentres,
+    corrected_centres,
+    correction_layout,
+    repeated,
+)
 from roadtorch.train.loop import (
     CENTRES,
     PATCH_ORDER,
     PATCH_VARIATION,
     Batch,
+    RoundStart,
     RunContext,
     generator_at,
     seeded,
@@ -191,9 +197,9 @@ class PatchSamples:
         files: Sequence[Path],
         training: PatchTraining,
         processes: Processes,
-        said: Mapping[Path, Path] = MappingProxyType({}),
+        corrected: Mapping[Path, Path] = MappingProxyType({}),
     ) -> None:
-        self._files, self._said = files, said
+        self._files, self._corrected = files, corrected
         self._training = training
         self._processes = processes
         self._read = kept_arrays()
@@ -254,8 +260,8 @@ class PatchSamples:
         arrays = self._read(self._files[member], "centres", "classes")
         classes = arrays["classes"]
         labelled = LabelledCentres(arrays["centres"], classes, torch.ones(len(classes)))
-        if (said := self._said.get(self._files[member])) is not None:
-            planes = read_arrays(said, "layout", "known")
+        if (correction := self._corrected.get(self._files[member])) is not None:
+            planes = read_arrays(correction, "layout", "known")
             labelled = corrected_centres(labelled, planes, self._training.corrections.weight)
         order = self._shuffled(len(labelled.classes), CENTRES, epoch, member)
         order = order[visit :: self._training.passes]
@@ -304,23 +310,16 @@ class PatchRecipe:
         """The layout that people named, at working size."""
         height, width = correction.labels.shape
         size = working_size(height, width, self._training.network.working)
-        return said_layout(correction, size)
+        return correction_layout(correction, size)
 
-    def network(self, number: int, last: LayoutNetwork | None) -> LayoutNetwork:
+    def network(self, begun: RoundStart) -> LayoutNetwork:
         """A new patch network, or the one to start from."""
-        if last is not None:
-            return last
-        with seeded(self._training.random_seed, number):
+        if begun.last is not None:
+            return begun.last
+        with seeded(self._training.random_seed, begun.number):
             return PatchNetwork(self._training.network)
 
-    def samples(
-        self,
-        files: Sequence[Path],
-        said: Mapping[Path, Path],
-        number: int,
-        last: LayoutNetwork | None,
-        context: RunContext,
-    ) -> PatchSamples:
-        """The varied patches of prepared pictures; corrected ones (``said``) come more often."""
-        often = repeated(files, said, self._training.corrections.share)
-        return PatchSamples(often, self._training, context.processes, said)
+    def samples(self, begun: RoundStart, context: RunContext) -> PatchSamples:
+        """The varied patches of prepared pictures; corrected ones come more often."""
+        often = repeated(begun.files, begun.corrected, self._training.corrections.share)
+        return PatchSamples(often, self._training, context.processes, begun.corrected)

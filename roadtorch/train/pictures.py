@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -11,15 +12,25 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from roadtorch.data.corrections import Correction
+from roadtorch.imaging.resize import resized
+from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, SKY
 from roadtorch.layout.patch_network import normalise
-from roadtorch.layout.picture_network import EGO, ROAD, PictureNetwork
-from roadtorch.layout.weights import LayoutNetwork
+from roadtorch.layout.picture_network import EGO, ROAD, PictureNetwork, PictureNetworkSettings
+from roadtorch.layout.weights import STEP, WholePictureNetwork
 from roadtorch.sources.pictures import Picture
 from roadtorch.train import augmentation
 from roadtorch.train.config import HeadWeights, PictureTraining
-from roadtorch.train.corrections import corrected_shares, corrected_targets, said_planes
-from roadtorch.train.loop import PICTURE_ORDER, VARIATION, Batch, RunContext, generator_at, seeded
+from roadtorch.train.corrections import corrected_shares, corrected_targets, correction_planes
+from roadtorch.train.loop import (
+    PICTURE_ORDER,
+    VARIATION,
+    Batch,
+    RoundStart,
+    RunContext,
+    generator_at,
+    seeded,
+)
 from roadtorch.train.prepared import Arrays, from_bytes, kept_arrays
 from roadtorch.train.processes import Processes
 from roadtorch.train.recordings import ego_of, find_ego_cars, recording_of
@@ -46,14 +57,14 @@ class Prepared(NamedTuple):
 
     files: image, teacher's maps and ego car of each. labels: the last network's maps, in the
     same order; none in the first round. shares: how often each is visited, against the others.
-    ego_cars: the files that show an ego car, by recording. said: by file, what people said.
+    ego_cars: the files that show an ego car, by recording. corrected: by file, what people said.
     """
 
     files: Sequence[Path]
     labels: Sequence[Path]
     shares: Tensor
     ego_cars: Mapping[str, Sequence[Path]]
-    said: Mapping[Path, Path] = MappingProxyType({})
+    corrected: Mapping[Path, Path] = MappingProxyType({})
 
 
 class PictureSamples:
@@ -92,6 +103,11 @@ class PictureSamples:
             images, targets = (torch.cat(maps) for maps in zip(*parts, strict=True))
         else:
             images, targets = torch.empty(0, 3, *size), torch.empty(0, sum(PLANES), *size)
+        scales = training.scales
+        scale = scales[int(torch.randint(len(scales), (), generator=generator))]
+        if scale != 1 and parts:
+            scaled = [max(1, round(scale * side / STEP)) * STEP for side in size]
+            images, targets = (resized(maps, (scaled[0], scaled[1])) for maps in (images, targets))
         yield Batch(images, targets, torch.ones(len(images)), len(members))
 
     def _one(self, member: int, frame: Tensor, seed: int) -> tuple[Tensor, Tensor]:
@@ -131,9 +147,10 @@ class PictureSamples:
         if prepared.labels:
             network = from_bytes(self._read(prepared.labels[member], "maps")["maps"])[None]
         targets = targets_of(maps, ego[None], network, training.teacher, training.rounds)
-        if file in prepared.said:
-            said = from_bytes(self._read(prepared.said[file], "said")["said"])[None]
-            targets = corrected_targets(targets, said, training.corrections.weight)
+        if file in prepared.corrected:
+            planes = self._read(prepared.corrected[file], "planes")["planes"]
+            weight = training.corrections.weight
+            targets = corrected_targets(targets, from_bytes(planes)[None], weight)
         return image, targets
 
 
@@ -153,23 +170,16 @@ def draw_members(shares: Tensor, count: int, at: torch.Generator) -> Tensor:
 # --- loss -------------------------------------------------------------------------------
 
 
-class PictureLoss:
-    """The loss of one training: targets as they are, or hardened to one class."""
-
-    def __init__(self, training: PictureTraining) -> None:
-        self._targets = training.teacher.targets
-        self._weights = training.heads
-
-    def __call__(self, network: nn.Module, batch: Batch) -> Tensor:
-        """Sum over the batch's pictures of their mean loss."""
-        scores = network(batch.inputs).float()
-        small = F.adaptive_avg_pool2d(batch.targets, scores.shape[-2:])
-        targets = Targets(*small.split(PLANES, 1))
-        if self._targets == "hard":
-            best = F.one_hot(best_class(targets.layout)[:, 0], CLASSES).permute(0, 3, 1, 2)
-            road = (targets.road >= 0.5).to(targets.road)
-            targets = targets._replace(layout=best.to(targets.layout), road=road)
-        return target_loss(scores, targets, self._weights)
+def picture_loss(network: nn.Module, batch: Batch, training: PictureTraining) -> Tensor:
+    """Sum over the batch's pictures of their mean loss; targets as they are, or of one class."""
+    scores = network(batch.inputs).float()
+    small = F.adaptive_avg_pool2d(batch.targets, scores.shape[-2:])
+    targets = Targets(*small.split(PLANES, 1))
+    if training.teacher.targets == "hard":
+        best = F.one_hot(best_class(targets.layout)[:, 0], CLASSES).permute(0, 3, 1, 2)
+        road = (targets.road >= 0.5).to(targets.road)
+        targets = targets._replace(layout=best.to(targets.layout), road=road)
+    return target_loss(scores, targets, training.heads)
 
 
 def target_loss(scores: Tensor, targets: Targets, weights: HeadWeights) -> Tensor:
@@ -194,7 +204,7 @@ class PictureRecipe:
     def __init__(self, training: PictureTraining) -> None:
         self._training = training
         self.rounds = training.rounds.count
-        self.loss = PictureLoss(training)
+        self.loss = partial(picture_loss, training=training)
         self._teachers = load_teachers(training.teacher)
         self._recordings: Mapping[str, Path] = {}
         self._prepared = Path()
@@ -224,44 +234,35 @@ class PictureRecipe:
     def shrink(self, correction: Correction) -> Arrays:
         """What people said, at the network's size."""
         network = self._training.network
-        return said_planes(correction, (network.height, network.width))
+        return correction_planes(correction, (network.height, network.width))
 
-    def network(self, number: int, last: LayoutNetwork | None) -> PictureNetwork:
-        """The network with which round ``number`` starts: a new one, or the last one."""
-        if isinstance(last, PictureNetwork) and self._training.rounds.start == "continued":
+    def network(self, begun: RoundStart) -> WholePictureNetwork:
+        """The network with which a round starts: a new one, or the last one."""
+        settings, start, last = self._training.network, self._training.rounds.start, begun.last
+        if isinstance(last, BackboneNetwork):
             return last
-        with seeded(self._training.random_seed, number):
-            return PictureNetwork(self._training.network)
+        if isinstance(last, PictureNetwork) and start == "continued":
+            return last
+        assert isinstance(settings, PictureNetworkSettings)  # a backbone has weights to start from
+        with seeded(self._training.random_seed, begun.number):
+            return PictureNetwork(settings)
 
-    def samples(
-        self,
-        files: Sequence[Path],
-        said: Mapping[Path, Path],
-        number: int,
-        last: LayoutNetwork | None,
-        context: RunContext,
-    ) -> PictureSamples:
-        """Varied pictures of round ``number``; with what the last network says of them, if any."""
-        labels: list[Path] = []
-        if isinstance(last, PictureNetwork):
-            folder = context.folder.labels_of(number)
-            labels = label_with_network(files, folder, last.eval(), context)
-        shares, cars = self._footage(files)
-        corrected = torch.tensor([file in said for file in files])
-        shares = corrected_shares(shares, corrected, self._training.corrections.share)
-        prepared = Prepared(files, labels, shares, cars, said)
-        return PictureSamples(prepared, number, self._training, context.processes)
-
-    def _footage(self, files: Sequence[Path]) -> tuple[Tensor, dict[str, list[Path]]]:
-        """How often each file is visited, and the files that show an ego car, by recording."""
+    def samples(self, begun: RoundStart, context: RunContext) -> PictureSamples:
+        """Varied pictures of a round; with what the last network says of them, if any."""
+        files, labels = begun.files, list[Path]()
+        if isinstance(begun.last, WholePictureNetwork):
+            folder = context.folder.labels_of(begun.number)
+            labels = label_with_network(files, folder, begun.last.eval(), context)
         settings = self._training.recordings
         pictures = [file.relative_to(self._prepared) for file in files]
         stems = [each.with_suffix("").with_suffix("").as_posix() for each in pictures]
         names = [recording_of(stem, settings.separator) for stem in stems]
-        sizes = Counter(names)
-        shares = torch.tensor([sizes[name] ** -settings.evenness for name in names])
-        cars: dict[str, list[Path]] = {}
+        sizes, cars = Counter(names), dict[str, list[Path]]()
         for name, file in zip(names, files, strict=True):
             if lends_ego(file):
                 cars.setdefault(name, []).append(file)
-        return shares, cars
+        shares = torch.tensor([sizes[name] ** -settings.evenness for name in names])
+        corrected = torch.tensor([file in begun.corrected for file in files])
+        shares = corrected_shares(shares, corrected, self._training.corrections.share)
+        prepared = Prepared(files, labels, shares, cars, begun.corrected)
+        return PictureSamples(prepared, begun.number, self._training, context.processes)

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 from roadtorch.detector import checked_image
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.io.atomic import atomic, make_folder, write_text
 from roadtorch.io.bounded import read_regular
 from roadtorch.io.image import read_image
+from roadtorch.runtime.progress import Progress
 from roadtorch.runtime.signals import Stop
 from roadtorch.sources.pictures import Picture
 from roadtorch.train.processes import Processes
@@ -127,8 +127,11 @@ class PreparedFolder:
     def _one(self, picture: Picture, make: Callable[[Tensor, str], Arrays]) -> PreparedPicture:
         name = name_of(picture)
         file = self.path / f"{name}.npz"
-        if _is_of(file, picture):
-            return PreparedPicture(name, file)
+        try:  # all of it is read: damage found later would end the training
+            if file.exists() and bool(read_arrays(file)[SOURCE] == bytes_of(picture)):
+                return PreparedPicture(name, file)
+        except (InputError, KeyError, RuntimeError):  # RuntimeError: more than one number
+            pass
         try:
             arrays = make(checked_image(read_image(picture.path)), picture.name)
         except InputError as problem:
@@ -144,19 +147,8 @@ class PreparedFolder:
             make_folder(file.parent)
             write_arrays(file, arrays | {SOURCE: torch.tensor(bytes_of(picture))})
             return PreparedPicture(name, file)
-        tqdm.write(f"roadtorch: skipped: {why}", file=sys.stderr)
+        Progress.write(f"roadtorch: skipped: {why}", file=sys.stderr)
         return PreparedPicture(name, None, why)
-
-
-def _is_of(file: Path, picture: Picture) -> bool:
-    """Whether a file is whole and was made of this picture, by its size in bytes.
-
-    All of it is read: damage found later would end the training.
-    """
-    try:
-        return file.exists() and bool(read_arrays(file)[SOURCE] == bytes_of(picture))
-    except (InputError, KeyError, RuntimeError):  # RuntimeError: more than one number
-        return False
 
 
 def bytes_of(picture: Picture) -> int:

@@ -1,7 +1,6 @@
 """The processes that train together: one, or those that torchrun started on this machine."""
 
 import os
-import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
@@ -9,9 +8,9 @@ from typing import TypeVar
 
 import torch
 from torch import Tensor, distributed
-from tqdm import tqdm
 
 from roadtorch.errors import RoadtorchError
+from roadtorch.runtime.progress import Progress
 
 Item = TypeVar("Item")
 
@@ -28,18 +27,14 @@ class Processes:
         """Whether this process writes and speaks for all."""
         return self.rank == 0
 
-    def hides_bar(self, quiet: bool) -> bool | None:
-        """tqdm's ``disable``: no bar here, or (None) one where somebody can see it."""
-        return True if quiet or not self.leads else None
-
     def share(self, items: Sequence[Item]) -> Sequence[Item]:
         """This process's part of a list that all have: every ``size``-th item."""
         return items[self.rank :: self.size]
 
     def bar(self, items: Sequence[Item], title: str, quiet: bool) -> Iterable[Item]:
-        """This process's part of a list, with a bar where somebody can see it."""
-        hidden = self.hides_bar(quiet)
-        return tqdm(self.share(items), title, unit="image", disable=hidden, file=sys.stderr)
+        """This process's part of a list; the first process tells how far it is."""
+        hidden = quiet or not self.leads
+        return Progress(self.share(items), desc=title, unit="image", quiet=hidden)
 
     def add(self, values: Tensor) -> Tensor:
         """The sum of the processes' values, the same in all of them."""
@@ -69,9 +64,9 @@ class Processes:
                     stack.enter_context(entered)
                 except RoadtorchError as raised:
                     problem = raised
-            told = self.gather(problem)[0]
-            if told is not None:
-                raise told
+            refused = self.gather(problem)[0]
+            if refused is not None:
+                raise refused
             yield
 
 

@@ -7,18 +7,21 @@ from pathlib import Path
 from signal import SIGTERM, Signals
 from typing import Any
 
-import torch
-from tqdm import tqdm
+from pydantic import TypeAdapter, ValidationError
 
 from roadtorch.data.corrections import Correction
 from roadtorch.errors import InputError, WeightsError
 from roadtorch.io.atomic import shared, write_text
-from roadtorch.layout.picture_network import (
-    PictureNetwork,
-    PictureNetworkSettings,
+from roadtorch.layout.weights import (
+    LayoutNetwork,
+    WholePictureNetwork,
+    fill,
+    load_network,
     network_at,
+    save_network,
+    weights_path,
 )
-from roadtorch.layout.weights import LayoutNetwork, fill, load_network, save_network, weights_path
+from roadtorch.runtime.progress import Progress
 from roadtorch.runtime.signals import stop_on_signals
 from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.train.config import PictureTraining, Training, as_values
@@ -26,14 +29,22 @@ from roadtorch.train.corrections import (
     card_of,
     corrections_behind,
     corrections_by_picture,
-    corrections_told,
-    keep_corrections,
+    corrections_summary,
     paced,
     write_corrected,
+    write_corrections,
 )
-from roadtorch.train.folder import CHECKPOINT, NO_CHECKPOINT, WEIGHTS, RunFolder, config_hash
+from roadtorch.train.folder import (
+    CHECKPOINT,
+    NO_CHECKPOINT,
+    WEIGHTS,
+    RunFolder,
+    config_hash,
+    record_of,
+)
 from roadtorch.train.loop import (
     MovingAverage,
+    RoundStart,
     RunContext,
     TrainingProgress,
     TrainingSetup,
@@ -49,7 +60,7 @@ from roadtorch.version import __version__
 
 Recipe = PatchRecipe | PictureRecipe
 
-PREPARED, SAID = "prepared", "corrections"
+PREPARED, CORRECTIONS = "prepared", "corrections"
 
 FUSION = "fusion.toml"
 """A config for the detector ``fusion`` with the weights of a run with corrections."""
@@ -90,17 +101,17 @@ def train(training: Training, request: Request) -> Outcome:
     with stop_on_signals() as stop, join_processes() as processes:
         folder = RunFolder(request.out)
         context = RunContext(processes, folder, stop, request.quiet)
-        config, start = as_values(training), load_start(training)
-        recipe = recipe_of(training)
+        start, recipe = load_start(training), recipe_of(training)
         with processes.led(folder.held()):
             corrections = corrections_by_picture(pictures, request.corrections)
-            told = corrections_told(corrections)
-            folder.begin(config, pictures, told, request.resume)
+            summary = corrections_summary(corrections)
+            record = record_of(as_values(training), pictures, summary)
+            folder.check(record, request.resume)
             state = folder.read_checkpoint()
             processes.gather(None)  # all have looked before the first one writes
             if processes.leads:
-                folder.claim(config, pictures, told, __version__)
-            behind = [*corrections_behind(training), *([told] if told else [])]
+                folder.begin(record)
+            behind = [*corrections_behind(training), *([summary] if summary else [])]
             run = _Run(training, recipe, start, request, context, corrections, behind)
             return run.go(pictures, state)
 
@@ -121,7 +132,8 @@ def load_start(training: Training) -> LayoutNetwork | None:
     if not training.start:
         return None
     network, settings = load_network(weights_path(training.start)), training.network
-    if isinstance(network, PictureNetwork) and isinstance(settings, PictureNetworkSettings):
+    if isinstance(network, WholePictureNetwork) and isinstance(training, PictureTraining):
+        settings = training.network
         network = network_at(network, settings.height, settings.width)
     if network.settings != settings:
         what = "holds a network with other settings than this training"
@@ -141,6 +153,7 @@ class _Run:
     behind: Sequence[Mapping[str, Any]]
 
     def go(self, pictures: Sequence[Picture], state: dict[str, Any] | None) -> Outcome:
+        """Make the pictures ready and train the rounds that are left, from a checkpoint if any."""
         processes, folder, stop, _ = self.context
         prepared = self._prepared(pictures)
         skipped = sum(item.file is None for item in prepared)
@@ -152,17 +165,17 @@ class _Run:
             for item in prepared
             if item.file is not None and item.name in self.corrections
         }
-        own = folder.path / SAID / f"process-{processes.rank}"  # each has a copy of its own
-        said = keep_corrections(own, people, self.recipe.shrink) if people else {}
+        own = folder.path / CORRECTIONS / f"process-{processes.rank}"  # each has its own copy
+        corrected = write_corrections(own, people, self.recipe.shrink) if people else {}
         progress = _progress_of(state, folder.path / CHECKPOINT) if state else TrainingProgress()
         while True:
-            self._round(files, said, progress, state)
+            self._round(files, corrected, progress, state)
             state = None
             if not progress.finished:
                 return Outcome(None, stop.signal or SIGTERM, skipped)
             if progress.round + 1 == self.recipe.rounds:
                 break
-            progress.begin_round(progress.round + 1)
+            progress = TrainingProgress(progress.round + 1, rows=progress.rows)
         weights = folder.path / WEIGHTS
         if people and isinstance(self.training, PictureTraining) and processes.leads:
             write_corrected(weights.with_name(FUSION), weights, list(people.values()))
@@ -190,26 +203,33 @@ class _Run:
             raise InputError(self.request.images, "holds no picture that can be used", "see above")
         if len(files) == 1 and processes.leads and not quiet:
             text = "roadtorch: one picture only: the network will know that one and no other"
-            tqdm.write(text, file=sys.stderr)
+            Progress.write(text, file=sys.stderr)
         return files
 
     def _round(
         self,
         files: Sequence[Path],
-        said: Mapping[Path, Path],
+        corrected: Mapping[Path, Path],
         progress: TrainingProgress,
         state: dict[str, Any] | None,
     ) -> None:
         """Train one round, or what is left of it, and write its weights."""
         training, number, folder = self.training, progress.round, self.context.folder
         last = load_network(folder.path / _weights_of(number - 1)) if number else self.start
-        samples = self.recipe.samples(files, said, number, last, self.context)
-        network = self.recipe.network(number, last)
+        begun = RoundStart(number, files, corrected, last)
+        samples = self.recipe.samples(begun, self.context)
+        network = self.recipe.network(begun)
         descent = paced(training.descent, training.corrections.halfway, len(self.corrections))
         average = MovingAverage(network, descent.ema)
         optimiser = make_optimiser(network, descent)
         if state:
-            _go_on(network, average, optimiser, state, folder.path / CHECKPOINT)
+            path = folder.path / CHECKPOINT
+            try:
+                fill(network, state["network"], path)
+                fill(average.network, state.get("average", state["network"]), path)  # in older code
+                optimiser.load_state_dict(state["optimiser"])
+            except (KeyError, TypeError, ValueError, AttributeError):
+                raise WeightsError(path, *NO_CHECKPOINT) from None
         loss, stopping = self.recipe.loss, training.stopping
         setup = TrainingSetup(network, average, optimiser, samples, loss, descent, stopping)
         if not state:
@@ -246,38 +266,17 @@ class _Run:
 
 
 def _progress_of(state: dict[str, Any], path: Path) -> TrainingProgress:
-    """How far a checkpoint says the run is; WeightsError where it does not say."""
+    """How far a checkpoint of format 1 or 2 says the run is; WeightsError where it does not say."""
+
+    def renamed(values: Mapping[str, Any]) -> dict[str, Any]:
+        names = {"error": "loss", "rate": "learning_rate"}  # of format 1
+        return {names.get(key, key): value for key, value in values.items()}
+
     try:
-        values = _with_current_names(state["progress"])
-        rows = [_with_current_names(row) for row in values.pop("rows", [])]
-        progress = TrainingProgress(**values, rows=rows)
-    except (KeyError, TypeError, AttributeError):
-        raise WeightsError(path, *NO_CHECKPOINT) from None
-    like = TrainingProgress()
-    if any(type(getattr(progress, name)) is not type(value) for name, value in vars(like).items()):
-        raise WeightsError(path, *NO_CHECKPOINT)
-    return progress
-
-
-def _with_current_names(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Values of a checkpoint of format 1 or 2 under the names of format 2."""
-    names = {"error": "loss", "rate": "learning_rate"}
-    return {names.get(key, key): value for key, value in values.items()}
-
-
-def _go_on(
-    network: LayoutNetwork,
-    average: MovingAverage,
-    optimiser: torch.optim.Optimizer,
-    state: dict[str, Any],
-    path: Path,
-) -> None:
-    """Fill what is trained from a checkpoint; WeightsError where it does not fit."""
-    try:
-        fill(network, state["network"], path)
-        fill(average.network, state.get("average", state["network"]), path)  # older code had none
-        optimiser.load_state_dict(state["optimiser"])
-    except (KeyError, TypeError, ValueError, AttributeError):
+        values = renamed(state["progress"])
+        rows = [renamed(row) for row in values.pop("rows", [])]
+        return TypeAdapter(TrainingProgress).validate_python({**values, "rows": rows})
+    except (KeyError, TypeError, AttributeError, ValidationError):
         raise WeightsError(path, *NO_CHECKPOINT) from None
 
 

@@ -19,7 +19,8 @@ from roadtorch.imaging.resize import resized
 from roadtorch.io.atomic import make_folder
 from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.patch_network import normalise
-from roadtorch.layout.picture_network import EGO, ROAD, PictureNetwork, potentials_of
+from roadtorch.layout.picture_network import EGO, ROAD, potentials_of
+from roadtorch.layout.weights import WholePictureNetwork
 from roadtorch.road.ego import continued
 from roadtorch.road.fusion import centred_odds, log_odds
 from roadtorch.train.config import PictureTraining, Rounds, Teacher
@@ -173,7 +174,7 @@ def teacher_maps(image: Tensor, teachers: Sequence[Detector], views: str = "one"
 
 
 def label_with_network(
-    files: Sequence[Path], folder: Path, network: PictureNetwork, context: RunContext
+    files: Sequence[Path], folder: Path, network: WholePictureNetwork, context: RunContext
 ) -> list[Path]:
     """What a network says of prepared pictures, the mean with their mirror images, on disk.
 
@@ -194,7 +195,7 @@ def label_with_network(
 
 
 @torch.no_grad()
-def network_maps(network: PictureNetwork, image: Tensor) -> Tensor:
+def network_maps(network: WholePictureNetwork, image: Tensor) -> Tensor:
     """Potentials (5,h,w) in [0,1] of an image (3,h,w): the mean with its mirror image."""
     pixels = normalise(image, network.settings.normalisation).pixels
     maps = potentials_of(network(torch.stack([pixels, pixels.flip(-1)])))
@@ -205,7 +206,7 @@ def network_maps(network: PictureNetwork, image: Tensor) -> Tensor:
 
 
 def teacher_agreement(
-    network: PictureNetwork, files: Sequence[Path], training: PictureTraining
+    network: WholePictureNetwork, files: Sequence[Path], training: PictureTraining
 ) -> Agreement:
     """The agreement of a network with the teacher's maps in prepared pictures, pixels pooled.
 

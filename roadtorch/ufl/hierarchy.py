@@ -20,7 +20,7 @@ TopLevel = Literal["included", "left_out"]
 Nodes = Literal["runs", "regions"]
 
 NODES = "what a node is: a region and all that follow until it splits (P1), or a single region"
-LEAST = "minPts, pixels of the map that a region needs"
+MIN_SIZE = "minPts, pixels of the map that a region needs"
 
 
 class RegionTreeSettings(Settings):
@@ -30,7 +30,7 @@ class RegionTreeSettings(Settings):
     top: TopLevel = Field(
         default="included", description="the threshold 1, which only closes nodes (program)"
     )
-    least: int = Field(default=50, ge=1, le=10**6, description=LEAST)
+    least: int = Field(default=50, ge=1, le=10**6, description=MIN_SIZE)
     nodes: Nodes = Field(default="runs", description=NODES)
 
 

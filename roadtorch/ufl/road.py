@@ -238,7 +238,7 @@ def road_likelihood(mask: Tensor, pixels: Tensor) -> Tensor:
     """(H,W) in [0,1]: the mask first, the stability of pixels in [0,1) inside and outside of it.
 
     At ``AS_CHOSEN`` it separates road from the rest exactly as the mask does. Ours: of twelve
-    candidates the best by MaxF on the development drives (docs/ufl.md).
+    candidates the best by MaxF on the development drives (docs/research/ufl.md).
     """
     return (mask.to(pixels.device) + pixels) / 2
 

@@ -18,6 +18,7 @@ from roadtorch.data.kitti import birds_eye
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation.evaluate import Evaluation, evaluate
 from roadtorch.evaluation.metrics import Decisions, count_mask, f_measure, precision, recall
+from roadtorch.runtime.progress import Progress, watched
 from roadtorch.ufl.preprocess import WorkingShape, bicubic
 
 SETS = {"camvid": ("camvid", 18), "idd-lite": ("idd_lite", 10), "kitti-road": ("kitti_road", 5)}
@@ -50,14 +51,14 @@ def pooled(
     found: dict[str, Decisions] = {}
     for name in methods:
         detector = load_detector(name)
-        for image, truth in pictures:
+        for image, truth in Progress(pictures, desc=name, unit="image"):
             counts = count_mask(detector.detect(image).mask, truth.road, truth.valid)
             found[name] = found[name] + counts if name in found else counts
     return found
 
 
 def table1(data: Path, out: Path) -> None:
-    """P, R and F at P1's size, pooled (eq. 11), of P1, its two rivals and a floor."""
+    """P, R and F at P1's size, pooled (eq. 11), of P1, the two methods beside it and a baseline."""
     rows: list[Sequence[str | int]] = [("set", "pictures", "method", "P", "R", "F")]
     for set_name, (folder, count) in SETS.items():
         dataset = every_kth(open_dataset(set_name, data / folder), count)
@@ -71,7 +72,9 @@ def table1(data: Path, out: Path) -> None:
 
 def table2(data: Path, out: Path) -> None:
     """MaxF and AP in bird's-eye view by category: evaluate kitti-road --bev."""
-    evaluation = evaluate(birds_eye(open_dataset("kitti-road", data / "kitti_road")), BENCHMARK)
+    evaluation = evaluate(
+        birds_eye(open_dataset("kitti-road", data / "kitti_road")), BENCHMARK, watch=watched
+    )
     for failure in evaluation.failures:
         print(f"left out: {failure.image}: {failure.reason}")
     show(list(benchmark_rows(evaluation)), out / "p1-table2.csv")

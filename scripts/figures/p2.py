@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, Item, every_kth
@@ -23,6 +22,7 @@ from roadtorch.evaluation.scoring import score_item
 from roadtorch.io.atomic import atomic, csv_text, write_text
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
 from roadtorch.report.table import align
+from roadtorch.runtime.progress import Progress
 
 EVERY = 16
 """Figures look at every so-manieth picture."""
@@ -66,7 +66,7 @@ def look_of(name: str, settings: Mapping[str, Any] | None = None) -> Look:
 def found_on(dataset: Dataset, looks: Mapping[str, Look]) -> Found:
     """What every detector finds, by drive. RuntimeError for a picture that fails."""
     found: dict[str, dict[str, Counts]] = {name: {} for name in looks}
-    for item in tqdm(dataset.items, unit="image", disable=None):
+    for item in Progress(dataset.items, unit="image"):
         scored = score_item(dataset, looks, item)
         if scored.failure:
             raise RuntimeError(f"{item.name}: {scored.failure}")
@@ -152,7 +152,7 @@ def layout_counts(name: str, dataset: Dataset) -> Tensor:
     """The confusion int64 (4,4) of a detector's most likely class, over all pictures."""
     detector = load_detector(name)
     counts = torch.zeros(4, 4, dtype=torch.int64)
-    for item in tqdm(dataset.items, unit="image", disable=None):
+    for item in Progress(dataset.items, unit="image"):
         image, truth = dataset.read(item)
         assert truth.layout is not None
         found = detector.detect(image).cues["layout"].argmax(0)
@@ -198,9 +198,9 @@ LINES = {
     "CNN-7": ("layout:cnn-7", {}),
     COMBINED: ("fusion:paper", {}),
     "CNN-7 × CPFv2": ("fusion:paper", {"descriptor": "cpf:v2"}),
-    "row / height (floor)": ("prior:rows", {}),
+    "row / height (baseline)": ("prior:rows", {}),
 }
-"""What Fig. 6a compares; the floor and the grey one (Fig. 7) are ours to add."""
+"""What Fig. 6a compares; the baseline and the grey one (Fig. 7) are ours to add."""
 
 GAINS = {TEXTURE: "8 %", COMBINED: "24 %"}
 """P2, section 6.2: by how much these are better than the baseline. (The areas themselves are
@@ -242,7 +242,7 @@ def draw_roc(curves: Mapping[str, Curve], path: Path) -> None:
     figure = Figure(figsize=(6, 5.5), layout="constrained")
     axes = figure.subplots()
     for text, curve in curves.items():
-        style = ":" if "floor" in text else "-"
+        style = ":" if "baseline" in text else "-"
         axes.plot(curve.x, curve.y, style, label=f"{text}: {float(area(curve)):.3f}")
     axes.set(xlabel="false positive rate", ylabel="true positive rate", xlim=(0, 1), ylim=(0, 1))
     axes.grid(alpha=0.3)

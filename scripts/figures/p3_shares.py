@@ -4,28 +4,25 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import fmean, median
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 
 from roadtorch.data.dataset import Dataset, Item, every_kth
 from roadtorch.detectors.catalogue import load_detector
 from scripts.figures.chart import chart, open_sets, tell
-from scripts.figures.p3_table3 import HUBER, measured
+from scripts.figures.p3_table3 import measured
 
 GROUPS = {"at most 30 %": 0.30, "30 to 45 %": 0.45, "45 to 55 %": 0.55, "more than 55 %": 1.0}
 """P3's groups of Fig. 6 by their upper bound, which belongs to the group."""
 
 STEP = 5  # per cent of a histogram's bar
 PICTURES = 60  # of a set, where detectors look at them
-CELLS: Mapping[str, Mapping[str, Any]] = {
-    "gaussian:RGB": {},
-    "gaussian:HS": {},
-    "robust_gaussian:RGB": HUBER,
-    "mog2:HSV": {},
-    "nn:HSV": {},
-}
-"""The cells whose AUC is told by group, with their settings."""
+CELLS = (
+    *("gaussian:RGB", "gaussian:HS", "robust_gaussian:RGB:paper"),
+    *("mog2:HSV:paper", "nn:HSV"),
+)
+"""The cells whose AUC is told by group, as P3 has them."""
 
 
 class Share(NamedTuple):
@@ -86,9 +83,7 @@ def group_rows(
     dataset: Dataset, groups: Mapping[str, Sequence[Item]]
 ) -> Iterator[dict[str, object]]:
     """By group, the mean AUC of its pictures in percent for each of ``CELLS``."""
-    detectors = {
-        name: load_detector(f"oneclass:{name}", **settings) for name, settings in CELLS.items()
-    }
+    detectors = {name: load_detector(f"oneclass:{name}") for name in CELLS}
     for name, items in groups.items():
         few = every_kth(replace(dataset, items=tuple(items)), PICTURES // len(groups))
         cells = measured(few, detectors)

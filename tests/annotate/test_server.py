@@ -5,14 +5,19 @@ import base64
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import httpx
 import numpy as np
 import pytest
+import uvicorn
 from starlette.applications import Starlette
+from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
+from uvicorn.server import ServerState
 
-from roadtorch.annotate.server import MAX_BODY, STATIC, annotation_app
+from roadtorch.annotate.server import MAX_BODY, PAGE, Guard, Impatient, annotation_app
 from roadtorch.annotate.session import Session
 from roadtorch.data.event_log import log_path, read_log
 
@@ -66,7 +71,9 @@ def test_a_click_is_kept_and_the_picture_told_anew(client: Client, session: Sess
     labels = np.frombuffer(client.get(f"/api/superpixels?name={NAME}").content, "<u2")
     assert ((layers & 7 == 1) == (labels.reshape(48, 64) < 2)).all()
     assert ((layers >> 3 & 1)[layers & 7 == 1] == 1).all()
-    assert len(read_log(log_path(session.out, NAME, "ann")).events) == 1
+    found = read_log(log_path(session.out, NAME, "ann"))
+    assert found is not None
+    assert len(found.events) == 1
 
 
 @pytest.mark.parametrize("headers", [{}, {"x-token": "foreign"}, {"x-token": TOKEN + "x"}])
@@ -83,6 +90,79 @@ def test_a_foreign_name_for_this_host_is_refused(client: Client) -> None:
     assert answer.status_code == 421
 
 
+@pytest.mark.parametrize(
+    ("origin", "status"),
+    [(HERE, 200), ("http://localhost:8765", 403), ("https://evil.example", 403), ("null", 403)],
+)
+def test_another_page_is_refused_although_it_knows_the_token(
+    client: Client, session: Session, origin: str, status: int
+) -> None:
+    answer = client.post(f"/api/event?{WHO}", json=click(), headers={"origin": origin})
+    assert answer.status_code == status
+    assert log_path(session.out, NAME, "ann").exists() == (status == 200)
+
+
+def test_who_is_cut_off_at_the_end_is_told_to_ask_again() -> None:
+    async def endless(scope: Scope, receive: Receive, send: Send) -> None:
+        await asyncio.sleep(60)
+
+    async def answered() -> httpx.Response:
+        transport = httpx.ASGITransport(Guard(endless, TOKEN, 8765))  # pyright: ignore
+        async with httpx.AsyncClient(transport=transport, base_url=HERE) as client:
+            asked = asyncio.create_task(client.get("/", headers={"x-token": TOKEN}))
+            await asyncio.sleep(0.05)
+            asked.cancel()
+            return await asked
+
+    assert asyncio.run(answered()).status_code == 503
+
+
+@pytest.mark.parametrize(
+    ("sent", "reads", "expected"),
+    [
+        (b"", True, b""),
+        (b"GET / HTTP/1.1\r\nHost:", True, b""),
+        (b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: 9\r\n\r\nab", True, b""),
+        (b"GET /large HTTP/1.1\r\nHost: x\r\n\r\n", False, b""),
+        (b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", True, b"HTTP/1.1 200 OK"),
+    ],
+    ids=["silent", "half a head", "half a body", "does not read", "slow to answer"],
+)
+def test_who_keeps_the_server_waiting_is_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sent: bytes, reads: bool, expected: bytes
+) -> None:
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        while (await receive()).get("more_body"):
+            pass
+        await asyncio.sleep(0.5)  # longer than a client may take
+        large = scope["path"] == "/large"
+        await Response(bytes(2**24 if large else 1))(scope, receive, send)
+
+    async def served() -> bytes:
+        loop, state = asyncio.get_running_loop(), ServerState()
+        config = uvicorn.Config(app, lifespan="off", log_level="critical")
+        path = str(tmp_path / "socket")
+        server = await loop.create_unix_server(lambda: Impatient(config, state, {}), path)
+        reader, writer = await asyncio.open_unix_connection(path, limit=2**12)
+        writer.write(sent)
+        while not state.connections:
+            await asyncio.sleep(0.01)
+        line = await reader.readline() if reads else b""
+        for _ in range(200):
+            if not state.connections:
+                break
+            await asyncio.sleep(0.01)
+        if not expected:
+            assert not state.connections
+        writer.transport.abort()
+        server.close()
+        await asyncio.sleep(0.05)  # until both ends know
+        return line.strip()
+
+    monkeypatch.setattr("roadtorch.annotate.server.PATIENCE", 0.2)
+    assert asyncio.run(asyncio.wait_for(served(), 10)) == expected
+
+
 def test_every_answer_has_its_policy(client: Client) -> None:
     for path in ("/", "/static/annotate.js", "/api/pictures", "/api/nothing", "/static/x.js"):
         policy = client.get(path).headers["content-security-policy"]
@@ -92,7 +172,7 @@ def test_every_answer_has_its_policy(client: Client) -> None:
 
 def test_the_page_asks_nobody_else_and_has_no_script_inside(client: Client) -> None:
     page = client.get(f"/?token={TOKEN}").text
-    texts = [page, *(client.get(f"/static/{name}").text for name in STATIC)]
+    texts = [page, *(client.get(f"/static/{name}").text for name in PAGE)]
     assert not any("http://" in text or "https://" in text for text in texts)
     assert page.count("<script") == page.count('<script type="module" src="/static/')
     assert "style=" not in page
@@ -131,6 +211,7 @@ def test_what_is_no_event_is_refused(client: Client, body: str) -> None:
 
 
 def test_a_picture_that_is_gone_is_told(client: Client, session: Session) -> None:
+    assert NAME in session.pictures.names()
     (session.pictures.root / NAME).unlink()
     answer = client.get(f"/api/state?{WHO}")
     assert answer.status_code == 410

@@ -98,11 +98,38 @@ def test_a_link_that_leads_outside_is_no_picture(session: Session, tmp_path: Pat
         session.state("link.png", "ann")
 
 
+@pytest.mark.parametrize("name", ["nosuch/../{}", "./{}", "../streets/{}", "/{}", "{}/", "a\0{}"])
+def test_another_spelling_of_a_name_begins_no_second_log(session: Session, name: str) -> None:
+    with pytest.raises(InputError, match="is no picture of this folder"):
+        session.add(name.format(NAME), "ann", superpixel("a", "road", 0))
+    assert not list(session.out.parent.rglob("*.jsonl"))
+
+
+def test_a_log_without_a_first_line_stops_nobody(session: Session) -> None:
+    for user, torn in (("ann", b""), ("bob", b'{"roadtorch": 1, "pict')):
+        (session.out / f"{NAME}.{user}.strokes.jsonl").write_bytes(torn)
+    again = reopened(session)
+    assert again.listing()[0]["users"] == {}
+    assert again.add(NAME, "ann", superpixel("a", "road", 0))["version"] == 1
+    assert reopened(session).state(NAME, "ann")["version"] == 1
+
+
+def test_work_that_is_no_longer_held_is_not_there_twice(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("roadtorch.annotate.session.HELD", 0)
+    view = session.view(NAME)
+    work = session._work(NAME, "ann", view)
+    session.state("street_1.png", "ann")
+    session.add(NAME, "ann", superpixel("a", "road", 0))
+    assert [one.id for one in work.events] == ["a"]
+
+
 def test_a_picture_deleted_meanwhile_loses_no_stroke(session: Session) -> None:
     session.add(NAME, "ann", superpixel("a", "road", 0))
     (session.pictures.root / NAME).unlink()
     assert session.add(NAME, "ann", superpixel("b", "road", 1))["version"] == 2
-    with pytest.raises(InputError, match="is no longer there"):
+    with pytest.raises(InputError, match="is no picture of this folder"):
         reopened(session).state(NAME, "ann")
     assert read_corrections(session.out)[0].clicks == 2
 
@@ -195,6 +222,8 @@ def test_out_and_in_again_as_another_user(session: Session, tmp_path: Path, name
     (after,) = read_corrections(out)
     assert (after.labels == before.labels).all()
     assert after.users == ("bob",)
+    assert import_labels(name, tmp_path / "elsewhere", session.pictures.root, out, "bob") == 1
+    assert read_corrections(out)[0].clicks == 1  # the same labels a second time
     assert after.picture == session.pictures.root / NAME
 
 

@@ -46,15 +46,6 @@ def test_a_level_camera_by_hand() -> None:
     assert inside.tolist() == [True, True, False, False]
 
 
-def test_looking_down_brings_the_ground_nearer() -> None:
-    camera = GroundCamera(LENS, mounted(2.0, 30))
-
-    assert camera.ground_of(np.array([[319.5, 239.5]]))[0] == pytest.approx(
-        [2 / math.tan(math.radians(30)), 0]
-    )
-    assert camera.pose.pitch == pytest.approx(30)
-
-
 def test_a_lower_right_side_lifts_the_horizon_there() -> None:
     camera = GroundCamera(LENS, mounted(1.4, 0, roll=10))
     right, left = camera.rays_of(np.array([[600.0, 239.5], [40.0, 239.5]]))

@@ -174,12 +174,12 @@ def test_evaluate_takes_it_for_all_detectors(
 ) -> None:
     root = tmp_path / "set"
     (root / "images").mkdir(parents=True)
-    (root / "road").mkdir()
+    (root / "masks").mkdir()
     car = ego_car(torch.zeros(3, 120, 160), Camera.read(known).ego)
     for number in range(2):
         write_colours(root / "images" / f"{number}.png", read_image(street / f"{number:02d}.png"))
         road = scene(number, 120, 160, horizon=0.42, dusk=0.0).road & ~car
-        write_colours(root / "road" / f"{number}.png", road.expand(3, -1, -1).float())
+        write_colours(root / "masks" / f"{number}.png", road.expand(3, -1, -1).float())
 
     result = call(
         *("evaluate", "folder", root, "--detector", "prior:rows", "--detector", "fusion"),

@@ -31,7 +31,7 @@ def offered(line: str, shell: str = "zsh") -> list[str]:
         ("detectors cpf:", ["cpf:squares", "cpf:v2"]),
         ("infer --detector cpf --set isolated=", ["isolated=drop", "isolated=keep"]),
         ("infer --detector cpf --set texture.bins=", ["texture.bins=64"]),
-        ("infer --set texture.bi", ["texture.bins="]),
+        ("infer --set learned.d", ["learned.detail="]),
         ("evaluate camvid . --detector cpf* --set threshold", ["threshold="]),
         ("label --set supp", ["support="]),
         ("train --config adapt --set teacher.mar", ["teacher.margin="]),
@@ -60,7 +60,7 @@ def test_what_is_offered_is_everything() -> None:
     assert offered("evaluate ") == list_datasets()
     named = offered("train --config ") + offered("infer --config ")
     assert sorted(named) == shipped_configs()
-    assert len(offered("infer --detector oneclass:")) == 310
+    assert len(offered("infer --detector oneclass:")) == 310 + 95
 
 
 @pytest.mark.parametrize(

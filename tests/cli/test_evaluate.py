@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from roadtorch.cli.evaluate import evaluate, watched
+from roadtorch.cli.evaluate import evaluate
 from roadtorch.errors import ConfigError, DatasetError, InputError
 from roadtorch.evaluation import scoring
-from roadtorch.evaluation.progress import FILE
+from roadtorch.evaluation.evaluate import FILE
 from roadtorch.io.image import read_image
 from roadtorch.scenes.street import render_scene
 from tests.command import Call
@@ -185,16 +185,6 @@ def test_an_interrupted_run_goes_on(camvid, whole, tmp_path, monkeypatch):
 def rows_without_times(out: Path) -> list[dict]:
     with (out / "images.csv").open() as file:
         return [{**row, "ms": ""} for row in csv.DictReader(file)]
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_picture_in_hand_is_finished_before_a_signal_ends_the_pass(number):
-    results = watched(iter("abc"), 0, 3)  # pyright: ignore[reportArgumentType]
-
-    assert (next(results), next(results)) == ("a", "b")
-    os.kill(os.getpid(), number)  # while b is in hand
-    with pytest.raises(KeyboardInterrupt):
-        next(results)
 
 
 def test_the_beginning_of_another_run_is_refused(camvid, tmp_path):

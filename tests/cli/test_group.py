@@ -1,4 +1,5 @@
 import os
+import re
 import signal
 import sys
 from types import ModuleType
@@ -35,6 +36,8 @@ def test_every_command_explains_itself(call: Call, name: str) -> None:
     [
         (["infr"], "infr: no such command (did you mean infer?)"),
         (["xyz"], "xyz: no such command (see roadtorch --help)"),
+        (["predict"], "predict: no such command (did you mean infer?)"),
+        (["adapt"], "adapt: no such command (did you mean train --config adapt?)"),
         (
             ["infer", "--detectr", "x"],
             "--detectr: no such option (did you mean --detector, --every, --depth?)",
@@ -144,3 +147,13 @@ def test_a_closed_pipe_is_no_crash(call: Call, monkeypatch: pytest.MonkeyPatch) 
 
     assert result.exit_code == 1
     assert result.stderr == ""
+
+
+def test_the_options_of_infer_stand_in_sections(call):
+    told = call("infer", "--help").stdout
+
+    parts = re.split(r"\n(?=\w+:\n)", told)[1:]
+    assert [part.split(":")[0] for part in parts] == ["Options", "Detector", "Footage", "Computing"]
+    for part, option in zip(parts, ("--out", "--set", "--every", "--jobs"), strict=True):
+        assert f"  {option} " in part
+    assert max(part.count("\n  --") for part in parts) <= 10

@@ -12,9 +12,10 @@ from torch import nn
 
 from roadtorch.detector import DetectorSettings, Entry
 from roadtorch.detectors.catalogue import list_detectors, load_detector, register
+from roadtorch.evaluation.evaluate import choose_threshold
 from roadtorch.evaluation.metrics import RoadCounts
+from roadtorch.evaluation.result import shared_threshold
 from roadtorch.evaluation.tally import Tally
-from roadtorch.evaluation.thresholds import choose_threshold, shared_threshold
 from roadtorch.runs.options import DetectorOptions
 from roadtorch.scenes.street import render_scene
 from tests.reports import changed, scored
@@ -73,7 +74,7 @@ def test_the_config_holds_the_choice_its_command_and_its_worth(call, camvid, tmp
     assert (name, default, threshold) == ("test-brightness", "0.500", f"{values['threshold']:.3f}")
     assert f"At the default threshold 0.500: F {f_default}." in text
     assert float(f_default) < float(f)
-    assert not (out / "progress.safetensors").exists()
+    assert not (out / "progress.pt").exists()
 
 
 def test_every_detector_gets_its_own_file_and_baselines_none(call, camvid, tmp_path):
@@ -121,8 +122,8 @@ def test_pictures_without_road_choose_nothing(call, tmp_path):
         *("--detector", "test-brightness", "--out", tmp_path / "out"),
     )
 
-    assert done.exit_code == 2
-    assert "shows no road (give pictures with road)" in done.stderr
+    assert done.exit_code == 1
+    assert "there is no road in any label (check" in done.stderr
 
 
 def test_a_drive_that_is_left_out_chooses_nothing(call, camvid, tmp_path):

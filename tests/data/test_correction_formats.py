@@ -13,7 +13,7 @@ from roadtorch.data.correction_formats import FORMATS
 from roadtorch.data.correction_labels import LABELS
 from roadtorch.data.corrections import Correction
 from roadtorch.data.cvat import object_colours, voc_colour
-from roadtorch.data.label_studio import packed_mask, unpacked_mask
+from roadtorch.data.label_studio import _picture_of, packed_mask, unpacked_mask
 from roadtorch.errors import DatasetError
 
 SIZE = (37, 53)
@@ -61,6 +61,17 @@ def test_labels_come_back_pixel_by_pixel(name: str, case: str, tmp_path: Path) -
     found = FORMATS[name].read(tmp_path, {"sub/a.jpg": shape, "b.jpg": (5, 5)})
     assert found.keys() == {"sub/a.jpg"}
     assert (found["sub/a.jpg"] == labels).all()
+
+
+@pytest.mark.parametrize("name", sorted(FORMATS.keys() - {"label-studio"}))
+def test_two_pictures_that_would_have_one_file_are_refused(name: str, tmp_path: Path) -> None:
+    pair = ["sub/a.jpg", "sub/a.png"]
+    with pytest.raises(DatasetError, match=r"sub/a\.jpg and sub/a\.png: have one file, sub/a, in"):
+        FORMATS[name].write([correction(noise(0), one) for one in pair], tmp_path)
+    assert not list(tmp_path.rglob("a.*"))
+    FORMATS[name].write([correction(noise(0), pair[0])], tmp_path)
+    with pytest.raises(DatasetError, match="have one file"):
+        FORMATS[name].read(tmp_path, dict.fromkeys(pair, noise(0).shape))
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -169,12 +180,15 @@ def test_a_class_of_somebody_elses_is_named_where_it_is_used(tmp_path: Path) -> 
         FORMATS["cvat"].read(tmp_path, {"a.jpg": SIZE})
 
 
-@pytest.mark.parametrize("line", ["road", "road:1,2::", "road:a,b,c::", "other:128,64,128::"])
+@pytest.mark.parametrize(
+    "line",
+    ["road", "road:1,2::", "road:a,b,c::", "road:1,2,300::", "road:1,2,-1::", "other:128,64,128::"],
+)
 def test_a_broken_labelmap_is_named_by_its_line(line: str, tmp_path: Path) -> None:
     cvat_folder(tmp_path, nested(10))
     with (tmp_path / "labelmap.txt").open("a") as file:
         file.write(line + "\n")
-    with pytest.raises(DatasetError, match=r"labelmap\.txt:10: has"):
+    with pytest.raises(DatasetError, match=r"labelmap\.txt: .* line 10 has"):
         FORMATS["cvat"].read(tmp_path, {"a.jpg": SIZE})
 
 
@@ -206,7 +220,9 @@ def test_values_that_are_no_run_are_read() -> None:
 
 def task(**region: object) -> list[dict[str, object]]:
     values = {"type": "brushlabels", "original_width": 2, "original_height": 1, **region}
-    return [{"data": {"image": "/data/upload/1/ff-a.jpg"}, "annotations": [{"result": [values]}]}]
+    return [
+        {"data": {"image": "/data/upload/1/1f2e3d4c-a.jpg"}, "annotations": [{"result": [values]}]}
+    ]
 
 
 def test_an_annotation_with_a_prefixed_picture_and_a_polygon_is_read(tmp_path: Path) -> None:
@@ -219,20 +235,83 @@ def test_an_annotation_with_a_prefixed_picture_and_a_polygon_is_read(tmp_path: P
 
 
 @pytest.mark.parametrize(
-    ("region", "words"),
+    ("image", "names", "expected"),
     [
-        ({"value": {"rle": [0], "brushlabels": ["cat"]}}, "label 'cat'"),
-        ({"value": {"rle": [0], "brushlabels": ["road"]}}, "ends too early"),
-        ({"value": {"rle": [300], "brushlabels": ["road"]}}, "cannot be read"),
-        ({"value": {"brushlabels": ["road"]}}, "cannot be read"),
-        ({"value": None}, "label ''"),
-        ({"value": {"rle": packed_mask(np.ones((2, 2), np.bool_)), "brushlabels": ["road"]}}, "16"),
+        ("11.jpg", ["1.jpg"], None),
+        ("x1.jpg", ["1.jpg"], None),
+        ("drive/11.jpg", ["1.jpg", "drive/11.jpg"], "drive/11.jpg"),
+        ("s3://bucket/sub/a%20b.jpg", ["a b.jpg", "sub/a b.jpg"], "sub/a b.jpg"),
+        ("/data/local-files/?d=sub/1.jpg", ["1.jpg", "sub/1.jpg"], "sub/1.jpg"),
+        ("/data/upload/3/1f2e3d4c-1.jpg", ["1.jpg", "11.jpg"], "1.jpg"),
+        ("/data/upload/3/1f2e3d4c-1.jpg", ["sub/1.jpg"], "sub/1.jpg"),
+        ("1f2e3d4c-1.jpg", ["1.jpg"], None),
+        ("", ["1.jpg"], None),
     ],
 )
-def test_broken_regions_are_named(region: dict[str, object], words: str, tmp_path: Path) -> None:
-    (tmp_path / "tasks.json").write_text(json.dumps(task(**region)))
-    with pytest.raises(DatasetError, match=words):
+def test_a_task_is_for_the_picture_of_its_whole_name(
+    image: str, names: list[str], expected: str | None
+) -> None:
+    assert _picture_of(image, names) == expected
+
+
+def test_an_upload_of_two_pictures_of_one_name_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"1\.jpg could be a/1\.jpg or b/1\.jpg"):
+        _picture_of("/data/upload/3/1f2e3d4c-1.jpg", ["b/1.jpg", "a/1.jpg"])
+
+
+BRUSH = {"rle": [0], "brushlabels": ["road"]}
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"value": {**BRUSH, "brushlabels": ["cat"]}}, "label 'cat'"),
+        ({"value": BRUSH}, "ends too early"),
+        ({"value": {**BRUSH, "rle": [300]}}, r"value\.rle\.0: .* 300 was given"),
+        ({"value": {**BRUSH, "rle": [2**70]}}, r"value\.rle\.0: .* was given"),
+        ({"value": {"brushlabels": ["road"]}}, "is empty"),
+        ({"value": None}, "value: .*None was given"),
+        ({"value": {}}, "label ''"),
+        ({"value": {**BRUSH, "rle": packed_mask(np.ones((2, 2), np.bool_))}}, "16"),
+        ({"value": BRUSH, "original_width": 3}, "is for 3 by 1 pixels"),
+        ({"type": "polygonlabels", "value": {"points": [[0, float("nan")]]}}, "nan was given"),
+        ({"type": "polygonlabels", "value": {"points": [[0, 1e9]]}}, "1000000000.0 was given"),
+    ],
+)
+def test_broken_regions_are_named(changed: dict[str, object], words: str, tmp_path: Path) -> None:
+    path = tmp_path / "tasks.json"
+    path.write_text(json.dumps(task(**changed)))
+    with pytest.raises(DatasetError, match=rf"tasks\.json: .*{words}"):
         FORMATS["label-studio"].read(tmp_path, {"a.jpg": (1, 2)})
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"annotations": {"result": []}},
+        {"annotations": [{"result": "none"}]},
+        {"annotations": [{"result": ["a region"]}]},
+        {"data": []},
+        {"data": {"image": "other.jpg"}},
+    ],
+)
+def test_tasks_that_are_none_are_refused(changed: dict[str, object], tmp_path: Path) -> None:
+    (tmp_path / "tasks.json").write_text(json.dumps([{**task()[0], **changed}]))
+    with pytest.raises(DatasetError, match=r"tasks\.json: "):
+        FORMATS["label-studio"].read(tmp_path, {"a.jpg": (1, 2)})
+
+
+def test_two_tasks_of_one_picture_are_refused_and_what_was_skipped_is_none(tmp_path: Path) -> None:
+    path, sizes = tmp_path / "tasks.json", {"a.jpg": (1, 2)}
+    said = {"type": "brushlabels", "original_width": 2, "original_height": 1}
+    mask = packed_mask(np.ones((1, 2), np.bool_))
+    said["value"] = {"rle": mask, "brushlabels": ["sky"]}
+    annotations = [{"result": [said]}, {"result": [], "was_cancelled": True}]
+    path.write_text(json.dumps([{"data": {"image": "a.jpg"}, "annotations": annotations}]))
+    assert (FORMATS["label-studio"].read(tmp_path, sizes)["a.jpg"] == LABELS.index("sky")).all()
+    path.write_text(json.dumps([{"data": {"image": f"{day}/a.jpg"}} for day in ("one", "two")]))
+    with pytest.raises(DatasetError, match=r"one/a\.jpg and two/a\.jpg are both a\.jpg"):
+        FORMATS["label-studio"].read(tmp_path, sizes)
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[1]", "[" * 100_000])

@@ -1,6 +1,8 @@
 """Corrections: what sayings come to, logs that survive a crash, several people."""
 
+import errno
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,7 @@ from roadtorch.data.correction_labels import (
     road_layer,
 )
 from roadtorch.data.corrections import agreement_share, read_corrections
-from roadtorch.data.event_log import LogHead, append_event, log_path, read_log
+from roadtorch.data.event_log import LogHead, append_event, log_path, read_log, read_logs
 from roadtorch.data.events import (
     AnyEvent,
     BrushStroke,
@@ -28,7 +30,7 @@ from roadtorch.data.events import (
     mask_of,
     parse_event,
     runs_of,
-    stroke_pixels,
+    stroke_mask,
 )
 from roadtorch.errors import DatasetError, InputError
 
@@ -94,7 +96,9 @@ def test_runs_are_the_mask() -> None:
     assert runs_of(np.zeros(SIZE, np.bool_)) == ()
 
 
-@pytest.mark.parametrize("runs", [(1,), (599, 2), (0, 601), (10**9, 1), (0, 500, 0, 500)])
+@pytest.mark.parametrize(
+    "runs", [(1,), (599, 2), (0, 601), (10**9, 1), (0, 2, 1, 2), (2**31, 2**31)]
+)
 def test_runs_of_another_picture_are_refused(runs: tuple[int, ...]) -> None:
     with pytest.raises(InputError, match="runs"):
         mask_of(runs, SIZE)
@@ -102,8 +106,7 @@ def test_runs_of_another_picture_are_refused(runs: tuple[int, ...]) -> None:
 
 def test_a_brush_is_round_and_stays_in_the_picture() -> None:
     stroke = BrushStroke(kind="brush", id="b", saying="road", points=((0.0, 0.0),), radius=3.0)
-    canvas = np.zeros(SIZE, np.bool_)
-    canvas.reshape(-1)[stroke_pixels(stroke, SIZE)] = True
+    canvas = stroke_mask(stroke, SIZE)
     assert canvas[0, 3]
     assert canvas[3, 0]
     assert not canvas[3, 3]
@@ -114,7 +117,7 @@ def test_far_points_cost_no_memory() -> None:
     stroke = BrushStroke(
         kind="brush", id="b", saying="road", points=((-1e5, 1e5), (1e5, -1e5)), radius=2000.0
     )
-    assert len(stroke_pixels(stroke, SIZE)) == SIZE[0] * SIZE[1]
+    assert stroke_mask(stroke, SIZE).all()
 
 
 def test_undo_and_redo_are_events_of_their_own_and_each_counts_once() -> None:
@@ -157,6 +160,9 @@ def test_right_as_it_is_settles_what_is_open() -> None:
         '{"kind":"polygon","id":"a","saying":"road","points":[[1,2],[NaN,3],[4,5]]}',
         '{"kind":"polygon","id":"a","saying":"road","points":[[1,2],[3,4]]}',
         '{"kind":"undo","id":"a","of":"b","extra":1}',
+        f'{{"kind":"right","id":"a","runs":[{2**70},1]}}',
+        f'{{"kind":"superpixel","id":"a","saying":"road","segments":[{2**70}]}}',
+        '{"kind":"brought","id":"a","labels":{"cat":[0,1]}}',
     ],
 )
 def test_what_is_no_event_is_refused_in_a_line(text: str) -> None:
@@ -168,20 +174,43 @@ def test_what_is_no_event_is_refused_in_a_line(text: str) -> None:
 # --- logs -------------------------------------------------------------------------------
 
 
+def ids(path: Path) -> list[str]:
+    found = read_log(path)
+    assert found is not None
+    return [event.id for event in found.events]
+
+
+def full(_: int) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
 @pytest.mark.parametrize("torn", [b'{"kind":"pol', b""])
 def test_half_a_line_of_a_crash_is_passed_over_and_cut_off(tmp_path: Path, torn: bytes) -> None:
     path = log(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 9, 9))
     with path.open("ab") as file:
         file.write(torn)
-    assert [event.id for event in read_log(path).events] == ["a"]
+    assert ids(path) == ["a"]
     log(tmp_path, "a.jpg", "ann", box("b", "void", 0, 0, 2, 2))
-    assert [event.id for event in read_log(path).events] == ["a", "b"]
+    assert ids(path) == ["a", "b"]
 
 
-def test_half_a_head_is_written_anew(tmp_path: Path) -> None:
-    log_path(tmp_path, "a.jpg", "ann").write_bytes(b'{"roadtorch": 1, "pic')
+@pytest.mark.parametrize("torn", [b"", b'{"roadtorch": 1, "pic'])
+def test_a_log_without_a_head_is_none_and_begun_anew(tmp_path: Path, torn: bytes) -> None:
+    log_path(tmp_path, "a.jpg", "ann").write_bytes(torn)
+    assert read_logs(tmp_path) == []
+    log(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 9, 9))
+    assert read_logs(tmp_path)[0].head == head("a.jpg", "ann")
+
+
+def test_an_event_that_cannot_be_written_leaves_what_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = log(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 9, 9))
-    assert read_log(path).head == head("a.jpg", "ann")
+    before = path.read_bytes()
+    monkeypatch.setattr("roadtorch.data.event_log.os.fsync", full)
+    with pytest.raises(InputError, match="No space left"):
+        log(tmp_path, "a.jpg", "ann", box("b", "road", 0, 0, 9, 9))
+    assert path.read_bytes() == before
 
 
 def test_logs_of_earlier_versions_are_read(tmp_path: Path) -> None:
@@ -201,8 +230,13 @@ def test_logs_of_earlier_versions_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("{}\n", "does not begin as a log"),
-        ('{"roadtorch": 1, "picture": "a", "user": "b", "height": 1, "width": 1}\nnonsense\n',
+        ("{}\n", "cannot be read: picture is missing"),
+        ("\n{}\n", "cannot be read: it is not JSON"),
+        ('{"picture": "a", "user": "ann", "height": 1000000, "width": 1000000}\n',
+         "at most 100 megapixels"),
+        ('{"picture": "a", "user": "ann", "height": 1, "width": 1e400}\n', "width: "),
+        ('{"picture": "a", "user": "bob", "height": 1, "width": 1}\n', "it is of bob"),
+        ('{"roadtorch": 1, "picture": "a", "user": "ann", "height": 1, "width": 1}\nnonsense\n',
          r"a\.jpg\.ann\.strokes\.jsonl:2: is no event"),
     ],
 )  # fmt: skip

@@ -215,22 +215,32 @@ OUTSIDE = '<!DOCTYPE a [<!ENTITY e SYSTEM "file:///etc/passwd">]><annotation>&e;
     [
         ("<annotation><object>", "is not XML: no element found"),
         ("", "is not XML"),
-        ('<?xml version="1.0" encoding="klingon"?><annotation/>', "is not XML"),
+        ('<?xml version="1.0" encoding="klingon"?><annotation/>', "unknown encoding"),
         (BOMB, "declares entities, which can be a bomb"),
         (OUTSIDE, "declares entities"),
-        ("<html></html>", "is not a LabelMe annotation .* 'html'"),
-        (xml(object_xml(polygon_xml([(1, "nan"), *BLOB]))), "'nan' where 'road' needs a number"),
-        (xml(object_xml(polygon_xml([(1, "inf"), *BLOB]))), "'inf' where 'road' needs a number"),
-        (xml(object_xml(polygon_xml([("", 3), *BLOB]))), "'' where 'road' needs a number"),
+        ("<html></html>", "not a LabelMe annotation: .* 'html'"),
+        (
+            xml(object_xml(polygon_xml([(1, "nan"), *BLOB]))),
+            r"shapes\.0\.points\.0\.[01]: .* 'nan' was given",
+        ),
+        (
+            xml(object_xml(polygon_xml([(1, "inf"), *BLOB]))),
+            r"shapes\.0\.points\.0\.[01]: .* 'inf' was given",
+        ),
+        (
+            xml(object_xml(polygon_xml([("", 3), *BLOB]))),
+            r"shapes\.0\.points\.0\.[01]: .* '' was given",
+        ),
+        (xml(object_xml(polygon_xml([("1e300", 3), *BLOB]))), "'1e300' was given"),
         (xml(object_xml(polygon_xml([(-17, 3), *BLOB]))), r"'road' from \(-17, 3\) .*far outside"),
         (xml(object_xml(polygon_xml([(1, 25), *BLOB]))), "far outside its picture of 16 by 12"),
         (
             xml(size=SIZE_XML.replace("12", "24")),
             "is for 16 by 24 pixels, its picture has 16 by 12",
         ),
-        (xml(size=SIZE_XML.replace("12", "-1")), "says its picture has 16 by -1"),
-        (xml(size=SIZE_XML.replace("12", "many")), "'many' where 'nrows' needs a number"),
-        (xml(object_xml("<segm><mask>m.png</mask></segm>")), r"as a mask file \(segm\)"),
+        (xml(size=SIZE_XML.replace("12", "-1")), "imageHeight: .* equal to 1, '-1' was given"),
+        (xml(size=SIZE_XML.replace("12", "many")), "imageHeight: .* 'many' was given"),
+        (xml(object_xml("<segm><mask>m.png</mask></segm>")), r"is a mask file \(segm\)"),
     ],
 )
 def test_broken_xml(picture, text, message):
@@ -283,15 +293,27 @@ def test_void_shapes_and_a_size_from_the_picture(picture):
     [
         ("{", "is not JSON"),
         ("[" * 100_000, "is not JSON"),
-        ("[]", "has no list of shapes"),
-        ('{"shapes": {}}', "has no list of shapes"),
-        (document({"points": []}), "a shape without label"),
+        ("[]", "it: input should be an object"),
+        ('{"shapes": {}}', "shapes: input should be a valid array"),
+        (document({"points": []}), r"shapes\.0\.label is missing"),
         (document(shape([(1, 2), (3, 4)])), "'road' of type 'polygon' with 2 points"),
         (document(shape(BLOB, "star")), "'road' of type 'star'"),
-        (document(shape([1, 2, 3])), "whose points are not pairs"),
-        (document(shape([(0, 0), (1, 1), (1, float("nan"))])), "has nan where 'road' needs"),
-        (document(shape([(0, 0), (1, 1), (1, True)])), "has True where 'road' needs"),
-        (document(shape([(0, 0), (1, 1), (1e9, 1)])), "far outside"),
+        (document(shape([1, 2, 3])), r"shapes\.0\.points\.0: .* array, 1 was given"),
+        (
+            document(shape([(0, 0), (1, 1), (1, float("nan"))])),
+            r"shapes\.0\.points\.2\.1: .*, nan was given",
+        ),
+        (
+            document(shape([(0, 0), (1, 1), (1, True)])),
+            r"shapes\.0\.points\.2\.1: .*, True was given",
+        ),
+        (
+            document(shape([(0, 0), (1, 1), (1e9, 1)])),
+            r"shapes\.0\.points\.2\.0: .* 1000000000.0 was",
+        ),
+        (document(shape([(0, 0), (1, 1), (1e6, 1)])), "far outside"),
+        (document(shape([(0, 0), (1e308, 1e308)], "circle")), "1e\\+308 was given"),
+        (document(imageHeight=2**70), "imageHeight: .* was given"),
         (document(MASK | {"mask": "?"}), "mask 'road' that cannot be decoded"),
         (document(MASK | {"mask": None}), "mask 'road' that cannot be decoded"),
         (document(MASK | {"points": [[1, 2], [4, 3]]}), "is 3 by 2, its box 4 by 2"),
@@ -375,5 +397,5 @@ def test_a_mask_of_another_format_reaches_no_decoder(
     monkeypatch.setitem(Image.OPEN, kind, (reach, accept))
 
     with pytest.raises(DatasetError, match="mask 'road' that cannot be decoded"):
-        read_annotation(path)
+        read_annotation(path, SIZE)
     assert not reached

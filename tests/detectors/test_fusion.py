@@ -14,7 +14,7 @@ from roadtorch.detectors.fusion import FusionSettings
 from roadtorch.errors import WeightsError
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import label_layout
-from roadtorch.layout.weights import load_network, shipped_weights
+from roadtorch.layout.weights import FOR_PICTURES, load_network, shipped_weights
 from roadtorch.road.fusion import RULES, Exponents, log_odds, prior_rows, segment_road
 from tests.networks import write_ego_network
 from tests.streets import lost_highlights
@@ -70,7 +70,8 @@ def test_the_texture_cue_leaves_out_saturated_segments() -> None:
 
 
 def test_the_seed_area_is_nearest_and_the_sky_far() -> None:
-    distance, seed = detected().cues["distance"], detected().cues["seed_area"]
+    cues = load_detector("fusion:scratch").detect(street()).cues
+    distance, seed = cues["distance"], cues["seed_area"]
 
     assert seed.any()
     assert distance[seed].min() > distance[:10].max()
@@ -114,11 +115,13 @@ def test_a_network_that_is_not_trusted_says_nothing_of_the_layout(tmp_path: Path
 
 
 def test_what_the_network_has_learned_about_the_road_counts_pixel_by_pixel() -> None:
-    plain = {"centre": 0.0, "own": 0.0}
-    coarse = load_detector("fusion", learned={"detail": 0.0}, calibration=plain).detect(street())
+    plain = {"calibration": {"centre": 0.0, "temperature": 2.0}, "outlines": "smooth"}
+    coarse, fine = (
+        load_detector("fusion:scratch", learned={"detail": detail}, **plain).detect(street())
+        for detail in (0.0, 0.8)
+    )
 
-    odds = log_odds(coarse.likelihood) + 0.8 * log_odds(coarse.cues["learned_road"])
-    fine = load_detector("fusion", learned={"detail": 0.8}, calibration=plain).detect(street())
+    odds = log_odds(coarse.likelihood) + 0.4 * log_odds(coarse.cues["learned_road"])
 
     torch.testing.assert_close(fine.likelihood, odds.sigmoid(), atol=2e-4, rtol=0.0)
 
@@ -150,7 +153,7 @@ def test_the_paper_takes_another_descriptor_and_a_prior_where_told() -> None:
 
 def test_the_layout_is_a_pool_of_two_opinions() -> None:
     own = load_detector("labeller").detect(street()).cues["layout"]
-    network = load_network(shipped_weights("layout-free"))
+    network = load_network(shipped_weights(FOR_PICTURES))
     learned = network.cues(street())["layout"]
 
     ends = [load_detector("layout", share=share).detect(street()) for share in (0.0, 1.0)]

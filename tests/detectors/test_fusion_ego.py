@@ -10,6 +10,7 @@ from torch import Tensor
 
 from roadtorch.detector import Detection, Detector
 from roadtorch.detectors.catalogue import load_detector
+from roadtorch.detectors.fusion import FROM_SCRATCH
 from roadtorch.road.ego import continued
 from tests.detectors.test_fusion import CUES
 from tests.networks import write_ego_network
@@ -27,7 +28,8 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def fusion(path: Path, **settings: Any) -> Detector:
     # Superpixels of a size at which these small streets fall apart as the tests need it.
     wide = {"pixels": 256}
-    return load_detector("fusion", weights={"file": str(path)}, superpixels=wide, **settings)
+    given = {"superpixels": wide, "outlines": "smooth", **FROM_SCRATCH, **settings}
+    return load_detector("fusion", weights={"file": str(path)}, **given)
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from torch import Tensor
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth
 from roadtorch.detector import Detection, Detector
-from roadtorch.detectors.catalogue import load_detector
+from roadtorch.detectors.catalogue import list_detectors, load_detector
 from roadtorch.detectors.oneclass import ENTRIES
 from roadtorch.errors import ConfigError
 from roadtorch.evaluation import metrics
@@ -22,7 +22,6 @@ from roadtorch.oneclass.samples import AllSampleSettings, SampleSettings, road_s
 from roadtorch.oneclass.samples import representation as representation_of
 from roadtorch.runtime.image_cache import image_cache
 from roadtorch.scenes.street import render_scene
-from roadtorch.settings import build_settings
 from tests.representatives import representatives
 
 BY_NAME = {entry.name: entry for entry in ENTRIES}
@@ -31,7 +30,7 @@ ONE_OF_EACH = [name for name in representatives() if name in BY_NAME]
 
 def detector(name: str, **settings: object) -> Detector:
     entry = BY_NAME[f"oneclass:{name}" if ":" in name and "oneclass" not in name else name]
-    return Detector(entry, build_settings(entry.settings, settings)).eval()
+    return Detector(entry, entry.configured(settings)).eval()
 
 
 @cache
@@ -55,9 +54,20 @@ def test_every_classifier_is_on_every_representation_but_pca_on_single_planes() 
         for planes, names in REPRESENTATIONS.items()
         if classifier != "pca" or len(names) > 1
     }
+    ours = ("robust_gaussian", "mog2", "mog4", "mog_opt", "dlp")
+    letter = {f"oneclass:{name}:{planes}:paper" for name in ours for planes in REPRESENTATIONS}
 
-    assert len(ENTRIES) == len(expected) == 17 * 19 - 13
-    assert set(BY_NAME) == expected
+    assert len(expected) == 17 * 19 - 13
+    assert {entry.name for entry in ENTRIES} == expected | letter
+    assert list_detectors("oneclass:*") == sorted(expected)
+    assert list_detectors("oneclass:*:paper") == sorted(letter)
+
+
+def test_a_classifier_whose_default_is_p3s_has_no_other_name_for_it() -> None:
+    told = "^oneclass:gaussian:RGB:paper: is P3's to the letter without that"
+
+    with pytest.raises(ConfigError, match=told):
+        load_detector("oneclass:gaussian:RGB:paper")
 
 
 @pytest.mark.parametrize("planes", ["R", "H"])
@@ -108,13 +118,14 @@ def test_a_classifiers_own_settings_are_in_its_group() -> None:
 
 @pytest.mark.parametrize("name", ONE_OF_EACH)
 def test_maps_are_those_of_the_classifier_fitted_by_hand(name: str) -> None:
-    _, kind, representation = name.split(":")
-    names = REPRESENTATIONS[representation]
+    kind, representation, *letter = name.split(":")[1:]
+    names, classifier = REPRESENTATIONS[representation], CLASSIFIERS[kind]
     every = AllSampleSettings() if kind.startswith("hist") else SampleSettings()
+    own = classifier.settings.model_validate(classifier.paper if letter else {})
 
     found = detected(name)
 
-    fitted = fit(CLASSIFIERS[kind], road_samples(street(), names, every), axes_of(names))
+    fitted = fit(classifier, road_samples(street(), names, every), axes_of(names), own)
     likelihood = fitted.likelihood(planes(street(), names).flatten(1).T).view(120, 160)
     # Planes of the distinct colours may differ from planes of the pixels in the last digit.
     close = torch.isclose(found.likelihood, likelihood, atol=2e-3)
@@ -225,7 +236,7 @@ def test_in_one_plane_all_that_rank_by_the_distance_to_one_centre_agree(
     about_middle = torch.stack([auc_of(data_root, f"{name}:{plane}") for name in ("svdd", "dlp")])
 
     assert (about_mean.amax(0) - about_mean.amin(0)).max() < 0.01
-    # dLP leaves the middle a little; over all of CamVid they are as one (docs/oneclass.md).
+    # dLP leaves the middle a little; over all of CamVid they are as one.
     assert about_middle.mean(1).diff().abs() < 0.02
 
 

@@ -77,8 +77,8 @@ NEEDS: dict[str, dict] = {
 """What else has to be set for a setting to matter, in the detectors of ``USUAL``."""
 
 
-WITHOUT = {"vanishing-point": ("isolated", "seed_area")}
-"""Settings that cannot matter: its road is one region, of which nothing is isolated."""
+WITHOUT = {"vanishing-point": ("isolated", "seed_area", "outlines")}
+"""Settings that cannot matter: its road is one region with straight sides, nothing is isolated."""
 
 
 def leaves(tree: dict, path: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], object]]:

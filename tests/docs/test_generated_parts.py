@@ -14,7 +14,9 @@ def test_links_lead_to_pages_of_the_site() -> None:
 
     assert parts.linked("[more](docs/many.md#x)", root) == "[more](/many.md#x)"
     assert parts.linked("[why](../train/README.md)", root / "docs") == "[why](/studies.md)"
-    assert parts.linked("[docs/ufl.md](docs/ufl.md)", root) == "[](/ufl.md)"
+    assert (
+        parts.linked("[docs/research/ufl.md](docs/research/ufl.md)", root) == "[](/research/ufl.md)"
+    )
     assert parts.linked("[it](../pyproject.toml)", root / "docs") == "it (`pyproject.toml`)"
 
 

@@ -1,5 +1,6 @@
 """The site: it builds without a warning, its links lead somewhere, the reference is complete."""
 
+import re
 import shutil
 import zlib
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ from roadtorch.cli.group import COMMANDS
 from roadtorch.detectors.catalogue import ENTRIES
 from roadtorch.oneclass import CLASSIFIERS
 from scripts.build_site import broken_links
+from tests.docs.conftest import ROOT
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -54,6 +56,21 @@ def test_links_that_are_right_are_let_alone(tmp_path: Path) -> None:
     (tmp_path / "page.html").write_text(body)
 
     assert list(broken_links(tmp_path)) == []
+
+
+TABLE = re.compile(r"<!-- table: \S+ -->\n.*?<!-- end -->", re.S)
+
+
+@pytest.mark.parametrize(("research", "most"), [(False, 22_000), (True, 12_000)])
+def test_pages_have_no_more_words_than_anybody_reads(research: bool, most: int) -> None:
+    """What people wrote; not what is made of code and records, nor comments."""
+    texts = {
+        path: re.sub("<!--.*?-->", "", TABLE.sub("", path.read_text(encoding="utf-8")))
+        for path in (ROOT / "docs").rglob("*.md")
+        if ("research" in path.parts) == research
+    }
+
+    assert sum(len(text.split()) for text in texts.values()) <= most
 
 
 @cache
@@ -138,7 +155,7 @@ def test_the_search_works_without_a_network(
         ("reference/commands", 390),
         *(
             pytest.param(name, width, marks=pytest.mark.slow)
-            for name in ("index", "how/features", "results", "papers")
+            for name in ("index", "how/features", "results", "research/papers")
             for width in (390, 1280)
         ),
     ],

@@ -71,6 +71,12 @@ def test_what_is_the_same_stays_as_it_was_written() -> None:
     assert output_as_shown(["took 3 m"], ["took 5 m"]) == "took 5 m\n"
 
 
+def test_what_was_left_out_of_a_line_stays_out_where_its_numbers_change() -> None:
+    expected, found = ["name  F  …", "fusion  0.9  …"], ["name  F   ms", "fusion  0.4  23.1"]
+
+    assert output_as_shown(expected, found) == "name  F  …\nfusion  0.4  …\n"
+
+
 def test_a_page_with_a_planted_fault_comes_back_mended() -> None:
     page = "```console\n$ echo 3 roads\n4 roads\n```\n"
     page += "```python\nx = 1\nprint(x)\n```\n```text\n2\n```\n"

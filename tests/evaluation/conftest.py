@@ -13,9 +13,8 @@ from roadtorch.detector import Detection
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.methods import Look, Method
 from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.result import DetectorFigures
+from roadtorch.evaluation.result import DetectorFigures, summarise
 from roadtorch.evaluation.scoring import score_item
-from roadtorch.evaluation.summary import summarise
 from roadtorch.evaluation.tally import Tally
 from roadtorch.scenes.street import RenderedScene, render_scene
 from tests.streets import write_camvid

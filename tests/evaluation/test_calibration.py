@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from sklearn.calibration import calibration_curve
 from sklearn.metrics import brier_score_loss
 
-from roadtorch.evaluation import calibration
+from roadtorch.evaluation import curves
 from roadtorch.evaluation.metrics import RoadCounts
 from tests.evaluation.conftest import count, stack
 from tests.reference import calibration as slow
@@ -28,7 +28,7 @@ def drawn(seed: int, levels: int = 256) -> tuple[np.ndarray, np.ndarray]:
 def test_brier_score_equals_pixels_and_scikit_learn(seed):
     scores, road = drawn(seed)
 
-    found = float(calibration.brier(count(scores, road, 256)))
+    found = float(curves.brier(count(scores, road, 256)))
 
     assert found == pytest.approx(slow.brier(scores, road), abs=1e-12)
     assert found == pytest.approx(brier_score_loss(road, scores), abs=1e-12)
@@ -39,7 +39,7 @@ def test_brier_score_equals_pixels_and_scikit_learn(seed):
 def test_reliability_equals_pixels_and_scikit_learn(seed, bins):
     scores, road = drawn(seed)
 
-    curve = calibration.reliability(count(scores, road, 256), bins)
+    curve = curves.reliability(count(scores, road, 256), bins)
 
     expected = np.array(slow.reliability(scores, road, bins))
     observed, predicted = calibration_curve(road, scores, n_bins=bins)
@@ -53,7 +53,7 @@ def test_reliability_equals_pixels_and_scikit_learn(seed, bins):
 
 
 def test_a_likelihood_on_an_edge_belongs_to_the_lower_bin():
-    curve = calibration.reliability(count([0.0, 0.5, 0.5, 1.0], [0, 1, 0, 1], levels=3), bins=2)
+    curve = curves.reliability(count([0.0, 0.5, 0.5, 1.0], [0, 1, 0, 1], levels=3), bins=2)
 
     assert curve.share.tolist() == [0.75, 0.25]
     assert curve.predicted.tolist() == pytest.approx([1 / 3, 1])
@@ -63,7 +63,7 @@ def test_a_likelihood_on_an_edge_belongs_to_the_lower_bin():
 def test_expected_error_is_the_mean_gap_over_pixels():
     scores, road = drawn(4)
 
-    found = float(calibration.expected_error(count(scores, road, 256), bins=10))
+    found = float(curves.expected_error(count(scores, road, 256), bins=10))
 
     rows = slow.reliability(scores, road, 10)
     assert found == pytest.approx(sum(s * abs(o - p) for p, o, s in rows if s), abs=1e-12)
@@ -76,24 +76,22 @@ def test_a_calibrated_map_has_little_error_and_a_bold_one_much():
 
     honest, bold = count(chance, road), count((chance > 0.5) * 1.0, road)
 
-    assert float(calibration.expected_error(honest)) < 0.02
-    assert float(calibration.expected_error(bold)) == pytest.approx(0.25, abs=0.01)
-    assert float(calibration.brier(honest)) < float(calibration.brier(bold))
+    assert float(curves.expected_error(honest)) < 0.02
+    assert float(curves.expected_error(bold)) == pytest.approx(0.25, abs=0.01)
+    assert float(curves.brier(honest)) < float(curves.brier(bold))
 
 
 def test_leading_dimensions_and_sums():
     one, two = count(*drawn(1), 256), count(*drawn(2), 256)
     both = stack(one, two)
 
-    assert calibration.brier(both).tolist() == [
-        float(calibration.brier(one)),
-        float(calibration.brier(two)),
+    assert curves.brier(both).tolist() == [
+        float(curves.brier(one)),
+        float(curves.brier(two)),
     ]
-    assert torch.equal(
-        calibration.reliability(both).observed[1], calibration.reliability(two).observed
-    )
+    assert torch.equal(curves.reliability(both).observed[1], curves.reliability(two).observed)
     together = np.concatenate([drawn(1), drawn(2)], axis=1)
-    assert float(calibration.brier(one + two)) == pytest.approx(
+    assert float(curves.brier(one + two)) == pytest.approx(
         slow.brier(together[0], together[1]), abs=1e-12
     )
 
@@ -101,5 +99,5 @@ def test_leading_dimensions_and_sums():
 def test_nothing_counted_is_nan():
     nothing = RoadCounts(torch.zeros(256, dtype=torch.int64), torch.zeros(256, dtype=torch.int64))
 
-    assert math.isnan(calibration.brier(nothing))
-    assert math.isnan(calibration.expected_error(nothing))
+    assert math.isnan(curves.brier(nothing))
+    assert math.isnan(curves.expected_error(nothing))

@@ -10,9 +10,8 @@ from roadtorch.detector import Detection
 from roadtorch.evaluation import uncertainty
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.methods import Method
-from roadtorch.evaluation.result import DetectorFigures
+from roadtorch.evaluation.result import DetectorFigures, summarise
 from roadtorch.evaluation.scoring import score_item
-from roadtorch.evaluation.summary import summarise
 from roadtorch.evaluation.tally import Tally
 from roadtorch.scenes.street import render_scene
 from tests.streets import write_camvid

@@ -168,31 +168,6 @@ def test_equal_error_rate_equals_walking_along_the_curve(seed):
 # --- properties -----------------------------------------------------------------------------------
 
 
-@settings(max_examples=40, deadline=None)
-@given(st.integers(0, 10_000), st.sampled_from([5, 64, 256]))
-def test_curves_rise_from_corner_to_corner_and_have_the_area_of_the_pairs(seed, levels):
-    counts = count(*random_map(seed), levels)
-
-    curve = curves.roc(counts)
-
-    assert points(curve)[0] == (0, 0)
-    assert points(curve)[-1] == (1, 1)
-    assert bool((curve.x.diff() >= 0).all() and (curve.y.diff() >= 0).all())
-    assert float(curves.area(curve)) == pytest.approx(float(metrics.auc(counts)), abs=1e-12)
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.integers(0, 10_000))
-def test_equal_error_rate_turns_over_with_the_map(seed):
-    scores, road = random_map(seed)
-
-    straight, turned = (
-        float(curves.equal_error_rate(curves.roc(count(s, road)))) for s in (scores, 1 - scores)
-    )
-
-    assert turned == pytest.approx(1 - straight, abs=1e-12)
-
-
 def test_leading_dimensions_are_images():
     one, two = (count(*random_map(seed), 16) for seed in (1, 2))
     both = stack(one, two)
@@ -254,19 +229,6 @@ def test_a_thinned_curve_keeps_its_ends_and_nearly_its_area(seed, most, skew):
     assert set(points(thinned)) <= set(points(curve))
     assert [points(thinned)[0], points(thinned)[-1]] == [(0, 0), (1, 1)]
     assert abs(float(curves.area(thinned) - curves.area(curve))) < 1 / (most - 4 + 1e-9)
-
-
-def test_a_thousand_points_are_enough_for_a_real_curve():
-    generator = torch.Generator().manual_seed(0)
-    road = torch.rand(100_000, generator=generator) < 0.3
-    scores = (torch.randn(100_000, generator=generator) + 2 * road).sigmoid()
-    counts = count(scores, road)
-
-    for curve in (curves.roc(counts), curves.precision_recall(counts)):
-        thinned = curves.thin(curve, 1000)
-        assert len(curve.x) > 30_000
-        assert len(thinned.x) <= 1000
-        assert float(curves.area(thinned)) == pytest.approx(float(curves.area(curve)), abs=1e-5)
 
 
 def test_short_and_undefined_curves_stay_as_they_are():

@@ -11,16 +11,15 @@ import torch
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, Item, leave_out
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.errors import ConfigError, DatasetError, InputError
+from roadtorch.errors import ConfigError, DatasetError, InputError, UnscorableError
 from roadtorch.evaluation import metrics, scoring
 from roadtorch.evaluation.document import defined, document
-from roadtorch.evaluation.evaluate import evaluate
+from roadtorch.evaluation.evaluate import FILE, evaluate, fingerprint, forget
 from roadtorch.evaluation.methods import expand_names, methods_for
-from roadtorch.evaluation.progress import FILE, fingerprint, forget
 from roadtorch.evaluation.result import Evaluation
 from roadtorch.evaluation.tally import WHOLE
 from roadtorch.io.atomic import write_json
-from roadtorch.io.image import read_image
+from roadtorch.io.image import read_image, write_colours
 from roadtorch.scenes.street import write_picture
 from tests.oracle import DECISION, GROUPS, ORACLE, SCENES, know_oracle, write_set
 
@@ -69,7 +68,7 @@ def test_metrics_json_has_every_figure_under_its_key(found):
     assert one["maxf"] == figures.headline["maxf"]
     assert one["layout"]["void_as_vertical"]["mean"] <= 1
     assert one["groups"]["0001TP"]["working_point"]["level"] > 0
-    assert one["pooled"]["boundary_f"].keys() == {"0.0025", "0.005", "0.0075"}
+    assert one["pooled"]["boundary_f"].keys() == {"0.0025", "0.00375", "0.005", "0.0075"}
     assert one["ci95"]["layout_mean"] == [1, 1]
     assert one["maxf_threshold"] == figures.best_threshold
     assert {name: each["baseline"] for name, each in content["detectors"].items()} == {
@@ -158,6 +157,17 @@ def test_when_every_picture_is_broken_there_is_one_error(tmp_path):
 
     with pytest.raises(DatasetError, match="none of its 6 pictures"):
         evaluate(open_dataset("camvid", root), ["prior:rows"])
+
+
+def test_labels_without_any_road_are_no_score_of_nought(tmp_path):
+    for folder in ("images", "masks"):
+        (tmp_path / folder).mkdir()
+        picture = next(iter(SCENES.values())).image
+        write_colours(tmp_path / folder / "a.png", picture if folder == "images" else 0 * picture)
+
+    with pytest.raises(UnscorableError, match="there is no road in any label") as caught:
+        evaluate(open_dataset("folder", tmp_path), ["prior:rows"])
+    assert caught.value.exit_code == 1
 
 
 def test_an_interrupted_run_goes_on_and_ends_like_a_whole_one(camvid, found, tmp_path):

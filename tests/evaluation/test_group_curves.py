@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from roadtorch.evaluation import curves, metrics
-from roadtorch.evaluation.group_curves import mean_precision, mean_roc, risk_curves
+from roadtorch.evaluation.document import mean_precision, mean_roc, risk_curves
 from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.trust import Trusted
 

@@ -1,7 +1,6 @@
 """A measure is one object: whoever adds one finds it everywhere."""
 
 import json
-import re
 from pathlib import Path
 
 import pytest
@@ -64,16 +63,6 @@ def test_keys_are_told_apart_and_directions_are_followed():
     assert by_key["brier"].best([0.2, nan, 0.1]) == 0.1
     assert MAXF.best([0.2, nan, 0.1]) == 0.2
     assert MAXF.best([nan]) is by_key["threshold"].best([0.5]) is None
-
-
-def test_the_document_names_every_measure_with_its_words():
-    text = DOCUMENT.read_text(encoding="utf-8")
-    rows = dict(re.findall(r"^\| `([\w/.]+)` \| (.*?) \|", text, re.MULTILINE))
-    # The other readings of the layout are told in a paragraph, not one by one.
-    readings = re.compile("layout/(confusion|void_as_vertical|labelled)/")
-    told = [one for one in MEASURES if not readings.match(one.key)]
-
-    assert {one.key: one.meaning for one in told if one.meaning not in rows.get(one.key, "")} == {}
 
 
 def test_the_example_in_the_document_runs(tmp_path, monkeypatch, capsys):

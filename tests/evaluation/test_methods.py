@@ -7,7 +7,7 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, every_kth
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.methods import (
-    mean_detection,
+    mean_baseline,
     mean_of,
     means_of_others,
     resize,
@@ -40,7 +40,8 @@ def test_a_mask_from_elsewhere_is_brought_to_the_size_of_the_image(dataset):
     item = dataset.items[0]
     ramp = torch.linspace(0, 1, 10, dtype=torch.float64)[:, None].expand(10, 8)
 
-    found = mean_detection(torch.zeros(3, 48, 64), item, {"0001TP": ramp})
+    look = mean_baseline({"0001TP": ramp}).prepare(dataset)
+    found = look(torch.zeros(3, 48, 64), item)
 
     assert found.likelihood.shape == (48, 64)
     assert found.likelihood[0].max() < 0.1

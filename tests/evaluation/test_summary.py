@@ -14,13 +14,13 @@ from roadtorch.detector import Detection
 from roadtorch.evaluation import boundary, metrics
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.summary import picture_rows
-from roadtorch.evaluation.tally import Score, Tally
-from roadtorch.evaluation.thresholds import (
+from roadtorch.evaluation.result import (
     choose_thresholds,
     held_out_thresholds,
+    picture_rows,
     shared_threshold,
 )
+from roadtorch.evaluation.tally import Score, Tally
 from roadtorch.layout.classes import NAMES
 from roadtorch.report.files import rows_csv
 from tests.evaluation.conftest import GROUPS, counted, looking, summarised

@@ -8,20 +8,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from roadtorch.evaluation import metrics, uncertainty
-from roadtorch.evaluation.metrics import Decisions
-from roadtorch.evaluation.uncertainty import Figure, Replicated
+from roadtorch.evaluation import uncertainty
+from roadtorch.evaluation.uncertainty import Replicated
 
 SEED = 5
 
 
-def weights(*sizes: int, replicates: int = 400, seed: int = SEED) -> list[Tensor]:
-    return uncertainty.group_weights(sizes, torch.Generator().manual_seed(seed), replicates)
+def weights(size: int, replicates: int = 400, seed: int = SEED) -> Tensor:
+    return uncertainty.bootstrap_weights(size, torch.Generator().manual_seed(seed), replicates)
 
 
-def mean_of(values: Tensor) -> Figure:
-    """The mean over one group of images."""
-    return lambda drawn: drawn[0].to(values.dtype) @ values / len(values)
+def mean_of(values: Tensor, drawn: Tensor) -> Replicated:
+    """The mean over images, and over every draw of them."""
+    return Replicated(float(values.mean()), drawn.to(values.dtype) @ values / len(values))
 
 
 def normal(count: int, seed: int) -> Tensor:
@@ -33,10 +32,9 @@ def normal(count: int, seed: int) -> Tensor:
 
 
 def test_weights_draw_every_image_once_on_average():
-    drawn = uncertainty.bootstrap_weights(7, 4000, torch.Generator().manual_seed(0))
+    drawn = weights(7, 4000)
 
     assert (drawn.sum(1) == 7).all()
-    assert [part.shape for part in weights(3, 11)] == [(400, 3), (400, 11)]  # inside the groups
     assert drawn.to(torch.float64).mean(0).tolist() == pytest.approx([1.0] * 7, abs=0.06)
 
 
@@ -46,32 +44,11 @@ def test_weights_draw_every_image_once_on_average():
 def test_interval_of_a_mean_is_the_textbook_one():
     values = normal(200, seed=1)
 
-    weights = uncertainty.group_weights([200], torch.Generator().manual_seed(2), 4000)
-    low, high = uncertainty.interval(uncertainty.replicate(mean_of(values), weights))
+    low, high = uncertainty.interval(mean_of(values, weights(200, 4000, seed=2)))
 
     error = float(values.std()) / math.sqrt(200)
     assert low == pytest.approx(float(values.mean()) - 1.96 * error, abs=0.1 * error)
     assert high == pytest.approx(float(values.mean()) + 1.96 * error, abs=0.1 * error)
-
-
-def test_a_figure_pooled_from_counts_keeps_image_and_truth_together():
-    # Images found whole or not at all: recall is the share of road in the found ones.
-    found = Decisions(torch.tensor([10, 0, 30]), *torch.tensor([[0, 0, 0], [0, 20, 0], [0, 0, 0]]))
-
-    def pooled_recall(drawn: list[Tensor]) -> Tensor:
-        hits, missed = drawn[0] @ found.true_positive, drawn[0] @ found.false_negative
-        return hits.to(torch.float64) / (hits + missed)
-
-    figure = uncertainty.replicate(pooled_recall, weights(3))
-
-    assert figure.value == float(metrics.recall(Decisions(*torch.tensor([40, 0, 20, 0]))))
-    possible = {
-        round((10 * a + 30 * c) / (10 * a + 20 * b + 30 * c), 9)
-        for a in range(4)
-        for b in range(4 - a)
-        for c in [3 - a - b]
-    }
-    assert {round(value, 9) for value in figure.draws.tolist()} == possible
 
 
 def test_draws_without_a_value_are_left_out():
@@ -85,7 +62,7 @@ def test_draws_without_a_value_are_left_out():
 def test_intervals_hold_the_true_mean_about_as_often_as_they_say():
     inside = 0
     for trial in range(300):
-        figure = uncertainty.replicate(mean_of(3 + normal(40, seed=trial)), weights(40, seed=trial))
+        figure = mean_of(3 + normal(40, seed=trial), weights(40, seed=trial))
         low, high = uncertainty.interval(figure)
         inside += low < 3 < high
 
@@ -100,7 +77,7 @@ def test_intervals_hold_the_true_mean_about_as_often_as_they_say():
 def test_pairs_are_signed_and_what_is_better_on_every_image_is_so_under_every_draw(seed, images):
     base, gain = normal(images, seed), 0.01 + normal(images, seed + 1).abs()
     drawn = weights(images)
-    one, other = (uncertainty.replicate(mean_of(v), drawn) for v in (base + gain, base))
+    one, other = (mean_of(values, drawn) for values in (base + gain, base))
 
     low, high = uncertainty.interval(uncertainty.difference(one, other))
     back = uncertainty.interval(uncertainty.difference(other, one))
@@ -114,10 +91,7 @@ def test_equal_detectors_are_called_different_about_as_rarely_as_promised():
     called = 0
     for trial in range(300):
         drawn = weights(40, seed=trial)
-        one, other = (
-            uncertainty.replicate(mean_of(normal(40, seed=2 * trial + step)), drawn)
-            for step in (0, 1)
-        )
+        one, other = (mean_of(normal(40, seed=2 * trial + step), drawn) for step in (0, 1))
         low, high = uncertainty.interval(uncertainty.difference(one, other))
         called += not low < 0 < high
 
@@ -126,9 +100,7 @@ def test_equal_detectors_are_called_different_about_as_rarely_as_promised():
 
 def test_draws_of_different_lengths_are_refused():
     values = normal(8, seed=0)
-    one, other = (
-        uncertainty.replicate(mean_of(values), weights(8, replicates=many)) for many in (10, 20)
-    )
+    one, other = (mean_of(values, weights(8, many)) for many in (10, 20))
 
     with pytest.raises(ValueError, match="10 draws cannot be compared with 20"):
         uncertainty.difference(one, other)

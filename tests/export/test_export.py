@@ -18,8 +18,7 @@ from PIL import Image
 import roadtorch.export.export as export_module
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.export.export import BOUND, Exported, export_detector, parity
-from roadtorch.export.exportable import exportable
+from roadtorch.export.export import BOUND, Exported, export_detector, exportable, parity
 from roadtorch.export.files import open_onnx, open_openvino
 from roadtorch.io.atomic import digest_of
 from roadtorch.io.image import read_image, to_pixels
@@ -112,7 +111,7 @@ def test_files_say_what_they_take_and_where_they_come_from(
 
     assert told == fusion.notes
     assert other == cnn7.notes
-    for notes, weights in ((told, "layout-free"), (other, "cnn-7")):
+    for notes, weights in ((told, "backbone-free"), (other, "cnn-7")):
         check_notes(notes, weights)
 
 
@@ -156,7 +155,6 @@ def test_the_same_detector_gives_the_same_bytes(fusion: Exported, tmp_path: Path
     [
         ("lbp", {}, "a.onnx", "onnx", "lbp: cannot be exported"),
         ("fusion:untrained", {}, "a.onnx", "onnx", "cannot be exported"),
-        ("fusion:large", {}, "a.onnx", "onnx", "fusion:large: cannot be exported"),
         ("fusion", {"ego": {"bottom": 0.2}}, "a.onnx", "onnx", "ego: has no part"),
         ("layout", {"share": 0.5}, "a.onnx", "onnx", "share: has no part"),
         ("fusion", {}, "a.xml", "onnx", r"a.xml: does not end .* \(name it a.onnx\)"),

@@ -2,6 +2,7 @@
 
 import base64
 import io
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
@@ -18,15 +19,18 @@ from roadtorch.camera.calibration import read_calibration
 from roadtorch.camera.camera import Camera, EgoLook
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.conditions import with_conditions
+from roadtorch.data.correction_formats import FORMATS as IMPORTED
+from roadtorch.data.corrections import Correction
 from roadtorch.data.dataset import Dataset, Item
+from roadtorch.data.event_log import read_log
 from roadtorch.data.folder import FolderLabels
 from roadtorch.data.labelme import PolygonLabels
 from roadtorch.data.maps import CONFIG, deciding_settings, map_likelihood, map_mask
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.errors import ConfigError, DatasetError, InputError
 from roadtorch.evaluation.document import earlier_thresholds
+from roadtorch.evaluation.evaluate import FILE, SavedTallies
 from roadtorch.evaluation.methods import Method, named_detector
-from roadtorch.evaluation.progress import FILE, SavedTallies
 from roadtorch.evaluation.scoring import score
 from roadtorch.io.image import read_image
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
@@ -184,7 +188,8 @@ def make_record(draw: Draw, folder: Path) -> Path:
 
 def read_record(path: Path) -> bool:
     """Begin a run where there is one; it is refused, as this one has other pictures."""
-    told_of(path, lambda: RunFolder(path.parent).begin(RECORD["config"], [], None, resume=True))
+    other = {**RECORD, "pictures": "1" * 64, "corrections": None}
+    told_of(path, lambda: RunFolder(path.parent).check(other, resume=True))
     return False
 
 
@@ -301,6 +306,69 @@ def read_labels(path: Path) -> bool:
     return truth.road.shape == truth.valid.shape and truth.road.dtype == torch.bool
 
 
+# --- labels of people and of other programs -------------------------------------------------
+
+SAID = Correction(
+    Path("a.png"),
+    "a.png",
+    np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) % 97 % 8,
+    False,
+    (),
+    0,
+    0,
+)
+IMPORTS = {
+    "label-studio": "tasks.json",
+    "cvat": "labelmap.txt",
+    "xml": "a.xml",
+    "labelme": "a.json",
+}
+
+
+def make_import(draw: Draw, folder: Path) -> Path:
+    """An export of ours for one of the programs."""
+    name = one_of(draw, *IMPORTS)
+    IMPORTED[name].write([replace(SAID, labels=SAID.labels.astype(np.uint8))], folder)
+    path = folder / IMPORTS[name]
+    if path.suffix == ".json" and one_of(draw, 0, 1, 2):
+        return written(path, tampered_json(draw, json.loads(path.read_bytes())))
+    return written(path, tampered(draw, path.read_bytes(), OF_TEXT))
+
+
+def read_import(path: Path) -> bool:
+    name = {file: name for name, file in IMPORTS.items()}[path.name]
+    try:
+        found = IMPORTED[name].read(path.parent, {"a.png": (HEIGHT, WIDTH)})
+    except DatasetError as problem:
+        if path.name == "labelmap.txt" and "a.png" in str(problem):
+            return True  # a class of the picture that the file does not name by now
+        raise
+    return all(one.shape == (HEIGHT, WIDTH) and one.max() < 8 for one in found.values())
+
+
+def make_journal(draw: Draw, folder: Path) -> Path:
+    """A log of what one person did."""
+    lines = [
+        {"picture": "../a.png", "user": "ann", "height": HEIGHT, "width": WIDTH},
+        {"id": "a", "kind": "superpixel", "saying": "road", "segments": [1], "runs": [0, 9, 40, 3]},
+        {"id": "b", "kind": "polygon", "saying": "sky", "points": [[1, 1], [9, 1], [9, 8]]},
+        {"id": "c", "kind": "brush", "saying": "void", "points": [[3, 4]], "radius": 2.5},
+        {"id": "d", "kind": "brought", "labels": {"road": [5, 5], "untouched": [90, 2]}},
+        {"id": "e", "kind": "undo", "of": "b"},
+        {"id": "f", "kind": "right", "runs": [7, 70]},
+    ]
+    at = draw(st.integers(0, len(lines) - 1))
+    texts = [json.dumps(line).encode() for line in lines]
+    texts[at] = tampered_json(draw, lines[at]).replace(b"\n", b" ")
+    data = b"".join(text + b"\n" for text in texts)
+    return written(folder / "a.png.ann.strokes.jsonl", data[: draw(st.integers(0, 2 * len(data)))])
+
+
+def read_journal(path: Path) -> bool:
+    log = read_log(path)
+    return log is None or log.labels().max() < 8
+
+
 def make_conditions(draw: Draw, folder: Path) -> Path:
     """A table of the conditions of a set of two pictures."""
     write_set(folder / "set", "a", "b")
@@ -415,7 +483,7 @@ def make_progress(draw: Draw, folder: Path) -> Path:
         saved.add(replace(result, scores=told))
     saved.save()
     path = folder / FILE
-    return written(path, tampered_safetensors(draw, path.read_bytes()))
+    return written(path, tampered(draw, path.read_bytes()))
 
 
 def read_progress(path: Path) -> bool:
@@ -436,6 +504,8 @@ KINDS: Mapping[str, Kind] = {
     "labelme": Kind(make_labelme, read_truth),
     "xml": Kind(make_xml, read_truth),
     "labels": Kind(make_labels, read_labels),
+    "imports": Kind(make_import, read_import),
+    "journals": Kind(make_journal, read_journal),
     "conditions": Kind(make_conditions, read_conditions),
     "calibration": Kind(make_calibration, read_from_above),
     "index": Kind(make_index, read_rows),

@@ -1,10 +1,11 @@
 """Dense motion: where pixels were, and what is carried along."""
 
+import cv2
 import numpy as np
 import pytest
 import torch
 
-from roadtorch.imaging.motion import EXACT, dense_flow, flow_picture, forward_backward_error, warp
+from roadtorch.imaging.motion import dense_flow, flow_picture, forward_backward_error, warp
 from roadtorch.scenes.street import render_scene
 
 
@@ -51,7 +52,7 @@ def test_the_flow_of_a_shifted_street_is_the_shift() -> None:
     here, there = street[:, :-6].contiguous(), street[:, 6:].contiguous()
 
     # What is at column x of ``here`` is at column x - 6 of ``there``.
-    flow = dense_flow(here, there, EXACT)
+    flow = dense_flow(here, there, cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
 
     inner = flow[20:-20, 30:-30]
     assert float(inner[..., 0].median()) == pytest.approx(-6, abs=0.1)

@@ -1,16 +1,29 @@
 """Files that are never half-written, and texts for them that any reader takes apart again."""
 
 import csv
-import errno
 import io
 import os
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
 
 from roadtorch.errors import InputError
 from roadtorch.io import atomic as files
-from roadtorch.io.atomic import atomic, csv_text, remove_leftovers, shared, write_text
+from roadtorch.io.atomic import (
+    atomic,
+    csv_text,
+    from_cell,
+    locked,
+    remove_leftovers,
+    shared,
+    write_text,
+)
+from roadtorch.io.image import write_mask, write_npy
+from roadtorch.runs.index import Row, read_index, write_index
+from roadtorch.sinks.video import GifSink
 
 
 def test_csv_comes_back_as_it_was_written() -> None:
@@ -29,7 +42,21 @@ def test_a_line_end_in_a_name_makes_no_row(name: str) -> None:
 
     text = csv_text(["file", "status"], rows)
 
-    assert list(csv.DictReader(io.StringIO(text, newline=""))) == rows
+    found = csv.DictReader(io.StringIO(text, newline=""))
+    assert [{key: from_cell(cell) for key, cell in row.items()} for row in found] == rows
+
+
+@pytest.mark.parametrize("name", ["=1+1.png", "+a", "-a", "@a", "\t=a", "'=a", "''@", "'"])
+def test_a_name_is_no_formula_for_spreadsheets_and_comes_back_in_our_own_index(
+    name: str, tmp_path: Path
+) -> None:
+    write_index(tmp_path / "index.csv", [Row(name, ms="-3")])
+
+    cells = next(csv.DictReader(io.StringIO((tmp_path / "index.csv").read_text(), newline="")))
+
+    assert cells["file"] == f"'{name}"
+    assert cells["ms"] == "-3"
+    assert read_index(tmp_path / "index.csv") == {name: Row(name, ms="-3")}
 
 
 def test_csv_has_the_columns_that_are_named_in_their_order() -> None:
@@ -55,9 +82,34 @@ def test_a_name_that_is_too_long_is_blamed_on_the_name(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_full_disk_is_blamed_on_the_room(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"\(make room"), atomic(tmp_path / "x"):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+def write_gif(path: Path) -> None:
+    sink = GifSink(path, 0, 1)
+    sink.write(np.zeros((9, 9, 3), np.uint8), 0.5)
+    sink.close()
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda path: write_text(path, "whole"),
+        lambda path: write_npy(path, torch.rand(50, 50)),
+        lambda path: write_mask(path, torch.ones(50, 50) > 0),
+        write_gif,
+    ],
+)
+def test_a_full_disk_is_blamed_on_the_room(
+    write: Callable[[Path], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = io.open
+    monkeypatch.setattr(io, "open", lambda _, *rest, **more: full("/dev/full", *rest, **more))
+
+    with pytest.raises(InputError, match=r"x: cannot be written: No space left .* \(make room"):
+        write(tmp_path / "x")
+
+
+def test_an_error_without_a_number_is_blamed_on_the_disk(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"encoder error \(see whether"), atomic(tmp_path / "x"):
+        raise OSError("encoder error")
 
 
 def test_who_shares_a_folder_removes_leftovers_when_alone(tmp_path: Path) -> None:
@@ -68,6 +120,8 @@ def test_who_shares_a_folder_removes_leftovers_when_alone(tmp_path: Path) -> Non
         left.touch()
         with shared(tmp_path / "made"):  # not alone: the first one may be writing it
             assert left.exists()
+    with locked(left.parent), shared(tmp_path / "made"):  # a run may be writing it
+        assert left.exists()
     with shared(tmp_path / "made"):
         assert not left.exists()
         assert left.parent.is_dir()

@@ -1,6 +1,7 @@
 """Pictures that are damaged, that lie about their size, or that make decoders warn."""
 
 import io
+import itertools
 import struct
 import warnings
 import zlib
@@ -15,7 +16,7 @@ from PIL import Image
 
 from roadtorch.errors import InputError
 from roadtorch.io.decoding import MEGAPIXELS_VARIABLE
-from roadtorch.io.image import read_image
+from roadtorch.io.image import decode_image, read_image
 from roadtorch.scenes.street import render_scene
 
 # --- bounds -----------------------------------------------------------------------------
@@ -160,6 +161,103 @@ def test_a_deep_tiff_whose_white_is_zero_is_refused(tmp_path: Path) -> None:
 
     with pytest.raises(InputError, match="black being 0"):
         read_image(path)
+
+
+SAMPLES = [
+    *(("minisblack", 1, ""), ("minisblack", 2, "unassalpha"), ("rgb", 3, "")),
+    *(("rgb", 4, kind) for kind in ("unassalpha", "assocalpha", "unspecified")),
+]
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("compression", [None, "zlib"])
+@pytest.mark.parametrize("planes", ["contig", "separate"])
+@pytest.mark.parametrize(("colours", "samples", "extra"), SAMPLES)
+def test_a_tiff_of_any_layout_is_read_right_or_refused(
+    bits: int,
+    compression: str | None,
+    planes: str,
+    colours: Any,
+    samples: int,
+    extra: str,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    draw = np.random.default_rng(samples)
+    pixels = draw.integers(0, 2**bits, (37, 53, samples)).astype(f"uint{bits}")
+    own = samples - bool(extra)
+    if extra == "assocalpha":  # colours that were multiplied with it
+        pixels[..., :own] = np.minimum(pixels[..., :own], pixels[..., own:])
+    stored = np.moveaxis(pixels, -1, 0) if planes == "separate" else pixels
+    shares = pixels / (2**bits - 1)
+    expected = shares[..., :own] * (shares[..., own:] if extra == "unassalpha" else 1)
+    expected = torch.from_numpy(np.broadcast_to(expected, (37, 53, 3)).copy()).permute(2, 0, 1)
+
+    layouts: list[dict[str, Any]] = [
+        {"rowsperstrip": 10},
+        {"tile": (16, 16)},
+        {"predictor": compression is not None},
+    ]
+    orders: tuple[Any, ...] = ("<", ">")
+    for options, order in itertools.product(layouts, orders):
+        data = io.BytesIO()
+        tifffile.imwrite(
+            data, stored if samples > 1 else pixels[..., 0], photometric=colours, byteorder=order,
+            planarconfig=planes if samples > 1 else None, compression=compression,
+            extrasamples=[extra] if extra else None, **options,
+        )  # fmt: skip
+        try:
+            found = decode_image(data.getvalue(), "a.tif")
+        except InputError:
+            assert planes == "separate" or samples == 2 or extra == "unspecified"
+        else:
+            within = 1.1 / 255 if extra == "assocalpha" and bits == 8 else 1e-5  # Pillow's rounding
+            assert (found - expected).abs().max() < within
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("compression", [None, "zlib"])
+@pytest.mark.parametrize(("tag", "value"), [(257, 30), (278, 3), (279, 7), (322, 80)])
+def test_a_tiff_whose_strips_do_not_fill_its_height_is_refused(
+    bits: int, compression: str | None, tag: int, value: int, capfd: pytest.CaptureFixture[str]
+) -> None:
+    data = io.BytesIO()
+    pixels = np.random.default_rng(1).integers(0, 2**bits, (20, 32)).astype(f"uint{bits}")
+    form: dict[str, Any] = {"tile": (16, 16)} if tag == 322 else {"rowsperstrip": 10}
+    tifffile.imwrite(data, pixels, photometric="minisblack", compression=compression, **form)
+    with tifffile.TiffFile(io.BytesIO(data.getvalue())) as file:
+        found: Any = file.pages.first.tags[tag]
+        at, kind = found.valueoffset, {3: "<H", 4: "<I"}[found.dtype]
+    whole = bytearray(data.getvalue())
+    struct.pack_into(kind, whole, at, value)
+
+    with pytest.raises(InputError, match=r"a\.tif: cannot be decoded"):
+        decode_image(bytes(whole), "a.tif")
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_the_exif_of_a_png_counts_wherever_it_stands_and_further_frames_do_not(bits: int) -> None:
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 3, 2, bits, 0, 0, 0, 0))
+    rows = [[10, 20, 30], [40, 50, 60]]
+
+    def packed(grey: list[list[int]]) -> bytes:
+        levels = np.array(grey) * (2**bits - 1) // 255
+        lines = [b"\0" + line.astype(f">u{bits // 8}").tobytes() for line in levels]
+        return zlib.compress(b"".join(lines))
+
+    control = struct.pack(">IIIIHHBB", 3, 2, 0, 0, 1, 10, 0, 0)
+    exif = b"MM\0*\0\0\0\x08\0\x01" + struct.pack(">HHIHHI", 274, 3, 1, 3, 0, 0)
+    chunks = [
+        *(header, chunk(b"acTL", struct.pack(">II", 2, 0)), chunk(b"fcTL", bytes(4) + control)),
+        *(chunk(b"IDAT", packed(rows)), chunk(b"fcTL", b"\0\0\0\1" + control)),
+        *(chunk(b"fdAT", b"\0\0\0\2" + packed([[0] * 3] * 2)), chunk(b"eXIf", exif)),
+    ]
+
+    found = decode_image(b"\x89PNG\r\n\x1a\n" + b"".join(chunks) + chunk(b"IEND", b""), "a.png")
+
+    expected = torch.tensor(rows).flip(0, 1) / 255
+    assert torch.allclose(found[1], expected, atol=1e-4)
 
 
 def test_one_row_turned_round_is_read(tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ from roadtorch.io.image import (
     png_bytes,
     read_image,
     tint_mask,
+    with_caption,
     write_colours,
     write_labels,
     write_map,
@@ -294,9 +295,26 @@ def test_arrays_tensors_pillow_images_and_paths_give_the_same_image(tmp_path: Pa
 
     for picture in (path, str(path), Image.open(path), torch.from_numpy(PIXELS).permute(2, 0, 1)):
         assert torch.equal(as_image(picture), wanted)
+    bgr = np.asarray(cv2.imread(str(path)))
     assert torch.equal(as_image(PIXELS, "rgb"), wanted)
-    assert torch.equal(as_image(np.asarray(cv2.imread(str(path))), "bgr"), wanted)
+    for array in (
+        bgr,
+        cv2.cvtColor(bgr, cv2.COLOR_BGR2BGRA),
+        bgr.astype(np.uint16) * 257,
+        bgr.astype(np.float32) / 255,
+    ):
+        assert torch.equal(as_image(array, "bgr"), wanted)
+    torch.testing.assert_close(as_image(bgr.astype(np.float64) / 255, "bgr"), wanted)
     assert as_image(wanted) is wanted
+    assert torch.equal(read_image(path.as_uri()), wanted)
+
+
+@pytest.mark.parametrize("pixels", [PIXELS[..., 0], PIXELS[..., :1]])
+def test_grey_arrays_need_no_order_and_alpha_darkens_them_as_files(pixels: np.ndarray) -> None:
+    assert torch.equal(as_image(pixels), as_tensor(PIXELS[..., :1].repeat(3, 2)))
+    assert torch.equal(
+        as_image(np.dstack([PIXELS, 0 * PIXELS[..., 0]]), "rgb"), torch.zeros(3, 5, 7)
+    )
 
 
 @pytest.mark.parametrize(
@@ -340,19 +358,17 @@ def test_see_through_pixels_of_pillow_images_are_black_as_those_of_files_are(
     ("picture", "order", "what"),
     [
         (PIXELS, None, "whose order of colours is not told"),
-        (PIXELS.astype(np.float32) / 255, "rgb", "is an array of float32"),
-        (PIXELS.astype(np.uint16), "rgb", "is an array of uint16"),
-        (PIXELS[..., 0], "rgb", "shape (5, 7)"),
+        (PIXELS.astype(np.int64), "rgb", "is an array of int64"),
+        (PIXELS[..., 0] > 9, "rgb", "is an array of bool"),
         (PIXELS.transpose(2, 0, 1), "rgb", "shape (3, 5, 7)"),
-        (np.zeros((5, 7, 4), np.uint8), "bgr", "shape (5, 7, 4)"),
-        (as_tensor(PIXELS), "rgb", "order: is told for Tensor"),
-        ("a.png", "bgr", "order: is told for str"),
+        (PIXELS[None], "bgr", "give all of them to detect_many"),
+        ([PIXELS, PIXELS], "bgr", "image: is a list, not one picture (give one, or all of them to"),
         (Image.new("F", (20, 20)), None, "mode F has no agreed white"),
         (Image.new("I", (20, 20)), None, "mode I has no agreed white"),
-        (Image.new("RGB", (20, 20)), "rgb", "order: is told for Image"),
         (b"\x89PNG", None, "is bytes"),
-        (None, None, "is NoneType"),
+        (None, "bgr", "is None (check its path: cv2.imread gives that"),
         ("missing.png", None, "does not exist"),
+        ("file:///missing.png", None, "file:///missing.png: does not exist"),
     ],
 )
 def test_what_a_program_has_that_is_no_picture_is_refused(
@@ -453,6 +469,21 @@ def test_the_overlay_shows_on_any_grey_road(tmp_path: Path, grey: int) -> None:
     assert np.abs(shown[200, 160] - grey).max() > 20  # the tint
     assert shown[100, 160].tolist() == list(ORANGE)  # the outline
     assert shown[239, 160].tolist() == shown[200, 160].tolist()  # none at the picture's rim
+
+
+@pytest.mark.parametrize(("height", "width", "tall"), [(180, 320, 9), (720, 1280, 20), (5, 7, 0)])
+def test_captions_can_be_read_in_small_pictures_and_are_the_same_twice(
+    height: int, width: int, tall: int
+) -> None:
+    grey = np.full((height, width, 3), 128, np.uint8)
+
+    shown = with_caption(grey, "trust 0.91")
+
+    assert shown.shape == grey.shape
+    white = (shown.min(2) > 250).any(1).nonzero()[0]  # from the top of a letter to its foot
+    assert not tall or np.ptp(white) >= tall
+    assert (grey == 128).all()
+    assert np.array_equal(with_caption(grey, "trust 0.91"), shown)
 
 
 def test_an_overlay_has_the_size_of_its_image(tmp_path: Path) -> None:

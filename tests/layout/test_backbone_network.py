@@ -7,6 +7,7 @@ import torch
 from torch.nn import functional as F
 
 from roadtorch import load_detector
+from roadtorch.detectors.fusion import Fusion
 from roadtorch.layout.backbone_network import (
     BLOCKS,
     Backbone,
@@ -15,7 +16,6 @@ from roadtorch.layout.backbone_network import (
     SamePadded,
 )
 from roadtorch.layout.weights import load_network, save_network, shipped_weights, terms_of
-from roadtorch.scenes.street import render_scene
 
 SMALL = BackboneNetworkSettings(height=64, width=96, wide=8, narrow=8, heads=2)
 
@@ -93,12 +93,13 @@ def test_the_shipped_weights_are_free_and_say_what_the_backbone_has_seen() -> No
     assert path.stat().st_size < 6_000_000
 
 
-def test_fusion_large_sees_with_both_networks() -> None:
-    scene = render_scene(7)
-    image = scene.image
+def test_fusion_large_sees_at_half_again_the_size() -> None:
+    networks = []
+    for name in ("fusion", "fusion:large"):
+        analysis = load_detector(name).analysis
+        assert isinstance(analysis, Fusion)
+        networks.append(analysis.network.settings)
 
-    first = load_detector("fusion:large", second=0.0).detect(image)
-    both = load_detector("fusion:large").detect(image)
-
-    assert not torch.equal(first.likelihood, both.likelihood)
-    assert both.likelihood.shape == image.shape[-2:]
+    one, other = networks
+    assert (other.height, other.width) == (1.5 * one.height, 1.6 * one.width)
+    assert {**other.model_dump(), "height": one.height, "width": one.width} == one.model_dump()

@@ -7,10 +7,10 @@ from roadtorch.layout.picture_network import (
     OUTPUTS,
     PictureNetwork,
     PictureNetworkSettings,
-    network_at,
     place_planes,
     potentials_of,
 )
+from roadtorch.layout.weights import network_at
 from tests.streets import scene
 
 SMALL = PictureNetworkSettings(height=48, width=64, narrow=8, wide=16)

@@ -170,9 +170,7 @@ def test_one_quantum_is_the_threshold_where_samples_say_nothing() -> None:
 
 def test_settings_reach_the_fit_and_a_refusal_is_an_error() -> None:
     wide = fit(MIDDLE, line(0.2, 0.4), PLANE, ScaledSettings(scale=2.0))
-    refusing = Classifier(
-        "picky", "", ScaledSettings, _fit_middle, _from_middle, lambda dimensions: "not today"
-    )
+    refusing = Classifier("picky", "", ScaledSettings, _fit_middle, _from_middle, "not today")
 
     assert float(wide.state["middle"]) == pytest.approx(0.15)
     with pytest.raises(ConfigError, match=r"^picky: not today .choose other planes"):

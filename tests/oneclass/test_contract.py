@@ -84,7 +84,6 @@ def test_the_likelihood_is_decreasing_in_the_distance_and_half_at_the_threshold(
 
     assert (likelihood[distance.argsort()].diff() <= 0).all()
     assert fitted.squashed(fitted.threshold).item() == 0.5
-    assert torch.equal(fitted.accepts(pixels), distance <= fitted.threshold)
     assert torch.equal(fitted.score(pixels), -distance)
 
 
@@ -94,7 +93,7 @@ def test_the_threshold_rejects_about_the_fraction(classifier: Classifier) -> Non
     by_share = [fit(classifier, samples, RGB, classifier.settings(rejected=s)) for s in shares]
 
     for rejected, fitted in zip(shares, by_share, strict=True):
-        outside = int((~fitted.accepts(samples)).sum())
+        outside = int((fitted.distance(samples) > fitted.threshold).sum())
         if classifier.name in {"nn", "mst"}:  # samples are at distance 0 of themselves
             assert outside == 0
         elif classifier.name in HISTOGRAMS:  # ties
@@ -102,7 +101,8 @@ def test_the_threshold_rejects_about_the_fraction(classifier: Classifier) -> Non
         else:
             assert outside == pytest.approx(150 * rejected, abs=7)
     # SVDD and dLP change with the share, so that their thresholds are of different distances.
-    accepted = [int(fitted.accepts(asphalt(2000, seed=7)).sum()) for fitted in by_share]
+    pixels = asphalt(2000, seed=7)
+    accepted = [int((fitted.distance(pixels) <= fitted.threshold).sum()) for fitted in by_share]
     assert accepted == sorted(accepted, reverse=True)
     assert accepted[0] > accepted[-1]
 
@@ -154,8 +154,8 @@ def test_samples_of_one_colour_rank_by_the_distance_to_it(classifier: Classifier
         ranks = fitted.distance(pixels).argsort().argsort().double()
 
         assert torch.corrcoef(torch.stack([ranks, expected]))[0, 1] > 0.9999
-        assert fitted.accepts(colour[None]).all()
-        assert not fitted.accepts(pixels).any()
+        assert (fitted.distance(colour[None]) <= fitted.threshold).all()
+        assert (fitted.distance(pixels) > fitted.threshold).all()
 
 
 # --- awkward pixels -----------------------------------------------------------------------

@@ -146,18 +146,6 @@ def test_the_likelihood_is_scikit_learns_from_the_same_start(number: int) -> Non
     assert float(likelihood) == pytest.approx(expected, rel=1e-3)
 
 
-def test_no_round_lowers_the_likelihood() -> None:
-    samples, start = clusters(3), memberships(clusters(3), 4)
-    weights = samples.new_ones(1, len(samples))
-    nothing = torch.zeros(2, dtype=torch.float64)
-
-    values = [
-        float(maximise(samples, weights, start, nothing, rounds)[1]) for rounds in range(1, 12)
-    ]
-
-    assert np.all(np.diff(values) >= -1e-9)
-
-
 def test_runs_side_by_side_do_not_touch_each_other() -> None:
     samples = clusters(3)
     weights = samples.new_ones(2, len(samples))

@@ -138,14 +138,6 @@ def test_tree_is_as_short_as_kruskals(dimensions):
     assert len({node for edge in edges for node in edge}) == 12
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_tree_is_the_shortest_of_all_trees(seed):
-    samples = doubles(some(6, 2, seed))
-    length = reference.distance_matrix(samples, samples)
-    total = sum(length[edge] for edge in edges_of(torch.from_numpy(samples)))
-    assert total == pytest.approx(reference.shortest_of_all_trees(samples), rel=1e-12)
-
-
 @DIMENSIONS
 def test_tree_distance_is_that_of_a_loop_over_segments(dimensions):
     samples, pixels = road(40, dimensions), some(300, dimensions)
@@ -153,13 +145,6 @@ def test_tree_distance_is_that_of_a_loop_over_segments(dimensions):
     expected = reference.tree_distance(doubles(samples), edges, doubles(pixels))
     found = doubles(fitted(MST, samples).distance(pixels))
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-8)
-
-
-def test_tree_distance_has_its_three_cases():
-    samples = torch.tensor([[0.2, 0.2], [0.6, 0.2]])
-    pixels = torch.tensor([[0.4, 0.5], [0.1, 0.2], [0.9, 0.6], [0.3, 0.2]])
-    distance = fitted(MST, samples).distance(pixels)
-    torch.testing.assert_close(distance, torch.tensor([0.3, 0.1, 0.5, 0.0]))
 
 
 def test_tree_on_a_line_covers_all_between_its_ends():
@@ -171,15 +156,6 @@ def test_tree_on_a_line_covers_all_between_its_ends():
     inside = ((pixels >= low) & (pixels <= high))[:, 0]
     assert inside.any()
     assert (found[inside] == 0).all()
-
-
-@given(st.integers(1, 3), st.integers(1, 25), st.integers(0, 1000))
-def test_tree_is_never_farther_than_the_nearest_sample(dimensions, number, seed):
-    samples, pixels = some(number, dimensions, seed), some(50, dimensions, seed + 1)
-    tree, nearest = (fitted(kind, samples).distance(pixels) for kind in (MST, NN))
-    assert (tree <= nearest + 1e-7).all()
-    if number == 1:
-        torch.testing.assert_close(tree, nearest, rtol=1e-6, atol=0)
 
 
 def test_tree_threshold_is_a_length_of_an_edge():

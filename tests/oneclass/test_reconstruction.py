@@ -13,9 +13,7 @@ from torch import Tensor
 
 from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
 from roadtorch.oneclass.reconstruction import (
-    CentreSettings,
     ComponentSettings,
-    SampleCentreSettings,
     farthest_first,
     k_centres,
     k_means,
@@ -120,14 +118,6 @@ def test_a_centre_that_loses_its_samples_goes_where_it_is_needed() -> None:
     assert 1.0 in centres[0].flatten().tolist()
 
 
-def test_one_centre_is_the_mean_and_ranks_by_the_distance_to_it() -> None:
-    samples, pixels = flat_samples(), colours()
-
-    found = fit(MEANS, samples, RGB, CentreSettings(centres=1)).distance(pixels)
-
-    torch.testing.assert_close(found, (pixels - samples.mean(0)).norm(dim=1))
-
-
 # --- k-centres --------------------------------------------------------------------------
 
 
@@ -142,17 +132,6 @@ def test_the_radius_is_at_most_twice_the_least(seed: int, count: int, number: in
     least = reference.least_radius(apart.numpy(), number)
     assert least - 1e-9 <= float(radii) <= 2 * least + 1e-9
     assert float(radii) == pytest.approx(float(apart[centres[0]].amin(0).max()))
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_restarts_find_the_least_radius_of_few_samples(seed: int) -> None:
-    samples = points(12, 3, seed)
-    apart = torch.cdist(samples, samples)
-
-    found = fit(CENTRES, samples.float(), RGB, SampleCentreSettings(centres=3, restarts=200))
-
-    radius = torch.cdist(samples, found.state["centres"].double()).amin(1).max()
-    assert float(radius) <= 1.1 * reference.least_radius(apart.numpy(), 3)
 
 
 def test_a_better_start_is_never_made_worse() -> None:

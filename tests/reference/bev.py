@@ -48,28 +48,6 @@ def see(rows: dict[str, np.ndarray], x: float, z: float) -> tuple[float, float]:
     return across / depth, down / depth
 
 
-def meet_road(rows: dict[str, np.ndarray], u: float, v: float) -> tuple[float, float]:
-    """The road's point (x, z) that the camera sees at (u, v): where the ray meets y = 0."""
-    projection = rows["P2"]
-    # Two points of the ray, at depths 1 and 2 of the rectified camera.
-    ray = []
-    for depth in (1.0, 2.0):
-        # u · (depth + P2[2,3]) = P2[0] · (X, Y, depth, 1), and v likewise.
-        scale = depth + projection[2, 3]
-        wanted = [
-            u * scale - projection[0, 2] * depth - projection[0, 3],
-            v * scale - projection[1, 2] * depth - projection[1, 3],
-        ]
-        x, y = np.linalg.solve(projection[:2, :2], wanted)
-        camera = np.linalg.solve(rows["R0_rect"], np.array([x, y, depth]))
-        pose = rows["Tr_cam_to_road"]
-        ray.append(pose[:, :3] @ camera + pose[:, 3])
-    first, second = ray
-    step = first[1] / (first[1] - second[1])
-    meeting = first + step * (second - first)
-    return meeting[0], meeting[2]
-
-
 def cell_value(image: np.ndarray, rows: dict[str, np.ndarray], row: int, column: int):
     """What the bird's-eye map of an image (H,W) holds in one cell."""
     x = float(np.float32(-10 + (column + 0.5) * 0.05))
@@ -79,12 +57,3 @@ def cell_value(image: np.ndarray, rows: dict[str, np.ndarray], row: int, column:
     if 1 <= u <= width and 1 <= v <= height:
         return image[math.floor(v) - 1, math.floor(u) - 1]
     return image.dtype.type(0)
-
-
-def pixel_value(cells: np.ndarray, rows: dict[str, np.ndarray], row: int, column: int):
-    """What the image of a bird's-eye map (800,400) holds in one pixel."""
-    x, z = meet_road(rows, column + 1, row + 1)
-    at = round(800 - (z - 6) / 0.05) - 1, round((x + 10) / 0.05) - 1
-    if 0 <= at[0] < 800 and 0 <= at[1] < 400:
-        return cells[at]
-    return cells.dtype.type(0)

@@ -1,11 +1,11 @@
 """The boundary classifiers of P3, slow and obvious, in NumPy's double precision."""
 
-from itertools import combinations, product
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linprog, minimize
+from scipy.optimize import linprog
 
 Array = NDArray[np.floating[Any]]
 
@@ -58,39 +58,6 @@ def kruskal(samples: Array) -> list[tuple[int, int]]:
     return edges
 
 
-def shortest_of_all_trees(samples: Array) -> float:
-    """The least length among all trees, each from its Prüfer sequence."""
-    number, length = len(samples), distance_matrix(samples, samples)
-    best = np.inf
-    for sequence in product(range(number), repeat=number - 2):
-        degree = [1 + sequence.count(node) for node in range(number)]
-        total = 0.0
-        for node in sequence:
-            leaf = degree.index(1)
-            total += length[leaf, node]
-            degree[leaf] -= 1
-            degree[node] -= 1
-        last = [node for node in range(number) if degree[node] == 1]
-        best = min(best, total + length[last[0], last[1]])
-    return best
-
-
-def ball_weights(gram: Array, cap: float) -> Array:
-    """The dual of SVDD by a general solver, from equal weights."""
-    scaled = (gram - gram.mean()) / (gram.max() - gram.min())
-    number = len(gram)
-    found = minimize(
-        lambda a: a @ scaled @ a,
-        np.full(number, 1 / number),
-        jac=lambda a: 2 * scaled @ a,
-        bounds=[(0, cap)] * number,
-        constraints={"type": "eq", "fun": lambda a: a.sum() - 1, "jac": np.ones_like},
-        method="SLSQP",
-        options={"maxiter": 1000, "ftol": 1e-15},
-    )
-    return found.x
-
-
 def kernel(left: Array, right: Array, sigma: float) -> Array:
     return np.exp(-(distance_matrix(left, right) ** 2) / sigma**2)
 
@@ -127,28 +94,3 @@ def game_value(dissimilarities: Array, cap: float) -> float:
     worst = worst / worst.sum()
     assert worst.max() <= cap * (1 + 1e-9)
     return float((worst @ dissimilarities).min())
-
-
-def best_vertex(dissimilarities: Array, slack: float) -> float:
-    """The value of dLP by trying every basis of the linear programme; few samples only.
-
-    Variables w, ξ, what the constraints leave over, and ρ ≥ 0 (distances are).
-    """
-    number = len(dissimilarities)
-    one = np.eye(number)
-    matrix = np.block(
-        [
-            [dissimilarities, -one, one, -np.ones((number, 1))],
-            [np.ones((1, number)), np.zeros((1, 2 * number)), np.zeros((1, 1))],
-        ]
-    )
-    right = np.r_[np.zeros(number), 1.0]
-    cost = np.r_[np.zeros(number), np.full(number, slack), np.zeros(number), 1.0]
-    bases = np.array(list(combinations(range(matrix.shape[1]), number + 1)))
-    squares = matrix[:, bases].transpose(1, 0, 2)
-    regular = np.abs(np.linalg.det(squares)) > 1e-9
-    values = np.linalg.solve(
-        squares[regular], np.broadcast_to(right[:, None], (regular.sum(), number + 1, 1))
-    )[..., 0]
-    feasible = (values >= -1e-9).all(1)
-    return float((values * cost[bases[regular]]).sum(1)[feasible].min())

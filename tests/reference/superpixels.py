@@ -41,11 +41,6 @@ def nine_distances(
     return result
 
 
-def boundary_length(labels: np.ndarray) -> int:
-    """How many neighbouring pairs of pixels have different labels."""
-    return int((labels[1:] != labels[:-1]).sum() + (labels[:, 1:] != labels[:, :-1]).sum())
-
-
 def segment_values(values: np.ndarray, labels: np.ndarray, count: int) -> list[list[np.ndarray]]:
     """For each channel of values (C,H,W) and each segment, the values of its pixels."""
     return [[channel[labels == number] for number in range(count)] for channel in values]

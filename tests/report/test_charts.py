@@ -10,7 +10,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-from roadtorch.evaluation.group_curves import RunCurves
+from roadtorch.evaluation.document import RunCurves
 from roadtorch.evaluation.measures import F_MASK, MAXF
 from roadtorch.report import charts, svg
 from tests.reports import GROUPS, made_row, made_run, scored

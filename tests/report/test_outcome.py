@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from roadtorch.evaluation.result import Comparison, Difference, Evaluation, Interval
-from roadtorch.report.outcome import outcome
+from roadtorch.report.screen import outcome
 from tests.reports import changed, scored
 
 

@@ -20,7 +20,7 @@ import pytest
 
 from roadtorch import __version__
 from roadtorch.errors import InputError
-from roadtorch.evaluation.group_curves import DetectorCurves
+from roadtorch.evaluation.document import DetectorCurves
 from roadtorch.evaluation.measure import Figures
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.result import Comparison, Difference, Evaluation, Failure, Interval

@@ -10,7 +10,7 @@ import pytest
 from defusedxml.ElementTree import fromstring
 from scipy.stats import spearmanr
 
-from roadtorch.evaluation.group_curves import DetectorCurves, RunCurves
+from roadtorch.evaluation.document import DetectorCurves, RunCurves
 from roadtorch.imaging.color import REPRESENTATIONS
 from roadtorch.oneclass import CLASSIFIERS
 from roadtorch.report.files import write_table3
@@ -128,21 +128,29 @@ def test_a_run_without_the_family_has_no_table(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("method", "words"),
-    [("reweighted", "a weight of ours"), ("huber", "the paper's text"), ("mcd", "another reading")],
+    ("name", "method", "is_ours"),
+    [("RGB", "reweighted", True), ("RGB", "huber", False), ("RGB:paper", "huber", False)],
 )
-def test_a_table_says_whose_the_robust_weight_is(method, words) -> None:
-    name = "oneclass:robust_gaussian:RGB"
+def test_a_table_names_the_classifiers_that_are_not_p3s(name, method, is_ours) -> None:
+    name = f"oneclass:robust_gaussian:{name}"
     evaluation, _, _ = made_run((*NAMES, name))
     scored = evaluation.detectors[name].method
     told = replace(scored, settings={"classifier": {"method": method}})
     evaluation = changed(evaluation, name, method=told)
 
-    (line,) = [one for one in table_text(evaluation).splitlines() if f", {method}: " in one]
+    note = "not the paper&#39;s to the letter: robust_gaussian (oneclass:"
+    assert ("robust_gaussian", "RGB") in measured_table(evaluation)
+    assert (note in table_html(evaluation)) == is_ours
+    assert (note.replace("&#39;", "'") in table_text(evaluation)) == is_ours
 
-    assert words in line
-    assert f"robust_gaussian, {method}" in table_html(evaluation)
-    assert "robust_gaussian," not in table_text(made_run(NAMES)[0])
+
+def test_what_is_to_the_letter_goes_before_what_is_ours() -> None:
+    both = ("oneclass:dlp:RGB", "oneclass:dlp:RGB:paper")
+    evaluation, _, _ = made_run((*NAMES, *both))
+
+    letter = evaluation.detectors[both[1]].headline["auc_mean"]
+    assert letter != evaluation.detectors[both[0]].headline["auc_mean"]
+    assert measured_table(evaluation)["dlp", "RGB"] == 100 * letter
 
 
 @pytest.mark.parametrize("groups", [("0001TP", "0016E5"), ()], ids=["groups", "whole"])

@@ -13,7 +13,7 @@ from roadtorch.detector import Detector, DetectorSettings, Entry
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.io.image import write_mask
-from roadtorch.road.ego import LEAST_FREE, SOLID, Ego, continued, ego_car, ego_found, outline_rows
+from roadtorch.road.ego import MIN_FREE, SOLID, Ego, continued, ego_car, ego_found, outline_rows
 from roadtorch.testing import check_detector
 from tests.streets import bonnet, scene
 
@@ -255,7 +255,7 @@ def test_a_car_at_one_side_is_found_in_its_columns_alone() -> None:
     assert torch.equal(ego_found(side), side > 0.5)
 
 
-@pytest.mark.parametrize("rows", [HEIGHT, round(HEIGHT * (1 - LEAST_FREE)) + 1])
+@pytest.mark.parametrize("rows", [HEIGHT, round(HEIGHT * (1 - MIN_FREE)) + 1])
 def test_where_nearly_all_is_ego_car_there_is_none(rows: int) -> None:
     assert not ego_found(potential((slice(HEIGHT - rows, None), EVERY))).any()
 

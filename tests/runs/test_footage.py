@@ -13,6 +13,8 @@ from PIL import Image
 
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ExitCode
+from roadtorch.runs.footage import FrameCount
+from roadtorch.runs.index import Row
 from roadtorch.sources.frame import Selection
 from roadtorch.sources.video import video_source
 from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
@@ -137,6 +139,14 @@ def test_a_video_that_is_done_is_skipped_until_something_changes(
     assert "3 frames" in call(*run, "--every", "4").stderr
 
 
+def test_the_frames_of_the_least_trust_are_known_without_keeping_all() -> None:
+    count = FrameCount()
+    for number, trust in enumerate(["0.9", "", "0.2", "0.7", "0.8", "0.6", "0.5", "0.95"]):
+        count.add(Row(f"drive/{number}", ms="1", trust=trust))
+
+    assert [row.trust for row in count.least] == ["0.2", "0.5", "0.6", "0.7", "0.8"]
+
+
 def test_an_index_cut_short_is_mended(call: Call, drive: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     run = ("infer", drive, *ROWS, "--out", out)
@@ -164,15 +174,17 @@ def test_a_cut_video_keeps_what_is_readable_and_the_others_go_on(
     result = call("infer", tmp_path / "in", *ROWS, "--out", out)
 
     assert result.exit_code == 1
-    lines = [line for line in result.stderr.splitlines() if "failed: " in line]
+    lines = [
+        line for line in result.stderr.splitlines() if ": failed: " in line or ": partial: " in line
+    ]
     assert len(lines) == 2
-    assert f"{whole}: ends early, after " in lines[0]
+    assert f"{whole}: 21 of 40 frames, ends early, after " in lines[0]
     assert "song.mp4: has sound and no moving pictures" in lines[1]
     frames = len(stamps_of(out / "a.overlay.mp4"))
     assert 10 < frames < 40
     rows = rows_of(out)
     assert sum(name.startswith("a/") for name in rows) == frames
-    assert rows["a.mp4"]["status"].startswith("failed: ")
+    assert rows["a.mp4"]["status"].startswith("partial: ")
     assert rows["drive.mp4"]["status"] == "done"
     assert "a.mp4" in call("infer", tmp_path / "in", *ROWS, "--out", out).stderr  # it is redone
 
@@ -205,9 +217,9 @@ def test_a_full_disk_keeps_the_finished_frames(
 
     assert result.exit_code == 1
     assert "drive.overlay.mp4: ends here: No space left on device (make room" in result.stderr
-    assert result.stderr.count("failed: ") == 1
+    assert result.stderr.count("partial: ") == 1
     assert 0 < len(stamps_of(out / "drive.overlay.mp4")) < 200
-    assert rows_of(out)["drive.mp4"]["status"].startswith("failed: ")
+    assert rows_of(out)["drive.mp4"]["status"].startswith("partial: ")
 
 
 def test_ctrl_c_finishes_the_video(tmp_path: Path) -> None:
@@ -227,7 +239,7 @@ def test_ctrl_c_finishes_the_video(tmp_path: Path) -> None:
     frames = len(stamps_of(out / "drive.overlay.mp4"))
     rows = rows_of(out)
     assert len(rows) == frames + 1 > 20
-    assert rows["drive.mp4"]["status"] == f"failed: {path}: was interrupted (run it again)"
+    assert rows["drive.mp4"]["status"] == f"partial: {path}: was interrupted (run it again)"
     assert not list(out.glob(".*"))
 
 

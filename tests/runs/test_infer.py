@@ -234,22 +234,35 @@ def test_broken_pictures_become_failed_rows_beside_finished_ones(
     assert "Traceback" not in result.stderr
 
 
+@pytest.mark.parametrize(
+    ("problem", "told"),
+    [
+        (ZeroDivisionError("oh\nno"), "ZeroDivisionError: oh no (report it)"),
+        (MemoryError(), "b.png: needs more memory than there is (give smaller pictures"),
+        (RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried"), "needs more mem"),
+    ],
+)
 def test_a_detector_that_trips_costs_one_row(
-    call: Call, footage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    problem: Exception,
+    told: str,
+    call: Call,
+    footage: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     out = tmp_path / "out"
     real = results.Inference.__call__
 
     def trips(self: results.Inference, job: pictures.Job) -> pictures.Row:
         if job.picture.name == "b":
-            raise ZeroDivisionError("oh\nno")
+            raise problem
         return real(self, job)
 
     monkeypatch.setattr(results.Inference, "__call__", trips)
     result = call("infer", footage, *ROWS, "--out", out)
 
     assert result.exit_code == 1
-    assert "ZeroDivisionError: oh no" in rows_of(out)["b.png"]["status"]
+    assert told in rows_of(out)["b.png"]["status"]
     assert rows_of(out)["sub/c.png"]["status"] == "done"
 
 

@@ -33,8 +33,8 @@ def test_a_file_goes_before_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     ("name", "remedy"),
     [
         ("adpat", "did you mean adapt"),
-        ("xyz", "known: adapt, cnn7, "),
-        ("", "known: adapt, cnn7, "),
+        ("xyz", "known: adapt, backbone-free, cnn7, "),
+        ("", "known: adapt, backbone-free, cnn7, "),
     ],
 )
 def test_an_unknown_name_tells_those_that_are_known(name: str, remedy: str) -> None:

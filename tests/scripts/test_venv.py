@@ -1,6 +1,7 @@
 """scripts/venv.sh: where torch comes from, asked of indices of our own on the loopback."""
 
 import http.server
+import re
 import socket
 import subprocess
 import sys
@@ -99,3 +100,32 @@ def test_an_index_that_keeps_one_waiting_is_left_after_three_seconds(silent: str
     assert options == []
     assert "does not answer" in told
     assert 3 <= time.perf_counter() - start < 60  # a busy machine adds some
+
+
+@pytest.mark.parametrize("kind", ["base", "test"])
+def test_every_file_of_the_package_index_has_the_hashes_of_the_tested_version(kind: str) -> None:
+    root = SCRIPT.parents[1]
+    lines = (root / "requirements" / f"{kind}.txt").read_text().splitlines()
+    pinned = dict(pin.split("==") for pin in pins_of(root / "constraints.txt"))
+
+    names = pins_of(root / "requirements" / f"{kind}.txt")
+
+    assert {name for name in names if name.split("==")[0] in pinned} <= {
+        f"{name}=={version}" for name, version in pinned.items()
+    }
+    assert not {"torch", "torchvision"} & {name.split("==")[0] for name in names}
+    ends = [line.endswith("\\") for line in lines if line[0] not in "# "]
+    assert len(ends) == len(names) > 30
+    assert all(ends)  # a hash follows
+    assert all(
+        re.fullmatch(r" +--hash=sha256:[0-9a-f]{64}( \\)?", line)
+        for line in lines
+        if line[0] == " "
+    )
+
+
+def pins_of(path: Path) -> list[str]:
+    """name==version of every line, the names as indices have them."""
+    lines = (line.split(" ")[0] for line in path.read_text().splitlines())
+    pins = (line.partition("==") for line in lines if "==" in line)
+    return [f"{re.sub('[-_.]+', '-', name.lower())}=={version}" for name, _, version in pins]

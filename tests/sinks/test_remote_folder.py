@@ -3,8 +3,8 @@ import uuid
 import pytest
 
 from roadtorch.errors import ConfigError, InputError
+from roadtorch.io.addresses import file_system, is_url
 from roadtorch.sinks.remote_folder import RemoteFolder
-from roadtorch.sources.addresses import file_system, is_url
 from roadtorch.sources.pictures import Picture, find_images
 
 

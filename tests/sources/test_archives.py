@@ -2,8 +2,10 @@
 
 import gzip
 import io
+import struct
 import tarfile
 import threading
+import tracemalloc
 import zipfile
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -17,6 +19,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.errors import ConfigError, InputError
+from roadtorch.io import decoding
 from roadtorch.sources import archives
 from roadtorch.sources.archives import archive_source, is_archive, safe_name
 from roadtorch.sources.frame import Frame, Selection
@@ -242,6 +245,19 @@ def test_a_cut_tar_gives_what_it_has(tmp_path: Path, name: str):
         list(frames)
 
 
+@pytest.mark.parametrize("place", [slice(100, 108), slice(124, 135), slice(0, 512)])
+def test_a_tar_with_a_damaged_header_in_it_says_so(tmp_path: Path, place: slice):
+    path = write_tar(tmp_path / "a.tar", {f"{seed}.png": png(seed) for seed in range(4)})
+    data = bytearray(path.read_bytes())
+    at = data.index(b"2.png\0")
+    data[at + place.start : at + place.stop] = b"7" * (place.stop - place.start)
+    path.write_bytes(data)
+    frames = archive_source(str(path)).frames()
+    assert [next(frames).name, next(frames).name] == ["0", "1"]
+    with pytest.raises(InputError, match=r"a\.tar: ends early: a header is damaged"):
+        next(frames)
+
+
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("content", [b"", b"garbage" * 200])
 def test_what_is_no_archive_is_one_line(tmp_path: Path, name: str, content: bytes):
@@ -275,6 +291,30 @@ def test_a_member_that_grows_too_large_is_refused(tmp_path: Path, monkeypatch: p
     assert torch.equal(frames[0].read(), image(0))
     with pytest.raises(InputError, match=r"a\.zip!bomb\.png: has more than 100,000 bytes"):
         frames[1].read()
+
+
+@pytest.mark.parametrize("name", NAMES[:3])
+def test_the_header_of_a_large_member_is_looked_at_before_its_body(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+):
+    for module, name_of in ((archives, "LARGE"), (decoding, "LARGE"), (archives, "HEAD")):
+        monkeypatch.setattr(module, name_of, 2**16)
+    large = np.random.default_rng(0).integers(0, 256, (200, 200, 3)).astype(np.uint8)
+    sized = b"BM" + bytes(8) + struct.pack("<IIiiHH", 54, 40, 18_000, 18_000, 1, 24) + bytes(24)
+    members = {
+        "good.bmp": cv2.imencode(".bmp", large[..., ::-1])[1].tobytes(),
+        "many.bmp": sized + bytes(10**7),
+        "tail.png": png(0) + bytes(10**7),
+    }
+    frames = frames_of(write_archive(tmp_path / name, members))
+    assert torch.equal(frames[0].read(), torch.from_numpy(large).permute(2, 0, 1) / 255)
+
+    tracemalloc.start()
+    for frame, told in zip(frames[1:], ["megapixels", "bytes for 32 by 24 pixels"], strict=True):
+        with pytest.raises(InputError, match=told):
+            frame.read()
+    assert tracemalloc.get_traced_memory()[1] < 3 * 10**6
+    tracemalloc.stop()
 
 
 def test_a_member_that_lies_about_its_size_is_bounded(tmp_path: Path):

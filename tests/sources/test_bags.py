@@ -1,5 +1,7 @@
 """Images in bags: every format, every encoding, topics, time stamps, damage."""
 
+import sqlite3
+from collections import deque
 from pathlib import Path
 from typing import Any
 
@@ -234,6 +236,16 @@ def test_a_cut_bag_gives_what_is_whole(tmp_path: Path, form: str):
     assert len(frames) in (6, 7)
     assert np.array_equal((frames[3].read() * 255).round().permute(1, 2, 0), scene(3, (300, 400)))
     assert frames[3].stamp == FIRST + STEP * 8
+
+
+def test_messages_that_are_gone_are_told_in_numbers(tmp_path: Path):
+    path = written(tmp_path, "sqlite3", count=12)
+    with sqlite3.connect(next(path.glob("*.db3"))) as base:
+        base.execute("DELETE FROM messages WHERE id % 4 = 0")
+    frames = bag_source(str(path)).frames()
+
+    with pytest.raises(InputError, match=r"[89] of 12 frames \(what could"):
+        deque(frames, maxlen=0)
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -68,6 +68,8 @@ def test_a_list_that_is_missing_or_empty_is_told(tmp_path: Path) -> None:
         sort_inputs([f"@{tmp_path / 'none.txt'}"])
     with pytest.raises(InputError, match="-: names nothing"):
         sort_inputs(["-"], io.StringIO("\n"))
+    with pytest.raises(InputError, match="-: takes names of files, not their bytes"):
+        sort_inputs(["-"], io.StringIO("\udcff\udcd8\udcff\udce0\0\x10JFIF"))
 
 
 def test_a_file_named_0_wins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

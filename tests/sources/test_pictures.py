@@ -3,9 +3,11 @@
 from pathlib import Path
 
 import pytest
+import torch
 
 from roadtorch.errors import InputError
-from roadtorch.sources.pictures import Picture, find_images
+from roadtorch.io.image import write_colours, write_mask
+from roadtorch.sources.pictures import Picture, find_images, label_and_picture
 
 
 @pytest.fixture
@@ -45,6 +47,29 @@ def test_own_results_and_the_output_folder_are_not_looked_at(footage: Path) -> N
 
     assert names(find_images([footage], apart=footage / "sub")) == ["a", "b"]
     assert names(find_images([footage / "b.mask.png"])) == ["b.mask"]  # asked for by name
+
+
+@pytest.mark.parametrize(
+    ("other", "label", "is_one"),
+    [
+        ("images/a.jpg", "masks/a.png", True),
+        ("a.png", "a_mask.png", True),
+        ("images/a.jpg", "more/b.png", False),
+        ("images/a.jpg", "a.webp", False),
+    ],
+)
+def test_a_label_beside_its_picture_is_seen(
+    tmp_path: Path, other: str, label: str, is_one: bool
+) -> None:
+    for name in (other, label):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+    write_colours(tmp_path / other, torch.rand(3, 16, 16))
+    write_mask(tmp_path / label, torch.rand(16, 16) > 0.5)
+
+    found = label_and_picture(find_images([tmp_path]))
+
+    wanted = (tmp_path / label, tmp_path / other)
+    assert (found and tuple(one.path for one in found)) == (wanted if is_one else None)
 
 
 def test_the_same_picture_twice_is_one(footage: Path) -> None:

@@ -1,4 +1,5 @@
 import struct
+from contextlib import suppress
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -8,6 +9,7 @@ import pytest
 import torch
 
 from roadtorch.errors import ConfigError, InputError
+from roadtorch.io.decoding import MEGAPIXELS_VARIABLE
 from roadtorch.sources import video
 from roadtorch.sources.frame import Frame, Selection
 from roadtorch.sources.video import count_frames, video_frames, video_source
@@ -118,6 +120,75 @@ def test_a_cut_video_gives_what_can_be_read_and_then_says_so(suffix: str, tmp_pa
     assert len(list(islice(video_frames(path, "drive"), 5))) == 5  # who stops before is not told
 
 
+def spoiled(path: Path, start: float, end: float) -> None:
+    """Put zeros between two shares of a file."""
+    data = bytearray(path.read_bytes())
+    place = slice(round(start * len(data)), round(end * len(data)))
+    data[place] = bytes(len(data[place]))
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "codec"),
+    [
+        (".avi", "mjpeg"),
+        (".avi", "mpeg4"),
+        (".mkv", "mjpeg"),
+        (".webm", "libvpx"),
+        (".mp4", "mpeg4"),
+    ],
+)
+@pytest.mark.parametrize("place", [(0.6, 1.0), (0.45, 0.55)])
+def test_frames_that_are_missing_are_told_in_numbers(
+    suffix: str, codec: str, place: tuple[float, float], tmp_path: Path
+) -> None:
+    path = write_video(
+        tmp_path / f"drive{suffix}", [n / 10 for n in range(40)], codec=codec, ticks=10
+    )
+    whole = list(video_frames(path, "drive"))
+    if place[1] == 1 and suffix != ".mp4":
+        path.write_bytes(path.read_bytes()[: round(place[0] * path.stat().st_size)])
+    else:
+        spoiled(path, *place)
+    read = []
+
+    with pytest.raises(InputError) as caught:
+        read.extend(iter(partial(next, video_frames(path, "drive")), None))
+
+    assert len(whole) == 40
+    assert f"{len(read)} of 40 frames" in caught.value.what or "damaged frames" in caught.value.what
+
+
+@pytest.mark.parametrize(
+    ("suffix", "codec", "options"),
+    [
+        (".mp4", "libx264", {"bf": "3", "g": "12", "x264-params": "open-gop=1"}),
+        (".ts", "libx264", {"x264-params": "interlaced=1"}),
+        (".webm", "libvpx", {"auto-alt-ref": "1", "lag-in-frames": "16"}),
+        (".avi", "mpeg4", {"bf": "2"}),
+    ],
+)
+def test_nothing_is_missing_in_a_whole_video(
+    suffix: str, codec: str, options: dict[str, str], tmp_path: Path
+) -> None:
+    path = write_video(
+        tmp_path / f"a{suffix}", [n / 10 for n in range(40)], codec=codec, options=options, ticks=10
+    )
+
+    assert len(list(video_frames(path, "a"))) == 40
+    assert len(list(video_frames(path, "a", 2.0))) <= 40
+
+
+def test_a_video_of_more_pixels_than_allowed_is_refused_before_decoding(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_video(tmp_path / "drive.mp4")
+    monkeypatch.setenv(MEGAPIXELS_VARIABLE, "0.003")
+
+    with pytest.raises(InputError, match=r"drive\.mp4: has 64 by 48 pixels, more than 0\.003 mega"):
+        next(video_frames(path, "drive"))
+
+
 def test_damage_in_the_middle_is_told_behind_the_last_frame(tmp_path: Path) -> None:
     path = write_video(tmp_path / "drive.mkv", [n / 10 for n in range(30)], codec="mpeg4")
     data = bytearray(path.read_bytes())
@@ -130,6 +201,12 @@ def test_damage_in_the_middle_is_told_behind_the_last_frame(tmp_path: Path) -> N
         read.extend(iter(partial(next, video_frames(path, "drive")), None))
 
     assert len(read) > 10
+    told = []
+    for frame in read:
+        with suppress(InputError):
+            frame.read()
+            told.append(frame.number)
+    assert 0 < len(told) < len(read)  # what is damaged is no picture
 
 
 @pytest.mark.parametrize(

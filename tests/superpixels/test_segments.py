@@ -85,26 +85,6 @@ def test_a_black_picture_stays_nearly_black_and_finite(size: tuple[int, int]) ->
 # --- measures -----------------------------------------------------------------------------
 
 
-def test_a_ramp_has_its_slope_for_a_gradient() -> None:
-    rows, columns = torch.arange(6.0)[:, None], torch.arange(8.0)
-
-    length = gradient_length(3 * columns + 4 * rows)
-
-    assert length[1:-1, 1:-1].unique().tolist() == [5.0]
-    assert length[0, 1:-1].unique().tolist() == [3.0]  # past the edge there is no difference
-    assert length[1:-1, 0].unique().tolist() == [4.0]
-    assert length[0, 0] == 0
-
-
-def test_each_plane_has_its_own_gradient() -> None:
-    maps = noise(9, 7)
-
-    together = gradient_length(maps)
-
-    for plane, length in zip(maps, together, strict=True):
-        assert torch.equal(gradient_length(plane), length)
-
-
 def test_gradients_are_those_of_a_loop() -> None:
     plane = noise(6, 5)[0]
 
@@ -222,19 +202,6 @@ def test_likeness_is_a_product_of_gaussians(count: int) -> None:
     torch.testing.assert_close(alike.double(), wanted, atol=1e-4, rtol=0.0)
 
 
-@pytest.mark.parametrize("name", ["lightness", "chroma", "gradient", "contrast", "row", "column"])
-def test_a_wider_kernel_makes_more_alike(name: str) -> None:
-    segments = measured()
-
-    narrow, wide = (
-        likeness(segments, USUAL._replace(**{name: getattr(USUAL, name) * scale}))
-        for scale in (0.5, 2)
-    )
-
-    assert (wide >= narrow - 1e-5).all()
-    assert wide.sum() > narrow.sum() + 1e-3
-
-
 @st.composite
 def believed(draw: st.DrawFn) -> tuple[Tensor, Tensor, Tensor]:
     """Likeness (n,n), posteriors (n,C), sizes (n,)."""
@@ -273,13 +240,3 @@ def test_a_class_without_support_has_a_finite_density_lower_than_any_other() -> 
 
     assert density.isfinite().all()
     assert (density[:, 1] < density[:, 0]).all()
-
-
-def test_a_segment_like_the_members_of_a_class_is_denser_there() -> None:
-    points = torch.tensor([0.0, 0.1, 0.2, 3.0, 3.1, 0.15])
-    alike = torch.exp(-(points[:, None] - points).square() / 2)
-    posterior = torch.tensor([[1, 0], [1, 0], [1, 0], [0, 1], [0, 1], [0.5, 0.5]])
-
-    density = class_log_density(alike, posterior, torch.full((6,), 1 / 6))
-
-    assert density[5, 0] > density[5, 1] + 1

@@ -19,21 +19,18 @@ from roadtorch.layout.weights import corrected_pictures, load_network, people_be
 from roadtorch.settings import read_settings_file
 from roadtorch.train.config import Descent, Training
 from roadtorch.train.corrections import (
-    HALFWAY,
-    MAX_DETAIL,
     LabelledCentres,
     corrected_centres,
     corrected_shares,
     corrected_targets,
-    corrections_told,
+    correction_layout,
+    correction_planes,
+    corrections_summary,
     paced,
-    pictures_said,
     repeated,
-    said_layout,
-    said_planes,
-    trust_settings,
     write_corrected,
 )
+from roadtorch.train.loop import RoundStart
 from roadtorch.train.run import FUSION, Request, recipe_of, train
 from roadtorch.train.teachers import Targets
 from tests.train.runs import PATCHES, request_of, training_of, write_config
@@ -63,7 +60,7 @@ def machine(size: int = 4) -> Targets:
 
 
 def planes(labels: np.ndarray, size: int = 4) -> torch.Tensor:
-    return said_planes(correction(labels), (size, size))["said"][None] / 255
+    return correction_planes(correction(labels), (size, size))["planes"][None] / 255
 
 
 def test_what_was_said_replaces_the_machines_target_and_has_its_weight() -> None:
@@ -122,7 +119,7 @@ def test_files_are_repeated_until_corrected_ones_are_their_share() -> None:
 
 
 def test_patches_are_taken_where_people_named_a_class() -> None:
-    said = said_layout(correction(quarters(48, 64)), (48, 64))
+    said = correction_layout(correction(quarters(48, 64)), (48, 64))
     sites = LabelledCentres(
         torch.tensor([[2, 2], [2, 60], [40, 2], [40, 60]], dtype=torch.int16),
         torch.tensor([1, 1, 1, 1], dtype=torch.uint8),
@@ -161,7 +158,8 @@ def test_a_run_paces_its_steps_by_the_corrected_pictures(
         outcome = train(training, replace(request, corrections=[corrected_street(streets)]))
         assert outcome.weights is not None
         runs[halfway] = load_network(outcome.weights).state_dict()
-    start = recipe_of(training_of("pictures", tmp_path)).network(1, None).state_dict()
+    begun = RoundStart(1, [], {}, None)
+    start = recipe_of(training_of("pictures", tmp_path)).network(begun).state_dict()
     for name, weight in start.items():
         torch.testing.assert_close(runs[1e6][name], weight, atol=1e-6, rtol=0)
     assert any(not torch.allclose(runs[0.0][name], weight) for name, weight in start.items())
@@ -243,26 +241,23 @@ def test_corrections_of_other_pictures_are_refused(
 
 
 def test_nothing_is_told_without_corrections_and_all_that_was_said_counts() -> None:
-    assert corrections_told({}) is None
-    one, other = (corrections_told({"a.png": correction(quarters() * factor)}) for factor in (1, 0))
+    assert corrections_summary({}) is None
+    one, other = (
+        corrections_summary({"a.png": correction(quarters() * factor)}) for factor in (1, 0)
+    )
     assert one is not None
     assert other is not None
     assert one["sha256"] != other["sha256"]
 
 
-def test_a_network_is_trusted_more_the_more_of_pictures_was_corrected(tmp_path: Path) -> None:
-    whole, half = correction(np.full((8, 8), NOT_ROAD)), correction(quarters())
-    assert pictures_said([whole, half]) == 1.75  # sky is not road
-    few, many = (trust_settings(count)["learned"]["detail"] for count in (5, 50))
-    assert (few, many) == (MAX_DETAIL * 5 / 15, MAX_DETAIL * 50 / 60)
-    assert trust_settings(HALFWAY)["learned"]["detail"] == MAX_DETAIL / 2
-
+def test_after_corrections_zero_are_the_log_odds_that_part_road(tmp_path: Path) -> None:
     file = tmp_path / "fusion.toml"
-    assert write_corrected(file, tmp_path / "weights.safetensors", [whole, half])
+
+    assert write_corrected(file, tmp_path / "weights.safetensors", [correction(quarters())])
+
     values = read_settings_file(file)
-    assert values["learned"] == trust_settings(1.75)["learned"]
-    assert values["calibration"] == {"centre": 0.0, "own": 0.0}
-    load_detector("fusion", learned=values["learned"], calibration=values["calibration"])
+    assert values["calibration"] == {"centre": 0.0}
+    load_detector("fusion", calibration=values["calibration"])
 
 
 def test_who_says_nothing_of_road_leaves_the_detector_as_it_is(tmp_path: Path) -> None:

@@ -1,5 +1,7 @@
 """One step of training, in either precision; the moving average of the weights."""
 
+from functools import partial
+
 import pytest
 import torch
 from torch import nn
@@ -14,7 +16,7 @@ from roadtorch.train.loop import (
     make_optimiser,
     step,
 )
-from roadtorch.train.pictures import PictureLoss
+from roadtorch.train.pictures import picture_loss
 from roadtorch.train.processes import Processes
 from roadtorch.train.teachers import PLANES
 
@@ -40,7 +42,7 @@ def stepped(precision: str) -> tuple[float, PictureNetwork]:
         MovingAverage(network, 0.0),
         make_optimiser(network, descent),
         OneBatch(),  # type: ignore[arg-type]
-        PictureLoss(PictureTraining()),
+        partial(picture_loss, training=PictureTraining()),
         descent,
         Stopping(),
     )

@@ -19,6 +19,7 @@ from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSetti
 from roadtorch.layout.weights import load_network, read_origin, save_network
 from roadtorch.train import loop
 from roadtorch.train.config import Training
+from roadtorch.train.loop import RoundStart
 from roadtorch.train.prepared import read_arrays
 from roadtorch.train.run import Outcome, Request, recipe_of, train
 from tests.train.runs import (
@@ -107,7 +108,7 @@ def test_the_weights_that_are_written_are_the_mean_over_the_steps(
     # One step: the mean keeps one eleventh of the weights before it.
     last = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)["network"]
     written = load_network(tmp_path / "run" / "weights.safetensors").state_dict()
-    begun = recipe_of(training).network(0, None).state_dict()
+    begun = recipe_of(training).network(RoundStart(0, [], {}, None)).state_dict()
     assert not torch.equal(last["heads.bias"], begun["heads.bias"])
     for name, weight in written.items():
         torch.testing.assert_close(weight, (begun[name] + 10 * last[name]) / 11)

@@ -82,18 +82,6 @@ def test_of_equal_bases_the_first_wins_and_the_others_become_0() -> None:
     assert bases.tolist() == [[1, 1], [0, 0], [0, 0]]
 
 
-def test_k_means_lowers_the_squared_distances() -> None:
-    points = random(400, 5)
-
-    spent = []
-    for rounds in range(6):
-        settings = DictionarySettings(bases=8, start="patches", rounds=rounds)
-        bases = features.learn_dictionary(points, settings)
-        spent.append(float(torch.cdist(points, bases).min(1).values.square().sum()))
-
-    assert spent == sorted(spent, reverse=True)
-
-
 @pytest.mark.parametrize("start", ["noise", "patches"])
 def test_the_random_seed_settles_the_start(start: str) -> None:
     points = random(50, 4)

@@ -1,0 +1,71 @@
+"""What other programs and browsers send, validated in one place, and refused in one line.
+
+A model bounds every number and list, so that nothing is allocated for what a file merely claims;
+JSON goes from its bytes straight into the model, and what no model names is never built.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+from xml.etree.ElementTree import ParseError
+
+import pydantic
+from defusedxml import DefusedXmlException
+from pydantic import Field
+
+from roadtorch.errors import DatasetError, RoadtorchError, shortened
+from roadtorch.io.bounded import read_regular, reason
+
+MOST_BYTES = 2**28  # of one file; ours: Label Studio's tasks of a thousand pictures have as many
+
+LONGEST_SIDE = 2**20  # pixels, as of a picture that is read
+
+SHOWN = 60  # letters of a wrong value that a refusal repeats
+
+Side = Annotated[int, Field(ge=1, le=LONGEST_SIDE)]
+Coordinate = Annotated[float, Field(ge=-4 * LONGEST_SIDE, le=4 * LONGEST_SIDE)]
+Byte = Annotated[int, Field(ge=0, le=255)]
+
+
+class Imported(pydantic.BaseModel):
+    """A part of a document of another program: the keys that are read; others are passed over."""
+
+    model_config = pydantic.ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
+
+
+def first_mistake(problem: pydantic.ValidationError) -> str:
+    """The first thing that is wrong: where in the document, what it should be, what is there."""
+    error = problem.errors(include_url=False)[0]
+    if error["type"] == "json_invalid":
+        return f"it is not JSON: {error['msg'].removeprefix('Invalid JSON: ')}"
+    place = ".".join(str(part) for part in error["loc"]) or "it"
+    if error["type"] == "missing":
+        return f"{place} is missing"
+    message = error["msg"].removeprefix("Value error, ")
+    given = shortened(repr(error["input"]), SHOWN)
+    return f"{place}: {message[0].lower()}{message[1:]}, {given} was given"
+
+
+@contextmanager
+def imported(path: Path, remedy: str) -> Iterator[bytes]:
+    """The bytes of a file of another program, for a block that reads them.
+
+    What goes wrong in the block with files, numbers and memory becomes a DatasetError that names
+    the file; errors of ours go through.
+    """
+    try:
+        yield read_regular(path, MOST_BYTES)
+    except RoadtorchError:
+        raise
+    except pydantic.ValidationError as problem:
+        raise DatasetError(path, f"cannot be read: {first_mistake(problem)}", remedy) from None
+    except DefusedXmlException as problem:
+        what = f"declares entities, which can be a bomb: {type(problem).__name__}"
+        raise DatasetError(path, what, "remove the declarations") from None
+    except ParseError as problem:
+        raise DatasetError(path, f"is not XML: {problem}", remedy) from None
+    except MemoryError:
+        raise DatasetError(path, "is more than there is memory for", remedy) from None
+    except (OSError, ValueError, LookupError, ArithmeticError, RecursionError) as problem:
+        raise DatasetError(path, f"cannot be read: {reason(problem)}", remedy) from None

@@ -1,0 +1,92 @@
+"""Outlines: a likelihood enlarged as the picture's edges are, without thin holes in its road."""
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from roadtorch.imaging.levels import at_least
+from roadtorch.imaging.resize import resized
+from roadtorch.road.seed_area import remove_isolated
+
+SUBSAMPLING = 2
+"""Pixels of the analysed picture, along a side, to one of that from which windows are made."""
+
+CELL = 6
+"""Such pixels between the centres of two windows: with the above, the side of a superpixel."""
+
+RIDGE = 1e-3
+"""Variance of a colour, in [0,1], below which it is grain that a likelihood does not follow."""
+
+PASSES = 2
+"""The first brings the likelihood to the nearest edge, the second parts the sides of the edge."""
+
+THIN = 11 / 640
+"""Share of the picture's width up to which a hole is thin: a line near the camera."""
+
+BARELY = 1 / 255
+"""By which a hole is above the threshold: the least that a picture of 8 bits can say."""
+
+
+def followed(likelihood: Tensor, image: Tensor, larger: Tensor) -> Tensor:
+    """A likelihood (h,w) of an image (3,h,w) as it is in a larger one (3,H,W): (H,W), in [0,1].
+
+    In each window it is an affine function of the colour, q = a · I + b with
+    a = (Σ + ε U)⁻¹ (mean(I p) - mean(I) mean(p)) and b = mean(p) - a · mean(I): the guided filter
+    of He, Sun, Tang, "Guided Image Filtering", PAMI 35(6), 2013, eqs. 19 to 21. As in their "Fast
+    Guided Filter", arXiv 1505.00996, 2015, a and b are found in a small picture and enlarged. Ours:
+    windows are triangles ``CELL`` apart and twice as wide, so no filter runs over all pixels.
+    """
+    both = resized(torch.cat([likelihood[None], image]), _size(likelihood, SUBSAMPLING))
+    likelihood, small = both[0], both[1:]
+    cells = _size(likelihood, CELL)
+    one, two = torch.triu_indices(3, 3)
+    mean, square = resized(torch.cat([small, small[one] * small[two]]), cells).split([3, 6])
+    spread = mean.new_empty(3, 3, *cells)
+    spread[one, two] = spread[two, one] = square - mean[one] * mean[two]
+    ridge = RIDGE * torch.eye(3, dtype=mean.dtype, device=mean.device)
+    inverse = torch.linalg.inv(spread.permute(2, 3, 0, 1) + ridge)
+    for seen in [*[small] * (PASSES - 1), larger]:
+        road, *joint = resized(torch.cat([likelihood[None], small * likelihood]), cells)
+        shared = torch.stack(joint, -1) - (mean * road).permute(1, 2, 0)
+        slope = (inverse @ shared[..., None])[..., 0].permute(2, 0, 1)
+        offset = road - (slope * mean).sum(0)
+        shape = (seen.shape[-2], seen.shape[-1])
+        *slopes, likelihood = resized(torch.cat([slope, offset[None]]), shape)
+        for weight, plane in zip(slopes, seen, strict=True):
+            likelihood.addcmul_(weight, plane)
+        likelihood.clamp_(0, 1)
+    return likelihood
+
+
+def _size(of: Tensor, times: int) -> tuple[int, int]:
+    """So many times less on each side than a map (H,W), and two at least."""
+    return max(2, round(of.shape[-2] / times)), max(2, round(of.shape[-1] / times))
+
+
+def filled(likelihood: Tensor, threshold: float) -> Tensor:
+    """A likelihood (H,W) without the holes in its road where no square of ``THIN`` fits into one.
+
+    Lines, letters and joints are road, though they look like nothing else on it: they become road
+    by ``BARELY``. What lies at the picture's edge counts as enclosed there. A reconstruction of the
+    background from its erosion: Vincent, "Morphological Grayscale Reconstruction", IEEE Trans.
+    Image Proc. 2(2), 1993.
+    """
+    mask = at_least(likelihood, threshold).cpu().contiguous().numpy()
+    rows = np.flatnonzero(mask.any(1))
+    side = max(2, round(THIN * mask.shape[1]))
+    if not len(rows):
+        return likelihood
+    below = slice(max(0, int(rows[0]) - side), None)  # what is above is one with its lowest rows
+    background = ~mask[below]
+    wide = cv2.erode(background.view(np.uint8), np.ones((side, side), np.uint8)).view(bool)
+    if not wide.any():
+        return likelihood
+    before = torch.from_numpy(background)
+    left = remove_isolated(before, torch.from_numpy(wide))
+    if left is before:
+        return likelihood
+    found = likelihood.clone()
+    holes = (before & ~left).to(likelihood.device)
+    found[below].masked_fill_(holes, min(1.0, threshold + BARELY))
+    return found

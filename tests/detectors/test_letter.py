@@ -1,0 +1,80 @@
+"""What is called ``:paper`` equals the paper, written down slowly, on a real picture."""
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from scipy.stats import rankdata
+from torch import Tensor
+
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.layout.patch_network import PatchNetwork, normalise
+from roadtorch.oneclass.samples import SampleSettings, road_samples
+from roadtorch.ufl.features import DictionarySettings, start_dictionary
+from tests.reference import alvarez2012, alvarez2014, zhang2016
+
+STEPS = Path(__file__).resolve().parents[2] / "docs/pictures/steps.jpg"
+
+
+PICTURES = {"motorway": np.s_[18:198, 40:280], "street": np.s_[256:496, :320]}
+"""Where two of README's pictures are: Udacity's, and one of MCubeS with a lane mark ahead (MIT)."""
+
+
+@cache
+def picture(name: str, width: int, height: int) -> Tensor:
+    """A real picture with 8-bit levels: float64 (3,H,W)."""
+    steps = cv2.imread(str(STEPS))
+    assert steps is not None
+    small = cv2.resize(steps[PICTURES[name]], (width, height), interpolation=cv2.INTER_AREA)
+    return torch.from_numpy(small[..., ::-1].copy()).permute(2, 0, 1).double() / 255
+
+
+def test_ufl_paper_is_the_text_of_zhang_et_al() -> None:
+    image = picture("motorway", 120, 90)
+    start = start_dictionary(torch.zeros(1, 108).double(), DictionarySettings())
+
+    found = load_detector("ufl:paper", working={"rows": 90}).analysis(image)["likelihood"] >= 0.5
+
+    literal = torch.from_numpy(zhang2016.road(image.numpy(), start.numpy()))
+    assert 0.1 < literal.double().mean() < 0.6
+    assert torch.equal(found, literal)
+
+
+def test_fusion_paper_is_equation_4_of_alvarez_et_al() -> None:
+    image = picture("motorway", 96, 72)
+    detector = load_detector("fusion:paper")
+    network = detector.analysis.get_submodule("network")
+    assert isinstance(network, PatchNetwork)
+    weights = {name: one.double().numpy() for name, one in network.state_dict().items()}
+    pixels = normalise(image, network.settings.normalisation).pixels.numpy()
+    places = np.random.default_rng(0).integers((0, 0), (72, 96), (150, 2))
+
+    found = detector.detect(image.float())
+
+    literal = alvarez2012.road(
+        image.numpy(), pixels, weights, found.cues["segments"].numpy(), places
+    )
+    at_places = found.likelihood[tuple(places.T)].double().numpy()
+    assert literal == pytest.approx(at_places, abs=1e-4)
+    assert np.ptp(literal) > 0.3
+
+
+@pytest.mark.parametrize(
+    "literal", [alvarez2014.robust_gaussian, alvarez2014.mog2, alvarez2014.dlp]
+)
+def test_oneclass_paper_is_the_text_of_alvarez_et_al(
+    literal: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, float]],
+) -> None:
+    image = picture("street", 240, 180)
+    samples = road_samples(image.float(), ("R", "G", "B"), SampleSettings()).double().numpy()
+
+    found = load_detector(f"oneclass:{literal.__name__}:RGB:paper").detect(image.float())
+
+    distances, boundary = literal(samples, image.flatten(1).T[::7].numpy())
+    ranks = rankdata(distances), rankdata(-found.likelihood.flatten()[::7].numpy())
+    assert np.corrcoef(*ranks)[0, 1] > 0.9995
+    assert np.mean((distances <= boundary) == found.mask.flatten()[::7].numpy()) > 0.995
