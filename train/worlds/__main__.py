@@ -6,6 +6,11 @@
 writes WORLDS/images/NUMBER_KIND_HOUR.jpg and WORLDS/truth/….png (0 sky, 1 vertical, 2 horizontal
 without road, 3 road, 4 ego car, 255 void). What is there is kept; a number gives the same picture.
 Several at a time: ``--every 2 --from 1`` takes every second number.
+
+    python -m train.worlds 5000 5012 --out DRIVES --frames 60
+
+drives through each world, a metre a frame: DRIVES/NUMBER_KIND_HOUR/images/FRAME.jpg and
+masks/FRAME.png (255 road, 0 not, 128 uncertain), a set that ``roadtorch evaluate folder`` scores.
 """
 # pyright: reportMissingImports=false
 # (Blender is in an environment of its own)
@@ -23,12 +28,12 @@ import bpy
 import cv2
 import numpy as np
 
-from train.worlds.camera import build_camera
+from train.worlds.camera import build_camera, drive_on
 from train.worlds.light import build_light, draw_hour
 from train.worlds.materials import Nodes
-from train.worlds.roads import KINDS, build_road
+from train.worlds.roads import KINDS, Road, build_road
 from train.worlds.sensor import develop
-from train.worlds.stage import COLOURS, EGO, ROAD, Stage
+from train.worlds.stage import COLOURS, EGO, ROAD, VOID, Stage
 from train.worlds.surroundings import build_surroundings
 from train.worlds.vehicles import build_traffic
 
@@ -39,8 +44,8 @@ SAMPLES = 8
 """Paths a pixel; the rest is the denoiser's."""
 
 
-def build_world(number: int) -> tuple[Stage, str]:
-    """The scene of a number, and its name."""
+def build_world(number: int) -> tuple[Stage, Road, str]:
+    """The scene of a number, its road, and its name."""
     at = Random(number)
     stage = Stage(at)
     hour = draw_hour(stage)
@@ -51,7 +56,7 @@ def build_world(number: int) -> tuple[Stage, str]:
     build_surroundings(stage, road)
     build_traffic(stage, road)
     build_camera(stage, road)
-    return stage, f"{number:05d}_{kind}_{hour}"
+    return stage, road, f"{number:05d}_{kind}_{hour}"
 
 
 def render(stage: Stage, number: int, place: Path) -> np.ndarray:
@@ -69,7 +74,10 @@ def render(stage: Stage, number: int, place: Path) -> np.ndarray:
 
 
 def render_truth(stage: Stage, place: Path) -> np.ndarray:
-    """What each pixel is, uint8 (240,320): flat colours, one path through each pixel's middle."""
+    """What each pixel is, uint8 (240,320): flat colours, one path through each pixel's middle.
+
+    The scene has no light any more afterwards.
+    """
     scene, cycles = stage.scene, stage.scene.cycles
     flat = bpy.data.materials.new("truth")
     flat.use_nodes = True
@@ -102,13 +110,40 @@ def _written(scene: Any, file: Path) -> np.ndarray:
 
 def make(number: int, out: Path) -> str:
     """Render one world; its name."""
-    stage, name = build_world(number)
+    stage, _, name = build_world(number)
     light, truth = render(stage, number, out), render_truth(stage, out)
     look = develop(light, truth, stage.night, np.random.default_rng([35, number]))
     cv2.imwrite(str(out / "truth" / f"{name}.png"), look.truth)
     cv2.imwrite(
         str(out / "images" / f"{name}.jpg"), look.picture, [cv2.IMWRITE_JPEG_QUALITY, look.quality]
     )
+    return name
+
+
+def make_drive(number: int, out: Path, frames: int) -> str:
+    """Render frames of a drive through one world, those that are not there yet; its name."""
+    stage, road, name = build_world(number)
+    for kind in ("images", "masks"):
+        (out / name / kind).mkdir(parents=True, exist_ok=True)
+    steps = drive_on(stage, road, frames)
+    missing = [
+        frame
+        for frame in range(frames)
+        if not (out / name / "images" / f"{frame:03d}.jpg").exists()
+    ]
+    lights = {}
+    for frame in missing:
+        steps(frame)
+        lights[frame] = render(stage, number, out)
+    for frame in missing:
+        steps(frame)
+        truth = render_truth(stage, out)
+        look = develop(lights[frame], truth, stage.night, np.random.default_rng([35, number]))
+        mask = np.where(look.truth == ROAD, 255, np.where(look.truth == VOID, 128, 0))
+        folder = out / name
+        cv2.imwrite(str(folder / "masks" / f"{frame:03d}.png"), mask.astype(np.uint8))
+        file = str(folder / "images" / f"{frame:03d}.jpg")
+        cv2.imwrite(file, look.picture, [cv2.IMWRITE_JPEG_QUALITY, look.quality])
     return name
 
 
@@ -149,14 +184,20 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--from", type=int, default=0, dest="offset")
+    parser.add_argument("--frames", type=int, help="of a drive through each world")
     parser.add_argument("--sheet", type=Path)
     given = parser.parse_args()
     if given.sheet:
         cv2.imwrite(str(given.sheet), sheet(given.out, given.first, given.last))
         return
+    numbers = range(given.first + given.offset, given.last, given.every)
+    if given.frames:
+        for number in numbers:
+            print(make_drive(number, given.out, given.frames), flush=True)
+        return
     for name in ("images", "truth"):
         (given.out / name).mkdir(parents=True, exist_ok=True)
-    for number in range(given.first + given.offset, given.last, given.every):
+    for number in numbers:
         if not any((given.out / "images").glob(f"{number:05d}_*.jpg")):
             begun = time.monotonic()
             print(make(number, given.out), f"{time.monotonic() - begun:.1f} s", flush=True)

@@ -2,14 +2,16 @@
 # pyright: reportMissingImports=false
 # (Blender is in an environment of its own)
 
+from collections.abc import Callable
 from math import atan, degrees, radians, tan
 from typing import Any, NamedTuple
 
 import bpy
+from mathutils import Matrix
 
 from train.worlds.materials import drawn, plain
-from train.worlds.roads import START, Road
-from train.worlds.stage import EGO, Shape, Stage, box
+from train.worlds.roads import SPACING, START, Road
+from train.worlds.stage import COLOURS, EGO, VERTICAL, Shape, Stage, box
 from train.worlds.vehicles import PAINTS
 
 WIDTH, HEIGHT = 320, 240
@@ -17,6 +19,10 @@ WIDTH, HEIGHT = 320, 240
 
 SHAPES = [4 / 3, 4 / 3, 1.5, 16 / 9, 16 / 9, 1.9, 2.4, 3.3]
 """Width over height of the cameras' own pictures."""
+
+
+CLEAR_ACROSS, CLEAR_AHEAD = 2.2, 4.0
+"""Metres about the way of a drive in which nothing stands."""
 
 
 class Lens(NamedTuple):
@@ -59,6 +65,42 @@ def build_camera(stage: Stage, road: Road) -> None:
         _put_car(stage, camera, lens)
     if stage.night:
         _put_head_lights(stage, camera, tall)
+
+
+def drive_on(stage: Stage, road: Road, frames: int) -> Callable[[int], None]:
+    """What brings the camera, and the lamps of its car, to a frame of a drive, a metre each.
+
+    What stands in the way is taken off the road first.
+    """
+    camera = stage.scene.camera
+    bpy.context.view_layer.update()
+    course = [_along(road, metres) for metres in range(frames)]
+    back = course[0].inverted()
+    across = (back @ camera.matrix_world.translation).x
+    for thing in list(stage.scene.objects):
+        if tuple(thing.color) == (*COLOURS[VERTICAL], 1) and thing.location.length:
+            places = [step.inverted() @ thing.matrix_world.translation for step in course]
+            if any(abs(at.x - across) < CLEAR_ACROSS and abs(at.y) < CLEAR_AHEAD for at in places):
+                bpy.data.objects.remove(thing)
+    lamps = [one for one in stage.scene.objects if one.name.startswith("head light")]
+    begun = [(one, one.matrix_world.copy()) for one in (camera, *lamps)]
+
+    def bring(frame: int) -> None:
+        for thing, first in begun:
+            thing.matrix_world = course[frame] @ back @ first
+
+    return bring
+
+
+def _along(road: Road, metres: float) -> Any:
+    """The axes of the road so many metres ahead of the start: across, along, up."""
+    index, rest = divmod(metres / SPACING, 1)
+    here, there = (road.course.points[START + int(index) + step] for step in (0, 1))
+    heading = road.course.headings[START + int(index)] * (1 - rest)
+    heading += road.course.headings[START + int(index) + 1] * rest
+    climb = atan((there.z - here.z) / SPACING)
+    turn = Matrix.Rotation(-heading, 4, "Z") @ Matrix.Rotation(climb, 4, "X")
+    return Matrix.Translation(here.lerp(there, rest)) @ turn
 
 
 def _draw_lens(stage: Stage) -> Lens:
