@@ -39,7 +39,6 @@ from roadtorch.imaging.resize import (
     at_picture_size,
     at_work,
     full_size,
-    resized,
 )
 from roadtorch.io.atomic import atomic
 from roadtorch.io.image import (
@@ -54,16 +53,13 @@ from roadtorch.io.image import (
     write_pixels,
 )
 from roadtorch.road.ego import Ego, continued, ego_car, is_anywhere, is_given, read_ego_mask
-from roadtorch.road.outlines import filled, followed
+from roadtorch.road.outlines import Outlines, guided
 from roadtorch.road.seed_area import SeedArea, remove_isolated, seed_rectangle
 from roadtorch.road.trust import Judgement
 from roadtorch.runtime.threads import one_thread, ordered_results
 from roadtorch.settings import Settings, build_settings, merge
 
-SMALLEST_SIDE = 16  # pixels; below it, superpixels and the seed area have no meaning
-
-LARGER = 8
-"""Times the pixels of the working size: 640x480, of 240x180."""
+MIN_SIDE = 16  # pixels; below it, superpixels and the seed area have no meaning
 
 NOTEBOOK_SIDE = 960  # pixels of the longer side of what notebooks show; ours: the width of a page
 
@@ -75,12 +71,6 @@ Isolated = Annotated[
 
 TUNED = "road from this likelihood on; the default has the best F on CamVid's three drives"
 """The description of a threshold that was chosen on labelled pictures."""
-
-
-Outlines = Annotated[
-    Literal["guided", "smooth"],
-    Field(description="guided by the picture, without thin holes; or smooth, as they were found"),
-]
 
 
 class DetectorSettings(Settings):
@@ -447,7 +437,8 @@ class Detector(nn.Module):
         size = (image.shape[-2], image.shape[-1])
         maps = Maps(analysed)
         if settings and settings.outlines == "guided":
-            maps = maps.but(likelihood=guided(maps, small, seen, settings))
+            found = guided(maps, small, seen, settings.working, settings.threshold)
+            maps = maps.but(likelihood=found)
         maps = full_size(maps, size) if settings else maps
         cars = [car for car in (given, maps.get("ego")) if car is not None]
         if cars:
@@ -457,26 +448,6 @@ class Detector(nn.Module):
     def extra_repr(self) -> str:
         """The name and settings, for ``print(detector)``."""
         return f"{self.name!r}, {self.settings!r}"
-
-
-def guided(maps: Maps, small: Tensor, image: Tensor, settings: WorkingSettings) -> Tensor:
-    """The likelihood of what was found in a small image (3,h,w), as large as it is worth.
-
-    image: the same (3,H,W) at the picture's own size.
-
-    It follows the picture where that decides otherwise, and stays as it is elsewhere: smoothed all
-    over, MaxF on the fourteen cameras falls by .004. At most ``LARGER`` times the working size's
-    pixels: beyond that, an image shows but grain. Where the ego car is, the ground above goes on,
-    so that its looks change nothing.
-    """
-    more = settings.working.model_copy(update={"pixels": LARGER * settings.working.pixels})
-    larger = image if image[0].numel() <= more.pixels else at_work(image, more)
-    if "ego" in maps and is_anywhere(maps["ego"]):
-        small = continued(small, maps["ego"])
-    found = followed(maps["likelihood"], small, larger)
-    before = resized(maps["likelihood"], (larger.shape[-2], larger.shape[-1]))
-    same = at_least(found, settings.threshold) == at_least(before, settings.threshold)
-    return filled(torch.where(same, before, found), settings.threshold)
 
 
 def lean(
@@ -524,11 +495,11 @@ def checked_image(image: Tensor) -> Tensor:
             "image", f"has the shape {tuple(image.shape)}", "give RGB as (3, height, width)"
         )
     height, width = image.shape[1:]
-    if min(height, width) < SMALLEST_SIDE:
+    if min(height, width) < MIN_SIDE:
         raise InputError(
             "image",
             f"is {width}×{height} pixels",
-            f"give at least {SMALLEST_SIDE}×{SMALLEST_SIDE}",
+            f"give at least {MIN_SIDE}×{MIN_SIDE}",
         )
     low, high = (float(bound) for bound in torch.aminmax(image))
     if not (low >= 0 and high <= 1):  # also true of NaN, which passes through aminmax

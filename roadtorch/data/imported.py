@@ -17,14 +17,14 @@ from pydantic import Field
 from roadtorch.errors import DatasetError, RoadtorchError, shortened
 from roadtorch.io.bounded import read_regular, reason
 
-MOST_BYTES = 2**28  # of one file; ours: Label Studio's tasks of a thousand pictures have as many
+MAX_BYTES = 2**28  # of one file; ours: Label Studio's tasks of a thousand pictures have as many
 
-LONGEST_SIDE = 2**20  # pixels, as of a picture that is read
+MAX_SIDE = 2**20  # pixels, as of a picture that is read
 
 SHOWN = 60  # letters of a wrong value that a refusal repeats
 
-Side = Annotated[int, Field(ge=1, le=LONGEST_SIDE)]
-Coordinate = Annotated[float, Field(ge=-4 * LONGEST_SIDE, le=4 * LONGEST_SIDE)]
+Side = Annotated[int, Field(ge=1, le=MAX_SIDE)]
+Coordinate = Annotated[float, Field(ge=-4 * MAX_SIDE, le=4 * MAX_SIDE)]
 Byte = Annotated[int, Field(ge=0, le=255)]
 
 
@@ -55,7 +55,7 @@ def imported(path: Path, remedy: str) -> Iterator[bytes]:
     the file; errors of ours go through.
     """
     try:
-        yield read_regular(path, MOST_BYTES)
+        yield read_regular(path, MAX_BYTES)
     except RoadtorchError:
         raise
     except pydantic.ValidationError as problem:

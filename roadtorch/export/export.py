@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.detector import SMALLEST_SIDE, Detector
+from roadtorch.detector import MIN_SIDE, Detector
 from roadtorch.detectors.catalogue import detector_entry
 from roadtorch.detectors.fusion import Fusion, FusionSettings
 from roadtorch.detectors.layout import Cnn7, Cnn7Settings, Layout, LayoutSettings
@@ -122,7 +122,7 @@ def notes_of(detector: Detector, part: Exportable) -> dict[str, str]:
         "input": "image: uint8 (N, H, W, 3)",
         "colour_order": "RGB",
         "range": "0 to 255",
-        "smallest_side": str(SMALLEST_SIDE),
+        "smallest_side": str(MIN_SIDE),
         **{f"output.{name}": OUTPUTS[name] for name in part.module.outputs},
         "threshold": f"{detector.settings.threshold:g}",
         "weights": path.name,

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from roadtorch.errors import ConfigError, InputError, unknown_name
-from roadtorch.io.bounded import MOST_BYTES
+from roadtorch.io.bounded import MAX_BYTES
 
 STREAMS = ("http", "https", "rtsp", "rtsps", "rtmp", "rtmps", "rtp", "srt", "tcp", "udp", "mms")
 """Schemes of URLs that are read as video streams."""
@@ -81,9 +81,9 @@ def url_bytes(url: str) -> bytes:
     """
     system, path = file_system(url)
     with url_errors(url):
-        data = system.cat_file(path, end=MOST_BYTES + 1)
-    if len(data) > MOST_BYTES:
-        raise InputError(url, f"has more than {MOST_BYTES:,} bytes", "make it smaller")
+        data = system.cat_file(path, end=MAX_BYTES + 1)
+    if len(data) > MAX_BYTES:
+        raise InputError(url, f"has more than {MAX_BYTES:,} bytes", "make it smaller")
     return data
 
 

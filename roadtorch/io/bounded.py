@@ -4,11 +4,11 @@ import os
 import stat
 from pathlib import Path
 
-MOST_BYTES = 2**30
+MAX_BYTES = 2**30
 """Of one file; ours: a picture of 100 megapixels, 16 bits, uncompressed, has 800 million."""
 
 
-def read_regular(path: str | os.PathLike[str], most: int = MOST_BYTES) -> bytes:
+def read_regular(path: str | os.PathLike[str], most: int = MAX_BYTES) -> bytes:
     """The bytes of a regular file of at most ``most`` bytes; OSError as ``regular_size`` has it."""
     size = regular_size(path, most)
     with Path(path).open("rb") as file:
@@ -20,7 +20,7 @@ def read_regular(path: str | os.PathLike[str], most: int = MOST_BYTES) -> bytes:
     return data
 
 
-def regular_size(path: str | os.PathLike[str], most: int = MOST_BYTES) -> int:
+def regular_size(path: str | os.PathLike[str], most: int = MAX_BYTES) -> int:
     """The bytes of a regular file of at most ``most`` bytes, counted, for those who map it.
 
     A pipe would keep the reader waiting, and a device may have no end. Raises OSError, with the

@@ -26,7 +26,7 @@ takes about 4 GB for as many."""
 
 MEGAPIXELS_VARIABLE = "ROADTORCH_MAX_MEGAPIXELS"
 
-LONGEST_SIDE = 2**20
+MAX_SIDE = 2**20
 """Pixels; ours: Pillow's time for a row grows with the square of its length, half a minute for one
 of 16 megapixels."""
 
@@ -75,7 +75,7 @@ def decode(data: bytes) -> np.ndarray:
 def open_picture(data: bytes | IO[bytes], formats: tuple[str, ...] = FORMATS) -> Image.Image:
     """A picture opened by Pillow, not decoded yet, of one of the formats.
 
-    Raises TooLargeError for more pixels than allowed, ValueError for more than ``LONGEST_SIDE`` in
+    Raises TooLargeError for more pixels than allowed, ValueError for more than ``MAX_SIDE`` in
     a row, UnidentifiedImageError and others of Pillow's for what is none.
     """
     try:
@@ -86,8 +86,8 @@ def open_picture(data: bytes | IO[bytes], formats: tuple[str, ...] = FORMATS) ->
         most = min(PILLOWS_MEGAPIXELS, most_megapixels())
         raise TooLargeError(f"has more than {most:g} megapixels") from None
     check_pixels(*picture.size)
-    if max(picture.size) > LONGEST_SIDE:
-        raise ValueError(f"a side of {max(picture.size)} pixels, more than {LONGEST_SIDE}")
+    if max(picture.size) > MAX_SIDE:
+        raise ValueError(f"a side of {max(picture.size)} pixels, more than {MAX_SIDE}")
     return picture
 
 

@@ -93,16 +93,13 @@ def ego_car(image: Tensor, ego: Ego, mask: Tensor | None = None) -> Tensor:
     if ego.mask:
         mask = read_ego_mask(ego.mask) if mask is None else mask
         if mask.shape != car.shape:
-            what = f"is {width}×{height} pixels, the ego mask {ego.mask} {_size(mask)}"
+            given = f"{mask.shape[1]}×{mask.shape[0]}"
+            what = f"is {width}×{height} pixels, the ego mask {ego.mask} {given}"
             raise InputError("image", what, "give a mask of the pictures' size")
         car = car | mask.to(image.device)
     if float((~car).double().mean()) < MIN_FREE:
         raise InputError("image", "is covered nearly everywhere by the ego car", REMEDY)
     return car
-
-
-def _size(mask: Tensor) -> str:
-    return f"{mask.shape[1]}×{mask.shape[0]}"
 
 
 def outline_rows(outline: tuple[float, ...], width: int) -> Tensor:

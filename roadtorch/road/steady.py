@@ -140,7 +140,9 @@ def stood(before: Standing | None, hidden: Tensor, most: float) -> Standing:
 
 def recalled(past: Past | None, seen: Observation, settings: SteadySettings) -> Past:
     """What is known after a frame, from what was known before it."""
-    fresh = 1 - _small(seen.hidden.to(torch.float32), seen.grey)
+    height, width = seen.grey.shape
+    hidden = seen.hidden.to(torch.float32).numpy()
+    fresh = 1 - torch.from_numpy(cv2.resize(hidden, (width, height), interpolation=cv2.INTER_AREA))
     begun = Past(seen.grey, seen.odds, fresh)
     if past is None or past.odds.shape != seen.odds.shape or past.grey.shape != seen.grey.shape:
         return begun
@@ -152,14 +154,6 @@ def recalled(past: Past | None, seen: Observation, settings: SteadySettings) -> 
     before = warp(past.odds, flow)
     now = seen.odds.where(~seen.hidden, before)
     return Past(seen.grey, blended(before, now, weight, fresh), weight + fresh)
-
-
-def _small(plane: Tensor, grey: Tensor) -> Tensor:
-    """A plane (H,W) at the size of the flow, averaged."""
-    height, width = grey.shape
-    return torch.from_numpy(
-        cv2.resize(plane.numpy(), (width, height), interpolation=cv2.INTER_AREA)
-    )
 
 
 def flow_confidence(before: Tensor, grey: Tensor, flow: Tensor, settings: SteadySettings) -> Tensor:

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 
 from roadtorch.runtime.signals import noted_signals
 
@@ -23,10 +23,7 @@ def load_plugins(group: str, what: str, add: Callable[[str, object], None]) -> N
                 problem = raised
         stop.interrupt()
         if problem is not None:
-            warnings.warn(_told(what, point, problem), RuntimeWarning, stacklevel=2)
-
-
-def _told(what: str, point: EntryPoint, problem: BaseException) -> str:
-    package = point.dist.name if point.dist else point.value
-    why = str(problem) if isinstance(problem, Exception) else "it ends the process"
-    return f"{what} {point.name!r} of {package} cannot be used: {why}"
+            package = point.dist.name if point.dist else point.value
+            why = str(problem) if isinstance(problem, Exception) else "it ends the process"
+            told = f"{what} {point.name!r} of {package} cannot be used: {why}"
+            warnings.warn(told, RuntimeWarning, stacklevel=2)

@@ -27,7 +27,7 @@ from torch import Tensor
 
 from roadtorch.errors import InputError
 from roadtorch.io.addresses import STREAMS, file_system, is_url, scheme_of
-from roadtorch.io.bounded import MOST_BYTES, printable, reason
+from roadtorch.io.bounded import MAX_BYTES, printable, reason
 from roadtorch.io.decoding import LARGE, check_bytes
 from roadtorch.io.image import READABLE, decode_image, undecodable
 from roadtorch.sources.frame import Frame, Selection, Source
@@ -45,7 +45,7 @@ CHUNK = 2**16  # bytes that are unpacked at once
 HEAD = 2**20  # bytes in which a large member has to have its header
 
 MAX_GROWTH = 100
-"""Of a compressed tar, times its size, if that is more than ``MOST_BYTES``; ours: pictures hardly
+"""Of a compressed tar, times its size, if that is more than ``MAX_BYTES``; ours: pictures hardly
 shrink, while zeros shrink a thousandfold."""
 
 REPACK = "pack it again, or unpack it and give the folder"
@@ -230,7 +230,7 @@ def _tar_members(file: IO[bytes], url: str) -> tuple[list[Member], str]:
     for magic, opened in COMPRESSED.items():
         if head.startswith(magic):
             with closing(file), opened(file) as packed:
-                file, problem = _unpacked(packed, max(MOST_BYTES, MAX_GROWTH * size))
+                file, problem = _unpacked(packed, max(MAX_BYTES, MAX_GROWTH * size))
             file.seek(0)
             break
     unpacked, found = Unpacked(file), {}
@@ -272,20 +272,20 @@ def _read(member: Member, origin: str) -> Tensor:
         raise InputError(origin, "has a name outside the archive", "give it another name")
     if member.name.lower().endswith(VIDEO_SUFFIXES):
         raise InputError(origin, "is a video in an archive", "unpack it and give the video")
-    if member.size > MOST_BYTES:
-        raise InputError(origin, f"has more than {MOST_BYTES:,} bytes", "make it smaller")
+    if member.size > MAX_BYTES:
+        raise InputError(origin, f"has more than {MAX_BYTES:,} bytes", "make it smaller")
     try:
         if member.size > LARGE:
             head = io.BytesIO(member.read(HEAD))
             with undecodable(origin):
                 check_bytes(head, member.size)
-        data = member.read(MOST_BYTES + 1)
+        data = member.read(MAX_BYTES + 1)
     except InputError:
         raise
     except PermissionError as problem:
         raise InputError(origin, f"cannot be read: {problem}", "unpack it first") from None
     except Exception as problem:  # zlib, lzma, and file systems of others
         raise InputError(origin, f"cannot be unpacked: {reason(problem)}", REPACK) from None
-    if len(data) > MOST_BYTES:
-        raise InputError(origin, f"has more than {MOST_BYTES:,} bytes", "make it smaller")
+    if len(data) > MAX_BYTES:
+        raise InputError(origin, f"has more than {MAX_BYTES:,} bytes", "make it smaller")
     return decode_image(data, origin)

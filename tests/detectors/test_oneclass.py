@@ -6,7 +6,6 @@ from unittest.mock import patch
 
 import pytest
 import torch
-from sklearn.metrics import roc_auc_score
 from torch import Tensor
 
 from roadtorch.data.catalogue import open_dataset
@@ -19,7 +18,6 @@ from roadtorch.evaluation import metrics
 from roadtorch.imaging.color import REPRESENTATIONS, planes
 from roadtorch.oneclass import CLASSIFIERS, Fitted, axes_of, fit, samples
 from roadtorch.oneclass.samples import AllSampleSettings, SampleSettings, road_samples
-from roadtorch.oneclass.samples import representation as representation_of
 from roadtorch.runtime.image_cache import image_cache
 from roadtorch.scenes.street import render_scene
 from tests.representatives import representatives
@@ -152,16 +150,6 @@ def test_large_pictures_are_scored_at_working_size_and_maps_brought_back() -> No
     assert 0 < near.mean() < 0.2
 
 
-def test_isolated_regions_are_dropped_when_asked_for() -> None:
-    kept, dropped = (
-        detector("gaussian:S", threshold=0.3, isolated=how).detect(street()).mask
-        for how in ("keep", "drop")
-    )
-
-    assert int(dropped.sum()) < int(kept.sum())
-    assert not (dropped & ~kept).any()
-
-
 # --- the image cache ----------------------------------------------------------------------------
 
 
@@ -238,34 +226,3 @@ def test_in_one_plane_all_that_rank_by_the_distance_to_one_centre_agree(
     assert (about_mean.amax(0) - about_mean.amin(0)).max() < 0.01
     # dLP leaves the middle a little; over all of CamVid they are as one.
     assert about_middle.mean(1).diff().abs() < 0.02
-
-
-@pytest.mark.data
-@pytest.mark.parametrize("representation", ["RGB", "Lab", "O1O2", "HS"])
-def test_combinations_that_rank_alike_in_p3_rank_alike_here(
-    representation: str, data_root: Path
-) -> None:
-    """P3, Table III: the wide SVDD and dLP agree, and k-means, k-centres and the tree."""
-    balls = [auc_of(data_root, f"{name}:{representation}") for name in ("svdd", "dlp")]
-    near = [auc_of(data_root, f"{name}:{representation}") for name in ("kmeans", "kcentres", "mst")]
-
-    for group, apart in ((balls, 0.01), (near, 0.04)):
-        values = torch.stack(group).mean(1)
-        assert values.max() - values.min() < apart
-
-
-@pytest.mark.data
-@pytest.mark.parametrize("name", ["gaussian:RGB", "mog4:Lab", "svdd:RGB", "mpm:HS", "nn:S"])
-def test_the_likelihoods_levels_cost_no_auc(name: str, data_root: Path) -> None:
-    _, kind, representation = f"oneclass:{name}".split(":")
-    names = REPRESENTATIONS[representation]
-    for (image, truth), found in zip(pictures(data_root), auc_of(data_root, name), strict=True):
-        fitted = fit(
-            CLASSIFIERS[kind], road_samples(image, names, SampleSettings()), axes_of(names)
-        )
-        palette = representation_of(image, names)
-        score = fitted.score(palette.values.T)[palette.index][truth.valid].numpy()
-
-        exact = roc_auc_score(truth.road[truth.valid].numpy(), score)
-
-        assert float(found) == pytest.approx(exact, abs=1e-3)

@@ -9,7 +9,6 @@ from torch import Tensor
 
 from roadtorch.detector import Detection, Detector
 from roadtorch.detectors.ufl import ENTRIES
-from roadtorch.errors import ConfigError
 from roadtorch.imaging.resize import resized
 from roadtorch.scenes.street import render_scene
 from roadtorch.ufl.maps import dictionary_picture, mosaic
@@ -83,14 +82,6 @@ def test_at_a_half_the_likelihood_is_exactly_the_regions_at_any_size(
     assert torch.equal(cues["likelihood"] >= AS_CHOSEN, cues["iteration_2"])
 
 
-def test_the_mask_at_full_size_is_the_enlarged_regions() -> None:
-    image = resized(render_scene(4, 120, 160).image, (480, 640)).clamp(0, 1)
-
-    found = detector("ufl:original").detect(image)
-
-    assert torch.equal(found.mask, found.cues["iteration_2"])
-
-
 def test_for_kitti_the_blur_is_wider_and_so_is_its_window() -> None:
     kitti, plain = (detector(name).settings.model_dump() for name in ("ufl:kitti", "ufl:original"))
 
@@ -105,19 +96,6 @@ def test_the_best_settings_find_the_road_of_a_plain_street() -> None:
     mask = detector("ufl").detect(scene.image).mask
 
     assert float((mask & scene.road).sum() / (mask | scene.road).sum()) > 0.75
-
-
-@pytest.mark.parametrize("name", BY_NAME)
-def test_the_random_seed_settles_the_result(name: str) -> None:
-    first, again, other = (
-        detector(name, working={"rows": 48}, dictionary={"random_seed": seed, "bases": 30})(
-            street()[None]
-        )
-        for seed in (1, 1, 2)
-    )
-
-    assert torch.equal(first, again)
-    assert not torch.equal(first, other)
 
 
 # --- awkward pictures -----------------------------------------------------------------------
@@ -180,35 +158,6 @@ def test_extreme_settings_work(name: str, settings: dict[str, Any]) -> None:
 
 
 # --- settings -------------------------------------------------------------------------------
-
-OTHER = {
-    "working": {"rows": 60},
-    "smoothing": {"sigma": 2.5},
-    "dictionary": {"start": "patches"},
-    "maps": {"encoder": "patch"},
-    "tree": {"levels": 5},
-    "road": {"weight": 0.2},
-}
-
-
-@pytest.mark.parametrize("key", OTHER)
-def test_every_group_of_settings_reaches_the_result(key: str) -> None:
-    small: dict[str, Any] = {"working": {"rows": 48}, "dictionary": {"bases": 40}}
-    plain = detector("ufl", **small)(street()[None])
-    merged = {**small, key: OTHER[key]}
-
-    assert not torch.equal(plain, detector("ufl", **merged)(street()[None]))
-
-
-def test_a_group_that_is_set_in_part_keeps_the_best_defaults_of_the_rest() -> None:
-    settings = detector("ufl", road={"weight": 1.0}).settings.model_dump()["road"]
-
-    assert (settings["weight"], settings["place"], settings["dilation"]) == (1.0, "ahead", 2)
-
-
-def test_wrong_settings_are_refused_by_name() -> None:
-    with pytest.raises(ConfigError, match=r"dictionary\.bases"):
-        detector("ufl", dictionary={"bases": 0})
 
 
 def test_isolated_road_is_dropped_before_the_likelihood_is_made() -> None:

@@ -285,7 +285,7 @@ def test_missing_empty_and_videos(tmp_path: Path, memory: fsspec.AbstractFileSys
 
 
 def test_a_member_that_grows_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(archives, "MOST_BYTES", 100_000)
+    monkeypatch.setattr(archives, "MAX_BYTES", 100_000)
     members = {"a.png": png(0), "bomb.png": bytes(10**6)}
     frames = frames_of(write_zip(tmp_path / "a.zip", members))
     assert torch.equal(frames[0].read(), image(0))
@@ -330,7 +330,7 @@ def test_a_member_that_lies_about_its_size_is_bounded(tmp_path: Path):
 def test_a_compressed_tar_that_grows_too_large_stops(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(archives, "MOST_BYTES", 100_000)
+    monkeypatch.setattr(archives, "MAX_BYTES", 100_000)
     members = {"a.png": png(0), "bomb.png": bytes(2 * 10**7)}
     path = write_tar(tmp_path / "a.tar.gz", members)
     assert len(gzip.decompress(path.read_bytes())) > 500 * path.stat().st_size

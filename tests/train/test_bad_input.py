@@ -78,16 +78,6 @@ def test_a_folder_with_a_run_is_not_overwritten(finished: tuple[Training, Reques
     assert contents(request.out) == before
 
 
-def test_a_finished_run_stays_as_it_is(finished: tuple[Training, Request]) -> None:
-    training, request = finished
-    before = (request.out / "weights.safetensors").read_bytes()
-
-    outcome = train(training, request)
-
-    assert outcome.weights == request.out / "weights.safetensors"
-    assert (request.out / "weights.safetensors").read_bytes() == before
-
-
 @pytest.mark.parametrize(
     ("values", "what"),
     [

@@ -189,20 +189,6 @@ def test_epochs_differ_and_each_is_the_same_again(files: list[Path]) -> None:
     assert not torch.equal(one[0].inputs[:3], two[0].inputs[:3])
 
 
-@pytest.mark.parametrize("size", [2, 3])
-def test_the_shares_of_a_team_are_the_batches_of_one(files: list[Path], size: int) -> None:
-    training = training_of(descent={"batch": 8})
-
-    alone = all_batches(files, training, Processes(), epoch=2)
-    shares = [all_batches(files, training, Processes(rank, size), 2) for rank in range(size)]
-
-    for whole, *parts in zip(alone, *shares, strict=True):
-        assert all(part.count == whole.count for part in parts)
-        for rank, part in enumerate(parts):
-            torch.testing.assert_close(part.inputs, whole.inputs[rank::size])
-            assert part.targets.tolist() == whole.targets[rank::size].tolist()
-
-
 def test_classes_weigh_the_same_where_asked(files: list[Path]) -> None:
     batches = all_batches(files, training_of(balance="classes"), Processes(), epoch=0)
 

@@ -98,21 +98,6 @@ def test_an_epoch_has_every_picture_once(files: list[Path]) -> None:
     assert all(batch.targets.shape[1:] == (sum(PLANES), 32, 40) for batch in batches)
 
 
-@pytest.mark.parametrize("size", [2, 4])
-def test_the_shares_of_a_team_are_the_batches_of_one(
-    files: list[Path], labels: list[Path], size: int
-) -> None:
-    training = training_of(augmentation={"ego_car": {"share": 0.5}})
-    given = prepared(files, labels, shows_ego=True)
-    (alone,) = PictureSamples(given, 1, training, Processes()).batches(3, 0)
-
-    for rank in range(size):
-        (part,) = PictureSamples(given, 1, training, Processes(rank, size)).batches(3, 0)
-        assert part.count == alone.count
-        torch.testing.assert_close(part.inputs, alone.inputs[rank::size])
-        torch.testing.assert_close(part.targets, alone.targets[rank::size])
-
-
 def test_rounds_and_epochs_draw_differently(files: list[Path]) -> None:
     training = training_of()
 

@@ -120,14 +120,6 @@ def test_a_request_to_stop_is_heard_between_pictures(tmp_path: Path) -> None:
     assert len(made) == 1
 
 
-def test_a_folder_belongs_to_its_settings(tmp_path: Path) -> None:
-    folder_in(tmp_path).claim({"working": {"pixels": 100}})
-    folder_in(tmp_path).claim({"working": {"pixels": 100}})
-
-    with pytest.raises(ConfigError, match="holds pictures prepared with other settings"):
-        folder_in(tmp_path).claim({"working": {"pixels": 200}})
-
-
 def test_a_file_damaged_anywhere_is_made_again(tmp_path: Path) -> None:
     pictures = find_images([str(write_streets(tmp_path / "footage", 1))])
     make = Maker()

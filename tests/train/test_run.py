@@ -4,7 +4,6 @@ import json
 import math
 import os
 import signal
-import subprocess
 import time
 from pathlib import Path
 
@@ -24,7 +23,6 @@ from roadtorch.train.prepared import read_arrays
 from roadtorch.train.run import Outcome, Request, recipe_of, train
 from tests.train.runs import (
     PATCHES,
-    command,
     request_of,
     rows_of,
     training_of,
@@ -283,28 +281,6 @@ def test_the_last_rounds_weights_outlive_an_interruption_of_the_next(
     )
 
     assert read_origin(tmp_path / "run" / "weights.safetensors")["round"] == 1
-
-
-def test_a_signal_ends_the_command_with_a_checkpoint(
-    streets: Path, kept: Path, tmp_path: Path
-) -> None:
-    config = write_config(tmp_path / "c.toml", PATCHES.replace("epochs = 2", "epochs = 100000"))
-    words = command(
-        "--config", config, "--images", streets, "--out", "run", "--prepared", kept / "patches"
-    )
-    with subprocess.Popen(
-        [*words, "--threads", "1"], stderr=subprocess.PIPE, cwd=tmp_path, text=True
-    ) as process:
-        deadline = time.monotonic() + 60
-        while not (tmp_path / "run" / "log.csv").exists() and time.monotonic() < deadline:
-            time.sleep(0.05)
-        process.send_signal(signal.SIGINT)
-        told = process.communicate(timeout=60)[1]
-
-    assert process.returncode == 130
-    assert told.endswith("roadtorch: stopped by SIGINT; go on with --resume\n")
-    assert load_network(tmp_path / "run" / "weights.safetensors")
-    assert (tmp_path / "run" / "checkpoint.pt").exists()
 
 
 def test_the_status_of_the_command_names_the_signal(
