@@ -20,6 +20,7 @@ from roadtorch.version import __version__
 
 # name: (module:attribute, summary). The summary is here so that help imports no command.
 COMMANDS = {
+    "adapt": ("roadtorch.cli.adapt:adapt", "Adapt the network to footage, and say if it paid."),
     "annotate": ("roadtorch.cli.annotate:annotate", "Correct machine labels in a page."),
     "camera": ("roadtorch.cli.camera:camera", "Find what stays the same in one camera's footage."),
     "compare": ("roadtorch.cli.compare:compare", "Compare two weights, configs or map folders."),
@@ -39,7 +40,7 @@ COMMANDS = {
 
 ELSEWHERE = {
     **dict.fromkeys(("predict", "segment", "detect", "run", "mask"), "infer"),
-    **dict.fromkeys(("adapt", "finetune", "fine-tune", "learn"), "train --config adapt"),
+    **dict.fromkeys(("finetune", "fine-tune", "learn"), "adapt"),
     **dict.fromkeys(("score", "test", "eval", "benchmark", "val"), "evaluate"),
     **dict.fromkeys(("calibrate", "ego"), "camera"),
 }

@@ -35,6 +35,7 @@ class Adaptation:
     methods: the detectors before and after; files: their weights. means, pictures: of those
     that were compared; shown: those on the page. taught: None for networks without a teacher's
     maps. rows: round, epoch and error of each epoch. labelled: None without labels.
+    verdict: whether to adopt it, and why; empty where nobody judged.
     """
 
     dataset: Dataset
@@ -47,6 +48,7 @@ class Adaptation:
     taught: Taught | None
     rows: Sequence[Mapping[str, Any]]
     labelled: Evaluation | None
+    verdict: str = ""
 
 
 def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> None:

@@ -37,11 +37,12 @@ def show_change(
     compared: int,
     labelled: Dataset | None = None,
     command: str = "",
+    verdict: str = "",
 ) -> Path | None:
     """Write the page of a finished run beside its weights; None where nothing could be seen.
 
     The run has to have a ``start``. compared: pictures that are looked at, evenly spread.
-    labelled: a set that scores both; nothing is learned from it.
+    labelled: a set that scores both; nothing is learned from it. verdict: a sentence on top.
     """
     if outcome.weights is None:
         return None
@@ -85,6 +86,7 @@ def show_change(
         taught=_taught(training, made, files[0], outcome.weights),
         rows=RunFolder(request.out).read_log(),
         labelled=evaluated(labelled, methods, {}, against="before") if labelled else None,
+        verdict=verdict,
     )
     write_adaptation(request.out / PAGE, adaptation, command)
     return request.out / PAGE

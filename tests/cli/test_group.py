@@ -37,7 +37,7 @@ def test_every_command_explains_itself(call: Call, name: str) -> None:
         (["infr"], "infr: no such command (did you mean infer?)"),
         (["xyz"], "xyz: no such command (see roadtorch --help)"),
         (["predict"], "predict: no such command (did you mean infer?)"),
-        (["adapt"], "adapt: no such command (did you mean train --config adapt?)"),
+        (["finetune"], "finetune: no such command (did you mean adapt?)"),
         (
             ["infer", "--detectr", "x"],
             "--detectr: no such option (did you mean --detector, --every, --depth?)",

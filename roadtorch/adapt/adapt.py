@@ -1,0 +1,121 @@
+"""A whole adaptation: frames, camera, two networks from the halves, their mean, a verdict. Ours.
+
+Each half of the footage teaches a network of its own, which is judged on the half that it has not
+seen. The network that comes out is the mean of both: networks that begin alike and learn a little
+lie in one valley (Wortsman et al., Model soups, ICML 2022).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from roadtorch.adapt.frames import HALVES, KeptFrames, keep_frames
+from roadtorch.adapt.verdict import Verdict, judged_half, verdict_of
+from roadtorch.camera.footage import camera_of
+from roadtorch.errors import InputError
+from roadtorch.io.image import read_image
+from roadtorch.layout.weights import load_network, save_network, weights_path
+from roadtorch.train.config import PictureTraining, as_values
+from roadtorch.train.folder import CHECKPOINT, WEIGHTS, RunFolder
+from roadtorch.train.run import Outcome, Request, train
+from roadtorch.version import __version__
+
+CAMERA, FRAMES, PREPARED = "camera.toml", "frames", "prepared"
+
+MOST_CAMERA = 120
+"""Frames that are looked at for what stays the same."""
+
+LEAST_EGO = 8
+"""Frames that show an ego car, as ``recordings.least``."""
+
+
+@dataclass(frozen=True)
+class Adapted:
+    """What an adaptation came to.
+
+    outcome: the weights, or the signal that cut it short. camera: its file, None where there is
+    none. missing: what could not be had of the footage, and why, a line each.
+    """
+
+    outcome: Outcome
+    frames: KeptFrames
+    camera: Path | None
+    missing: tuple[str, ...]
+    verdict: Verdict | None = None
+
+    @property
+    def prepared(self) -> Path:
+        """The folder of the frames made ready."""
+        return self.frames.folder.with_name(PREPARED)
+
+
+def adapt(
+    inputs: Sequence[str], out: Path, training: PictureTraining, most: int, quiet: bool = False
+) -> Adapted:
+    """Adapt the network that ``training`` starts from to footage; results in the folder ``out``.
+
+    A run that was cut short goes on. Raises InputError for footage with fewer than two frames,
+    ConfigError where ``out`` holds another run.
+    """
+    frames = keep_frames(inputs, out / FRAMES, most, quiet)
+    camera, missing = _camera(frames, out / CAMERA, inputs[0])
+    if not frames.moving:
+        missing.append("pictures have no times: they are taken in the order of their names")
+    if camera is not None:
+        recordings = training.recordings.model_copy(update={"separator": "_", "least": LEAST_EGO})
+        training = training.model_copy(update={"recordings": recordings})
+    outcomes = []
+    for half in HALVES:
+        folder = out / half
+        resume = (folder / CHECKPOINT).exists()
+        request = Request(frames.glob(half), folder, resume, out / PREPARED, quiet)
+        outcomes.append(train(training, request))
+        if outcomes[-1].interrupted:
+            return Adapted(outcomes[-1], frames, camera, tuple(missing))
+    files = [out / half / WEIGHTS for half in HALVES]
+    origin = {
+        "roadtorch": __version__,
+        "config": as_values(training),
+        "pictures": frames.count,
+        "finished": True,
+        "corrections": [],
+    }
+    mean_network(files, out / WEIGHTS, origin)
+    rows = [
+        {**row, "round": at + 1}
+        for at, half in enumerate(HALVES)
+        for row in RunFolder(out / half).read_log()
+    ]
+    RunFolder(out).write_log(rows)
+    before = weights_path(training.start)
+    judged = [
+        judged_half(frames.pictures(half), before, other, out / PREPARED, training, quiet)
+        for half, other in zip(HALVES, reversed(files), strict=True)
+    ]
+    outcome = Outcome(out / WEIGHTS, None, sum(each.skipped for each in outcomes))
+    return Adapted(outcome, frames, camera, tuple(missing), verdict_of(judged))
+
+
+def mean_network(files: Sequence[Path], path: Path, origin: Mapping[str, Any]) -> None:
+    """Write the network whose weights are the means of those of files of one kind."""
+    networks = [load_network(file) for file in files]
+    mean = {
+        name: torch.stack([one.state_dict()[name].float() for one in networks]).mean(0).to(value)
+        for name, value in networks[0].state_dict().items()
+    }
+    networks[0].load_state_dict(mean)
+    save_network(path, networks[0], origin)
+
+
+def _camera(frames: KeptFrames, file: Path, where: str) -> tuple[Path | None, list[str]]:
+    """The file of the camera, or None and why there is none."""
+    pictures = frames.pictures()
+    some = pictures[:: -(-len(pictures) // MOST_CAMERA)]
+    try:
+        camera_of((read_image(one.path) for one in some), where).write(file)
+    except InputError as problem:
+        return None, [f"no {file.name}: {problem.where} {problem.what}"]
+    return file, []

@@ -1,0 +1,139 @@
+"""The frames of footage that an adaptation learns from: at most so many, evenly, in two halves."""
+
+import json
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import NamedTuple
+
+from torch import Tensor
+
+from roadtorch.errors import ConfigError, InputError, RoadtorchError
+from roadtorch.imaging.resize import WorkingSize, at_work
+from roadtorch.io.atomic import make_folder, write_json
+from roadtorch.io.bounded import read_regular
+from roadtorch.io.image import write_jpeg
+from roadtorch.runtime.progress import Progress
+from roadtorch.sources.frame import Frame, Selection
+from roadtorch.sources.open import open_sources, sort_inputs
+from roadtorch.sources.pictures import Picture, find_images
+
+HALVES = ("first", "second")
+"""The halves of the footage, by order: neighbouring frames are alike, and must not part."""
+
+KEPT = WorkingSize(pixels=640 * 480)
+"""How large frames are kept."""
+
+SECONDS = 1.0
+"""Between two frames that are kept; twice as many, and so on, of footage that is too long."""
+
+LIST = "frames.json"
+
+
+class KeptFrames(NamedTuple):
+    """What was kept of the footage.
+
+    folder: holds HALF_NUMBER.jpg. count: of all; halves: of each. moving: whether the frames
+    have times. skipped: what could not be read, a line each.
+    """
+
+    folder: Path
+    count: int
+    halves: tuple[int, int]
+    moving: bool
+    skipped: tuple[str, ...]
+
+    def pictures(self, half: str = "*") -> list[Picture]:
+        """The kept frames, or those of a half, in order."""
+        return find_images([self.glob(half)])
+
+    def glob(self, half: str = "*") -> str:
+        """The quoted glob that stands for a half; all frames have one name in any of them."""
+        return f"{self.folder}/{half}_*.jpg"
+
+
+def keep_frames(inputs: Sequence[str], folder: Path, most: int, quiet: bool = False) -> KeptFrames:
+    """Keep at most ``most`` frames of footage in a folder; what was kept before is taken as it is.
+
+    Of videos and bags a frame a second, fewer of long ones; of pictures all. Memory does not grow
+    with the footage. Raises ConfigError where the folder holds frames of other footage, InputError
+    where the footage has fewer than two frames that can be read.
+    """
+    known, asked = folder / LIST, {"footage": list(inputs), "most": most}
+    if known.exists():
+        kept = _read(known, folder, asked)
+    else:
+        shutil.rmtree(folder, ignore_errors=True)  # of a run that was cut short
+        make_folder(folder)
+        kept = _keep(inputs, folder, most, quiet)
+        rest = {"halves": kept.halves, "moving": kept.moving, "skipped": kept.skipped}
+        write_json(known, {**asked, **rest})
+    if kept.count < 2:
+        raise InputError(inputs[0], f"has {kept.count} frames", "give some minutes of a drive")
+    return kept
+
+
+def _read(known: Path, folder: Path, asked: dict[str, object]) -> KeptFrames:
+    try:
+        values = json.loads(read_regular(known).decode())
+        if {key: values[key] for key in asked} != asked:
+            raise ConfigError(folder, "holds frames of other footage", "give another --out")
+        first, second = (int(count) for count in values["halves"])
+        skipped = tuple(map(str, values["skipped"]))
+        return KeptFrames(folder, first + second, (first, second), bool(values["moving"]), skipped)
+    except (ValueError, KeyError, TypeError, OSError):
+        raise InputError(known, "is damaged", "remove it; the frames are kept again") from None
+
+
+def _keep(inputs: Sequence[str], folder: Path, most: int, quiet: bool) -> KeptFrames:
+    """Write frames while they are read; when there are too many, every second one goes."""
+    numbers: list[int] = []
+    skipped: list[str] = []
+    step, moving = 1, False
+    seen = Progress(_frames(inputs, skipped), desc="frames", unit="frame", quiet=quiet)
+    for number, (frame, image) in enumerate(seen):
+        moving = moving or frame is not None
+        if number % step:
+            continue
+        write_jpeg(folder / f"{number:08d}.jpg", at_work(image, KEPT))
+        numbers.append(number)
+        if len(numbers) == 2 * most:
+            for gone in numbers[1::2]:
+                (folder / f"{gone:08d}.jpg").unlink()
+            numbers, step = numbers[::2], 2 * step
+    some = [numbers[at * len(numbers) // most] for at in range(most)]
+    chosen = numbers if len(numbers) <= most else some
+    for gone in set(numbers).difference(chosen):
+        (folder / f"{gone:08d}.jpg").unlink()
+    first = (len(chosen) + 1) // 2
+    for at, number in enumerate(chosen):
+        name = f"{HALVES[at >= first]}_{at:06d}.jpg"
+        (folder / f"{number:08d}.jpg").rename(folder / name)
+    counts = (first, len(chosen) - first)
+    return KeptFrames(folder, len(chosen), counts, moving, tuple(skipped))
+
+
+def _frames(inputs: Sequence[str], skipped: list[str]) -> Iterator[tuple[Frame | None, Tensor]]:
+    """Every picture (its frame is None), and a frame a second of every video and bag."""
+    sorted_inputs = sort_inputs(inputs)
+    for picture in find_images(sorted_inputs.pictures):
+        try:
+            yield None, picture.read()
+        except RoadtorchError as problem:
+            skipped.append(str(problem))
+    for source in open_sources(sorted_inputs.sources, Selection()):
+        if source.live:
+            raise ConfigError(source.origin, "is live, and has no end", "record some minutes of it")
+        due = 0.0
+        with closing(source.frames()) as frames:  # type: ignore[arg-type]
+            while True:
+                try:
+                    if (frame := next(frames, None)) is None:
+                        break
+                    seconds = float(frame.number) if frame.seconds is None else frame.seconds
+                    if seconds >= due:
+                        due = seconds + SECONDS
+                        yield frame, frame.read()
+                except RoadtorchError as problem:  # behind it the frames go on, or end
+                    skipped.append(str(problem))

@@ -1,0 +1,132 @@
+"""Whether an adaptation paid: what another, better look at frames that it has not seen says. Ours.
+
+Nothing here has labels. A network is judged on the half of the footage that it did not learn from,
+by maps of a detector from outside the loop, where that is sure of itself: does the mask come closer
+to them than the mask before did? It need not: what a half taught may be of that half alone. Trust
+has no part in it, for agreement with what was learned raises it.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.evaluation.result import Interval
+from roadtorch.evaluation.uncertainty import Replicated, bootstrap_weights, difference, interval
+from roadtorch.imaging.resize import resized
+from roadtorch.runtime.progress import Progress
+from roadtorch.sources.pictures import Picture
+from roadtorch.train.config import PictureTraining
+from roadtorch.train.prepared import from_bytes, name_of, read_arrays
+from roadtorch.train.teachers import targets_of
+
+MAX_JUDGED = 60
+"""Frames of each half that are looked at, evenly spread."""
+
+MIN_FRAMES = 16
+"""Frames, of both halves, below which nothing is said."""
+
+BLOCK = 3
+"""Frames in a row that are drawn together: neighbours are alike."""
+
+MIN_GAIN = 0.002
+"""Of F: less is not worth another file."""
+
+SEED = 36
+
+
+class Judged(NamedTuple):
+    """True positive, false positive and false negative pixels of frames, float64 (frames,3)."""
+
+    before: Tensor
+    after: Tensor
+
+
+class Verdict(NamedTuple):
+    """What to do, by F before and after and the interval of their difference on unseen frames."""
+
+    word: Literal["adopt", "do not adopt", "cannot tell"]
+    before: float
+    after: float
+    change: Interval
+    frames: int
+
+    def __str__(self) -> str:
+        """One sentence, with its reason."""
+        if self.frames < MIN_FRAMES:
+            return f"cannot tell: {self.frames} frames are too few to judge by"
+        change = (
+            f"{self.after - self.before:+.3f} ({self.change.low:+.3f} to {self.change.high:+.3f})"
+        )
+        reason = {
+            "adopt": "comes closer",
+            "do not adopt": "does not come closer",
+            "cannot tell": "may or may not come closer",
+        }[self.word]
+        return (
+            f"{self.word}: on {self.frames} frames that it had not seen, the mask {reason} to what "
+            f"a larger look says: F {self.before:.3f} to {self.after:.3f}, {change}"
+        )
+
+
+def judged_half(
+    pictures: Sequence[Picture],
+    before: Path,
+    after: Path,
+    prepared: Path,
+    training: PictureTraining,
+    quiet: bool = False,
+) -> Judged:
+    """How the masks with two weight files fit the teacher's maps of prepared frames."""
+    detectors = [load_detector("fusion", weights={"file": str(file)}) for file in (before, after)]
+    some = pictures[:: -(-len(pictures) // MAX_JUDGED)]
+    counts: list[list[Tensor]] = [[], []]
+    for picture in Progress(some, desc="judging", unit="frame", quiet=quiet):
+        file = prepared / f"{name_of(picture)}.npz"
+        if not file.exists():
+            continue  # it was skipped, and told
+        arrays = read_arrays(file, "maps", "ego")
+        maps, ego = (from_bytes(arrays[name])[None] for name in ("maps", "ego"))
+        said = targets_of(maps, ego[None], None, training.teacher, training.rounds)
+        road, sure = said.road[0, 0] >= 0.5, said.road_weight[0, 0] > 0
+        image = picture.read()
+        for known, detector in zip(counts, detectors, strict=True):
+            mask = detector.detect(image).mask.float()[None]
+            small = resized(mask, (road.shape[0], road.shape[1]))[0]
+            known.append(confusion(small >= 0.5, road, sure))
+    return Judged(*(torch.stack(known) if known else torch.empty(0, 3) for known in counts))
+
+
+def confusion(mask: Tensor, road: Tensor, known: Tensor) -> Tensor:
+    """True positives, false positives and false negatives of bool (H,W), float64 (3,)."""
+    pairs = (mask & road, mask & ~road, ~mask & road)
+    return torch.stack([(pair & known).sum() for pair in pairs]).to(torch.float64)
+
+
+def f_measure(counts: Tensor) -> Tensor:
+    """F of counts (…,3); NaN where there is no road."""
+    hit, false, missed = counts.unbind(-1)
+    return 2 * hit / (2 * hit + false + missed)
+
+
+def verdict_of(judged: Sequence[Judged]) -> Verdict:
+    """What both halves say, their frames pooled; the interval draws blocks of frames."""
+    before, after = (torch.cat([half[at] for half in judged]) for at in (0, 1))
+    frames = len(before)
+    if frames < MIN_FRAMES:
+        return Verdict("cannot tell", float("nan"), float("nan"), Interval(), frames)
+    generator = torch.Generator().manual_seed(SEED)
+    blocks = [torch.stack([part.sum(0) for part in each.split(BLOCK)]) for each in (before, after)]
+    weights = bootstrap_weights(len(blocks[0]), generator).to(torch.float64)
+    first, second = (
+        Replicated(float(f_measure(each.sum(0))), f_measure(weights @ each)) for each in blocks
+    )
+    change = interval(difference(second, first))
+    if change.low > 0 and second.value - first.value >= MIN_GAIN:
+        word = "adopt"
+    else:
+        word = "do not adopt" if change.high < MIN_GAIN else "cannot tell"
+    return Verdict(word, first.value, second.value, change, frames)

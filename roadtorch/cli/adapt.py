@@ -1,0 +1,95 @@
+"""roadtorch adapt: a network that goes on learning from footage, and whether it paid."""
+
+from pathlib import Path
+
+import click
+
+from roadtorch.cli.completion import suggest_files
+from roadtorch.cli.options import PATH, QUIET, SETTING, command_line
+
+CONFIG = "adapt"
+
+
+@click.command()
+@click.argument(
+    "footage", metavar="FOOTAGE...", nargs=-1, required=True, shell_complete=suggest_files
+)
+@click.option("--out", type=PATH, required=True, help="Folder of this run; a second run goes on.")
+@click.option(
+    "--frames",
+    "most",
+    type=click.IntRange(min=2),
+    default=400,
+    show_default=True,
+    help="Frames to learn from, evenly chosen.",
+)
+@SETTING
+@click.option(
+    "--labelled", help="Labelled set NAME:ROOT for F before and after; its labels teach nothing."
+)
+@click.option(
+    "--threads",
+    type=click.IntRange(min=1),
+    help="Threads; the result depends on it.",
+)
+@QUIET
+@click.pass_context
+def adapt(
+    context: click.Context,
+    footage: tuple[str, ...],
+    out: Path,
+    most: int,
+    assignments: tuple[str, ...],
+    labelled: str | None,
+    threads: int | None,
+    quiet: bool,
+) -> None:
+    """Adapt the network of fusion to footage, without labels, and say whether it paid.
+
+    FOOTAGE: pictures, folders, quoted globs, videos, bags; some minutes of one camera. Each half
+    of it teaches a network that is judged on the other half; the last line says adopt, do not
+    adopt, or cannot tell, and why.
+
+    \b
+    The folder --out gets
+      weights.safetensors  for infer --set weights.file=OUT/weights.safetensors
+      camera.toml          what stays the same, for infer --camera; where the footage shows it
+      adaptation.html      before and after, on pictures
+      frames/              the frames that were learned from
+      first/, second/      the run of each half
+    """
+    import torch
+
+    from roadtorch.adapt.adapt import adapt as run
+    from roadtorch.data.catalogue import open_named
+    from roadtorch.errors import ConfigError
+    from roadtorch.runtime.shipped_configs import config_file
+    from roadtorch.settings import merge, parse_assignments, read_settings_file
+    from roadtorch.train.before_after import show_change
+    from roadtorch.train.config import PictureTraining, build_training
+    from roadtorch.train.run import Request
+
+    if threads:
+        torch.set_num_threads(threads)
+    values = merge(read_settings_file(config_file(CONFIG)), parse_assignments(assignments))
+    training = build_training(values)
+    if not isinstance(training, PictureTraining) or not training.start:
+        what = "adaptation goes on with a network for whole pictures"
+        raise ConfigError("kind, start", what, "leave kind as it is, and give start=WEIGHTS")
+    scored = None if labelled is None else open_named(labelled)
+    done = run(footage, out, training, most, quiet)
+    if done.outcome.interrupted:
+        text = f"roadtorch: stopped by {done.outcome.interrupted.name}; the same command goes on"
+        click.echo(text, err=True)
+        context.exit(128 + done.outcome.interrupted)
+    verdict = str(done.verdict)
+    request = Request(done.frames.glob(), out, prepared=done.prepared, quiet=quiet)
+    command = command_line(context)
+    page = show_change(training, request, done.outcome, 60, scored, command, verdict)
+    for line in (*done.frames.skipped, *done.missing):
+        click.echo(f"roadtorch: {line}", err=True)
+    for made in (done.outcome.weights, done.camera, page):
+        if made is not None and not quiet:
+            click.echo(f"roadtorch: wrote {made}", err=True)
+    click.echo(verdict)
+    context.exit(1 if done.frames.skipped or done.outcome.skipped else 0)

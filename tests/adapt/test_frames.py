@@ -1,0 +1,89 @@
+"""Frames are kept evenly, in halves, from pictures and videos, and once."""
+
+from pathlib import Path
+
+import pytest
+
+from roadtorch.adapt.frames import keep_frames
+from roadtorch.errors import ConfigError, InputError
+from roadtorch.io.image import read_image
+from roadtorch.scenes.street import render_scene, write_picture
+from tests.videos import write_video
+
+
+@pytest.fixture
+def pictures(tmp_path: Path) -> Path:
+    for seed in range(10):
+        write_picture(tmp_path / f"drive/{seed:02d}.png", render_scene(seed, 32, 48))
+    return tmp_path / "drive"
+
+
+def test_pictures_are_halved_in_their_order(pictures: Path, tmp_path: Path) -> None:
+    kept = keep_frames([str(pictures)], tmp_path / "kept", 100, quiet=True)
+
+    assert kept.halves == (5, 5)
+    assert not kept.moving
+    assert [one.name for one in kept.pictures("second")] == [
+        f"second_{n:06d}" for n in range(5, 10)
+    ]
+    last, own = read_image(kept.pictures()[-1].path), read_image(pictures / "09.png")
+    assert float((last - own).abs().mean()) < 0.02  # but for JPEG
+
+
+def test_too_many_are_thinned_evenly(pictures: Path, tmp_path: Path) -> None:
+    kept = keep_frames([str(pictures)], tmp_path / "kept", 3, quiet=True)
+
+    assert kept.count == 3
+    assert len(list((tmp_path / "kept").glob("*.jpg"))) == 3
+    first, last = read_image(kept.pictures()[0].path), read_image(kept.pictures()[-1].path)
+    assert float((first - read_image(pictures / "00.png")).abs().mean()) < 0.02
+    nearest = min(
+        range(10),
+        key=lambda n: float((last - read_image(pictures / f"{n:02d}.png")).abs().mean()),
+    )
+    assert nearest >= 5
+
+
+def test_of_a_video_a_frame_a_second_is_kept(tmp_path: Path) -> None:
+    video = write_video(tmp_path / "drive.mp4", [number / 10 for number in range(25)])
+
+    kept = keep_frames([str(video)], tmp_path / "kept", 100, quiet=True)
+
+    assert kept.moving
+    assert kept.count == 3  # at 0, 1 and 2 of its 2.5 seconds
+
+
+def test_a_picture_that_cannot_be_read_is_told_and_left_out(pictures: Path, tmp_path: Path) -> None:
+    (pictures / "05.png").write_bytes(b"no picture")
+
+    kept = keep_frames([str(pictures)], tmp_path / "kept", 100, quiet=True)
+
+    assert kept.count == 9
+    assert len(kept.skipped) == 1
+    assert "05.png" in kept.skipped[0]
+
+
+def test_what_was_kept_is_kept_and_other_footage_is_refused(pictures: Path, tmp_path: Path) -> None:
+    first = keep_frames([str(pictures)], tmp_path / "kept", 100, quiet=True)
+    times = [one.path.stat().st_mtime_ns for one in first.pictures()]
+
+    again = keep_frames([str(pictures)], tmp_path / "kept", 100, quiet=True)
+
+    assert again == first
+    assert [one.path.stat().st_mtime_ns for one in again.pictures()] == times
+    with pytest.raises(ConfigError, match="other footage"):
+        keep_frames([str(pictures)], tmp_path / "kept", 50, quiet=True)
+
+
+def test_frames_of_a_run_that_was_cut_short_are_kept_anew(pictures: Path, tmp_path: Path) -> None:
+    write_picture(tmp_path / "kept/00000099.jpg", render_scene(1, 32, 48))
+
+    kept = keep_frames([str(pictures)], tmp_path / "kept", 100, quiet=True)
+
+    assert kept.count == 10
+    assert not (tmp_path / "kept/00000099.jpg").exists()
+
+
+def test_one_frame_is_no_footage(pictures: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="has 1 frame"):
+        keep_frames([str(pictures / "00.png")], tmp_path / "kept", 100, quiet=True)

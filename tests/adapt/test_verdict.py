@@ -1,0 +1,61 @@
+"""The verdict says what can fail, and says nothing where little is known."""
+
+import torch
+
+from roadtorch.adapt.verdict import Judged, confusion, f_measure, verdict_of
+
+
+def judged(hits_before: list[int], hits_after: list[int]) -> Judged:
+    """Frames of 100 pixels of road, of which so many are found, and no false one."""
+    before, after = (
+        torch.tensor([[hit, 0, 100 - hit] for hit in hits], dtype=torch.float64)
+        for hits in (hits_before, hits_after)
+    )
+    return Judged(before, after)
+
+
+def test_a_gain_on_every_frame_is_adopted_with_its_figures() -> None:
+    verdict = verdict_of([judged([50] * 12, [60] * 12), judged([50] * 12, [60] * 12)])
+
+    assert verdict.word == "adopt"
+    assert str(verdict).startswith(
+        "adopt: on 24 frames that it had not seen, the mask comes closer"
+    )
+    assert "F 0.667 to 0.750, +0.083" in str(verdict)
+
+
+def test_a_loss_is_not_adopted() -> None:
+    assert verdict_of([judged([60] * 24, [50] * 24)]).word == "do not adopt"
+
+
+def test_no_change_is_not_worth_another_file() -> None:
+    assert verdict_of([judged([60] * 24, [60] * 24)]).word == "do not adopt"
+
+
+def test_a_gain_in_one_stretch_alone_may_be_chance() -> None:
+    verdict = verdict_of([judged([60] * 24, [60] * 21 + [90] * 3)])
+
+    assert verdict.after > verdict.before
+    assert verdict.word == "cannot tell"
+
+
+def test_a_half_that_loses_weighs_against_one_that_gains() -> None:
+    gains, loses = judged([50] * 12, [60] * 12), judged([60] * 12, [50] * 12)
+
+    assert verdict_of([gains, loses]).word != "adopt"
+
+
+def test_few_frames_say_nothing_however_large_the_gain() -> None:
+    verdict = verdict_of([judged([10] * 15, [90] * 15)])
+
+    assert verdict.word == "cannot tell"
+    assert str(verdict) == "cannot tell: 15 frames are too few to judge by"
+
+
+def test_confusion_counts_known_pixels_alone() -> None:
+    mask = torch.tensor([[True, True, False, True]])
+    road = torch.tensor([[True, False, True, True]])
+    known = torch.tensor([[True, True, True, False]])
+
+    assert confusion(mask, road, known).tolist() == [1, 1, 1]
+    assert float(f_measure(torch.tensor([1.0, 1.0, 1.0]))) == 0.5
