@@ -9,6 +9,9 @@ from roadtorch.cli.options import PATH, QUIET, SETTING, command_line
 
 CONFIG = "adapt"
 
+SHOWN = 60
+"""Frames that the page compares before and after, evenly spread."""
+
 
 @click.command()
 @click.argument(
@@ -63,10 +66,12 @@ def adapt(
     from roadtorch.adapt.adapt import adapt as run
     from roadtorch.data.catalogue import open_named
     from roadtorch.errors import ConfigError
+    from roadtorch.report.adaptation import score_line, write_adaptation
     from roadtorch.runtime.shipped_configs import config_file
     from roadtorch.settings import merge, parse_assignments, read_settings_file
-    from roadtorch.train.before_after import show_change
+    from roadtorch.train.before_after import adaptation_of
     from roadtorch.train.config import PictureTraining, build_training
+    from roadtorch.train.folder import PAGE
     from roadtorch.train.run import Request
 
     if threads:
@@ -84,12 +89,16 @@ def adapt(
         context.exit(128 + done.outcome.interrupted)
     verdict = str(done.verdict)
     request = Request(done.frames.glob(), out, prepared=done.prepared, quiet=quiet)
-    command = command_line(context)
-    page = show_change(training, request, done.outcome, 60, scored, command, verdict)
-    for line in (*done.frames.skipped, *done.missing):
+    change = adaptation_of(training, request, done.outcome, SHOWN, scored, verdict)
+    files = [done.outcome.weights, done.camera]
+    lines = [*done.frames.skipped, *done.missing]
+    if change is not None:
+        write_adaptation(out / PAGE, change, command_line(context))
+        files.append(out / PAGE)
+        lines += [score_line(change)] if scored else []
+    for line in lines:
         click.echo(f"roadtorch: {line}", err=True)
-    for made in (done.outcome.weights, done.camera, page):
-        if made is not None and not quiet:
-            click.echo(f"roadtorch: wrote {made}", err=True)
+    for file in filter(None, [] if quiet else files):
+        click.echo(f"roadtorch: wrote {file}", err=True)
     click.echo(verdict)
     context.exit(1 if done.frames.skipped or done.outcome.skipped else 0)

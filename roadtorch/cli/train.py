@@ -81,9 +81,11 @@ def train(
     from roadtorch.data.catalogue import open_named
     from roadtorch.data.corrections import read_corrections
     from roadtorch.errors import ConfigError
+    from roadtorch.report.adaptation import score_line, write_adaptation
     from roadtorch.settings import merge, parse_assignments, read_settings_file
-    from roadtorch.train.before_after import show_change
+    from roadtorch.train.before_after import adaptation_of
     from roadtorch.train.config import build_training
+    from roadtorch.train.folder import PAGE
     from roadtorch.train.run import Request
     from roadtorch.train.run import train as run
 
@@ -108,11 +110,11 @@ def train(
         skipped = f"; {outcome.skipped} skipped, see pictures.csv" if outcome.skipped else ""
         click.echo(f"roadtorch: weights in {outcome.weights}{skipped}", err=True)
     if leads and training.start:
-        command = command_line(context)
-        page = show_change(training, request, outcome, compared, scored, command)
-        if page is not None and not quiet:
-            click.echo(f"roadtorch: before and after in {page}", err=True)
-            if scored is None:
-                what = "not scored, and it may have lost; --labelled SET:ROOT would tell"
-                click.echo(f"roadtorch: {what}", err=True)
+        change = adaptation_of(training, request, outcome, compared, scored)
+        if change is not None:
+            write_adaptation(out / PAGE, change, command_line(context))
+            what = "not scored, and it may have lost; --labelled SET:ROOT would tell"
+            for line in (f"before and after in {out / PAGE}", score_line(change) or what):
+                if not quiet:
+                    click.echo(f"roadtorch: {line}", err=True)
     context.exit(1 if outcome.skipped else 0)

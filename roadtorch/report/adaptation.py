@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from roadtorch.data.dataset import Dataset
 from roadtorch.evaluation.disagreement import Disagreement, MeanChange, Taught
+from roadtorch.evaluation.measures import F_MASK
 from roadtorch.evaluation.methods import Method
 from roadtorch.evaluation.result import Evaluation, Failure, Interval
 from roadtorch.report.disagreement import both_sheets
@@ -107,6 +108,18 @@ def score_table(evaluation: Evaluation) -> Table:
             what = f"{under}, {measure.line}" if under else measure.line
             rows[what] = (before, after, _score(change.value, change.interval, signed))
     return _table(rows)
+
+
+def score_line(adaptation: Adaptation) -> str:
+    """F of the mask on labels before and after, with the interval of the change, in a line."""
+    if adaptation.labelled is None:
+        return ""
+    before, after = (one.headline for one in adaptation.labelled.detectors.values())
+    change = adaptation.labelled.comparison.differences["after"][F_MASK.key]
+    ends = f"{signed(change.interval.low)} to {signed(change.interval.high)}"
+    scores = f"F {share(F_MASK.of(before))} to {share(F_MASK.of(after))}"
+    images = adaptation.labelled.images
+    return f"on labels, {images} pictures: {scores}, {signed(change.value)} ({ends})"
 
 
 Row = tuple[Cell, Cell, Cell]

@@ -1,4 +1,4 @@
-"""What a run that started from weights has changed: measured, and written as a page."""
+"""What a run that started from weights has changed, measured."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,11 +17,11 @@ from roadtorch.evaluation.evaluate import evaluated
 from roadtorch.evaluation.methods import candidate
 from roadtorch.evaluation.result import Failure
 from roadtorch.layout.weights import WholePictureNetwork, load_network, weights_path
-from roadtorch.report.adaptation import Adaptation, write_adaptation
+from roadtorch.report.adaptation import Adaptation
 from roadtorch.runtime.progress import Progress
 from roadtorch.sources.pictures import find_images
 from roadtorch.train.config import PictureTraining, Training
-from roadtorch.train.folder import PAGE, RunFolder
+from roadtorch.train.folder import RunFolder
 from roadtorch.train.prepared import name_of
 from roadtorch.train.run import FUSION, PREPARED, Outcome, Request
 from roadtorch.train.teachers import teacher_agreement
@@ -30,16 +30,15 @@ SHOWN = 10
 """Pictures on the page, half of them those that changed most."""
 
 
-def show_change(
+def adaptation_of(
     training: Training,
     request: Request,
     outcome: Outcome,
     compared: int,
     labelled: Dataset | None = None,
-    command: str = "",
     verdict: str = "",
-) -> Path | None:
-    """Write the page of a finished run beside its weights; None where nothing could be seen.
+) -> Adaptation | None:
+    """What a finished run has changed; None where nothing could be seen.
 
     The run has to have a ``start``. compared: pictures that are looked at, evenly spread.
     labelled: a set that scores both; nothing is learned from it. verdict: a sentence on top.
@@ -75,7 +74,7 @@ def show_change(
     made = [folder / f"{name_of(picture)}.npz" for picture in found]
     made = [file for file in made if file.exists()]  # the others were skipped
     made = made[:: max(1, -(-len(made) // compared))]
-    adaptation = Adaptation(
+    return Adaptation(
         dataset=dataset,
         methods=methods,
         files=(files[0], outcome.weights),
@@ -88,8 +87,6 @@ def show_change(
         labelled=evaluated(labelled, methods, {}, against="before") if labelled else None,
         verdict=verdict,
     )
-    write_adaptation(request.out / PAGE, adaptation, command)
-    return request.out / PAGE
 
 
 def _taught(training: Training, prepared: Sequence[Path], *files: Path) -> Taught | None:

@@ -1,0 +1,43 @@
+"""The groups of a labelled set as folder sets of their own, to judge adaptation by.
+
+    python train/footages.py camvid:DATA/camvid --out FOOTAGES
+    for one in FOOTAGES/* MANY/* DRIVES/*; do
+      roadtorch adapt $one/images --labelled folder:$one --threads 1 --out runs/$(basename $one)
+    done
+
+writes FOOTAGES/GROUP/images, links, and masks (255 road, 0 not, 128 uncertain). Labels score, and
+neither teach nor choose. MANY's cameras and rendered drives (train/worlds) have this form already.
+"""
+
+import argparse
+from pathlib import Path
+
+import torch
+
+from roadtorch.data.catalogue import open_named
+from roadtorch.io.atomic import make_folder
+from roadtorch.io.image import write_labels
+
+
+def main() -> None:
+    """Lay the groups out."""
+    parser = argparse.ArgumentParser(description="Groups of a labelled set as folder sets.")
+    parser.add_argument("dataset", help="NAME:ROOT")
+    parser.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args()
+    dataset = open_named(given.dataset)
+    for item in dataset.items:
+        folder = given.out / (item.group or dataset.name)
+        for kind in ("images", "masks"):
+            make_folder(folder / kind)
+        truth = dataset.truth(item)
+        mask = torch.where(truth.valid, truth.road * 255, 128).to(torch.uint8)
+        name = item.name.replace("/", "-")
+        write_labels(folder / "masks" / f"{name}.png", mask)
+        link = folder / "images" / f"{name}{item.image.suffix}"
+        if not link.exists():
+            link.symlink_to(item.image.resolve())
+
+
+if __name__ == "__main__":
+    main()
