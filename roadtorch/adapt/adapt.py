@@ -13,15 +13,16 @@ from typing import Any
 import torch
 
 from roadtorch.adapt.frames import HALVES, KeptFrames, keep_frames
-from roadtorch.adapt.verdict import Verdict, judged_half, verdict_of
-from roadtorch.camera.footage import camera_of
+from roadtorch.adapt.verdict import Verdict, judged_half, unknown, verdict_of
+from roadtorch.camera.footage import STILL, camera_of
 from roadtorch.errors import InputError
+from roadtorch.io.atomic import write_text
 from roadtorch.io.image import read_image
-from roadtorch.layout.weights import load_network, save_network, weights_path
-from roadtorch.train.config import PictureTraining, as_values
+from roadtorch.layout.weights import load_network, read_origin, save_network, weights_path
+from roadtorch.train.config import PictureTraining
+from roadtorch.train.corrections import card_of, corrections_behind
 from roadtorch.train.folder import CHECKPOINT, WEIGHTS, RunFolder
 from roadtorch.train.run import Outcome, Request, train
-from roadtorch.version import __version__
 
 CAMERA, FRAMES, PREPARED = "camera.toml", "frames", "prepared"
 
@@ -76,14 +77,9 @@ def adapt(
         if outcomes[-1].interrupted:
             return Adapted(outcomes[-1], frames, camera, tuple(missing))
     files = [out / half / WEIGHTS for half in HALVES]
-    origin = {
-        "roadtorch": __version__,
-        "config": as_values(training),
-        "pictures": frames.count,
-        "finished": True,
-        "corrections": [],
-    }
-    mean_network(files, out / WEIGHTS, origin)
+    mean_network(files, out / WEIGHTS, {**read_origin(files[0]), "pictures": frames.count})
+    if behind := corrections_behind(training):
+        write_text((out / WEIGHTS).with_suffix(".md"), card_of(behind))
     rows = [
         {**row, "round": at + 1}
         for at, half in enumerate(HALVES)
@@ -91,11 +87,14 @@ def adapt(
     ]
     RunFolder(out).write_log(rows)
     before = weights_path(training.start)
+    outcome = Outcome(out / WEIGHTS, None, sum(each.skipped for each in outcomes))
+    if any(STILL in line for line in missing):
+        verdict = unknown("the footage stands still: both halves show the same", frames.count)
+        return Adapted(outcome, frames, camera, tuple(missing), verdict)
     judged = [
         judged_half(frames.pictures(half), before, other, out / PREPARED, training, quiet)
         for half, other in zip(HALVES, reversed(files), strict=True)
     ]
-    outcome = Outcome(out / WEIGHTS, None, sum(each.skipped for each in outcomes))
     return Adapted(outcome, frames, camera, tuple(missing), verdict_of(judged))
 
 

@@ -6,6 +6,7 @@ to them than the mask before did? It need not: what a half taught may be of that
 has no part in it, for agreement with what was learned raises it.
 """
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -46,29 +47,33 @@ class Judged(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What to do, by F before and after and the interval of their difference on unseen frames."""
+    """What to do, by F before and after and the interval of their difference on unseen frames.
+
+    reason: why nothing can be said, where it is not for the figures.
+    """
 
     word: Literal["adopt", "do not adopt", "cannot tell"]
     before: float
     after: float
     change: Interval
     frames: int
+    reason: str = ""
 
     def __str__(self) -> str:
         """One sentence, with its reason."""
-        if self.frames < MIN_FRAMES:
-            return f"cannot tell: {self.frames} frames are too few to judge by"
+        if self.reason:
+            return f"{self.word}: {self.reason}"
         change = (
             f"{self.after - self.before:+.3f} ({self.change.low:+.3f} to {self.change.high:+.3f})"
         )
-        reason = {
+        outcome = {
             "adopt": "comes closer",
             "do not adopt": "does not come closer",
             "cannot tell": "may or may not come closer",
         }[self.word]
         return (
-            f"{self.word}: on {self.frames} frames that it had not seen, the mask {reason} to what "
-            f"a larger look says: F {self.before:.3f} to {self.after:.3f}, {change}"
+            f"{self.word}: on {self.frames} frames that it had not seen, the mask {outcome} to "
+            f"what a larger look says: F {self.before:.3f} to {self.after:.3f}, {change}"
         )
 
 
@@ -112,12 +117,17 @@ def f_measure(counts: Tensor) -> Tensor:
     return 2 * hit / (2 * hit + false + missed)
 
 
+def unknown(reason: str, frames: int) -> Verdict:
+    """That nothing can be said, and why."""
+    return Verdict("cannot tell", math.nan, math.nan, Interval(), frames, reason)
+
+
 def verdict_of(judged: Sequence[Judged]) -> Verdict:
     """What both halves say, their frames pooled; the interval draws blocks of frames."""
     before, after = (torch.cat([half[at] for half in judged]) for at in (0, 1))
     frames = len(before)
     if frames < MIN_FRAMES:
-        return Verdict("cannot tell", float("nan"), float("nan"), Interval(), frames)
+        return unknown(f"{frames} frames are too few to judge by", frames)
     generator = torch.Generator().manual_seed(SEED)
     blocks = [torch.stack([part.sum(0) for part in each.split(BLOCK)]) for each in (before, after)]
     weights = bootstrap_weights(len(blocks[0]), generator).to(torch.float64)

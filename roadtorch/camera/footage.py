@@ -189,6 +189,9 @@ OUTLINE_COLUMNS = 64
 STILL_SHARE = 0.85
 """Share of common gradients from which nothing moves. Straight motorways have up to .7."""
 
+STILL = "stands still"
+"""What is said of such footage."""
+
 OWN_LIKENESS, FOREIGN_LIKENESS = 0.8, 0.35
 """Likeness to the ego car of some frames that four of five others of them have at least, and that
 four of five frames of another camera have at most."""
@@ -219,7 +222,7 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
     found = list(gradients(at_one_size(greys)))
     footage = look_through(found)
     if footage.still.share >= STILL_SHARE:
-        raise InputError(where, "stands still: nothing moves", "give footage of a drive")
+        raise InputError(where, f"{STILL}: nothing moves", "give footage of a drive")
     _check_looks(footage, found, where)
     rows = ego_rows(footage)
     look = EgoLook() if rows is None else sure_look(ego_look(footage.still, rows), found)

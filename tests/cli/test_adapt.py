@@ -62,6 +62,23 @@ def test_halves_teach_apart_their_mean_comes_out_and_it_is_judged(
     assert "holds frames of other footage" in other.stderr
 
 
+def test_footage_that_stands_still_is_told_and_not_judged(
+    call: Call, street: Path, tmp_path: Path
+) -> None:
+    same = tmp_path / "parked"
+    for number in range(20):
+        same.mkdir(exist_ok=True)
+        write_colours(same / f"{number:02d}.png", read_image(street / "00.png"))
+
+    done = call("adapt", same, "--out", tmp_path / "out", *SHORT)
+
+    assert done.exit_code == 0
+    assert "no camera.toml" in done.stderr
+    told = "cannot tell: the footage stands still: both halves show the same\n"
+    assert done.stdout == told
+    assert not (tmp_path / "out/camera.toml").exists()
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
