@@ -29,9 +29,6 @@ CAMERA, FRAMES, PREPARED = "camera.toml", "frames", "prepared"
 MOST_CAMERA = 120
 """Frames that are looked at for what stays the same."""
 
-LEAST_EGO = 8
-"""Frames that show an ego car, as ``recordings.least``."""
-
 
 @dataclass(frozen=True)
 class Adapted:
@@ -65,9 +62,6 @@ def adapt(
     camera, missing = _camera(frames, out / CAMERA, inputs[0])
     if not frames.moving:
         missing.append("pictures have no times: they are taken in the order of their names")
-    if camera is not None:
-        recordings = training.recordings.model_copy(update={"separator": "_", "least": LEAST_EGO})
-        training = training.model_copy(update={"recordings": recordings})
     outcomes = []
     for half in HALVES:
         folder = out / half

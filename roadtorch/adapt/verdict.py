@@ -24,7 +24,7 @@ from roadtorch.train.config import PictureTraining
 from roadtorch.train.prepared import from_bytes, name_of, read_arrays
 from roadtorch.train.teachers import targets_of
 
-MAX_JUDGED = 60
+MAX_JUDGED = 150
 """Frames of each half that are looked at, evenly spread."""
 
 MIN_FRAMES = 16
