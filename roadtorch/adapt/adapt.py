@@ -58,6 +58,14 @@ def adapt(
     A run that was cut short goes on. Raises InputError for footage with fewer than two frames,
     ConfigError where ``out`` holds another run.
     """
+    with RunFolder(out).held():
+        return _adapt(inputs, out, training, most, quiet)
+
+
+def _adapt(
+    inputs: Sequence[str], out: Path, training: PictureTraining, most: int, quiet: bool
+) -> Adapted:
+    """The same in a folder that is held."""
     frames = keep_frames(inputs, out / FRAMES, most, quiet)
     camera, missing = _camera(frames, out / CAMERA, inputs[0])
     if not frames.moving:

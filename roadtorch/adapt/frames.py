@@ -1,7 +1,6 @@
 """The frames of footage that an adaptation learns from: at most so many, evenly, in two halves."""
 
 import json
-import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -61,11 +60,15 @@ def keep_frames(inputs: Sequence[str], folder: Path, most: int, quiet: bool = Fa
     where the footage has fewer than two frames that can be read.
     """
     known, asked = folder / LIST, {"footage": list(inputs), "most": most}
-    if known.exists():
-        kept = _read(known, folder, asked)
-    else:
-        shutil.rmtree(folder, ignore_errors=True)  # of a run that was cut short
+    if not known.exists():
+        if folder.exists() and any(folder.iterdir()):
+            raise ConfigError(folder, "holds files that are not of a run", "give another --out")
         make_folder(folder)
+        write_json(known, {**asked, "halves": None})
+    kept = _read(known, folder, asked)
+    if kept is None:
+        for file in folder.glob("*.jpg"):  # of a run that was cut short
+            file.unlink()
         kept = _keep(inputs, folder, most, quiet)
         rest = {"halves": kept.halves, "moving": kept.moving, "skipped": kept.skipped}
         write_json(known, {**asked, **rest})
@@ -74,16 +77,19 @@ def keep_frames(inputs: Sequence[str], folder: Path, most: int, quiet: bool = Fa
     return kept
 
 
-def _read(known: Path, folder: Path, asked: dict[str, object]) -> KeptFrames:
+def _read(known: Path, folder: Path, asked: dict[str, object]) -> KeptFrames | None:
+    """What the list in a folder says; None where the frames were not all kept."""
     try:
         values = json.loads(read_regular(known).decode())
         if {key: values[key] for key in asked} != asked:
             raise ConfigError(folder, "holds frames of other footage", "give another --out")
+        if values["halves"] is None:
+            return None
         first, second = (int(count) for count in values["halves"])
         skipped = tuple(map(str, values["skipped"]))
         return KeptFrames(folder, first + second, (first, second), bool(values["moving"]), skipped)
     except (ValueError, KeyError, TypeError, OSError):
-        raise InputError(known, "is damaged", "remove it; the frames are kept again") from None
+        raise InputError(known, "is damaged", "give another --out") from None
 
 
 def _keep(inputs: Sequence[str], folder: Path, most: int, quiet: bool) -> KeptFrames:
@@ -93,7 +99,7 @@ def _keep(inputs: Sequence[str], folder: Path, most: int, quiet: bool) -> KeptFr
     step, moving = 1, False
     seen = Progress(_frames(inputs, skipped), desc="frames", unit="frame", quiet=quiet)
     for number, (frame, image) in enumerate(seen):
-        moving = moving or frame is not None
+        moving = moving or (frame is not None and frame.seconds is not None)
         if number % step:
             continue
         write_jpeg(folder / f"{number:08d}.jpg", at_work(image, KEPT))

@@ -75,13 +75,32 @@ def test_what_was_kept_is_kept_and_other_footage_is_refused(pictures: Path, tmp_
         keep_frames([str(pictures)], tmp_path / "kept", 50, quiet=True)
 
 
-def test_frames_of_a_run_that_was_cut_short_are_kept_anew(pictures: Path, tmp_path: Path) -> None:
-    write_picture(tmp_path / "kept/00000099.jpg", render_scene(1, 32, 48))
+def test_frames_of_a_run_that_was_cut_short_are_kept_anew(
+    pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, _: object) -> None:
+        if path.stem.endswith("7"):
+            raise KeyboardInterrupt
+        path.write_bytes(b"")
+
+    monkeypatch.setattr("roadtorch.adapt.frames.write_jpeg", full)
+    with pytest.raises(KeyboardInterrupt):
+        keep_frames([str(pictures)], tmp_path / "kept", 100, quiet=True)
+    monkeypatch.undo()
 
     kept = keep_frames([str(pictures)], tmp_path / "kept", 100, quiet=True)
 
     assert kept.count == 10
-    assert not (tmp_path / "kept/00000099.jpg").exists()
+    assert len(list((tmp_path / "kept").glob("*.jpg"))) == 10
+
+
+def test_pictures_that_stand_where_frames_would_go_are_left_alone(
+    pictures: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigError, match="holds files that are not of a run"):
+        keep_frames([str(pictures)], pictures, 100, quiet=True)
+
+    assert len(list(pictures.iterdir())) == 10
 
 
 def test_one_frame_is_no_footage(pictures: Path, tmp_path: Path) -> None:
