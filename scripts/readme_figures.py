@@ -19,6 +19,7 @@ difference to ``fusion``, ``.iou`` that of an F.
 """
 
 import argparse
+import csv
 import difflib
 import json
 import re
@@ -27,6 +28,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from statistics import fmean
 from typing import Any, NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
@@ -43,18 +45,37 @@ FIGURES = ROOT / "docs" / "figures"
 
 
 class Run(NamedTuple):
-    """One evaluation: the words of its command, and who is scored.
+    """One evaluation: the words of its command, who is scored, and the commands before it.
 
-    In the words DATA is the folder of the data, OUT that of all runs.
+    In the words DATA is the folder of the data, OUT that of all runs. compared: of ``compare``,
+    whose mean IoU of both masks is a record as well.
     """
 
     words: str
     detectors: Sequence[str]
+    before: Sequence[str] = ()
+    compared: str = ""
 
-    def command(self, name: str) -> str:
-        """What is run, from ``evaluate`` on."""
+    def commands(self, name: str) -> list[str]:
+        """What is run: ``evaluate`` is the last but ``compare``."""
         named = " ".join(f"--detector {one}" for one in self.detectors)
-        return f"evaluate {self.words} {named} --against fusion --montage 0 --out OUT/{name}"
+        scored = f"{self.words} {named} --against fusion --montage 0 --out OUT/{name}"
+        last = [f"roadtorch compare {self.compared} --out OUT/{name}"] if self.compared else []
+        return [*self.before, f"roadtorch evaluate {scored}", *last]
+
+
+EXPORTED = ("fusion", "fusion:large", "fusion:research", "fusion:scratch")
+
+
+def of_exported(words: str, root: str, detectors: Sequence[str], compared: str = "") -> Run:
+    """Detectors beside their exported networks, which examples/infer.py runs on a set."""
+    before, maps = [], ""
+    for one in detectors:
+        file, folder = f"OUT/{one}.onnx", f"OUT/maps/{one}"
+        before.append(f"roadtorch export {one} --out {file}")
+        before.append(f"python docs/examples/infer.py {file} {root} {folder}")
+        maps += f" --maps {one}={folder}"
+    return Run(words + maps, detectors, before, compared)
 
 
 RUNS = {
@@ -65,6 +86,13 @@ RUNS = {
         "--threshold-from OUT/camvid/metrics.json",
         ROAD,
     ),
+    "export": of_exported(
+        "folder DATA/many --leave-out india_zed",
+        "DATA/many",
+        EXPORTED,
+        "fusion OUT/maps/fusion --images 'DATA/many/[!i]*/images/*.jpg'",
+    ),
+    "export-camvid": of_exported("camvid DATA/camvid", "DATA/camvid", EXPORTED[:1]),
     "camvid-slow": Run("camvid DATA/camvid --limit 24", SLOW),
     "idd-slow": Run("idd-lite DATA/idd_lite --limit 24", SLOW),
 }
@@ -74,15 +102,27 @@ def evaluate(data: Path, out: Path, names: Sequence[str], jobs: int) -> None:
     """Run evaluations, and keep what documents use of them; CalledProcessError where one fails."""
     asked = used()
     for name in names:
-        command = RUNS[name].command(name)
-        words = shlex.split(command.replace("DATA", str(data)).replace("OUT", str(out)))
-        words = [sys.executable, "-m", "roadtorch", *words, "--jobs", str(jobs)]
-        subprocess.run(words, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
+        commands = RUNS[name].commands(name)
+        for command in commands:
+            words = shlex.split(command.replace("DATA", str(data)).replace("OUT", str(out)))
+            start = [sys.executable, "-m", "roadtorch"] if words[0] == "roadtorch" else []
+            words = [*(start or [sys.executable]), *words[1:]]
+            words += ["--jobs", str(jobs)] * (words[3:4] == ["evaluate"])
+            subprocess.run(words, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
         metrics = json.loads((out / name / "metrics.json").read_text(encoding="utf-8"))
-        found = records_of(name, metrics)
+        found = records_of(name, metrics) | records_of_masks(name, out / name)
         kept = {key: found[key] for key in sorted(found) if key in asked}
-        text = json.dumps({"command": f"roadtorch {command}", "values": kept}, indent=0)
+        text = json.dumps({"command": " && ".join(commands), "values": kept}, indent=0)
         (FIGURES / f"{name}.json").write_text(f"{text}\n", encoding="utf-8")
+
+
+def records_of_masks(run: str, folder: Path) -> dict[str, float]:
+    """The mean IoU of two masks of each picture, where ``compare`` looked at them."""
+    path = folder / "disagreement.csv"
+    if not path.is_file():
+        return {}
+    with path.open(encoding="utf-8", newline="") as file:
+        return {f"{run}.masks.iou": fmean(float(row["iou"]) for row in csv.DictReader(file))}
 
 
 NOT_FIGURES = ("settings", "images_by_f", "ci95", "groups", "left_out", "pooled", "conditions")

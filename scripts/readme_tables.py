@@ -225,6 +225,14 @@ TABLES: Mapping[str, Table] = {
         "[[many.fusion.f_mask{at}]] | [[many.fusion.maxf{at}]] | [[many.fusion.iou_mask{at}]] | "
         "[[many.fusion:untrained.f_mask{at}]] | [[many.prior:rows.maxf{at}]]",
     ),
+    "export": Table(
+        "its network / the detector | F | worst camera, F | MaxF | ECE | boundary F",
+        _named("fusion", "fusion:large", "fusion:research", "fusion:scratch"),
+        " | ".join(
+            f"[[export.maps:{{row}}.{key}]] / [[export.{{row}}.{key}]]"
+            for key in ("f_mask", "f_mask.worst", "maxf", "ece", "boundary_f.0.00375")
+        ),
+    ),
     "many-conditions": Table(
         "condition | pictures | F | MaxF",
         {name: f"@{name}" for name in CONDITIONS},

@@ -1,6 +1,8 @@
 """Maps of pictures by an exported network, with ONNX Runtime: neither torch nor roadtorch.
 
-python docs/examples/infer.py road.onnx PICTURES MAPS
+python docs/examples/infer.py road.onnx PICTURES MAPS ['*.png']
+
+It needs onnxruntime and NumPy; Pillow reads and writes the pictures, as any other reader may.
 """
 
 import sys
@@ -10,9 +12,9 @@ import numpy as np
 import onnxruntime
 from PIL import Image
 
-model, pictures, maps = sys.argv[1:]
+model, pictures, maps, *pattern = sys.argv[1:]
 session = onnxruntime.InferenceSession(model)
-for path in sorted(Path(pictures).rglob("*.jpg")):
+for path in sorted(Path(pictures).rglob(*pattern or ["*.jpg"])):
     rgb = np.asarray(Image.open(path).convert("RGB"))
     found = session.run(["likelihood"], {"image": rgb[None]})
     file = Path(maps) / path.relative_to(pictures).with_suffix(".png")

@@ -39,10 +39,14 @@ def export(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> Non
         click.echo(f"{file}: {file.stat().st_size / 1e6:.2f} MB")
     click.echo(f"{name}: {exported.notes['part']}")
     for key, text in exported.notes.items():
-        if key not in ("roadtorch", "detector", "part"):
+        if key not in ("roadtorch", "detector", "part", "lacks"):
             click.echo(f"  {key:<18} {text}")
     found = exported.parity
     click.echo(
         f"parity with Python on {found.pictures} rendered pictures: at most {found.most:.1e} off "
         f"({found.where}), {found.mean:.1e} in the mean; allowed {BOUND:g}"
+    )
+    click.echo(
+        f"The file is the network alone. It lacks: {exported.notes['lacks']}. "
+        "What it scores beside the detector: docs/export.md"
     )

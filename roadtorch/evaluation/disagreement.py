@@ -37,6 +37,12 @@ class Disagreement:
     second_trust: float = math.nan
 
     @property
+    def iou(self) -> float:
+        """What both call road, of what either does; 1 where neither finds any."""
+        either = self.first + self.only_second
+        return (self.first - self.only_first) / either if either else 1.0
+
+    @property
     def has_trust(self) -> bool:
         """Whether both detectors say how far they trust their masks."""
         return not math.isnan(self.first_trust + self.second_trust)

@@ -158,9 +158,12 @@ def _read_maps(folder: Path, deciding: DetectorSettings, dataset: Dataset) -> Lo
         if dataset.view is not None:
             height, width = dataset.view(item, torch.zeros(sizes[0])).shape
             sizes.append((height, width))
-        # What infer makes is named like the picture, what KITTI's server takes like the label.
+        # What infer makes is named like the picture, from its own folder or from that of the set;
+        # what KITTI's server takes is named like the label.
         like_picture = str(PurePath(item.name).with_name(item.image.stem))
         names = list(dict.fromkeys([item.name, like_picture, item.label.stem]))
+        if item.image.is_relative_to(dataset.root):
+            names.append(str(item.image.relative_to(dataset.root).with_suffix("")))
         likelihood = maps.map_likelihood(folder, names, sizes)
         return Detection(likelihood, maps.map_mask(folder, names, likelihood, deciding), {})
 

@@ -37,6 +37,8 @@ from roadtorch.version import __version__
 
 CAN = ("fusion", "layout", "layout:cnn-7")
 
+ISOLATED = "dropping of isolated road"
+
 OWN_TERMS = "those of whoever trained them"
 
 Reference = Callable[[Tensor], Mapping[str, Tensor]]
@@ -47,12 +49,14 @@ Reference = Callable[[Tensor], Mapping[str, Tensor]]
 class Exportable:
     """A part of a detector as a graph.
 
-    what: which part, in words. module: pictures uint8 (N,H,W,3) RGB → its ``outputs``.
+    what: which part, in words. lacks: what Python does beside it.
+    module: pictures uint8 (N,H,W,3) RGB → its ``outputs``.
     reference: what each of these has to equal. settings: those that have a part in it.
     shipped, weights: the name of the weights that are used unless others are given.
     """
 
     what: str
+    lacks: str
     module: WholePictures | EveryPixel
     reference: Reference
     settings: tuple[str, ...]
@@ -67,14 +71,15 @@ def exportable(detector: Detector) -> Exportable:
     """
     analysis, settings = detector.analysis, detector.settings
     if isinstance(analysis, Fusion) and isinstance(settings, FusionSettings):
-        what = "its learned road, layout and ego car, without the superpixels"
+        what = "its learned road, layout and ego car"
+        lacks = f"superpixels, outlines that follow the picture, {ISOLATED}, trust"
         learned, calibration = settings.learned, settings.calibration
         weight = learned.weight + learned.detail
         platt = Platt(weight, calibration.centre, calibration.temperature)
-        part = _whole_pictures(what, analysis.network, ROAD, settings.weights, platt)
+        part = _whole_pictures(what, lacks, analysis.network, ROAD, settings.weights, platt)
     elif isinstance(analysis, Layout) and isinstance(settings, LayoutSettings):
-        what = "its learned layout and ego car, without the labeller"
-        part = _whole_pictures(what, analysis.network, HORIZONTAL, settings.weights, None)
+        what, lacks = "its learned layout and ego car", f"the labeller, {ISOLATED}"
+        part = _whole_pictures(what, lacks, analysis.network, HORIZONTAL, settings.weights, None)
     elif isinstance(analysis, Cnn7) and isinstance(settings, Cnn7Settings):
 
         def detected(image: Tensor) -> Mapping[str, Tensor]:
@@ -83,7 +88,7 @@ def exportable(detector: Detector) -> Exportable:
 
         module = EveryPixel(analysis.network, settings.working)
         kept, what = ("weights", "threshold", "working"), "its likelihood and layout"
-        part = Exportable(what, module, detected, kept, "cnn-7", settings.weights)
+        part = Exportable(what, ISOLATED, module, detected, kept, "cnn-7", settings.weights)
     else:
         raise ConfigError(detector.name, "cannot be exported", f"those that can: {', '.join(CAN)}")
     usual = detector_entry(detector.name).configured({}).model_dump()
@@ -94,7 +99,12 @@ def exportable(detector: Detector) -> Exportable:
 
 
 def _whole_pictures(
-    what: str, network: WholePictureNetwork, place: int, weights: WeightsFile, platt: Platt | None
+    what: str,
+    lacks: str,
+    network: WholePictureNetwork,
+    place: int,
+    weights: WeightsFile,
+    platt: Platt | None,
 ) -> Exportable:
     def learned(image: Tensor) -> Mapping[str, Tensor]:
         found = network.cues(image)
@@ -107,7 +117,7 @@ def _whole_pictures(
     if platt is not None:
         kept += ("learned", "calibration", "network_scale")
     module = WholePictures(network, place, platt)
-    return Exportable(what, module, learned, kept, FOR_PICTURES, weights)
+    return Exportable(what, lacks, module, learned, kept, FOR_PICTURES, weights)
 
 
 def notes_of(detector: Detector, part: Exportable) -> dict[str, str]:
@@ -119,6 +129,7 @@ def notes_of(detector: Detector, part: Exportable) -> dict[str, str]:
         "roadtorch": __version__,
         "detector": detector.name,
         "part": part.what,
+        "lacks": part.lacks,
         "input": "image: uint8 (N, H, W, 3)",
         "colour_order": "RGB",
         "range": "0 to 255",

@@ -23,7 +23,10 @@ QUALITY = 80  # of JPEG
 
 SHARES = ("differs", "first", "second", "only_first", "only_second")
 
-COLUMNS = ("image", "differs", "road_first", "road_second", "only_first", "only_second", "status")
+COLUMNS = (
+    *("image", "differs", "road_first", "road_second", "only_first", "only_second", "iou"),
+    "status",
+)
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,7 @@ def write_disagreement(out: Path, seen: Disagreements, worst: int, command: str 
     """Write disagreement.html with the ``worst`` first pictures, and disagreement.csv with all."""
     rows: list[dict[str, str]] = []
     for one in seen.pictures:
-        shares = [f"{getattr(one, key):.6f}" for key in SHARES]
+        shares = [f"{getattr(one, key):.6f}" for key in (*SHARES, "iou")]
         rows.append(dict(zip(COLUMNS, [one.item.name, *shares, "ok"], strict=True)))
     rows += [{"image": one.image, "status": one.reason} for one in seen.failures]
     write_text(out / "disagreement.csv", csv_text(COLUMNS, rows))

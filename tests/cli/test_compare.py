@@ -96,7 +96,7 @@ def test_without_labels_the_page_shows_where_they_differ_most(
     rows = list(csv.DictReader((tmp_path / "out" / "disagreement.csv").read_text().splitlines()))
     assert [row["image"] for row in rows] == [f"street_{seed}" for seed in (3, 2, 1, 0)]
     assert float(rows[0]["differs"]) == pytest.approx(40 / 48, abs=1e-5)
-    assert float(rows[0]["only_second"]) == 0
+    assert float(rows[0]["only_second"]) == float(rows[0]["iou"]) == 0
     page = (tmp_path / "out" / "disagreement.html").read_text()
     assert page.count("data:image/jpeg") == 2
     assert "A:maps" in page
@@ -137,6 +137,8 @@ def test_masks_are_compared_pixel_by_pixel() -> None:
     assert (found.first, found.second) == (10 / 20, 9 / 20)
     assert (found.only_first, found.only_second) == (6 / 20, 5 / 20)
     assert found.differs == pytest.approx(11 / 20)
+    assert found.iou == pytest.approx(4 / 15)
+    assert disagreement(item, ~(first | ~first), first & ~first).iou == 1
 
 
 @pytest.mark.parametrize(

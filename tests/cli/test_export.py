@@ -13,7 +13,8 @@ def test_export_tells_what_it_wrote_and_nothing_else(
 ) -> None:
     def written(detector: Detector, out: Path, kind: str) -> Exported:
         out.write_bytes(bytes(20_000))
-        notes = {"part": f"the whole of {detector.name} as {kind}", "threshold": "0.4"}
+        part = f"the whole of {detector.name} as {kind}"
+        notes = {"part": part, "lacks": "a soul, trust", "threshold": "0.4"}
         return Exported((out,), notes, Parity(2e-5, 1e-7, "road at 16×16", 6))
 
     monkeypatch.setattr(export, "export_detector", written)
@@ -32,6 +33,8 @@ def test_export_tells_what_it_wrote_and_nothing_else(
         "  threshold          0.4",
         "parity with Python on 6 rendered pictures: at most 2.0e-05 off (road at 16×16), "
         "1.0e-07 in the mean; allowed 0.0001",
+        "The file is the network alone. It lacks: a soul, trust. "
+        "What it scores beside the detector: docs/export.md",
     ]
 
 

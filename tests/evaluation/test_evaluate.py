@@ -149,6 +149,17 @@ def test_anybodys_maps_are_scored_and_a_missing_one_fails_its_picture_alone(camv
     assert theirs.images == 5
 
 
+def test_maps_may_lie_as_the_pictures_do_in_the_set(plain, tmp_path):
+    (tmp_path / "images").mkdir()
+    for name, scene in SCENES.items():
+        cv2.imwrite(str(tmp_path / "images" / f"{name}.png"), 255 * scene.road.numpy())
+
+    theirs = evaluate(plain, (), maps={"net": tmp_path})
+
+    assert theirs.failures == []
+    assert theirs.detectors["maps:net"].headline["iou_mask"] == 1
+
+
 def test_when_every_picture_is_broken_there_is_one_error(tmp_path):
     root = write_set(tmp_path / "camvid")
     for path in root.glob("*/*.png"):
