@@ -6,9 +6,11 @@ from pathlib import Path
 
 import torch
 
+from roadtorch.annotate.review import GLANCE, hasty_people
 from roadtorch.annotate.views import VIEWS, read_view, view_path
 from roadtorch.data.correction_labels import NOT_ROAD, ROAD_SAID
 from roadtorch.data.corrections import Correction, read_corrections
+from roadtorch.data.event_log import read_logs
 from roadtorch.evaluation.metrics import count_mask, f_measure
 from roadtorch.imaging.resize import resized
 
@@ -28,11 +30,20 @@ def corrections_report(out: Path, pictures: Path | None = None) -> str:
         verdict = "" if figure is None else f"{figure:.3f}"
         verdict = verdict if one.confirmed else "not confirmed"
         seconds = f"{one.seconds:.0f}"
-        lines.append(
-            _row(one.name, ",".join(one.users), str(one.clicks), seconds, said, agree, verdict)
-        )
+        lines.append(_row(one.name, _people(one), str(one.clicks), seconds, said, agree, verdict))
     known = [one for one in figures.values() if one is not None]
-    return "\n".join([*lines, "", *_totals(found, len(confirmed), known)])
+    lines += ["", *_totals(found, len(confirmed), known)]
+    for user, count in hasty_people(read_logs(out)).items():
+        lines.append(
+            f"caution: {user} called {count} pictures in a row right in less than {GLANCE:g} s each"
+        )
+    return "\n".join(lines)
+
+
+def _people(one: Correction) -> str:
+    """Who corrected, and after a slash who reviewed."""
+    who = ",".join(one.users)
+    return f"{who}/{','.join(one.reviewers)}" if one.reviewers else who
 
 
 def machine_f(correction: Correction, out: Path) -> float | None:

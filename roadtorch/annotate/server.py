@@ -196,10 +196,11 @@ class Page:
     async def pictures(self, request: Request) -> Response:
         """The list; 204 for who has this very list already."""
         listing = await run_in_threadpool(self._session.listing)
-        stamp = hashlib.sha256(json.dumps(listing).encode()).hexdigest()[:16]
+        hasty = await run_in_threadpool(self._session.hasty)
+        stamp = hashlib.sha256(json.dumps([listing, hasty]).encode()).hexdigest()[:16]
         if request.query_params.get("stamp") == stamp:
             return Response(status_code=204)
-        return JSONResponse({"stamp": stamp, "pictures": listing})
+        return JSONResponse({"stamp": stamp, "pictures": listing, "hasty": hasty})
 
     async def picture(self, request: Request) -> Response:
         """A picture as JPEG."""

@@ -17,14 +17,26 @@ from roadtorch.annotate.machine import (
     mended_layout,
     mended_odds,
     said_of_segments,
+    seen_as,
     shown_road,
 )
 from roadtorch.annotate.next_pictures import PictureOrder
+from roadtorch.annotate.review import RUN, check_reviewer, confirmation, hasty_run
 from roadtorch.annotate.views import ViewStore
 from roadtorch.annotate.work import PictureFolder, Work, checked_user, open_work
+from roadtorch.data.correction_labels import LABELS
 from roadtorch.data.corrections import agreement_share
 from roadtorch.data.event_log import ENDING, LogHead, log_path, read_log
-from roadtorch.data.events import AnyEvent, Confirm, SuperpixelStroke, runs_of, standing
+from roadtorch.data.events import (
+    AnyEvent,
+    Confirm,
+    Copy,
+    SuperpixelStroke,
+    mask_of,
+    reviewers,
+    runs_of,
+    standing,
+)
 from roadtorch.errors import InputError
 
 HELD = 2**26  # bytes of labels in memory, and one picture's in any case
@@ -61,10 +73,23 @@ class Session:
                 "name": name,
                 "trust": self._trust(name),
                 "turn": turns.get(name),
-                "users": work.get(name, {}),
+                "users": {
+                    user: {key: value for key, value in one.items() if key != "took"}
+                    for user, one in work.get(name, {}).items()
+                },
             }
             for name in names
         ]
+
+    def hasty(self) -> dict[str, int]:
+        """Who called so many pictures in a row right, up to now, that nobody looks so fast."""
+        took: dict[str, list[Any]] = {}
+        for users in self._work_by_picture().values():
+            for user, one in users.items():
+                if one["took"] is not None:
+                    took.setdefault(user, []).append(one["took"])
+        runs = {user: hasty_run(each) for user, each in took.items()}
+        return {user: count for user, count in sorted(runs.items()) if count >= RUN}
 
     def _trust(self, name: str) -> float | None:
         trust = self.trusts.get(name)
@@ -85,6 +110,8 @@ class Session:
                     "events": len(lasting),
                     "confirmed": any(isinstance(event, Confirm) for event in lasting),
                     "version": len(events),
+                    "reviewed": list(reviewers(lasting)),
+                    "took": confirmation(events),
                 }
                 self._summaries[path] = length, summary
             if summary["version"]:
@@ -134,6 +161,7 @@ class Session:
         start = time.perf_counter()
         view = self._view_or_last(name)
         work = self._work(name, user, view)
+        check_reviewer(user, event, work.events)
         work.add(self._completed(event, work, view))
         return {
             **self._shown(name, work, view),
@@ -150,11 +178,31 @@ class Session:
                 raise InputError(work.path.name, what, "load the page again")
             chosen = np.isin(view.labels.numpy(), event.segments)
             changes["runs"] = runs_of(at_size(chosen, view.size))
+        if isinstance(event, Copy):
+            picture, road = self._road_before(work, view)
+            changes |= {"picture": picture, "runs": runs_of(road)}
         if isinstance(event, Confirm):
             changes["runs"] = runs_of(shown_road(self._odds(work, view), work.labels, view.size))
         return event.model_copy(update=changes)
 
+    def _road_before(self, work: Work, view: PictureView) -> tuple[str, np.ndarray]:
+        """The last picture before this one that the person called right, and its road (H,W)."""
+        user = work.head.user
+        own = work.path.relative_to(self.out).as_posix().removesuffix(f".{user}{ENDING}")
+        done = self._work_by_picture()
+        names = self.pictures.names()
+        for name in reversed(names[: names.index(own)] if own in names else ()):
+            if done.get(name, {}).get(user, {}).get("confirmed"):
+                log = read_log(log_path(self.out, name, user))
+                if log is not None and (log.head.height, log.head.width) == view.size:
+                    return name, log.labels() == LABELS.index("road")
+        what = "has no picture of its size before it that you called right"
+        raise InputError(own, what, "call the frame before it right first")
+
     def _odds(self, work: Work, view: PictureView) -> Any:
+        copied = [one for one in work.standing() if isinstance(one, Copy)]
+        if copied:
+            view = seen_as(view, mask_of(copied[-1].runs, view.size))
         said = said_of_segments(work.labels, view, self.settings)
         return mended_odds(view, said, self.settings.propagation)
 
@@ -172,6 +220,7 @@ class Session:
             "events": [[one.id, one.kind, getattr(one, "saying", "")] for one in work.standing()],
             "redo": work.taken_back(),
             "confirmed": work.confirmed,
+            "reviewed": list(reviewers(work.standing())),
             "seconds": round(work.seconds, 1),
             "clicks": len(work.events),
             "agreement": self.agreement(name),

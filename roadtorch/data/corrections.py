@@ -24,7 +24,7 @@ from roadtorch.data.correction_labels import (
 )
 from roadtorch.data.dataset import Dataset, Item, Truth
 from roadtorch.data.event_log import ENDING, EventLog, read_log, read_logs
-from roadtorch.data.events import Confirm, standing
+from roadtorch.data.events import Confirm, reviewers, standing
 from roadtorch.errors import DatasetError
 from roadtorch.layout.classes import UNLABELLED
 
@@ -37,7 +37,8 @@ class Correction:
     numbers of ``LABELS``. confirmed: somebody said that it is right as it is, so that every
     pixel's road is known. users: sorted. seconds: at work on it, of all of them. clicks: events of
     all of them, those taken back among them. agreement: share of the pixels that two or more
-    spoke of on which all of them agree about the road; None where there are none.
+    spoke of on which all of them agree about the road; None where there are none. reviewers: who
+    called the work of another right.
     """
 
     picture: Path
@@ -48,6 +49,7 @@ class Correction:
     seconds: float
     clicks: int
     agreement: float | None = None
+    reviewers: tuple[str, ...] = ()
 
     @property
     def road(self) -> np.ndarray:
@@ -108,6 +110,7 @@ def corrected(picture: Path, name: str, logs: Sequence[EventLog]) -> Correction:
         sum(event.seconds for event in events),
         len({event.id for event in events}),
         agreement_share(said),
+        tuple(sorted({who for log in logs for who in reviewers(standing(log.events))})),
     )
 
 

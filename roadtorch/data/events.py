@@ -88,22 +88,43 @@ class Import(Event):
     labels: dict[Label, Runs]
 
 
+class Copy(Event):
+    """ "Same as last frame": the road of an earlier picture is shown here; nothing is said by it.
+
+    picture: whose it is. runs: its pixels. They become the person's own when the person confirms.
+    """
+
+    kind: Literal["copied"]
+    picture: str = Field(default="", max_length=4096)
+    runs: Runs = ()
+
+
+class Review(Event):
+    """A second person calls a confirmation right; it says nothing of the labels."""
+
+    kind: Literal["reviewed"]
+    of: Name
+    by: Name
+
+
 class Undo(Event):
-    """Takes an event back."""
+    """Takes an event back. by: the second person who did it; None for the log's own."""
 
     kind: Literal["undo"]
     of: Name
+    by: Name | None = None
 
 
 class Redo(Event):
-    """Does an event again that was taken back."""
+    """Does an event again that was taken back; ``by`` as there."""
 
     kind: Literal["redo"]
     of: Name
+    by: Name | None = None
 
 
 Stroke = SuperpixelStroke | PolygonStroke | BrushStroke
-LastingEvent = Stroke | Confirm | Import
+LastingEvent = Stroke | Confirm | Import | Copy | Review
 AnyEvent = LastingEvent | Undo | Redo
 
 _ADAPTER: pydantic.TypeAdapter[AnyEvent] = pydantic.TypeAdapter(
@@ -178,6 +199,14 @@ def standing(events: Iterable[AnyEvent]) -> list[LastingEvent]:
     return [event for event in kept.values() if event.id not in undone]
 
 
+def reviewers(events: Iterable[LastingEvent]) -> tuple[str, ...]:
+    """Who called the work right since it was changed last, of the events that hold; sorted."""
+    found: set[str] = set()
+    for event in events:
+        found = {*found, event.by} if isinstance(event, Review) else set()
+    return tuple(sorted(found))
+
+
 def apply_event(labels: np.ndarray, event: LastingEvent) -> None:
     """Change labels uint8 (H,W) in place as one event says; InputError for what does not fit."""
     size = (labels.shape[0], labels.shape[1])
@@ -190,7 +219,9 @@ def apply_event(labels: np.ndarray, event: LastingEvent) -> None:
     elif isinstance(event, Import):
         for name, runs in event.labels.items():
             labels[mask_of(runs, size)] = LABELS.index(name)
-    else:
+    elif isinstance(event, Copy):
+        mask_of(event.runs, size)  # it has to fit, and says nothing
+    elif not isinstance(event, Review):
         where = stroke_mask(event, size)
         labels[where] = after_saying(labels[where], event.saying)
 

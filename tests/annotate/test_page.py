@@ -218,6 +218,57 @@ def test_a_narrow_window_has_everything_in_reach(visit: Open, server: Server) ->
     assert (server.corrections()[0].road == 0).any()
 
 
+@pytest.mark.slow
+def test_the_hint_goes_for_good_and_the_colour_stays(visit: Open, server: Server) -> None:
+    page = visit(server)
+    road = "() => getComputedStyle(document.documentElement).getPropertyValue('--road')"
+    assert page.locator("#hint li").count() == 3
+    assert page.evaluate(road) == "rgb(86 180 233)"  # as infer draws it
+    page.locator("#hint-seen").click()
+    page.keyboard.press("h")
+    assert page.evaluate(road) == "rgb(0 158 115)"
+    page.reload()
+    page.wait_for_selector("body[data-picture]")
+    assert not page.locator("#hint").is_visible()
+    assert page.evaluate(road) == "rgb(0 158 115)"
+
+
+@pytest.mark.slow
+def test_same_as_last_frame(visit: Open, server: Server) -> None:
+    page = visit(server)
+    page.keyboard.press("c")
+    notices(page, "before it that you called right")
+    page.keyboard.press("Enter")
+    shown(page, "street_1.png")
+    page.keyboard.press("c")
+    at_version(page, 1)
+    assert [one.name for one in server.corrections()] == ["street_0.png"]
+    page.keyboard.press("Enter")
+    shown(page, "street_2.png")
+    first, second = server.corrections()
+    assert (first.road == second.road).all()
+
+
+@pytest.mark.slow
+def test_faster_than_anybody_looks_is_told(visit: Open, tmp_path: Path) -> None:
+    folder = write_streets(tmp_path / "many", 1)
+    for number in range(1, 12):
+        shutil.copy(folder / "street_0.png", folder / f"street_{number}.png")
+    server = Server(folder, tmp_path / "corrections")
+    page = visit(server)
+    for count in range(1, 11):
+        before = page.evaluate("document.body.dataset.picture")
+        page.evaluate("dispatchEvent(new KeyboardEvent('keydown', { key: 'Enter' }))")
+        page.wait_for_function("b => document.body.dataset.picture !== b", arg=before)
+        page.wait_for_function(
+            "n => document.getElementById('progress').textContent.startsWith(n + ' of')", arg=count
+        )
+    text = page.locator("#progress").inner_text()
+    hasty = [one.seconds < 1 for one in server.corrections()]
+    assert ("caution: 10 in a row" in text) == all(hasty)
+    server.stop()
+
+
 # --- several windows and people ---------------------------------------------------------
 
 
@@ -247,6 +298,33 @@ def test_two_people_see_how_far_they_agree(visit: Open, server: Server) -> None:
     assert server.corrections()[0].users == ("ann", "bob")
     bob.wait_for_function(
         "() => document.querySelector('.row small').textContent.includes('ann 1, bob 1')"
+    )
+
+
+@pytest.mark.slow
+def test_a_second_person_reviews(visit: Open, server: Server) -> None:
+    ann = visit(server, "ann")
+    for picture in ("street_1.png", "street_2.png"):
+        ann.keyboard.press("Enter")
+        shown(ann, picture)
+    bob = visit(server, "bob")
+    bob.keyboard.press("r")
+    shown(bob, "street_0.png")
+    bob.wait_for_function(
+        "() => document.getElementById('facts').textContent.includes('work of ann')"
+    )
+    click(bob, 0.5, 0.9)  # a reviewer draws nothing
+    bob.keyboard.press("Enter")
+    shown(bob, "street_1.png")
+    bob.keyboard.press("x")
+    ann.wait_for_function(
+        "() => document.getElementById('progress').textContent.startsWith('1 of 3 right')"
+    )
+    (one,) = server.corrections()  # of the other nothing but the confirmation was said
+    assert (one.name, one.users, one.reviewers) == ("street_0.png", ("ann",), ("bob",))
+    bob.keyboard.press("r")
+    bob.wait_for_function(
+        "() => !document.getElementById('facts').textContent.includes('work of ann')"
     )
 
 

@@ -2,7 +2,9 @@
 
 import shutil
 import threading
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,9 +21,19 @@ from roadtorch.annotate.session import Session, look_at_all
 from roadtorch.annotate.work import import_labels
 from roadtorch.data.correction_formats import FORMATS
 from roadtorch.data.corrections import read_corrections
-from roadtorch.data.events import BrushStroke, Confirm, Redo, SuperpixelStroke, Undo
+from roadtorch.data.event_log import read_log
+from roadtorch.data.events import (
+    BrushStroke,
+    Confirm,
+    Copy,
+    Redo,
+    Review,
+    SuperpixelStroke,
+    Undo,
+)
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError, DatasetError, InputError
+from tests.annotate.conftest import write_streets
 
 NAME = "street_0.png"
 
@@ -79,8 +91,8 @@ def test_two_users_have_work_of_their_own_and_agree_in_part(session: Session) ->
     assert session.add(NAME, "bob", superpixel("c", "not_road", 1))["agreement"] < 1
     users = session.listing()[0]["users"]
     assert users == {
-        "ann": {"events": 1, "confirmed": False, "version": 1},
-        "bob": {"events": 2, "confirmed": False, "version": 2},
+        "ann": {"events": 1, "confirmed": False, "version": 1, "reviewed": []},
+        "bob": {"events": 2, "confirmed": False, "version": 2, "reviewed": []},
     }
 
 
@@ -263,3 +275,126 @@ def test_a_port_that_is_taken_is_told_or_passed_over() -> None:
         other.close()
     finally:
         taken.close()
+
+
+# --- same as last frame -----------------------------------------------------------------
+
+
+def shown(state: Mapping[str, Any]) -> np.ndarray:
+    return np.frombuffer(state["layers"], np.uint8).reshape(48, 64) >> 3 & 1
+
+
+def test_a_copied_mask_is_shown_and_is_nobodys_word_until_it_is_confirmed(
+    session: Session,
+) -> None:
+    session.add(NAME, "ann", superpixel("a", "not_road", *range(30)))
+    last = shown(session.add(NAME, "ann", Confirm(kind="right", id="b")))
+
+    copied = session.add("street_1.png", "ann", Copy(kind="copied", id="c"))
+
+    assert (shown(copied) == last).all()
+    assert [one.name for one in read_corrections(session.out)] == [NAME]  # nothing is said yet
+    stroked = session.add("street_1.png", "ann", superpixel("d", "road", 0))
+    first = session.view("street_1.png").labels.numpy() == 0
+    assert shown(stroked)[first].all()
+    assert (read_corrections(session.out)[1].road != 255).sum() == first.sum()
+    confirmed = session.add("street_1.png", "ann", Confirm(kind="right", id="e"))
+    assert (read_corrections(session.out)[1].road == shown(confirmed)).all()
+    assert (shown(reopened(session).state("street_1.png", "ann")) == shown(confirmed)).all()
+
+
+def test_a_copy_is_undone_and_looks_back_past_what_is_not_confirmed(session: Session) -> None:
+    before = session.state("street_2.png", "ann")["layers"]
+    session.add(NAME, "ann", Confirm(kind="right", id="a"))
+    session.add("street_1.png", "ann", superpixel("b", "road", 0))
+
+    session.add("street_2.png", "ann", Copy(kind="copied", id="c"))
+
+    log = read_log(session.out / "street_2.png.ann.strokes.jsonl")
+    assert log is not None
+    assert [one.picture for one in log.events if isinstance(one, Copy)] == [NAME]
+    undone = session.add("street_2.png", "ann", Undo(kind="undo", id="d", of="c"))
+    assert undone["layers"] == before
+
+
+def test_there_is_nothing_to_copy_before_the_first_and_nothing_of_others(session: Session) -> None:
+    session.add(NAME, "bob", Confirm(kind="right", id="a"))
+    for name in (NAME, "street_1.png"):
+        with pytest.raises(InputError, match="before it that you called right"):
+            session.add(name, "ann", Copy(kind="copied", id="b"))
+        assert session.state(name, "ann")["version"] == 0
+
+
+# --- review -----------------------------------------------------------------------------
+
+
+def test_a_second_person_calls_it_right_by_name_and_the_labels_stay(session: Session) -> None:
+    session.add(NAME, "ann", Confirm(kind="right", id="a"))
+    (before,) = read_corrections(session.out)
+
+    told = session.add(NAME, "ann", Review(kind="reviewed", id="b", of="a", by="bob"))
+
+    assert told["reviewed"] == ["bob"]
+    (after,) = read_corrections(session.out)
+    assert (after.labels == before.labels).all()
+    assert (after.users, after.reviewers, after.agreement) == (("ann",), ("bob",), None)
+    assert "ann/bob" in corrections_report(session.out)
+    changed = session.add(NAME, "ann", superpixel("c", "road", 0))
+    assert changed["reviewed"] == []  # of what was there then
+
+
+def test_a_reopened_picture_counts_its_strokes_alone_and_waits_again(session: Session) -> None:
+    session.add(NAME, "ann", superpixel("a", "road", 0))
+    (strokes,) = read_corrections(session.out)
+    session.add(NAME, "ann", Confirm(kind="right", id="b"))
+
+    told = session.add(NAME, "ann", Undo(kind="undo", id="c", of="b", by="bob"))
+
+    assert not told["confirmed"]
+    assert not session.listing()[0]["users"]["ann"]["confirmed"]
+    (left,) = read_corrections(session.out)
+    assert not left.confirmed
+    assert (left.labels == strokes.labels).all()
+
+
+def test_a_reviewer_judges_confirmations_of_others_and_nothing_else(session: Session) -> None:
+    session.add(NAME, "ann", superpixel("a", "road", 0))
+    session.add(NAME, "ann", Confirm(kind="right", id="b"))
+
+    with pytest.raises(InputError, match="have a second person"):
+        session.add(NAME, "ann", Review(kind="reviewed", id="c", of="b", by="ann"))
+    for event in (
+        Review(kind="reviewed", id="c", of="a", by="bob"),
+        Undo(kind="undo", id="c", of="a", by="bob"),
+        Redo(kind="redo", id="c", of="no", by="bob"),
+    ):
+        with pytest.raises(InputError, match="is no verdict of ann"):
+            session.add(NAME, "ann", event)
+    assert session.state(NAME, "ann")["version"] == 2
+
+
+# --- faster than anybody looks ----------------------------------------------------------
+
+
+def test_ten_confirmations_in_a_row_under_a_second_are_told_and_none_is_refused(
+    tmp_path: Path,
+) -> None:
+    folder = write_streets(tmp_path / "streets", 1)
+    for number in range(1, 12):
+        shutil.copy(folder / NAME, folder / f"street_{number}.png")
+    (tmp_path / "out").mkdir()
+    session = opened_session(folder, tmp_path / "out", load_detector("prior:triangle"))
+    names = session.pictures.names()
+    session.add(names[0], "ann", Confirm(kind="right", id="slow", seconds=7))
+    for number, name in enumerate(names[1:10]):
+        session.add(name, "ann", Confirm(kind="right", id=f"a{number}", seconds=0.4))
+    assert session.hasty() == {}
+    assert "caution" not in corrections_report(session.out)
+
+    session.add(names[10], "ann", Confirm(kind="right", id="tenth", seconds=0.9))
+
+    assert session.hasty() == {"ann": 10}
+    session.add(names[11], "ann", Confirm(kind="right", id="slow", seconds=7))
+    assert session.hasty() == {}  # they look again
+    assert "caution: ann called 10 pictures in a row right" in corrections_report(session.out)
+    assert all(one.confirmed for one in read_corrections(session.out))

@@ -1,10 +1,11 @@
 // The page: pictures, keys and tools; what they do goes to the server as events.
 
-import { Stage } from "/static/canvas.js";
+import { ROADS, Stage } from "/static/canvas.js";
 import { button, listKeys, marked, onKeys } from "/static/controls.js";
 import { Hand } from "/static/hand.js";
 import { Outbox, Refusal, ask } from "/static/link.js";
 import { PictureList } from "/static/list.js";
+import { caution, toReview, verdict, waits, withdrawn } from "/static/review.js";
 
 const by = (id) => document.getElementById(id);
 const SAYINGS = ["road", "not_road", "void", "sky", "vertical", "horizontal"];
@@ -14,7 +15,7 @@ const POLL = 1500; // milliseconds
 
 const stage = new Stage(by("stage"));
 const list = new PictureList(by("list"), by("spacer"), open);
-const hand = new Hand(stage, send, () => current !== null);
+const hand = new Hand(stage, send, () => current !== null && !reviewing);
 const outbox = new Outbox(acted);
 const loaded = new Map(); // pictures by name: promises, the last few
 
@@ -26,6 +27,7 @@ let state = null; // what the server told about it
 let seconds = 0; // at work since the last act
 let touched = performance.now();
 let wanted = null; // the picture that was asked for last
+let reviewing = false; // whether the work of others is shown, to be called right or reopened
 
 // --- pictures ---------------------------------------------------------------------------
 
@@ -48,14 +50,16 @@ async function superpixels(name) {
 
 async function open(name) {
   wanted = name;
+  const whose = (reviewing && toReview(pictures.find((one) => one.name === name), user)) || user;
   document.body.classList.remove("listing");
   by("waiting").hidden = false;
   try {
     const [[image, labels], found] = await Promise.all([
-      picture(name), ask("state", { name, user }).then((answer) => answer.json()),
+      picture(name), ask("state", { name, user: whose }).then((answer) => answer.json()),
     ]);
     if (wanted !== name) return;
-    current = { name, bitmap: image, superpixels: labels, size: found.size, shape: found.shape };
+    const { size, shape } = found;
+    current = { name, whose, bitmap: image, superpixels: labels, size, shape };
     seconds = 0;
     notice("");
     location.hash = encodeURIComponent(name);
@@ -74,7 +78,7 @@ async function open(name) {
 // The pictures that wait for a verdict: those with a turn, then the least certain first; unknown
 // ones at the end.
 function sorted() {
-  const key = (one) => [one.users[user]?.confirmed ? 1 : 0, one.turn ?? 1e9, one.trust ?? 2];
+  const key = (one) => [done(one) ? 1 : 0, one.turn ?? 1e9, one.trust ?? 2];
   pictures.sort((a, b) => {
     const [x, y] = [key(a), key(b)];
     return x[0] - y[0] || x[1] - y[1] || x[2] - y[2] || (a.name < b.name ? -1 : 1);
@@ -82,9 +86,14 @@ function sorted() {
   list.show(pictures, current?.name ?? null);
 }
 
+// Whether a picture asks nothing more of this person.
+function done(one) {
+  return reviewing ? !waits(one, user) : one.users[user]?.confirmed;
+}
+
 function following(step = 1) {
   const index = pictures.findIndex((one) => one.name === current?.name);
-  const open = pictures.filter((one) => !one.users[user]?.confirmed || one.name === current?.name);
+  const open = pictures.filter((one) => !done(one) || one.name === current?.name);
   const place = open.findIndex((one) => one.name === current?.name);
   if (open.length > 1 && step > 0) return open[(place + 1) % open.length].name;
   return pictures[(index + step + pictures.length) % pictures.length]?.name;
@@ -108,7 +117,9 @@ function tell(found) {
   by("name").textContent = found.name;
   document.title = `${found.name} · roadtorch`;
   const facts = [
+    current.whose === user ? "" : `work of ${current.whose}`,
     found.confirmed ? "right ✓" : "",
+    found.reviewed.length ? `reviewed by ${found.reviewed.join(", ")}` : "",
     found.trust === null ? "" : `trust ${found.trust.toFixed(2)}`,
     `${found.clicks} clicks`, `${Math.round(found.seconds)} s`,
     found.agreement === null ? "" : `agreement ${(100 * found.agreement).toFixed(1)} %`,
@@ -153,14 +164,14 @@ async function refresh() {
     if (answer.status === 204) return;
     const found = await answer.json();
     stamp = found.stamp;
-    await listed(found.pictures);
+    await listed(found.pictures, found.hasty[user]);
   } catch (problem) {
     failed(problem);
   }
 }
 
 // A new list: the order stays until the next picture is opened, so that no row jumps away.
-async function listed(found) {
+async function listed(found, hasty) {
   const order = new Map(pictures.map((one, index) => [one.name, index]));
   const place = (one) => order.get(one.name) ?? Infinity;
   const first = !pictures.length;
@@ -168,20 +179,22 @@ async function listed(found) {
   if (first) sorted();
   else list.show(pictures, current?.name ?? null);
   const right = pictures.filter((one) => one.users[user]?.confirmed).length;
+  const waiting = pictures.filter((one) => waits(one, user)).length;
   const known = pictures.filter((one) => one.trust !== null).length;
   const looked = known < pictures.length ? `, ${known} looked at` : "";
-  by("progress").textContent = `${right} of ${pictures.length} right${looked}`;
+  by("progress").textContent = reviewing ? `review: ${waiting} pictures of others wait`
+    : `${right} of ${pictures.length} right${looked}${caution(hasty)}`;
   if (!pictures.length) notice("The folder holds no pictures.");
   const own = pictures.find((one) => one.name === current?.name);
   if (current && !own) notice(`${current.name} is no longer in the folder; your strokes are kept.`);
-  const version = own?.users[user]?.version ?? 0;
+  const version = own?.users[current.whose]?.version ?? 0;
   if (own && state && !outbox.waiting.length && version > state.version) await again();
 }
 
 // Another window of this person did something: show it.
 async function again() {
-  const { name } = current;
-  const found = await (await ask("state", { name, user })).json();
+  const { name, whose } = current;
+  const found = await (await ask("state", { name, user: whose })).json();
   if (current.name === name) tell(found);
 }
 
@@ -199,7 +212,7 @@ function send(act) {
   work();
   const entry = { ...act, seconds: Math.min(Math.round(seconds * 10) / 10, 600) };
   seconds = 0;
-  const sent = outbox.add(current.name, user, entry).catch(failed);
+  const sent = outbox.add(current.name, current.whose, entry).catch(failed);
   stage.pending = outbox.waiting.filter((e) => e.name === current.name).map((e) => e.act);
   stage.draw();
   return sent;
@@ -210,21 +223,49 @@ function undo() {
     stage.polygon.pop();
     return stage.draw();
   }
+  if (reviewing) return judge(withdrawn(state, user));
   const last = state?.events.at(-1);
   if (last) send({ kind: "undo", of: last[0] });
 }
 
 function redo() {
-  const last = state?.redo.at(-1);
+  const last = !reviewing && state?.redo.at(-1);
   if (last) send({ kind: "redo", of: last });
 }
 
 async function right() {
   if (stage.polygon.length) return hand.closePolygon();
   if (!current) return;
+  if (reviewing) return judge(verdict(state, user, true), true);
   const next = following();
   await send({ kind: "right" });
   if (next && next !== current.name) open(next);
+}
+
+// The road of the last picture before this one that was called right; one's own after Enter.
+function copy() {
+  if (current && !reviewing) send({ kind: "copied" });
+}
+
+// A verdict on the work of another; on: then the next one comes.
+async function judge(act, on = false) {
+  if (!act || current.whose === user) return;
+  const next = following();
+  await send(act);
+  if (on && next !== current.name) open(next);
+}
+
+// Show what others called right, or one's own work again.
+async function review() {
+  const others = pictures.filter((one) => toReview(one, user));
+  reviewing = !reviewing && others.length > 0;
+  by("review-button").setAttribute("aria-checked", reviewing);
+  stamp = "";
+  await refresh();
+  sorted();
+  const shown = reviewing ? others.find((one) => waits(one, user)) ?? others[0] : current;
+  if (shown) await open(shown.name);
+  if (!others.length) notice("Nobody else has called a picture right yet.");
 }
 
 // --- sight ------------------------------------------------------------------------------
@@ -238,6 +279,20 @@ function fade(step) {
 function flip(name) {
   stage[name] = !stage[name];
   stage.draw();
+}
+
+// The colour of the road, by name; of infer's unless another was chosen in this browser.
+function paint(name) {
+  localStorage.roadtorchRoad = name;
+  stage.road = ROADS[name] ?? ROADS.blue;
+  document.documentElement.style.setProperty("--road", `rgb(${stage.road.join(" ")})`);
+  if (current) stage.tint();
+  stage.draw();
+}
+
+function recolour() {
+  const names = Object.keys(ROADS);
+  paint(names[(names.indexOf(localStorage.roadtorchRoad) + 1) % names.length]);
 }
 
 function sight() {
@@ -283,6 +338,9 @@ const KEYS = [
   ["Enter", "right as it is, and on to the next; closes a polygon", right],
   ["n", "next picture, the least certain that waits", () => next(1)],
   ["k", "picture before it in the list", () => next(-1)],
+  ["c", "same as last frame: the road of the picture before that you called right", copy],
+  ["r", "review what others called right, and end it", review],
+  ["x", "in review: reopen, it is not right", () => reviewing && judge(verdict(state, user, false), true)],
   ["z", "undo (Ctrl+Z as well)", undo],
   ["y", "redo (Ctrl+Y as well)", redo],
   [" ", "click at the cross", () => hand.click()],
@@ -294,6 +352,7 @@ const KEYS = [
   ["]", "larger brush", () => hand.resize(1.3)],
   ["o", "fainter overlay", () => fade(-0.1)],
   ["O", "stronger overlay", () => fade(0.1)],
+  ["h", "colour of the road", recolour],
   ["v", "overlay on and off", () => flip("hidden")],
   ["g", "borders of superpixels on and off", () => flip("borders")],
   ["l", "see road or layout", sight],
@@ -311,10 +370,15 @@ function build() {
   button("acts", "undo", "z", undo).dataset.act = "undo";
   button("acts", "redo", "y", redo).dataset.act = "redo";
   button("acts", "next", "n", () => next(1));
+  button("acts", "same as last frame", "c", copy);
+  const toggle = button("acts", "review", "r", review);
+  toggle.id = "review-button";
+  toggle.setAttribute("role", "switch");
   button("sight", "−", "-", () => stage.zoomBy(0.8)).title = "zoom out";
   button("sight", "+", "+", () => stage.zoomBy(1.25)).title = "zoom in";
   button("sight", "whole", "0", () => stage.fit());
   button("sight", "road / layout", "l", sight);
+  button("sight", "colour", "h", recolour);
   const range = Object.assign(document.createElement("input"), {
     type: "range", min: 0.05, max: 1, step: 0.05, value: stage.opacity, id: "opacity",
   });
@@ -334,6 +398,11 @@ function listen() {
   by("show-list").addEventListener("click", () => document.body.classList.toggle("listing"));
   by("who-button").addEventListener("click", askName);
   by("help-button").addEventListener("click", () => by("help").showModal());
+  by("hint").hidden = localStorage.roadtorchHint === "seen";
+  by("hint-seen").addEventListener("click", () => {
+    localStorage.roadtorchHint = "seen";
+    by("hint").hidden = true;
+  });
   by("who").addEventListener("cancel", (event) => user || event.preventDefault());
   by("who").addEventListener("close", () => beginAs(by("user").value.trim()));
 }
@@ -341,6 +410,8 @@ function listen() {
 async function beginAs(name) {
   if (!name) return askName();
   user = localStorage.roadtorchUser = name;
+  reviewing = false;
+  by("review-button").setAttribute("aria-checked", false);
   by("who-button").textContent = name;
   stamp = "";
   current = wanted = null;
@@ -366,6 +437,7 @@ async function poll() {
 
 build();
 listen();
+paint(localStorage.roadtorchRoad in ROADS ? localStorage.roadtorchRoad : "blue");
 say("road");
 choose("superpixel");
 if (user) beginAs(user);

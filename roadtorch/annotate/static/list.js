@@ -82,6 +82,8 @@ function said(picture) {
   const work = Object.entries(picture.users);
   const trust = picture.trust === null ? "not looked at" : `trust ${picture.trust.toFixed(2)}`;
   if (!work.length) return trust;
-  const people = work.map(([user, one]) => `${one.confirmed ? "✓ " : ""}${user} ${one.events}`);
+  const people = work.map(([user, one]) => (
+    `${one.confirmed ? "✓ " : ""}${user} ${one.events}${one.reviewed.map((who) => ` ✓ ${who}`).join("")}`
+  ));
   return `${trust} · ${people.join(", ")}`;
 }
