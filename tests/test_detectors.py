@@ -247,22 +247,6 @@ def test_regions_away_from_the_seed_area_are_dropped_when_asked() -> None:
     assert torch.equal(dropped[20:], kept[20:])
 
 
-@pytest.mark.parametrize(
-    ("name", "settings", "message"),
-    [
-        ("prior:row", {}, r"prior:row: unknown detector \(did you mean .*prior:rows"),
-        ("prior:rows", {"treshold": 1.0}, r"treshold: unknown setting \(did you mean threshold"),
-        ("prior:rows", {"threshold": 2.0}, r"threshold: 2\.0 was given"),
-        ("prior:rows", {"threshold": "high"}, r"threshold: 'high' was given"),
-    ],
-)
-def test_misspelt_names_and_wrong_settings_are_told(
-    name: str, settings: dict[str, Any], message: str
-) -> None:
-    with pytest.raises(ConfigError, match=message):
-        load_detector(name, **settings)
-
-
 MANY = DetectorGrid("many:<gain>:<kind>", "many of them")
 
 

@@ -1,7 +1,6 @@
 """The second teacher: heads on the features of a backbone, taught by rendered truth.
 
     python -m train.second_teacher learn DATA --worlds WORLDS… --drawn TRUTH… --out teacher.file
-    python -m train.second_teacher measure DATA teacher.file
     python -m train.second_teacher teach teacher.file --pictures REAL --truth PREPARED
     python -m train.second_teacher lay --worlds WORLDS --data DATA --drawn DRAWN --truth PREPARED
 
@@ -10,14 +9,14 @@ ImageNet's object labels, and no road label by people: WORLDS is what ``train.wo
 TRUTH what ``train.rendered_streets`` and ``train.rendered_ego_cars`` of 2ca1381 wrote, DATA holds
 ``simulated/``. With ``--real PREPARED`` it learns from what ``teach`` wrote as well, which is
 `fusion:large` with a teacher of before on real pictures. ``lay`` writes WORLDS for
-``roadtorch train``. ``measure`` tells F on DATA/many: of `fusion`, of the teacher, of both pooled.
+``roadtorch train``.
 """
 
 import argparse
 from collections.abc import Iterable, Iterator
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -27,9 +26,7 @@ from torch.nn import functional as F
 from tqdm import tqdm
 
 from roadtorch import load_detector, read_image
-from roadtorch.data.catalogue import open_dataset
 from roadtorch.detector import Detector
-from roadtorch.evaluation.metrics import count_mask, f_measure
 from roadtorch.imaging.resize import resized
 from roadtorch.io.atomic import make_folder
 from roadtorch.layout.backbone_network import (
@@ -44,9 +41,6 @@ from roadtorch.layout.weights import load_network, save_network
 from roadtorch.train.prepared import SOURCE, from_bytes, read_arrays, to_bytes, write_arrays
 
 VOID = 255
-
-TOO_FEW = ("india_zed",)
-"""Folders of many/ that its README leaves out of means."""
 
 VARIANTS = 2
 """Of each picture: as it is, and moved, zoomed and in another light."""
@@ -290,27 +284,7 @@ def anew(module: nn.Module) -> None:
         module.reset_parameters()
 
 
-# --- what it is worth -------------------------------------------------------------------
-
-
-def measure(given: argparse.Namespace) -> None:
-    """F at .5 on DATA/many by folder: of `fusion`, of the teacher, of both pooled."""
-    network, fusion = read_teacher(given.teacher), load_detector(given.detector)
-    many = open_dataset("folder", given.data / "many")
-    counts: dict[str, list[Any]] = {}
-    for item in tqdm([item for item in many.items if item.group not in TOO_FEW], disable=None):
-        image, truth = many.read(item)
-        alone, found = both_ways(network, image)["road"], fusion.detect(image).likelihood
-        masks = [found >= 0.5, alone >= 0.5, (found + alone) / 2 >= 0.5]
-        mine = [count_mask(mask, truth.road, truth.valid) for mask in masks]
-        group = str(item.group)
-        known = counts.get(group, [])
-        counts[group] = [a + b for a, b in zip(known, mine, strict=True)] if known else mine
-    rows = {name: [float(f_measure(one)) for one in each] for name, each in counts.items()}
-    rows["mean"] = list(np.mean(list(rows.values()), 0))
-    rows["worst"] = list(np.min(list(rows.values()), 0))
-    for name, row in rows.items():
-        print(f"{name:18} fusion {row[0]:.3f}  teacher {row[1]:.3f}  pooled {row[2]:.3f}")
+# --- teaching ---------------------------------------------------------------------------
 
 
 def read_teacher(path: Path) -> BackboneNetwork:
@@ -324,9 +298,6 @@ def both_ways(network: BackboneNetwork, image: Tensor) -> dict[str, Tensor]:
     """What a teacher says of an image (3,H,W), the mean with its mirror image."""
     first, second = network.cues(image), network.cues(image.flip(-1))
     return {name: (maps + second[name].flip(-1)) / 2 for name, maps in first.items()}
-
-
-# --- teaching ---------------------------------------------------------------------------
 
 
 def teach(given: argparse.Namespace) -> None:
@@ -394,7 +365,7 @@ def taught(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Learn, measure and use a second teacher.")
+    parser = argparse.ArgumentParser(description="Learn and use a second teacher.")
     commands = parser.add_subparsers(required=True)
     learning = commands.add_parser("learn")
     learning.add_argument("data", type=Path, help="the folder that holds simulated/")
@@ -406,10 +377,6 @@ def main() -> None:
     learning.add_argument("--epochs", type=int, default=8)
     learning.add_argument("--out", type=Path, required=True)
     learning.set_defaults(run=learn)
-    measuring = commands.add_parser("measure")
-    measuring.add_argument("data", type=Path, help="the folder that holds many/")
-    measuring.add_argument("teacher", type=Path)
-    measuring.set_defaults(run=measure)
     teaching = commands.add_parser("teach")
     teaching.add_argument("teacher", type=Path)
     teaching.add_argument("--beside", type=Path, help="backbone of fusion:large; else TEACHER")
@@ -422,7 +389,6 @@ def main() -> None:
     laying.add_argument("--drawn", type=Path, nargs="*", default=[])
     laying.add_argument("--truth", type=Path, required=True)
     laying.set_defaults(run=lay)
-    measuring.add_argument("--detector", default="fusion")
     for command in (teaching, laying):
         command.add_argument(
             "--size", type=int, nargs=2, default=PREPARED, metavar=("ROWS", "COLUMNS")

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from scripts.figures import p1, p2, p3_area, p3_light, p3_shares, p3_table3
+from scripts.figures import p1, p2, p3_light, p3_table3
 
 FIGURES: Mapping[str, Callable[[Path, Path], None]] = {
     "p1-table1": p1.table1,
@@ -12,10 +12,6 @@ FIGURES: Mapping[str, Callable[[Path, Path], None]] = {
     "p2-fig4c": p2.confusion_of_labeller,
     "p2-fig6a": p2.roc_curves,
     "p2-fig6b": p2.road_accuracy,
-    "p3-fig3": p3_area.fig3,
-    "p3-fig4": p3_area.fig4,
-    "p3-fig5": p3_shares.fig5,
-    "p3-fig6": p3_shares.fig6,
     "p3-fig8": p3_table3.fig8,
     "p3-fig9": p3_table3.fig9,
     "p3-table2": p3_light.table2,

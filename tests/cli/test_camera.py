@@ -96,15 +96,6 @@ def test_what_is_not_ours_is_not_replaced(
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_what_is_no_video_is_told(call: Call, tmp_path: Path) -> None:
-    (tmp_path / "broken.mp4").write_bytes(b"no video")
-
-    result = call("camera", tmp_path / "broken.mp4", "--out", tmp_path / "camera.toml")
-
-    assert result.exit_code == 2
-    assert "broken.mp4: cannot be decoded as video" in result.output
-
-
 # --- what takes its file --------------------------------------------------------------------
 
 
@@ -127,24 +118,6 @@ def test_infer_leaves_the_ego_car_out_and_tells_other_cameras(
     assert not mask[car].any()
     assert mask[60:][~car[60:]].all()
     assert "outline = [" in (out / "config.toml").read_text()
-
-
-def test_by_hand_and_by_the_file_of_settings_are_the_same(
-    call: Call, street: Path, tmp_path: Path
-) -> None:
-    picture = street / "00.png"
-    (tmp_path / "ego.toml").write_text('detector = "prior:rows"\n[ego]\nbottom = 0.2\n')
-
-    for name, options in (
-        ("set", ("--detector", "prior:rows", "--set", "ego.bottom=0.2")),
-        ("file", ("--config", tmp_path / "ego.toml")),
-    ):
-        result = call("infer", picture, *options, "--save", "mask", "--out", tmp_path / name)
-        assert result.exit_code == 0, result.output
-
-    one, other = ((tmp_path / name / "00.mask.png").read_bytes() for name in ("set", "file"))
-    assert one == other
-    assert not read_image(tmp_path / "set" / "00.mask.png")[0, -24:].any()
 
 
 def test_a_mask_of_another_size_fails_the_picture(call: Call, street: Path, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from roadtorch.cli.evaluate import evaluate
-from roadtorch.errors import ConfigError, DatasetError, InputError
+from roadtorch.errors import ConfigError, InputError
 from roadtorch.evaluation import scoring
 from roadtorch.evaluation.evaluate import FILE
 from roadtorch.io.image import read_image
@@ -187,19 +187,6 @@ def rows_without_times(out: Path) -> list[dict]:
         return [{**row, "ms": ""} for row in csv.DictReader(file)]
 
 
-def test_the_beginning_of_another_run_is_refused(camvid, tmp_path):
-    (tmp_path / FILE).write_bytes(b"something else")
-
-    with pytest.raises(ConfigError, match="is not the progress of a run"):
-        run("camvid", camvid, "--detector", "prior:rows", "--out", tmp_path)
-    assert (tmp_path / FILE).read_bytes() == b"something else"
-
-
-def test_birds_eye_view_is_for_sets_with_calibrations(camvid):
-    with pytest.raises(ConfigError, match="bird"):
-        run("camvid", camvid, "--bev")
-
-
 def test_a_folder_that_cannot_be_written_is_refused_before_the_run(camvid, tmp_path, monkeypatch):
     def refuse(**_):
         raise PermissionError(13, "Permission denied")
@@ -242,15 +229,6 @@ def test_groups_left_out_and_conditions_reach_the_screen_and_the_files(camvid, t
     with (out / "images.csv").open() as file:
         status = {row["group"]: row["status"] for row in csv.DictReader(file)}
     assert status == {GROUPS[0]: "left out", GROUPS[1]: "ok", GROUPS[2]: "ok"}
-
-
-def test_a_misspelt_group_or_table_is_refused_before_the_run(camvid, tmp_path, monkeypatch):
-    monkeypatch.setattr(scoring, "score_item", None)  # must not be reached
-
-    with pytest.raises(ConfigError, match=r"0001TB: unknown group of camvid \(did you mean 0001TP"):
-        run("camvid", camvid, "--leave-out", "0001TB")
-    with pytest.raises(DatasetError, match=r"none\.csv: cannot be read"):
-        run("camvid", camvid, "--conditions", tmp_path / "none.csv")
 
 
 # --- maps of infer --------------------------------------------------------------------------------

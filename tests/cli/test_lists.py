@@ -56,13 +56,6 @@ def test_detectors_name_explains_its_settings(call: Call) -> None:
     assert "columns" in cells["seed_area.width"]
 
 
-def test_an_unknown_detector_is_wrong_usage(call: Call) -> None:
-    result = call("detectors", "cfp")
-
-    assert result.exit_code == 2
-    assert result.stderr.startswith("roadtorch: error: cfp: unknown detector (did you mean cpf")
-
-
 def test_planes_lists_planes_and_representations(call: Call) -> None:
     result = call("planes")
 

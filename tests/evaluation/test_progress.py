@@ -3,12 +3,11 @@
 from pathlib import Path
 
 import pytest
-import torch
 
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset
 from roadtorch.errors import ConfigError
-from roadtorch.evaluation.evaluate import FILE, SavedTallies, fingerprint, forget
+from roadtorch.evaluation.evaluate import FILE, SavedTallies, fingerprint
 from roadtorch.evaluation.methods import named_detector
 from roadtorch.evaluation.scoring import score
 from roadtorch.scenes.street import render_scene
@@ -22,33 +21,6 @@ def dataset(tmp_path: Path) -> Dataset:
     scenes = {f"0001TP_{i}": render_scene(i, 32, 48) for i in range(4)}
     write_camvid(tmp_path / "set", "train", scenes)
     return open_dataset("camvid", tmp_path / "set", "train")
-
-
-def test_counts_saved_and_gone_on_with_are_those_of_one_run(dataset, tmp_path):
-    whole, first = SavedTallies(None, "x"), SavedTallies(tmp_path, "x")
-    results = list(score(dataset, BASELINES))
-    for result in results:
-        whole.add(result)
-    for result in (results[0], results[2]):
-        first.add(result)
-    first.save()
-
-    second = SavedTallies(tmp_path, "x")
-    assert second.done == {"0001TP_0", "0001TP_2"}
-    for result in score(dataset, BASELINES, done=second.done):
-        second.add(result)
-    second.sort([item.name for item in dataset.items])
-
-    assert second.tallies.keys() == whole.tallies.keys()
-    for name, tally in whole.tallies.items():
-        again = second.tallies[name]
-        assert again.pictures == tally.pictures
-        assert again.sums.keys() == tally.sums.keys()
-        for kind, by_group in tally.sums.items():
-            assert torch.allclose(again.sums[kind]["0001TP"], by_group["0001TP"], rtol=1e-12)
-        assert torch.equal(again.kept().boundary, tally.kept().boundary)
-    forget(tmp_path)
-    assert not (tmp_path / FILE).exists()
 
 
 def test_the_progress_of_another_run_is_refused_and_kept(dataset, tmp_path):

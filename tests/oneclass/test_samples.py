@@ -89,13 +89,6 @@ def test_a_representation_is_its_planes(names: tuple[str, ...]) -> None:
         torch.testing.assert_close(found.values[:, found.index], planes(image, names))
 
 
-@pytest.mark.parametrize("name", ["R", "V"])
-def test_a_byte_plane_has_no_more_values_than_a_byte(name: str) -> None:
-    image = torch.randint(256, (3, 100, 100)).to(torch.float32) / 255
-
-    assert representation(image, (name,)).values.shape[1] <= 256
-
-
 # --- samples ------------------------------------------------------------------------------------
 
 

@@ -189,13 +189,6 @@ def test_a_cut_video_keeps_what_is_readable_and_the_others_go_on(
     assert "a.mp4" in call("infer", tmp_path / "in", *ROWS, "--out", out).stderr  # it is redone
 
 
-def test_one_name_that_is_not_there(call: Call, tmp_path: Path) -> None:
-    result = call("infer", tmp_path / "none.mp4", *ROWS, "--out", tmp_path / "out")
-
-    assert result.exit_code != 0
-    assert f"{tmp_path / 'none.mp4'}: does not exist (check the name)" in result.stderr
-
-
 def test_no_such_camera(call: Call, tmp_path: Path) -> None:
     result = call("infer", "camera:63", *ROWS, "--out", tmp_path / "out")
 

@@ -62,26 +62,6 @@ def test_a_second_run_does_nothing_and_other_settings_are_refused(
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*.grid.*")} == before
 
 
-def test_jobs_do_not_change_the_results(call: Call, street: Path, tmp_path: Path) -> None:
-    for jobs in (1, 2):
-        call("grid", street, "--out", tmp_path / str(jobs), *VIEW, "--jobs", jobs)
-
-    one, two = (sorted((tmp_path / jobs).rglob("*.grid.*")) for jobs in "12")
-    assert len(one) == 6
-    assert [path.read_bytes() for path in one] == [path.read_bytes() for path in two]
-
-
-def test_a_picture_that_fails_does_not_stop_the_others(
-    call: Call, street: Path, tmp_path: Path
-) -> None:
-    (street / "b.png").write_bytes(b"no picture")
-
-    result = call("grid", street, "--out", tmp_path / "out", *VIEW, "--pitch", 3)
-
-    assert result.exit_code == 1
-    assert "2 done, 1 failed" in result.stderr
-
-
 def test_the_pitch_is_that_of_the_cameras_file(call: Call, street: Path, tmp_path: Path) -> None:
     path = tmp_path / "camera.toml"
     Camera(width=160, height=120, frames=10, horizon=0.4, seed_row=1).write(path)

@@ -1,8 +1,6 @@
 """Submissions to the KITTI road benchmark, from real files to the archive."""
 
 import csv
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
 
@@ -170,14 +168,3 @@ def test_mistakes_are_one_line_before_any_work(
     assert result.stderr.startswith(f"roadtorch: error: {line.format(root=kitti)}")
     assert result.stderr.count("\n") == 1
     assert not out.exists()
-
-
-def test_the_installed_command(kitti: Path, tmp_path: Path) -> None:
-    words = [sys.executable, "-m", "roadtorch", "submit", "kitti", "--detector", "prior:rows"]
-
-    done = subprocess.run(
-        [*words, "--out", "out"], capture_output=True, text=True, cwd=tmp_path, timeout=120
-    )
-
-    assert (done.returncode, done.stdout) == (0, "")
-    assert done.stderr.endswith("roadtorch: 3 maps in out/submission.zip\n")

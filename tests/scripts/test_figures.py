@@ -1,7 +1,6 @@
 """The figures and tables of the papers on rendered streets: what they measure, what they write."""
 
 import csv
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +14,8 @@ from roadtorch.evaluation import metrics
 from roadtorch.evaluation.curves import Curve, area
 from roadtorch.evaluation.metrics import auc, count_levels
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
-from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
 from roadtorch.scenes.street import render_scene
-from scripts.figures import FIGURES, p1, p2, p3_area, p3_light, p3_shares, p3_table3
+from scripts.figures import FIGURES, p1, p2, p3_light, p3_table3
 from scripts.figures.chart import apart, middle, spread
 from tests.streets import scene, write_camvid
 
@@ -239,64 +237,6 @@ def test_drives_of_other_light_are_apart(tmp_path: Path) -> None:
     between = rows["0001TP against 0016E5"]
     assert float(str(between["L"])) > 0.5
     assert float(str(between["L"])) > 2 * float(str(rows["inside 0001TP"]["L"]))
-
-
-# --- P3: the training area, shares of road ----------------------------------------------
-
-
-def test_a_map_has_its_planes_the_right_way_round() -> None:
-    window = p3_area.Window(0.0, 1.0, 0.2, 0.4)
-    generator = torch.Generator().manual_seed(0)
-    samples = torch.tensor([0.25, 0.35]) + 0.01 * torch.randn(200, 2, generator=generator)
-
-    found = p3_area.likelihood_map(
-        fit(CLASSIFIERS["gaussian"], samples, axes_of(("nr", "ng"))), window, 41
-    )
-
-    row, column = divmod(int(found.argmax()), 41)
-    assert (column / 40, 0.2 + 0.2 * row / 40) == pytest.approx((0.25, 0.35), abs=0.03)
-
-
-def test_medians_of_superpixels_vary_less_than_pixels() -> None:
-    assert p3_area.variance_kept(scene(1, 240, 320).image) < 0.9
-
-
-def test_an_area_is_measured_alone() -> None:
-    image, road = torch.zeros(3, 96, 128), torch.zeros(96, 128, dtype=torch.bool)
-    rows, columns = slice(83, 96), slice(44, 84)  # what 201 by 66 of 640 by 480 are here
-    image[:, rows, columns], road[rows, columns] = 0.5, True
-
-    found = p3_area.area_measures(image, road)
-
-    assert found == pytest.approx((0.5, 0, 1), abs=1e-6)
-    framed = p3_area.marked(image)
-    assert framed[0].sum() > 0.5 * rows.stop  # red
-    assert torch.equal(framed[:, :83], image[:, :83])
-
-
-@pytest.mark.parametrize(
-    ("share", "group"),
-    [(0.0, "at most 30 %"), (0.3, "at most 30 %"), (0.31, "30 to 45 %"), (0.5, "45 to 55 %"),
-     (0.551, "more than 55 %"), (1.0, "more than 55 %")],
-)  # fmt: skip
-def test_groups_have_the_papers_bounds(share, group) -> None:
-    assert p3_shares.group_of(share) == group
-
-
-def test_a_set_is_counted_by_group(tmp_path: Path) -> None:
-    scenes = {f"0001TP_{seed}": scene(seed, 96, 128) for seed in range(3)}
-    write_camvid(tmp_path, "train", scenes)
-
-    shares = p3_shares.road_share_of(open_dataset("camvid", tmp_path, "train"))
-    row = p3_shares.share_row("camvid", [share.road for share in shares])
-    groups = p3_shares.by_group(shares)
-
-    exact = [float(one.road.float().mean()) for one in scenes.values()]
-    assert [share.road for share in shares] == pytest.approx(exact)
-    assert row["mean"] == pytest.approx(100 * np.mean(exact))
-    assert {name: len(items) for name, items in groups.items()} == Counter(
-        p3_shares.group_of(one) for one in exact
-    )
 
 
 # --- P3: Table III ----------------------------------------------------------------------
