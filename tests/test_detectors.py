@@ -41,7 +41,7 @@ from roadtorch.detectors.catalogue import (
 )
 from roadtorch.detectors.fusion import Fusion
 from roadtorch.errors import ConfigError, InputError
-from roadtorch.io.image import overlay_pixels, to_pixels
+from roadtorch.io.image import overlay_pixels
 from roadtorch.road.seed_area import SeedArea
 from roadtorch.runtime.threads import one_thread
 from roadtorch.settings import Settings
@@ -466,29 +466,6 @@ def test_inside_the_block_this_thread_alone_has_one_whatever_goes_wrong() -> Non
 
 
 # --- what is taken, and what a detection shows --------------------------------------------
-
-
-def test_detect_takes_arrays_pillow_images_and_paths_as_it_takes_tensors(tmp_path: Path) -> None:
-    detector = loaded("fusion")
-    pixels = to_pixels(street(48, 64))
-    image = torch.from_numpy(pixels).permute(2, 0, 1).float() / 255
-    path = tmp_path / "street.png"
-    Image.fromarray(pixels).save(path)
-    wanted = detector.detect(image)
-
-    said = [
-        detector.detect(torch.from_numpy(pixels).permute(2, 0, 1)),
-        detector.detect(pixels, order="rgb"),
-        detector.detect(pixels[..., ::-1], order="bgr"),
-        detector.detect(Image.fromarray(pixels)),
-        detector.detect(path),
-        detector.detect(str(path)),
-    ]
-
-    for one in said:
-        assert torch.equal(one.likelihood, wanted.likelihood)
-        assert one.image is not None
-        assert torch.equal(one.image, image)
 
 
 def test_an_overlay_is_what_infer_draws(tmp_path: Path) -> None:

@@ -9,8 +9,7 @@ from torch import Tensor
 
 from roadtorch.camera.ground import GroundCamera, lens_of_view, mounted
 from roadtorch.camera.ground_grid import FREE, OCCUPIED, UNKNOWN, Grid, GridSettings, ground_grid
-from roadtorch.errors import ConfigError, InputError
-from roadtorch.settings import build_settings
+from roadtorch.errors import InputError
 
 WIDTH, HEIGHT = 240, 180
 CAMERA = GroundCamera(lens_of_view(WIDTH, HEIGHT, 60), mounted(1.4, 12))
@@ -160,11 +159,3 @@ def test_sky_alone_and_wrong_sizes_are_refused() -> None:
         ground_grid(picture_of(), up, SETTINGS)
     with pytest.raises(InputError, match="is 5×4 pixels, the lens 240×180"):
         ground_grid(torch.ones(4, 5), CAMERA, SETTINGS)
-
-
-@pytest.mark.parametrize(
-    "values", [{"resolution": 0.0}, {"range": 0.2}, {"range": 500.0}, {"side": -1.0}]
-)
-def test_settings_out_of_range_are_refused(values: dict[str, float]) -> None:
-    with pytest.raises(ConfigError, match=next(iter(values))):
-        build_settings(GridSettings, values)

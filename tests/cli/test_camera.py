@@ -120,28 +120,6 @@ def test_infer_leaves_the_ego_car_out_and_tells_other_cameras(
     assert "outline = [" in (out / "config.toml").read_text()
 
 
-def test_a_mask_of_another_size_fails_the_picture(call: Call, street: Path, tmp_path: Path) -> None:
-    mask = tmp_path / "ego.png"
-    write_colours(mask, torch.zeros(3, 60, 80))
-
-    result = call(
-        *("infer", street / "00.png", "--detector", "prior:rows"),
-        *("--set", f"ego.mask={mask}", "--out", tmp_path / "out"),
-    )
-
-    assert result.exit_code == 1
-    assert f"00.png: is 160×120 pixels, the ego mask {mask} 80×60" in result.stderr
-
-
-def test_a_foreign_file_is_wrong_usage(call: Call, street: Path, tmp_path: Path) -> None:
-    (tmp_path / "foreign.toml").write_text("x = 1")
-
-    result = call("infer", street, "--camera", tmp_path / "foreign.toml", "--out", tmp_path / "o")
-
-    assert result.exit_code == 2
-    assert "foreign.toml: is no file of a camera" in result.output
-
-
 def test_evaluate_takes_it_for_all_detectors(
     call: Call, street: Path, known: Path, tmp_path: Path
 ) -> None:

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.nn import functional as F
 
-from roadtorch.errors import ConfigError
 from roadtorch.imaging.resize import (
     SHORTEST,
     WorkingSize,
@@ -17,7 +16,6 @@ from roadtorch.imaging.resize import (
     resized,
     working_size,
 )
-from roadtorch.settings import build_settings
 from roadtorch.superpixels.slic import Superpixels
 
 SIDES = st.integers(16, 4000)
@@ -54,20 +52,6 @@ def test_superpixels_have_about_the_pixels_asked_for(size: tuple[int, int]) -> N
 
     wanted = max(16, round(size[0] * size[1] / 100))
     assert 0.6 * wanted <= count <= 1.6 * wanted
-
-
-@pytest.mark.parametrize(
-    ("kind", "name", "value"),
-    [
-        (Superpixels, "pixels", 3),
-        (Superpixels, "compactness", 0.0),
-        (WorkingSize, "pixels", 255),
-        (WorkingSize, "pixels", 300.5),
-    ],
-)
-def test_settings_out_of_range_are_refused(kind: type, name: str, value: float) -> None:
-    with pytest.raises(ConfigError, match=name):
-        build_settings(kind, {name: value})
 
 
 # --- sizes of maps ------------------------------------------------------------------------

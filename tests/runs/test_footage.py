@@ -189,13 +189,6 @@ def test_a_cut_video_keeps_what_is_readable_and_the_others_go_on(
     assert "a.mp4" in call("infer", tmp_path / "in", *ROWS, "--out", out).stderr  # it is redone
 
 
-def test_no_such_camera(call: Call, tmp_path: Path) -> None:
-    result = call("infer", "camera:63", *ROWS, "--out", tmp_path / "out")
-
-    assert result.exit_code == 1
-    assert "failed: camera:63: no such camera" in result.stderr
-
-
 def test_a_full_disk_keeps_the_finished_frames(
     call: Call, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -151,17 +151,6 @@ def test_checkpoints_that_cannot_be_used_are_told(
     assert contents(request.out) == before
 
 
-@pytest.mark.parametrize("share", [0.1, 0.99])
-def test_a_checkpoint_that_is_cut_is_told(share: float, finished: tuple[Training, Request]) -> None:
-    training, request = finished
-    path = request.out / "checkpoint.pt"
-    whole = path.read_bytes()
-    path.write_bytes(whole[: int(len(whole) * share)])
-
-    with pytest.raises(WeightsError, match=r"checkpoint\.pt: is damaged or no checkpoint"):
-        train(training, request)
-
-
 # --- runs of older versions ------------------------------------------------------------------
 
 
