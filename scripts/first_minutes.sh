@@ -11,26 +11,12 @@ if [ "${1:-}" = --uv ]; then
 fi
 python=$(command -v "${1:-python3}")
 source "$(dirname "${BASH_SOURCE[0]}")/venv.sh" # in the repository's root from here on
+source scripts/steps.sh
 place=$(mktemp -d)
 trap 'rm -rf "$place"' EXIT
 export PIP_CACHE_DIR=$place/cache UV_CACHE_DIR=$place/cache VIRTUAL_ENV=$place/env
 export PIP_DISABLE_PIP_VERSION_CHECK=1
 began=$(date +%s.%N)
-
-seconds_since() {
-  awk -v a="$1" -v b="$(date +%s.%N)" 'BEGIN { printf "%.1f", b - a }'
-}
-
-step() { # LINES COMMAND…: runs it, shows so many lines of the end of what it says
-  local lines=$1 start status=0
-  shift
-  start=$(date +%s.%N)
-  echo "\$ $*" | sed -e "s#$place/##g" -e "s#$python#python#g"
-  "$@" >"$place/said" 2>&1 || status=$?
-  tail -n "$lines" "$place/said" | sed "s#$place/##g"
-  echo "# $(seconds_since "$start") s, exit code $status"
-  return "$status"
-}
 
 size_of() {
   du -sk "$1" | awk '{ printf "%.2f GB", $1 * 1024 / 1e9 }'
