@@ -15,7 +15,7 @@ ROAD = (
     *("grey-uniformity", "lbp", "prior:uniform"),
 )
 TIMED = (
-    *("fusion", "fusion:research", "fusion:untrained", "fusion:paper"),
+    *("fusion", "fusion:large", "fusion:research", "fusion:untrained", "fusion:paper"),
     *("layout", "labeller", "layout:cnn-7", "cpf", "ufl", "ufl:original"),
     *("kmeans-road", "vanishing-point"),
 )
