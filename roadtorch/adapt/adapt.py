@@ -14,20 +14,17 @@ import torch
 
 from roadtorch.adapt.frames import HALVES, KeptFrames, keep_frames
 from roadtorch.adapt.verdict import Verdict, judged_half, unknown, verdict_of
-from roadtorch.camera.footage import STILL, camera_of
+from roadtorch.camera.footage import StillError, camera_of
 from roadtorch.errors import InputError
 from roadtorch.io.atomic import write_text
-from roadtorch.io.image import read_image
 from roadtorch.layout.weights import load_network, read_origin, save_network, weights_path
 from roadtorch.train.config import PictureTraining
 from roadtorch.train.corrections import card_of, corrections_behind
 from roadtorch.train.folder import CHECKPOINT, WEIGHTS, RunFolder
+from roadtorch.train.recordings import MAX_FRAMES
 from roadtorch.train.run import Outcome, Request, train
 
 CAMERA, FRAMES, PREPARED = "camera.toml", "frames", "prepared"
-
-MOST_CAMERA = 120
-"""Frames that are looked at for what stays the same."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +64,9 @@ def _adapt(
 ) -> Adapted:
     """The same in a folder that is held."""
     frames = keep_frames(inputs, out / FRAMES, most, quiet)
-    camera, missing = _camera(frames, out / CAMERA, inputs[0])
+    problem = _camera_problem(frames, out / CAMERA, inputs[0])
+    camera = None if problem else out / CAMERA
+    missing = [f"no {CAMERA}: {problem.where} {problem.what}"] if problem else []
     if not frames.moving:
         missing.append("pictures have no times: they are taken in the order of their names")
     outcomes = []
@@ -90,7 +89,7 @@ def _adapt(
     RunFolder(out).write_log(rows)
     before = weights_path(training.start)
     outcome = Outcome(out / WEIGHTS, None, sum(each.skipped for each in outcomes))
-    if any(STILL in line for line in missing):
+    if isinstance(problem, StillError):
         verdict = unknown("the footage stands still: both halves show the same", frames.count)
         return Adapted(outcome, frames, camera, tuple(missing), verdict)
     judged = [
@@ -111,12 +110,12 @@ def mean_network(files: Sequence[Path], path: Path, origin: Mapping[str, Any]) -
     save_network(path, networks[0], origin)
 
 
-def _camera(frames: KeptFrames, file: Path, where: str) -> tuple[Path | None, list[str]]:
-    """The file of the camera, or None and why there is none."""
+def _camera_problem(frames: KeptFrames, file: Path, where: str) -> InputError | None:
+    """Write the file of the camera; why there is none, where there is none."""
     pictures = frames.pictures()
-    some = pictures[:: -(-len(pictures) // MOST_CAMERA)]
+    some = pictures[:: -(-len(pictures) // MAX_FRAMES)]
     try:
-        camera_of((read_image(one.path) for one in some), where).write(file)
+        camera_of((one.read() for one in some), where).write(file)
     except InputError as problem:
-        return None, [f"no {file.name}: {problem.where} {problem.what}"]
-    return file, []
+        return problem
+    return None

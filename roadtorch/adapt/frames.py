@@ -9,7 +9,7 @@ from typing import NamedTuple
 from torch import Tensor
 
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
-from roadtorch.imaging.resize import WorkingSize, at_work
+from roadtorch.imaging.resize import at_work
 from roadtorch.io.atomic import make_folder, write_json
 from roadtorch.io.bounded import read_regular
 from roadtorch.io.image import write_jpeg
@@ -17,12 +17,10 @@ from roadtorch.runtime.progress import Progress
 from roadtorch.sources.frame import Frame, Selection
 from roadtorch.sources.open import open_sources, sort_inputs
 from roadtorch.sources.pictures import Picture, find_images
+from roadtorch.train.recordings import SEEN
 
 HALVES = ("first", "second")
 """The halves of the footage, by order: neighbouring frames are alike, and must not part."""
-
-KEPT = WorkingSize(pixels=640 * 480)
-"""How large frames are kept."""
 
 SECONDS = 1.0
 """Between two frames that are kept; twice as many, and so on, of footage that is too long."""
@@ -33,15 +31,19 @@ LIST = "frames.json"
 class KeptFrames(NamedTuple):
     """What was kept of the footage.
 
-    folder: holds HALF_NUMBER.jpg. count: of all; halves: of each. moving: whether the frames
-    have times. skipped: what could not be read, a line each.
+    folder: holds HALF_NUMBER.jpg. halves: how many each has. moving: whether the frames have
+    times. skipped: what could not be read, a line each.
     """
 
     folder: Path
-    count: int
     halves: tuple[int, int]
     moving: bool
     skipped: tuple[str, ...]
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return sum(self.halves)
 
     def pictures(self, half: str = "*") -> list[Picture]:
         """The kept frames, or those of a half, in order."""
@@ -87,7 +89,7 @@ def _read(known: Path, folder: Path, asked: dict[str, object]) -> KeptFrames | N
             return None
         first, second = (int(count) for count in values["halves"])
         skipped = tuple(map(str, values["skipped"]))
-        return KeptFrames(folder, first + second, (first, second), bool(values["moving"]), skipped)
+        return KeptFrames(folder, (first, second), bool(values["moving"]), skipped)
     except (ValueError, KeyError, TypeError, OSError):
         raise InputError(known, "is damaged", "give another --out") from None
 
@@ -102,7 +104,7 @@ def _keep(inputs: Sequence[str], folder: Path, most: int, quiet: bool) -> KeptFr
         moving = moving or (frame is not None and frame.seconds is not None)
         if number % step:
             continue
-        write_jpeg(folder / f"{number:08d}.jpg", at_work(image, KEPT))
+        write_jpeg(folder / f"{number:08d}.jpg", at_work(image, SEEN))
         numbers.append(number)
         if len(numbers) == 2 * most:
             for gone in numbers[1::2]:
@@ -117,7 +119,7 @@ def _keep(inputs: Sequence[str], folder: Path, most: int, quiet: bool) -> KeptFr
         name = f"{HALVES[at >= first]}_{at:06d}.jpg"
         (folder / f"{number:08d}.jpg").rename(folder / name)
     counts = (first, len(chosen) - first)
-    return KeptFrames(folder, len(chosen), counts, moving, tuple(skipped))
+    return KeptFrames(folder, counts, moving, tuple(skipped))
 
 
 def _frames(inputs: Sequence[str], skipped: list[str]) -> Iterator[tuple[Frame | None, Tensor]]:

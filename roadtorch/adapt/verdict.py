@@ -8,6 +8,7 @@ has no part in it, for agreement with what was learned raises it.
 
 import math
 from collections.abc import Sequence
+from dataclasses import astuple
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -15,6 +16,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.detectors.catalogue import load_detector
+from roadtorch.evaluation.metrics import Decisions, count_mask, f_measure
 from roadtorch.evaluation.result import Interval
 from roadtorch.evaluation.uncertainty import Replicated, bootstrap_weights, difference, interval
 from roadtorch.imaging.resize import resized
@@ -40,7 +42,7 @@ SEED = 36
 
 
 class Judged(NamedTuple):
-    """True positive, false positive and false negative pixels of frames, float64 (frames,3)."""
+    """The fields of ``Decisions``, a row a frame: int64 (frames,4)."""
 
     before: Tensor
     after: Tensor
@@ -101,20 +103,13 @@ def judged_half(
         for known, detector in zip(counts, detectors, strict=True):
             mask = detector.detect(image).mask.float()[None]
             small = resized(mask, (road.shape[0], road.shape[1]))[0]
-            known.append(confusion(small >= 0.5, road, sure))
-    return Judged(*(torch.stack(known) if known else torch.empty(0, 3) for known in counts))
+            known.append(torch.stack(astuple(count_mask(small >= 0.5, road, sure))))
+    return Judged(*(torch.stack(known) if known else torch.empty(0, 4) for known in counts))
 
 
-def confusion(mask: Tensor, road: Tensor, known: Tensor) -> Tensor:
-    """True positives, false positives and false negatives of bool (H,W), float64 (3,)."""
-    pairs = (mask & road, mask & ~road, ~mask & road)
-    return torch.stack([(pair & known).sum() for pair in pairs]).to(torch.float64)
-
-
-def f_measure(counts: Tensor) -> Tensor:
-    """F of counts (…,3); NaN where there is no road."""
-    hit, false, missed = counts.unbind(-1)
-    return 2 * hit / (2 * hit + false + missed)
+def _f_measure(counts: Tensor) -> Tensor:
+    """F of the fields of ``Decisions`` (…,4), float64."""
+    return f_measure(Decisions(*counts.unbind(-1)))
 
 
 def unknown(reason: str, frames: int) -> Verdict:
@@ -132,7 +127,8 @@ def verdict_of(judged: Sequence[Judged]) -> Verdict:
     blocks = [torch.stack([part.sum(0) for part in each.split(BLOCK)]) for each in (before, after)]
     weights = bootstrap_weights(len(blocks[0]), generator).to(torch.float64)
     first, second = (
-        Replicated(float(f_measure(each.sum(0))), f_measure(weights @ each)) for each in blocks
+        Replicated(float(_f_measure(each.sum(0))), _f_measure(weights @ each.to(weights)))
+        for each in blocks
     )
     change = interval(difference(second, first))
     if change.low > 0 and second.value - first.value >= MIN_GAIN:

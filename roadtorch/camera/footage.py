@@ -189,9 +189,6 @@ OUTLINE_COLUMNS = 64
 STILL_SHARE = 0.85
 """Share of common gradients from which nothing moves. Straight motorways have up to .7."""
 
-STILL = "stands still"
-"""What is said of such footage."""
-
 OWN_LIKENESS, FOREIGN_LIKENESS = 0.8, 0.35
 """Likeness to the ego car of some frames that four of five others of them have at least, and that
 four of five frames of another camera have at most."""
@@ -200,12 +197,16 @@ MIDDLE = slice(OUTLINE_COLUMNS * 3 // 8, OUTLINE_COLUMNS * 5 // 8)
 """Columns of the outline over which the seed row is taken: those of the seed area."""
 
 
+class StillError(InputError):
+    """Footage in which nothing moves."""
+
+
 def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
     """The camera that took the frames (3,H,W), floating point in [0,1], 10 to some hundred.
 
-    They are gone through once, and may be large. Raises InputError naming ``where`` for too few
-    frames, frames that stand still, and frames of several cameras (their shapes differ, or
-    there are two unlike ego cars).
+    They are gone through once, and may be large. Raises StillError for frames that stand still,
+    InputError for too few frames and for several cameras (their shapes differ, or there are two
+    unlike ego cars); both name ``where``.
     """
     sizes, greys = [], []
     for frame in frames:
@@ -222,7 +223,7 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
     found = list(gradients(at_one_size(greys)))
     footage = look_through(found)
     if footage.still.share >= STILL_SHARE:
-        raise InputError(where, f"{STILL}: nothing moves", "give footage of a drive")
+        raise StillError(where, "stands still: nothing moves", "give footage of a drive")
     _check_looks(footage, found, where)
     rows = ego_rows(footage)
     look = EgoLook() if rows is None else sure_look(ego_look(footage.still, rows), found)

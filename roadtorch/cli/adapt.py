@@ -4,8 +4,7 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.completion import suggest_files
-from roadtorch.cli.options import PATH, QUIET, SETTING, command_line
+from roadtorch.cli.options import FOOTAGE, PATH, QUIET, SETTING, command_line
 
 CONFIG = "adapt"
 
@@ -14,9 +13,7 @@ SHOWN = 60
 
 
 @click.command()
-@click.argument(
-    "footage", metavar="FOOTAGE...", nargs=-1, required=True, shell_complete=suggest_files
-)
+@FOOTAGE
 @click.option("--out", type=PATH, required=True, help="Folder of this run; a second run goes on.")
 @click.option(
     "--frames",

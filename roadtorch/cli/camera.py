@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from roadtorch.cli.completion import suggest_files
-from roadtorch.cli.options import PATH
+from roadtorch.cli.options import FOOTAGE, PATH
 
 if TYPE_CHECKING:
     from roadtorch.camera.camera import Camera
@@ -15,9 +14,7 @@ SHOWN = 12  # frames that the mean in the picture is made of
 
 
 @click.command()
-@click.argument(
-    "footage", metavar="FOOTAGE...", nargs=-1, required=True, shell_complete=suggest_files
-)
+@FOOTAGE
 @click.option(
     "--out", type=PATH, default=Path("camera.toml"), show_default=True, help="File to write."
 )

@@ -12,6 +12,7 @@ from roadtorch.cli.completion import (
     suggest_datasets,
     suggest_detector_configs,
     suggest_detectors,
+    suggest_files,
     suggest_settings,
     suggest_splits,
 )
@@ -64,6 +65,9 @@ DETECTOR = (
         shell_complete=suggest_detector_configs,
         help="TOML file with the detector and its settings, or a shipped one's name.",
     ),
+)
+FOOTAGE = click.argument(
+    "footage", metavar="FOOTAGE...", nargs=-1, required=True, shell_complete=suggest_files
 )
 CAMERA = click.option(
     "--camera", type=PATH, help="What roadtorch camera wrote about the camera of the pictures."

@@ -2,14 +2,14 @@
 
 import torch
 
-from roadtorch.adapt.verdict import Judged, confusion, f_measure, verdict_of
+from roadtorch.adapt.verdict import Judged, verdict_of
+from roadtorch.evaluation.metrics import count_mask, f_measure
 
 
 def judged(hits_before: list[int], hits_after: list[int]) -> Judged:
     """Frames of 100 pixels of road, of which so many are found, and no false one."""
     before, after = (
-        torch.tensor([[hit, 0, 100 - hit] for hit in hits], dtype=torch.float64)
-        for hits in (hits_before, hits_after)
+        torch.tensor([[hit, 0, 100 - hit, 0] for hit in hits]) for hits in (hits_before, hits_after)
     )
     return Judged(before, after)
 
@@ -52,10 +52,12 @@ def test_few_frames_say_nothing_however_large_the_gain() -> None:
     assert str(verdict) == "cannot tell: 15 frames are too few to judge by"
 
 
-def test_confusion_counts_known_pixels_alone() -> None:
+def test_known_pixels_alone_are_counted() -> None:
     mask = torch.tensor([[True, True, False, True]])
     road = torch.tensor([[True, False, True, True]])
     known = torch.tensor([[True, True, True, False]])
 
-    assert confusion(mask, road, known).tolist() == [1, 1, 1]
-    assert float(f_measure(torch.tensor([1.0, 1.0, 1.0]))) == 0.5
+    counts = count_mask(mask, road, known)
+
+    assert [counts.true_positive, counts.false_positive, counts.false_negative] == [1, 1, 1]
+    assert float(f_measure(counts)) == 0.5

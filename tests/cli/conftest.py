@@ -1,5 +1,20 @@
 """The command line called in this process, on a folder of pictures."""
 
+from pathlib import Path
+
+import pytest
+
+from roadtorch.io.image import write_colours
 from tests.command import call, footage
+from tests.streets import drive
 
 __all__ = ["call", "footage"]
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a drive over a bonnet, as pictures."""
+    folder = tmp_path_factory.mktemp("drive")
+    for number, frame in enumerate(drive()):
+        write_colours(folder / f"{number:02d}.png", frame)
+    return folder

@@ -9,18 +9,8 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.io.image import read_image, write_colours
 from roadtorch.layout.weights import load_network, read_origin
 from tests.command import Call
-from tests.streets import drive
 
 SHORT = ("--set", "samples_per_epoch=16", "--set", "stopping.epochs=1", "--threads", "1")
-
-
-@pytest.fixture(scope="module")
-def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A drive over a bonnet, as pictures."""
-    folder = tmp_path_factory.mktemp("drive")
-    for number, frame in enumerate(drive()):
-        write_colours(folder / f"{number:02d}.png", frame)
-    return folder
 
 
 def test_halves_teach_apart_their_mean_comes_out_and_it_is_judged(

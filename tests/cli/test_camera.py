@@ -18,15 +18,6 @@ from tests.streets import drive, scene
 
 
 @pytest.fixture(scope="module")
-def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a drive over a bonnet, as pictures."""
-    folder = tmp_path_factory.mktemp("drive")
-    for number, frame in enumerate(drive()):
-        write_colours(folder / f"{number:02d}.png", frame)
-    return folder
-
-
-@pytest.fixture(scope="module")
 def known(street: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The camera's file for it."""
     path = tmp_path_factory.mktemp("camera") / "camera.toml"
