@@ -24,13 +24,15 @@ def write_video(
     change: Callable[[int, np.ndarray], np.ndarray] = lambda _, pixels: pixels,
     options: dict[str, str] | None = None,
     ticks: int = 1000,
+    live: bool = False,
 ) -> Path:
     """A video with a frame at each of the seconds; of rate 10 where it has no such stamps.
 
     Frame n is a street whose brightness tells n apart from its neighbours. size: height and width.
-    ticks: of its clock, a second.
+    ticks: of its clock, a second. live: of Matroska that says nothing of its length.
     """
     header = {"movflags": "faststart"} if path.suffix == ".mp4" else {}
+    header |= {"live": "1"} if live else {}
     with av.open(str(path), "w", options=header) as container:
         stream = container.add_stream(codec, rate=10, options=options or {})
         assert isinstance(stream, av.VideoStream)

@@ -13,7 +13,7 @@ from torch import Tensor
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.io.decoding import check_pixels, most_megapixels
 from roadtorch.io.image import from_pixels, undecodable
-from roadtorch.sources.damage import Clock, Damage, declared_length
+from roadtorch.sources.damage import Clock, Damage, declared
 from roadtorch.sources.frame import Frame, Selection, Source
 
 if TYPE_CHECKING:
@@ -31,9 +31,6 @@ VIDEO_SUFFIXES = (
 MADE_HERE = (".overlay.mp4", ".mask.mp4", ".likelihood.mp4")  # ours; never videos to look at
 
 SILENCE = 10.0  # seconds within which an address has to answer
-
-TAIL = 0.2
-"""Share of a file that may follow its last frame where it does not say how long it is; ours."""
 
 
 def names_video(name: str) -> bool:
@@ -113,7 +110,8 @@ def moving_pictures(path: Path | str, container: "InputContainer") -> "VideoStre
         check_pixels(stream.codec_context.width, stream.codec_context.height)
     # A frame may be larger than what the header says.
     stream.codec_context.options = {"max_pixels": f"{most_megapixels() * 1e6:.0f}"}
-    stream.thread_type = "AUTO"  # the same pictures, on all cores
+    # The same pictures on all cores; but damaged VP8 shows what else was in memory.
+    stream.thread_type = "NONE" if stream.codec_context.name == "vp8" else "AUTO"
     return stream
 
 
@@ -141,17 +139,15 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[F
     damage = Damage()
     with opened_video(path) as (container, stream):
         clock, number = Clock(stream), begins.number
-        length, size = declared_length(container, stream), container.size
+        says = declared(container, stream, path)
         for picture in _decoded(container, stream, begins, damage):
             seconds = clock.seconds(picture.pts)
-            damage.passed(picture, seconds, clock.step)
+            damage.passed(picture, seconds)
             origin = f"{path}: frame {number}"
             read = partial(_damaged, origin) if picture.is_corrupt else partial(upright, picture)
             yield Frame(number, f"{name}/{number:06d}", origin, seconds, read)
             number += 1
-    if not length[0] and damage.at < (1 - TAIL) * size:
-        damage.stopped = damage.stopped or "the rest holds no frames"
-    if (told := damage.told(begins.number, clock.step, *length)) and number > begins.number:
+    if number > begins.number and (told := damage.told(begins.number, says)):
         raise InputError(path, told, "what could be read was used; copy it again, or repair it")
 
 
@@ -201,8 +197,9 @@ def _decoded(
         if _is_shown(packet) and not (packet.pts is not None and first and packet.pts < first):
             damage.packets += 1
             damage.at = max(damage.at, (packet.pos or 0) + packet.size)
-            step = (packet.duration or 0) * float(packet.time_base or 0)
-            damage.reach = max(damage.reach, clock.seconds(packet.pts) + (step or clock.step))
+            if (seconds := clock.seconds(packet.pts)) >= damage.reach:
+                damage.reach = seconds
+                damage.lasts = (packet.duration or 0) * float(packet.time_base or 0)
         try:
             pictures = packet.decode()
         except av.FFmpegError:

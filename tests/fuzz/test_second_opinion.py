@@ -14,7 +14,7 @@ import tempfile
 import warnings
 import zipfile
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -189,18 +189,31 @@ def make_video(draw: Draw, folder: Path) -> Path:
     return written(folder / f"drive{suffix}", mostly_tampered(draw, video(suffix)))
 
 
+def packets(container: Any, stream: Any) -> Iterator[Any]:
+    """Those that can be read, and None for what the decoder still holds."""
+    with suppress(av.error.FFmpegError):
+        yield from (packet for packet in container.demux(stream) if packet.size)
+    yield None
+
+
 def judge_video(path: Path) -> str:
     def is_same(number: int, pixels: np.ndarray) -> bool:
         return pixels.shape == others[number].shape and bool((pixels == others[number]).all())
 
     others: list[np.ndarray] = []
+    hidden, is_bare = 0, False
     with suppress(av.error.FFmpegError, ValueError, IndexError), av.open(str(path)) as container:
-        for packet in container.demux(container.streams.video[0]):
+        stream, is_bare = container.streams.video[0], container.format.name == "mjpeg"
+        stream.thread_type = "NONE"
+        for packet in packets(container, stream):
+            hidden += bool(packet and packet.is_discard)  # by an edit list
             with suppress(av.error.FFmpegError):
-                for picture in packet.decode():
+                for picture in stream.decode(packet):
                     turned = round(picture.rotation / 90)
                     others.append(np.rot90(picture.to_ndarray(format="rgb24"), turned))
-    return judge_source(video_source(path, "drive", Selection()), is_same, FRAMES)
+    # Pictures one after the other, which is left where AVI's own header is gone, have no length.
+    every = len(others) if is_bare else FRAMES - hidden
+    return judge_source(video_source(path, "drive", Selection()), is_same, every)
 
 
 BAGS = ("bag", "sqlite3", "mcap")

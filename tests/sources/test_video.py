@@ -4,9 +4,11 @@ from functools import partial
 from itertools import islice
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 import torch
+from av.error import FFmpegError
 
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.io.decoding import MEGAPIXELS_VARIABLE
@@ -177,6 +179,39 @@ def test_nothing_is_missing_in_a_whole_video(
 
     assert len(list(video_frames(path, "a"))) == 40
     assert len(list(video_frames(path, "a", 2.0))) <= 40
+
+
+def test_matroska_that_was_sent_live_is_whole_and_without_its_end_is_not(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "a.webm", codec="libvpx", live=True)
+    whole = list(video_frames(path, "a"))
+    path.write_bytes(path.read_bytes()[:-10])
+    read = []
+
+    with pytest.raises(InputError, match="ends early"):
+        read.extend(iter(partial(next, video_frames(path, "a")), None))
+
+    assert len(whole) == 12
+    assert len(read) >= 11
+
+
+def test_damaged_vp8_shows_the_same_on_any_number_of_threads(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "a.webm", codec="libvpx")
+    data = path.read_bytes()
+
+    for at in range(2618, 2630):
+        path.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
+        with av.open(str(path)) as container:
+            container.streams.video[0].thread_type = "NONE"
+            alone = []
+            for packet in container.demux(video=0):
+                with suppress(FFmpegError):
+                    alone += [video.upright(picture) for picture in packet.decode()]
+        read = []
+        with suppress(InputError):  # behind the last frame
+            for frame in video_frames(path, "a"):
+                with suppress(InputError):
+                    read.append(frame.read())
+        assert all(torch.equal(*pair) for pair in zip(read, alone, strict=True))
 
 
 def test_a_video_of_more_pixels_than_allowed_is_refused_before_decoding(
