@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from roadtorch.data.dataset import Truth as Truth
     from roadtorch.data.labels import ColourLabels as ColourLabels
     from roadtorch.data.labels import NumberLabels as NumberLabels
-    from roadtorch.detector import Detection
+    from roadtorch.detection import Detection
     from roadtorch.detector import Detector as Detector
     from roadtorch.detector import DetectorSettings as DetectorSettings
     from roadtorch.detector import Entry as Entry
@@ -58,7 +58,7 @@ _HOMES = {
     "ConfigError": "roadtorch.errors",
     "Dataset": "roadtorch.data.dataset",
     "DatasetError": "roadtorch.errors",
-    "Detection": "roadtorch.detector",
+    "Detection": "roadtorch.detection",
     "Detector": "roadtorch.detector",
     "DetectorSettings": "roadtorch.detector",
     "Entry": "roadtorch.detector",

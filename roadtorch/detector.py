@@ -6,9 +6,7 @@ found by name. What all detectors share (checking the image, deciding on the mas
 is ``Detector``, here, once; it knows none of them.
 """
 
-import importlib
 import os
-import sys
 from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field
@@ -27,10 +25,10 @@ from typing import (
 
 import numpy as np
 import torch
-from PIL import Image
 from pydantic import Field
 from torch import Tensor, nn
 
+from roadtorch.detection import Detection
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.imaging.levels import at_least
 from roadtorch.imaging.resize import (
@@ -40,18 +38,7 @@ from roadtorch.imaging.resize import (
     at_work,
     full_size,
 )
-from roadtorch.io.atomic import atomic
-from roadtorch.io.image import (
-    Order,
-    Picture,
-    as_image,
-    checked_order,
-    overlay_pixels,
-    png_bytes,
-    write_map,
-    write_mask,
-    write_pixels,
-)
+from roadtorch.io.image import Order, Picture, as_image, checked_order
 from roadtorch.road.ego import Ego, continued, ego_car, is_anywhere, is_given, read_ego_mask
 from roadtorch.road.outlines import Outlines, guided
 from roadtorch.road.seed_area import SeedArea, remove_isolated, seed_rectangle
@@ -60,8 +47,6 @@ from roadtorch.runtime.threads import one_thread, ordered_results
 from roadtorch.settings import Settings, build_settings, merge
 
 MIN_SIDE = 16  # pixels; below it, superpixels and the seed area have no meaning
-
-NOTEBOOK_SIDE = 960  # pixels of the longer side of what notebooks show; ours: the width of a page
 
 Threshold = Annotated[float, Field(ge=0, le=1, description="road from this likelihood on")]
 Isolated = Annotated[
@@ -97,96 +82,6 @@ class WorkingSettings(DetectorSettings):
     isolated: Isolated = "drop"
     working: WorkingSize = WorkingSize()
     outlines: Outlines = "smooth"
-
-
-@dataclass(frozen=True)
-class Detection:
-    """What a detector says about one image.
-
-    likelihood: float32 (H,W) in [0,1], higher is more road-like.
-    mask: bool (H,W), the decision.
-    cues: the maps the decision rests on, by name; (H,W) or (C,H,W).
-    trust: the expected F of the mask, in [0,1]; None where the detector does not say.
-    doubt: why the mask should be looked at before it is used, in words; empty where it need not.
-    name, seconds: of the frame, where a source gave it: its name, the time since the source began.
-    image: (3,H,W) in [0,1], what was looked at; None where a Detection is made without one.
-
-        >>> from roadtorch import load_detector
-        >>> found = load_detector("prior:rows")("street.jpg")
-        >>> found
-        <Detection 320×240, road 50%>
-        >>> found.save("street.mask.png")
-        >>> sorted(found.numpy())
-        ['likelihood', 'mask']
-    """
-
-    likelihood: Tensor
-    mask: Tensor
-    cues: Mapping[str, Tensor]
-    trust: float | None = None
-    doubt: str = ""
-    name: str = ""
-    seconds: float | None = None
-    image: Tensor | None = None
-
-    @property
-    def caption(self) -> str:
-        """What an overlay says of it; nothing where the detector does not judge itself."""
-        return "" if self.trust is None else f"trust {self.trust:.2f}"
-
-    def numpy(self) -> dict[str, np.ndarray]:
-        """The maps as arrays by name: ``likelihood``, ``mask`` and the cues."""
-        maps = {"likelihood": self.likelihood, "mask": self.mask, **self.cues}
-        return {name: map.detach().cpu().numpy() for name, map in maps.items()}
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write what the end of the file's name says.
-
-        ``….mask.png`` (road 255, the rest 0), ``….likelihood.png`` (0 to 255), ``….overlay.jpg`` or
-        ``….overlay.png``, or ``….npz`` with the arrays of ``numpy`` and the trust. Raises
-        ConfigError for another end, and InputError where the file cannot be written.
-        """
-        name = os.fspath(path)
-        if name.endswith("mask.png"):
-            write_mask(path, self.mask)
-        elif name.endswith("likelihood.png"):
-            write_map(path, self.likelihood)
-        elif name.endswith(("overlay.jpg", "overlay.png")):
-            write_pixels(path, self.overlay())
-        elif name.endswith(".npz"):
-            trust = {} if self.trust is None else {"trust": np.float32(self.trust)}
-            with atomic(path) as temporary, temporary.open("wb") as file:
-                np.savez_compressed(file, allow_pickle=False, **self.numpy(), **trust)
-        else:
-            remedy = "end it with .mask.png, .likelihood.png, .overlay.jpg or .npz"
-            raise ConfigError(path, "does not say what to write", remedy)
-
-    def show(self) -> None:
-        """Show the overlay: in the notebook, or else in the computer's viewer of pictures."""
-        if "ipykernel" in sys.modules:
-            importlib.import_module("IPython.display").display(self)
-        else:
-            Image.fromarray(self.overlay()).show()
-
-    def overlay(self) -> np.ndarray:
-        """The image with its road tinted and outlined, uint8 (H,W,3) RGB, as ``infer`` draws it.
-
-        Raises InputError where there is no image.
-        """
-        if self.image is None:
-            raise InputError("image", "is not part of this detection", "give Detection(image=…)")
-        return overlay_pixels(self.image, self.mask, self.cues.get("ego"), self.caption)
-
-    def __repr__(self) -> str:
-        """One line: size, share of road, and how far it can be trusted."""
-        height, width = self.mask.shape
-        told = [f"{width}×{height}", f"road {float(self.mask.double().mean()):.0%}", self.caption]
-        doubt = f" ({self.doubt})" if self.doubt else ""
-        return f"<Detection {', '.join(filter(None, told))}{doubt}>"
-
-    def _repr_png_(self) -> bytes | None:
-        """What notebooks show."""
-        return None if self.image is None else png_bytes(self.overlay(), NOTEBOOK_SIDE)
 
 
 @runtime_checkable

@@ -33,23 +33,12 @@ def confirmation(events: Sequence[AnyEvent]) -> Confirmation | None:
     return Confirmation(last.time, sum(one.seconds for one in events if one.time <= last.time))
 
 
-def hasty_run(confirmations: Iterable[Confirmation]) -> int:
-    """How many of one person's confirmations, the last ones in a row, took less than a glance."""
-    count = 0
-    for one in sorted(confirmations, reverse=True):
-        if one.seconds >= GLANCE:
-            break
-        count += 1
-    return count
-
-
-def longest_hasty_run(confirmations: Iterable[Confirmation]) -> int:
-    """The most of one person's confirmations in a row that took less than a glance."""
-    most = count = 0
+def hasty_runs(confirmations: Iterable[Confirmation]) -> list[int]:
+    """At each of one person's confirmations, how many up to it in a row took less than a glance."""
+    runs = [0]
     for one in sorted(confirmations):
-        count = count + 1 if one.seconds < GLANCE else 0
-        most = max(most, count)
-    return most
+        runs.append(runs[-1] + 1 if one.seconds < GLANCE else 0)
+    return runs
 
 
 def hasty_people(logs: Iterable[EventLog]) -> dict[str, int]:
@@ -58,7 +47,7 @@ def hasty_people(logs: Iterable[EventLog]) -> dict[str, int]:
     for log in logs:
         if (one := confirmation(log.events)) is not None:
             known.setdefault(log.head.user, []).append(one)
-    found = {user: longest_hasty_run(each) for user, each in sorted(known.items())}
+    found = {user: max(hasty_runs(each)) for user, each in sorted(known.items())}
     return {user: most for user, most in found.items() if most >= RUN}
 
 

@@ -96,7 +96,7 @@ def opened_session(
     settings = settings or AnnotationSettings()
     read_logs(out)
     remove_leftovers(Path(below) for below, _, _ in os.walk(out / VIEWS))
-    views = ViewStore(out / VIEWS, lambda: detector, settings)
+    views = ViewStore(out / VIEWS, detector, settings)
     return Session(PictureFolder(folder, out), views, out, settings, order=order)
 
 

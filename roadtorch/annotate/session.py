@@ -21,7 +21,7 @@ from roadtorch.annotate.machine import (
     shown_road,
 )
 from roadtorch.annotate.next_pictures import PictureOrder
-from roadtorch.annotate.review import RUN, check_reviewer, confirmation, hasty_run
+from roadtorch.annotate.review import RUN, check_reviewer, confirmation, hasty_runs
 from roadtorch.annotate.views import ViewStore
 from roadtorch.annotate.work import PictureFolder, Work, checked_user, open_work
 from roadtorch.data.correction_labels import LABELS
@@ -88,7 +88,7 @@ class Session:
             for user, one in users.items():
                 if one["took"] is not None:
                     took.setdefault(user, []).append(one["took"])
-        runs = {user: hasty_run(each) for user, each in took.items()}
+        runs = {user: hasty_runs(each)[-1] for user, each in took.items()}
         return {user: count for user, count in sorted(runs.items()) if count >= RUN}
 
     def _trust(self, name: str) -> float | None:

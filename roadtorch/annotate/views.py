@@ -3,7 +3,6 @@
 import hashlib
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -27,16 +26,15 @@ HELD = 12  # views in memory; each has some megabytes
 class ViewStore:
     """Views by the name of the picture, kept in ``folder`` while picture and settings are the same.
 
-    detector: gives the one that looks; called once.
+    detector: the one that looks.
     """
 
     folder: Path
-    detector: Callable[[], Detector]
+    detector: Detector
     settings: AnnotationSettings
     _held: OrderedDict[str, tuple[str, PictureView]] = field(
         default_factory=OrderedDict, repr=False
     )
-    _loaded: Detector | None = field(default=None, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
     _looking: threading.RLock = field(default_factory=threading.RLock, repr=False)
 
@@ -49,7 +47,7 @@ class ViewStore:
             with self._looking:  # one at a time: a look takes all cores
                 view = read_view(path := view_path(self.folder, name), key)
                 if view is None:
-                    view = look_at_picture(read_image(picture), self._detector(), self.settings)
+                    view = look_at_picture(read_image(picture), self.detector, self.settings)
                     write_view(path, view, key)
                 held = key, view
         with self._lock:
@@ -72,14 +70,8 @@ class ViewStore:
         except (OSError, ValueError, KeyError):
             return None
 
-    def _detector(self) -> Detector:
-        if self._loaded is None:
-            with self._looking:
-                self._loaded = self._loaded or self.detector()
-        return self._loaded
-
     def _key(self, picture: Path) -> str:
-        detector, found = self._detector(), picture.stat()
+        detector, found = self.detector, picture.stat()
         said = f"{detector.name} {detector.settings!r} {self.settings!r}"
         text = f"{said} {found.st_size} {found.st_mtime_ns}"
         return hashlib.sha256(text.encode()).hexdigest()[:32]

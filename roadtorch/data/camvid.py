@@ -144,13 +144,7 @@ FOLDERS32 = (
     *((part, f"{part}_labels") for part in ("train", "val", "test")),
 )
 
-SPLITS32 = {
-    "all": ("train", "val", "test"),
-    "dev": ("train", "val"),
-    "train": ("train",),
-    "val": ("val",),
-    "test": ("test",),
-}
+SPLITS32 = {"all": ("train", "val", "test"), **CAMVID_SPLITS}
 
 
 def split_of(name: str) -> str:

@@ -37,21 +37,14 @@ KITTI_COLOURS = ColourLabels(
 # --- names ------------------------------------------------------------------------------
 
 
-def category_of(name: str) -> str:
-    """The category in a picture's name, "um" in um_000012; DatasetError without one."""
-    return _parts(name)[0]
-
-
 def result_name(name: str, kind: str = "road") -> str:
-    """The name of a picture's truth and of its map for the server: um_road_000012.
-
-    Raises DatasetError for a name that is not CATEGORY_NUMBER, such as um_000012.
-    """
-    category, number = _parts(name)
+    """The name of a picture's truth and of its map for the server: um_road_000012."""
+    category, number = name_parts(name)
     return f"{category}_{kind}_{number}"
 
 
-def _parts(name: str) -> tuple[str, str]:
+def name_parts(name: str) -> tuple[str, str]:
+    """Category and number in a picture's name, as um_000012; DatasetError for another one."""
     found = re.fullmatch(r"([a-z]+)_(\d+)", name)
     if found is None:
         remedy = "name pictures CATEGORY_NUMBER, as um_000012"
@@ -90,7 +83,7 @@ def _items(folder: Path, split: str) -> Iterator[Item]:
         path for path in (folder / "image_2").iterdir() if path.suffix.lower() in SUFFIXES
     )
     for image in images:
-        category = category_of(image.stem)
+        category, _ = name_parts(image.stem)
         if split == "road" or category in LANE_CATEGORIES:
             label = folder / "gt_image_2" / f"{result_name(image.stem, split)}.png"
             if not label.is_file():

@@ -54,7 +54,7 @@ PAPER = DetectorGrid(
 PIXELS = 640 * 480
 """Of P3's pictures, as far as is known."""
 
-FAR = 1000.0
+MAX_DISTANCE = 1000.0
 """Thresholds beyond which the cue ``distance`` is cut off: empty bins are infinitely far."""
 
 
@@ -133,7 +133,7 @@ class OneClass(nn.Module):
         distance = fitted.distance(palette.values.T)
         used = torch.zeros_like(palette.index, dtype=torch.bool)
         used[sample_area(palette.index.shape, settings.seed_area)] = True
-        near = distance.clamp_max(FAR * fitted.threshold)
+        near = distance.clamp_max(MAX_DISTANCE * fitted.threshold)
         return {
             "likelihood": fitted.squashed(distance)[palette.index],
             "distance": near[palette.index],

@@ -29,7 +29,7 @@ from roadtorch.layout.picture_network import EGO, potentials_of
 from roadtorch.layout.weights import WholePictureNetwork
 from roadtorch.road.fusion import log_odds
 
-LONGEST = 10**5
+MAX_SIDE = 10**5
 """Pixels of a side at most, so that sizes have a bound when a graph is made."""
 
 OUTPUTS: Mapping[str, str] = {
@@ -145,7 +145,7 @@ def size_at_work(planes: Tensor, working: WorkingSize) -> _Size:
     for side in sides:
         length = (side * scale).round().clamp(min=SHORTEST).to(torch.int64).item()
         torch._check(length >= SHORTEST)
-        torch._check(length <= LONGEST)
+        torch._check(length <= MAX_SIDE)
         found.append(length)
     return _Size(*found)
 

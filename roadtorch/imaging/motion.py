@@ -14,19 +14,19 @@ from torch import Tensor
 FASTEST = cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST
 FAST = cv2.DISOPTICAL_FLOW_PRESET_FAST
 
-SMALLEST = 32
+MIN_SIDE = 32
 """Pixels of a side at the least: OpenCV 5.0 crashes on smaller pictures with the fast presets."""
 
 
 def flow_picture(image: Tensor, width: int) -> Tensor:
     """An image (3,H,W) in [0,1] as grey of at most this width, uint8 (h,w).
 
-    Its shape is kept as long as no side falls below ``SMALLEST``.
+    Its shape is kept as long as no side falls below ``MIN_SIDE``.
     """
     grey = np.ascontiguousarray(image.detach().cpu().mean(0).numpy())
     height, wide = grey.shape
     scale = min(1.0, width / wide)
-    size = (max(SMALLEST, round(wide * scale)), max(SMALLEST, round(height * scale)))
+    size = (max(MIN_SIDE, round(wide * scale)), max(MIN_SIDE, round(height * scale)))
     if size != (wide, height):
         grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
     return torch.from_numpy(np.round(grey * 255).astype(np.uint8))
@@ -36,10 +36,10 @@ def dense_flow(here: Tensor, there: Tensor, preset: int = FASTEST) -> Tensor:
     """Where each pixel of ``here`` is in ``there``: float32 (h,w,2), pixels right and down.
 
     here, there: uint8 (h,w). preset: one of OpenCV's for dense inverse search. Raises ValueError
-    for pictures with a side below ``SMALLEST``.
+    for pictures with a side below ``MIN_SIDE``.
     """
-    if min(here.shape) < SMALLEST:
-        raise ValueError(f"no flow of {tuple(here.shape)}: give {SMALLEST} pixels a side or more")
+    if min(here.shape) < MIN_SIDE:
+        raise ValueError(f"no flow of {tuple(here.shape)}: give {MIN_SIDE} pixels a side or more")
     search = cv2.DISOpticalFlow.create(preset)
     flow = search.calc(here.numpy(), there.numpy(), None)  # type: ignore[arg-type]
     return torch.from_numpy(flow)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.data.dataset import Dataset, Item, Truth
-from roadtorch.detector import Detection
+from roadtorch.detection import Detection
 from roadtorch.evaluation.methods import Look
 from roadtorch.evaluation.result import Evaluation, chosen_pictures
 from roadtorch.evaluation.scoring import LabelledPicture, seen_truth

@@ -25,7 +25,7 @@ MIN_FREE = 0.1
 STRIP = 0.08
 """Share of the picture's side that is mirrored at most: near ground, never the sky above it."""
 
-CONFIDENT, LARGER = 0.6, 0.8
+MIN_MEAN, PER_SHARE = 0.6, 0.8
 """Mean potential from which an ego car is one, and what is added for its share of the picture:
 lines near the lower edge are half believed, bonnets mostly not, and more ground lost by mistake
 needs more certainty."""
@@ -139,7 +139,7 @@ def ego_found(potential: Tensor) -> Tensor:
     left = torch.arange(height, 0, -1, device=ego.device)[:, None]
     car = (ego & (below >= SOLID * left)).cumsum(0, dtype=torch.int32) > 0
     share = float(car.sum()) / car.numel()
-    needed = CONFIDENT + LARGER * share
+    needed = MIN_MEAN + PER_SHARE * share
     is_one = share <= 1 - MIN_FREE and float(potential[car].mean()) >= needed
     return car if is_one else torch.zeros_like(car)
 

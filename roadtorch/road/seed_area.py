@@ -19,7 +19,7 @@ FRAME = (240, 320)
 NEARNESS = 4.0
 """Log odds that a place at the bottom of the picture has before one at the top, as a seed."""
 
-FAR = 100.0
+UPPER_HALF = 100.0
 """Log odds that keep the upper half out, unless there is nothing else."""
 
 STRIP = 256
@@ -77,7 +77,7 @@ def likely_seed(evidence: Tensor, row: Tensor, size: Tensor, share: float) -> Te
     picture; one at least, several pieces if need be. What is near is seen best, and counts by
     ``NEARNESS`` more. Ours: the bottom of a picture may be a bonnet, grass or a car ahead.
     """
-    score = evidence + NEARNESS * row - FAR * (row < 0.5)
+    score = evidence + NEARNESS * row - UPPER_HALF * (row < 0.5)
     order = score.argsort(descending=True, stable=True)
     before = size[order].cumsum(0) - size[order]
     chosen = torch.zeros_like(row, dtype=torch.bool)

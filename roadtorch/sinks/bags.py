@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from roadtorch.detector import Detection
+from roadtorch.detection import Detection
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.io.atomic import make_folder, unwritable
 from roadtorch.sinks.messages import (

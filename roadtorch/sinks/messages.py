@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from roadtorch.detector import Detection
+from roadtorch.detection import Detection
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore

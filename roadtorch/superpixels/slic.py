@@ -41,13 +41,13 @@ where a segment has so many. A quarter of the work, or a sixteenth."""
 CHUNK = 1 << 18
 """Distances held at a time: one megabyte."""
 
-SMALLEST = 0.02
+MIN_SEGMENT = 0.02
 """Regions below this share of the mean segment size are merged into a neighbour."""
 
-FAR = 1e3
+NOWHERE = 1e3
 """Every coordinate of a centre beyond the grid, or of no pixels: never the nearest."""
 
-LONGEST = 4.0
+MAX_LAB_SQUARE = 4.0
 """No colour is as far from black, squared: see ``_tables``."""
 
 
@@ -121,7 +121,7 @@ def slic(
     step = compactness * (segments / (height * width)) ** 0.5
     moves = _moves(grid, step, len(batch)).beside(batch)
     tables = _tables(_move_centres(batch, grid, moves, iterations), moves)
-    labels = connect(_assign(batch, tables, grid), SMALLEST * height * width / segments)
+    labels = connect(_assign(batch, tables, grid), MIN_SEGMENT * height * width / segments)
     labels = labels.to(image.device)
     return labels if image.ndim == 4 else labels[0]
 
@@ -211,7 +211,7 @@ def _moves(grid: CellGrid, step: float, batch: int) -> Moves:
     away = torch.stack([grid.height * (number // 3 - 1), grid.width * (number % 3 - 1)], 1)
     shifts = F.pad(away, (3, 0)).to(torch.float32)
     leaning = shifts @ metric
-    most = LONGEST + float(metric[3, 3]) * (grid.height**2 + grid.width**2) / 4
+    most = MAX_LAB_SQUARE + float(metric[3, 3]) * (grid.height**2 + grid.width**2) / 4
     factors = metric.new_zeros(NEIGHBOURS, 7, 6)
     factors[:, :5, :5] = -2 * metric
     factors[:, :5, 5] = 2 * leaning
@@ -237,7 +237,7 @@ def _tables(sums: Tensor, moves: Moves) -> Tensor:
 
     The last segment is the one beyond the grid, of no pixels.
     """
-    centre = (sums[:, :5] / sums[:, 5:]).nan_to_num_(FAR)  # 0/0: no pixels
+    centre = (sums[:, :5] / sums[:, 5:]).nan_to_num_(NOWHERE)  # 0/0: no pixels
     square = (centre @ moves.metric).mul_(centre).sum(1)
     each = torch.addmm(moves.factors[6], centre, moves.factors[:5]).addr_(square, moves.factors[5])
     return each.reshape(-1, 6).index_select(0, moves.around).reshape(-1, NEIGHBOURS, 6)

@@ -171,7 +171,7 @@ def test_each_pixel_goes_to_the_nearest_of_the_nine_centres_around_its_cell(
     centres[3] += (np.arange(grid.rows)[:, None] + 0.5) * grid.height - 0.5
     centres[4] += (np.arange(grid.columns) + 0.5) * grid.width - 0.5
     centres = np.einsum("ij,jrc->irc", root, centres)
-    most = superpixels.LONGEST + metric[3, 3].item() * (grid.height**2 + grid.width**2) / 4
+    most = superpixels.MAX_LAB_SQUARE + metric[3, 3].item() * (grid.height**2 + grid.width**2) / 4
     for row, column in np.ndindex(height, width):
         pixel = root @ np.array([*image[:, row, column].double(), row, column])
         cell = (row // grid.height, column // grid.width)
