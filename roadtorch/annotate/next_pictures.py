@@ -45,22 +45,18 @@ def picture_features(image: Tensor, maps: Tensor) -> Tensor:
     return torch.cat([resized(part, GRID).flatten() for part in (image, maps)]).float()
 
 
-Rule = Callable[[Candidates, Collection[int], int, int], list[int]]
-"""What is known, which are corrected, how many are wanted, and a seed → places, the first first."""
+Rule = Callable[[Candidates, Collection[int], int], list[int]]
+"""What is known, which are corrected, and how many are wanted → places, the first first."""
 
 
-def random_pictures(
-    candidates: Candidates, corrected: Collection[int], count: int, seed: int = 0
-) -> list[int]:
+def random_pictures(candidates: Candidates, corrected: Collection[int], count: int) -> list[int]:
     """So many of those that are not corrected, at random; the rule that others have to beat."""
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(0)
     order = torch.randperm(len(candidates.trust), generator=generator).tolist()
     return [one for one in order if one not in corrected][:count]
 
 
-def least_trust_first(
-    candidates: Candidates, corrected: Collection[int], count: int, seed: int = 0
-) -> list[int]:
+def least_trust_first(candidates: Candidates, corrected: Collection[int], count: int) -> list[int]:
     """Those with the least trust, each another scene than those corrected or before it.
 
     Where scenes run out, the rest follows by trust alone; unknown trust comes last.
@@ -70,9 +66,7 @@ def least_trust_first(
     return unlike(waiting, candidates.features, corrected, count)
 
 
-def most_different(
-    candidates: Candidates, corrected: Collection[int], count: int, seed: int = 0
-) -> list[int]:
+def most_different(candidates: Candidates, corrected: Collection[int], count: int) -> list[int]:
     """Each the farthest from all that are corrected or chosen before it.
 
     The greedy k-centre of Gonzalez (1985), as Sener and Savarese choose a core set, "Active
@@ -158,7 +152,7 @@ class PictureOrder:
             if self._known is None or self._known[0] != key:
                 trust = torch.tensor([trusts.get(one, np.nan) for one in seen])
                 candidates = Candidates(trust, torch.stack([self.features[one] for one in seen]))
-                places = RULES[self.rule](candidates, done, BATCH, 0)
+                places = RULES[self.rule](candidates, done, BATCH)
                 self._known = key, {seen[place]: turn for turn, place in enumerate(places)}
             return self._known[1]
 

@@ -121,18 +121,12 @@ def _disagree(
     from roadtorch.data.dataset import every_kth
     from roadtorch.errors import InputError
     from roadtorch.evaluation.disagreement import disagreements, unlabelled_set, worst_first
-    from roadtorch.evaluation.result import Failure
     from roadtorch.report.disagreement import Disagreements, disagreement_text, write_disagreement
-    from roadtorch.runtime.progress import Progress
     from roadtorch.sources.pictures import find_images
 
     out = context.params["out"]
     dataset = every_kth(unlabelled_set(find_images(images, out)), limit)
-    looked = disagreements(dataset, methods[0], methods[1])
-    seen = Progress(looked, total=len(dataset.items), unit="image", quiet=quiet)
-    compared, failures = [], []
-    for one in seen:
-        (failures if isinstance(one, Failure) else compared).append(one)
+    compared, failures = disagreements(dataset, methods, quiet)
     for one in failures:
         click.echo(f"failed: {one.image}: {one.reason}", err=True)
     if not compared:

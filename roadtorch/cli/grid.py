@@ -148,7 +148,6 @@ def grid(
     if planned:
         parts = repr((frames, frame_id)).encode()
         method = results.detector_method(loaded, effective, (), parts)
-        check = None if known is None else known.check
-        seen = footage.FootageWork(loaded, written, owners, check, footage.steadied)
+        seen = footage.FootageWork(loaded, written, owners, known)
         codes.append(footage.run_footage(planned, seen, method, options))
     context.exit(max(codes))

@@ -171,9 +171,7 @@ def infer(
             if planned:
                 parts = repr((depth, of_frames)).encode()
                 method = results.detector_method(loaded, effective, (), parts)
-                check = None if known is None else known.check
-                steadied = footage.steadied if steady else None
-                seen = footage.FootageWork(loaded, written, owners, check, steadied)
+                seen = footage.FootageWork(loaded, written, owners, known, steady)
                 codes.append(footage.run_footage(planned, seen, method, options))
             return max(codes)
         finally:

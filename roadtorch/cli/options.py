@@ -2,7 +2,7 @@
 
 import functools
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -52,20 +52,6 @@ SETTING = click.option(
     shell_complete=suggest_settings,
     help="One setting.",
 )
-DETECTOR = (
-    click.option(
-        "--detector",
-        shell_complete=suggest_detectors,
-        help="Name of the detector; see roadtorch detectors. [fusion]",
-    ),
-    SETTING,
-    click.option(
-        "--config",
-        type=ConfigFile(),
-        shell_complete=suggest_detector_configs,
-        help="TOML file with the detector and its settings, or a shipped one's name.",
-    ),
-)
 FOOTAGE = click.argument(
     "footage", metavar="FOOTAGE...", nargs=-1, required=True, shell_complete=suggest_files
 )
@@ -83,7 +69,63 @@ OVERWRITE = click.option("--overwrite", is_flag=True, help="Redo pictures that a
 QUIET = click.option("--quiet", is_flag=True, help="No progress, only failures.")
 
 
-COMPUTE = (
+class Sectioned(click.Command):
+    """A command whose ``--help`` has its options in sections.
+
+    Those of its own stand first; what is gathered for a kind of ``SECTIONS`` has one of its own.
+    """
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options, section by section."""
+        rows: dict[str, list[tuple[str, str]]] = {"Options": []}
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx)
+            if record and isinstance(parameter, click.Option):
+                rows.setdefault(SECTIONS.get(parameter.name or "", "Options"), []).append(record)
+        for section, records in rows.items():
+            with formatter.section(section):
+                formatter.write_dl(records)
+
+
+def _gathered(
+    kind: type[Any], name: str, *options: Callable[..., Any]
+) -> Callable[[Command], Command]:
+    """What gives a command options that it gets as one argument ``name``, an object of a kind."""
+
+    def decorated(command: Command) -> Command:
+        @functools.wraps(command)
+        def gathered(*arguments: Any, **given: Any) -> Any:
+            one = kind(**{field: given.pop(field) for field in kind.__dataclass_fields__})
+            return command(*arguments, **{name: one}, **given)
+
+        for option in reversed(options):
+            gathered = option(gathered)
+        return gathered
+
+    return decorated
+
+
+with_detector = _gathered(
+    DetectorOptions,
+    "choice",
+    click.option(
+        "--detector",
+        shell_complete=suggest_detectors,
+        help="Name of the detector; see roadtorch detectors. [fusion]",
+    ),
+    SETTING,
+    click.option(
+        "--config",
+        type=ConfigFile(),
+        shell_complete=suggest_detector_configs,
+        help="TOML file with the detector and its settings, or a shipped one's name.",
+    ),
+)
+"""A command gets the options of ``DetectorOptions`` as ``choice``."""
+
+with_compute = _gathered(
+    ComputeOptions,
+    "compute",
     click.option(
         "--jobs",
         type=click.IntRange(min=1),
@@ -119,9 +161,11 @@ COMPUTE = (
     ),
     click.option("--fail-fast", is_flag=True, help="End at the first picture that fails."),
 )
+"""A command gets the options of ``ComputeOptions`` as ``compute``."""
 
-
-FRAMES = (
+with_frames = _gathered(
+    FrameSelection,
+    "frames",
     click.option(
         "--every", type=click.IntRange(min=1), default=1, help="Look at one frame in this many."
     ),
@@ -148,55 +192,7 @@ FRAMES = (
         help="Seconds within which a stream has to answer.",
     ),
 )
-
-
-class Sectioned(click.Command):
-    """A command whose ``--help`` has its options in sections.
-
-    Those of its own stand first; what is gathered for a kind of ``SECTIONS`` has one of its own.
-    """
-
-    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options, section by section."""
-        rows: dict[str, list[tuple[str, str]]] = {"Options": []}
-        for parameter in self.get_params(ctx):
-            record = parameter.get_help_record(ctx)
-            if record and isinstance(parameter, click.Option):
-                rows.setdefault(SECTIONS.get(parameter.name or "", "Options"), []).append(record)
-        for section, records in rows.items():
-            with formatter.section(section):
-                formatter.write_dl(records)
-
-
-def _gathered(
-    command: Command, kind: type[Any], name: str, options: Sequence[Callable[..., Any]]
-) -> Command:
-    """A command with options that it gets as one argument, an object of a kind."""
-
-    @functools.wraps(command)
-    def gathered(*arguments: Any, **given: Any) -> Any:
-        one = kind(**{field: given.pop(field) for field in kind.__dataclass_fields__})
-        return command(*arguments, **{name: one}, **given)
-
-    for option in reversed(options):
-        gathered = option(gathered)
-    return gathered
-
-
-def with_detector(command: Command) -> Command:
-    """A command with the options of ``DetectorOptions``, which it gets as ``choice``."""
-    return _gathered(command, DetectorOptions, "choice", DETECTOR)
-
-
-def with_compute(command: Command) -> Command:
-    """A command with the options of ``ComputeOptions``, which it gets as ``compute``."""
-    return _gathered(command, ComputeOptions, "compute", COMPUTE)
-
-
-def with_frames(command: Command) -> Command:
-    """A command with the options of ``FrameSelection``, which it gets as ``frames``."""
-    return _gathered(command, FrameSelection, "frames", FRAMES)
-
+"""A command gets the options of ``FrameSelection`` as ``frames``."""
 
 LABELLED_SET = (
     click.argument("dataset", shell_complete=suggest_datasets),

@@ -2,7 +2,7 @@
 
 import math
 import statistics
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -15,6 +15,7 @@ from roadtorch.evaluation.methods import Method
 from roadtorch.evaluation.result import Failure
 from roadtorch.io.image import read_image
 from roadtorch.runtime.image_cache import image_cache
+from roadtorch.runtime.progress import Progress
 from roadtorch.sources.pictures import Picture
 
 
@@ -64,20 +65,25 @@ def unlabelled_set(pictures: Iterable[Picture]) -> Dataset:
 
 
 def disagreements(
-    dataset: Dataset, first: Method, second: Method
-) -> Iterator[Disagreement | Failure]:
-    """Each picture as two methods decide on it, each at its own threshold; or why not."""
-    looks = [one.prepare(dataset) for one in (first, second)]
-    for item in dataset.items:
+    dataset: Dataset, methods: Iterable[Method], quiet: bool = False, **bar: str
+) -> tuple[list[Disagreement], list[Failure]]:
+    """Every picture as two methods decide on it, each at its own threshold; those that failed.
+
+    bar: what else ``Progress`` is told.
+    """
+    looks = [one.prepare(dataset) for one in methods]
+    pictures, failures = list[Disagreement](), list[Failure]()
+    for item in Progress(dataset.items, unit="image", quiet=quiet, **bar):
         try:
             image = read_image(item.image)
             with image_cache():
                 one, other = (look(image, item) for look in looks)
         except RoadtorchError as problem:
-            yield Failure(item.name, None, str(problem))
+            failures.append(Failure(item.name, None, str(problem)))
             continue
         trusts = [math.nan if each.trust is None else each.trust for each in (one, other)]
-        yield disagreement(item, one.mask, other.mask, *trusts)
+        pictures.append(disagreement(item, one.mask, other.mask, *trusts))
+    return pictures, failures
 
 
 def disagreement(item: Item, first: Tensor, second: Tensor, *trusts: float) -> Disagreement:

@@ -37,12 +37,12 @@ def average_ranks(values: Tensor) -> Tensor:
     return (last - (counts - 1) / 2)[places]
 
 
-def correlation_within(pictures: Trusted, fewest: int = MIN_PICTURES) -> float:
+def correlation_within(pictures: Trusted) -> float:
     """The mean of the groups' own rank correlations; NaN without a group that has one."""
     correlations = []
     for group in sorted(set(pictures.groups)):
         own = torch.tensor([name == group for name in pictures.groups])
-        if int(own.sum()) >= fewest:
+        if int(own.sum()) >= MIN_PICTURES:
             correlations.append(rank_correlation(pictures.trust[own], pictures.f[own]))
     return float(torch.tensor(correlations, dtype=torch.float64).nanmean())
 

@@ -15,8 +15,7 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from roadtorch.imaging.resize import resized
-from roadtorch.layout.patch_network import Normalisation, normalise
+from roadtorch.layout.patch_network import Normalisation
 from roadtorch.layout.picture_network import OUTPUTS, cues_of, place_planes
 from roadtorch.settings import Settings
 
@@ -204,7 +203,5 @@ class BackboneNetwork(nn.Module):
     @torch.no_grad()
     def cues(self, image: Tensor) -> Mapping[str, Tensor]:
         """Of an image (3,H,W): ``layout`` (3,H,W), ``road`` and ``ego`` (H,W), all in [0,1]."""
-        size = (image.shape[-2], image.shape[-1])
-        small = resized(image, (self.settings.height, self.settings.width)).clamp(0, 1)
-        pixels = normalise(small, self.settings.normalisation).pixels[None]
-        return cues_of(self(pixels.to(self.backbone.stem.weight)).to(image), size)
+        settings = self.settings
+        return cues_of(self, image, (settings.height, settings.width), settings.normalisation)

@@ -86,15 +86,18 @@ class PictureNetwork(nn.Module):
     @torch.no_grad()
     def cues(self, image: Tensor) -> Mapping[str, Tensor]:
         """Of an image (3,H,W): ``layout`` (3,H,W), ``road`` and ``ego`` (H,W), all in [0,1]."""
-        size = (image.shape[-2], image.shape[-1])
-        small = resized(image, (self.settings.height, self.settings.width)).clamp(0, 1)
-        pixels = normalise(small, self.settings.normalisation).pixels[None]
-        return cues_of(self(pixels.to(self.heads.weight)).to(image), size)
+        settings = self.settings
+        return cues_of(self, image, (settings.height, settings.width), settings.normalisation)
 
 
-def cues_of(scores: Tensor, size: tuple[int, int]) -> Mapping[str, Tensor]:
-    """Scores (1,5,h,w) as maps (…,H,W) in [0,1] of that size: ``layout``, ``road``, ``ego``."""
-    potentials = resized(potentials_of(scores)[0], size).clamp(0, 1)
+def cues_of(
+    network: nn.Module, image: Tensor, size: tuple[int, int], normalisation: Normalisation
+) -> Mapping[str, Tensor]:
+    """What a network that works at a size and gives scores says of an image, as its ``cues``."""
+    pixels = normalise(resized(image, size).clamp(0, 1), normalisation).pixels[None]
+    scores = network(pixels.to(next(network.parameters()))).to(image)
+    full = (image.shape[-2], image.shape[-1])
+    potentials = resized(potentials_of(scores)[0], full).clamp(0, 1)
     return {"layout": potentials[:CLASSES], "road": potentials[ROAD], "ego": potentials[EGO]}
 
 

@@ -20,6 +20,9 @@ from roadtorch.oneclass.neighbours import few_distinct, squared_distances
 
 Width = Annotated[float, Field(ge=1e-6, le=1e6)]
 
+VIOLATION = 1e-7
+"""Share of the kernel's range by which the smallest ball may miss its optimum."""
+
 
 # --- support vector data description ----------------------------------------------------
 
@@ -38,20 +41,20 @@ class SvddSettings(ClassifierSettings):
     )
 
 
-def smallest_ball(gram: np.ndarray, caps: np.ndarray, tolerance: float = 1e-7) -> np.ndarray:
+def smallest_ball(gram: np.ndarray, caps: np.ndarray) -> np.ndarray:
     """Weights a (k,) of the centre Σ a_i φ(y_i) of the smallest soft ball around samples.
 
     Minimises aᵀ G a with Σ a = 1, 0 ≤ a_i ≤ caps_i: the dual of min R² + C Σ ξ for samples of
     equal norm. gram: (k,k), the kernel, less any constant; caps: C times how often a sample
     occurs, with Σ caps ≥ 1. Pairs of weights are moved, the most violating one with the one
     that gains most (Fan, Chen and Lin, JMLR 2005), until no pair violates the conditions of
-    optimality by more than ``tolerance`` of the kernel's range; a kernel much wider than the
+    optimality by more than ``VIOLATION`` of the kernel's range; a kernel much wider than the
     gaps between samples and much narrower than all of them may stop at a hundred times that.
     """
     weights = np.minimum(caps, np.maximum(0.0, 1 - np.cumsum(caps) + caps))
     slope = gram @ weights
     diagonal = np.diagonal(gram)
-    allowed = tolerance * (gram.max() - gram.min())
+    allowed = VIOLATION * (gram.max() - gram.min())
     for _ in range(1000 + 200 * len(gram)):
         rising = np.where(weights < caps, slope, np.inf).argmin()
         excess = np.where(weights > 0, slope - slope[rising], 0)

@@ -97,7 +97,7 @@ class SampleCentreSettings(CentreSettings):
     )
 
 
-def k_means(samples: Tensor, start: Tensor, rounds: int = MAX_ROUNDS) -> tuple[Tensor, Tensor]:
+def k_means(samples: Tensor, start: Tensor) -> tuple[Tensor, Tensor]:
     """Lloyd's algorithm from R starts at once: centres (R,k,d) and inertias (R,).
 
     samples: float64 (m,d); start: (R,k,d). Each sample belongs to the nearest centre, each
@@ -106,7 +106,7 @@ def k_means(samples: Tensor, start: Tensor, rounds: int = MAX_ROUNDS) -> tuple[T
     """
     centres, inertia = start, samples.new_full((len(start),), torch.inf)
     numbers = torch.arange(start.shape[1])[:, None]
-    for _ in range(rounds):
+    for _ in range(MAX_ROUNDS):
         squared = (samples.T - centres[..., None]).square_().sum(2)
         least, nearest = squared.min(1)
         before, inertia = inertia, least.sum(1)
@@ -143,7 +143,7 @@ def farthest_first(apart: Tensor, count: int, first: int = 0) -> Tensor:
     return torch.tensor(chosen)
 
 
-def k_centres(apart: Tensor, start: Tensor, rounds: int = MAX_ROUNDS) -> tuple[Tensor, Tensor]:
+def k_centres(apart: Tensor, start: Tensor) -> tuple[Tensor, Tensor]:
     """Centres among samples with a small largest distance, from R starts at once.
 
     apart: distances (m,m); start: int64 (R,k). Each sample belongs to the nearest centre;
@@ -152,7 +152,7 @@ def k_centres(apart: Tensor, start: Tensor, rounds: int = MAX_ROUNDS) -> tuple[T
     with the maximum over the samples and equal balls.
     """
     centres = start
-    for _ in range(rounds):
+    for _ in range(MAX_ROUNDS):
         nearest = apart[centres].argmin(1)
         fellows = nearest[:, None, :] == nearest[:, :, None]
         farthest = torch.where(fellows, apart, 0).amax(2)

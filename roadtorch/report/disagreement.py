@@ -21,6 +21,8 @@ from roadtorch.runtime.image_cache import image_cache
 
 QUALITY = 80  # of JPEG
 
+ON_SCREEN = 10  # pictures
+
 SHARES = ("differs", "first", "second", "only_first", "only_second")
 
 COLUMNS = (
@@ -40,9 +42,9 @@ class Disagreements:
     failures: Sequence[Failure]
 
 
-def disagreement_text(seen: Disagreements, most: int = 10) -> str:
+def disagreement_text(seen: Disagreements) -> str:
     """The screen: how much differs in all, and the pictures that differ most."""
-    return f"{table_text(_table(seen, most), 'picture')}\n\n{_summary(seen)}"
+    return f"{table_text(_table(seen, ON_SCREEN), 'picture')}\n\n{_summary(seen)}"
 
 
 def _table(seen: Disagreements, most: int | None = None) -> Table:

@@ -63,10 +63,9 @@ def started_engine(compute: ComputeOptions, pictures: int) -> Iterator[Engine | 
         is_plain = compute.device == "cpu" and compute.threads == 1
         yield partial(rows_of_workers, workers=workers) if is_plain and workers > 1 else None
         return
-    from roadtorch.runs.ray_engine import Cluster, ray_engine
+    from roadtorch.runs.ray_engine import ray_engine
 
-    gpu = compute.device.startswith("cuda")
-    with ray_engine(Cluster(compute.address, compute.workers, gpu)) as engine:
+    with ray_engine(compute) as engine:
         yield engine
 
 

@@ -15,6 +15,7 @@ import click
 import numpy as np
 from torch import Tensor
 
+from roadtorch.camera.camera import Camera
 from roadtorch.detector import Detector
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.io.atomic import make_folder, remove_leftovers
@@ -51,7 +52,7 @@ from roadtorch.sources.frame import Frame, Selection, Source
 from roadtorch.sources.live import Patience
 from roadtorch.sources.open import SourceOptions, open_sources
 from roadtorch.sources.pictures import Picture
-from roadtorch.stream import AHEAD, Behind, Missed, Seen, Steadying, seen_frames
+from roadtorch.stream import AHEAD, Behind, Missed, Seen, seen_frames
 
 USUAL_OF_PICTURES, USUAL_OF_FOOTAGE = ("likelihood", "mask", "overlay"), ("overlay",)
 USUAL_OF_BAGS = ("overlay", "bag")
@@ -245,21 +246,15 @@ def _add_to_bag(sink: BagSink, seen: Seen, pixels: np.ndarray) -> None:
 class FootageWork:
     """The work on sources.
 
-    owners: of the names that the run has given. check: raises InputError for an image of another
-    camera. steady: makes, for each source that moves, what steadies its likelihood; None leaves
-    the frames as they are.
+    owners: of the names that the run has given. camera: the one that the footage has to be of,
+    where it is known. steady: whether the likelihood of a source that moves is steadied.
     """
 
     detector: Detector
     results: WhatIsWritten
     owners: Owners
-    check: Callable[[Tensor], None] | None = None
-    steady: Callable[[], Steadying] | None = None
-
-
-def steadied() -> Steadying:
-    """What steadies one source, at its defaults."""
-    return Steady(SteadySettings())
+    camera: Camera | None = None
+    steady: bool = True
 
 
 def plan_footage(
@@ -442,8 +437,9 @@ def _work_through(
 
     if not source.moving:
         source = replace(source, frames=partial(_owned, source, work.results, work.owners))
-    steady = work.steady() if work.steady and source.moving else None
-    seen = seen_frames(source, work.detector, jobs=options.jobs, steady=steady, check=work.check)
+    steady = Steady(SteadySettings()) if work.steady and source.moving else None
+    check = None if work.camera is None else work.camera.check
+    seen = seen_frames(source, work.detector, jobs=options.jobs, steady=steady, check=check)
     behind = Behind(AHEAD)
     with closing(seen), Progress(total=source.count, unit="frame", quiet=options.quiet) as bar:
         try:

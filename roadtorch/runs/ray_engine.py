@@ -1,4 +1,4 @@
-"""The pictures of a run on Ray: a pool of actors, on this machine or on a cluster."""
+"""The pictures of a run on Ray: a pool of actors, on this machine or on a compute."""
 
 import logging
 import os
@@ -10,13 +10,14 @@ import threading
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from tempfile import TemporaryDirectory
 from typing import Any, cast
 
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.runs.index import Row
+from roadtorch.runs.options import ComputeOptions
 from roadtorch.runs.pictures import Engine, Rows, Task, Work
 from roadtorch.runtime.threads import Threads
 
@@ -33,18 +34,6 @@ QUIET = {
 }
 
 
-@dataclass(frozen=True)
-class Cluster:
-    """Where actors run. address: of a cluster; None: one of this machine, for this run alone.
-
-    workers: actors, each with a processor, and one of the cluster's GPUs where ``gpu`` says so.
-    """
-
-    address: str | None
-    workers: int
-    gpu: bool = False
-
-
 class Worker:
     """What an actor does: it unpickles the detector once, and works on one job after another."""
 
@@ -58,7 +47,7 @@ class Worker:
 
 
 @contextmanager
-def ray_engine(cluster: Cluster) -> Iterator[Engine]:
+def ray_engine(compute: ComputeOptions) -> Iterator[Engine]:
     """The engine on a cluster, which is left, or ended where it is a local one, at the end.
 
     Raises ConfigError where Ray is not installed, or no cluster is at the address.
@@ -70,8 +59,8 @@ def ray_engine(cluster: Cluster) -> Iterator[Engine]:
         ray = _imported()
         try:
             with _without_stderr(), _deaf_children():
-                _join(ray, cluster, folder)
-            yield partial(_rows_of_actors, cluster=cluster)
+                _join(ray, compute, folder)
+            yield partial(_rows_of_actors, compute=compute)
         finally:
             ray.shutdown()
 
@@ -139,11 +128,11 @@ def _deaf_children() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _join(ray: Any, cluster: Cluster, folder: str) -> None:
+def _join(ray: Any, compute: ComputeOptions, folder: str) -> None:
     quiet = {"log_to_driver": False, "logging_level": logging.CRITICAL}
-    if cluster.address is None:
+    if compute.address is None:
         ray.init(
-            num_cpus=cluster.workers,
+            num_cpus=compute.workers,
             include_dashboard=False,
             object_store_memory=STORE,
             _node_ip_address="127.0.0.1",
@@ -152,17 +141,17 @@ def _join(ray: Any, cluster: Cluster, folder: str) -> None:
         )
         return
     try:
-        if at := re.fullmatch(r"(?:ray://)?([\w.-]+):(\d+)", cluster.address):
+        if at := re.fullmatch(r"(?:ray://)?([\w.-]+):(\d+)", compute.address):
             # Where nobody listens Ray itself would try for minutes.
             socket.create_connection((at[1], int(at[2])), timeout=PATIENCE).close()
-        ray.init(address=cluster.address, **quiet)
+        ray.init(address=compute.address, **quiet)
     except (OSError, ValueError, RuntimeError) as problem:
         what = f"no Ray cluster answers: {' '.join(str(problem).split())[:200]}"
         remedy = "start one with 'ray start --head', or leave --address out"
-        raise ConfigError(cluster.address, what, remedy) from None
+        raise ConfigError(compute.address, what, remedy) from None
 
 
-def _rows_of_actors(jobs: Sequence[Task], work: Work, cluster: Cluster) -> Rows:
+def _rows_of_actors(jobs: Sequence[Task], work: Work, compute: ComputeOptions) -> Rows:
     """The rows of all jobs, as they are finished.
 
     An actor that dies is started again, and gets its jobs anew. Threads are those of this
@@ -177,15 +166,15 @@ def _rows_of_actors(jobs: Sequence[Task], work: Work, cluster: Cluster) -> Rows:
     threads = Threads.of_now()
     # OpenMP and BLAS read it before torch is loaded; Ray itself would say one thread. The workers
     # of a local cluster have the environment of this process.
-    environment = {"env_vars": {"OMP_NUM_THREADS": str(threads.torch)}} if cluster.address else None
-    blocks = min(max(len(jobs) // TOGETHER, 4 * cluster.workers), len(jobs), MAX_BLOCKS)
+    environment = {"env_vars": {"OMP_NUM_THREADS": str(threads.torch)}} if compute.address else None
+    blocks = min(max(len(jobs) // TOGETHER, 4 * compute.workers), len(jobs), MAX_BLOCKS)
     items = [{"job": pickle.dumps(job)} for job in jobs]
     rows = ray.data.from_items(items, override_num_blocks=blocks).map(
         cast(Any, Worker),  # Ray makes one in each actor
         fn_constructor_args=(pickle.dumps(work), threads),
-        compute=ActorPoolStrategy(size=cluster.workers),
+        compute=ActorPoolStrategy(size=compute.workers),
         num_cpus=1,
-        num_gpus=1 if cluster.gpu else None,
+        num_gpus=1 if compute.device.startswith("cuda") else None,
         max_restarts=-1,
         max_task_retries=RETRIES,
         runtime_env=environment,

@@ -110,9 +110,7 @@ class SourceOptions:
     topic: str | None = None
 
 
-def open_source(
-    given: str, selection: Selection, options: SourceOptions = SourceOptions()
-) -> Source:
+def open_source(given: str, selection: Selection) -> Source:
     """The one source that an input stands for; pictures are one that does not move.
 
     Raises InputError for what is not there, ConfigError for an input of several sources.
@@ -122,7 +120,7 @@ def open_source(
     sorted_inputs = sort_inputs([given])
     if not sorted_inputs.sources:
         return picture_source(given, selection)
-    sources = open_sources(sorted_inputs.sources, selection, options)
+    sources = open_sources(sorted_inputs.sources, selection)
     if len(sources) != 1 or sorted_inputs.pictures:
         what = f"holds {len(sources)} videos" + (" and pictures" * bool(sorted_inputs.pictures))
         raise ConfigError(given, what, "give one of them")

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from roadtorch.data.dataset import Dataset, every_kth
 from roadtorch.evaluation.disagreement import (
-    Disagreement,
     Taught,
     disagreements,
     mean_change,
@@ -15,10 +14,8 @@ from roadtorch.evaluation.disagreement import (
 )
 from roadtorch.evaluation.evaluate import evaluated
 from roadtorch.evaluation.methods import candidate
-from roadtorch.evaluation.result import Failure
 from roadtorch.layout.weights import WholePictureNetwork, load_network, weights_path
 from roadtorch.report.adaptation import Adaptation
-from roadtorch.runtime.progress import Progress
 from roadtorch.sources.pictures import find_images
 from roadtorch.train.config import PictureTraining, Training
 from roadtorch.train.folder import RunFolder
@@ -54,20 +51,7 @@ def adaptation_of(
     methods = (replace(before, name="before"), replace(after, name="after"))
     found = find_images([request.images], request.out)
     dataset = every_kth(unlabelled_set(found), compared)
-    seen = Progress(
-        disagreements(dataset, *methods),
-        desc="before and after",
-        total=len(dataset.items),
-        unit="image",
-        quiet=request.quiet,
-    )
-    pictures: list[Disagreement] = []
-    failures: list[Failure] = []
-    for one in seen:
-        if isinstance(one, Failure):
-            failures.append(one)
-        else:
-            pictures.append(one)
+    pictures, failures = disagreements(dataset, methods, request.quiet, desc="before and after")
     if not pictures:
         return None
     folder = request.prepared or request.out / PREPARED

@@ -32,29 +32,24 @@ def test_a_batch_has_no_picture_twice_and_none_that_is_corrected(
     rule: str, pictures: int, count: int, data: st.DataObject
 ) -> None:
     corrected = data.draw(st.sets(st.integers(0, pictures - 1))) if pictures else set()
-    found = RULES[rule](candidates(pictures), corrected, count, 0)
+    found = RULES[rule](candidates(pictures), corrected, count)
     assert len(found) == min(count, pictures - len(corrected)) == len(set(found))
     assert not set(found) & corrected
-    assert found == RULES[rule](candidates(pictures), corrected, count, 0)
+    assert found == RULES[rule](candidates(pictures), corrected, count)
 
 
 def test_the_least_trusted_come_first_but_no_scene_twice() -> None:
     features = scenes_of(0, 0.1, 5, 5.1, 10)
     known = Candidates(torch.tensor([0.1, 0.2, 0.4, 0.3, torch.nan]), features)
-    assert RULES["least-trust"](known, [], 3, 0) == [0, 3, 4]
-    assert RULES["least-trust"](known, [], 5, 0) == [0, 3, 4, 1, 2]  # scenes ran out
-    assert RULES["least-trust"](known, [1], 2, 0) == [3, 4]  # 0 is the scene of what is corrected
+    assert RULES["least-trust"](known, [], 3) == [0, 3, 4]
+    assert RULES["least-trust"](known, [], 5) == [0, 3, 4, 1, 2]  # scenes ran out
+    assert RULES["least-trust"](known, [1], 2) == [3, 4]  # 0 is the scene of what is corrected
 
 
 def test_the_most_different_is_the_farthest_from_all_that_are_known() -> None:
     known = Candidates(torch.full((5,), torch.nan), scenes_of(0, 1, 4, 9, 10))
-    assert RULES["different"](known, [0], 3, 0) == [4, 2, 1]
-    assert RULES["different"](known, [], 2, 0) == [2, 4]  # begins nearest to the mean
-
-
-def test_random_draws_differ_by_seed_alone() -> None:
-    known = candidates(30)
-    assert RULES["random"](known, [], 30, 0) != RULES["random"](known, [], 30, 1)
+    assert RULES["different"](known, [0], 3) == [4, 2, 1]
+    assert RULES["different"](known, [], 2) == [2, 4]  # begins nearest to the mean
 
 
 @pytest.mark.parametrize("count", [0, 1])
