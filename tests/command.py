@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click import Command
 from click.testing import CliRunner, Result
 from PIL import Image
 
@@ -24,6 +25,14 @@ def call() -> Call:
         return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
     return run
+
+
+def invoked(command: Command, *arguments: object) -> Result:
+    """One command called by itself: what it raises, the test sees."""
+    result = CliRunner().invoke(command, [str(argument) for argument in arguments])
+    if result.exception and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
 
 
 def save_picture(path: Path, seed: int = 0, size: tuple[int, int] = (64, 48)) -> Path:

@@ -9,11 +9,10 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.detector import Detection
 from roadtorch.evaluation import uncertainty
 from roadtorch.evaluation.measures import MEASURES
-from roadtorch.evaluation.methods import Method
-from roadtorch.evaluation.result import DetectorFigures, summarise
-from roadtorch.evaluation.scoring import score_item
-from roadtorch.evaluation.tally import Tally
+from roadtorch.evaluation.result import DetectorFigures
 from roadtorch.scenes.street import render_scene
+from tests.evaluation.conftest import counted, summarised
+from tests.reports import made_contender
 from tests.streets import write_camvid
 
 GROUPS = ("0001TP", "0006R0")
@@ -38,10 +37,8 @@ def measured(dataset, noise: float) -> tuple[DetectorFigures, uncertainty.Draws]
         layout = torch.stack([(scores == kind).float() for kind in range(3)]) + blur * noise * 3
         return Detection(likelihood, likelihood > 0.5, {"layout": layout})
 
-    tally = Tally()
-    for item in dataset.items:
-        tally.add(item, score_item(dataset, {"it": look}, item).scores["it"])
-    figures = summarise(Method("it", lambda _: look), tally)
+    tally = counted(dataset, look)
+    figures = summarised(tally)
     return figures, uncertainty.resample(tally, figures)
 
 
@@ -50,20 +47,11 @@ def test_every_headline_figure_has_an_interval_around_it(dataset):
 
     found = uncertainty.intervals(draws)
 
-    names = (
-        "maxf",
-        "auc_pooled",
-        "auc_mean",
-        "ap",
-        "eer",
-        "brier",
-        "iou",
-        "f",
-        "f_mask",
-        "iou_mask",
-        "layout/mean",
-    )
-    assert set(found) == set(names) == {one.key for one in MEASURES if one.interval}
+    names = {
+        *("maxf", "auc_pooled", "auc_mean", "ap", "eer", "brier"),
+        *("iou", "f", "f_mask", "iou_mask", "layout/mean"),
+    }
+    assert set(found) == names == {one.key for one in MEASURES if one.interval}
     for name, (low, high) in found.items():
         assert low <= figures.headline[name] <= high
         assert 0 <= high - low < 0.2
@@ -99,13 +87,9 @@ def test_pairs_share_the_figures_that_both_have(dataset):
 
 def test_the_others_are_compared_with_the_best_unless_somebody_is_named():
     figures = {
-        name: DetectorFigures(Method(name, lambda _: no_look), {"maxf": score})
+        name: DetectorFigures(made_contender(name), {"maxf": score})
         for name, score in {"a": 0.5, "b": 0.9, "c": math.nan}.items()
     }
 
     assert uncertainty.best_of(figures) == "b"
     assert uncertainty.best_of({"c": figures["c"]}) == "c"
-
-
-def no_look(image, item):
-    raise AssertionError("nobody looks")

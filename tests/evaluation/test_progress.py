@@ -23,11 +23,16 @@ def dataset(tmp_path: Path) -> Dataset:
     return open_dataset("camvid", tmp_path / "set", "train")
 
 
-def test_the_progress_of_another_run_is_refused_and_kept(dataset, tmp_path):
-    progress = SavedTallies(tmp_path, "one")
+def save_first(dataset: Dataset, folder: Path) -> bytes:
+    """Save the progress of the run ``one`` after its first picture; what is saved."""
+    progress = SavedTallies(folder, "one")
     progress.add(next(iter(score(dataset, BASELINES))))
     progress.save()
-    before = (tmp_path / FILE).read_bytes()
+    return (folder / FILE).read_bytes()
+
+
+def test_the_progress_of_another_run_is_refused_and_kept(dataset, tmp_path):
+    before = save_first(dataset, tmp_path)
 
     with pytest.raises(ConfigError, match="another run"):
         SavedTallies(tmp_path, "other")
@@ -44,10 +49,7 @@ def test_a_file_that_is_no_progress_is_named(tmp_path, content):
 
 @pytest.mark.parametrize("place", [0.05, 0.3, 0.6, 0.99])
 def test_a_flipped_bit_is_never_counted_on(dataset, tmp_path, place):
-    progress = SavedTallies(tmp_path, "one")
-    progress.add(next(iter(score(dataset, BASELINES))))
-    progress.save()
-    data = bytearray((tmp_path / FILE).read_bytes())
+    data = bytearray(save_first(dataset, tmp_path))
     data[int(place * len(data))] ^= 1
     (tmp_path / FILE).write_bytes(data)
 

@@ -3,6 +3,7 @@
 import pickle
 from dataclasses import replace
 
+import pytest
 import torch
 
 from roadtorch.data.catalogue import open_dataset
@@ -13,38 +14,33 @@ from roadtorch.evaluation.methods import named_detector
 from roadtorch.evaluation.scoring import prepared, score_item
 from roadtorch.evaluation.tally import Tally
 from roadtorch.scenes.street import render_scene
+from tests.evaluation.conftest import counted
 from tests.streets import write_camvid
 
+GROUPS = ("a" * 6, "b" * 6)
 
-def scenes_dataset(root) -> tuple[Dataset, dict]:
-    scenes = {f"{group}_{i}": render_scene(i, 48, 64) for i, group in enumerate(("a" * 6, "b" * 6))}
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory) -> Dataset:
+    root = tmp_path_factory.mktemp("camvid")
+    scenes = {f"{group}_{i}": render_scene(i, 48, 64) for i, group in enumerate(GROUPS)}
     write_camvid(root, "train", scenes)
-    return open_dataset("camvid", root, "train"), scenes
+    return open_dataset("camvid", root, "train")
 
 
-def counted(dataset: Dataset, layout: bool) -> Tally:
-    def look(image, item):
-        likelihood = image.mean(0)
-        potentials = {"layout": image} if layout else {}
-        return Detection(likelihood, likelihood > 0.5, potentials)
-
-    tally = Tally()
-    for item in dataset.items:
-        tally.add(item, score_item(dataset, {"it": look}, item).scores["it"])
-    return tally
+def look(image, item) -> Detection:
+    return Detection(image.mean(0), image.mean(0) > 0.5, {"layout": image})
 
 
-def test_one_picture_more_costs_little_memory(tmp_path):
-    dataset, _ = scenes_dataset(tmp_path)
-    tally = counted(dataset, True)
+def test_one_picture_more_costs_little_memory(dataset):
+    tally = counted(dataset, look)
     size = sum(tensor[0].nbytes for tensor in tally.columns.values())
 
     assert size < 2500  # bytes: 256 levels of road and of background, 4 each
 
 
-def test_rows_outlive_the_room_there_was_for_them_and_can_be_sorted(tmp_path):
-    dataset, _ = scenes_dataset(tmp_path)
-    few, many = counted(dataset, True), Tally()
+def test_rows_outlive_the_room_there_was_for_them_and_can_be_sorted(dataset):
+    few, many = counted(dataset, look), Tally()
     looks = prepared(dataset, [named_detector("prior:rows", {})])
     look_at = score_item(dataset, looks, dataset.items[0])
     names = [f"picture {index}" for index in range(150)]
@@ -59,11 +55,9 @@ def test_rows_outlive_the_room_there_was_for_them_and_can_be_sorted(tmp_path):
     assert int(kept.road.road[0].sum()) == int(few.kept().road.road[0].sum())
 
 
-def test_pictures_with_and_without_layout_may_be_mixed_in_any_order(tmp_path):
-    dataset, _ = scenes_dataset(tmp_path)
+def test_pictures_with_and_without_layout_may_be_mixed_in_any_order(dataset):
     item, tally = dataset.items[0], Tally()
-    looks = {"it": lambda image, _: Detection(image.mean(0), image[0] > 0.5, {"layout": image})}
-    shown = score_item(dataset, looks, item).scores["it"]
+    shown = score_item(dataset, {"it": look}, item).scores["it"]
     assert shown.layout is not None
     for index in range(200):  # more than there is room for at first, before and after
         is_shown = 90 <= index < 100
@@ -77,9 +71,8 @@ def test_pictures_with_and_without_layout_may_be_mixed_in_any_order(tmp_path):
     assert torch.equal(layout.flatten(1).sum(1) > 0, (torch.arange(200) // 10) == 9)
 
 
-def test_pictures_come_group_by_group_when_groups_are_asked_for(tmp_path):
-    dataset, _ = scenes_dataset(tmp_path)
-    tally = counted(dataset, True)
+def test_pictures_come_group_by_group_when_groups_are_asked_for(dataset):
+    tally = counted(dataset, look)
 
     found = tally.kept(["b" * 6, "a" * 6])
 

@@ -104,12 +104,8 @@ def test_svdd_is_the_one_class_machine_of_scikit_learn(dimensions, sigma, reject
     machine: Any = OneClassSVM(nu=rejected, tol=1e-10).set_params(gamma=1 / sigma**2)
     machine.fit(doubles(samples))
     decision = machine.decision_function(doubles(pixels))
-    squared = (
-        doubles(
-            fitted(SVDD, samples, SvddSettings(sigma=sigma, rejected=rejected)).distance(pixels)
-        )
-        ** 2
-    )
+    learned = fitted(SVDD, samples, SvddSettings(sigma=sigma, rejected=rejected))
+    squared = doubles(learned.distance(pixels)) ** 2
     # One is an affine function of the other: |φ - a|² = const - 2 Σ a K.
     slope, offset = np.polyfit(decision, squared, 1)
     assert slope < 0
@@ -208,10 +204,8 @@ def test_minimax_distance_ranks_as_its_score_does(dimensions):
 @pytest.mark.parametrize("rejected", [0.0, 0.025, 0.2])
 def test_programme_reaches_the_value_of_its_dual_game(kind, rejected):
     points = doubles(some(12, 2))
-    between = DISSIMILARITIES[kind](
-        torch.from_numpy(reference.distance_matrix(points, points) ** 2)
-    )
-    between = between.numpy()
+    squared = torch.from_numpy(reference.distance_matrix(points, points) ** 2)
+    between = DISSIMILARITIES[kind](squared).numpy()
     weights, margin = boundary.least_margin(between, np.ones(12), rejected)
     cap = min(1, 1 / (rejected * 12)) if rejected else 1
     slack = np.maximum(between @ weights - margin, 0).sum()

@@ -21,25 +21,22 @@ from roadtorch.oneclass.density import (
     tyler,
     whitening,
 )
+from tests.draws import seeded
 from tests.reference import oneclass_density as reference
 
 GAUSSIAN, ROBUST = CLASSIFIERS["gaussian"], CLASSIFIERS["robust_gaussian"]
 PLANES = {1: axes_of(("S",)), 2: axes_of(("O1", "O2")), 3: axes_of(("R", "G", "B"))}
 
 
-def generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
-
-
 def correlated(planes: int, count: int = 90, seed: int = 0) -> Tensor:
     """Samples (count,planes) float64 about 0.4 that vary together."""
-    noise = torch.randn(count, planes, generator=generator(seed), dtype=torch.float64)
-    mixing = torch.rand(planes, planes, generator=generator(seed + 1), dtype=torch.float64)
+    noise = torch.randn(count, planes, generator=seeded(seed), dtype=torch.float64)
+    mixing = torch.rand(planes, planes, generator=seeded(seed + 1), dtype=torch.float64)
     return 0.4 + 0.02 * noise @ (mixing + torch.eye(planes))
 
 
 def pixels(planes: int) -> Tensor:
-    return torch.rand(300, planes, generator=generator(9))
+    return torch.rand(300, planes, generator=seeded(9))
 
 
 @pytest.mark.parametrize("planes", PLANES)
@@ -57,7 +54,7 @@ def test_the_gaussian_is_scipys_mahalanobis_distance(planes: int) -> None:
 
 
 def test_the_floor_of_variance_is_that_of_rounding_to_256_levels() -> None:
-    levels = torch.rand(100_000, generator=generator(), dtype=torch.float64)
+    levels = torch.rand(100_000, generator=seeded(), dtype=torch.float64)
     error = (levels * 255).round() / 255 - levels
 
     assert float(floor_of(PLANES[1])) == pytest.approx(float(error.square().mean()), rel=0.02)
@@ -85,7 +82,7 @@ def planted(planes: int, share: float, seed: int) -> tuple[Tensor, Tensor]:
     clean = correlated(planes, seed=seed)
     spoilt = clean.clone()
     count = round(share * len(clean))
-    paint = torch.rand(count, planes, generator=generator(seed), dtype=torch.float64)
+    paint = torch.rand(count, planes, generator=seeded(seed), dtype=torch.float64)
     spoilt[:count] = 0.9 + 0.02 * paint
     return clean, spoilt
 
@@ -132,7 +129,7 @@ def test_the_least_determinant_is_no_larger_than_scikit_learns(share: float) -> 
     _, samples = planted(3, share - 0.02, seed=3)
     settings = RobustSettings(rejected=share, ridge=0.0)
 
-    mean, covariance = least_determinant(samples, PLANES[3], settings, generator())
+    mean, covariance = least_determinant(samples, PLANES[3], settings, seeded())
 
     peer = MinCovDet(support_fraction=1 - share, random_state=0).fit(samples.numpy())
     theirs = moments(samples[torch.from_numpy(peer.raw_support_)])[1]

@@ -8,24 +8,21 @@ from torch import Tensor
 from roadtorch.errors import ConfigError
 from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
 from roadtorch.oneclass.histogram import HistogramSettings, bin_of, with_noisy_copy
+from tests.draws import seeded
 from tests.reference import oneclass_density as reference
 
 SIMPLE, NOISY = CLASSIFIERS["hist64_s"], CLASSIFIERS["hist64_sn"]
 
 
-def generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
-
-
 def samples_of(planes: int, count: int = 2000) -> Tensor:
-    return 0.3 + 0.2 * torch.rand(count, planes, generator=generator())
+    return 0.3 + 0.2 * torch.rand(count, planes, generator=seeded())
 
 
 @pytest.mark.parametrize("name", ["hist64_s", "hist100_s"])
 @pytest.mark.parametrize("planes", [("O2",), ("a", "b"), ("R", "G", "B")])
 def test_histograms_are_numpys(name: str, planes: tuple[str, ...]) -> None:
     axes, samples = axes_of(planes), samples_of(len(planes))
-    pixels = torch.rand(500, len(planes), generator=generator(1)) * 0.6 + 0.1
+    pixels = torch.rand(500, len(planes), generator=seeded(1)) * 0.6 + 0.1
     bins = {"hist64_s": 64, "hist100_s": 100}[name]
 
     found = fit(CLASSIFIERS[name], samples, axes).distance(pixels)
@@ -77,7 +74,7 @@ def test_the_noisy_copy_has_the_deviation_of_p3_in_ranges_of_the_plane() -> None
     axes, samples = axes_of(("S", "O2")), torch.zeros(50_000, 2, dtype=torch.float64) + 0.5
     samples[:, 1] = 0
 
-    both = with_noisy_copy(samples, axes, 30 / 256, "clip", generator())
+    both = with_noisy_copy(samples, axes, 30 / 256, "clip", seeded())
 
     assert both.shape == (100_000, 2)
     assert torch.equal(both[:50_000], samples)
@@ -88,8 +85,8 @@ def test_the_noisy_copy_has_the_deviation_of_p3_in_ranges_of_the_plane() -> None
 def test_noisy_samples_beyond_the_range_are_dropped_clipped_or_wrapped() -> None:
     samples = torch.full((1000, 1), 0.99, dtype=torch.float64)
 
-    dropped = with_noisy_copy(samples, axes_of(("S",)), 0.1, "drop", generator())
-    wrapped = with_noisy_copy(samples, axes_of(("H",)), 0.1, "drop", generator())
+    dropped = with_noisy_copy(samples, axes_of(("S",)), 0.1, "drop", seeded())
+    wrapped = with_noisy_copy(samples, axes_of(("H",)), 0.1, "drop", seeded())
 
     assert 1400 < len(dropped) < 1600
     assert dropped.max() <= 1

@@ -19,6 +19,7 @@ from roadtorch.oneclass.mixture import (
     parameters,
     spread_starts,
 )
+from tests.draws import seeded
 from tests.reference import oneclass_density as reference
 
 TWO, FOUR, BEST = (CLASSIFIERS[name] for name in ("mog2", "mog4", "mog_opt"))
@@ -27,21 +28,17 @@ WIDENING = torch.full((2,), 1e-5, dtype=torch.float64)
 AXES = axes_of(("O1", "O2"))
 
 
-def generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
-
-
 def clusters(number: int, count: int = 120, seed: int = 0) -> Tensor:
     """Samples (count,2) float64 in some round heaps on a circle, mean 0."""
     angle = 2 * torch.pi * torch.arange(number, dtype=torch.float64) / number
     middles = 0.3 * torch.stack([angle.cos(), angle.sin()], 1)
-    noise = torch.randn(count, 2, generator=generator(seed), dtype=torch.float64)
+    noise = torch.randn(count, 2, generator=seeded(seed), dtype=torch.float64)
     return (middles.repeat(-(-count // number), 1)[:count] if number > 1 else 0) + 0.03 * noise
 
 
 def memberships(samples: Tensor, number: int) -> Tensor:
     weights = samples.new_ones(1, len(samples))
-    return spread_starts(samples, weights, torch.tensor([number]), generator())
+    return spread_starts(samples, weights, torch.tensor([number]), seeded())
 
 
 def covariances(mixtures: Mixtures) -> np.ndarray:
@@ -53,9 +50,9 @@ def covariances(mixtures: Mixtures) -> np.ndarray:
 
 @pytest.mark.parametrize("planes", [1, 2, 3])
 def test_the_density_is_scipys(planes: int) -> None:
-    samples = 0.1 * torch.randn(60, planes, generator=generator(), dtype=torch.float64)
+    samples = 0.1 * torch.randn(60, planes, generator=seeded(), dtype=torch.float64)
     mixtures = mixtures_of(samples, memberships(samples, 3), WIDENING[:1].expand(planes))
-    points = torch.randn(40, planes, generator=generator(1), dtype=torch.float64)
+    points = torch.randn(40, planes, generator=seeded(1), dtype=torch.float64)
 
     found = log_density(points, mixtures)[0]
 
@@ -71,7 +68,7 @@ def test_the_density_is_scipys(planes: int) -> None:
 @pytest.mark.parametrize("name", ["mog2", "mog4"])
 def test_the_distance_is_that_of_the_density_from_its_peak(name: str) -> None:
     fitted = fit(CLASSIFIERS[name], clusters(2), AXES)
-    points = torch.rand(200, 2, generator=generator(1)) - 0.5
+    points = torch.rand(200, 2, generator=seeded(1)) - 0.5
     state = {key: value.double().numpy() for key, value in fitted.state.items()}
 
     found = fitted.distance(points).double().numpy()
@@ -86,7 +83,7 @@ def test_the_distance_is_that_of_the_density_from_its_peak(name: str) -> None:
 
 
 def test_one_component_is_the_gaussian() -> None:
-    samples, points = clusters(1), torch.rand(200, 2, generator=generator(1)) - 0.5
+    samples, points = clusters(1), torch.rand(200, 2, generator=seeded(1)) - 0.5
 
     mixture = fit(TWO, samples, AXES, MixtureSettings(components=1)).distance(points)
     gaussian = fit(CLASSIFIERS["gaussian"], samples, AXES).distance(points)
@@ -152,7 +149,7 @@ def test_runs_side_by_side_do_not_touch_each_other() -> None:
     weights[1, ::2] = 0  # the second run sees every other sample
     alone = weights[1:, 1::2]
     two = torch.tensor([3, 2])
-    start = spread_starts(samples, weights, two, generator())
+    start = spread_starts(samples, weights, two, seeded())
 
     both, _ = maximise(samples, weights, start, WIDENING, rounds=9)
     one, _ = maximise(samples[1::2], alone, start[1:, :, 1::2], WIDENING, rounds=9)
@@ -165,7 +162,7 @@ def test_starts_are_spread_over_the_heaps() -> None:
     samples = clusters(4)
     weights = samples.new_ones(50, len(samples))
 
-    start = spread_starts(samples, weights, torch.full((50,), 4), generator())
+    start = spread_starts(samples, weights, torch.full((50,), 4), seeded())
 
     heaps = start[:, :, torch.arange(4)].sum(-1)  # the first four samples are of four heaps
     assert (heaps == 1).all(1).float().mean() > 0.8

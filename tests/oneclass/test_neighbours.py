@@ -5,7 +5,6 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from sklearn.neighbors import NearestNeighbors
 from torch import Tensor
 
 from roadtorch.errors import InputError
@@ -45,19 +44,12 @@ def edges_of(samples: Tensor) -> list[tuple[int, int]]:
 
 
 @DIMENSIONS
-def test_nearest_distance_is_that_of_a_loop_and_of_scikit_learn(dimensions):
+def test_nearest_distance_is_that_of_a_loop_and_zero_exactly_at_a_sample(dimensions):
     samples, pixels = road(90, dimensions), some(1000, dimensions)
-    distance = doubles(fitted(NN, samples).distance(pixels))
+    learned = fitted(NN, samples)
     expected = reference.nearest_distance(doubles(samples), doubles(pixels))
-    peer = NearestNeighbors(n_neighbors=1).fit(doubles(samples)).kneighbors(doubles(pixels))[0]
-    np.testing.assert_allclose(distance, expected, rtol=1e-6, atol=0)
-    np.testing.assert_allclose(distance, peer[:, 0], rtol=1e-6, atol=0)
-
-
-@DIMENSIONS
-def test_a_pixel_that_equals_a_sample_is_at_distance_zero_exactly(dimensions):
-    samples = road(90, dimensions)
-    assert (fitted(NN, samples).distance(samples) == 0).all()
+    np.testing.assert_allclose(doubles(learned.distance(pixels)), expected, rtol=1e-6, atol=0)
+    assert (learned.distance(samples) == 0).all()
 
 
 def test_near_pixels_keep_their_digits_far_from_the_origin():
@@ -84,22 +76,19 @@ def test_ratio_of_samples_of_one_colour_is_the_distance():
     assert ratio.distance(pixels).isfinite().all()
 
 
-def test_threshold_leaves_each_sample_out():
-    samples = torch.tensor([[0.1], [0.2], [0.4], [0.8]])
-    # To the next sample: 0.1, 0.1, 0.2, 0.4; half of four are kept.
-    half = fitted(NN, samples, NearestSettings(rejected=0.5))
-    assert float(half.threshold) == pytest.approx(0.15)
-    # Over the next one's: 0.1/0.1, 0.1/0.1, 0.2/0.1, 0.4/0.2.
-    half = fitted(NN, samples, NearestSettings(rejected=0.5, reading="ratio"))
-    assert float(half.threshold) == pytest.approx(1.5)
-
-
-def test_a_twin_is_a_neighbour_at_distance_zero():
-    samples = torch.tensor([[0.1], [0.1], [0.4], [0.8]])
-    # 0, 0, 0.3, 0.4
-    learned = fitted(NN, samples, NearestSettings(rejected=0.5))
-    assert float(learned.threshold) == pytest.approx(0.15)
-    assert int(learned.state["points"].shape[0]) == 3
+@pytest.mark.parametrize(
+    ("values", "reading", "half"),
+    [
+        ([0.1, 0.2, 0.4, 0.8], "distance", 0.15),  # to the next sample: 0.1, 0.1, 0.2, 0.4
+        ([0.1, 0.2, 0.4, 0.8], "ratio", 1.5),  # over the next one's: 1, 1, 0.2/0.1, 0.4/0.2
+        ([0.1, 0.1, 0.4, 0.8], "distance", 0.15),  # 0, 0, 0.3, 0.4: a twin is a neighbour
+    ],
+)
+def test_threshold_leaves_each_sample_out(values, reading, half):
+    settings = NearestSettings.model_validate({"rejected": 0.5, "reading": reading})
+    learned = fitted(NN, torch.tensor(values)[:, None], settings)
+    assert float(learned.threshold) == pytest.approx(half)
+    assert len(learned.state["points"]) == len(set(values))
 
 
 @given(st.integers(1, 3), st.integers(1, 20), st.integers(0, 1000))

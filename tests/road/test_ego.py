@@ -38,10 +38,7 @@ def test_the_bottom_is_a_share_of_the_height() -> None:
 def test_an_outline_is_straight_between_the_middles_of_its_columns() -> None:
     assert outline_rows((0.5, 1.0), 4).tolist() == pytest.approx([0.5, 0.625, 0.875, 1.0])
     assert outline_rows((0.7,), 3).tolist() == pytest.approx([0.7] * 3)
-
-
-def test_an_outline_of_one_is_no_ego_car() -> None:
-    assert not ego_car(torch.zeros(3, 40, 30), Ego(outline=(1.0, 1.0))).any()
+    assert not ego_car(torch.zeros(3, 40, 30), Ego(outline=(1.0, 1.0))).any()  # one is none
 
 
 def test_what_any_of_the_three_says_counts(tmp_path: Path) -> None:
@@ -265,6 +262,7 @@ def test_what_is_half_believed_is_no_ego_car(believed: float, is_one: bool) -> N
     found = ego_found(torch.where(potential(BONNET) > 0.5, believed, 0.1))
 
     assert bool(found.any()) == is_one
+    assert not ego_found(torch.full((HEIGHT, WIDTH), 0.5)).any()
 
 
 @pytest.mark.parametrize(("rows", "is_one"), [(3, True), (HEIGHT // 2, False)])
@@ -272,10 +270,6 @@ def test_the_larger_the_surer_it_has_to_be(rows: int, is_one: bool) -> None:
     found = ego_found(potential((slice(HEIGHT - rows, None), EVERY)) * 0.75)
 
     assert bool(found.any()) == is_one
-
-
-def test_one_half_is_not_likelier_than_not() -> None:
-    assert not ego_found(torch.full((HEIGHT, WIDTH), 0.5)).any()
 
 
 @given(st.integers(0, 2**31), st.floats(0.1, 0.9))

@@ -19,12 +19,12 @@ from roadtorch.superpixels.slic import squares
 SIDES = st.integers(16, 2000)
 
 
-def test_the_default_seed_area_is_that_of_the_paper():
+def test_the_default_seed_area_is_that_of_the_paper_and_scales_with_the_image():
     assert seed_area(240, 320) == (slice(210, 240), slice(120, 200))
-
-
-def test_the_seed_area_scales_with_the_image():
     assert seed_area(720, 960) == (slice(630, 720), slice(360, 600))
+    as_map = seed_rectangle((240, 320))
+    assert as_map[210:, 120:200].all()
+    assert as_map.sum() == 30 * 80
 
 
 @given(SIDES, SIDES, st.integers(1, 240), st.integers(1, 320))
@@ -44,12 +44,14 @@ def mask_of(*rows: str) -> torch.Tensor:
 BOTTOM = mask_of("......", "......", "......", "..##..")
 
 
-def test_only_regions_that_touch_the_seed_area_stay():
+def test_only_regions_that_touch_the_seed_area_stay_and_the_mask_handed_in_is_not_changed():
     mask = mask_of("##....", "....##", "..#..#", "..##..")
+    before = mask.clone()
 
     kept = remove_isolated(mask, BOTTOM)
 
     assert torch.equal(kept, mask_of("......", "......", "..#...", "..##.."))
+    assert torch.equal(mask, before)
 
 
 def test_regions_that_meet_at_a_corner_only_are_two():
@@ -68,15 +70,6 @@ def test_several_regions_may_touch_the_seed_area():
 @pytest.mark.parametrize("mask", [mask_of("##", "..", "#."), torch.zeros(3, 2, dtype=torch.bool)])
 def test_without_a_region_at_the_seed_area_the_mask_stays_as_it_is(mask):
     assert torch.equal(remove_isolated(mask, mask_of("..", "..", ".#")), mask)
-
-
-def test_the_mask_handed_in_is_not_changed():
-    mask = mask_of("##....", "......", "......", "..##..")
-    before = mask.clone()
-
-    remove_isolated(mask, BOTTOM)
-
-    assert torch.equal(mask, before)
 
 
 def test_segments_with_half_of_their_pixels_in_the_seed_area_are_road():
@@ -121,13 +114,6 @@ def test_there_is_always_a_seed_segment_and_each_is_in_the_seed_area(
     assert set(found.tolist()) <= set(labels[seed_area(height, width, seed)].flatten().tolist())
 
 
-def test_the_rectangle_as_a_map_is_the_same():
-    found = seed_rectangle((240, 320))
-
-    assert found[210:, 120:200].all()
-    assert found.sum() == 30 * 80
-
-
 def test_a_likely_seed_is_where_road_is_likeliest_and_as_large_as_asked_for():
     evidence = torch.tensor([9.0, 1.0, 3.0, 2.0, -5.0])
     row = torch.tensor([0.2, 0.8, 0.8, 0.8, 0.8])  # the first is in the upper half
@@ -137,16 +123,17 @@ def test_a_likely_seed_is_where_road_is_likeliest_and_as_large_as_asked_for():
     assert likely_seed(evidence, row, size, 0.3).tolist() == [False, False, True, True, False]
 
 
-def test_of_two_places_as_likely_the_nearer_one_is_the_seed():
-    evidence, row = torch.zeros(2), torch.tensor([0.6, 0.9])
+@pytest.mark.parametrize(
+    ("evidence", "row"),
+    [
+        ([0.0, 0.0], [0.6, 0.9]),  # of two as likely the nearer one
+        ([0.0, 1.0], [0.1, 0.1]),  # where all is in the upper half the best all the same
+    ],
+)
+def test_there_is_a_likely_seed_where_none_is_plain(evidence, row):
+    found = likely_seed(torch.tensor(evidence), torch.tensor(row), torch.full((2,), 0.1), 0.05)
 
-    assert likely_seed(evidence, row, torch.tensor([0.1, 0.1]), 0.05).tolist() == [False, True]
-
-
-def test_where_all_is_in_the_upper_half_the_best_is_the_seed_all_the_same():
-    evidence, row = torch.tensor([0.0, 1.0]), torch.tensor([0.1, 0.1])
-
-    assert likely_seed(evidence, row, torch.tensor([0.5, 0.5]), 0.01).tolist() == [False, True]
+    assert found.tolist() == [False, True]
 
 
 # --- how far a segment is from it -----------------------------------------------------
@@ -178,17 +165,3 @@ def test_distances_are_those_of_bellman_and_ford(graph):
             wanted[two] = min(wanted[two], wanted[one] + step)
             wanted[one] = min(wanted[one], wanted[two] + step)
     torch.testing.assert_close(found, torch.tensor(wanted), atol=1e-6, rtol=1e-6)
-
-
-def test_a_way_round_may_be_shorter():
-    pairs, steps = torch.tensor([[0, 1, 0], [1, 2, 2]]), torch.tensor([1.0, 1.0, 5.0])
-
-    found = distances(pairs, steps, torch.tensor([0]), 4)
-
-    assert found.tolist() == [0, 1, 2, float("inf")]
-
-
-def test_a_step_of_zero_is_a_way_not_a_gap():
-    found = distances(torch.tensor([[0], [1]]), torch.tensor([0.0]), torch.tensor([0]), 2)
-
-    assert found.tolist() == pytest.approx([0, 0], abs=1e-30)

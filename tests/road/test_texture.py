@@ -21,11 +21,8 @@ from roadtorch.road.texture import (
     uniformity_likelihood,
     value_range,
 )
+from tests.draws import random
 from tests.reference import texture as reference
-
-
-def random(*size: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> torch.Tensor:
-    return torch.rand(*size, generator=torch.Generator().manual_seed(seed), dtype=dtype)
 
 
 def correlated_samples(count: int = 400, planes: int = 4, seed: int = 0) -> torch.Tensor:
@@ -234,9 +231,6 @@ def test_a_pixel_is_saturated_when_one_channel_is_full_or_all_are_black():
         "dark blue": False,
         "grey": False,
     }
-
-
-# --- local binary patterns ------------------------------------------------------------
 
 
 # Local binary patterns

@@ -40,24 +40,20 @@ def test_a_sharp_road_that_the_network_sees_as_well_has_the_best_signs() -> None
     assert found == pytest.approx(wanted, abs=1e-6)
 
 
-def test_a_mask_that_another_threshold_would_change_is_not_steady() -> None:
+def test_where_the_likelihood_decides_nothing_the_mask_is_not_steady_and_vague() -> None:
     likelihood = road()
-    likelihood[:5] = 0.5  # a hundred pixels at the low threshold, of three hundred there
+    likelihood[:5] = 0.5  # a quarter of the picture; a hundred pixels at the low threshold
 
-    assert signs_of(likelihood, road() > 0.5, seen(road())).steady == pytest.approx(150 / 250)
+    signs = signs_of(likelihood, road() > 0.5, seen(road()))
+
+    assert signs.steady == pytest.approx(150 / 250)
+    assert signs.vague == pytest.approx(0.25)
 
 
 def test_a_mask_that_is_half_road_by_the_network_is_patchy() -> None:
     signs = signs_of(road(), torch.ones(20, 20, dtype=torch.bool), seen(road()))
 
     assert signs.patchy == pytest.approx(1)
-
-
-def test_a_likelihood_that_decides_nothing_is_vague() -> None:
-    likelihood = road()
-    likelihood[:5] = 0.5  # a quarter of the picture
-
-    assert signs_of(likelihood, road() > 0.5, seen(road())).vague == pytest.approx(0.25)
 
 
 def test_a_mask_next_to_the_seed_area_is_near() -> None:

@@ -196,33 +196,28 @@ def test_a_run_of_older_code_goes_on_with_settings_that_are_new_or_had_other_nam
     assert json.loads((request.out / "run.json").read_text())["config"] == as_values(training)
 
 
-def test_another_seed_than_that_of_older_code_is_told_under_its_present_name(
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda config: {"seed": config.pop("random_seed") + 1}, "random_seed: is 0, and 1"),
+        (lambda _: {"fold": 3}, "fold: is not there, and 3"),
+        (lambda _: {"kind": ["patches"]}, "kind: is "),
+    ],
+    ids=["old name", "gone", "no text"],
+)
+def test_other_settings_of_older_code_are_told_under_their_present_names(
+    change: Callable[[dict[str, Any]], dict[str, Any]],
+    told: str,
     finished: tuple[Training, Request],
 ) -> None:
     training, request = finished
-    rewrite_config(request.out, lambda config: config.update(seed=config.pop("random_seed") + 1))
+    rewrite_config(request.out, lambda config: config.update(change(config)))
     before = contents(request.out)
 
-    with pytest.raises(ConfigError, match="random_seed: is 0, and 1 in the run"):
+    with pytest.raises(ConfigError, match=f"{told}.* in the run"):
         train(training, request)
 
     assert contents(request.out) == before
-
-
-def test_a_run_with_settings_that_are_gone_is_told(finished: tuple[Training, Request]) -> None:
-    training, request = finished
-    rewrite_config(request.out, lambda config: config.update(fold=3))
-
-    with pytest.raises(ConfigError, match="fold: is not there, and 3 in the run"):
-        train(training, request)
-
-
-def test_a_run_whose_kind_is_no_text_is_told(finished: tuple[Training, Request]) -> None:
-    training, request = finished
-    rewrite_config(request.out, lambda config: config.update(kind=["patches"]))
-
-    with pytest.raises(ConfigError, match="kind: is "):
-        train(training, request)
 
 
 # --- configs -----------------------------------------------------------------------------------

@@ -2,13 +2,13 @@
 
 import re
 import shutil
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import torch
-from click.testing import CliRunner, Result
 
 from roadtorch.cli.train import train as train_command
 from roadtorch.errors import ConfigError, RoadtorchError
@@ -18,6 +18,7 @@ from roadtorch.scenes.street import write_picture
 from roadtorch.train.config import PictureTraining
 from roadtorch.train.prepared import read_arrays, write_arrays
 from roadtorch.train.teachers import teacher_agreement
+from tests.command import invoked
 from tests.streets import scene
 from tests.train.runs import PICTURES, training_of, write_config
 
@@ -46,11 +47,7 @@ def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def run(*arguments: object) -> Result:
-    result = CliRunner().invoke(train_command, [str(one) for one in arguments])
-    if result.exception and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
+run = partial(invoked, train_command)
 
 
 def words(tmp_path: Path, images: Path, kept: Path, *more: object) -> list[object]:
@@ -105,20 +102,14 @@ def test_a_run_from_new_weights_has_no_before(streets: Path, kept: Path, tmp_pat
     assert not (tmp_path / "run" / "adaptation.html").exists()
 
 
-def test_labels_without_a_before_are_refused_before_anything_is_made(
-    streets: Path, kept: Path, labelled: Path, tmp_path: Path
+@pytest.mark.parametrize("is_there", [True, False])
+def test_labels_without_a_before_or_not_there_are_refused_before_anything_is_made(
+    streets: Path, kept: Path, start: Path, labelled: Path, tmp_path: Path, is_there: bool
 ) -> None:
-    with pytest.raises(ConfigError, match="--labelled: is for runs that start from weights"):
-        run(*words(tmp_path, streets, kept, "--labelled", f"folder:{labelled}"))
-    assert not (tmp_path / "run").exists()
-
-
-def test_a_labelled_set_that_is_not_there_is_told_before_the_training(
-    streets: Path, kept: Path, start: Path, tmp_path: Path
-) -> None:
-    more = ("--set", f"start={start}", "--labelled", f"folder:{tmp_path / 'nothing'}")
-    with pytest.raises(RoadtorchError, match="is not a folder"):
-        run(*words(tmp_path, streets, kept, *more))
+    root, begun = (labelled, ()) if is_there else (tmp_path / "none", ("--set", f"start={start}"))
+    told = "--labelled: is for runs that start from weights" if is_there else "is not a folder"
+    with pytest.raises(ConfigError if is_there else RoadtorchError, match=told):
+        run(*words(tmp_path, streets, kept, "--labelled", f"folder:{root}", *begun))
     assert not (tmp_path / "run").exists()
 
 

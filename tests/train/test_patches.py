@@ -30,6 +30,7 @@ from roadtorch.train.patches import (
 )
 from roadtorch.train.prepared import write_arrays
 from roadtorch.train.processes import Processes
+from tests.draws import seeded
 from tests.reference import network as reference
 from tests.streets import scene
 
@@ -38,10 +39,6 @@ def training_of(**values: object) -> PatchTraining:
     training = build_training({"mix": 2, "passes": 2, **values})
     assert isinstance(training, PatchTraining)
     return training
-
-
-def seeded(seed: int) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 # --- where ---------------------------------------------------------------------------------

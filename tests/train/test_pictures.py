@@ -26,13 +26,10 @@ from roadtorch.train.pictures import (
 from roadtorch.train.prepared import write_arrays
 from roadtorch.train.processes import Processes
 from roadtorch.train.teachers import PLANES, Targets
+from tests.draws import seeded
 
 DARK = {"gamma": 0.0, "gain": 0.0, "tint": 0.0, "saturation": 0.0, "noise": 0.0}
 """Light as it is."""
-
-
-def seeded(seed: int) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 @pytest.fixture

@@ -30,6 +30,7 @@ from roadtorch.train.teachers import (
     targets_of,
     teacher_maps,
 )
+from tests.draws import seeded
 from tests.streets import scene
 from tests.train.runs import bonnet
 
@@ -138,11 +139,14 @@ GROUND = (0.0, 0.1, 0.9, 0.9)
 """What the teacher says of ground, and of the ground that it sees in place of an ego car."""
 
 
-def test_the_ego_car_of_the_footage_is_known_both_ways() -> None:
+def test_the_ego_car_of_the_footage_is_known_both_ways_and_is_no_road_and_no_layout() -> None:
     targets = targets_of(maps_of(GROUND, GROUND), ego_of(0, 1), None, EVEN, Rounds())
 
     assert targets.ego.flatten().tolist() == [0, 1]
     assert targets.ego_weight.flatten().tolist() == [1, 1]
+    torch.testing.assert_close(targets.road.flatten(), torch.tensor([0.9, 0.0]))
+    assert targets.road_weight.flatten().tolist() == [1, 1]
+    assert targets.layout_weight.flatten().tolist() == [1, 0]
 
 
 def test_where_nothing_is_known_of_it_there_is_none_at_first() -> None:
@@ -164,14 +168,6 @@ def test_from_the_second_round_on_the_network_says_it_where_it_is_unknown() -> N
     torch.testing.assert_close(targets.road.flatten(), torch.tensor([0, 0.9, 0.9, 0, 0.9]))
 
 
-def test_on_the_ego_car_there_is_no_road_and_no_layout_that_counts() -> None:
-    targets = targets_of(maps_of(GROUND, GROUND), ego_of(0, 1), None, EVEN, Rounds())
-
-    torch.testing.assert_close(targets.road.flatten(), torch.tensor([0.9, 0.0]))
-    assert targets.road_weight.flatten().tolist() == [1, 1]
-    assert targets.layout_weight.flatten().tolist() == [1, 0]
-
-
 @pytest.mark.parametrize("said", [0.1, 0.9])
 def test_that_it_is_no_road_counts_whatever_the_last_network_says(said: float) -> None:
     """The teacher sees the ground go on: it cannot agree with a network that knows better."""
@@ -188,10 +184,6 @@ def test_the_best_class_is_the_one_that_argmax_names() -> None:
 
 
 # --- teachers -----------------------------------------------------------------------------
-
-
-def seeded(seed: int) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 def test_the_teacher_gives_layout_and_road() -> None:
@@ -220,18 +212,11 @@ def test_a_teacher_without_a_layout_is_told() -> None:
         teacher_maps(scene(1, 60, 80).image, [load_detector("prior:rows")])
 
 
-def test_a_prepared_picture_has_the_networks_size() -> None:
-    training = build_training({"kind": "pictures", "network": {"height": 32, "width": 48}})
+def small_training(**teacher: object) -> PictureTraining:
+    values = {"kind": "pictures", "network": {"height": 32, "width": 48}, "teacher": teacher}
+    training = build_training(values)
     assert isinstance(training, PictureTraining)
-
-    arrays = prepare_picture(scene(1, 60, 80).image, None, [load_detector("labeller")], training)
-
-    assert {name: tuple(value.shape) for name, value in arrays.items()} == {
-        "image": (3, 32, 48),
-        "maps": (4, 32, 48),
-        "ego": (32, 48),
-    }
-    assert {value.dtype for value in arrays.values()} == {torch.uint8}
+    return training
 
 
 class Watcher(nn.Module):
@@ -248,15 +233,11 @@ class Watcher(nn.Module):
 
 @pytest.mark.parametrize("views", ["one", "mirrored"])
 def test_the_teacher_never_sees_the_ego_car(views: str, tmp_path: Path) -> None:
-    training = build_training(
-        {"kind": "pictures", "network": {"height": 32, "width": 48}, "teacher": {"views": views}}
-    )
-    assert isinstance(training, PictureTraining)
     teacher = Detector(Entry("watcher", "remembers", DetectorSettings, Watcher), DetectorSettings())
     ego = bonnet(64, 96)
     image = torch.where(ego, torch.tensor(1.0), 0.5 * scene(1, 64, 96).image)
 
-    arrays = prepare_picture(image, ego, [teacher], training)
+    arrays = prepare_picture(image, ego, [teacher], small_training(views=views))
 
     seen = teacher.analysis.seen
     assert isinstance(seen, list)
@@ -269,24 +250,26 @@ def test_the_teacher_never_sees_the_ego_car(views: str, tmp_path: Path) -> None:
 
 
 def test_the_network_sees_the_ego_car_and_is_told_where_it_is() -> None:
-    training = build_training({"kind": "pictures", "network": {"height": 32, "width": 48}})
-    assert isinstance(training, PictureTraining)
     ego = bonnet(64, 96)
     image = ego.float().expand(3, 64, 96)
 
-    arrays = prepare_picture(image, ego, [load_detector("labeller")], training)
+    arrays = prepare_picture(image, ego, [load_detector("labeller")], small_training())
 
     assert torch.equal(arrays["ego"], arrays["image"][0])
     assert (arrays["ego"][-1] == 255).all()
     assert not arrays["ego"][:24].any()
 
 
-def test_where_nothing_is_known_of_the_ego_car_that_is_what_is_kept(tmp_path: Path) -> None:
-    training = build_training({"kind": "pictures", "network": {"height": 32, "width": 48}})
-    assert isinstance(training, PictureTraining)
+def test_a_prepared_picture_has_the_networks_size_and_what_is_not_known_of_the_ego_car(
+    tmp_path: Path,
+) -> None:
+    image, teachers = scene(1, 60, 80).image, [load_detector("labeller")]
 
-    arrays = prepare_picture(scene(1, 60, 80).image, None, [load_detector("labeller")], training)
+    arrays = prepare_picture(image, None, teachers, small_training())
 
+    sizes = {"image": (3, 32, 48), "maps": (4, 32, 48), "ego": (32, 48)}
+    assert {name: tuple(value.shape) for name, value in arrays.items()} == sizes
+    assert {value.dtype for value in arrays.values()} == {torch.uint8}
     assert (arrays["ego"] == 128).all()
     write_arrays(tmp_path / "a.npz", arrays)
     assert not lends_ego(tmp_path / "a.npz")

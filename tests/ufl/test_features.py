@@ -8,12 +8,8 @@ from hypothesis import strategies as st
 
 from roadtorch.ufl import features
 from roadtorch.ufl.features import DictionarySettings
+from tests.draws import random
 from tests.reference import ufl as reference
-
-
-def random(*size: int, seed: int = 0) -> torch.Tensor:
-    generator = torch.Generator().manual_seed(seed)
-    return torch.rand(*size, generator=generator, dtype=torch.float64)
 
 
 @pytest.mark.parametrize("side", [2, 3, 6])

@@ -8,14 +8,10 @@ from hypothesis import strategies as st
 
 from roadtorch.ufl import maps
 from roadtorch.ufl.maps import MapSettings
+from tests.draws import random
 from tests.reference import ufl as reference
 
 SIZE = (7, 5)
-
-
-def random(*size: int, seed: int = 0) -> torch.Tensor:
-    generator = torch.Generator().manual_seed(seed)
-    return torch.rand(*size, generator=generator, dtype=torch.float64)
 
 
 @pytest.mark.parametrize("kind", ["base", "patch"])

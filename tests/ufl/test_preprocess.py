@@ -7,12 +7,8 @@ import torch
 from roadtorch.errors import ConfigError
 from roadtorch.settings import build_settings
 from roadtorch.ufl import preprocess
+from tests.draws import random
 from tests.reference import ufl as reference
-
-
-def random(*size: int, seed: int = 0) -> torch.Tensor:
-    generator = torch.Generator().manual_seed(seed)
-    return torch.rand(*size, generator=generator, dtype=torch.float64)
 
 
 @pytest.mark.parametrize(

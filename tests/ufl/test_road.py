@@ -8,12 +8,8 @@ from hypothesis import strategies as st
 
 from roadtorch.ufl import hierarchy, road
 from roadtorch.ufl.road import StabilitySettings
+from tests.draws import random
 from tests.reference import ufl as reference
-
-
-def random(*size: int, seed: int = 0) -> torch.Tensor:
-    generator = torch.Generator().manual_seed(seed)
-    return torch.rand(*size, generator=generator, dtype=torch.float64)
 
 
 def lower_half() -> torch.Tensor:

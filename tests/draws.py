@@ -1,0 +1,13 @@
+"""Numbers that are drawn the same every time."""
+
+import torch
+from torch import Tensor
+
+
+def seeded(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def random(*size: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> Tensor:
+    """Evenly in [0,1)."""
+    return torch.rand(*size, generator=seeded(seed), dtype=dtype)
