@@ -48,8 +48,8 @@ def test_help_answers_in_under_three_tenths_of_a_second() -> None:
         subprocess.run([sys.executable, "-m", "roadtorch", "--help"], stdout=subprocess.DEVNULL)
         return time.perf_counter() - start
 
-    # The best of several: a busy machine only ever adds time.
-    assert min(seconds() for _ in range(9)) < 0.3
+    # Once of several is enough: a busy machine only ever adds time.
+    assert any(seconds() < 0.3 for _ in range(9))
 
 
 def test_the_names_that_most_need_are_few_and_those_of_earlier_versions_still_there() -> None:

@@ -1,12 +1,12 @@
 """roadtorch compare: two results on labels, on corrections, and where they disagree."""
 
 import csv
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from click.testing import CliRunner, Result
 
 from roadtorch.annotate.work import import_event, open_work
 from roadtorch.cli.compare import compare
@@ -19,6 +19,7 @@ from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSetti
 from roadtorch.layout.weights import save_network
 from roadtorch.scenes.street import write_picture
 from roadtorch.sources.pictures import Picture
+from tests.command import invoked
 from tests.streets import scene
 
 COUNT = 4
@@ -44,11 +45,7 @@ def corrections(streets: Path) -> Path:
     return folder
 
 
-def run(*arguments: object) -> Result:
-    result = CliRunner().invoke(compare, [str(one) for one in arguments])
-    if result.exception and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
+run = partial(invoked, compare)
 
 
 def test_corrected_pictures_are_a_labelled_set(corrections: Path) -> None:
@@ -79,16 +76,13 @@ def test_two_are_scored_on_corrections_with_intervals(corrections: Path, tmp_pat
 def test_without_labels_the_page_shows_where_they_differ_most(
     streets: Path, tmp_path: Path
 ) -> None:
-    maps = tmp_path / "maps"
+    maps, empty = tmp_path / "maps", tmp_path / "empty"
     maps.mkdir()
-    for seed in range(COUNT):  # the more pictures, the more of them is called road
-        share = torch.zeros(48, 64)
-        share[48 - 10 * (seed + 1) :] = 1
-        write_npy(maps / f"street_{seed}.npy", share)
-    empty = tmp_path / "empty"
     empty.mkdir()
-    for seed in range(COUNT):
-        write_npy(empty / f"street_{seed}.npy", torch.zeros(48, 64))
+    for seed in range(COUNT):  # the more pictures, the more of them is called road
+        share = (torch.arange(48) >= 48 - 10 * (seed + 1)).float()[:, None].expand(48, 64)
+        write_npy(maps / f"street_{seed}.npy", share)
+        write_npy(empty / f"street_{seed}.npy", 0 * share)
 
     result = run(maps, empty, "--images", streets, "--out", tmp_path / "out", "--worst", 2)
 

@@ -96,7 +96,6 @@ def test_each_shell_gets_its_script(call: Call, shell: str) -> None:
 
 
 IN_BASH = {
-    "roadtorch infer --detector cp": "cpf cpf:squares cpf:v2",
     "roadtorch infer --detector cpf:": "squares v2",
     "roadtorch train --config adapt --set star": "start=",
 }

@@ -4,10 +4,11 @@ import csv
 import json
 import os
 import signal
+from functools import partial
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
 from roadtorch.cli.evaluate import evaluate
 from roadtorch.errors import ConfigError, InputError
@@ -15,7 +16,7 @@ from roadtorch.evaluation import scoring
 from roadtorch.evaluation.evaluate import FILE
 from roadtorch.io.image import read_image
 from roadtorch.scenes.street import render_scene
-from tests.command import Call
+from tests.command import Call, invoked
 from tests.oracle import DECISION, GROUPS, ORACLE, SCENES, know_oracle, write_set
 from tests.streets import write_camvid
 
@@ -26,11 +27,7 @@ def camvid(tmp_path_factory) -> Path:
     return write_set(tmp_path_factory.mktemp("set") / "camvid")
 
 
-def run(*arguments: object) -> Result:
-    result = CliRunner().invoke(evaluate, [str(a) for a in arguments])
-    if result.exception and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
+run = partial(invoked, evaluate)
 
 
 @pytest.fixture(scope="module")

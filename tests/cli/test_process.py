@@ -15,34 +15,41 @@ from roadtorch.scenes.street import render_scene, write_picture
 COMMAND = [sys.executable, "-m", "roadtorch"]
 
 
-def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+def run(*arguments: object, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     words = [*COMMAND, *map(str, arguments)]
-    return subprocess.run(words, capture_output=True, text=True, cwd=cwd, timeout=120)
+    given = {"capture_output": True, "text": True, "encoding": "utf-8", "timeout": 120}
+    return subprocess.run(words, cwd=cwd, env=os.environ | environment, **given)
 
 
-def test_pictures_become_maps_and_a_broken_one_a_failed_row(tmp_path: Path) -> None:
-    pictures = tmp_path / "pictures"
-    pictures.mkdir()
-    scene = (render_scene(3).image * 255).round().byte().permute(1, 2, 0).numpy()
-    Image.fromarray(scene).save(pictures / "scene.jpg")
-    (pictures / "broken.jpg").write_bytes((pictures / "scene.jpg").read_bytes()[:1000])
+def test_pictures_become_maps_and_a_broken_one_a_failed_row_also_where_the_system_speaks_ascii(
+    tmp_path: Path,
+) -> None:
+    pictures, out = tmp_path / "pictures", tmp_path / "out"
+    write_picture(pictures / "Straße.png", render_scene(3))
+    whole = (pictures / "Straße.png").read_bytes()
+    (pictures / os.fsdecode(b"z\xff.png")).write_bytes(whole)
+    (pictures / "broken.png").write_bytes(whole[:1000])
+    ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    words = ("infer", "pictures", "--detector", "grey-uniformity", "--out", "out")
 
-    done = run("infer", "pictures", "--detector", "grey-uniformity", "--out", "out", cwd=tmp_path)
+    done = run(*words, cwd=tmp_path, **ascii_only)
 
     assert done.returncode == 1
     assert done.stdout == ""
-    assert "pictures/broken.jpg: cannot be decoded" in done.stderr
-    assert done.stderr.endswith("roadtorch: 1 done, 1 failed; results in out\n")
-    likelihood = np.asarray(Image.open(tmp_path / "out" / "scene.likelihood.png"))
+    assert "pictures/broken.png: cannot be decoded" in done.stderr
+    assert done.stderr.endswith("roadtorch: 2 done, 1 failed; results in out\n")
+    rows = (out / "index.csv").read_text(encoding="utf-8").splitlines()[1:]
+    names = ["Straße.png", "broken.png", r"z\xff.png"]
+    assert [row.partition(",")[0] for row in rows] == names
+    likelihood = np.asarray(Image.open(out / "Straße.likelihood.png"))
     assert likelihood.shape == (240, 320)
     assert likelihood.std() > 0
-    mask = np.asarray(Image.open(tmp_path / "out" / "scene.mask.png"))
-    assert set(np.unique(mask)) <= {0, 255}
+    assert set(np.unique(np.asarray(Image.open(out / "Straße.mask.png")))) <= {0, 255}
 
 
-def test_a_reader_that_leaves_early_is_no_crash(tmp_path: Path) -> None:
+def test_a_reader_that_leaves_early_is_no_crash() -> None:
     with subprocess.Popen(
-        [*COMMAND, "planes"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path
+        [*COMMAND, "completion", "bash"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as process:
         assert process.stdout is not None
         assert process.stderr is not None
@@ -55,29 +62,13 @@ def test_a_reader_that_leaves_early_is_no_crash(tmp_path: Path) -> None:
 
 def test_threads_wait_briefly_unless_the_user_says_otherwise() -> None:
     code = "from roadtorch.cli import main; import os, atexit; atexit.register(lambda: print("
-    code += "os.environ['OMP_WAIT_POLICY'], os.environ.get('GOMP_SPINCOUNT'))); main(['planes'])"
+    code += "os.environ['OMP_WAIT_POLICY'], os.environ.get('GOMP_SPINCOUNT'))); main(['--version'])"
     words = [sys.executable, "-c", code]
 
     for given, kept in ({}, "passive 20000"), ({"OMP_WAIT_POLICY": "active"}, "active None"):
         rest = {k: v for k, v in os.environ.items() if k not in BRIEF_WAITS}
         done = subprocess.run(words, capture_output=True, text=True, env=rest | given, timeout=60)
         assert done.stdout.splitlines()[-1] == kept
-
-
-def test_where_the_system_speaks_ascii_names_are_written_in_utf_8(tmp_path: Path) -> None:
-    pictures = tmp_path / "pictures"
-    pictures.mkdir()
-    for name in (b"z\xff.png", "Straße.png".encode()):
-        Image.new("RGB", (40, 30), (90, 90, 90)).save(pictures / os.fsdecode(name))
-    words = [*COMMAND, "infer", "pictures", "--detector", "prior:rows", "--out", "out"]
-    ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-
-    done = subprocess.run(words, cwd=tmp_path, env=os.environ | ascii_only, timeout=120)
-
-    assert done.returncode == 0
-    rows = (tmp_path / "out" / "index.csv").read_text(encoding="utf-8").splitlines()[1:]
-    assert [row.partition(",")[0] for row in rows] == ["Straße.png", r"z\xff.png"]
-    assert (tmp_path / "out" / "Straße.mask.png").exists()
 
 
 # --- how long users wait -----------------------------------------------------------------
@@ -118,13 +109,13 @@ def infer_words(folder: Path) -> list[str]:
 
 def test_the_package_comes_silently_and_in_a_twentieth_of_a_second() -> None:
     code = "import time; a = time.perf_counter(); import roadtorch; print(time.perf_counter() - a)"
-    runs = [
-        subprocess.run(words(code), capture_output=True, text=True, env=ENVIRONMENT)
-        for _ in range(7)
-    ]
 
-    assert all(done.stderr == "" and done.stdout.count("\n") == 1 for done in runs)
-    assert min(float(done.stdout) for done in runs) < 0.05
+    def seconds() -> float:
+        done = subprocess.run(words(code), capture_output=True, text=True, env=ENVIRONMENT)
+        assert (done.stderr, done.stdout.count("\n")) == ("", 1)
+        return float(done.stdout)
+
+    assert any(seconds() < 0.05 for _ in range(7))  # a busy machine only ever adds time
 
 
 def test_one_picture_loads_nothing_that_it_has_no_use_for(tmp_path: Path) -> None:

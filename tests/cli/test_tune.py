@@ -18,10 +18,9 @@ from roadtorch.evaluation.result import shared_threshold
 from roadtorch.evaluation.tally import Tally
 from roadtorch.runs.options import DetectorOptions
 from roadtorch.scenes.street import render_scene
+from tests.oracle import GROUPS, write_set
 from tests.reports import changed, scored
 from tests.streets import write_camvid
-
-DRIVES = ("0001TP", "0006R0", "0016E5")
 
 
 class BrightnessSettings(DetectorSettings):
@@ -47,11 +46,7 @@ def known_detector() -> None:
 
 @pytest.fixture
 def camvid(tmp_path) -> Path:
-    root = tmp_path / "camvid"
-    scenes = {f"{DRIVES[i % 3]}_{i}": render_scene(i, 48, 64) for i in range(6)}
-    write_camvid(root, "train", dict(list(scenes.items())[:3]))
-    write_camvid(root, "val", dict(list(scenes.items())[3:]))
-    return root
+    return write_set(tmp_path / "camvid")
 
 
 def test_the_config_holds_the_choice_its_command_and_its_worth(call, camvid, tmp_path):
@@ -127,7 +122,7 @@ def test_pictures_without_road_choose_nothing(call, tmp_path):
 
 
 def test_a_drive_that_is_left_out_chooses_nothing(call, camvid, tmp_path):
-    options = ("--detector", "test-brightness", "--leave-out", DRIVES[0])
+    options = ("--detector", "test-brightness", "--leave-out", GROUPS[0])
 
     def chosen(*more) -> str:
         done = call("tune", "camvid", camvid, *options, *more, "--out", tmp_path / "out")
@@ -135,7 +130,7 @@ def test_a_drive_that_is_left_out_chooses_nothing(call, camvid, tmp_path):
         return done.stdout.splitlines()[1]
 
     before = chosen()
-    for path in camvid.glob(f"*annot/{DRIVES[0]}*"):  # its labels may say what they like
+    for path in camvid.glob(f"*annot/{GROUPS[0]}*"):  # its labels may say what they like
         labels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
         assert labels is not None
         cv2.imwrite(str(path), labels[::-1])

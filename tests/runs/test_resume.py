@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from roadtorch.detectors import catalogue
 from roadtorch.errors import InputError
 from roadtorch.io.atomic import reserved
 from roadtorch.io.image import write_mask
@@ -252,20 +253,17 @@ def test_a_kill_costs_little_more_than_the_picture_in_hand(footage: Path, tmp_pa
     assert list(rows_of(out)) == ["a.jpg"]
 
 
-def test_a_signal_before_the_work_is_told(footage: Path, tmp_path: Path) -> None:
-    code = (
-        "import os, signal\n"
-        "from roadtorch.cli import main\n"
-        "from roadtorch.detectors import catalogue\n"
-        "def act(*_, **__): os.kill(os.getpid(), signal.SIGTERM)\n"
-        "catalogue.load_detector = act\n"
-        "main()"
-    )
-    words = [sys.executable, "-c", code, "infer", footage, *ROWS, "--out", tmp_path / "out"]
+def test_a_signal_before_the_work_is_told(
+    call: Call, footage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(*_: object, **__: object) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
 
-    ended = subprocess.run(words, timeout=120, check=False, capture_output=True, text=True)
+    monkeypatch.setattr(catalogue, "load_detector", stop)
 
-    assert ended.returncode == 143
+    ended = call("infer", footage, *ROWS, "--out", tmp_path / "out")
+
+    assert ended.exit_code == 143
     assert ended.stderr.strip() == "roadtorch: interrupted; what was finished is kept"
 
 

@@ -1,6 +1,5 @@
 """Submissions to the KITTI road benchmark, from real files to the archive."""
 
-import csv
 import zipfile
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from PIL import Image
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.io.image import read_image
 from roadtorch.scenes.street import render_scene, write_picture
-from tests.command import Call
+from tests.command import Call, rows_of
 from tests.reference import bev as reference
 
 HEIGHT, WIDTH = 120, 160
@@ -31,11 +30,6 @@ def kitti(tmp_path: Path) -> Path:
     return root
 
 
-def statuses(out: Path) -> dict[str, str]:
-    with (out / "index.csv").open(newline="") as file:
-        return {row["file"]: row["status"] for row in csv.DictReader(file)}
-
-
 def test_each_picture_gives_its_map_and_all_of_them_the_archive(
     call: Call, kitti: Path, tmp_path: Path
 ) -> None:
@@ -50,7 +44,8 @@ def test_each_picture_gives_its_map_and_all_of_them_the_archive(
         f"roadtorch: 3 maps in {out}/submission.zip",
     ]
     assert sorted(path.name for path in out.glob("*.png")) == MAPS
-    assert statuses(out) == dict.fromkeys(MAPS, "done")
+    rows = rows_of(out)
+    assert {name: row["status"] for name, row in rows.items()} == dict.fromkeys(MAPS, "done")
     with zipfile.ZipFile(out / "submission.zip") as archive:
         assert archive.namelist() == MAPS
         assert archive.testzip() is None
@@ -109,9 +104,9 @@ def test_broken_pictures_are_listed_and_mended_by_a_second_run(
     )
     assert [path.name for path in out.glob("*.png")] == ["umm_road_000003.png"]
     assert not (out / "submission.zip").exists()
-    states = statuses(out)
-    assert states["umm_road_000003.png"] == "done"
-    assert states["uu_road_000012.png"].startswith("failed: ")
+    rows = rows_of(out)
+    assert rows["umm_road_000003.png"]["status"] == "done"
+    assert rows["uu_road_000012.png"]["status"].startswith("failed: ")
 
     picture.write_bytes(whole)
     calibration.write_text(text)
