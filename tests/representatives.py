@@ -1,6 +1,8 @@
 """Detectors that stand for all: of a grid of hundreds, one for each way of working."""
 
-from roadtorch.detectors.catalogue import detector_groups
+from typing import Any
+
+from roadtorch.detectors.catalogue import detector_entry, detector_groups
 
 
 def representatives() -> list[str]:
@@ -17,3 +19,9 @@ def representatives() -> list[str]:
             else:
                 grids.setdefault((entry.grid.name, entry.name.split(":")[1]), []).append(entry.name)
     return found + [members[number % len(members)] for number, members in enumerate(grids.values())]
+
+
+def quick(name: str) -> dict[str, Any]:
+    """Settings by which a detector that learns a dictionary for each picture learns a small one."""
+    learns = "dictionary" in detector_entry(name).settings.model_fields
+    return {"dictionary": {"bases": 20, "rounds": 3}} if learns else {}

@@ -46,7 +46,7 @@ from roadtorch.road.seed_area import SeedArea
 from roadtorch.runtime.threads import one_thread
 from roadtorch.settings import Settings
 from roadtorch.testing import broken_promises, street
-from tests.representatives import representatives
+from tests.representatives import quick, representatives
 
 NAMES = representatives()
 
@@ -60,21 +60,16 @@ def loaded(name: str) -> Detector:
 # --- the contract -------------------------------------------------------------------------
 
 
-SMALL = {"dictionary": {"bases": 20, "rounds": 3}}
-"""Of the detectors that learn one for each picture: the contract knows nothing of its size."""
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_every_detector_keeps_to_the_contract(name: str) -> None:
-    entry = detector_entry(name)
-    learns = "dictionary" in entry.settings.model_fields
-
-    assert broken_promises(entry, **(SMALL if learns else {})) == []
+    assert broken_promises(detector_entry(name), **quick(name)) == []
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_at_threshold_zero_everything_is_road(name: str) -> None:
-    assert load_detector(name, threshold=0.0).detect(street(96, 128)).mask.all()
+    detector = load_detector(name, threshold=0.0, **quick(name))
+
+    assert detector.detect(street(96, 128)).mask.all()
 
 
 def with_value(value: float) -> Tensor:
@@ -98,19 +93,7 @@ def with_value(value: float) -> Tensor:
         ([[0.5]], "is a list, not one picture"),
         (torch.zeros(3, 32, 32).to_sparse(), "has the layout torch.sparse_coo"),
     ],
-    ids=[
-        "nan",
-        "inf",
-        "bright",
-        "negative",
-        "grey",
-        "batch",
-        "small",
-        "none",
-        "int",
-        "list",
-        "sparse",
-    ],
+    ids="nan inf bright negative grey batch small none int list sparse".split(),  # noqa: SIM905
 )
 def test_what_is_no_image_is_refused_with_the_reason(image: Any, what: str) -> None:
     with pytest.raises(InputError) as caught:

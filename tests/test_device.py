@@ -6,15 +6,15 @@ import torch
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.scenes.street import render_scene
 from tests.pretended_device import Pretended, PretendedDevice, moved
-from tests.representatives import representatives
+from tests.representatives import quick, representatives
 
 IMAGE = render_scene(5, 48, 64).image
 
 
 @pytest.mark.parametrize("name", representatives())
 def test_a_detector_works_on_another_device(name: str) -> None:
-    here = load_detector(name).detect(IMAGE)
-    detector = moved(load_detector(name))
+    here = load_detector(name, **quick(name)).detect(IMAGE)
+    detector = moved(load_detector(name, **quick(name)))
 
     with PretendedDevice():
         there = detector.detect(Pretended(IMAGE))  # type: ignore[attr-defined]

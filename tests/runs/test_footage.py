@@ -209,7 +209,7 @@ def test_a_full_disk_keeps_the_finished_frames(
 
 
 def test_ctrl_c_finishes_the_video(tmp_path: Path) -> None:
-    path = write_video(tmp_path / "drive.mp4", [n / 10 for n in range(1200)])
+    path = write_video(tmp_path / "drive.mp4", [n / 10 for n in range(600)])
     out = tmp_path / "out"
     command = [sys.executable, "-m", "roadtorch", "infer", str(path), *ROWS, "--out", str(out)]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
