@@ -186,8 +186,8 @@ def test_a_run_can_start_from_the_weights_of_another_whatever_size_it_learned_at
     other = training_of(kind, tmp_path, "random_seed=5")
     network = recipe_of(other).network(RoundStart(1, [], {}, None))
     if size is not None:
-        sides = {"height": size[0], "width": size[1], "narrow": 8, "wide": 8}
-        network = PictureNetwork(PictureNetworkSettings(**sides))
+        sides = PictureNetworkSettings(height=size[0], width=size[1], narrow=8, wide=8)
+        network = PictureNetwork(sides)
     save_network(first, network, {})
     changes = [f"start={json.dumps(str(first))}", "descent.learning_rate=1e-9"]
     changes += ["rounds.count=1", "rounds.start=continued"] if kind == "pictures" else []
