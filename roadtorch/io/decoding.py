@@ -38,7 +38,8 @@ them, at most so many bytes each; ours: four samples of 16 bits, twice."""
 
 # TIFF 6.0: tags, and values of theirs
 BITS_PER_SAMPLE, COMPRESSION, PHOTOMETRIC, SAMPLE_FORMAT = 258, 259, 262, 339
-UNCOMPRESSED, BLACK_IS_ZERO, RGB, UNSIGNED, FLOATING_POINT, ALPHA = 1, 1, 2, 1, 3, 2
+BLACK_IS_ZERO, RGB, UNSIGNED, FLOATING_POINT, ALPHA = 1, 2, 1, 3, 2
+UNCOMPRESSED, DEFLATED = 1, (8, 32946)
 
 # PNG: where the first chunk and its bits a sample are, and the chunks that say what pixels are
 PNG_START, PNG_DEPTH = 8, 24
@@ -221,7 +222,9 @@ def pillow_pixels(picture: Image.Image) -> np.ndarray:
 
 
 def _tiff(data: bytes, header: Image.Image) -> np.ndarray:
-    """Decode a TIFF: tifffile what is not compressed, Pillow 8 bits, OpenCV usual layouts of 16.
+    """Decode a TIFF: tifffile what is deflated or not compressed, Pillow 8 bits, OpenCV the rest.
+
+    Of what is deflated tifffile checks the sums, which the others do not.
 
     ValueError for one whose black and white would not be scaled right, that lacks strips or
     tiles, and for layouts that these decoders mistake.
@@ -231,8 +234,10 @@ def _tiff(data: bytes, header: Image.Image) -> np.ndarray:
     logging.getLogger("tifffile").addHandler(logging.NullHandler())  # it would talk on stderr,
     with suppress(OSError, AttributeError):  # as would Pillow's libtiff, where that can be found
         ctypes.CDLL(Image.core.__file__).TIFFSetErrorHandler(None)
-    is_deep = _is_deep_tiff(header)
-    is_plain = _tiff_tag(header, COMPRESSION)[0] == UNCOMPRESSED
+    if PHOTOMETRIC not in getattr(header, "tag_v2", {}):
+        raise ValueError("it does not say whether black is 0 (PhotometricInterpretation)")
+    is_deep, compression = _is_deep_tiff(header), _tiff_tag(header, COMPRESSION)[0]
+    is_plain = compression == UNCOMPRESSED
     is_simple = _tiff_tag(header, PHOTOMETRIC)[0] in (BLACK_IS_ZERO, RGB)
     with TiffFile(io.BytesIO(data)) as file:
         page: Any = file.pages.first
@@ -245,7 +250,8 @@ def _tiff(data: bytes, header: Image.Image) -> np.ndarray:
         if is_plain and 8 * sum(page.databytecounts) < bits:
             raise ValueError("its strips are too short for its pixels")
         extra, is_planar = page.extrasamples[:1], page.planarconfig != 1
-        if is_plain and is_simple and page.dtype in (np.uint8, np.uint16):
+        is_known = is_plain or compression in DEFLATED
+        if is_known and is_simple and page.dtype in (np.uint8, np.uint16):
             return _oriented(_plain_tiff(page), _orientation(header.getexif))
         if is_planar and (is_deep or page.photometric == BLACK_IS_ZERO):
             raise ValueError("compressed TIFF with a plane for each colour is not read")
@@ -257,7 +263,7 @@ def _tiff(data: bytes, header: Image.Image) -> np.ndarray:
 
 
 def _plain_tiff(page: Any) -> np.ndarray:
-    """The pixels (H,W,3) or (H,W,4) of an uncompressed page of tifffile's, grey or RGB.
+    """The pixels (H,W,3) or (H,W,4) of a page of tifffile's, grey or RGB.
 
     Alpha that the colours were multiplied with is left out: over black they stay as they are.
     """

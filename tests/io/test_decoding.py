@@ -155,6 +155,28 @@ def test_a_tiff_whose_white_is_not_known_is_refused(tmp_path: Path, kind: Any) -
         read_image(path)
 
 
+def test_a_tiff_that_does_not_say_whether_black_is_zero_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, np.zeros((16, 16), np.uint8), photometric="minisblack")
+    tag = struct.pack("<HHI", 262, 3, 1)
+    path.write_bytes(path.read_bytes().replace(tag, struct.pack("<HHI", 263, 3, 1)))
+
+    with pytest.raises(InputError, match="does not say whether black is 0"):
+        read_image(path)
+
+
+def test_a_deep_tiff_whose_deflated_bytes_are_damaged_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.tif"
+    pixels = np.random.default_rng(0).integers(0, 65536, (37, 53, 3), np.uint16)
+    tifffile.imwrite(path, pixels, photometric="rgb", compression="zlib")
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+    with pytest.raises(InputError, match="cannot be decoded"):
+        read_image(path)
+
+
 def test_a_deep_tiff_whose_white_is_zero_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.tif"
     tifffile.imwrite(path, np.zeros((16, 16), np.uint16), photometric="miniswhite")
