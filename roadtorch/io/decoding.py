@@ -37,7 +37,8 @@ LARGE, BYTES_PER_PIXEL = 2**28, 16
 them, at most so many bytes each; ours: four samples of 16 bits, twice."""
 
 # TIFF 6.0: tags, and values of theirs
-BITS_PER_SAMPLE, COMPRESSION, PHOTOMETRIC, SAMPLE_FORMAT = 258, 259, 262, 339
+BITS_PER_SAMPLE, COMPRESSION, PHOTOMETRIC = 258, 259, 262
+SAMPLES, PLANES, SAMPLE_FORMAT = 277, 284, 339
 BLACK_IS_ZERO, RGB, UNSIGNED, FLOATING_POINT, ALPHA = 1, 2, 1, 3, 2
 UNCOMPRESSED, DEFLATED = 1, (8, 32946)
 
@@ -234,8 +235,11 @@ def _tiff(data: bytes, header: Image.Image) -> np.ndarray:
     logging.getLogger("tifffile").addHandler(logging.NullHandler())  # it would talk on stderr,
     with suppress(OSError, AttributeError):  # as would Pillow's libtiff, where that can be found
         ctypes.CDLL(Image.core.__file__).TIFFSetErrorHandler(None)
-    if PHOTOMETRIC not in getattr(header, "tag_v2", {}):
+    if not isinstance(getattr(header, "tag_v2", {}).get(PHOTOMETRIC), int):
         raise ValueError("it does not say whether black is 0 (PhotometricInterpretation)")
+    bits = _tiff_tag(header, BITS_PER_SAMPLE)
+    if _tiff_tag(header, PLANES)[0] not in (1, 2) or len(bits) > _tiff_tag(header, SAMPLES)[0]:
+        raise ValueError("its tags contradict each other")
     is_deep, compression = _is_deep_tiff(header), _tiff_tag(header, COMPRESSION)[0]
     is_plain = compression == UNCOMPRESSED
     is_simple = _tiff_tag(header, PHOTOMETRIC)[0] in (BLACK_IS_ZERO, RGB)
@@ -246,8 +250,8 @@ def _tiff(data: bytes, header: Image.Image) -> np.ndarray:
             raise ValueError("it lacks strips or tiles")
         if max(map(sum, parts)) > len(data):
             raise ValueError("the file ends before its pixels do")
-        bits = page.imagelength * page.imagewidth * sum(_tiff_tag(header, BITS_PER_SAMPLE))
-        if is_plain and 8 * sum(page.databytecounts) < bits:
+        needed = page.imagelength * page.imagewidth * sum(bits)
+        if is_plain and 8 * sum(page.databytecounts) < needed:
             raise ValueError("its strips are too short for its pixels")
         extra, is_planar = page.extrasamples[:1], page.planarconfig != 1
         is_known = is_plain or compression in DEFLATED
@@ -295,9 +299,9 @@ def _is_deep_tiff(header: Image.Image) -> bool:
 
 def _tiff_tag(header: Image.Image, tag: int) -> tuple[int, ...]:
     """The values of a TIFF tag, one a sample; (1,) when it is absent, as TIFF 6.0 has it."""
-    tags: dict[int, tuple[int, ...] | int] = getattr(header, "tag_v2", {})
-    value = tags.get(tag, (1,))
-    return value if isinstance(value, tuple) else (value,)
+    tags: dict[int, tuple[int, ...] | int | None] = getattr(header, "tag_v2", {})
+    value = tags.get(tag)
+    return value if isinstance(value, tuple) else (1 if value is None else value,)
 
 
 # --- which way is up --------------------------------------------------------------------
