@@ -11,8 +11,8 @@ LEARNED = ("fusion", "fusion:large", "fusion:scratch", "fusion:research", "fusio
 FUSIONS = (*LEARNED, "fusion:paper")
 ROAD = (
     *FUSIONS,
-    *("layout", "layout:cnn-7", "labeller", "ufl", "ufl:original", "cpf", "cpf:v2", "cpf:squares"),
-    *("grey-uniformity", "lbp", "prior:uniform"),
+    *("layout", "layout:cnn-7", "layout:paper", "labeller", "ufl", "ufl:original"),
+    *("cpf", "cpf:v2", "cpf:squares", "grey-uniformity", "lbp", "prior:uniform"),
 )
 TIMED = (
     *("fusion", "fusion:large", "fusion:research", "fusion:untrained", "fusion:paper"),
@@ -100,7 +100,7 @@ CAMERAS = (
     *("kitti_semantics", "ycor"),
 )
 CONDITIONS = ("day", "offroad", "rain", "bonnet", "underexposed", "shadow", "dusk", "night")
-LAYOUTS = ("layout", "labeller", "layout:cnn-7")
+LAYOUTS = ("layout", "labeller", "layout:cnn-7", "layout:paper")
 CLASSES = ("sky", "vertical", "horizontal")
 MEASURES = "AUC pooled | AUC mean | AP | IoU | EER | Brier | F of mask | ECE"
 KEYS = ("auc_pooled", "auc_mean", "ap", "iou", "eer", "brier", "f_mask", "ece")
@@ -161,7 +161,10 @@ TABLES: Mapping[str, Table] = {
     ),
     "camvid-roc": Table(
         "detector | AUC pooled | AUC mean over pictures | over `lbp` | IDD, AUC pooled",
-        _named("lbp", "grey-uniformity", "cpf", "cpf:v2", "layout:cnn-7", "fusion:paper", "fusion"),
+        _named(
+            *("lbp", "grey-uniformity", "cpf", "cpf:v2", "layout:paper", "fusion:paper"),
+            *("layout:cnn-7", "fusion"),
+        ),
         f"{_cells('camvid', 'auc_pooled', 'auc_mean')} | "
         "[[camvid.{row}.auc_pooled.over_lbp|+0 %]] | [[idd.{row}.auc_pooled]]",
     ),

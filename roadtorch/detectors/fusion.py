@@ -125,7 +125,7 @@ class PaperFusionSettings(WorkingSettings):
     and tests a uniform one alone. The other two priors are baselines of ours.
     """
 
-    threshold: Threshold = Field(default=0.258, description=TUNED)
+    threshold: Threshold = Field(default=0.154, description=TUNED)
     superpixels: Superpixels = Superpixels()
     weights: WeightsFile = WeightsFile()
     texture: TextureSettings = TextureSettings()
@@ -310,7 +310,7 @@ class PaperFusion(nn.Module):
     def __init__(self, settings: PaperFusionSettings) -> None:
         super().__init__()
         self.settings = settings
-        self.network = network_of(settings.weights, "cnn-7", PatchNetwork)
+        self.network = network_of(settings.weights, "cnn-7-paper", PatchNetwork)
 
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""

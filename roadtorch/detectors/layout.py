@@ -22,7 +22,7 @@ class LabellerDetectorSettings(WorkingSettings):
 class Cnn7Settings(WorkingSettings):
     """CNN-7 as a road detector."""
 
-    threshold: Threshold = Field(default=0.637, description=TUNED)
+    threshold: Threshold = Field(default=0.425, description=TUNED)
     weights: WeightsFile = WeightsFile()
 
 
@@ -103,7 +103,19 @@ ENTRIES = (
         Layout,
         values={"threshold": 0.817, "weights": {"file": "layout"}},
     ),
-    Entry("layout:cnn-7", "ground of the layout by CNN-7 (Álvarez 2012)", Cnn7Settings, Cnn7),
+    Entry(
+        "layout:cnn-7",
+        "ground of the layout by CNN-7 (Álvarez 2012), trained as we do",
+        Cnn7Settings,
+        Cnn7,
+    ),
+    Entry(
+        "layout:paper",
+        "the same, trained to the letter of the paper",
+        Cnn7Settings,
+        Cnn7,
+        values={"threshold": 0.267, "weights": {"file": "cnn-7-paper"}},
+    ),
     Entry(
         "labeller",
         "ground of the machine-made scene layout, no training",

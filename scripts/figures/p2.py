@@ -121,7 +121,7 @@ Shares = Sequence[Sequence[float]]
 
 def confusion_of_cnn7(data: Path, out: Path) -> None:
     """Fig. 4b: the confusion of CNN-7, beside P2's."""
-    _confusion("p2-fig4b", "layout:cnn-7", streets(data), out)
+    _confusion("p2-fig4b", "layout:paper", streets(data), out)
 
 
 def confusion_of_labeller(data: Path, out: Path) -> None:
@@ -195,7 +195,8 @@ LINES = {
     "U of grey": ("grey-uniformity", {}),
     TEXTURE: ("cpf", {}),
     "CPFv2": ("cpf:v2", {}),
-    "CNN-7": ("layout:cnn-7", {}),
+    "CNN-7": ("layout:paper", {}),
+    "CNN-7, trained as we do": ("layout:cnn-7", {}),
     COMBINED: ("fusion:paper", {}),
     "CNN-7 × CPFv2": ("fusion:paper", {"descriptor": "cpf:v2"}),
     "row / height (baseline)": ("prior:rows", {}),

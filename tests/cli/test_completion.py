@@ -9,6 +9,7 @@ from click.shell_completion import get_completion_class
 from roadtorch.cli import main
 from roadtorch.cli.completion import SHELLS, VARIABLE
 from roadtorch.data.catalogue import list_datasets
+from roadtorch.layout.weights import list_shipped_weights
 from roadtorch.runtime.shipped_configs import shipped_configs
 from tests.command import Call
 
@@ -38,7 +39,7 @@ def offered(line: str, shell: str = "zsh") -> list[str]:
         ("train --config cnn7 --set centres.", ["centres.around=", "centres.distance="]),
         (
             "train --config adapt --set start=",
-            ["start=backbone-free", "start=cnn-7", "start=layout", "start=layout-free"],
+            [f"start={name}" for name in list_shipped_weights()],
         ),
         ("train --config ad", ["adapt"]),
         (

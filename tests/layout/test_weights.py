@@ -15,6 +15,7 @@ from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, T
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import (
     LayoutNetwork,
+    list_shipped_weights,
     load_network,
     read_origin,
     save_network,
@@ -166,7 +167,7 @@ def test_a_card_that_cannot_be_read_is_told(weights: Path, monkeypatch: pytest.M
         load_network(weights)
 
 
-@pytest.mark.parametrize("name", ["cnn-7", "layout", "layout-free"])
+@pytest.mark.parametrize("name", list_shipped_weights())
 def test_shipped_weights_are_what_their_cards_state(name: str, tmp_path: Path) -> None:
     path = shipped_weights(name)
     load_network(path)
@@ -180,9 +181,13 @@ def test_shipped_weights_are_what_their_cards_state(name: str, tmp_path: Path) -
         load_network(tmp_path / path.name)
 
 
-@pytest.mark.parametrize("name", ["cnn-7", "layout"])
-def test_the_card_of_shipped_weights_says_what_they_may_be_used_for(name: str) -> None:
-    assert "non-commercial" in terms_of(shipped_weights(name))
+def test_the_cards_of_shipped_weights_say_what_they_may_be_used_for() -> None:
+    terms = {name: terms_of(shipped_weights(name)) for name in list_shipped_weights()}
+
+    research = {name for name, words in terms.items() if "non-commercial" in words}
+    free = {name for name, words in terms.items() if words.startswith("anything: Apache-2.0")}
+    assert research == {"cnn-7-paper", "layout"}
+    assert free == {"backbone-free", "cnn-7", "layout-free"}
 
 
 def test_the_free_weights_may_be_used_for_anything_and_began_with_nothing_else() -> None:
