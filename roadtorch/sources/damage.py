@@ -53,13 +53,15 @@ class Clock:
 class Declared(NamedTuple):
     """What a video says of itself: its seconds, whether they are of its pictures alone, its bytes.
 
-    is_cut: whether its parts go on behind its end, or are none.
+    is_cut: whether its parts go on behind its end, or are none. is_counted: whether the seconds are
+    a number of frames.
     """
 
     seconds: float
     is_own: bool
     size: int
     is_cut: bool
+    is_counted: bool
 
 
 def declared(container: "InputContainer", stream: "VideoStream", path: Path | str) -> Declared:
@@ -76,7 +78,7 @@ def declared(container: "InputContainer", stream: "VideoStream", path: Path | st
     of_all = (container.duration or 0) / 1e6  # in microseconds
     is_alone = all(one.type == "video" for one in container.streams)
     seconds = max(lasts, of_all) if is_alone else lasts or of_all
-    return Declared(seconds, lasts > 0 or is_alone, container.size, cut)
+    return Declared(seconds, lasts > 0 or is_alone, container.size, cut, count > 0)
 
 
 def _is_cut_avi(file: IO[bytes], size: int) -> bool:
@@ -157,6 +159,8 @@ class Damage:
             holes = steps - np.maximum(step, lengths[:-1])
             lost = np.round(holes[holes > max(SLACK, 2 * step)] / step).sum()
             every = max(every, read + int(lost), round(says.seconds / step) if parts else 0)
+            if says.is_counted and len(steps):  # where a frame may also last longer
+                every = max(every, round((says.seconds - (steps - step).sum()) / step))
         parts = [f"{read} of {every} frames", *parts] if read < every else parts
         parts += [f"packets that cannot be decoded: {self.refused}"] if self.refused else []
         parts += [f"damaged frames: {self.corrupt}"] if self.corrupt else []

@@ -194,6 +194,22 @@ def test_matroska_that_was_sent_live_is_whole_and_without_its_end_is_not(tmp_pat
     assert len(read) >= 11
 
 
+def test_avi_that_counts_more_frames_than_it_has_is_told_and_a_frame_may_last(
+    tmp_path: Path,
+) -> None:
+    whole = write_video(tmp_path / "a.avi", codec="mjpeg", ticks=10)
+    slow = [n / 10 for n in range(40) if n != 20]
+    paused = write_video(tmp_path / "b.avi", slow, codec="mjpeg", ticks=10)
+    data = bytearray(whole.read_bytes())
+    data[4473:4473] = data[78:230]
+    del data[12382]  # a frame that nothing else lacks
+    whole.write_bytes(data)
+
+    with pytest.raises(InputError, match="11 of 12 frames"):
+        list(video_frames(whole, "a"))
+    assert len(list(video_frames(paused, "b"))) == 39
+
+
 def test_damaged_vp8_shows_the_same_on_any_number_of_threads(tmp_path: Path) -> None:
     path = write_video(tmp_path / "a.webm", codec="libvpx")
     data = path.read_bytes()
