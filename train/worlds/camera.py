@@ -10,7 +10,7 @@ import bpy
 from mathutils import Matrix
 
 from train.worlds.materials import drawn, plain
-from train.worlds.roads import SPACING, START, Road
+from train.worlds.roads import SPACING, START, UNPAVED, Road
 from train.worlds.stage import COLOURS, EGO, VERTICAL, Shape, Stage, box
 from train.worlds.vehicles import PAINTS
 
@@ -47,9 +47,7 @@ def build_camera(stage: Stage, road: Road) -> None:
     scene.collection.objects.link(camera)
     scene.camera = camera
     side = (
-        at.uniform(-0.55, 0.6)
-        if road.kind not in ("track", "trail", "lane")
-        else at.uniform(-0.25, 0.25)
+        at.uniform(-0.55, 0.6) if road.kind not in (*UNPAVED, "lane") else at.uniform(-0.25, 0.25)
     )
     camera.location = road.course.at(START, side * road.course.half, tall)
     up = degrees(atan(lens.half_up))
@@ -187,14 +185,21 @@ def _put_car(stage: Stage, camera: Any, lens: Lens) -> None:
             across, up = at.uniform(-0.9, 0.9) * lens.half_across, -(1 - 2 * edge) * lens.half_up
             size = (at.uniform(0.04, 0.25), at.uniform(0.02, 0.07), 0.05)
             parts.append((box((across * 0.6, up * 0.6, -0.6), size), dark))
-        if stage.chance(0.2):  # a pillar
-            side = at.choice((-1, 1))
-            out, lean = side * lens.half_across * at.uniform(0.75, 1.0), side * at.uniform(0, 0.1)
-            width = 0.6
-            points = [(out * 0.5, -1, -0.5), (out * 0.5 + side * width, -1, -0.5)]
-            points += [(out * 0.5 + side * width + lean, 1, -0.5), (out * 0.5 + lean, 1, -0.5)]
-            parts.append(((points, [(0, 1, 2, 3)]), dark))
         _put(stage, camera, parts)
+    if stage.chance(0.15):
+        _put_pillar(stage, camera, lens)
+
+
+def _put_pillar(stage: Stage, camera: Any, lens: Lens) -> None:
+    """A pillar of the windscreen at one side of the picture, upright or leaning."""
+    at = stage.at
+    side = at.choice((-1, 1))
+    out, wide = side * lens.half_across * at.uniform(0.35, 0.5), side * 0.6
+    lean = side * at.uniform(0, 0.6) * lens.half_up
+    points = [(out, -0.5, -0.5), (out + wide, -0.5, -0.5)]
+    points += [(out + wide + lean, 0.5, -0.5), (out + lean, 0.5, -0.5)]
+    look = plain(stage, drawn(stage, [*PAINTS, (0.02, 0.02, 0.02)]), at.uniform(0.1, 0.9))
+    _put(stage, camera, [((points, [(0, 1, 2, 3)]), look)])
 
 
 def _put_robot(stage: Stage, camera: Any, lens: Lens) -> None:

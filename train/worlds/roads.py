@@ -34,11 +34,15 @@ KINDS = {
     "motorway": 2,
     "track": 5,
     "trail": 3,
+    "overgrown": 10,
     "yard": 2,
     "bazaar": 3,
     "lane": 2,
 }
 """Kinds of road, and how often each is drawn."""
+
+UNPAVED = ("track", "trail", "overgrown")
+"""The last is a trail with grass on it between tall grass and bushes."""
 
 EARTHS = [
     (0.32, 0.24, 0.16),
@@ -110,15 +114,18 @@ def drawn_course(stage: Stage, kind: str) -> Course:
     """A gentle curve over gentle hills, narrower or wider by kind."""
     at = stage.at
     widths = {"street": (2.8, 6.5), "rural": (2.2, 3.8), "motorway": (5.5, 9), "track": (1.2, 2.3)}
-    widths |= {"trail": (1.2, 2.6), "yard": (7, 20), "bazaar": (2.5, 6), "lane": (1.6, 2.6)}
+    widths |= {
+        "trail": (1.2, 2.6),
+        "overgrown": (1.3, 3.0),
+        "yard": (7, 20),
+        "bazaar": (2.5, 6),
+        "lane": (1.6, 2.6),
+    }
     bend = {"motorway": 0.3, "yard": 0.0}.get(kind, 1.0) * at.choice([0.3, 1.0, 1.0])
     first, change = at.uniform(-0.012, 0.012) * bend, at.uniform(-0.00022, 0.00022) * bend
     wave, length = at.uniform(100, 300), SPACING
-    steep = (
-        at.choice([0.0, 0.02, 0.14 if kind == "trail" else 0.07])
-        * at.choice([-1, 1])
-        * (kind != "yard")
-    )
+    steepest = {"trail": 0.14, "overgrown": 0.25, "yard": 0.0}.get(kind, 0.07)
+    steep = at.choice([0.0, min(0.02, steepest), steepest]) * at.choice([-1, 1])
     x, y, heading = 0.0, -START * length, 0.0
     points, headings = [], []
     for index in range(130):
@@ -194,8 +201,8 @@ def build_road(stage: Stage, kind: str, season: str) -> Road:
     length = at.randint(START + 12, START + 45) if kind == "yard" else 130
     road = Road(kind, course, course.half, season, gaps, length, {})
     surface, soil = _surface(stage, road), _soil(stage, season, kind)
-    ragged = {"track": 0.3, "trail": 0.3, "rural": 0.07, "bazaar": 0.3, "lane": 0.1}.get(kind, 0.0)
-    bumps = 0.04 if kind in ("track", "trail") else 0.0
+    ragged = {"rural": 0.07, "bazaar": 0.3, "lane": 0.1} | dict.fromkeys(UNPAVED, 0.3)
+    ragged, bumps = ragged.get(kind, 0.0), 0.04 * (kind in UNPAVED)
     flat = [(course.half * (k / 4 - 1), 0.03) for k in range(9)]
     swept(stage, course, flat, surface, ROAD, ragged, (0, min(FAR, length)), bumps)
     swept(stage, course, flat, surface, VOID, 0.0, (FAR - 1, length), bumps)
@@ -206,7 +213,7 @@ def build_road(stage: Stage, kind: str, season: str) -> Road:
         truth = HORIZONTAL if wide > 0.22 else VOID
         swept(stage, course, [(-wide, 0.06), (0, 0.1), (wide, 0.06)], soil, truth, 0.15)
     road = road._replace(land=_bound(stage, road, surface, soil))
-    if kind not in ("track", "trail", "yard", "lane"):
+    if kind not in (*UNPAVED, "yard", "lane"):
         _mark(stage, road)
     if kind == "yard":
         _mark_bays(stage, road)
@@ -221,11 +228,11 @@ def _surface(stage: Stage, road: Road) -> Material:
     at = stage.at
     wet = at.uniform(0.2, 1) if stage.chance(0.22) else 0.0
     slush = drawn(stage, SNOW) if road.season == "snow" and stage.chance(0.75) else None
-    loose = road.kind in ("track", "trail") or (
-        road.kind in ("yard", "lane", "bazaar") and stage.chance(0.35)
-    )
+    if road.kind == "overgrown" and stage.chance(0.6):
+        return _soil(stage, road.season, road.kind)
+    loose = road.kind in UNPAVED or (road.kind in ("yard", "lane", "bazaar") and stage.chance(0.35))
     if loose:
-        colours = LITTER + EARTHS if road.kind == "trail" else EARTHS
+        colours = EARTHS if road.kind == "track" else LITTER + EARTHS
         colour = drawn(stage, colours, 0.35)
         ruts = at.uniform(-0.25, 0.4)
         edge = drawn(stage, GREENS + LITTER) if stage.chance(0.5) else None

@@ -9,8 +9,8 @@ import bpy
 from mathutils import Vector, noise
 
 from train.worlds.materials import drawn, facade, ground, lamp, plain
-from train.worlds.roads import EARTHS, GREENS, LITTER, SNOW, START, Road, swept
-from train.worlds.stage import HORIZONTAL, VERTICAL, Shape, Stage, box, moved, turned
+from train.worlds.roads import EARTHS, GREENS, LITTER, SNOW, START, UNPAVED, Road, swept
+from train.worlds.stage import HORIZONTAL, ROAD, VERTICAL, Shape, Stage, box, moved, turned
 
 WALLS = [
     (0.55, 0.47, 0.38),
@@ -26,14 +26,21 @@ def build_surroundings(stage: Stage, road: Road) -> None:
     """Everything that stands, as the road's kind has it."""
     at = stage.at
     town = road.kind in ("street", "bazaar", "yard")
-    wild = road.kind in ("track", "trail", "rural", "lane")
+    wild = road.kind in (*UNPAVED, "rural", "lane")
     leaf = _leaves(stage, road)
     if not town or stage.chance(0.3):
         _grass(stage, road, at.choice([0, 250, 700] if wild else [0, 150]))
-    counts = {"trail": (30, 70), "track": (0, 40), "rural": (0, 40), "lane": (4, 40)}
+    counts = {
+        "trail": (30, 70),
+        "overgrown": (0, 70),
+        "track": (0, 40),
+        "rural": (0, 40),
+        "lane": (4, 40),
+    }
     low, high = counts.get(road.kind, (0, 14))
     _trees(stage, road, leaf, at.randint(low, high))
-    _bushes(stage, road, leaf, at.choice([0, 10, 40]) if wild else at.choice([0, 0, 8]))
+    bushes = {True: [0, 10, 40], False: [0, 0, 8]}[wild]
+    _bushes(stage, road, leaf, at.choice([0, 60, 160] if road.kind == "overgrown" else bushes))
     if town or stage.chance(0.2):
         _houses(stage, road, at.randint(6, 22) if town else at.randint(1, 5))
     if stage.chance(0.4 if town else 0.25):
@@ -41,7 +48,7 @@ def build_surroundings(stage: Stage, road: Road) -> None:
     _posts(
         stage,
         road,
-        at.choice([0, 4, 9]) if road.kind not in ("track", "trail") else at.choice([0, 0, 3]),
+        at.choice([0, 0, 3] if road.kind in UNPAVED else [0, 4, 9]),
     )
     if road.kind in ("street", "bazaar", "yard"):
         _people(stage, road, at.choice([0, 2, 6]) if road.kind != "bazaar" else at.randint(3, 16))
@@ -152,21 +159,38 @@ def _bushes(stage: Stage, road: Road, leaf: Any, count: int) -> None:
     meshes = [stage.mesh([(_crown(stage, 700, 0.2), leaf)]) for _ in range(2)]
     for _ in range(count):
         size = at.uniform(0.3, 1.4)
-        where = road.spot(at.randint(START + 2, 80), size + at.expovariate(0.3), at.choice((-1, 1)))
+        beyond = size * (0.7 if road.kind == "overgrown" else 1) + at.expovariate(0.3)
+        where = road.spot(at.randint(START + 2, 80), beyond, at.choice((-1, 1)))
         where = (where[0], where[1], where[2] + size * 0.5)
         stage.put(at.choice(meshes), VERTICAL, where, at.uniform(0, 6), (size, size, size))
 
 
 def _grass(stage: Stage, road: Road, count: int) -> None:
-    """Tufts of blades, most of them near the road's edge."""
+    """Tufts of blades, most of them near the road's edge; low ones on a road that is overgrown."""
+    at = stage.at
+    overgrown = road.kind == "overgrown" or (road.kind in UNPAVED and stage.chance(0.45))
+    tall = at.uniform(0.6, 1.6) if overgrown else at.uniform(0.08, 0.5)
+    count = max(count, 1400 if road.kind == "overgrown" else 700) if overgrown else count
+    mesh, truth = _tuft(stage, road, tall), VERTICAL if overgrown else HORIZONTAL
+    for _ in range(count):
+        index = START - 3 + min(int(at.expovariate(0.06)), 90)
+        beyond = (0.9 if overgrown else 0.8) + at.expovariate(0.4)
+        where = road.spot(index, beyond, at.choice((-1, 1)))
+        stage.put(mesh, truth, where, at.uniform(0, 6))
+    if road.kind == "overgrown":
+        low, inside = _tuft(stage, road, at.uniform(0.03, 0.16)), road.course.half - 1
+        for _ in range(at.choice([0, 150, 600])):
+            index = START - 3 + min(int(at.expovariate(0.06)), 90)
+            where = road.course.at(index, at.uniform(-inside, inside), 0.02)
+            stage.put(low, ROAD, where, at.uniform(0, 6))
+
+
+def _tuft(stage: Stage, road: Road, tall: float) -> Any:
+    """Blades of grass on two by two metres."""
     at = stage.at
     tones = LITTER + GREENS[2:] if road.season in ("litter", "dry", "earth", "snow") else GREENS
     blade = plain(stage, drawn(stage, tones, 0.35), 0.8, vary=0.5)
     points, faces = [], []
-    overgrown = road.kind in ("track", "trail") and stage.chance(0.45)
-    tall = at.uniform(0.6, 1.6) if overgrown else at.uniform(0.08, 0.5)
-    count = max(count, 700) if overgrown else count
-    truth = VERTICAL if overgrown else HORIZONTAL
     for number in range(220):
         x, y, turn, high = (
             at.uniform(-1, 1),
@@ -181,12 +205,7 @@ def _grass(stage: Stage, road: Road, count: int) -> None:
             (x + at.gauss(0, 0.3) * high, y + at.gauss(0, 0.3) * high, high),
         ]
         faces.append((3 * number, 3 * number + 1, 3 * number + 2))
-    mesh = stage.mesh([((points, faces), blade)])
-    for _ in range(count):
-        index = START - 3 + min(int(at.expovariate(0.06)), 90)
-        beyond = (0.9 if overgrown else 0.8) + at.expovariate(0.4)
-        where = road.spot(index, beyond, at.choice((-1, 1)))
-        stage.put(mesh, truth, where, at.uniform(0, 6))
+    return stage.mesh([((points, faces), blade)])
 
 
 def _houses(stage: Stage, road: Road, count: int) -> None:

@@ -35,7 +35,13 @@ def build_traffic(stage: Stage, road: Road) -> None:
     if road.kind == "bazaar":
         common = ["car"] * 3 + ["motorbike"] * 5 + ["rickshaw"] * 3 + ["lorry"]
     pool = [stage.mesh(makers[kind](stage), smooth=False) for kind in at.choices(common, k=4)]
-    counts = {"track": [0, 0, 0, 1], "trail": [0, 0, 0, 1], "lane": [0, 0, 1], "yard": [2, 6, 12]}
+    counts = {
+        "track": [0, 0, 0, 1],
+        "trail": [0, 0, 0, 1],
+        "overgrown": [0, 0, 0, 1],
+        "lane": [0, 0, 1],
+        "yard": [2, 6, 12],
+    }
     count = at.choice(counts.get(road.kind, [0, 1, 3, 6]))
     taken: list[tuple[int, float]] = []
     for number in range(count):
