@@ -303,7 +303,7 @@ def both_ways(network: BackboneNetwork, image: Tensor) -> dict[str, Tensor]:
 def teach(given: argparse.Namespace) -> None:
     """Write real pictures as training runs prepare them, taught by `fusion:large`."""
     network = read_teacher(given.teacher)
-    fusion = load_detector("fusion:large", backbone={"file": str(given.beside or given.teacher)})
+    fusion = load_detector("fusion:large", weights={"file": str(given.beside or given.teacher)})
     make_folder(given.truth)
     for file in tqdm(sorted(given.pictures.glob("*.jpg")), disable=None):
         target = given.truth / f"{file.name}.npz"
@@ -379,7 +379,7 @@ def main() -> None:
     learning.set_defaults(run=learn)
     teaching = commands.add_parser("teach")
     teaching.add_argument("teacher", type=Path)
-    teaching.add_argument("--beside", type=Path, help="backbone of fusion:large; else TEACHER")
+    teaching.add_argument("--beside", type=Path, help="weights of fusion:large; else TEACHER")
     teaching.add_argument("--pictures", type=Path, required=True)
     teaching.add_argument("--truth", type=Path, required=True)
     teaching.set_defaults(run=teach)
