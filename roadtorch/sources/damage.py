@@ -53,32 +53,40 @@ class Clock:
 class Declared(NamedTuple):
     """What a video says of itself: its seconds, whether they are of its pictures alone, its bytes.
 
-    is_cut: whether its parts go on behind its end, or are none. is_counted: whether the seconds are
-    a number of frames.
+    is_counted: whether the seconds are a number of frames. form: the name of its container.
     """
 
     seconds: float
     is_own: bool
     size: int
-    is_cut: bool
     is_counted: bool
+    form: str
 
 
-def declared(container: "InputContainer", stream: "VideoStream", path: Path | str) -> Declared:
+def declared(container: "InputContainer", stream: "VideoStream") -> Declared:
     """What a video says of itself.
 
     AVI counts its frames, in its time base, and FFmpeg takes less for the duration where it is cut.
     """
-    form, cut = container.format.name, False
-    if isinstance(path, Path) and form in ("avi", "matroska,webm"):
-        with path.open("rb") as file:
-            cut = (_is_cut_avi if form == "avi" else _is_cut_matroska)(file, container.size)
+    form = container.format.name
     count = stream.frames if form == "avi" else 0
     lasts = float(max(stream.duration or 0, count) * (stream.time_base or 0))
     of_all = (container.duration or 0) / 1e6  # in microseconds
     is_alone = all(one.type == "video" for one in container.streams)
     seconds = max(lasts, of_all) if is_alone else lasts or of_all
-    return Declared(seconds, lasts > 0 or is_alone, container.size, cut, count > 0)
+    return Declared(seconds, lasts > 0 or is_alone, container.size, count > 0, form)
+
+
+def is_cut(path: Path | str, says: Declared) -> bool:
+    """Whether parts of a file go on behind its end, or are none; False of what has no such parts.
+
+    The heads of all parts are read, some a frame.
+    """
+    looks = {"avi": _is_cut_avi, "matroska,webm": _is_cut_matroska}
+    if not isinstance(path, Path) or says.form not in looks:
+        return False
+    with path.open("rb", buffering=64) as file:
+        return looks[says.form](file, says.size)
 
 
 def _is_cut_avi(file: IO[bytes], size: int) -> bool:
@@ -136,10 +144,10 @@ class Damage:
         lasts = float(getattr(picture, "duration", None) or 0) * float(picture.time_base or 0)
         self.times.append((seconds, lasts))
 
-    def told(self, ahead: int, says: Declared) -> str:
+    def told(self, ahead: int, says: Declared, cut: bool) -> str:
         """In words; empty where nothing is missing.
 
-        ahead: frames that were passed over.
+        ahead: frames that were passed over. cut: see ``is_cut``.
         """
         begins, lengths = np.array(self.times).reshape(-1, 2).T
         steps = np.diff(begins)
@@ -152,7 +160,7 @@ class Damage:
         end, parts = self.reach + (self.lasts or step), []
         if not says.seconds and self.at < (1 - TAIL) * says.size:
             self.stopped = self.stopped or "the rest holds no frames"
-        if self.stopped or says.is_cut or end + slack < says.seconds:
+        if self.stopped or cut or end + slack < says.seconds:
             of = f" of {says.seconds:.1f}" if says.seconds else ""
             parts.append(f"ends early, after {end:.1f}{of} seconds")
         if is_regular:

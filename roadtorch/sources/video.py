@@ -13,7 +13,7 @@ from torch import Tensor
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.io.decoding import check_pixels, most_megapixels
 from roadtorch.io.image import from_pixels, undecodable
-from roadtorch.sources.damage import Clock, Damage, declared
+from roadtorch.sources.damage import Clock, Damage, declared, is_cut
 from roadtorch.sources.frame import Frame, Selection, Source
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[F
     damage = Damage()
     with opened_video(path) as (container, stream):
         clock, number = Clock(stream), begins.number
-        says = declared(container, stream, path)
+        says = declared(container, stream)
         for picture in _decoded(container, stream, begins, damage):
             seconds = clock.seconds(picture.pts)
             damage.passed(picture, seconds)
@@ -147,7 +147,9 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[F
             read = partial(_damaged, origin) if picture.is_corrupt else partial(upright, picture)
             yield Frame(number, f"{name}/{number:06d}", origin, seconds, read)
             number += 1
-    if number > begins.number and (told := damage.told(begins.number, says)):
+    if number == begins.number:
+        return
+    if told := damage.told(begins.number, says, is_cut(path, says)):
         raise InputError(path, told, "what could be read was used; copy it again, or repair it")
 
 

@@ -39,7 +39,7 @@ def build_surroundings(stage: Stage, road: Road) -> None:
     }
     low, high = counts.get(road.kind, (0, 14))
     _trees(stage, road, leaf, at.randint(low, high))
-    bushes = {True: [0, 10, 40], False: [0, 0, 8]}[wild]
+    bushes = [0, 10, 40] if wild else [0, 0, 8]
     _bushes(stage, road, leaf, at.choice([0, 60, 160] if road.kind == "overgrown" else bushes))
     if town or stage.chance(0.2):
         _houses(stage, road, at.randint(6, 22) if town else at.randint(1, 5))
