@@ -14,7 +14,7 @@ import tarfile
 import threading
 import weakref
 import zipfile
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator
 from contextlib import closing
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -97,13 +97,10 @@ def archive_source(given: str, selection: Selection = Selection()) -> Source:  #
     if is_url(url):
         file_system(url)
 
-    def frames() -> Iterator[Frame]:
-        with closing(_every_frame(given, url, inside)) as every:
-            yield from selection.of(every)
-
     stem = posixpath.basename(url.rstrip("/"))
     name = re.sub(r"(\.tar)?\.\w+$", "", stem) or stem or _kind(given)
-    return Source(name=name, origin=given, moving=False, frames=frames)
+    every = partial(_every_frame, given, url, inside)
+    return Source(name, given, moving=False, frames=lambda: selection.of(every()))
 
 
 def _every_frame(given: str, url: str, inside: str) -> Generator[Frame]:
@@ -200,24 +197,6 @@ def _zip_members(file: IO[bytes], url: str) -> list[Member]:
     ]
 
 
-class Unpacked:
-    """A file that several threads read pieces of; it is closed with the last one who holds it."""
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
-        self._lock = threading.Lock()
-        weakref.finalize(self, file.close)
-
-    def piece(self, start: int, size: int, most: int) -> bytes:
-        """So many bytes from there, at most the first of them; OSError where there are fewer."""
-        with self._lock:
-            self._file.seek(start)
-            data = self._file.read(min(size, most))
-        if len(data) < min(size, most):
-            raise OSError("it is cut off")
-        return data
-
-
 def _tar_members(file: IO[bytes], url: str) -> tuple[list[Member], str]:
     """The regular files in a tar, of equal names the last, and why it ends early, or nothing.
 
@@ -233,13 +212,23 @@ def _tar_members(file: IO[bytes], url: str) -> tuple[list[Member], str]:
                 file, problem = _unpacked(packed, max(MAX_BYTES, MAX_GROWTH * size))
             file.seek(0)
             break
-    unpacked, found = Unpacked(file), {}
+    lock, found = threading.Lock(), {}
+
+    def read(start: int, size: int, most: int) -> bytes:
+        with lock:
+            file.seek(start)
+            data = file.read(min(size, most))
+        if len(data) < min(size, most):
+            raise OSError("it is cut off")
+        return data
+
+    weakref.finalize(read, file.close)  # with the last frame that may be read
     archive = tarfile.open(fileobj=file, mode="r:")  # noqa: SIM115  # holds nothing
     try:
         for info in archive:
             if info.isreg() and not info.issparse():
-                read = partial(unpacked.piece, info.offset_data, info.size)
-                found[info.name] = Member(info.name, f"{url}!{info.name}", info.size, read)
+                piece = partial(read, info.offset_data, info.size)
+                found[info.name] = Member(info.name, f"{url}!{info.name}", info.size, piece)
         file.seek(archive.offset)
         if not problem and any(file.read(tarfile.BLOCKSIZE) or b"\1"):
             problem = "a header is damaged, or its end is missing"

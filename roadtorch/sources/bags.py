@@ -18,12 +18,7 @@ from torch import Tensor
 from roadtorch.errors import ConfigError, InputError, unknown_name
 from roadtorch.io.bounded import reason
 from roadtorch.sources.frame import Frame, Selection, Source
-from roadtorch.sources.image_messages import (
-    COMPRESSED,
-    RAW,
-    image_message,
-    image_of,
-)
+from roadtorch.sources.image_messages import COMPRESSED, RAW, image_of
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -87,16 +82,12 @@ def bag_source(
     count = None
     if not selection.start and selection.end is None:
         count = len(range(found.count)[:: selection.every][: selection.limit])
-
-    def frames() -> Iterator[Frame]:
-        with closing(_every_frame(given, found.name)) as every:
-            yield from selection.of(every)
-
+    every = partial(_every_frame, given, found.name)
     return Source(
         name=_name(given),
         origin=given,
         moving=True,
-        frames=frames,
+        frames=lambda: selection.of(every()),
         rate=found.rate and found.rate / selection.every,
         count=count,
     )
@@ -104,21 +95,21 @@ def bag_source(
 
 def image_topic(given: str, topic: str | None = None) -> ImageTopic:
     """The topic with images that is meant; errors as for ``bag_source``."""
-    with _opened(given) as bag:
-        name = _chosen(given, bag.reader, topic)
+    with _opened(given) as (bag, cut):
+        name = _chosen(given, bag, topic)
         messages: list[Read] = []
-        with suppress(InputError), closing(_messages(given, bag, name)) as found:
+        with suppress(InputError), closing(_messages(given, bag, cut, name)) as found:
             messages.extend(islice(found, SOME))
         if not messages:
             raise InputError(given, f"has no images on {name}", "give another --topic or bag")
         stamps = sorted(message.stamp for message in messages)
         steps = [late - early for early, late in pairwise(stamps)]
         step = statistics.median(steps) if steps else 0
-        count = sum(link.msgcount for link in bag.reader.connections if link.topic == name)
+        count = sum(link.msgcount for link in bag.connections if link.topic == name)
         first = next((read.content for read in messages if read.content is not None), None)
         frame_id = first.header.frame_id if first is not None else ""
         rate = 1e9 / step if step > 0 else None
-        return ImageTopic(name, count, frame_id, rate, 2 if bag.reader.is2 else 1)
+        return ImageTopic(name, count, frame_id, rate, 2 if bag.is2 else 1)
 
 
 def camera_info(given: str, topic: str | None = None) -> CameraInfo:
@@ -127,16 +118,16 @@ def camera_info(given: str, topic: str | None = None) -> CameraInfo:
     ``/camera/image_raw`` and ``/camera/image_raw/compressed`` have ``/camera/camera_info``
     (image_transport). Raises InputError where there is none, or where K is empty.
     """
-    with _opened(given) as bag:
-        name = _chosen(given, bag.reader, topic)
-        kinds = {link.topic: link.msgtype for link in bag.reader.connections}
+    with _opened(given) as (bag, cut):
+        name = _chosen(given, bag, topic)
+        kinds = {link.topic: link.msgtype for link in bag.connections}
         base = name.removesuffix("/compressed") if kinds[name] == COMPRESSED else name
         sibling = f"{base.rpartition('/')[0]}/camera_info"
         infos = sorted(other for other, kind in kinds.items() if kind == CAMERA_INFO)
         if sibling not in infos:
             told = f"there is {', '.join(infos)}" if infos else "give the calibration yourself"
             raise InputError(given, f"has no camera_info {sibling} beside {name}", told)
-        read = next(_messages(given, bag, sibling), None)
+        read = next(_messages(given, bag, cut, sibling), None)
         info = read.content if read else None
         matrix = np.array(getattr(info, "k", getattr(info, "K", np.zeros(9))), float).reshape(3, 3)
         if info is None or not matrix[0, 0] > 0:
@@ -158,31 +149,17 @@ def _chosen(given: str, reader: "AnyReader", topic: str | None) -> str:
     if not images:
         there = ", ".join(f"{name} ({kind})" for name, kind in sorted(kinds.items()))
         raise InputError(given, "has no images", f"there is {there}" if there else "it is empty")
-    if topic is not None:
-        if topic in images:
-            return topic
-        if topic in kinds:
-            raise InputError(given, f"has {kinds[topic]} on {topic}, no images", _told(images))
-        raise unknown_name("topic", topic, images)
-    if len(images) > 1:
-        raise ConfigError(
-            given, f"has {len(images)} topics with images", f"--topic: {_told(images)}"
-        )
-    return images[0]
-
-
-def _told(names: Sequence[str]) -> str:
-    return f"give one of {', '.join(names)}"
+    remedy = f"give one of {', '.join(images)}"
+    if topic is None and len(images) > 1:
+        raise ConfigError(given, f"has {len(images)} topics with images", f"--topic: {remedy}")
+    if topic is not None and topic not in images:
+        if topic not in kinds:
+            raise unknown_name("topic", topic, images)
+        raise InputError(given, f"has {kinds[topic]} on {topic}, no images", remedy)
+    return topic or images[0]
 
 
 # --- messages ---------------------------------------------------------------------------
-
-
-class Recording(NamedTuple):
-    """An open bag, and why it ends early: it was mended; empty where it is whole."""
-
-    reader: "AnyReader"
-    cut: str
 
 
 class Read(NamedTuple):
@@ -194,14 +171,14 @@ class Read(NamedTuple):
 
 
 def _every_frame(given: str, topic: str) -> Generator[Frame]:
-    with _opened(given) as bag:
+    with _opened(given) as (bag, cut):
         first = None
-        for number, read in enumerate(_messages(given, bag, topic)):
+        for number, read in enumerate(_messages(given, bag, cut, topic)):
             first = read.stamp if first is None else first
             origin = f"{given}:{topic}#{number}"
             image = partial(_unreadable, origin, read.problem)
             if read.content is not None:
-                image = partial(image_of, image_message(read.content), origin)
+                image = partial(image_of, read.content, origin)
             seconds = (read.stamp - first) / 1e9
             yield Frame(number, f"{_name(given)}/{number:06d}", origin, seconds, image, read.stamp)
 
@@ -210,10 +187,13 @@ def _unreadable(origin: str, problem: str) -> Tensor:
     raise InputError(origin, f"cannot be read: {problem}", "record it again")
 
 
-def _messages(given: str, bag: Recording, topic: str) -> Generator[Read]:
-    """The messages of a topic in the order of the recording; InputError where it ends early."""
-    links = [link for link in bag.reader.connections if link.topic == topic]
-    waiting, cut = bag.reader.messages(connections=links), bag.cut
+def _messages(given: str, bag: "AnyReader", cut: str, topic: str) -> Generator[Read]:
+    """The messages of a topic in the order of the recording; InputError where it ends early.
+
+    cut: why the bag was mended; empty where it is whole.
+    """
+    links = [link for link in bag.connections if link.topic == topic]
+    waiting = bag.messages(connections=links)
     read, every = 0, sum(link.msgcount for link in links)
     while True:
         try:
@@ -225,7 +205,7 @@ def _messages(given: str, bag: Recording, topic: str) -> Generator[Read]:
             break
         read += 1
         try:
-            content: Any = bag.reader.deserialize(data, link.msgtype)
+            content: Any = bag.deserialize(data, link.msgtype)
             stamp = content.header.stamp
         except Exception as problem:  # foreign bytes make the deserialiser raise anything
             yield Read(time, None, reason(problem))
@@ -250,8 +230,8 @@ def _recordings(folder: Path) -> list[Path]:
 
 
 @contextmanager
-def _opened(given: str) -> Iterator[Recording]:
-    """The bag, mended where it was cut; InputError for what cannot be read at all."""
+def _opened(given: str) -> "Iterator[tuple[AnyReader, str]]":
+    """The bag, mended where it was cut, and why; InputError for what cannot be read at all."""
     path = Path(given)
     if not path.exists():
         raise InputError(given, "does not exist", "check the name")
@@ -268,15 +248,10 @@ def _opened(given: str) -> Iterator[Recording]:
         try:
             reader = _reader([mended(file) for file in files])
         except Exception:
-            what, remedy = (
-                f"cannot be read as a bag: {cut}",
-                "check that it is whole (ros2 bag info)",
-            )
-            raise InputError(given, what, remedy) from None
-    try:
-        yield Recording(reader, cut)
-    finally:
-        reader.close()
+            what = f"cannot be read as a bag: {cut}"
+            raise InputError(given, what, "check that it is whole (ros2 bag info)") from None
+    with closing(reader):
+        yield reader, cut
 
 
 def _reader(paths: Sequence[Any]) -> "AnyReader":

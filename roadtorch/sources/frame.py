@@ -44,13 +44,20 @@ class Selection:
     end: float | None = None
     limit: int | None = None
 
-    def of(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """The chosen frames; no frame is asked for behind the last one."""
+    def of(self, frames: Iterable[Frame]) -> Generator[Frame]:
+        """The chosen frames; no frame is asked for behind the last one.
+
+        A generator of frames is closed at the end, or when this one is.
+        """
         until = float("inf") if self.end is None else self.end
         early = takewhile(lambda frame: _clock(frame) < until, frames)
         inside = (frame for frame in early if _clock(frame) >= self.start)
         stepped = (frame for at, frame in enumerate(inside) if at % self.every == 0)
-        return islice(stepped, self.limit)
+        try:
+            yield from islice(stepped, self.limit)
+        finally:
+            if isinstance(frames, Generator):
+                frames.close()
 
     def of_pictures(self, pictures: Sequence[Picture]) -> Sequence[Picture]:
         """The chosen ones of pictures that stand alone; ConfigError when seconds are asked for."""
@@ -91,14 +98,5 @@ class Source:
 
 def sampled(source: Source, most: int) -> Source:
     """At most so many frames of a source, evenly spaced; the first ones where it has no count."""
-    step = max(1, (source.count or 0) // most)
-
-    def frames() -> Generator[Frame]:
-        every = source.frames()
-        try:
-            yield from islice(every, 0, (most - 1) * step + 1, step)
-        finally:
-            if isinstance(every, Generator):
-                every.close()
-
-    return replace(source, frames=frames, count=None)
+    chosen = Selection(every=max(1, (source.count or 0) // most), limit=most)
+    return replace(source, frames=lambda: chosen.of(source.frames()), count=None)

@@ -1,6 +1,5 @@
 """ROS image messages to images: sensor_msgs/Image with its encodings, and CompressedImage."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -37,42 +36,14 @@ YUV = {
 READ_ENCODINGS = (*PLAIN, *(f"{name}{bits}" for name in BAYER for bits in (8, 16)), *YUV)
 
 
-@dataclass(frozen=True)
-class ImageMessage:
-    """What an image message says, apart from its header.
-
-    encoding: of the pixels, or empty for ``data`` that is a picture file. step: bytes of a row.
-    """
-
-    encoding: str
-    width: int
-    height: int
-    step: int
-    is_big_endian: bool
-    data: np.ndarray  # uint8 (N,)
-
-
-def image_message(message: Any) -> ImageMessage:
-    """A deserialised sensor_msgs/Image or CompressedImage as it is kept until it is decoded."""
-    if message.__msgtype__ == COMPRESSED:
-        return ImageMessage("", 0, 0, 0, False, message.data)
-    return ImageMessage(
-        message.encoding,
-        message.width,
-        message.height,
-        message.step,
-        bool(message.is_bigendian),
-        message.data,
-    )
-
-
-def image_of(message: ImageMessage, origin: str) -> Tensor:
+def image_of(message: Any, origin: str) -> Tensor:
     """The image float32 (3,H,W) in [0,1], sRGB; 16 bits: 65535 becomes 1.
 
-    Raises InputError naming ``origin`` for an encoding that is not read, too many pixels, fewer
-    bytes than the message promises, and a compressed picture that cannot be decoded.
+    message: a deserialised sensor_msgs/Image or CompressedImage. Raises InputError naming
+    ``origin`` for an encoding that is not read, too many pixels, fewer bytes than the message
+    promises, and a compressed picture that cannot be decoded.
     """
-    if not message.encoding:
+    if message.__msgtype__ == COMPRESSED:
         return decode_image(message.data.tobytes(), origin)
     if message.encoding not in READ_ENCODINGS:
         what = f"has the encoding {message.encoding!r}, which is not read"
@@ -93,7 +64,7 @@ def image_of(message: ImageMessage, origin: str) -> Tensor:
         raise InputError(origin, f"cannot be read: {reason(problem)}", "record it again") from None
 
 
-def _rows(message: ImageMessage, channels: int, bits: int) -> np.ndarray:
+def _rows(message: Any, channels: int, bits: int) -> np.ndarray:
     """The samples (H,W,C) of a message in this machine's byte order, without the rows' padding."""
     row = message.width * channels * bits // 8
     step = message.step or row
@@ -106,6 +77,6 @@ def _rows(message: ImageMessage, channels: int, bits: int) -> np.ndarray:
     whole[: len(given)] = given
     samples = np.ascontiguousarray(whole.reshape(message.height, step)[:, :row])
     if bits == 16:
-        order = ">u2" if message.is_big_endian else "<u2"
+        order = ">u2" if message.is_bigendian else "<u2"
         samples = samples.view(order).astype(np.uint16)
     return samples.reshape(message.height, message.width, channels)

@@ -1,11 +1,12 @@
 """Cameras and streams: the newest frame whenever one is asked for, and connections that break."""
 
 import time
-from collections.abc import Callable, Generator, Iterator
-from contextlib import closing
+from collections.abc import Callable, Generator
+from contextlib import closing, suppress
 from functools import partial
 from pathlib import Path
-from threading import Condition, Thread
+from queue import Empty, Queue
+from threading import Event, Thread
 
 import cv2
 from pydantic import Field
@@ -22,6 +23,9 @@ from roadtorch.sources.video import import_av, moving_pictures, reason_of, uprig
 Picture = Callable[[], Tensor]
 Connection = Callable[[], Generator[Picture]]
 """Connects, and gives picture after picture; raises InputError when it cannot, or can no more."""
+
+Newest = tuple[int, float, int, Picture]
+"""Number, clock in seconds, stamp in nanoseconds and picture of a frame."""
 
 GRACE = 5.0  # seconds beyond the time limit, for what FFmpeg does not interrupt (names looked up)
 
@@ -56,12 +60,8 @@ def live_source(
     connect: Connection, name: str, origin: str, selection: Selection, patience: Patience
 ) -> Source:
     """The newest frames of a connection, which is made anew when it breaks."""
-
-    def frames() -> Iterator[Frame]:
-        with closing(newest_frames(connect, name, origin, patience)) as found:
-            yield from selection.of(found)
-
-    return Source(name, origin, moving=True, frames=frames, live=True)
+    newest = partial(newest_frames, connect, name, origin, patience)
+    return Source(name, origin, moving=True, frames=lambda: selection.of(newest()), live=True)
 
 
 def newest_frames(
@@ -74,93 +74,56 @@ def newest_frames(
     as often and as slowly as ``patience`` says. Raises InputError when the first connection is
     not made, and when a later one is not made in time.
     """
-    box = NewestFrame()
-    reader = Thread(target=_read, args=(box, connect, patience), daemon=True, name="roadtorch-live")
+    newest: Queue[Newest | InputError] = Queue()
+    stop = Event()
+    reader = Thread(target=_read, args=(newest, stop, connect, patience), daemon=True)
     reader.start()
     first: float | None = None
     try:
         while True:
             limit = patience.answer * 2 + GRACE if first is None else patience.longest
-            number, clock, stamp, picture = box.take(origin, limit)
+            try:
+                found = newest.get(timeout=limit)
+            except Empty:
+                what = f"gives no frame within {limit:g} seconds"
+                raise InputError(origin, what, "check the stream") from None
+            if isinstance(found, InputError):
+                raise found
+            number, clock, stamp, picture = found
             first = clock if first is None else first
             where = f"{origin}: frame {number}"
             yield Frame(number, f"{name}/{number:06d}", where, clock - first, picture, stamp)
     finally:
-        box.close()
+        stop.set()
         reader.join(GRACE)
 
 
-class NewestFrame:
-    """A place for one frame, between the thread that reads and the one that looks."""
-
-    def __init__(self) -> None:
-        self._changed = Condition()
-        self._held: tuple[int, float, int, Picture] | None = None
-        self._problem: InputError | None = None
-        self._count = 0
-        self.closed = False
-
-    def put(self, picture: Picture) -> None:
-        """Replace what is held."""
-        with self._changed:
-            self._held = (self._count, time.monotonic(), time.time_ns(), picture)
-            self._count += 1
-            self._changed.notify_all()
-
-    def take(self, origin: str, limit: float) -> tuple[int, float, int, Picture]:
-        """Number, clock in seconds, stamp in nanoseconds and picture of the next newest frame.
-
-        Raises what ``fail`` was told, and InputError when nothing comes within ``limit`` seconds.
-        """
-        with self._changed:
-            self._changed.wait_for(lambda: self._held or self._problem, limit)
-            held, self._held = self._held, None
-            if held is not None:
-                return held
-            if self._problem is not None:
-                raise self._problem
-        raise InputError(origin, f"gives no frame within {limit:g} seconds", "check the stream")
-
-    def fail(self, problem: InputError) -> None:
-        """Say that no more frame will come."""
-        with self._changed:
-            self._problem = problem
-            self._changed.notify_all()
-
-    def close(self) -> None:
-        """Say that no more frame is wanted."""
-        with self._changed:
-            self.closed = True
-            self._changed.notify_all()
-
-    def rest(self, seconds: float) -> None:
-        """Wait, until closed at most."""
-        with self._changed:
-            self._changed.wait_for(lambda: self.closed, seconds)
-
-
-def _read(box: NewestFrame, connect: Connection, patience: Patience) -> None:
-    """Put frame after frame into the box, over connections that break."""
-    failures, ever = 0, False
-    while not box.closed:
+def _read(
+    newest: "Queue[Newest | InputError]", stop: Event, connect: Connection, patience: Patience
+) -> None:
+    """Keep the newest frame alone in the queue, over connections that break; why at the end."""
+    failures, count = 0, 0
+    while not stop.is_set():
         try:
             with closing(connect()) as pictures:
                 for picture in pictures:
-                    box.put(picture)
-                    failures, ever = 0, True
-                    if box.closed:
+                    with suppress(Empty):
+                        newest.get_nowait()
+                    newest.put((count, time.monotonic(), time.time_ns(), picture))
+                    failures, count = 0, count + 1
+                    if stop.is_set():
                         return
         except InputError as problem:
             last = problem
         except Exception as problem:  # a thread's error would be seen by nobody
             last = InputError("stream", f"{type(problem).__name__}: {problem}", "report it")
         failures += 1
-        if not ever or failures > patience.tries:
-            if ever:
+        if not count or failures > patience.tries:
+            if count:
                 what = f"{last.what}; connected to anew {failures - 1} times in vain"
                 last = InputError(last.where, what, "start it again when the stream is back")
-            return box.fail(last)
-        box.rest(patience.pause * 2 ** (failures - 1))
+            return newest.put(last)
+        stop.wait(patience.pause * 2 ** (failures - 1))
 
 
 # --- connections ------------------------------------------------------------------------

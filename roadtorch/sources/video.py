@@ -59,9 +59,9 @@ def video_source(path: Path | str, name: str, selection: Selection) -> Source:
         rate = stream.average_rate or stream.guessed_rate
 
     def frames() -> Iterator[Frame]:
-        number = 0
-        with closing(video_frames(path, name, selection.start)) as every:
-            for number, frame in enumerate(selection.of(every), 1):  # noqa: B007
+        number, every = 0, video_frames(path, name, selection.start)
+        with closing(selection.of(every)) as chosen:
+            for number, frame in enumerate(chosen, 1):  # noqa: B007
                 yield frame
         if not number:
             what = "has no frame" + (f" from {selection.start:g} s on" if selection.start else "")

@@ -13,7 +13,7 @@ import torch
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.sources.bags import bag_source, camera_info, image_topic, is_bag
 from roadtorch.sources.frame import Frame, Selection
-from roadtorch.sources.image_messages import image_message, image_of
+from roadtorch.sources.image_messages import image_of
 from tests.sources.bags import (
     FIRST,
     ROS1,
@@ -143,7 +143,7 @@ class TestTopics:
 
 
 def decoded(pixels: np.ndarray, encoding: str, **other: Any) -> np.ndarray:
-    message = image_message(raw_image(ROS2, pixels, encoding, 0, **other))
+    message = raw_image(ROS2, pixels, encoding, 0, **other)
     return image_of(message, "a frame").permute(1, 2, 0).numpy()
 
 

@@ -1,6 +1,5 @@
 """Streams over the loopback that break off, fall silent or never answer; no camera."""
 
-import io
 import socket
 import time
 from collections.abc import Iterator
@@ -8,19 +7,14 @@ from contextlib import closing, contextmanager
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
 
 import pytest
 
 from roadtorch.errors import InputError
+from roadtorch.sources import live
 from roadtorch.sources.frame import Frame, Selection
-from roadtorch.sources.live import (
-    NewestFrame,
-    Patience,
-    camera_source,
-    newest_frames,
-    stream_source,
-)
+from roadtorch.sources.live import Patience, camera_source, newest_frames, stream_source
 from tests.videos import write_video
 
 QUICK = Patience(answer=2.0, tries=2, pause=0.05)
@@ -139,15 +133,26 @@ def test_no_such_camera(capfd: pytest.CaptureFixture[str]) -> None:
     assert capfd.readouterr().err == ""
 
 
-def test_only_the_newest_frame_is_held() -> None:
-    held = NewestFrame()
-    pictures = [io.BytesIO() for _ in range(3)]
-    for picture in pictures:
-        held.put(picture.getvalue)  # pyright: ignore[reportArgumentType]
+def test_only_the_newest_frame_is_held(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "GRACE", 0.25)
+    looked, end = Event(), Event()
 
-    assert held.take("camera", 1)[0] == 2
-    with pytest.raises(InputError, match=r"gives no frame within 0.01 seconds"):
-        held.take("camera", 0.01)
+    def connect() -> Iterator[None]:
+        yield None
+        looked.wait(9)
+        yield from (None, None, None)
+        end.wait(9)
+        raise InputError("x", "has ended", "check the stream")
+
+    frames = newest_frames(connect, "x", "x", Patience(answer=0.25, tries=0, pause=0))  # pyright: ignore
+
+    assert next(frames).number == 0
+    looked.set()
+    time.sleep(0.1)
+    assert next(frames).number == 3
+    with pytest.raises(InputError, match=r"x: gives no frame within 0.5 seconds"):
+        next(frames)
+    end.set()
 
 
 def test_an_unforeseen_error_in_the_thread_is_raised() -> None:
