@@ -34,6 +34,7 @@ from roadtorch.runs.pictures import Job
 from roadtorch.runs.results import Inference, plan_results, write_files
 from roadtorch.runtime.memory import keep_freed_memory
 from roadtorch.runtime.threads import Threads
+from roadtorch.sources.pictures import find_images
 
 KEPT = 8  # images and detections that are in memory; every picture of a drive is about as hard
 KINDS = frozenset(USUAL_OF_PICTURES)
@@ -79,7 +80,7 @@ def measure(given: argparse.Namespace, out: Path) -> dict[str, float]:
     Threads(1, 1).set()
     keep_freed_memory()
     detector = load_detector(given.detector)
-    jobs = plan_results([str(given.images)], out, USUAL_OF_PICTURES)[: given.pictures]
+    jobs = plan_results(find_images([given.images]), out, USUAL_OF_PICTURES)[: given.pictures]
     images = [read_image(job.picture.path) for job in jobs[:KEPT]]
     found = [detector.detect(image) for image in images]
     ways: dict[str, Callable[[Job], Row]] = {

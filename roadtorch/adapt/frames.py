@@ -14,8 +14,8 @@ from roadtorch.io.atomic import make_folder, write_json
 from roadtorch.io.bounded import read_regular
 from roadtorch.io.image import write_jpeg
 from roadtorch.runtime.progress import Progress
-from roadtorch.sources.frame import Frame, Selection
-from roadtorch.sources.open import open_sources, sort_inputs
+from roadtorch.sources.frame import Frame
+from roadtorch.sources.open import find_inputs
 from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.train.recordings import SEEN
 
@@ -124,13 +124,13 @@ def _keep(inputs: Sequence[str], folder: Path, most: int, quiet: bool) -> KeptFr
 
 def _frames(inputs: Sequence[str], skipped: list[str]) -> Iterator[tuple[Frame | None, Tensor]]:
     """Every picture (its frame is None), and a frame a second of every video and bag."""
-    sorted_inputs = sort_inputs(inputs)
-    for picture in find_images(sorted_inputs.pictures):
+    found = find_inputs(inputs)
+    for picture in found.pictures:
         try:
             yield None, picture.read()
         except RoadtorchError as problem:
             skipped.append(str(problem))
-    for source in open_sources(sorted_inputs.sources, Selection()):
+    for source in found.sources:
         if source.live:
             raise ConfigError(source.origin, "is live, and has no end", "record some minutes of it")
         due = 0.0

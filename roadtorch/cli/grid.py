@@ -118,11 +118,10 @@ def grid(
     from roadtorch.runs.folder import Owners, result_folder
     from roadtorch.runs.options import as_toml
     from roadtorch.settings import build_settings
-    from roadtorch.sources.open import sort_inputs
 
-    sorted_inputs = sort_inputs(inputs)
+    found = footage.opened(inputs, out, frames)
     given = grids.Mounting(height, pitch, roll, mount, fov, camera_info, calibration, camera)
-    placing = grids.placing_of(given, sorted_inputs)
+    placing = grids.placing_of(given, found)
     name, values = choice.named(threshold)
     known = None if camera is None else Camera.read(camera)
     loaded = load_detector(name, camera=known, **values)
@@ -132,10 +131,10 @@ def grid(
     suffixes = {kind: grids.SUFFIXES[kind] for kind in kinds}
     chosen = footage.selected(frames)
     owners = Owners(out)
-    planned_pictures = pictures.plan(sorted_inputs.pictures, out, suffixes, chosen, owners=owners)
+    planned_pictures = pictures.plan(found.pictures, out, suffixes, chosen, owners=owners)
     work = grids.Gridding(loaded, placing, settings, kinds, known)
     written = grids.FootageGrids(work, frames.topic, frame_id)
-    planned = footage.plan_footage(sorted_inputs.sources, out, frames, written, owners)
+    planned = footage.plan_footage(found.sources, out, written, owners)
     folder = context.with_resource(result_folder(out))
     effective = as_toml(loaded.name, loaded.settings)
     effective = "\n".join([effective, f"# {settings.model_dump_json()}", placing.words])

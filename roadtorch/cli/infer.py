@@ -131,7 +131,6 @@ def infer(
     from roadtorch.runs.folder import Owners, RunRecord, result_folder
     from roadtorch.runs.options import as_toml
     from roadtorch.sinks.remote_folder import RemoteFolder
-    from roadtorch.sources.open import sort_inputs
     from roadtorch.sources.pictures import label_and_picture
 
     engines.prepare(compute)
@@ -142,14 +141,14 @@ def infer(
         click.echo(effective)
         return
     bits = 16 if depth == "16" else 8
-    sorted_inputs = sort_inputs(inputs)
     kinds = footage.USUAL_OF_PICTURES if save is None else save
     place = RemoteFolder(out) if is_url(out) else Path(out)
+    opened = footage.opened(inputs, place, frames)
     chosen = footage.selected(frames)
     owners = Owners(place)
-    jobs = results.plan_results(sorted_inputs.pictures, place, kinds, chosen, owners)
+    jobs = results.plan_results(opened.pictures, place, kinds, chosen, owners)
     written = footage.FootageResults(save, bits, gif, loaded, frames.topic)
-    planned = footage.plan_footage(sorted_inputs.sources, place, frames, written, owners)
+    planned = footage.plan_footage(opened.sources, place, written, owners)
     folder = context.with_resource(result_folder(place))
     if found := label_and_picture(job.picture for job in jobs):
         label, picture = found

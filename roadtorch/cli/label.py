@@ -44,12 +44,13 @@ def label(
     from roadtorch.runs.folder import result_folder
     from roadtorch.runs.options import as_toml
     from roadtorch.settings import build_settings, parse_assignments
+    from roadtorch.sources.pictures import find_images
 
     values = {"support": support} | parse_assignments(assignments)
     settings = build_settings(LabellerSettings, values)
     kinds = ["labels", *["overlay"] * overlay]
     suffixes = {kind: results.LABEL_SUFFIXES[kind] for kind in kinds}
-    planned = pictures.plan(inputs, out, suffixes)
+    planned = pictures.plan(find_images(inputs, out), out, suffixes)
     folder = context.with_resource(result_folder(out))
     effective = as_toml("labeller", settings)
     folder.keep_config(effective, overwrite)

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from itertools import product
 from pathlib import Path, PurePath
 
 import cv2
@@ -74,33 +73,34 @@ class Owners:
 
     def __init__(self, out: Path | RemoteFolder) -> None:
         self._out = out
-        self._names: dict[str, str] = {}
+        own = (INDEX, CONFIG, COCO, RUN)
+        self._files: dict[str, str] = dict.fromkeys(own, "the run itself")
+        self._sources: dict[str, str] = {}
         self._footage: dict[str, str] = {}
         self._numbered: dict[str, str] = {}
 
     def take(self, name: str, suffixes: Iterable[str], origin: str) -> None:
         """Note whose results are ``name`` and a suffix; ConfigError where one is another's.
 
-        That are equal names, ``a.labelme`` with ``.json`` beside ``a`` with ``.labelme.json``, a
-        numbered picture in the place of a frame, and a file that the run keeps for itself.
+        That are also the files of the run itself, and those in the place of a frame's.
         """
-        suffixes = tuple(suffixes) or ("",)
-        for one, end in product(suffixes, repeat=2):
-            middle = one.removesuffix(end) if one.endswith(end) else ""
-            for near in (name + middle, name.removesuffix(middle)):
-                self._refuse(self._names.get(near), origin, near + end)
-        for own in {name + end for end in suffixes} & {INDEX, CONFIG, COCO, RUN}:
-            self._refuse("the run itself", origin, own)
+        files = [name + end for end in suffixes] or [name]
         folder, _, last = name.rpartition("/")
-        if re.fullmatch(FRAME_NUMBER, last):
-            self._refuse(self._footage.get(folder), origin, name + suffixes[0])
+        is_numbered = re.fullmatch(FRAME_NUMBER, last) is not None
+        for file in files:
+            self._refuse(self._files.get(file), origin, file)
+            self._refuse(self._footage.get(folder) if is_numbered else None, origin, file)
+        self._files |= dict.fromkeys(files, origin)
+        if is_numbered:
             self._numbered[folder] = origin
-        self._names[name] = origin
 
-    def take_frames(self, name: str, origin: str) -> None:
-        """Note whose frames have results NAME/000123; ConfigError as above."""
-        self._refuse(self._numbered.get(name), origin, f"frames in {name}")
-        self._footage[name] = origin
+    def take_source(self, name: str, origin: str, has_files: bool) -> None:
+        """Note whose results NAME are, and NAME/000123 of frames with files; errors as above."""
+        self._refuse(self._sources.get(name), origin, name)
+        self._sources[name] = origin
+        if has_files:
+            self._refuse(self._numbered.get(name), origin, f"frames in {name}")
+            self._footage[name] = origin
 
     def _refuse(self, other: str | None, origin: str, file: str) -> None:
         if other is not None:

@@ -50,7 +50,7 @@ from roadtorch.sinks.video import GifSink, VideoSink
 from roadtorch.sources.bags import image_topic, is_bag
 from roadtorch.sources.frame import Frame, Selection, Source
 from roadtorch.sources.live import Patience
-from roadtorch.sources.open import SourceOptions, open_sources
+from roadtorch.sources.open import Inputs, SourceOptions, find_inputs
 from roadtorch.sources.pictures import Picture
 from roadtorch.stream import AHEAD, Behind, Missed, Seen, seen_frames
 
@@ -258,32 +258,36 @@ class FootageWork:
 
 
 def plan_footage(
-    inputs: Sequence[str],
+    sources: Sequence[Source],
     out: Path | RemoteFolder,
-    selection: FrameSelection,
     results: WhatIsWritten,
     owners: Owners,
 ) -> list[tuple[Source, Job]]:
-    """The sources of footage among inputs, each with its job.
+    """The sources of footage, each with its job.
 
     owners: of the names that the run has given, who are told of these. Raises ConfigError where
-    results would go behind a URL, or replace a source, and what ``open_sources`` raises.
+    results would go behind a URL, replace a source, or be those of two.
     """
+    if not sources:
+        return []
     if not isinstance(out, Path):
-        if not inputs:
-            return []
         remedy = "give a folder of this machine, or pictures alone"
         raise ConfigError(f"--out {out.url}", "takes no results of footage", remedy)
-    options = SourceOptions(out, Patience(answer=selection.patience), selection.topic)
-    sources = open_sources(inputs, selected(selection), options)
     jobs = [
         Job(Picture(source.path or Path(source.origin), source.name), out, results.suffixes(source))
         for source in sources
     ]
     for source in sources:
-        if source.moving and results.frame_suffixes(source):
-            owners.take_frames(source.name, source.origin)
+        has_files = source.moving and bool(results.frame_suffixes(source))
+        owners.take_source(source.name, source.origin, has_files)
     return list(zip(sources, spared(jobs), strict=True))
+
+
+def opened(inputs: Sequence[str], out: Path | RemoteFolder, frames: FrameSelection) -> Inputs:
+    """The pictures and sources among inputs, but those of ``out``; raises as ``find_inputs``."""
+    apart = out if isinstance(out, Path) else None
+    options = SourceOptions(apart, Patience(answer=frames.patience), frames.topic)
+    return find_inputs(inputs, selected(frames), options)
 
 
 def selected(selection: FrameSelection) -> Selection:

@@ -44,7 +44,7 @@ from roadtorch.runs.index import DONE, DOUBTFUL, Row
 from roadtorch.runs.pictures import Job
 from roadtorch.sinks.bags import BagSink
 from roadtorch.sinks.grid import map_picture, write_grid
-from roadtorch.sources.bags import camera_info, is_bag
+from roadtorch.sources.bags import camera_info
 from roadtorch.sources.frame import Source, sampled
 from roadtorch.sources.open import Inputs
 from roadtorch.stream import Missed, Seen, seen_frames
@@ -132,6 +132,12 @@ class Placing:
         """Whether each picture tells the pitch by its layout."""
         return self.calibration is None and self.horizon is None and self.pitch is None
 
+    def through(self, lens: Lens) -> "Placing":
+        """The same through a lens; ConfigError where the horizon is beyond its limits."""
+        if self.horizon is not None and self.pitch is None:
+            self.given.pose(pitch_of_horizon(lens, self.horizon, self.given.roll))
+        return replace(self, lens=lens)
+
     @property
     def words(self) -> str:
         """What decides on the camera, as a line of comment in the settings' file."""
@@ -172,10 +178,10 @@ class Placing:
         return Pitch(pitch_of_horizon(lens, row, self.given.roll), told, unsure)
 
 
-def placing_of(given: Mounting, inputs: Inputs, bag_lens: Lens | None = None) -> Placing:
+def placing_of(given: Mounting, inputs: Inputs) -> Placing:
     """How the cameras of inputs are found.
 
-    bag_lens: what the one bag among them tells. Raises ConfigError for options that are missing,
+    Raises ConfigError for options that are missing,
     contradict one another or lie beyond their limits, and what the files' readers raise.
     """
     ways = {"--fov": given.fov, "--camera-info": given.camera_info}
@@ -193,17 +199,17 @@ def placing_of(given: Mounting, inputs: Inputs, bag_lens: Lens | None = None) ->
             what = "was given beside --calibration, which has it"
             raise ConfigError("--roll", what, "leave it out")
         return Placing(given, read_calibration(given.calibration))
-    if not named and (inputs.pictures or not all(map(is_bag, inputs.sources))):
+    if not named and (inputs.pictures or not all(map(is_from_bag, inputs.sources))):
         raise ConfigError("grid", "nothing tells the lens", remedy)
     given.pose(given.pitch or 0.0)
-    lens = bag_lens if given.camera_info is None else read_camera_info(given.camera_info)
     if given.fov is not None:
         lens_of_view(2, 2, given.fov)
     horizon = None if given.camera is None else Camera.read(given.camera).horizon
-    if horizon is not None and given.pitch is None and lens is not None:
-        given.pose(pitch_of_horizon(lens, horizon, given.roll))  # refused now
     pitch = None if given.pitch is None else Pitch(given.pitch, "as given")
-    return Placing(given, None, lens, horizon, pitch)
+    placing = Placing(given, None, None, horizon, pitch)
+    if given.camera_info is None:
+        return placing
+    return placing.through(read_camera_info(given.camera_info))
 
 
 # --- pictures ---------------------------------------------------------------------------
@@ -316,8 +322,7 @@ class FootageGrids:
             matrix, bent = info.matrix.ravel().tolist(), info.distortion.tolist()
             size = (info.width, info.height)
             lens = lens_of_info(source.origin, size, matrix, bent, info.model)
-            inputs = Inputs([], [source.origin])
-            gridding = replace(gridding, placing=placing_of(gridding.placing.given, inputs, lens))
+            gridding = replace(gridding, placing=gridding.placing.through(lens))
         if source.moving and gridding.placing.asks_pictures:
             gridding = replace(gridding, placing=steadied(gridding, source))
         with ExitStack() as stack:

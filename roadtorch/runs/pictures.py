@@ -23,7 +23,7 @@ from roadtorch.runtime.signals import stop_on_signals
 from roadtorch.runtime.threads import ordered_results
 from roadtorch.sinks.remote_folder import RemoteFolder
 from roadtorch.sources.frame import Selection
-from roadtorch.sources.pictures import Picture, find_images
+from roadtorch.sources.pictures import Picture
 from roadtorch.version import __version__
 
 BAG_LIST = "metadata.yaml"
@@ -193,22 +193,20 @@ def method_of(kinds: Iterable[str], settings: str, *parts: bytes) -> Method:
 
 
 def plan(
-    inputs: Sequence[str],
+    pictures: Sequence[Picture],
     out: Path | RemoteFolder,
     suffixes: Mapping[str, str],
     selection: Selection = Selection(),  # noqa: B008 - it is frozen
     cue_suffixes: Sequence[str] = (),
     owners: Owners | None = None,
 ) -> list[Job]:
-    """The jobs for all inputs; no file is written yet.
+    """The jobs for the pictures that are selected; no file is written yet.
 
     suffixes: kind of result → what its file name ends with. cue_suffixes: see ``Job``. owners:
     of the names that the run has given already.
-    Raises ConfigError when two pictures share a result or a result would replace a
-    picture, InputError when nothing is found or ``out`` cannot be a folder.
+    Raises ConfigError when two pictures share a result or a result would replace a picture.
     """
-    found = find_images(inputs, apart=out if isinstance(out, Path) else None)
-    chosen = selection.of_pictures(found)
+    chosen = selection.of_pictures(pictures)
     jobs = [Job(picture, out, suffixes, cue_suffixes) for picture in chosen]
     owners = owners or Owners(out)
     for job in jobs:

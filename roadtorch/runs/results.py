@@ -35,7 +35,7 @@ from roadtorch.runs.pictures import Job, Method, method_of, plan
 from roadtorch.sinks.polygons import labelme_document
 from roadtorch.sinks.remote_folder import RemoteFolder
 from roadtorch.sources.frame import Selection
-from roadtorch.sources.pictures import Picture
+from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.version import __version__
 
 SUFFIXES = {
@@ -54,16 +54,16 @@ GOLDEN = 0.6180339887  # the fractional step that spreads neighbouring labels ov
 
 
 def plan_results(
-    inputs: Sequence[str],
+    pictures: Sequence[Picture],
     out: Path | RemoteFolder,
     kinds: Sequence[str],
     selection: Selection = Selection(),  # noqa: B008 - it is frozen
     owners: Owners | None = None,
 ) -> list[Job]:
-    """The jobs that give results of those kinds for all inputs; raises what ``plan`` raises."""
+    """The jobs that give results of those kinds for pictures; raises what ``plan`` raises."""
     suffixes = {kind: SUFFIXES[kind] for kind in kinds if kind in SUFFIXES}
     of_cues = [CUE_SUFFIXES[kind] for kind in kinds if kind in CUE_SUFFIXES]
-    return plan(inputs, out, suffixes, selection, of_cues, owners)
+    return plan(pictures, out, suffixes, selection, of_cues, owners)
 
 
 def detector_method(
@@ -247,10 +247,10 @@ def plan_maps(images: Path, calib: Path, out: Path) -> list[Job]:
 
     A picture whose calibration file in ``calib`` has changed is done anew.
 
-    Raises what ``plan`` raises, and DatasetError for a picture that is not named
+    Raises what ``find_images`` and ``plan`` raise, and DatasetError for a picture that is not named
     CATEGORY_NUMBER.
     """
-    jobs = plan([str(images)], out, {"map": MAP_SUFFIX})
+    jobs = plan(find_images([images], out), out, {"map": MAP_SUFFIX})
     return [
         replace(
             job,

@@ -13,12 +13,12 @@ from torch import Tensor
 
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.io.addresses import STREAMS, files_at, is_url, scheme_of, without_password
-from roadtorch.io.image import read_image
+from roadtorch.io.image import READABLE, read_image
 from roadtorch.sources.archives import archive_source, is_archive
 from roadtorch.sources.bags import bag_source, is_bag
 from roadtorch.sources.frame import Selection, Source
 from roadtorch.sources.live import Patience, camera_source, stream_source
-from roadtorch.sources.pictures import find_images, has_pictures, picture_source
+from roadtorch.sources.pictures import Picture, each_once, picture_source, pictures_at
 from roadtorch.sources.video import (
     VIDEO_SUFFIXES,
     count_frames,
@@ -37,31 +37,72 @@ WHOLE = re.compile(
 
 
 @dataclass(frozen=True)
-class Inputs:
-    """Inputs by how they are worked through: as pictures that stand alone, or frame by frame."""
+class SourceOptions:
+    """What else sources are told, each kind something of its own.
 
-    pictures: list[str]
-    sources: list[str]
+    apart: a folder that is left out where folders are searched, that of the results. patience:
+    with live sources. topic: of the images in bags; None where they have one.
+    """
+
+    apart: Path | None = None
+    patience: Patience = field(default_factory=Patience)
+    topic: str | None = None
 
 
-def sort_inputs(inputs: Iterable[str], names: TextIO | None = None) -> Inputs:
-    """The inputs with their lists read; what holds both pictures and videos stands in both.
+class Inputs(NamedTuple):
+    """What inputs stand for: pictures that stand alone, and what is looked at frame by frame."""
+
+    pictures: list[Picture]
+    sources: list[Source]
+
+
+def find_inputs(
+    inputs: Iterable[str],
+    selection: Selection = Selection(),  # noqa: B008 - it is frozen
+    options: SourceOptions = SourceOptions(),
+    names: TextIO | None = None,
+) -> Inputs:
+    """The pictures and sources that inputs stand for, in their order; a folder may hold both.
 
     names: what ``-`` reads, standard input where it is None. Raises InputError for a list that
-    cannot be read.
+    cannot be read, for what holds neither, does not exist or cannot be opened.
     """
-    pictures, sources, inputs = [], [], list(inputs)
+    found, inputs = Inputs([], []), list(inputs)
     for given in named(inputs, sys.stdin if names is None else names):
-        is_stream = camera_number(given) is not None or scheme_of(given) in STREAMS
-        if is_stream or is_bag(given) or (is_archive(given) and not is_url(given)):
-            sources.append(given)  # by itself, whatever it holds
+        if source := _alone(given, selection, options):
+            found.sources.append(source)
             continue
-        videos = video_files(given)
-        sources += [given] if videos else []
-        pictures += [given] if not videos or has_pictures(given) else []
-    if inputs and not pictures and not sources:
+        videos = [] if is_url(given) else files_at(given, names_video, options.apart) or []
+        for one in videos:
+            name = Path(one.name).with_suffix("").as_posix()
+            found.sources.append(video_source(Path(one.origin), name, selection))
+        pictures = pictures_at(given, options.apart)
+        if not pictures and not videos:
+            raise InputError(given, "holds no pictures", f"give {READABLE} files")
+        found.pictures.extend(pictures)
+    if inputs and not found.pictures and not found.sources:
         raise InputError(inputs[0], "names nothing", "give names, one a line")
-    return Inputs(pictures, sources)
+    return found._replace(pictures=each_once(found.pictures))
+
+
+def _alone(given: str, selection: Selection, options: SourceOptions) -> Source | None:
+    """The source that an input is by itself, whatever it holds; None for all other inputs."""
+    number = camera_number(given)
+    if number is not None:
+        return camera_source(number, selection, options.patience)
+    if WHOLE.match(given):
+        return video_source(given, slug(given), selection)
+    if scheme_of(given) in STREAMS:
+        return stream_source(given, slug(given), selection, options.patience)
+    if is_bag(given):
+        return bag_source(given, options.topic, selection)
+    if is_archive(given) and not is_url(given):
+        return archive_source(given, selection)
+    path = Path(given)
+    is_single = path.name.lower().endswith(VIDEO_SUFFIXES) and not is_url(given)
+    if is_single and files_at(given, names_video) is None:
+        return video_source(path, path.stem, selection)
+    return None
 
 
 def named(inputs: Iterable[str], names: TextIO) -> Iterator[str]:
@@ -97,19 +138,6 @@ def camera_number(given: str) -> int | None:
     return int(found[1])
 
 
-@dataclass(frozen=True)
-class SourceOptions:
-    """What else sources are told, each kind something of its own.
-
-    apart: a folder that is left out where folders are searched, that of the results. patience:
-    with live sources. topic: of the images in bags; None where they have one.
-    """
-
-    apart: Path | None = None
-    patience: Patience = field(default_factory=Patience)
-    topic: str | None = None
-
-
 def open_source(given: str, selection: Selection) -> Source:
     """The one source that an input stands for; pictures are one that does not move.
 
@@ -117,66 +145,19 @@ def open_source(given: str, selection: Selection) -> Source:
     """
     if is_archive(given):
         return archive_source(given, selection)
-    sorted_inputs = sort_inputs([given])
-    if not sorted_inputs.sources:
+    found = find_inputs([given], selection)
+    if not found.sources:
         return picture_source(given, selection)
-    sources = open_sources(sorted_inputs.sources, selection)
-    if len(sources) != 1 or sorted_inputs.pictures:
-        what = f"holds {len(sources)} videos" + (" and pictures" * bool(sorted_inputs.pictures))
+    if len(found.sources) != 1 or found.pictures:
+        what = f"holds {len(found.sources)} videos" + " and pictures" * bool(found.pictures)
         raise ConfigError(given, what, "give one of them")
-    return sources[0]
-
-
-def open_sources(
-    inputs: Sequence[str],
-    selection: Selection,
-    options: SourceOptions = SourceOptions(),
-) -> list[Source]:
-    """The sources that inputs of ``sort_inputs(…).sources`` stand for, in their order.
-
-    Raises InputError for what cannot be opened, ConfigError when two would share their results.
-    """
-    sources = [source for given in inputs for source in _opened(given, selection, options)]
-    owners: dict[str, Source] = {}
-    for source in sources:
-        other = owners.setdefault(source.name, source)
-        if other is not source:
-            what = f"both would write {source.name}"
-            where = f"{other.origin} and {source.origin}"
-            raise ConfigError(where, what, "rename one, or use two --out folders")
-    return sources
-
-
-def _opened(given: str, selection: Selection, options: SourceOptions) -> Iterator[Source]:
-    number = camera_number(given)
-    if number is not None:
-        yield camera_source(number, selection, options.patience)
-    elif WHOLE.match(given):
-        yield video_source(given, slug(given), selection)
-    elif scheme_of(given) in STREAMS:
-        yield stream_source(given, slug(given), selection, options.patience)
-    elif is_bag(given):
-        yield bag_source(given, options.topic, selection)
-    elif is_archive(given):
-        yield archive_source(given, selection)
-    else:
-        for path, name in video_files(given, options.apart):
-            yield video_source(path, name, selection)
+    return found.sources[0]
 
 
 def slug(url: str) -> str:
     """A name for the results of an address: what stands between its signs, without a password."""
     address = re.sub(r"^\w+://|[?#].*", "", without_password(url))
     return re.sub(r"[^\w.]+", "-", address).strip("-.") or "stream"
-
-
-def video_files(given: str, apart: Path | None = None) -> list[tuple[Path, str]]:
-    """The video files of a name, folder or glob, with the names of their results."""
-    files = [] if is_url(given) else files_at(given, names_video, apart)
-    if files is None:
-        path = Path(given)
-        return [(path, path.stem)] if path.name.lower().endswith(VIDEO_SUFFIXES) else []
-    return [(Path(one.origin), Path(one.name).with_suffix("").as_posix()) for one in files]
 
 
 # --- single frames ----------------------------------------------------------------------
@@ -197,14 +178,12 @@ def frame_places(inputs: Sequence[str], most: int) -> list[FramePlace]:
     """
     every: list[FramePlace] = []
     for given in inputs:
-        chosen = sort_inputs([given])
-        every += [FramePlace(one.path, None) for one in find_images(chosen.pictures)]
-        for source in chosen.sources:
-            videos = video_files(source)
-            if not videos:
-                raise InputError(source, "is no footage on disk", "give pictures or video files")
-            for path, _ in videos:
-                every += [FramePlace(path, number) for number in range(count_frames(path))]
+        found = find_inputs([given])
+        every += [FramePlace(one.path, None) for one in found.pictures]
+        for source in found.sources:
+            if (path := source.path) is None:
+                raise InputError(given, "is no footage on disk", "give pictures or video files")
+            every += [FramePlace(path, number) for number in range(count_frames(path))]
     if len(every) <= most:
         return every
     return [every[(2 * at + 1) * len(every) // (2 * most)] for at in range(most)]

@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import permutations
@@ -82,11 +82,19 @@ def find_images(
     Raises InputError, naming the input, for a folder or glob without pictures, and when
     nothing that was named exists; InputError or ConfigError for a URL that cannot be used.
     """
-    given = [os.fspath(item) for item in inputs]
-    found = [picture for item in given for picture in _at(item, apart)]
-    if given and not any(picture.exists() for picture in found):
-        raise InputError(given[0], "does not exist", "check the name")
-    return list(dict.fromkeys(found))
+    found: list[Picture] = []
+    for item in inputs:
+        found += (here := pictures_at(item, apart))
+        if not here:
+            raise InputError(item, "holds no pictures", f"give {READABLE} files")
+    return each_once(found)
+
+
+def each_once(pictures: Sequence[Picture]) -> list[Picture]:
+    """The same pictures, none twice; InputError when there are some and none of them exists."""
+    if pictures and not any(picture.exists() for picture in pictures):
+        raise InputError(pictures[0].origin, "does not exist", "check the name")
+    return list(dict.fromkeys(pictures))
 
 
 def label_and_picture(pictures: Iterable[Picture]) -> tuple[Picture, Picture] | None:
@@ -107,22 +115,20 @@ def label_and_picture(pictures: Iterable[Picture]) -> tuple[Picture, Picture] | 
     return None
 
 
-def _at(given: str, apart: Path | None) -> list[Picture]:
+def pictures_at(given: str | os.PathLike[str], apart: Path | None = None) -> list[Picture]:
+    """The pictures of a folder or glob, none where it holds none; a single file is one as it is.
+
+    Raises InputError or ConfigError for a URL that cannot be used.
+    """
+    given = os.fspath(given)
     files = files_at(given, names_picture, apart)
     if files is None:
         if is_url(given):
             return [Picture(given, PurePosixPath(file_system(given)[1]).stem)]
         return [Picture(Path(given), Path(given).stem)]
-    if not files:
-        raise InputError(given, "holds no pictures", f"give {READABLE} files")
     return [
         Picture(one.origin, PurePosixPath(one.name).with_suffix("").as_posix()) for one in files
     ]
-
-
-def has_pictures(given: str) -> bool:
-    """Whether it is a folder or glob with pictures; a single file is none."""
-    return bool(files_at(given, names_picture))
 
 
 def picture_source(given: str, selection: Selection) -> Source:

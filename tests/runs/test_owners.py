@@ -16,7 +16,7 @@ def write_inputs(root: Path, names: Sequence[str]) -> list[Path]:
     loose.mkdir(parents=True)
     for seed, name in enumerate(names):
         archive, _, member = name.rpartition("!")
-        if member.endswith(".mp4"):
+        if member.endswith((".mp4", ".avi")):
             write_video(loose / member)
         else:
             picture = save_picture((root / "packed" if archive else loose) / member, seed)
@@ -61,6 +61,7 @@ def test_who_comes_second_is_refused_by_name_and_replaces_nothing(
     ("names", "told"),
     [
         (["run.png"], "the run itself and "),
+        (["drive.mp4", "drive.avi"], "drive.avi and "),
         (["a.png", "a.labelme.jpg"], "a.labelme.json"),
         (["drive.mp4", "drive/000003.png"], "drive.mp4"),
     ],

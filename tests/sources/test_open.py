@@ -6,13 +6,11 @@ import pytest
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.sources.frame import Selection
 from roadtorch.sources.open import (
-    Inputs,
     SourceOptions,
     camera_number,
+    find_inputs,
     open_source,
-    open_sources,
     slug,
-    sort_inputs,
 )
 from tests.command import save_picture
 from tests.videos import write_video
@@ -31,25 +29,22 @@ def mixed(tmp_path: Path) -> Path:
 
 
 def test_a_folder_is_searched_for_both(mixed: Path) -> None:
-    inputs = sort_inputs([str(mixed)])
+    pictures, sources = find_inputs([str(mixed)])
 
-    assert inputs == Inputs([str(mixed)], [str(mixed)])
-    sources = open_sources(inputs.sources, Selection())
+    assert [picture.name for picture in pictures] == ["a"]
     assert [source.name for source in sources] == ["drive", "sub/late"]
     assert sources[0].rate == 10
 
 
 def test_a_glob_stands_for_videos(mixed: Path) -> None:
-    pattern = str(mixed / "*.mp4")
+    pictures, sources = find_inputs([str(mixed / "*.mp4")])
 
-    inputs = sort_inputs([pattern])
-
-    assert inputs == Inputs([], [pattern])
-    assert [one.name for one in open_sources(inputs.sources, Selection())] == ["drive"]
+    assert pictures == []
+    assert [one.name for one in sources] == ["drive"]
 
 
 def test_the_folder_of_results_is_left_out(mixed: Path) -> None:
-    sources = open_sources([str(mixed)], Selection(), SourceOptions(mixed / "sub"))
+    sources = find_inputs([str(mixed)], options=SourceOptions(mixed / "sub")).sources
 
     assert [source.name for source in sources] == ["drive"]
 
@@ -57,19 +52,21 @@ def test_the_folder_of_results_is_left_out(mixed: Path) -> None:
 def test_names_come_from_standard_input_and_lists(mixed: Path, tmp_path: Path) -> None:
     listed = tmp_path / "list.txt"
     listed.write_text("b.png\n\nother.mp4\r\n")
+    given = ["-", f"@{listed}", str(mixed / "a.jpg")]
 
-    inputs = sort_inputs(["-", f"@{listed}", "c.jpg"], io.StringIO("0\na.jpg\n"))
+    pictures, sources = find_inputs(given, names=io.StringIO("0\na.jpg\n"))
 
-    assert inputs == Inputs(["a.jpg", "b.png", "c.jpg"], ["0", "other.mp4"])
+    assert [str(one.origin) for one in pictures] == ["a.jpg", "b.png", given[-1]]
+    assert [one.origin for one in sources] == ["camera:0", "other.mp4"]
 
 
 def test_a_list_that_is_missing_or_empty_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"none.txt: cannot be read"):
-        sort_inputs([f"@{tmp_path / 'none.txt'}"])
+        find_inputs([f"@{tmp_path / 'none.txt'}"])
     with pytest.raises(InputError, match="-: names nothing"):
-        sort_inputs(["-"], io.StringIO("\n"))
+        find_inputs(["-"], names=io.StringIO("\n"))
     with pytest.raises(InputError, match="-: takes names of files, not their bytes"):
-        sort_inputs(["-"], io.StringIO("\udcff\udcd8\udcff\udce0\0\x10JFIF"))
+        find_inputs(["-"], names=io.StringIO("\udcff\udcd8\udcff\udce0\0\x10JFIF"))
 
 
 def test_a_file_named_0_wins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -90,15 +87,10 @@ def test_a_file_named_0_wins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 )
 def test_addresses_give_names_without_passwords(url: str, name: str) -> None:
     assert slug(url) == name
-    (source,) = open_sources([url], Selection())
+    (source,) = find_inputs([url]).sources
     assert source.live
     assert source.name == name
     assert "secret" not in source.origin
-
-
-def test_two_sources_of_one_name_are_refused(mixed: Path) -> None:
-    with pytest.raises(ConfigError, match="both would write drive"):
-        open_sources([str(mixed / "drive.mp4")] * 2, Selection())
 
 
 def test_one_source_of_an_input(mixed: Path) -> None:
