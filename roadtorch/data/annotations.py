@@ -3,6 +3,7 @@
 import base64
 import math
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 from xml.etree.ElementTree import Element
@@ -12,7 +13,7 @@ from defusedxml import ElementTree
 from pydantic import BeforeValidator, StringConstraints
 
 from roadtorch.data.imported import Coordinate, Imported, Side, imported
-from roadtorch.data.polygons import Disc, Polygon, Shape, Stamp
+from roadtorch.data.polygons import Fill, fill_disc, fill_polygon, fill_stamp
 from roadtorch.io.decoding import open_picture
 
 CORNERS = 3  # a polygon needs as many to have an area
@@ -30,7 +31,7 @@ class Drawing(NamedTuple):
 
     name: str
     user: str
-    shape: Shape
+    fill: Fill
 
 
 class _Shape(Imported):
@@ -107,39 +108,40 @@ def _drawing(one: _Shape, size: tuple[int, int]) -> Drawing:
     points = np.array(one.points, np.float64).reshape(-1, 2)
     match one.shape_type or "polygon", len(points):
         case "polygon" | "oriented_rectangle", count if count >= CORNERS:
-            shape = Polygon(points)
+            fill = partial(fill_polygon, points)
         case "rectangle", 4:
-            shape = Polygon(points)
+            fill = partial(fill_polygon, points)
         case "rectangle", 2:
             (left, top), (right, bottom) = points
             corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
-            shape = Polygon(np.array(corners))
+            fill = partial(fill_polygon, np.array(corners))
         case "circle", 2:
-            x, y = points[0].tolist()
-            shape = Disc(x, y, math.dist(*points))
+            (x, y), radius = points[0].tolist(), math.dist(*points)
+            fill = partial(fill_disc, x, y, radius)
+            points = np.array([(x - radius, y - radius), (x + radius, y + radius)])
         case "mask", 2:
-            shape = _stamp(one, points)
+            fill = _stamp(one, points.astype(int))
         case kind, count:
             raise ValueError(f"a shape {one.label!r} of type {kind!r} with {count} points")
-    left, top, right, bottom = shape.bounds()
+    (left, top), (right, bottom) = points.min(0), points.max(0)
     beside = max(-left, right - size[1]) > MAX_OVERHANG * size[1]
     if beside or max(-top, bottom - size[0]) > MAX_OVERHANG * size[0]:
         raise ValueError(
             f"an object {one.label!r} from ({left:g}, {top:g}) to ({right:g}, {bottom:g}), "
             f"far outside its picture of {size[1]} by {size[0]}"
         )
-    return Drawing(one.label, one.username, shape)
+    return Drawing(one.label, one.username, fill)
 
 
-def _stamp(one: _Shape, points: np.ndarray) -> Stamp:
+def _stamp(one: _Shape, points: np.ndarray) -> Fill:
     """A mask shape: PNG or JPEG as base64, filling the box from its first to its last corner."""
-    (left, top), (right, bottom) = points.min(0).astype(int), points.max(0).astype(int)
+    (left, top), (right, bottom) = points.min(0).tolist(), points.max(0).tolist()
     box = (right - left + 1, bottom - top + 1)
     try:
         data = base64.b64decode(one.mask or "", validate=True)
         with open_picture(data, MASK_FORMATS) as picture:
             if picture.size == box:
-                return Stamp(int(left), int(top), np.asarray(picture.convert("L")) > 0)
+                return partial(fill_stamp, left, top, np.asarray(picture.convert("L")) > 0)
             told = f"is {picture.width} by {picture.height}, its box {box[0]} by {box[1]}"
     except Exception as problem:  # Pillow raises anything
         told = f"cannot be decoded: {problem}"

@@ -135,7 +135,7 @@ def read_drawn(ending: str, folder: Path, sizes: Sizes) -> dict[str, np.ndarray]
     found = {}
     for name, path in _present(folder, sizes, ending):
         shapes = [
-            (part.shape, DRAWN.index(part.name) if part.name in DRAWN else LABELS.index("not_road"))
+            (part.fill, DRAWN.index(part.name) if part.name in DRAWN else LABELS.index("not_road"))
             for part in read_annotation(path, sizes[name])
         ]
         found[name] = filled_shapes(shapes, sizes[name])

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from roadtorch.data.correction_labels import LABELS, after_saying
 from roadtorch.data.imported import first_mistake
-from roadtorch.data.polygons import Polygon
+from roadtorch.data.polygons import fill_polygon
 from roadtorch.errors import InputError
 from roadtorch.settings import Settings
 
@@ -173,7 +173,7 @@ def stroke_mask(stroke: Stroke, size: tuple[int, int]) -> np.ndarray:
     points = points.clip([-width, -height], [2 * width, 2 * height])
     canvas = np.zeros(size, np.uint8)
     if isinstance(stroke, PolygonStroke):
-        Polygon(points).fill(canvas, 1)
+        fill_polygon(points, canvas, 1)
         return canvas > 0
     corners, radius = np.floor(points + 0.5).astype(np.int32), round(stroke.radius)
     cv2.polylines(canvas, [corners], isClosed=False, color=1, thickness=2 * radius + 1)

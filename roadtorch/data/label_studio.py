@@ -4,6 +4,7 @@ tasks.json          a list of tasks, for the import button
 label_config.xml    the labelling interface that they are for
 """
 
+import io
 import json
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -18,7 +19,7 @@ from roadtorch.data.correction_labels import LABELS
 from roadtorch.data.corrections import Correction
 from roadtorch.data.cvat import COLOURS
 from roadtorch.data.imported import Byte, Imported, Side, imported
-from roadtorch.data.polygons import Polygon
+from roadtorch.data.polygons import fill_polygon
 from roadtorch.errors import shortened
 from roadtorch.io.atomic import make_folder, write_text
 
@@ -168,7 +169,7 @@ def _paint(labels: np.ndarray, region: _Region, name: str) -> None:
         raise ValueError(f"{told}, {name} has {width} by {height}")
     if region.type == "polygonlabels" and value.points:
         corners = np.array(value.points) * [width / 100, height / 100]
-        Polygon(corners).fill(labels, LABELS.index(label))
+        fill_polygon(corners, labels, LABELS.index(label))
     elif region.type == "brushlabels" and value.rle is not None:
         labels[unpacked_mask(value.rle, (height, width))] = LABELS.index(label)
     else:
@@ -202,37 +203,26 @@ def packed_mask(mask: np.ndarray) -> list[int]:
 
 def unpacked_mask(data: Sequence[int], size: tuple[int, int]) -> np.ndarray:
     """The mask bool (H,W) of such bytes; ValueError where they are not, or of another size."""
-    bits = _Bits(data)
-    count, word = bits.read(32), bits.read(5) + 1
-    sizes = [bits.read(4) + 1 for _ in SIZES]
+    bits = io.BytesIO((np.unpackbits(np.array(data, np.uint8)) + ord("0")).tobytes())
+
+    def read(count: int) -> int:
+        if len(digits := bits.read(count)) < count:
+            raise ValueError("the data ends too early")
+        return int(digits, 2)
+
+    count, word = read(32), read(5) + 1
+    sizes = [read(4) + 1 for _ in SIZES]
     if count != size[0] * size[1] * CHANNELS:
         raise ValueError(f"{count} values, not those of {size[1]} by {size[0]} pixels")
     values = np.zeros(count, np.bool_)
     place = 0
     while place < count:
-        is_run = bits.read(1)
-        length = bits.read(sizes[bits.read(2)]) + 1
+        is_run = read(1)
+        length = read(sizes[read(2)]) + 1
         end = min(place + length, count)
         if is_run:
-            values[place:end] = bits.read(word) > 0
+            values[place:end] = read(word) > 0
         else:
-            values[place:end] = [bits.read(word) > 0 for _ in range(end - place)]
+            values[place:end] = [read(word) > 0 for _ in range(end - place)]
         place = end
     return values.reshape(*size, CHANNELS)[..., -1]
-
-
-class _Bits:
-    """A reader of bits, high ones first."""
-
-    def __init__(self, data: Sequence[int]) -> None:
-        self._text = (np.unpackbits(np.array(data, np.uint8)) + ord("0")).tobytes().decode()
-        self._place = 0
-
-    def read(self, count: int) -> int:
-        """The next bits as a number; ValueError at the end."""
-        end = self._place + count
-        if end > len(self._text):
-            raise ValueError("the data ends too early")
-        value = int(self._text[self._place : end], 2)
-        self._place = end
-        return value

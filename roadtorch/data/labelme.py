@@ -70,7 +70,7 @@ class PolygonLabels:
             raise DatasetError(item.label, what, f"it was annotated by {known}")
         meanings = {**dict.fromkeys(self.void, VOID), **dict.fromkeys(self.road, ROAD)}
         said = {
-            user: filled_shapes([(one.shape, meanings.get(one.name, OTHER)) for one in drawn], size)
+            user: filled_shapes([(one.fill, meanings.get(one.name, OTHER)) for one in drawn], size)
             for user, drawn in by_user.items()
             if self.user in (None, user)
         }

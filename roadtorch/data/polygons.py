@@ -6,9 +6,8 @@ pixel wide. Rasterisers differ by up to one pixel along borders; labelme's own f
 the outline too.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -20,91 +19,48 @@ OTHER, ROAD, VOID = 0, 1, 2  # what a person says about a pixel
 
 Agreement = Literal["majority", "union", "intersection"]
 
+Fill = Callable[[np.ndarray, int], None]
+"""Writes a value to the pixels of a shape in a canvas uint8 (H,W); clipped there.
 
-class Shape(Protocol):
-    """Something drawn on a picture; x to the right, y down, pixel centres at whole numbers."""
-
-    def bounds(self) -> tuple[float, float, float, float]:
-        """Left, top, right, bottom."""
-        ...
-
-    def fill(self, canvas: np.ndarray, value: int) -> None:
-        """Write ``value`` to the pixels of the shape in a canvas uint8 (H,W); clipped there."""
-        ...
+x is to the right, y down, pixel centres at whole numbers.
+"""
 
 
-@dataclass(frozen=True, eq=False)
-class Polygon:
-    """A closed polygon; points float64 (N,2), N ≥ 1, as (x, y)."""
-
-    points: np.ndarray
-
-    def bounds(self) -> tuple[float, float, float, float]:
-        """Left, top, right, bottom."""
-        (left, top), (right, bottom) = self.points.min(0), self.points.max(0)
-        return float(left), float(top), float(right), float(bottom)
-
-    def fill(self, canvas: np.ndarray, value: int) -> None:
-        """Fill the polygon and its border."""
-        corners = np.floor(self.points + 0.5).astype(np.int32)
-        low = np.minimum(corners.min(0), 0)
-        # OpenCV moves borders that leave its canvas, hence one that holds every corner.
-        width, height = np.maximum(corners.max(0) + 1, canvas.shape[::-1]) - low
-        wide = np.zeros((height, width), np.uint8)
-        cv2.fillPoly(wide, [corners - low], 1)
-        rows, columns = canvas.shape
-        canvas[wide[-low[1] :, -low[0] :][:rows, :columns] > 0] = value
+def fill_polygon(points: np.ndarray, canvas: np.ndarray, value: int) -> None:
+    """Fill a closed polygon and its border; points (N,2), N ≥ 1, as (x, y)."""
+    corners = np.floor(points + 0.5).astype(np.int32)
+    low = np.minimum(corners.min(0), 0)
+    # OpenCV moves borders that leave its canvas, hence one that holds every corner.
+    width, height = np.maximum(corners.max(0) + 1, canvas.shape[::-1]) - low
+    wide = np.zeros((height, width), np.uint8)
+    cv2.fillPoly(wide, [corners - low], 1)
+    rows, columns = canvas.shape
+    canvas[wide[-low[1] :, -low[0] :][:rows, :columns] > 0] = value
 
 
-@dataclass(frozen=True)
-class Disc:
-    """All pixels whose centre is at most ``radius`` from (x, y)."""
-
-    x: float
-    y: float
-    radius: float
-
-    def bounds(self) -> tuple[float, float, float, float]:
-        """Left, top, right, bottom."""
-        x, y, radius = self.x, self.y, self.radius
-        return x - radius, y - radius, x + radius, y + radius
-
-    def fill(self, canvas: np.ndarray, value: int) -> None:
-        """Fill the disc."""
-        rows, columns = np.ogrid[: canvas.shape[0], : canvas.shape[1]]
-        canvas[(columns - self.x) ** 2 + (rows - self.y) ** 2 <= self.radius**2] = value
+def fill_disc(x: float, y: float, radius: float, canvas: np.ndarray, value: int) -> None:
+    """Fill all pixels whose centre is at most ``radius`` from (x, y)."""
+    rows, columns = np.ogrid[: canvas.shape[0], : canvas.shape[1]]
+    canvas[(columns - x) ** 2 + (rows - y) ** 2 <= radius**2] = value
 
 
-@dataclass(frozen=True, eq=False)
-class Stamp:
-    """A mask bool (h,w) whose upper left pixel lies on column ``left`` and row ``top``."""
-
-    left: int
-    top: int
-    mask: np.ndarray
-
-    def bounds(self) -> tuple[float, float, float, float]:
-        """Left, top, right, bottom."""
-        rows, columns = self.mask.shape
-        return self.left, self.top, self.left + columns - 1, self.top + rows - 1
-
-    def fill(self, canvas: np.ndarray, value: int) -> None:
-        """Fill the pixels where the mask is true."""
-        top, left = max(self.top, 0), max(self.left, 0)
-        inside = self.mask[top - self.top :, left - self.left :]
-        target = canvas[top : top + inside.shape[0], left : left + inside.shape[1]]
-        target[inside[: target.shape[0], : target.shape[1]]] = value
+def fill_stamp(left: int, top: int, mask: np.ndarray, canvas: np.ndarray, value: int) -> None:
+    """Fill where a mask bool (h,w) is true, its upper left pixel on column left and row top."""
+    row, column = max(top, 0), max(left, 0)
+    inside = mask[row - top :, column - left :]
+    target = canvas[row : row + inside.shape[0], column : column + inside.shape[1]]
+    target[inside[: target.shape[0], : target.shape[1]]] = value
 
 
-def filled_shapes(shapes: Sequence[tuple[Shape, int]], size: tuple[int, int]) -> np.ndarray:
+def filled_shapes(shapes: Sequence[tuple[Fill, int]], size: tuple[int, int]) -> np.ndarray:
     """Paint one person's shapes one over the other: uint8 (H,W), ``OTHER`` where nothing is.
 
     Each shape comes with what it stands for, so that a later object of another class cuts
     a hole into an earlier one, and blobs of the same class are united.
     """
     canvas = np.full(size, OTHER, np.uint8)
-    for shape, value in shapes:
-        shape.fill(canvas, value)
+    for fill, value in shapes:
+        fill(canvas, value)
     return canvas
 
 

@@ -180,7 +180,7 @@ class ResultFolder:
                     annotation.write_bytes(self.remote.read(annotation_name(file)) or b"")
                 size = int(ready[file].height), int(ready[file].width)
                 drawings = read_annotation(annotation, size)
-                shapes = [(one.shape, int(one.name == ROAD)) for one in drawings]
+                shapes = [(one.fill, int(one.name == ROAD)) for one in drawings]
                 return filled_shapes(shapes, size) > 0
 
             with atomic(path) as temporary, temporary.open("w", encoding="utf-8") as text:
