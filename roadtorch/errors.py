@@ -88,7 +88,14 @@ def lacks_memory(problem: Exception) -> bool:
 
 
 def fault(where: object, problem: Exception) -> InputError:
-    """The error for what nobody foresaw: more memory than there is, or a fault of ours."""
+    """What went wrong at a picture or frame, for messages that name it.
+
+    Detectors cannot know the file and speak of ``image``. What nobody foresaw is more memory than
+    there is, or a fault of ours.
+    """
+    if isinstance(problem, RoadtorchError):
+        known = where if problem.where == "image" else problem.where
+        return InputError(known, problem.what, problem.remedy)
     if lacks_memory(problem):
         what = "needs more memory than there is"
         return InputError(where, what, "give smaller pictures, or fewer --jobs")

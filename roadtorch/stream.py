@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol, TypeVar
 from torch import Tensor
 
 from roadtorch.detector import Detection, Detector, Found
-from roadtorch.errors import InputError, RoadtorchError, fault
+from roadtorch.errors import RoadtorchError, fault
 from roadtorch.runtime.threads import ordered_results
 from roadtorch.sources.frame import Frame, Selection, Source
 from roadtorch.sources.open import open_source
@@ -132,11 +132,7 @@ def _found(
         if check is not None:
             check(image)
         found = detector.find(image)
-    except RoadtorchError as problem:
-        where = frame.origin if problem.where == "image" else problem.where
-        return Missed(frame, InputError(where, problem.what, problem.remedy))
-    except Exception as problem:
-        # One frame that trips a detector must not cost the night's run.
+    except Exception as problem:  # one that trips a detector must not cost the night's run
         return Missed(frame, fault(frame.origin, problem))
     return _Look(frame, image, found, 1000 * (perf_counter() - start))
 

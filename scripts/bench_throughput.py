@@ -31,7 +31,7 @@ from roadtorch.runs.engines import processors, rows_of_workers
 from roadtorch.runs.footage import USUAL_OF_PICTURES
 from roadtorch.runs.index import Row
 from roadtorch.runs.pictures import Job
-from roadtorch.runs.results import Inference, plan_results, write_files
+from roadtorch.runs.results import Inference, plan_results
 from roadtorch.runtime.memory import keep_freed_memory
 from roadtorch.runtime.threads import Threads
 from roadtorch.sources.pictures import find_images
@@ -57,13 +57,12 @@ class ReadingAndWriting:
     """Reading and writing alone."""
 
     found: Sequence[Detection]
+    writing: Inference
 
     def __call__(self, job: Job) -> Row:
         detection = self.found[len(job.picture.name) % len(self.found)]
         image = read_image(job.picture.path)
-        job.output("").parent.mkdir(parents=True, exist_ok=True)
-        write_files(job.output, KINDS, 8, image, detection)
-        return Row(job.file)
+        return self.writing.write(job.file, image, detection, job.output)
 
 
 def rate(jobs: Sequence[Job], work: Callable[[Job], Row], workers: int) -> float:
@@ -83,10 +82,11 @@ def measure(given: argparse.Namespace, out: Path) -> dict[str, float]:
     jobs = plan_results(find_images([given.images]), out, USUAL_OF_PICTURES)[: given.pictures]
     images = [read_image(job.picture.path) for job in jobs[:KEPT]]
     found = [detector.detect(image) for image in images]
+    infer = Inference(detector, KINDS, 8)
     ways: dict[str, Callable[[Job], Row]] = {
         "detect": Detecting(detector, images),
-        "read and write": ReadingAndWriting(found),
-        "infer": Inference(detector, KINDS, 8),
+        "read and write": ReadingAndWriting(found, infer),
+        "infer": infer,
     }
     rates: dict[str, list[float]] = {name: [] for name in ways}
     for number in range(given.rounds):

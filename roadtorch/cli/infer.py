@@ -140,43 +140,34 @@ def infer(
     if print_config:
         click.echo(effective)
         return
-    bits = 16 if depth == "16" else 8
-    kinds = footage.USUAL_OF_PICTURES if save is None else save
     place = RemoteFolder(out) if is_url(out) else Path(out)
     opened = footage.opened(inputs, place, frames)
-    chosen = footage.selected(frames)
+    kinds = footage.USUAL_OF_PICTURES if save is None else save
     owners = Owners(place)
+    chosen = footage.selected(frames)
     jobs = results.plan_results(opened.pictures, place, kinds, chosen, owners)
-    written = footage.FootageResults(save, bits, gif, loaded, frames.topic)
+    bits = 16 if depth == "16" else 8
+    work = results.Inference(loaded, frozenset(kinds), bits, known, compute.device)
+    written = footage.FootageResults(work, save, gif, frames.topic)
     planned = footage.plan_footage(opened.sources, place, written, owners)
-    folder = context.with_resource(result_folder(place))
     if found := label_and_picture(job.picture for job in jobs):
         label, picture = found
         what = f"{label.origin} looks like a label of {picture.origin}"
         click.echo(f"roadtorch: {what}; give the folder of the pictures alone", err=True)
-    folder.keep_config(effective, overwrite)
+    folder = context.with_resource(result_folder(place, effective, overwrite))
     of_frames = {**asdict(frames), "gif": gif, "steady": steady}
-    options = pictures.RunOptions(compute.jobs or 1, overwrite, quiet, compute.fail_fast)
 
     def run() -> int:
-        codes = [0]
-        try:
-            if jobs:
-                method = results.detector_method(loaded, effective, kinds, depth.encode())
-                work = results.Inference(loaded, frozenset(kinds), bits, known, compute.device)
-                with engines.started_engine(compute, len(jobs)) as engine:
-                    own = replace(options, engine=engine)
-                    codes.append(pictures.run_pictures(jobs, work, method, folder, own))
-            if planned:
-                parts = repr((depth, of_frames)).encode()
-                method = results.detector_method(loaded, effective, (), parts)
-                seen = footage.FootageWork(loaded, written, owners, known, steady)
-                codes.append(footage.run_footage(planned, seen, method, options))
-            return max(codes)
-        finally:
-            if "polygons" in kinds:
-                folder.write_coco()
+        options = pictures.RunOptions(compute.jobs or 1, overwrite, quiet, compute.fail_fast)
+        method = results.detector_method(loaded, effective, kinds, depth.encode())
+        with engines.started_engine(compute, len(jobs)) as engine:
+            own = replace(options, engine=engine)
+            failed = pictures.run_pictures(jobs, work, method, folder, own)
+        parts = repr((depth, of_frames)).encode()
+        method = results.detector_method(loaded, effective, (), parts)
+        seen = footage.FootageWork(loaded, owners, known, steady)
+        return max(failed, footage.run_footage(planned, seen, method, options))
 
-    files = [job.file for job in [*jobs, *(job for _, job in planned)]]
+    files = [job.file for job in [*jobs, *(one.job for one in planned)]]
     given = {**asdict(compute), **of_frames, "save": kinds, "depth": bits}
-    context.exit(RunRecord(folder, loaded, files, given).around(run))
+    context.exit(RunRecord(folder, loaded, files, given).around(run, "polygons" in kinds))

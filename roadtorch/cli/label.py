@@ -51,9 +51,8 @@ def label(
     kinds = ["labels", *["overlay"] * overlay]
     suffixes = {kind: results.LABEL_SUFFIXES[kind] for kind in kinds}
     planned = pictures.plan(find_images(inputs, out), out, suffixes)
-    folder = context.with_resource(result_folder(out))
     effective = as_toml("labeller", settings)
-    folder.keep_config(effective, overwrite)
+    folder = context.with_resource(result_folder(out, effective, overwrite))
     method = pictures.method_of(kinds, effective)
     options = pictures.RunOptions(jobs, overwrite, quiet)
     work = results.Labelling(settings, overlay)

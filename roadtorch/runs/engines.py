@@ -15,7 +15,7 @@ import torch
 from roadtorch.errors import ConfigError
 from roadtorch.runs.index import FAILED, Row
 from roadtorch.runs.options import ComputeOptions
-from roadtorch.runs.pictures import Engine, Rows, Task, Work
+from roadtorch.runs.pictures import Engine, Job, Rows, Work
 from roadtorch.runtime.memory import keep_freed_memory
 from roadtorch.runtime.signals import SIGNALS, end_with_parent
 from roadtorch.runtime.threads import Threads
@@ -54,6 +54,9 @@ def started_engine(compute: ComputeOptions, pictures: int) -> Iterator[Engine | 
 
     Raises ConfigError where Ray is not there, or ``--address`` is given without it.
     """
+    if not pictures:
+        yield None
+        return
     if compute.engine == "local":
         if compute.address is not None:
             what = "is for Ray alone"
@@ -94,13 +97,13 @@ def usual_workers(pictures: int) -> int:
     return max(1, min(processors(), pictures // MIN_PICTURES))
 
 
-def rows_of_workers(tasks: Sequence[Task], work: Work, workers: int) -> Rows:
-    """The rows of all tasks in their order, a few tasks ahead at most; an ``Engine``.
+def rows_of_workers(jobs: Sequence[Job], work: Work, workers: int) -> Rows:
+    """The rows of all jobs in their order, a few ahead at most; an ``Engine``.
 
     What a worker that dies (killed, out of memory) had in hand becomes a failed row, and others
     take its place. Closing this waits for what is in hand.
     """
-    left = deque(tasks)
+    left = deque(jobs)
     while left:
         context = get_context("fork")
         pool = ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(work,))
@@ -110,9 +113,9 @@ def rows_of_workers(tasks: Sequence[Task], work: Work, workers: int) -> Rows:
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _until_broken(pool: ProcessPoolExecutor, left: deque[Task], workers: int) -> Rows:
-    """The rows of the tasks left, until one of the workers dies."""
-    waiting: deque[tuple[Task, Future[Row]]] = deque()
+def _until_broken(pool: ProcessPoolExecutor, left: deque[Job], workers: int) -> Rows:
+    """The rows of the jobs left, until one of the workers dies."""
+    waiting: deque[tuple[Job, Future[Row]]] = deque()
     while left or waiting:
         try:
             while left and len(waiting) <= workers:
@@ -120,19 +123,19 @@ def _until_broken(pool: ProcessPoolExecutor, left: deque[Task], workers: int) ->
                 left.popleft()
             row = waiting[0][1].result()
         except BrokenProcessPool:
-            for task, future in waiting:
+            for job, future in waiting:
                 if future.done() and not future.cancelled() and future.exception() is None:
                     yield future.result()
                 else:
                     what = "a worker died over it or over its neighbour"
                     what += " (run it again; with less memory, --jobs 1)"
-                    yield Row(task.file, status=f"{FAILED}: {task.origin}: {what}")
+                    yield Row(job.file, status=f"{FAILED}: {job.origin}: {what}")
             return
         waiting.popleft()
         yield row
 
 
-_WORK: list[Work] = []  # of this worker; a pool hands it over only once, and not to the tasks
+_WORK: list[Work] = []  # of this worker; a pool hands it over only once, and not to the jobs
 
 
 def _begin(work: Work) -> None:
@@ -143,5 +146,5 @@ def _begin(work: Work) -> None:
     end_with_parent()
 
 
-def _do(task: Task) -> Row:
-    return _WORK[0](task)
+def _do(job: Job) -> Row:
+    return _WORK[0](job)

@@ -10,7 +10,7 @@ import shlex
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path, PurePath
@@ -129,24 +129,6 @@ class ResultFolder:
         if self.remote is not None:
             self.remote.write(path.name, path.read_bytes())
 
-    def keep_config(self, effective: str, overwrite: bool) -> None:
-        """Write the settings beside the results; ConfigError if earlier ones were different.
-
-        Otherwise a second run with another detector would skip what the first one did, and
-        the folder would mix the results of both.
-        """
-        path = self.path / CONFIG
-        effective += "\n"
-        try:
-            is_other = path.exists() and read_regular(path) != printable(effective).encode()
-        except OSError as problem:
-            raise InputError(path, f"cannot be read: {problem.strerror}", ELSEWHERE) from None
-        if is_other and (self.path / INDEX).exists() and not overwrite:
-            what = f"holds results of other settings ({CONFIG})"
-            raise ConfigError(self.shown, what, "give another --out, or --overwrite")
-        write_text(path, effective)
-        self.publish(path)
-
     def write_coco(self) -> None:
         """Write the pictures whose polygons are kept, sorted by file, as one COCO file.
 
@@ -194,22 +176,38 @@ class ResultFolder:
 
 
 @contextmanager
-def result_folder(out: Path | RemoteFolder) -> Iterator[ResultFolder]:
-    """The folder of a run's results, for this run alone; raises as ``output_lock``.
+def result_folder(
+    out: Path | RemoteFolder, effective: str, overwrite: bool
+) -> Iterator[ResultFolder]:
+    """The folder of a run's results, for this run alone, with its settings, ``effective``, in it.
 
     Behind a URL nobody is kept out; there, a folder of this machine stands for it meanwhile, with
-    what an earlier run kept beside its results.
+    what an earlier run kept beside its results. Raises as ``output_lock``, and ConfigError if
+    earlier settings were different, unless ``overwrite``: a second run with another detector would
+    skip what the first one did, and the folder would mix the results of both.
     """
-    if isinstance(out, Path):
-        with output_lock(out):
-            yield ResultFolder(out)
-        return
-    with tempfile.TemporaryDirectory(prefix="roadtorch-") as path:
-        out.tidy()
-        for name in (INDEX, CONFIG):
-            if (data := out.read(name)) is not None:
-                write_text(Path(path, name), data.decode("utf-8", "surrogateescape"))
-        yield ResultFolder(Path(path), out)
+    with ExitStack() as stack:
+        if isinstance(out, Path):
+            stack.enter_context(output_lock(out))
+            folder = ResultFolder(out)
+        else:
+            path = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="roadtorch-")))
+            out.tidy()
+            for name in (INDEX, CONFIG):
+                if (data := out.read(name)) is not None:
+                    write_text(path / name, data.decode("utf-8", "surrogateescape"))
+            folder = ResultFolder(path, out)
+        config, effective = folder.path / CONFIG, effective + "\n"
+        try:
+            is_other = config.exists() and read_regular(config) != printable(effective).encode()
+        except OSError as problem:
+            raise InputError(config, f"cannot be read: {problem.strerror}", ELSEWHERE) from None
+        if is_other and (folder.path / INDEX).exists() and not overwrite:
+            what = f"holds results of other settings ({CONFIG})"
+            raise ConfigError(folder.shown, what, "give another --out, or --overwrite")
+        write_text(config, effective)
+        folder.publish(config)
+        yield folder
 
 
 def annotation_name(file: str) -> str:
@@ -233,14 +231,18 @@ class RunRecord:
     files: Sequence[str]
     given: Mapping[str, object]
 
-    def around(self, run: Callable[[], int]) -> int:
-        """Do the run, which gives the exit code; write run.json however it ends.
+    def around(self, run: Callable[[], int], has_polygons: bool) -> int:
+        """Do the run, which gives the exit code; write run.json, and coco.json, however it ends.
 
         What it was, with which versions, on what, and how it ended.
         """
         started, status = _now(), ExitCode.SOME_FAILED
         try:
-            status = run()
+            try:
+                status = run()
+            finally:
+                if has_polygons:
+                    self.folder.write_coco()
         except KeyboardInterrupt as stop:
             status = ExitCode.TERMINATED if isinstance(stop, Terminated) else ExitCode.INTERRUPTED
             raise

@@ -2,21 +2,21 @@
 
 import re
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from heapq import nsmallest
 from pathlib import Path
 from time import perf_counter
-from typing import Literal, Protocol
+from typing import NamedTuple
 
 import click
 import numpy as np
 from torch import Tensor
 
 from roadtorch.camera.camera import Camera
-from roadtorch.detector import Detector
+from roadtorch.detector import Detection, Detector
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.io.atomic import make_folder, remove_leftovers
 from roadtorch.io.bounded import printable
@@ -42,7 +42,8 @@ from roadtorch.runs.pictures import (
     spared,
     trust_of,
 )
-from roadtorch.runs.results import SUFFIXES, row_of, write_documents, write_files
+from roadtorch.runs.results import SUFFIXES, Inference
+from roadtorch.runtime.progress import Progress
 from roadtorch.runtime.signals import stop_on_signals
 from roadtorch.sinks.bags import BagSink
 from roadtorch.sinks.remote_folder import RemoteFolder
@@ -83,62 +84,43 @@ def stamp_of(frame: Frame) -> int:
     return round(1e9 * (frame.number if frame.seconds is None else frame.seconds))
 
 
-def clock_text(seconds: float | None) -> str:
-    """Seconds for index.csv, to the millisecond; empty where there is no clock."""
-    return "" if seconds is None else f"{seconds:.3f}"
-
-
 def missed_row(missed: Missed) -> Row:
     """The row of a frame without a result; its status says why."""
     status = f"{FAILED}: {' '.join(str(missed.problem).split())}"
-    return Row(missed.frame.name, status=status, seconds=clock_text(missed.frame.seconds))
+    return Row(missed.frame.name, status=status)
 
 
-class WhatIsWritten(Protocol):
-    """What a command writes of sources; for ``infer`` it is ``FootageResults``."""
-
-    def kinds(self, source: Source) -> tuple[str, ...]:
-        """What index.csv says was saved."""
-        ...
-
-    def suffixes(self, source: Source) -> dict[str, str]:
-        """How the names of the files of the whole source end, by kind."""
-        ...
-
-    def frame_suffixes(self, source: Source) -> tuple[str, ...]:
-        """How the names of the files of each frame end."""
-        ...
-
-    def open(self, source: Source, job: Job) -> AbstractContextManager[Callable[[Seen], Row]]:
-        """What writes the results of a frame and gives its row."""
-        ...
+Write = Callable[[Seen], Row]
+"""Writes the results of a frame and gives its row, to which the time is added."""
 
 
-def _overlay(seen: Seen) -> np.ndarray:
-    """uint8 (H,W,3)."""
-    return seen.detection.overlay()
+class Written(NamedTuple):
+    """What a command writes of one source.
+
+    kinds: what index.csv says was saved. suffixes: how the names of the files of the whole source
+    end, by kind. frame_suffixes: how those of the files of each frame end. open: of the source's
+    job, what writes frame after frame within the block.
+    """
+
+    kinds: tuple[str, ...]
+    suffixes: Mapping[str, str]
+    frame_suffixes: tuple[str, ...]
+    open: Callable[[Job], AbstractContextManager[Write]]
 
 
-def _mask(seen: Seen) -> np.ndarray:
-    """uint8 (H,W): road 255."""
-    return seen.detection.mask.numpy().astype(np.uint8) * 255
-
-
-def _likelihood(seen: Seen) -> np.ndarray:
-    """uint8 (H,W): the likelihood times 255."""
-    return seen.detection.likelihood.mul(255).round().byte().numpy()
-
-
-Draw = Callable[[Seen], np.ndarray]
+Draw = Callable[[Detection], np.ndarray]
 Put = Callable[[Seen, np.ndarray], None]
 """Where what was drawn of a frame goes."""
 
 VIDEOS: dict[str, tuple[str, Draw]] = {
-    "overlay": (".overlay.mp4", _overlay),
-    "mask-video": (".mask.mp4", _mask),
-    "likelihood-video": (".likelihood.mp4", _likelihood),
+    "overlay": (".overlay.mp4", Detection.overlay),
+    "mask-video": (".mask.mp4", lambda found: found.mask.numpy().astype(np.uint8) * 255),
+    "likelihood-video": (
+        ".likelihood.mp4",
+        lambda found: found.likelihood.mul(255).round().byte().numpy(),
+    ),
 }
-"""The kinds of results that are videos: how their names end, and what they show of a frame."""
+"""The results that are videos: how their names end, and what they show, uint8 (H,W) or (H,W,3)."""
 
 GIF = ".overlay.gif"
 
@@ -147,96 +129,78 @@ GIF = ".overlay.gif"
 class FootageResults:
     """What ``infer`` writes of a source: videos, a GIF, bags, and files for each frame.
 
-    asked: the kinds of ``--save``, None where it is not given: of a moving source ``overlay`` is a
-    video and ``overlay-frames`` are pictures. gif: its start and end in seconds. detector: the one
-    that was used. topic: of the images in bags; None where they have one.
+    work: on a picture. asked: the kinds of ``--save``, None where it is not given: of a moving
+    source ``overlay`` is a video and ``overlay-frames`` are pictures. gif: its start and end in
+    seconds. topic: of the images in bags; None where they have one.
     """
 
+    work: Inference
     asked: tuple[str, ...] | None
-    depth: Literal[8, 16]
-    gif: tuple[float, float] | None
-    detector: Detector
+    gif: tuple[float, float] | None = None
     topic: str | None = None
 
-    def kinds(self, source: Source) -> tuple[str, ...]:
-        """What index.csv says was saved."""
+    def __call__(self, source: Source) -> Written:
+        """What is written of that source."""
         usual = USUAL_OF_BAGS if is_from_bag(source) else USUAL_OF_FOOTAGE
         usual = usual if source.moving else USUAL_OF_PICTURES
         kinds = usual if self.asked is None else self.asked
-        return (*kinds, "gif") if self.gif and source.moving else kinds
-
-    def suffixes(self, source: Source) -> dict[str, str]:
-        """How the names of the files of the whole source end, by kind."""
-        if not source.moving:
-            return {}
-        ends = {kind: end for kind, (end, _) in VIDEOS.items()}
-        ends |= {"gif": GIF, "bag": bag_ending(source, ".road")}
-        return {kind: ends[kind] for kind in self.kinds(source) if kind in ends}
-
-    def _frame_kinds(self, source: Source) -> frozenset[str]:
-        kinds = frozenset(self.kinds(source))
+        ends, of_frames = {}, set(kinds)
         if source.moving:
-            frames = kinds - {*VIDEOS, "gif", "bag", "overlay-frames"}
-            kinds = frames | {"overlay"} if "overlay-frames" in kinds else frames
-        return kinds
-
-    def frame_suffixes(self, source: Source) -> tuple[str, ...]:
-        """How the names of the files of each frame end."""
-        return tuple(SUFFIXES.get(kind, f".{kind}") for kind in self._frame_kinds(source))
+            kinds = (*kinds, "gif") if self.gif else kinds
+            ends = {kind: end for kind, (end, _) in VIDEOS.items()}
+            ends |= {"gif": GIF, "bag": bag_ending(source, ".road")}
+            of_frames -= ends.keys()
+            if "overlay-frames" in kinds:
+                of_frames = of_frames - {"overlay-frames"} | {"overlay"}
+        work = replace(self.work, kinds=frozenset(of_frames))
+        return Written(
+            kinds,
+            {kind: ends[kind] for kind in kinds if kind in ends},
+            tuple(SUFFIXES.get(kind, f".{kind}") for kind in of_frames),
+            partial(self._open, source, work),
+        )
 
     @contextmanager
-    def open(self, source: Source, job: Job) -> Iterator[Callable[[Seen], Row]]:
-        """What writes the results of a frame and gives its row.
-
-        However the block ends, videos and bags are finished with the frames that they have.
-        """
-        kinds = self._frame_kinds(source)
+    def _open(self, source: Source, work: Inference, job: Job) -> Iterator[Write]:
+        """However the block ends, videos and bags are finished with the frames that they have."""
         with ExitStack() as stack:
+
+            def into(sink: VideoSink | GifSink) -> Put:
+                stack.enter_context(closing(sink))
+                return lambda seen, pixels: sink.write(pixels, seen.frame.seconds)
+
             puts: list[tuple[Draw, Put]] = []
             if self.gif and source.moving:
-                gif = stack.enter_context(closing(GifSink(job.output(GIF), *self.gif)))
-                puts.append((_overlay, partial(_add_pixels, gif)))
-            for kind in [kind for kind in job.suffixes if kind in VIDEOS]:
-                end, draw = VIDEOS[kind]
-                video = stack.enter_context(closing(VideoSink(job.output(end), source.rate)))
-                puts.append((draw, partial(_add_pixels, video)))
+                puts.append((Detection.overlay, into(GifSink(job.output(GIF), *self.gif))))
+            for end, draw in (VIDEOS[kind] for kind in job.suffixes if kind in VIDEOS):
+                puts.append((draw, into(VideoSink(job.output(end), source.rate))))
             if "bag" in job.suffixes:
                 frame_id = CAMERA_FRAME
                 if is_from_bag(source):
                     frame_id = image_topic(source.origin, self.topic).frame_id
                 path = job.output(job.suffixes["bag"])
-                sink = BagSink(path, frame_id, self.detector.settings.threshold)
-                puts.append((_overlay, partial(_add_to_bag, stack.enter_context(closing(sink)))))
-            yield partial(self._write, puts, kinds, job)
-
-    def _write(
-        self, puts: list[tuple[Draw, Put]], kinds: frozenset[str], job: Job, seen: Seen
-    ) -> Row:
-        """Write what was seen; the row for index.csv, a failed one without the frame's files."""
-        start = perf_counter()
-        frame, detection = seen.frame, seen.detection
-        failed: Row | None = None
-        try:
-            output = partial(job.output, name=frame.name)
-            if kinds:
-                make_folder(output("").parent, ELSEWHERE)
-            write_files(output, kinds, self.depth, seen.image, detection)
-            write_documents(output, kinds, frame.name, detection, self.detector)
-        except InputError as problem:
-            failed = missed_row(Missed(frame, problem))
-        drawn = {draw: draw(seen) for draw in dict.fromkeys(draw for draw, _ in puts)}
-        for draw, put in puts:
-            put(seen, drawn[draw])
-        row = failed or row_of(frame.name, detection, seen.ms + 1000 * (perf_counter() - start))
-        return replace(row, seconds=clock_text(frame.seconds))
+                bag = BagSink(path, frame_id, work.detector.settings.threshold)
+                stack.enter_context(closing(bag))
+                puts.append(
+                    (
+                        Detection.overlay,
+                        lambda one, drawn: bag.write(one.detection, stamp_of(one.frame), drawn),
+                    )
+                )
+            yield partial(_write, work, puts, job)
 
 
-def _add_pixels(sink: VideoSink | GifSink, seen: Seen, pixels: np.ndarray) -> None:
-    sink.write(pixels, seen.frame.seconds)
-
-
-def _add_to_bag(sink: BagSink, seen: Seen, pixels: np.ndarray) -> None:
-    sink.write(seen.detection, stamp_of(seen.frame), pixels)
+def _write(work: Inference, puts: list[tuple[Draw, Put]], job: Job, seen: Seen) -> Row:
+    """Write what was seen; the row for index.csv, a failed one without the frame's files."""
+    name = seen.frame.name
+    try:
+        row = work.write(name, seen.image, seen.detection, partial(job.output, name=name))
+    except InputError as problem:
+        row = missed_row(Missed(seen.frame, problem))
+    drawn = {draw: draw(seen.detection) for draw in dict.fromkeys(draw for draw, _ in puts)}
+    for draw, put in puts:
+        put(seen, drawn[draw])
+    return row
 
 
 # --- all sources ------------------------------------------------------------------------
@@ -244,26 +208,33 @@ def _add_to_bag(sink: BagSink, seen: Seen, pixels: np.ndarray) -> None:
 
 @dataclass(frozen=True)
 class FootageWork:
-    """The work on sources.
+    """The work on sources, whatever is written of them.
 
     owners: of the names that the run has given. camera: the one that the footage has to be of,
     where it is known. steady: whether the likelihood of a source that moves is steadied.
     """
 
     detector: Detector
-    results: WhatIsWritten
     owners: Owners
     camera: Camera | None = None
     steady: bool = True
 
 
+class Footage(NamedTuple):
+    """A source, what is written of it, and its job."""
+
+    source: Source
+    written: Written
+    job: Job
+
+
 def plan_footage(
     sources: Sequence[Source],
     out: Path | RemoteFolder,
-    results: WhatIsWritten,
+    results: Callable[[Source], Written],
     owners: Owners,
-) -> list[tuple[Source, Job]]:
-    """The sources of footage, each with its job.
+) -> list[Footage]:
+    """The footage of sources.
 
     owners: of the names that the run has given, who are told of these. Raises ConfigError where
     results would go behind a URL, replace a source, or be those of two.
@@ -273,14 +244,16 @@ def plan_footage(
     if not isinstance(out, Path):
         remedy = "give a folder of this machine, or pictures alone"
         raise ConfigError(f"--out {out.url}", "takes no results of footage", remedy)
-    jobs = [
-        Job(Picture(source.path or Path(source.origin), source.name), out, results.suffixes(source))
-        for source in sources
-    ]
+    planned: list[Footage] = []
     for source in sources:
-        has_files = source.moving and bool(results.frame_suffixes(source))
-        owners.take_source(source.name, source.origin, has_files)
-    return list(zip(sources, spared(jobs), strict=True))
+        written = results(source)
+        owners.take_source(
+            source.name, source.origin, source.moving and bool(written.frame_suffixes)
+        )
+        picture = Picture(source.path or Path(source.origin), source.name)
+        planned.append(Footage(source, written, Job(picture, out, written.suffixes)))
+    spared([one.job for one in planned])
+    return planned
 
 
 def opened(inputs: Sequence[str], out: Path | RemoteFolder, frames: FrameSelection) -> Inputs:
@@ -296,7 +269,7 @@ def selected(selection: FrameSelection) -> Selection:
 
 
 def run_footage(
-    planned: Sequence[tuple[Source, Job]], work: FootageWork, method: Method, options: RunOptions
+    planned: Sequence[Footage], work: FootageWork, method: Method, options: RunOptions
 ) -> int:
     """Work through the sources that are not done yet; returns the exit code.
 
@@ -305,23 +278,25 @@ def run_footage(
     of its frames, a partial one where some were done, and the others go on. When interrupted, what
     was finished is kept, the videos with what they have.
     """
+    if not planned:
+        return 0
     skipped, ended = 0, Counter[str]()
-    for source, job in planned:
-        own = replace(method, kinds=work.results.kinds(source))
-        row = read_index(job.output("", INDEX)).get(job.file)
-        if not options.overwrite and own.covers(row, job):
+    for one in planned:
+        own = replace(method, kinds=one.written.kinds)
+        row = read_index(one.job.output("", INDEX)).get(one.job.file)
+        if not options.overwrite and own.covers(row, one.job):
             skipped += 1
-            if not source.moving:  # its results are there, and stay
-                deque(_owned(source, work.results, work.owners), maxlen=0)
+            if not one.source.moving:  # its results are there, and stay
+                deque(_owned(one, work.owners), maxlen=0)
         else:
-            status = _run_source(source, job, work, own, options).status
+            status = _run_source(one, work, own, options).status
             ended[status.partition(":")[0]] += 1
     failed = ended[PARTIAL] + ended[FAILED]
     if not options.quiet or failed:
         parts = [f"{ended[DONE]} done"]
         parts += [f"{skipped} skipped (done before)"] if skipped else []
         parts += [f"{ended[kind]} {kind}" for kind in (PARTIAL, FAILED) if ended[kind]]
-        click.echo(f"roadtorch: {', '.join(parts)}; results in {planned[0][1].out}", err=True)
+        click.echo(f"roadtorch: {', '.join(parts)}; results in {planned[0].job.out}", err=True)
     return 1 if failed else 0
 
 
@@ -357,34 +332,38 @@ class FrameCount:
         return ", ".join(parts)
 
 
-def _run_source(
-    source: Source, job: Job, work: FootageWork, method: Method, options: RunOptions
-) -> Row:
+def _run_source(footage: Footage, work: FootageWork, method: Method, options: RunOptions) -> Row:
     """The row of a source whose frames were looked at as far as possible; the index has it."""
+    source, written, job = footage
     remove_leftovers([job.output("").parent, job.output("")])
     make_folder(job.output("").parent, ELSEWHERE)
     problem: BaseException | None = None
     count = FrameCount()
     own_frames = f"{re.escape(printable(job.picture.name))}/{FRAME_NUMBER}"
-    with frame_index(job.output("", INDEX), job.file, own_frames) as index:
+    with frame_index(job.output("", INDEX), job.file, own_frames) as add:
 
-        def settle(one: Seen | Missed, write: Callable[[Seen], Row]) -> None:
+        def settle(one: Seen | Missed, write: Write) -> None:
             """Write what was seen of a frame, or tell why nothing was."""
+            start = perf_counter()
             row = write(one) if isinstance(one, Seen) else missed_row(one)
+            if isinstance(one, Seen) and not row.failed:
+                row = replace(row, ms=f"{one.ms + 1000 * (perf_counter() - start):.0f}")
+            if one.frame.seconds is not None:
+                row = replace(row, seconds=f"{one.frame.seconds:.3f}")
             if row.failed:
                 click.echo(f"roadtorch: {row.status}", err=True)
             else:
                 row = replace(row, saved=" ".join(method.kinds), method=method.digest)
             count.add(row)
-            index.add(row)
+            add(row)
 
         try:
-            with work.results.open(source, job) as write:
-                _work_through(source, work, partial(settle, write=write), options)
+            with written.open(job) as write:
+                _work_through(footage, work, partial(settle, write=write), options)
         except (RoadtorchError, KeyboardInterrupt) as own:
             problem = own
         row = method.finished(_row(source, job, count, problem), job)
-        index.add(row)
+        add(row)
     if not options.quiet:
         click.echo(f"roadtorch: {job.file}: {count}", err=True)
         shown = least_trusted(count.least) if count.doubtful or not source.moving else []
@@ -413,17 +392,17 @@ def _row(source: Source, job: Job, count: FrameCount, problem: BaseException | N
     return replace(row, seconds=last.seconds)
 
 
-def _owned(source: Source, results: WhatIsWritten, owners: Owners) -> Generator[Frame]:
+def _owned(footage: Footage, owners: Owners) -> Generator[Frame]:
     """The frames of a source; one whose results would be another's fails, as SOURCE!NAME.png."""
 
     def refuse(problem: ConfigError) -> Tensor:
         raise problem
 
-    frames, suffixes = source.frames(), results.frame_suffixes(source)
+    source, frames = footage.source, footage.source.frames()
     with closing(frames) if isinstance(frames, Generator) else nullcontext():
         for frame in frames:
             try:
-                owners.take(frame.name, suffixes, frame.origin)
+                owners.take(frame.name, footage.written.frame_suffixes, frame.origin)
             except ConfigError as problem:
                 name = f"{Path(source.origin).name}!{frame.name}{Path(frame.origin).suffix}"
                 frame = replace(frame, name=name, read=partial(refuse, problem))
@@ -431,16 +410,15 @@ def _owned(source: Source, results: WhatIsWritten, owners: Owners) -> Generator[
 
 
 def _work_through(
-    source: Source,
+    footage: Footage,
     work: FootageWork,
     settle: Callable[[Seen | Missed], None],
     options: RunOptions,
 ) -> None:
     """Look at all frames, and write what is found in a thread of its own, a few frames behind."""
-    from roadtorch.runtime.progress import Progress
-
+    source = footage.source
     if not source.moving:
-        source = replace(source, frames=partial(_owned, source, work.results, work.owners))
+        source = replace(source, frames=partial(_owned, footage, work.owners))
     steady = Steady(SteadySettings()) if work.steady and source.moving else None
     check = None if work.camera is None else work.camera.check
     seen = seen_frames(source, work.detector, jobs=options.jobs, steady=steady, check=check)

@@ -4,11 +4,10 @@ import json
 import math
 import statistics
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from time import perf_counter
 from typing import NamedTuple
 
 import cv2
@@ -35,13 +34,21 @@ from roadtorch.camera.ground import (
 )
 from roadtorch.camera.ground_grid import FREE, Grid, GridSettings, ground_grid
 from roadtorch.detector import Detection, Detector
-from roadtorch.errors import ConfigError, InputError, RoadtorchError
+from roadtorch.errors import ConfigError, InputError, RoadtorchError, fault
 from roadtorch.io.atomic import make_folder
 from roadtorch.io.image import tint_mask, to_pixels, write_jpeg, write_npy
 from roadtorch.runs.folder import ELSEWHERE
-from roadtorch.runs.footage import bag_ending, clock_text, is_from_bag, missed_row, stamp_of
-from roadtorch.runs.index import DONE, DOUBTFUL, Row
+from roadtorch.runs.footage import (
+    Write,
+    Written,
+    bag_ending,
+    is_from_bag,
+    missed_row,
+    stamp_of,
+)
+from roadtorch.runs.index import Row
 from roadtorch.runs.pictures import Job
+from roadtorch.runs.results import row_of
 from roadtorch.sinks.bags import BagSink
 from roadtorch.sinks.grid import map_picture, write_grid
 from roadtorch.sources.bags import camera_info
@@ -99,14 +106,6 @@ class Pitch(NamedTuple):
     spread: float = 0.0
 
 
-class Placed(NamedTuple):
-    """A camera over the ground, how its pitch is known, and how unsure that is in degrees."""
-
-    camera: GroundCamera
-    told: str
-    spread: float
-
-
 @dataclass(frozen=True)
 class Placing:
     """How the camera over the ground is found for each picture.
@@ -149,12 +148,12 @@ class Placing:
             said = {**own, "horizon": self.horizon, "lens": lens}
         return f"# {json.dumps({name: one for name, one in said.items() if one is not None})}"
 
-    def __call__(self, image: Tensor, detection: Detection) -> Placed:
+    def __call__(self, image: Tensor, detection: Detection) -> tuple[GroundCamera, Pitch]:
         """The camera of a picture (3,H,W); InputError where that does not tell its pitch."""
         height, width = image.shape[-2:]
         if self.calibration is not None:
             camera = kitti_ground_camera(self.calibration, width, height, self.given.mount)
-            return Placed(camera, f"pitch {camera.pose.pitch:.2f} degrees, of the calibration", 0.0)
+            return camera, Pitch(camera.pose.pitch, "of the calibration")
         if self.lens is None:
             lens = lens_of_view(width, height, self.given.fov or 0.0)
         else:
@@ -164,8 +163,7 @@ class Placing:
             degrees = pitch_of_horizon(lens, self.horizon, self.given.roll)
             pitch = Pitch(degrees, f"horizon at row {self.horizon:.3f} of the camera's file")
         pitch = pitch or self._of_layout(lens, image, detection)
-        told = f"pitch {pitch.degrees:.2f} degrees, {pitch.told}"
-        return Placed(GroundCamera(lens, self.given.pose(pitch.degrees)), told, pitch.spread)
+        return GroundCamera(lens, self.given.pose(pitch.degrees)), pitch
 
     def _of_layout(self, lens: Lens, image: Tensor, detection: Detection) -> Pitch:
         layout = detection.cues.get("layout")
@@ -230,47 +228,32 @@ class Gridding:
 
     def __call__(self, job: Job) -> Row:
         """Write the grid of one picture; the row's road share is that of free cells."""
-        start = perf_counter()
         image = job.picture.read()
         if self.known is not None:
             self.known.check(image)
-        _, row = self.write(job.file, image, self.detector.detect(image), job.output)
-        return replace(row, ms=f"{1000 * (perf_counter() - start):.0f}")
+        return self.write(job.file, image, self.detector.detect(image), job.output)[1]
 
     def write(
         self, file: str, image: Tensor, detection: Detection, output: Callable[[str], Path]
     ) -> tuple[Grid, Row]:
-        """The grid of an image (3,H,W), its files written; the row for index.csv, without ms.
+        """The grid of an image (3,H,W), its files written; the row for index.csv.
 
         file: as in index.csv. output: what a name ends with → the path. Raises what ``placing``
         and ``ground_grid`` raise.
         """
-        placed = self.placing(image, detection)
-        road = decided(detection, self.settings.threshold)
-        grid = ground_grid(road, placed.camera, self.settings, detection.cues.get("ego"))
+        camera, pitch = self.placing(image, detection)
+        # Regions that the mask dropped are none; the threshold parts what is between pixels, too.
+        likelihood, threshold = detection.likelihood, self.settings.threshold
+        road = likelihood * (detection.mask | (likelihood < threshold))
+        grid = ground_grid(road, camera, self.settings, detection.cues.get("ego"))
         make_folder(output("").parent, ELSEWHERE)
-        write_grid(output(""), grid, placed.told)
+        write_grid(output(""), grid, f"pitch {pitch.degrees:.2f} degrees, {pitch.told}")
         if "likelihood" in self.kinds:
             write_npy(output(SUFFIXES["likelihood"]), grid.likelihood)
         if "picture" in self.kinds:
             write_jpeg(output(SUFFIXES["picture"]), beside(image, detection.mask, grid))
-        doubts = [detection.doubt]
-        if placed.spread > UNSURE:
-            doubts.append(f"pitch unsure by {placed.spread:.1f} degrees")
-        doubt = ", ".join(filter(None, doubts))
-        height, width = image.shape[-2:]
-        share = f"{float((grid.cells == FREE).double().mean()):.4f}"
-        trust = "" if detection.trust is None else f"{detection.trust:.2f}"
-        status = f"{DOUBTFUL}: {doubt}" if doubt else DONE
-        return grid, Row(file, str(width), str(height), "", share, trust, status)
-
-
-def decided(detection: Detection, threshold: float) -> Tensor:
-    """The likelihood (H,W), 0 where it reaches the threshold but the mask dropped the region.
-
-    Its threshold parts road between pixels where that of the mask parts pixels.
-    """
-    return detection.likelihood * (detection.mask | (detection.likelihood < threshold))
+        doubt = f"pitch unsure by {pitch.spread:.1f} degrees" if pitch.spread > UNSURE else ""
+        return grid, row_of(file, detection, float((grid.cells == FREE).double().mean()), doubt)
 
 
 def beside(image: Tensor, mask: Tensor, grid: Grid) -> Tensor:
@@ -298,24 +281,17 @@ class FootageGrids:
     topic: str | None = None
     frame_id: str = "base_link"
 
-    def kinds(self, source: Source) -> tuple[str, ...]:
-        """What index.csv says was saved."""
-        return (*self.gridding.kinds, "bag") if is_from_bag(source) else self.gridding.kinds
-
-    def suffixes(self, source: Source) -> dict[str, str]:
-        """How the names of the files of the whole source end, by kind."""
-        return {"bag": bag_ending(source, ".grid")} if is_from_bag(source) else {}
-
-    def frame_suffixes(self, source: Source) -> tuple[str, ...]:
-        """How the names of the files of each frame end."""
-        return tuple(SUFFIXES[kind] for kind in self.gridding.kinds)
+    def __call__(self, source: Source) -> Written:
+        """What is written of that source."""
+        kinds, ends = self.gridding.kinds, {}
+        frame_ends = tuple(SUFFIXES[kind] for kind in kinds)
+        if is_from_bag(source):
+            kinds, ends = (*kinds, "bag"), {"bag": bag_ending(source, ".grid")}
+        return Written(kinds, ends, frame_ends, partial(self._open, source))
 
     @contextmanager
-    def open(self, source: Source, job: Job) -> Iterator[Callable[[Seen], Row]]:
-        """What writes the grid of a frame and gives its row; the pitch is found before.
-
-        However the block ends, the bag is finished with the frames that it has.
-        """
+    def _open(self, source: Source, job: Job) -> Iterator[Write]:
+        """The pitch is found first. However the block ends, the bag has the frames until then."""
         gridding = self.gridding
         if gridding.placing.lacks_lens:
             info = camera_info(source.origin, self.topic)
@@ -325,28 +301,24 @@ class FootageGrids:
             gridding = replace(gridding, placing=gridding.placing.through(lens))
         if source.moving and gridding.placing.asks_pictures:
             gridding = replace(gridding, placing=steadied(gridding, source))
-        with ExitStack() as stack:
-            bag = None
-            if "bag" in job.suffixes:
-                path = job.output(job.suffixes["bag"])
-                sink = BagSink(path, self.frame_id, gridding.settings.threshold)
-                bag = stack.enter_context(closing(sink))
+        if "bag" not in job.suffixes:
+            yield partial(self._write, gridding, None, job)
+            return
+        sink = BagSink(job.output(job.suffixes["bag"]), self.frame_id, gridding.settings.threshold)
+        with closing(sink) as bag:
             yield partial(self._write, gridding, bag, job)
 
     def _write(self, gridding: Gridding, bag: BagSink | None, job: Job, seen: Seen) -> Row:
-        start = perf_counter()
         frame = seen.frame
         output = partial(job.output, name=frame.name)
         try:
             grid, row = gridding.write(frame.name, seen.image, seen.detection, output)
         except RoadtorchError as problem:
-            where = frame.origin if problem.where == "image" else problem.where
-            return missed_row(Missed(frame, InputError(where, problem.what, problem.remedy)))
+            return missed_row(Missed(frame, fault(frame.origin, problem)))
         if bag is not None:
             cells, (x, y) = grid.cells.cpu().numpy(), grid.origin
             bag.write_grid(cells, grid.resolution, (x, y), stamp_of(frame), self.frame_id)
-        ms = f"{seen.ms + 1000 * (perf_counter() - start):.0f}"
-        return replace(row, ms=ms, seconds=clock_text(frame.seconds))
+        return row
 
 
 def steadied(gridding: Gridding, source: Source) -> Placing:
@@ -355,7 +327,7 @@ def steadied(gridding: Gridding, source: Source) -> Placing:
     Single pictures jitter, and a robot's camera does not. InputError when no frame tells it.
     """
     check = None if gridding.known is None else gridding.known.check
-    placed: list[Placed] = []
+    placed: list[Pitch] = []
     problem: RoadtorchError | None = None
     frames = seen_frames(sampled(source, MEDIAN_FRAMES), gridding.detector, check=check)
     with closing(frames) as seen:
@@ -363,11 +335,11 @@ def steadied(gridding: Gridding, source: Source) -> Placing:
             try:
                 if isinstance(one, Missed):
                     raise one.problem
-                placed.append(gridding.placing(one.image, one.detection))
+                placed.append(gridding.placing(one.image, one.detection)[1])
             except RoadtorchError as own:
                 problem = own
     if placed:
-        pitches = [one.camera.pose.pitch for one in placed]
+        pitches = [one.degrees for one in placed]
         spread = statistics.median(one.spread for one in placed)
         told = f"median of {len(pitches)} frames ({min(pitches):.2f} to {max(pitches):.2f})"
         told += f" by the layout, unsure by {spread:.1f} degrees"
@@ -375,5 +347,4 @@ def steadied(gridding: Gridding, source: Source) -> Placing:
         return replace(gridding.placing, pitch=pitch)
     if problem is None:
         return gridding.placing
-    where = source.origin if problem.where == "image" else problem.where
-    raise InputError(where, problem.what, problem.remedy)
+    raise fault(source.origin, problem)

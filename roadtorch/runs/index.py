@@ -4,7 +4,7 @@ import csv
 import io
 import re
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import monotonic
@@ -125,31 +125,22 @@ def write_index(path: Path, rows: Iterable[Row]) -> None:
 # --- footage ----------------------------------------------------------------------------
 
 
-class FrameIndex:
-    """An index.csv that is open for rows at its end: a row a frame, none of them in memory."""
-
-    def __init__(self, path: Path, file: RoomyFile) -> None:
-        self._path, self._file = path, file
-
-    def add(self, row: Row) -> None:
-        """Append a row; InputError when the disk is full."""
-        text = csv_text(list(Row.__dataclass_fields__), [asdict(row)]).partition("\n")[2]
-        self._file.write(printable(text).encode())
-        if (problem := self._file.lost) is not None:
-            raise unwritable(self._path, problem)
-
-
 @contextmanager
-def frame_index(path: Path, file: str, frames: str) -> Iterator[FrameIndex]:
-    """The index for a source and its frames, without the rows that it had before.
+def frame_index(path: Path, file: str, frames: str) -> Iterator[Callable[[Row], None]]:
+    """What appends a row to the index, none of them in memory: for a source and its frames.
 
-    file: what index.csv calls the source. frames: the pattern of its frames' names. A row of a
-    killed run that is cut short is dropped when the index is read.
+    Their rows of earlier runs are left out; one of a killed run that is cut short is dropped when
+    the index is read. file: what index.csv calls the source. frames: the pattern of its frames'
+    names. Appending raises InputError when the disk is full.
     """
     rows, own = read_index(path).values(), re.compile(f"{re.escape(file)}|{frames}")
     write_index(path, [row for row in rows if not own.fullmatch(row.file)])
-    appended = RoomyFile(path, "ab", LAST_ROWS)
-    try:
-        yield FrameIndex(path, appended)
-    finally:
-        appended.close()
+    with closing(RoomyFile(path, "ab", LAST_ROWS)) as appended:
+
+        def add(row: Row) -> None:
+            text = csv_text(list(Row.__dataclass_fields__), [asdict(row)]).partition("\n")[2]
+            appended.write(printable(text).encode())
+            if (problem := appended.lost) is not None:
+                raise unwritable(path, problem)
+
+        yield add

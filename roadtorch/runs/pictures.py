@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Protocol
+from time import perf_counter
 
 import click
 
@@ -107,22 +107,12 @@ class Job:
         return path.is_file() or (path / BAG_LIST).is_file()
 
 
-class Task(Protocol):
-    """What engines know of a job: its name in index.csv, and what messages call it."""
-
-    @property
-    def file(self) -> str: ...  # noqa: D102
-
-    @property
-    def origin(self) -> str: ...  # noqa: D102
-
-
-Work = Callable[[Any], Row]
-"""Makes the results of one task, of the kind that it is for, and tells its row."""
+Work = Callable[[Job], Row]
+"""Makes the results of one job, and tells its row."""
 
 Rows = Generator[Row, None, None]
-Engine = Callable[[Sequence[Task], Work], Rows]
-"""Does tasks and gives their rows, in any order. Closing the iterator stops it."""
+Engine = Callable[[Sequence[Job], Work], Rows]
+"""Does jobs and gives their rows, in any order. Closing the iterator stops it."""
 
 
 @dataclass(frozen=True)
@@ -251,6 +241,8 @@ def run_pictures(
     on, unless ``options`` say to stop there. At the first SIGINT or SIGTERM the picture in hand
     is finished, and all that is done is kept: KeyboardInterrupt.
     """
+    if not jobs:
+        return 0
     if any(job.picture.is_remote or isinstance(job.out, RemoteFolder) for job in jobs):
         work = Elsewhere(work)
     rows = read_index(folder.path / INDEX)
@@ -318,16 +310,14 @@ def _rows(todo: Sequence[Job], work: Work, method: Method, options: RunOptions) 
 
 def attempt(job: Job, work: Work, method: Method) -> Row:
     """The row of one job; whatever goes wrong inside stays inside."""
+    start = perf_counter()
     try:
-        return method.finished(work(job), job)
-    except RoadtorchError as problem:
-        # Detectors cannot know the file and speak of "image".
-        where = job.origin if problem.where == "image" else problem.where
-        what = f"{where}: {problem.what} ({problem.remedy})"
-    except Exception as problem:
-        # One picture that trips a detector must not cost the night's run.
-        what = str(fault(job.origin, problem))
-    return Row(job.file, status=f"{FAILED}: {' '.join(what.split())}")
+        row = work(job)
+        row = replace(row, ms=f"{1000 * (perf_counter() - start):.0f}")
+        return method.finished(row, job)
+    except Exception as problem:  # one that trips a detector must not cost the night's run
+        told = " ".join(str(fault(job.picture.origin, problem)).split())
+        return Row(job.file, status=f"{FAILED}: {told}")
 
 
 def trust_of(row: Row) -> float:

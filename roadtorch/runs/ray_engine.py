@@ -18,7 +18,7 @@ from typing import Any, cast
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.runs.index import Row
 from roadtorch.runs.options import ComputeOptions
-from roadtorch.runs.pictures import Engine, Rows, Task, Work
+from roadtorch.runs.pictures import Engine, Job, Rows, Work
 from roadtorch.runtime.threads import Threads
 
 TOGETHER = 16  # jobs that a worker is given at once, and does anew when it dies; ours
@@ -151,7 +151,7 @@ def _join(ray: Any, compute: ComputeOptions, folder: str) -> None:
         raise ConfigError(compute.address, what, remedy) from None
 
 
-def _rows_of_actors(jobs: Sequence[Task], work: Work, compute: ComputeOptions) -> Rows:
+def _rows_of_actors(jobs: Sequence[Job], work: Work, compute: ComputeOptions) -> Rows:
     """The rows of all jobs, as they are finished.
 
     An actor that dies is started again, and gets its jobs anew. Threads are those of this

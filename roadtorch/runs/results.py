@@ -1,10 +1,9 @@
 """What is written of one picture: by ``infer``, by ``label`` and by ``submit``."""
 
 import zipfile
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
-from time import perf_counter
 from typing import Literal
 
 import torch
@@ -103,76 +102,72 @@ class Inference:
 
     def __call__(self, job: Job) -> Row:
         """Write the results of one picture; the row for index.csv."""
-        start = perf_counter()
         image = job.picture.read()
         if self.camera is not None:
             self.camera.check(image)
         detection = self.detector.to(self.device).detect(image.to(self.device))
-        make_folder(job.output("").parent, ELSEWHERE)
-        write_files(job.output, self.kinds, self.depth, image, detection)
-        write_documents(job.output, self.kinds, job.file, detection, self.detector)
-        row = row_of(job.file, detection, 1000 * (perf_counter() - start))
+        row = self.write(job.file, image, detection, job.output)
         return replace(row, cues="/".join(detection.cues))
 
+    def write(
+        self, file: str, image: Tensor, detection: Detection, output: Callable[[str], Path]
+    ) -> Row:
+        """Write the results of an image (3,H,W); the row for index.csv.
 
-def row_of(file: str, detection: Detection, ms: float) -> Row:
-    """The row for index.csv of what was written; ms: what it took."""
-    height, width = detection.mask.shape
-    share = float(detection.mask.to(torch.float64).mean())
-    trust = "" if detection.trust is None else f"{detection.trust:.2f}"
-    status = f"{DOUBTFUL}: {detection.doubt}" if detection.doubt else DONE
-    return Row(file, str(width), str(height), f"{ms:.0f}", f"{share:.4f}", trust, status)
-
-
-def write_files(
-    output: Callable[[str], Path],
-    kinds: Container[str],
-    depth: Literal[8, 16],
-    image: Tensor,
-    detection: Detection,
-) -> None:
-    """Write the results of an image (3,H,W) as files; output: what a name ends with → the path."""
-    if "likelihood" in kinds:
-        write_map(output(SUFFIXES["likelihood"]), detection.likelihood, depth)
-    if "mask" in kinds:
-        write_mask(output(SUFFIXES["mask"]), detection.mask)
-    if "overlay" in kinds:
-        path, ego = output(SUFFIXES["overlay"]), detection.cues.get("ego")
-        write_overlay(path, image, detection.mask, ego, detection.caption)
-    if "npy" in kinds:
-        write_npy(output(SUFFIXES["npy"]), detection.likelihood)
-    for name, cue in detection.cues.items():
-        if "cues" in kinds:
-            write_colours(output(CUE_SUFFIXES["cues"].format(name)), cue_picture(name, cue.cpu()))
+        file: as in index.csv. output: what a name ends with → the path.
+        """
+        kinds = self.kinds
+        if kinds:
+            make_folder(output("").parent, ELSEWHERE)
+        if "likelihood" in kinds:
+            write_map(output(SUFFIXES["likelihood"]), detection.likelihood, self.depth)
+        if "mask" in kinds:
+            write_mask(output(SUFFIXES["mask"]), detection.mask)
+        if "overlay" in kinds:
+            path, ego = output(SUFFIXES["overlay"]), detection.cues.get("ego")
+            write_overlay(path, image, detection.mask, ego, detection.caption)
         if "npy" in kinds:
-            write_npy(output(CUE_SUFFIXES["npy"].format(name)), cue)
+            write_npy(output(SUFFIXES["npy"]), detection.likelihood)
+        for name, cue in detection.cues.items():
+            if "cues" in kinds:
+                picture = cue_picture(name, cue.cpu())
+                write_colours(output(CUE_SUFFIXES["cues"].format(name)), picture)
+            if "npy" in kinds:
+                write_npy(output(CUE_SUFFIXES["npy"].format(name)), cue)
+        if "polygons" in kinds:
+            outline = labelme_document(detection.mask.cpu().numpy(), PurePath(file).name)
+            write_json(output(SUFFIXES["polygons"]), outline)
+        if "json" in kinds:
+            write_json(output(SUFFIXES["json"]), self._facts(file, detection))
+        return row_of(file, detection)
 
-
-def write_documents(
-    output: Callable[[str], Path],
-    kinds: Container[str],
-    file: str,
-    detection: Detection,
-    detector: Detector,
-) -> None:
-    """Write what is said of a picture in JSON: its outline, its figures. file: as in index.csv."""
-    if "polygons" in kinds:
-        outline = labelme_document(detection.mask.cpu().numpy(), PurePath(file).name)
-        write_json(output(SUFFIXES["polygons"]), outline)
-    if "json" in kinds:  # numbers of the picture alone; nothing in it depends on the run
+    def _facts(self, file: str, detection: Detection) -> dict[str, object]:
+        """The figures of a picture alone; nothing in them depends on the run."""
         height, width = detection.mask.shape
-        facts = {
+        return {
             "file": file,
             "width": width,
             "height": height,
-            "road_share": round(float(detection.mask.to(torch.float64).mean()), 6),
+            "road_share": round(float(detection.mask.double().mean()), 6),
             "trust": None if detection.trust is None else round(detection.trust, 4),
             "doubt": detection.doubt,
-            "threshold": detector.settings.threshold,
-            "detector": detector.name,
+            "threshold": self.detector.settings.threshold,
+            "detector": self.detector.name,
             "roadtorch": __version__,
         }
-        write_json(output(SUFFIXES["json"]), facts)
+
+
+def row_of(file: str, detection: Detection, share: float | None = None, doubt: str = "") -> Row:
+    """The row for index.csv of what was written.
+
+    share: of road, where it is not the mask's. doubt: another one than the detection's.
+    """
+    height, width = detection.mask.shape
+    share = float(detection.mask.double().mean()) if share is None else share
+    trust = "" if detection.trust is None else f"{detection.trust:.2f}"
+    doubts = ", ".join(filter(None, (detection.doubt, doubt)))
+    status = f"{DOUBTFUL}: {doubts}" if doubts else DONE
+    return Row(file, str(width), str(height), "", f"{share:.4f}", trust, status)
 
 
 def cue_picture(name: str, cue: Tensor) -> Tensor:
@@ -217,7 +212,6 @@ class Labelling:
     @torch.no_grad()
     def __call__(self, job: Job) -> Row:
         """Write the labels of one picture; the row's road share is that of horizontal."""
-        start = perf_counter()
         image = checked_image(job.picture.read())
         labels = label_layout(image, self.settings).labels
         make_folder(job.output("").parent, ELSEWHERE)
@@ -225,9 +219,8 @@ class Labelling:
         if self.overlay:
             write_jpeg(job.output(LABEL_SUFFIXES["overlay"]), colour_layout(image, labels))
         height, width = labels.shape
-        share = float((labels == HORIZONTAL).to(torch.float64).mean())
-        ms = 1000 * (perf_counter() - start)
-        return Row(job.file, str(width), str(height), f"{ms:.0f}", f"{share:.4f}")
+        share = float((labels == HORIZONTAL).double().mean())
+        return Row(job.file, str(width), str(height), road_share=f"{share:.4f}")
 
 
 def colour_layout(image: Tensor, labels: Tensor) -> Tensor:
@@ -269,14 +262,10 @@ class Submission:
 
     def __call__(self, job: Job) -> Row:
         """Write the map of one picture: 8 bits, 800 rows, 400 columns, round(255 p)."""
-        start = perf_counter()
         calibration = read_calibration(job.beside[0])
         detection = self.detector.detect(job.picture.read())
         write_map(job.output(MAP_SUFFIX), to_birds_eye(detection.likelihood, calibration))
-        height, width = detection.mask.shape
-        share = float(detection.mask.double().mean())
-        ms = 1000 * (perf_counter() - start)
-        return Row(job.file, str(width), str(height), f"{ms:.0f}", f"{share:.4f}")
+        return replace(row_of(job.file, detection), trust="", status=DONE)
 
 
 def pack(jobs: Sequence[Job], path: Path) -> None:

@@ -37,7 +37,7 @@ from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, T
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import MAX_WEIGHT, load_network, save_network, shipped_weights
 from roadtorch.road.ego import Ego, ego_car
-from roadtorch.runs.folder import ResultFolder
+from roadtorch.runs.folder import result_folder
 from roadtorch.runs.index import Row, read_index, write_index
 from roadtorch.runs.options import DetectorOptions, as_toml
 from roadtorch.scenes.street import render_scene
@@ -434,10 +434,10 @@ def read_results(path: Path) -> bool:
     """How it decides; and that a run with other settings is kept out of it."""
     threshold = deciding_settings(path.parent).threshold
     try:
-        ResultFolder(path.parent).keep_config("threshold = 0.123", overwrite=False)
+        with result_folder(path.parent, "threshold = 0.123", overwrite=False):
+            return False
     except ConfigError:
         return 0 <= threshold <= 1
-    return False
 
 
 def make_map(draw: Draw, folder: Path) -> Path:

@@ -26,7 +26,7 @@ from roadtorch.io.bounded import printable, read_regular
 from roadtorch.io.image import read_image
 from roadtorch.layout.weights import load_network
 from roadtorch.road.ego import read_ego_mask
-from roadtorch.runs.folder import ResultFolder
+from roadtorch.runs.folder import result_folder
 from roadtorch.runs.index import read_index
 from roadtorch.runtime.signals import Stop
 from roadtorch.settings import read_settings_file
@@ -122,7 +122,7 @@ def _pictures(path: Path) -> Dataset:
 
 READERS: dict[str, Callable[[Path], object]] = {
     "index.csv": read_index,
-    "config.toml": lambda path: ResultFolder(path.parent).keep_config("", overwrite=False),
+    "config.toml": lambda path: result_folder(path.parent, "", False).__enter__(),
     "settings.toml": read_settings_file,
     "camera.toml": Camera.read,
     "conditions.csv": lambda path: with_conditions(_pictures(path), path),
