@@ -6,7 +6,7 @@ from pathlib import Path
 
 import torch
 
-from roadtorch.annotate.review import GLANCE, hasty_people
+from roadtorch.annotate.review import GLANCE, RUN, confirmation, hasty_runs
 from roadtorch.annotate.views import VIEWS, read_view, view_path
 from roadtorch.data.correction_labels import NOT_ROAD, ROAD_SAID
 from roadtorch.data.corrections import Correction, read_corrections
@@ -33,10 +33,12 @@ def corrections_report(out: Path, pictures: Path | None = None) -> str:
         lines.append(_row(one.name, _people(one), str(one.clicks), seconds, said, agree, verdict))
     known = [one for one in figures.values() if one is not None]
     lines += ["", *_totals(found, len(confirmed), known)]
-    for user, count in hasty_people(read_logs(out)).items():
-        lines.append(
-            f"caution: {user} called {count} pictures in a row right in less than {GLANCE:g} s each"
-        )
+    took = ((log.head.user, confirmation(log)) for log in read_logs(out))
+    lines += [
+        f"caution: {user} called {max(runs)} pictures in a row right in less than {GLANCE:g} s each"
+        for user, runs in hasty_runs(took).items()
+        if max(runs) >= RUN
+    ]
     return "\n".join(lines)
 
 

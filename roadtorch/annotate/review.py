@@ -4,11 +4,11 @@ A review is written to the log that it is about, with the name of who did it: ``
 a confirmation is right, ``Undo`` reopens the picture.
 """
 
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
 
 from roadtorch.data.event_log import EventLog
-from roadtorch.data.events import AnyEvent, Confirm, Redo, Review, Undo, standing
+from roadtorch.data.events import AnyEvent, Confirm, Redo, Review, Undo
 from roadtorch.errors import InputError
 
 GLANCE = 1.0
@@ -18,37 +18,33 @@ RUN = 10
 """Confirmations in a row below ``GLANCE`` from which the person is told. Forbidden is nothing."""
 
 
-class Confirmation(NamedTuple):
-    """When a picture was called right that still is, seconds since 1970, and the seconds at it."""
-
-    time: float
-    seconds: float
+Confirmation = tuple[float, float]
+"""When a picture was called right that still is, seconds since 1970, and the seconds at it."""
 
 
-def confirmation(events: Sequence[AnyEvent]) -> Confirmation | None:
+def confirmation(log: EventLog) -> Confirmation | None:
     """The last one of a log that holds, with all the work before it; None without any."""
-    last = next((one for one in reversed(standing(events)) if isinstance(one, Confirm)), None)
+    last = next((one for one in reversed(log.standing) if isinstance(one, Confirm)), None)
     if last is None:
         return None
-    return Confirmation(last.time, sum(one.seconds for one in events if one.time <= last.time))
+    return last.time, sum(one.seconds for one in log.events if one.time <= last.time)
 
 
-def hasty_runs(confirmations: Iterable[Confirmation]) -> list[int]:
-    """At each of one person's confirmations, how many up to it in a row took less than a glance."""
-    runs = [0]
-    for one in sorted(confirmations):
-        runs.append(runs[-1] + 1 if one.seconds < GLANCE else 0)
-    return runs
+def hasty_runs(confirmations: Iterable[tuple[str, Confirmation | None]]) -> dict[str, list[int]]:
+    """At each confirmation of a person, how many up to it in a row took less than a glance.
 
-
-def hasty_people(logs: Iterable[EventLog]) -> dict[str, int]:
-    """By name, the longest hasty run of everybody who had one of ``RUN`` or more."""
-    known: dict[str, list[Confirmation]] = {}
-    for log in logs:
-        if (one := confirmation(log.events)) is not None:
-            known.setdefault(log.head.user, []).append(one)
-    found = {user: max(hasty_runs(each)) for user, each in sorted(known.items())}
-    return {user: most for user, most in found.items() if most >= RUN}
+    confirmations: with the name of the person, in any order; so is the result, sorted.
+    """
+    by_user: dict[str, list[Confirmation]] = defaultdict(list)
+    for user, one in confirmations:
+        if one is not None:
+            by_user[user].append(one)
+    found: dict[str, list[int]] = {}
+    for user, each in sorted(by_user.items()):
+        runs = found[user] = [0]
+        for _, seconds in sorted(each):
+            runs.append(runs[-1] + 1 if seconds < GLANCE else 0)
+    return found
 
 
 def check_reviewer(user: str, event: AnyEvent, events: Sequence[AnyEvent]) -> None:
@@ -57,12 +53,10 @@ def check_reviewer(user: str, event: AnyEvent, events: Sequence[AnyEvent]) -> No
     Raises InputError for one's own work, and for anything but calling a confirmation right,
     taking it back, and doing either again.
     """
-    by = event.by if isinstance(event, Review | Undo | Redo) else None
-    if by is None:
+    if not isinstance(event, Review | Undo | Redo) or event.by is None:
         return
-    if by == user:
+    if event.by == user:
         raise InputError(user, "is who confirmed", "have a second person review it")
-    of = event.of if isinstance(event, Review | Undo | Redo) else ""
     verdicts = Confirm if isinstance(event, Review) else (Confirm, Review)
-    if not any(one.id == of and isinstance(one, verdicts) for one in events):
-        raise InputError(of, f"is no verdict of {user}", "review what was called right")
+    if not any(one.id == event.of and isinstance(one, verdicts) for one in events):
+        raise InputError(event.of, f"is no verdict of {user}", "review what was called right")

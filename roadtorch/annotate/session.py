@@ -1,6 +1,5 @@
 """A session of corrections: a folder of pictures, the machine's views, and everybody's work."""
 
-import os
 import threading
 import time
 from dataclasses import dataclass, field
@@ -23,10 +22,10 @@ from roadtorch.annotate.machine import (
 from roadtorch.annotate.next_pictures import PictureOrder
 from roadtorch.annotate.review import RUN, check_reviewer, confirmation, hasty_runs
 from roadtorch.annotate.views import ViewStore
-from roadtorch.annotate.work import PictureFolder, Work, checked_user, open_work
+from roadtorch.annotate.work import PictureFolder, open_work
 from roadtorch.data.correction_labels import LABELS
 from roadtorch.data.corrections import agreement_share
-from roadtorch.data.event_log import ENDING, LogHead, log_path, read_log
+from roadtorch.data.event_log import ENDING, EventLog, log_path, read_log
 from roadtorch.data.events import (
     AnyEvent,
     Confirm,
@@ -35,7 +34,7 @@ from roadtorch.data.events import (
     mask_of,
     reviewers,
     runs_of,
-    standing,
+    taken_back,
 )
 from roadtorch.errors import InputError
 
@@ -55,12 +54,12 @@ class Session:
     settings: AnnotationSettings
     trusts: dict[str, float] = field(default_factory=dict)
     order: PictureOrder | None = None
-    _works: WeakValueDictionary[tuple[str, str], Work] = field(
+    _works: WeakValueDictionary[tuple[str, str], EventLog] = field(
         default_factory=WeakValueDictionary, repr=False
     )
-    _held: list[Work] = field(default_factory=list, repr=False)
+    _held: list[EventLog] = field(default_factory=list, repr=False)
     _lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
-    _summaries: dict[Path, tuple[int, dict[str, Any]]] = field(default_factory=dict, repr=False)
+    _summaries: dict[Path, tuple[int, Any]] = field(default_factory=dict, repr=False)
 
     # --- what there is ------------------------------------------------------------------
 
@@ -83,13 +82,9 @@ class Session:
 
     def hasty(self) -> dict[str, int]:
         """Who called so many pictures in a row right, up to now, that nobody looks so fast."""
-        took: dict[str, list[Any]] = {}
-        for users in self._work_by_picture().values():
-            for user, one in users.items():
-                if one["took"] is not None:
-                    took.setdefault(user, []).append(one["took"])
-        runs = {user: hasty_runs(each)[-1] for user, each in took.items()}
-        return {user: count for user, count in sorted(runs.items()) if count >= RUN}
+        work = self._work_by_picture().values()
+        took = ((user, one["took"]) for users in work for user, one in users.items())
+        return {user: runs[-1] for user, runs in hasty_runs(took).items() if runs[-1] >= RUN}
 
     def _trust(self, name: str) -> float | None:
         trust = self.trusts.get(name)
@@ -101,20 +96,18 @@ class Session:
         for path in sorted(self.out.rglob(f"*{ENDING}")):
             stem = path.relative_to(self.out).as_posix().removesuffix(ENDING)
             name, _, user = stem.rpartition(".")
-            length, (known, summary) = path.stat().st_size, self._summaries.get(path, (-1, {}))
+            length, (known, summary) = path.stat().st_size, self._summaries.get(path, (-1, None))
             if known != length:
                 log = read_log(path)
-                events = log.events if log else ()
-                lasting = standing(events)
-                summary = {
-                    "events": len(lasting),
-                    "confirmed": any(isinstance(event, Confirm) for event in lasting),
-                    "version": len(events),
-                    "reviewed": list(reviewers(lasting)),
-                    "took": confirmation(events),
+                summary = log and {
+                    "events": len(log.standing),
+                    "confirmed": log.confirmed,
+                    "version": len(log.events),
+                    "reviewed": list(reviewers(log.standing)),
+                    "took": confirmation(log),
                 }
                 self._summaries[path] = length, summary
-            if summary["version"]:
+            if summary and summary["version"]:
                 found.setdefault(name, {})[user] = summary
         return found
 
@@ -135,13 +128,11 @@ class Session:
                 raise
             return view
 
-    def _work(self, name: str, user: str, view: PictureView) -> Work:
-        key, (height, width) = (name, checked_user(user)), view.size
+    def _work(self, name: str, user: str, view: PictureView) -> EventLog:
         with self._lock:
-            if (work := self._works.get(key)) is None:
-                picture = os.path.relpath(self.pictures.root / name, self.pictures.apart)
-                head = LogHead(picture=picture, user=user, height=height, width=width)
-                work = self._works[key] = open_work(log_path(self.out, name, user), head)
+            if (work := self._works.get((name, user))) is None:
+                work = open_work(self.pictures, self.out, name, user, view.size)
+                self._works[name, user] = work
             self._held = [*(one for one in self._held if one is not work), work]
             while len(self._held) > 1 and sum(one.labels.nbytes for one in self._held) > HELD:
                 del self._held[0]
@@ -162,13 +153,13 @@ class Session:
         view = self._view_or_last(name)
         work = self._work(name, user, view)
         check_reviewer(user, event, work.events)
-        work.add(self._completed(event, work, view))
+        work.add(self._completed(event, name, work, view))
         return {
             **self._shown(name, work, view),
             "milliseconds": 1000 * (time.perf_counter() - start),
         }
 
-    def _completed(self, event: AnyEvent, work: Work, view: PictureView) -> AnyEvent:
+    def _completed(self, event: AnyEvent, name: str, work: EventLog, view: PictureView) -> AnyEvent:
         """The event with its time and with the pixels that it is about."""
         changes: dict[str, Any] = {"time": round(time.time(), 3)}
         if isinstance(event, SuperpixelStroke):
@@ -179,34 +170,31 @@ class Session:
             chosen = np.isin(view.labels.numpy(), event.segments)
             changes["runs"] = runs_of(at_size(chosen, view.size))
         if isinstance(event, Copy):
-            picture, road = self._road_before(work, view)
+            picture, road = self._road_before(name, work)
             changes |= {"picture": picture, "runs": runs_of(road)}
         if isinstance(event, Confirm):
             changes["runs"] = runs_of(shown_road(self._odds(work, view), work.labels, view.size))
         return event.model_copy(update=changes)
 
-    def _road_before(self, work: Work, view: PictureView) -> tuple[str, np.ndarray]:
+    def _road_before(self, own: str, work: EventLog) -> tuple[str, np.ndarray]:
         """The last picture before this one that the person called right, and its road (H,W)."""
-        user = work.head.user
-        own = work.path.relative_to(self.out).as_posix().removesuffix(f".{user}{ENDING}")
-        done = self._work_by_picture()
-        names = self.pictures.names()
+        user, done, names = work.head.user, self._work_by_picture(), self.pictures.names()
         for name in reversed(names[: names.index(own)] if own in names else ()):
             if done.get(name, {}).get(user, {}).get("confirmed"):
                 log = read_log(log_path(self.out, name, user))
-                if log is not None and (log.head.height, log.head.width) == view.size:
-                    return name, log.labels() == LABELS.index("road")
+                if log is not None and log.size == work.size:
+                    return name, log.labels == LABELS.index("road")
         what = "has no picture of its size before it that you called right"
         raise InputError(own, what, "call the frame before it right first")
 
-    def _odds(self, work: Work, view: PictureView) -> Any:
-        copied = [one for one in work.standing() if isinstance(one, Copy)]
+    def _odds(self, work: EventLog, view: PictureView) -> Any:
+        copied = [one for one in work.standing if isinstance(one, Copy)]
         if copied:
             view = seen_as(view, mask_of(copied[-1].runs, view.size))
         said = said_of_segments(work.labels, view, self.settings)
         return mended_odds(view, said, self.settings.propagation)
 
-    def _shown(self, name: str, work: Work, view: PictureView) -> dict[str, Any]:
+    def _shown(self, name: str, work: EventLog, view: PictureView) -> dict[str, Any]:
         shape = (view.labels.shape[0], view.labels.shape[1])
         road = shown_road(self._odds(work, view), work.labels, shape)
         layout = np.minimum(mended_layout(view, work.labels, self.settings), 3)
@@ -217,11 +205,11 @@ class Session:
             "shape": [shape[1], shape[0]],
             "trust": self._trust(name),
             "version": len(work.events),
-            "events": [[one.id, one.kind, getattr(one, "saying", "")] for one in work.standing()],
-            "redo": work.taken_back(),
+            "events": [[one.id, one.kind, getattr(one, "saying", "")] for one in work.standing],
+            "redo": taken_back(work.events),
             "confirmed": work.confirmed,
-            "reviewed": list(reviewers(work.standing())),
-            "seconds": round(work.seconds, 1),
+            "reviewed": list(reviewers(work.standing)),
+            "seconds": round(sum(event.seconds for event in work.events), 1),
             "clicks": len(work.events),
             "agreement": self.agreement(name),
             "layers": layers.astype(np.uint8).tobytes(),
@@ -237,7 +225,7 @@ class Session:
             if (work := self._works.get((name, user))) is not None:
                 said.append(work.labels)
             elif (log := read_log(log_path(self.out, name, user))) is not None:
-                said.append(log.labels())
+                said.append(log.labels)
         return agreement_share(said)
 
 

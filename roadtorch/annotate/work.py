@@ -1,4 +1,4 @@
-"""The folder of pictures that is corrected, and one person's work on one of them, by its log."""
+"""The folder of pictures that is corrected, and the logs of people's work on them."""
 
 import hashlib
 import os
@@ -12,19 +12,8 @@ import numpy as np
 
 from roadtorch.data.correction_formats import FORMATS
 from roadtorch.data.correction_labels import LABELS
-from roadtorch.data.event_log import EventLog, LogHead, append_event, log_path, read_log
-from roadtorch.data.events import (
-    AnyEvent,
-    Confirm,
-    Import,
-    LastingEvent,
-    Redo,
-    Undo,
-    apply_event,
-    folded,
-    runs_of,
-    standing,
-)
+from roadtorch.data.event_log import EventLog, LogHead, log_path, read_log
+from roadtorch.data.events import Import, runs_of
 from roadtorch.data.labelme import picture_size
 from roadtorch.errors import InputError
 from roadtorch.io.bounded import printable
@@ -87,74 +76,21 @@ def checked_user(user: str) -> str:
     return user
 
 
-@dataclass
-class Work:
-    """What an event log holds, kept up to date event by event.
+def open_work(
+    pictures: PictureFolder, out: Path, name: str, user: str, size: tuple[int, int]
+) -> EventLog:
+    """A user's log for a picture of (height, width), or a new one.
 
-    head: the log's first line, written with the first event. events: all of them, each once.
-    labels: uint8 (H,W), what they come to.
+    Raises InputError for a name that is none for a user, DatasetError for a log that cannot be
+    read or does not fit its picture.
     """
-
-    path: Path
-    head: LogHead
-    events: list[AnyEvent]
-    labels: np.ndarray
-    _lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(height, width) of the picture."""
-        return self.head.height, self.head.width
-
-    def add(self, event: AnyEvent) -> bool:
-        """Take an event and have it on disk; False, and nothing done, for one that is there.
-
-        Raises InputError for one that does not fit the picture, or cannot be written.
-        """
-        with self._lock:
-            if any(event.id == one.id for one in self.events):
-                return False
-            if isinstance(event, Undo | Redo):
-                labels = folded([*self.events, event], self.size)
-            else:
-                labels = self.labels.copy()
-                apply_event(labels, event)
-            append_event(self.path, self.head, event)
-            self.events.append(event)
-            self.labels = labels
-            return True
-
-    def standing(self) -> list[LastingEvent]:
-        """The events that hold."""
-        return standing(self.events)
-
-    def taken_back(self) -> list[str]:
-        """The events that can be done again: taken back last comes last, none after a new one."""
-        stack: list[str] = []
-        for event in self.events:
-            if isinstance(event, Undo):
-                stack = [*(one for one in stack if one != event.of), event.of]
-            elif isinstance(event, Redo):
-                stack = [one for one in stack if one != event.of]
-            else:
-                stack = []
-        return stack
-
-    @property
-    def confirmed(self) -> bool:
-        """Whether the person said that it is right as it is."""
-        return any(isinstance(event, Confirm) for event in self.standing())
-
-    @property
-    def seconds(self) -> float:
-        """At work on the picture."""
-        return sum(event.seconds for event in self.events)
-
-
-def open_work(path: Path, head: LogHead) -> Work:
-    """The work in a log, or a new one with this head; DatasetError if it cannot be read."""
-    log = (read_log(path) if path.exists() else None) or EventLog(path, head, ())
-    return Work(path, log.head, list(log.events), log.labels())
+    path = log_path(out, name, checked_user(user))
+    log = read_log(path) if path.exists() else None
+    if log is None:
+        picture = os.path.relpath(pictures.root / name, pictures.apart)
+        log = EventLog(path, LogHead(picture=picture, user=user, height=size[0], width=size[1]))
+    log.labels  # noqa: B018  # folded before other threads see it
+    return log
 
 
 # --- labels of other programs -----------------------------------------------------------
@@ -171,10 +107,7 @@ def import_labels(name: str, origin: Path, folder: Path, out: Path, user: str) -
     sizes = {one: picture_size(pictures.path(one)) for one in pictures.names()}
     found = FORMATS[name].read(origin, sizes)
     for picture, labels in found.items():
-        height, width = sizes[picture]
-        relative = os.path.relpath(pictures.root / picture, pictures.apart)
-        head = LogHead(picture=relative, user=user, height=height, width=width)
-        work = open_work(log_path(out, picture, user), head)
+        work = open_work(pictures, out, picture, user, sizes[picture])
         if not work.events or (work.labels != labels).any():  # else they were brought in before
             work.add(import_event(labels, len(work.events)))
     return len(found)

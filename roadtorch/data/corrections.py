@@ -24,7 +24,7 @@ from roadtorch.data.correction_labels import (
 )
 from roadtorch.data.dataset import Dataset, Item, Truth
 from roadtorch.data.event_log import ENDING, EventLog, read_log, read_logs
-from roadtorch.data.events import Confirm, reviewers, standing
+from roadtorch.data.events import reviewers
 from roadtorch.errors import DatasetError
 from roadtorch.layout.classes import UNLABELLED
 
@@ -38,7 +38,7 @@ class Correction:
     pixel's road is known. users: sorted. seconds: at work on it, of all of them. clicks: events of
     all of them, those taken back among them. agreement: share of the pixels that two or more
     spoke of on which all of them agree about the road; None where there are none. reviewers: who
-    called the work of another right.
+    called the work of another right. logs: where it was said.
     """
 
     picture: Path
@@ -50,6 +50,7 @@ class Correction:
     clicks: int
     agreement: float | None = None
     reviewers: tuple[str, ...] = ()
+    logs: tuple[Path, ...] = ()
 
     @property
     def road(self) -> np.ndarray:
@@ -69,7 +70,12 @@ def read_corrections(folder: Path, pictures: Path | None = None) -> list[Correct
     else the logs know. Pictures on which every stroke was taken back are left out. Raises
     DatasetError for a folder without logs, and for a broken one.
     """
-    by_picture = logs_by_picture(folder)
+    by_picture: dict[str, list[EventLog]] = defaultdict(list)
+    for log in read_logs(folder):
+        ending = f".{log.head.user}{ENDING}"
+        by_picture[log.path.relative_to(folder).as_posix().removesuffix(ending)].append(log)
+    if not by_picture:
+        raise DatasetError(folder, "holds no corrections", "make some with roadtorch annotate")
     found = []
     for name, logs in sorted(by_picture.items()):
         known = folder / logs[0].head.picture
@@ -80,37 +86,27 @@ def read_corrections(folder: Path, pictures: Path | None = None) -> list[Correct
     return found
 
 
-def logs_by_picture(folder: Path) -> dict[str, list[EventLog]]:
-    """The logs below a folder by the picture's name with ending; DatasetError without any."""
-    found: dict[str, list[EventLog]] = defaultdict(list)
-    for log in read_logs(folder):
-        ending = f".{log.head.user}{ENDING}"
-        found[log.path.relative_to(folder).as_posix().removesuffix(ending)].append(log)
-    if not found:
-        raise DatasetError(folder, "holds no corrections", "make some with roadtorch annotate")
-    return found
-
-
 def corrected(picture: Path, name: str, logs: Sequence[EventLog]) -> Correction:
     """What one or more logs of a picture come to.
 
     Raises DatasetError where two are for pictures of different sizes or events do not fit theirs.
     """
-    if len({(one.head.height, one.head.width) for one in logs}) > 1:
+    if len({one.size for one in logs}) > 1:
         what = f"is for another picture size than {logs[0].path.name}"
         raise DatasetError(logs[-1].path, what, "correct one version of the picture")
-    said = [log.labels() for log in logs]
+    said = [log.labels for log in logs]
     events = [event for log in logs for event in log.events]
     return Correction(
         picture,
         name,
         agreed_labels(said),
-        any(isinstance(event, Confirm) for one in logs for event in standing(one.events)),
+        any(one.confirmed for one in logs),
         tuple(sorted(one.head.user for one in logs)),
         sum(event.seconds for event in events),
         len({event.id for event in events}),
         agreement_share(said),
-        tuple(sorted({who for log in logs for who in reviewers(standing(log.events))})),
+        tuple(sorted({who for log in logs for who in reviewers(log.standing)})),
+        tuple(log.path for log in logs),
     )
 
 
@@ -124,33 +120,23 @@ def agreed_labels(said: Sequence[np.ndarray]) -> np.ndarray:
     """
     if len(said) == 1:
         return said[0]
-    road = _agreed([road_layer(each) for each in said], OPEN, VOID_SAID)
-    layout = _agreed([layout_layer(each) for each in said], UNLABELLED, UNLABELLED)
+    road = _agreed([road_layer(each) for each in said], VOID_SAID)
+    layout = _agreed([layout_layer(each) for each in said], UNLABELLED)
     return labels_of(road, layout)
 
 
-def _agreed(layers: Sequence[np.ndarray], silent: int, contradiction: int) -> np.ndarray:
-    found = np.full_like(layers[0], silent)
-    for layer in layers:
-        spoke = layer != silent
-        found = np.where(
-            spoke & (found != silent) & (found != layer),
-            contradiction,
-            np.where(spoke & (found == silent), layer, found),
-        ).astype(np.uint8)
-    return found
+def _agreed(layers: Sequence[np.ndarray], contradiction: int) -> np.ndarray:
+    """What all say who say anything, uint8 (H,W); in layers and where nobody does it is 255."""
+    every = np.stack(layers)
+    low, high = every.min(0), np.where(every == OPEN, 0, every).max(0)
+    return np.where((low == high) | (low == OPEN), low, contradiction)
 
 
 def agreement_share(said: Sequence[np.ndarray]) -> float | None:
     """Share of the pixels that two or more spoke of on which all say the same of the road."""
-    road = np.stack([road_layer(each) for each in said])
-    spoke = road != OPEN
-    several = spoke.sum(0) > 1
-    if not several.any():
-        return None
-    low = np.where(spoke, road, 255).min(0)
-    high = np.where(spoke, road, 0).max(0)
-    return float((low == high)[several].mean())
+    road = [road_layer(each) for each in said]
+    several = sum(layer != OPEN for layer in road) > np.uint8(1)
+    return float((_agreed(road, OPEN) != OPEN)[several].mean()) if several.any() else None
 
 
 # --- as a labelled set ------------------------------------------------------------------
@@ -175,13 +161,11 @@ def open_corrections(folder: Path, pictures: Path | None = None) -> Dataset:
     folder, pictures: see ``read_corrections``, which says what is raised; DatasetError too where
     nobody said anything of the road.
     """
-    logs = logs_by_picture(folder)
     items = []
     for one in read_corrections(folder, pictures):
         if ((one.road == ROAD_SAID) | (one.road == NOT_ROAD)).any():
-            label, *extra = [log.path for log in logs[one.name]]
             name = PurePosixPath(one.name).with_suffix("").as_posix()
-            items.append(Item(name, one.picture, label, None, tuple(extra)))
+            items.append(Item(name, one.picture, one.logs[0], None, one.logs[1:]))
     if not items:
         raise DatasetError(folder, "says nothing of the road", "correct some pictures")
     return Dataset("corrections", folder, "all", tuple(items), CorrectionLabels())

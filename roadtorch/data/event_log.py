@@ -6,8 +6,10 @@ whole first line, after a crash or on a full disk, is no log: the next event beg
 """
 
 import os
+import threading
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from io import FileIO
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Self
@@ -15,7 +17,18 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from roadtorch.data.events import AnyEvent, Name, folded, parse_event
+from roadtorch.data.events import (
+    AnyEvent,
+    Confirm,
+    LastingEvent,
+    Name,
+    Redo,
+    Undo,
+    apply_event,
+    folded,
+    parse_event,
+    standing,
+)
 from roadtorch.data.imported import Side, imported
 from roadtorch.errors import DatasetError, InputError
 from roadtorch.io.atomic import make_folder
@@ -44,22 +57,59 @@ class LogHead(Settings):
         return self
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class EventLog:
-    """A log as it was read."""
+    """One person's work on one picture, as its log has it.
+
+    head: the first line, written with the first event. events: all of them.
+    """
 
     path: Path
     head: LogHead
-    events: tuple[AnyEvent, ...]
+    events: list[AnyEvent] = field(default_factory=list)
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width) of the picture."""
+        return self.head.height, self.head.width
+
+    @property
+    def standing(self) -> list[LastingEvent]:
+        """The events that hold."""
+        return standing(self.events)
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether the person said that it is right as it is."""
+        return any(isinstance(event, Confirm) for event in self.standing)
+
+    @cached_property
     def labels(self) -> np.ndarray:
         """What the events come to, uint8 (H,W); DatasetError where one does not fit the picture."""
         try:
-            return folded(self.events, (self.head.height, self.head.width))
+            return folded(self.events, self.size)
         except InputError as problem:
             what = f"has an event that does not fit: {problem.where} {problem.what}"
             remedy = "give the picture that was corrected"
             raise DatasetError(self.path, what, remedy) from None
+
+    def add(self, event: AnyEvent) -> None:
+        """Take an event and have it on disk; nothing is done for one that is there.
+
+        Raises InputError for one that does not fit the picture, or cannot be written.
+        """
+        with self._lock:
+            if any(event.id == one.id for one in self.events):
+                return
+            if isinstance(event, Undo | Redo):
+                labels = folded([*self.events, event], self.size)
+            else:
+                labels = self.labels.copy()
+                apply_event(labels, event)
+            append_event(self.path, self.head, event)
+            self.events.append(event)
+            self.labels = labels
 
 
 def log_path(folder: Path, picture: str, user: str) -> Path:
@@ -83,7 +133,7 @@ def read_log(path: Path) -> EventLog | None:
         events = [parse_event(line, f"{path}:{at}") for at, line in enumerate(lines[1:], start=2)]
     except InputError as problem:
         raise DatasetError(problem.where, problem.what, "mend or remove that line") from None
-    return EventLog(path, head, tuple(events))
+    return EventLog(path, head, events)
 
 
 def append_event(path: Path, head: LogHead, event: AnyEvent) -> None:

@@ -199,6 +199,16 @@ def standing(events: Iterable[AnyEvent]) -> list[LastingEvent]:
     return [event for event in kept.values() if event.id not in undone]
 
 
+def taken_back(events: Iterable[AnyEvent]) -> list[str]:
+    """The events that can be done again: taken back last comes last, none after a new one."""
+    stack: list[str] = []
+    for event in events:
+        stack = [one for one in stack if one != event.of] if isinstance(event, Undo | Redo) else []
+        if isinstance(event, Undo):
+            stack.append(event.of)
+    return stack
+
+
 def reviewers(events: Iterable[LastingEvent]) -> tuple[str, ...]:
     """Who called the work right since it was changed last, of the events that hold; sorted."""
     found: set[str] = set()

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from roadtorch.annotate.work import import_event, open_work
+from roadtorch.annotate.work import import_event
 from roadtorch.cli.compare import compare
 from roadtorch.data.corrections import open_corrections
-from roadtorch.data.event_log import LogHead, log_path
+from roadtorch.data.event_log import EventLog, LogHead, log_path
 from roadtorch.errors import ConfigError, DatasetError, WeightsError
 from roadtorch.evaluation.disagreement import disagreement, unlabelled_set
 from roadtorch.io.image import write_npy
@@ -41,7 +41,7 @@ def corrections(streets: Path) -> Path:
         name = f"street_{seed}.png"
         labels = np.where(scene(seed, 48, 64).road.numpy(), 1, 2).astype(np.uint8)
         head = LogHead(picture=f"../streets/{name}", user="ann", height=48, width=64)
-        open_work(log_path(folder, name, "ann"), head).add(import_event(labels))
+        EventLog(log_path(folder, name, "ann"), head).add(import_event(labels))
     return folder
 
 

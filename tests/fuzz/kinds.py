@@ -366,7 +366,7 @@ def make_journal(draw: Draw, folder: Path) -> Path:
 
 def read_journal(path: Path) -> bool:
     log = read_log(path)
-    return log is None or log.labels().max() < 8
+    return log is None or log.labels.max() < 8
 
 
 def make_conditions(draw: Draw, folder: Path) -> Path:

@@ -9,10 +9,10 @@ import pytest
 import torch
 from click.testing import CliRunner
 
-from roadtorch.annotate.work import import_event, open_work
+from roadtorch.annotate.work import import_event
 from roadtorch.cli.train import train as command_of_train
 from roadtorch.data.corrections import Correction
-from roadtorch.data.event_log import LogHead, log_path
+from roadtorch.data.event_log import EventLog, LogHead, log_path
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.layout.weights import corrected_pictures, load_network, people_behind
@@ -190,9 +190,7 @@ def test_weights_say_that_people_corrected_pictures(
 def test_the_command_reads_what_annotate_kept(streets: Path, kept: Path, tmp_path: Path) -> None:
     name, logs = "street_1.png", tmp_path / "corrections"
     head = LogHead(picture=f"elsewhere/{name}", user="ann", height=60, width=80)
-    open_work(log_path(logs, name, "ann"), head).add(
-        import_event(quarters(60, 80).astype(np.uint8))
-    )
+    EventLog(log_path(logs, name, "ann"), head).add(import_event(quarters(60, 80).astype(np.uint8)))
     config = write_config(tmp_path / "train.toml", PATCHES)
     words = ["--config", config, "--images", streets, "--out", tmp_path / "run", "--quiet"]
     words += ["--corrections", logs, "--pictures", streets]
