@@ -12,8 +12,6 @@ Several at a time: ``--every 2 --from 1`` takes every second number.
 drives through each world, a metre a frame: DRIVES/NUMBER_KIND_HOUR/images/FRAME.jpg and
 masks/FRAME.png (255 road, 0 not, 128 uncertain), a set that ``roadtorch evaluate folder`` scores.
 """
-# pyright: reportMissingImports=false
-# (Blender is in an environment of its own)
 
 import argparse
 import os
@@ -32,8 +30,8 @@ from train.worlds.camera import build_camera, drive_on
 from train.worlds.light import build_light, draw_hour
 from train.worlds.materials import Nodes
 from train.worlds.roads import KINDS, Road, build_road
-from train.worlds.sensor import develop
-from train.worlds.stage import COLOURS, EGO, ROAD, VOID, Stage
+from train.worlds.sensor import Look, develop
+from train.worlds.stage import COLOURS, EGO, HORIZONTAL, ROAD, SKY, VOID, Stage
 from train.worlds.surroundings import build_surroundings
 from train.worlds.vehicles import build_traffic
 
@@ -43,13 +41,17 @@ SEASONS = {"green": 6, "dry": 3, "earth": 2, "litter": 3, "snow": 2}
 SAMPLES = 8
 """Paths a pixel; the rest is the denoiser's."""
 
+TONES = {SKY: (255, 160, 60), ROAD: (0, 255, 0), EGO: (0, 0, 255), HORIZONTAL: (0, 200, 255)}
+TONES[VOID] = (255, 0, 255)
+"""Of the truth on a sheet, BGR."""
+
 
 def build_world(number: int) -> tuple[Stage, Road, str]:
     """The scene of a number, its road, and its name."""
     at = Random(number)
     stage = Stage(at)
     hour = draw_hour(stage)
-    kind = at.choices(list(KINDS), list(KINDS.values()))[0]
+    kind = at.choices(list(KINDS), [each.often for each in KINDS.values()])[0]
     season = at.choices(list(SEASONS), list(SEASONS.values()))[0]
     build_light(stage, hour)
     road = build_road(stage, kind, season)
@@ -79,15 +81,11 @@ def render_truth(stage: Stage, place: Path) -> np.ndarray:
     The scene has no light any more afterwards.
     """
     scene, cycles = stage.scene, stage.scene.cycles
-    flat = bpy.data.materials.new("truth")
-    flat.use_nodes = True
-    flat.node_tree.nodes.clear()
-    nodes = Nodes(flat.node_tree)
-    light = nodes.add(
-        "ShaderNodeEmission", {"Color": nodes.add("ShaderNodeObjectInfo", {}, "Color")}
-    )
+    nodes = Nodes(bpy.data.materials.new("truth"))
+    colour = nodes.add("ShaderNodeObjectInfo", {}, "Color")
+    light = nodes.add("ShaderNodeEmission", {"Color": colour})
     nodes.add("ShaderNodeOutputMaterial", {"Surface": light})
-    scene.view_layers[0].material_override = flat
+    scene.view_layers[0].material_override = nodes.owner
     for lamp in [thing for thing in scene.objects if thing.type == "LIGHT"]:
         lamp.hide_render = True
     scene.world = None
@@ -108,42 +106,40 @@ def _written(scene: Any, file: Path) -> np.ndarray:
     return seen
 
 
+def develop_world(stage: Stage, number: int, light: np.ndarray, place: Path, file: Path) -> Look:
+    """Render the truth to some light, and write the picture that the camera makes of it."""
+    at = np.random.default_rng([35, number])
+    look = develop(light, render_truth(stage, place), stage.night, at)
+    cv2.imwrite(str(file), look.picture, [cv2.IMWRITE_JPEG_QUALITY, look.quality])
+    return look
+
+
 def make(number: int, out: Path) -> str:
     """Render one world; its name."""
     stage, _, name = build_world(number)
-    light, truth = render(stage, number, out), render_truth(stage, out)
-    look = develop(light, truth, stage.night, np.random.default_rng([35, number]))
+    light = render(stage, number, out)
+    look = develop_world(stage, number, light, out, out / "images" / f"{name}.jpg")
     cv2.imwrite(str(out / "truth" / f"{name}.png"), look.truth)
-    cv2.imwrite(
-        str(out / "images" / f"{name}.jpg"), look.picture, [cv2.IMWRITE_JPEG_QUALITY, look.quality]
-    )
     return name
 
 
 def make_drive(number: int, out: Path, frames: int) -> str:
     """Render frames of a drive through one world, those that are not there yet; its name."""
     stage, road, name = build_world(number)
-    for kind in ("images", "masks"):
-        (out / name / kind).mkdir(parents=True, exist_ok=True)
+    images, masks = (out / name / kind for kind in ("images", "masks"))
+    images.mkdir(parents=True, exist_ok=True)
+    masks.mkdir(exist_ok=True)
     steps = drive_on(stage, road, frames)
-    missing = [
-        frame
-        for frame in range(frames)
-        if not (out / name / "images" / f"{frame:03d}.jpg").exists()
-    ]
+    files = {frame: images / f"{frame:03d}.jpg" for frame in range(frames)}
     lights = {}
-    for frame in missing:
+    for frame in [frame for frame, file in files.items() if not file.exists()]:
         steps(frame)
         lights[frame] = render(stage, number, out)
-    for frame in missing:
+    for frame, light in lights.items():
         steps(frame)
-        truth = render_truth(stage, out)
-        look = develop(lights[frame], truth, stage.night, np.random.default_rng([35, number]))
+        look = develop_world(stage, number, light, out, files[frame])
         mask = np.where(look.truth == ROAD, 255, np.where(look.truth == VOID, 128, 0))
-        folder = out / name
-        cv2.imwrite(str(folder / "masks" / f"{frame:03d}.png"), mask.astype(np.uint8))
-        file = str(folder / "images" / f"{frame:03d}.jpg")
-        cv2.imwrite(file, look.picture, [cv2.IMWRITE_JPEG_QUALITY, look.quality])
+        cv2.imwrite(str(masks / f"{frame:03d}.png"), mask.astype(np.uint8))
     return name
 
 
@@ -151,28 +147,17 @@ def sheet(out: Path, first: int, last: int, columns: int = 8) -> np.ndarray:
     """Pictures side by side, road green and ego car red in a copy beside each."""
     tiles = []
     for file in sorted((out / "images").glob("*.jpg")):
-        if not first <= int(file.name[:5]) < last:
-            continue
-        known = out / "truth" / f"{file.stem}.png"
-        truth = np.asarray(cv2.imread(str(known), cv2.IMREAD_UNCHANGED))
-        picture = np.asarray(cv2.imread(str(file)))
-        drawn = picture.copy()
-        for what, tone in (
-            (0, (255, 160, 60)),
-            (ROAD, (0, 255, 0)),
-            (EGO, (0, 0, 255)),
-            (2, (0, 200, 255)),
-            (255, (255, 0, 255)),
-        ):
-            drawn[truth == what] = (drawn[truth == what] * 0.55 + np.array(tone) * 0.45).astype(
-                np.uint8
-            )
-        cv2.putText(drawn, file.stem, (4, 14), 0, 0.45, (255, 255, 255), 1)
-        tiles.append(np.concatenate([picture, drawn], 0))
-    blank = [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
-    rows = [
-        np.concatenate((tiles + blank)[k : k + columns], 1) for k in range(0, len(tiles), columns)
-    ]
+        if first <= int(file.name[:5]) < last:
+            known = str(out / "truth" / f"{file.stem}.png")
+            truth = np.asarray(cv2.imread(known, cv2.IMREAD_UNCHANGED))
+            picture = np.asarray(cv2.imread(str(file)))
+            drawn = picture.copy()
+            for what, tone in TONES.items():
+                drawn[truth == what] = drawn[truth == what] * 0.55 + np.array(tone) * 0.45
+            cv2.putText(drawn, file.stem, (4, 14), 0, 0.45, (255, 255, 255), 1)
+            tiles.append(np.concatenate([picture, drawn], 0))
+    tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
+    rows = [np.concatenate(tiles[k : k + columns], 1) for k in range(0, len(tiles), columns)]
     return np.concatenate(rows, 0)
 
 
@@ -190,15 +175,13 @@ def main() -> None:
     if given.sheet:
         cv2.imwrite(str(given.sheet), sheet(given.out, given.first, given.last))
         return
-    numbers = range(given.first + given.offset, given.last, given.every)
-    if given.frames:
-        for number in numbers:
+    if not given.frames:
+        for name in ("images", "truth"):
+            (given.out / name).mkdir(parents=True, exist_ok=True)
+    for number in range(given.first + given.offset, given.last, given.every):
+        if given.frames:
             print(make_drive(number, given.out, given.frames), flush=True)
-        return
-    for name in ("images", "truth"):
-        (given.out / name).mkdir(parents=True, exist_ok=True)
-    for number in numbers:
-        if not any((given.out / "images").glob(f"{number:05d}_*.jpg")):
+        elif not any((given.out / "images").glob(f"{number:05d}_*.jpg")):
             begun = time.monotonic()
             print(make(number, given.out), f"{time.monotonic() - begun:.1f} s", flush=True)
 

@@ -1,6 +1,4 @@
 """The camera and the car that carries it: height, lens, tilt; bonnets, dashboards, robots."""
-# pyright: reportMissingImports=false
-# (Blender is in an environment of its own)
 
 from collections.abc import Callable
 from math import atan, degrees, radians, tan
@@ -9,9 +7,9 @@ from typing import Any, NamedTuple
 import bpy
 from mathutils import Matrix
 
-from train.worlds.materials import drawn, plain
+from train.worlds.materials import drawn, palette, plain
 from train.worlds.roads import SPACING, START, UNPAVED, Road
-from train.worlds.stage import COLOURS, EGO, VERTICAL, Shape, Stage, box
+from train.worlds.stage import COLOURS, EGO, VERTICAL, Parts, Shape, Stage, box
 from train.worlds.vehicles import PAINTS
 
 WIDTH, HEIGHT = 320, 240
@@ -19,7 +17,6 @@ WIDTH, HEIGHT = 320, 240
 
 SHAPES = [4 / 3, 4 / 3, 1.5, 16 / 9, 16 / 9, 1.9, 2.4, 3.3]
 """Width over height of the cameras' own pictures."""
-
 
 CLEAR_ACROSS, CLEAR_AHEAD = 2.2, 4.0
 """Metres about the way of a drive in which nothing stands."""
@@ -34,25 +31,23 @@ class Lens(NamedTuple):
 
 def build_camera(stage: Stage, road: Road) -> None:
     """Place the camera on the road, and the car below it; its head lights at night."""
-    at, scene = stage.at, stage.scene
+    at, course = stage.at, road.course
     robot = stage.chance(0.13)
-    tall = (
-        at.uniform(0.3, 0.7) if robot else at.choice([at.uniform(1.1, 1.6), at.uniform(1.2, 2.6)])
-    )
+    if robot:
+        tall = at.uniform(0.3, 0.7)
+    else:
+        tall = at.choice([at.uniform(1.1, 1.6), at.uniform(1.2, 2.6)])
     lens = _draw_lens(stage)
     data: Any = bpy.data.cameras.new("camera")
     data.sensor_fit, data.clip_start, data.clip_end = "VERTICAL", 0.05, 2000
     data.angle_y = 2 * atan(lens.half_up)
-    camera: Any = bpy.data.objects.new("camera", data)
-    scene.collection.objects.link(camera)
-    scene.camera = camera
-    side = (
-        at.uniform(-0.55, 0.6) if road.kind not in (*UNPAVED, "lane") else at.uniform(-0.25, 0.25)
-    )
-    camera.location = road.course.at(START, side * road.course.half, tall)
+    narrow = road.kind in (*UNPAVED, "lane")
+    side = at.uniform(-0.25, 0.25) if narrow else at.uniform(-0.55, 0.6)
+    camera = stage.add("camera", data, course.at(START, side * course.half, tall))
+    stage.scene.camera = camera
     up = degrees(atan(lens.half_up))
     pitch = at.uniform(-0.1, 0.45) * up if stage.chance(0.85) else at.uniform(0.4, 0.9) * up
-    slope = (road.course.points[START + 2].z - road.course.points[START].z) / 3
+    slope = (course.points[START + 2].z - course.points[START].z) / 3
     yaw = radians(at.gauss(0, 5) if stage.chance(0.85) else at.gauss(0, 18))
     roll = radians(at.gauss(0, 1.5))
     camera.rotation_euler = (radians(90 - pitch) + atan(slope), roll, yaw)
@@ -61,7 +56,7 @@ def build_camera(stage: Stage, road: Road) -> None:
             _put_robot(stage, camera, lens)
     elif stage.chance(0.58):
         _put_car(stage, camera, lens)
-    if stage.night:
+    if stage.night and not stage.chance(0.1):
         _put_head_lights(stage, camera, tall)
 
 
@@ -107,15 +102,13 @@ def _draw_lens(stage: Stage) -> Lens:
     render.resolution_x, render.resolution_y, render.resolution_percentage = WIDTH, HEIGHT, 100
     squeeze = at.choice(SHAPES) / (WIDTH / HEIGHT)
     render.pixel_aspect_x, render.pixel_aspect_y = max(1.0, squeeze), 1.0
-    half_across = tan(
-        radians(at.choice([at.uniform(22, 35), at.uniform(28, 42), at.uniform(40, 55)]))
-    )
+    angle = at.choice([at.uniform(22, 35), at.uniform(28, 42), at.uniform(40, 55)])
+    half_across = tan(radians(angle))
     return Lens(half_across / (WIDTH / HEIGHT * squeeze), half_across)
 
 
-def _put(stage: Stage, camera: Any, parts: Any, smooth: bool = False) -> None:
-    thing = stage.put(stage.mesh(parts, smooth), EGO)
-    thing.parent = camera
+def _put(stage: Stage, camera: Any, parts: Parts, smooth: bool = False) -> None:
+    stage.put(stage.mesh(parts, smooth), EGO).parent = camera
 
 
 def _hull(lens: Lens, edge: float, deep: float, arch: float, swell: float, lean: float) -> Shape:
@@ -149,17 +142,10 @@ def _put_car(stage: Stage, camera: Any, lens: Lens) -> None:
     kind = at.choices(["bonnet", "dashboard", "both"], [6, 3, 2])[0]
     edge = at.uniform(0.03, 0.3) if kind == "bonnet" else at.uniform(0.08, 0.4)
     if kind != "dashboard":
-        paint = plain(
-            stage, drawn(stage, PAINTS), at.choice([0.03, 0.12, 0.4]), at.choice([0.0, 0.4]), 0.03
-        )
-        hull = _hull(
-            lens,
-            edge,
-            at.uniform(1.1, 2.0),
-            at.uniform(0.0, 0.35),
-            at.uniform(0, 0.12),
-            at.uniform(0, 0.25),
-        )
+        tone, rough = drawn(stage, PAINTS), at.choice([0.03, 0.12, 0.4])
+        paint = plain(stage, tone, rough, at.choice([0.0, 0.4]), 0.03)
+        deep, arch = at.uniform(1.1, 2.0), at.uniform(0.0, 0.35)
+        hull = _hull(lens, edge, deep, arch, at.uniform(0, 0.12), at.uniform(0, 0.25))
         _put(stage, camera, [(hull, paint)], smooth=True)
         if stage.chance(0.12):  # a star or a spray nozzle upon it
             up = -(1 - 2 * edge) * lens.half_up * 1.1
@@ -167,20 +153,11 @@ def _put_car(stage: Stage, camera: Any, lens: Lens) -> None:
     if kind != "bonnet":
         if kind == "both":
             edge -= at.uniform(0.02, 0.08)
-        dark = plain(
-            stage,
-            drawn(stage, [(0.01, 0.01, 0.01), (0.04, 0.04, 0.045), (0.12, 0.11, 0.1)]),
-            at.uniform(0.3, 0.9),
-        )
-        hull = _hull(
-            lens,
-            edge,
-            at.uniform(0.45, 0.8),
-            at.uniform(0, 0.1),
-            at.uniform(0, 0.03),
-            at.uniform(0, 0.2),
-        )
-        parts = [(hull, dark)]
+        tone = drawn(stage, palette("1 1 1, 4 4 4.5, 12 11 10"))
+        dark = plain(stage, tone, at.uniform(0.3, 0.9))
+        deep, arch = at.uniform(0.45, 0.8), at.uniform(0, 0.1)
+        hull = _hull(lens, edge, deep, arch, at.uniform(0, 0.03), at.uniform(0, 0.2))
+        parts: Parts = [(hull, dark)]
         for _ in range(at.choice([0, 0, 1, 2])):  # a telephone, a hood over the instruments
             across, up = at.uniform(-0.9, 0.9) * lens.half_across, -(1 - 2 * edge) * lens.half_up
             size = (at.uniform(0.04, 0.25), at.uniform(0.02, 0.07), 0.05)
@@ -213,17 +190,12 @@ def _put_robot(stage: Stage, camera: Any, lens: Lens) -> None:
 
 def _put_head_lights(stage: Stage, camera: Any, tall: float) -> None:
     """Two beams ahead, from below the camera."""
-    at = stage.at
-    if stage.chance(0.1):
-        return
+    at, (x, y, z) = stage.at, camera.location
     low, watts = min(tall - 0.1, 0.75) - tall, at.uniform(200, 1500)
     spread, tilt = radians(at.uniform(28, 70)), radians(at.uniform(0.5, 3.5))
     for side in (-0.6, 0.6):
         light: Any = bpy.data.lights.new("head light", "SPOT")
         light.energy, light.spot_size, light.spot_blend = watts, spread, at.uniform(0.5, 1)
         light.color, light.shadow_soft_size = (1, at.uniform(0.8, 0.95), at.uniform(0.6, 0.9)), 0.08
-        thing: Any = bpy.data.objects.new("head light", light)
-        where = camera.location
-        thing.location = (where[0] + side, where[1] + 2.2, where[2] + low)
+        thing = stage.add("head light", light, (x + side, y + 2.2, z + low))
         thing.rotation_euler = (radians(90) - tilt, 0, camera.rotation_euler[2] * 0.3)
-        stage.scene.collection.objects.link(thing)

@@ -1,6 +1,4 @@
 """Weather and hour: sun, clouds, dusk, night, and the air between."""
-# pyright: reportMissingImports=false
-# (Blender is in an environment of its own)
 
 from math import pi, radians
 from typing import Any
@@ -24,9 +22,8 @@ def draw_hour(stage: Stage) -> str:
         stage.haze = Haze(reach * 2, (0.002, 0.002, 0.003))
     else:
         light = at.uniform(0.35, 0.9) if hour != "dusk" else at.uniform(0.05, 0.2)
-        stage.haze = Haze(
-            reach, (light * at.uniform(0.9, 1.05), light, light * at.uniform(1, 1.15))
-        )
+        colour = (light * at.uniform(0.9, 1.05), light, light * at.uniform(1, 1.15))
+        stage.haze = Haze(reach, colour)
     return hour
 
 
@@ -35,11 +32,9 @@ def build_light(stage: Stage, hour: str) -> None:
     at = stage.at
     world: Any = bpy.data.worlds.new("sky")
     stage.scene.world = world
-    world.use_nodes = True
     # the map of where light comes from costs seconds at its own choice of size
     world.cycles.sampling_method, world.cycles.sample_map_resolution = "MANUAL", 256
-    world.node_tree.nodes.clear()
-    nodes = Nodes(world.node_tree)
+    nodes = Nodes(world)
     strength = 1.0
     if hour == "night":
         look: Any = tuple(at.uniform(0.4, 1) * c for c in (0.004, 0.004, 0.006))

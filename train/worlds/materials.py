@@ -1,6 +1,4 @@
 """How surfaces look: colour that varies, grain, cracks, stones, water, snow, windows."""
-# pyright: reportMissingImports=false
-# (Blender is in an environment of its own)
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,13 +8,29 @@ import bpy
 from train.worlds.stage import Material, Stage
 
 Colour = Sequence[float]
+"""Linear light, red, green and blue, 0 to 1."""
+
+BLACK = (0.0, 0.0, 0.0)
+
+
+def palette(text: str) -> list[tuple[float, ...]]:
+    """Colours to draw from, given in percent: ``"32 24 16, 40 36 30"``."""
+    return [tuple(float(part) / 100 for part in one.split()) for one in text.split(",")]
+
+
+def drawn(stage: Stage, colours: Sequence[Colour], spread: float = 0.25) -> tuple[float, ...]:
+    """One of some colours, lighter or darker, with a tint of its own."""
+    at, light = stage.at, stage.at.uniform(1 - spread, 1 + spread)
+    return tuple(min(0.95, max(0.0, c * light * at.gauss(1, 0.06))) for c in at.choice(colours))
 
 
 class Nodes:
-    """A material's graph: a node a call, sockets as arguments, the first output as result."""
+    """The graph of a material or a world: a node a call, the first output as result."""
 
-    def __init__(self, tree: Any) -> None:
-        self.tree = tree
+    def __init__(self, owner: Any) -> None:
+        owner.use_nodes = True
+        self.owner, self.tree = owner, owner.node_tree
+        self.tree.nodes.clear()
 
     def add(self, kind: str, inputs: dict[Any, Any], output: Any = 0, **properties: Any) -> Any:
         """One node; inputs by name or number, values or other nodes' sockets."""
@@ -36,8 +50,8 @@ class Nodes:
 
     def mix(self, share: Any, a: Any, b: Any) -> Any:
         """Colour b for a share, a for the rest."""
-        given = {0: share, 6: _rgba(a), 7: _rgba(b)}
-        return self.add("ShaderNodeMix", given, 2, data_type="RGBA")
+        a, b = ((*one, 1.0) if isinstance(one, tuple | list) else one for one in (a, b))
+        return self.add("ShaderNodeMix", {0: share, 6: a, 7: b}, 2, data_type="RGBA")
 
     def step(self, value: Any, low: float, high: float) -> Any:
         """0 below low, 1 above high (or the other way round), smooth between."""
@@ -50,36 +64,34 @@ class Nodes:
 
     def noise(self, scale: float, detail: float = 3.0, where: Any = None) -> Any:
         """Smooth noise about .5, ``scale`` bumps a metre."""
-        given = {
-            "Vector": where or self.place(),
-            "Scale": scale,
-            "Detail": detail,
-            "Roughness": 0.65,
-        }
-        return self.add("ShaderNodeTexNoise", given, "Fac")
+        given = {"Vector": where or self.place(), "Scale": scale, "Detail": detail}
+        return self.add("ShaderNodeTexNoise", given | {"Roughness": 0.65}, "Fac")
+
+    def cells(self, size: float, where: Any = None) -> Any:
+        """Metres over size to the edge of irregular cells."""
+        given = {"Vector": where or self.place(), "Scale": 1 / size}
+        return self.add("ShaderNodeTexVoronoi", given, "Distance", feature="DISTANCE_TO_EDGE")
+
+    def bump(self, height: Any, strength: float, distance: float) -> Any:
+        """The normals of a surface that is not flat."""
+        given = {"Strength": strength, "Distance": distance, "Height": height}
+        return self.add("ShaderNodeBump", given)
 
 
-def _rgba(colour: Any) -> Any:
-    return (*colour, 1.0) if isinstance(colour, tuple | list) else colour
+def new_surface() -> Nodes:
+    """The graph of a new material."""
+    return Nodes(bpy.data.materials.new("surface"))
 
 
-def drawn(stage: Stage, colours: Sequence[Colour], spread: float = 0.25) -> tuple[float, ...]:
-    """One of some linear colours, lighter or darker, with a tint of its own."""
-    light = stage.at.uniform(1 - spread, 1 + spread)
-    return tuple(
-        min(0.95, max(0.0, c * light * stage.at.gauss(1, 0.06))) for c in stage.at.choice(colours)
-    )
+def finished(
+    stage: Stage, nodes: Nodes, look: Any, rough: Any, more: dict[str, Any] | None = None
+) -> Material:
+    """The material seen through the air: what the camera sees far away has the haze's colour.
 
-
-def _new(stage: Stage) -> tuple[Any, Nodes]:
-    made = bpy.data.materials.new("surface")
-    made.use_nodes = True
-    made.node_tree.nodes.clear()
-    return made, Nodes(made.node_tree)
-
-
-def _finish(stage: Stage, nodes: Nodes, shader: Any) -> None:
-    """The shader seen through the air: what the camera sees far away has the haze's colour."""
+    more: further inputs of the shader, such as ``Normal``.
+    """
+    given = {"Base Color": look, "Roughness": rough, **(more or {})}
+    shader = nodes.add("ShaderNodeBsdfPrincipled", given)
     ray = nodes.tree.nodes.new("ShaderNodeLightPath").outputs
     gone = nodes.math("DIVIDE", ray["Ray Length"], -stage.haze.reach)
     gone = nodes.math("SUBTRACT", 1.0, nodes.math("EXPONENT", gone))
@@ -87,26 +99,24 @@ def _finish(stage: Stage, nodes: Nodes, shader: Any) -> None:
     air = nodes.add("ShaderNodeEmission", {"Color": (*stage.haze.colour, 1)})
     seen = nodes.add("ShaderNodeMixShader", {0: gone, 1: shader, 2: air})
     nodes.add("ShaderNodeOutputMaterial", {"Surface": seen})
+    return nodes.owner
 
 
 def plain(
     stage: Stage, colour: Colour, rough: float = 0.8, metal: float = 0.0, vary: float = 0.15
 ) -> Material:
     """One colour, slightly varied: paint, plastic, metal."""
-    made, nodes = _new(stage)
-    dark = tuple(c * (1 - vary) for c in colour)
+    nodes, dark = new_surface(), tuple(c * (1 - vary) for c in colour)
     look = nodes.mix(nodes.noise(stage.at.uniform(0.3, 3)), dark, tuple(colour))
-    given = {"Base Color": look, "Roughness": rough, "Metallic": metal}
-    _finish(stage, nodes, nodes.add("ShaderNodeBsdfPrincipled", given))
-    return made
+    return finished(stage, nodes, look, rough, {"Metallic": metal})
 
 
-def lamp(stage: Stage, colour: Colour, strength: float) -> Material:
+def lamp(colour: Colour, strength: float) -> Material:
     """What shines: bulbs, tail lights, lit windows."""
-    made, nodes = _new(stage)
+    nodes = new_surface()
     given = {"Color": (*colour, 1), "Strength": strength}
     nodes.add("ShaderNodeOutputMaterial", {"Surface": nodes.add("ShaderNodeEmission", given)})
-    return made
+    return nodes.owner
 
 
 def ground(
@@ -116,23 +126,14 @@ def ground(
     grain: float,
     contrast: float = 0.25,
     bump: float = 0.3,
-    patches: float = 0.4,
-    rough: float = 0.95,
 ) -> Material:
     """Grass, earth, leaves, snow: a colour that goes over into another in patches."""
-    made, nodes = _new(stage)
+    nodes = new_surface()
     fine = nodes.noise(grain, 4)
-    wide = nodes.step(nodes.noise(stage.at.uniform(0.05, 0.6)), 0.5 - patches, 0.5 + patches)
+    wide = nodes.step(nodes.noise(stage.at.uniform(0.05, 0.6)), 0.1, 0.9)
     look = nodes.mix(wide, tuple(colour), tuple(other))
-    look = nodes.mix(nodes.step(fine, 0.3, 0.7), _darker(nodes, look, contrast), look)
-    normal = nodes.add("ShaderNodeBump", {"Strength": bump, "Distance": 0.05, "Height": fine})
-    given = {"Base Color": look, "Roughness": rough, "Normal": normal}
-    _finish(stage, nodes, nodes.add("ShaderNodeBsdfPrincipled", given))
-    return made
-
-
-def _darker(nodes: Nodes, look: Any, share: Any) -> Any:
-    return nodes.mix(share, look, (0.0, 0.0, 0.0))
+    look = nodes.mix(nodes.step(fine, 0.3, 0.7), nodes.mix(contrast, look, BLACK), look)
+    return finished(stage, nodes, look, 0.95, {"Normal": nodes.bump(fine, bump, 0.05)})
 
 
 def paved(
@@ -150,96 +151,71 @@ def paved(
     half: its half width in metres, the scale of the first UV. wet: share of it under water.
     stones: their size in metres. ruts: how dark or light wheel tracks are.
     """
-    at = stage.at
-    made, nodes = _new(stage)
-    across = nodes.math("ABSOLUTE", _across(nodes))
+    at, nodes = stage.at, new_surface()
+    across = nodes.add("ShaderNodeTexCoord", {}, "UV")
+    across = nodes.math("ABSOLUTE", nodes.add("ShaderNodeSeparateXYZ", {0: across}, 0))
     fine, wide = nodes.noise(at.uniform(15, 60)), nodes.noise(at.uniform(0.1, 0.5))
-    look: Any = nodes.mix(
-        nodes.step(wide, 0.3, 0.7), tuple(c * at.uniform(0.75, 1) for c in colour), tuple(colour)
-    )
-    look = nodes.mix(nodes.step(fine, 0.3, 0.75), _darker(nodes, look, at.uniform(0.1, 0.45)), look)
+    dark = tuple(c * at.uniform(0.75, 1) for c in colour)
+    look: Any = nodes.mix(nodes.step(wide, 0.3, 0.7), dark, tuple(colour))
+    grain = nodes.mix(at.uniform(0.1, 0.45), look, BLACK)
+    look = nodes.mix(nodes.step(fine, 0.3, 0.75), grain, look)
     if stones:
-        look = _stones(nodes, look, stones, at.uniform(0.3, 0.75))
-    elif at.random() < 0.3:
-        look = _cracks(nodes, look, at.uniform(0.15, 0.6), at.uniform(0.004, 0.012))
+        joints = nodes.step(nodes.cells(stones), 0.12, 0.02)
+        look = nodes.mix(joints, look, nodes.mix(at.uniform(0.3, 0.75), look, BLACK))
+    elif stage.chance(0.3):
+        look = _cracked(nodes, look, at.uniform(0.15, 0.6), at.uniform(0.004, 0.012))
     wave = nodes.math("COSINE", nodes.math("MULTIPLY", across, 6.28 / at.uniform(1.5, 1.9)))
     track = nodes.step(wave, 0.4, -0.8)
     if ruts:
-        tone = (0.0, 0.0, 0.0) if ruts > 0 else (0.9, 0.85, 0.75)
+        tone = BLACK if ruts > 0 else (0.9, 0.85, 0.75)
         look = nodes.mix(nodes.math("MULTIPLY", track, abs(ruts)), look, tone)
     if slush:
         share = nodes.math("ADD", nodes.noise(at.uniform(0.3, 1.2)), at.uniform(-0.25, 0.25))
         share = nodes.math("SUBTRACT", share, nodes.math("MULTIPLY", track, at.uniform(0, 0.4)))
         look = nodes.mix(nodes.step(share, 0.35, 0.55), look, tuple(slush))
     if edge:
-        near = nodes.math(
-            "ADD", across, nodes.math("MULTIPLY", nodes.noise(at.uniform(0.5, 2)), 0.9)
-        )
-        look = nodes.mix(nodes.step(near, half + 0.15, half + 0.6), look, tuple(edge))
+        frayed = nodes.math("MULTIPLY", nodes.noise(at.uniform(0.5, 2)), 0.9)
+        near = nodes.step(nodes.math("ADD", across, frayed), half + 0.15, half + 0.6)
+        look = nodes.mix(near, look, tuple(edge))
     rough: Any = at.uniform(0.6, 1)
     if wet:
         water = nodes.step(nodes.noise(at.uniform(0.1, 0.7)), 0.75 - wet * 0.6, 0.6 - wet * 0.6)
         water = nodes.math("SUBTRACT", 1.0, water)
-        look = _darker(nodes, look, nodes.math("MULTIPLY", water, 0.5))
+        look = nodes.mix(nodes.math("MULTIPLY", water, 0.5), look, BLACK)
         rough = nodes.math("SUBTRACT", 0.7, nodes.math("MULTIPLY", water, at.uniform(0.45, 0.66)))
-    normal = nodes.add(
-        "ShaderNodeBump", {"Strength": at.uniform(0.05, 0.4), "Distance": 0.02, "Height": fine}
-    )
-    given = {"Base Color": look, "Roughness": rough, "Normal": normal}
-    _finish(stage, nodes, nodes.add("ShaderNodeBsdfPrincipled", given))
-    return made
+    normal = nodes.bump(fine, at.uniform(0.05, 0.4), 0.02)
+    return finished(stage, nodes, look, rough, {"Normal": normal})
 
 
-def _across(nodes: Nodes) -> Any:
-    where = nodes.add("ShaderNodeTexCoord", {}, "UV")
-    return nodes.add("ShaderNodeSeparateXYZ", {0: where}, 0)
-
-
-def _cells(nodes: Nodes, size: float, where: Any = None) -> Any:
-    given = {"Vector": where or nodes.place(), "Scale": 1 / size}
-    return nodes.add("ShaderNodeTexVoronoi", given, "Distance", feature="DISTANCE_TO_EDGE")
-
-
-def _stones(nodes: Nodes, look: Any, size: float, depth: float) -> Any:
-    return nodes.mix(nodes.step(_cells(nodes, size), 0.12, 0.02), look, _darker(nodes, look, depth))
-
-
-def _cracks(nodes: Nodes, look: Any, often: float, wide: float) -> Any:
+def _cracked(nodes: Nodes, look: Any, often: float, wide: float) -> Any:
     """Dark lines between cells that are bent by noise, metres apart."""
     bend = nodes.add("ShaderNodeTexNoise", {"Vector": nodes.place(), "Scale": 0.8}, "Color")
     where = nodes.add("ShaderNodeVectorMath", {0: nodes.place(), 1: bend}, operation="ADD")
-    line = nodes.step(_cells(nodes, 1 / often * 2, where), wide, wide / 3)
+    line = nodes.step(nodes.cells(1 / often * 2, where), wide, wide / 3)
     part = nodes.step(nodes.noise(0.25, 1), 0.45, 0.6)  # not everywhere
-    return nodes.mix(nodes.math("MULTIPLY", line, part), look, _darker(nodes, look, 0.6))
+    return nodes.mix(nodes.math("MULTIPLY", line, part), look, nodes.mix(0.6, look, BLACK))
 
 
 def facade(stage: Stage, colour: Colour) -> Material:
     """A wall with rows of windows, some of them lit at night; windows each 2 to 4 metres."""
-    at = stage.at
-    made, nodes = _new(stage)
+    at, nodes = stage.at, new_surface()
     where = nodes.add("ShaderNodeTexCoord", {}, "Object")
     x, y, z = (nodes.add("ShaderNodeSeparateXYZ", {0: where}, k) for k in range(3))
     along = nodes.math("DIVIDE", nodes.math("ADD", x, y), at.uniform(2, 4))
     up = nodes.math("DIVIDE", z, at.uniform(2.6, 3.4))
-    wide, tall = at.uniform(0.15, 0.4), at.uniform(0.2, 0.35)
-    inside = [
-        nodes.step(
-            nodes.math("ABSOLUTE", nodes.math("SUBTRACT", nodes.math("FRACT", one), 0.5)),
-            half,
-            half - 0.03,
-        )
-        for one, half in ((along, wide), (up, tall))
-    ]
+    inside = []
+    for one, half in ((along, at.uniform(0.15, 0.4)), (up, at.uniform(0.2, 0.35))):
+        off = nodes.math("SUBTRACT", nodes.math("FRACT", one), 0.5)
+        inside.append(nodes.step(nodes.math("ABSOLUTE", off), half, half - 0.03))
     pane = nodes.math("MULTIPLY", *inside)
     wall = nodes.mix(nodes.noise(at.uniform(0.3, 8)), tuple(c * 0.7 for c in colour), tuple(colour))
     look = nodes.mix(pane, wall, (0.03, 0.035, 0.05))
     rough = nodes.math("SUBTRACT", 0.9, nodes.math("MULTIPLY", pane, 0.8))
-    given: dict[Any, Any] = {"Base Color": look, "Roughness": rough}
-    if stage.night:
-        lit = nodes.step(nodes.noise(0.35, 1), 0.52, 0.56)
-        given |= {
-            "Emission Color": (1, 0.7, 0.35, 1),
-            "Emission Strength": nodes.math("MULTIPLY", pane, nodes.math("MULTIPLY", lit, 0.4)),
-        }
-    _finish(stage, nodes, nodes.add("ShaderNodeBsdfPrincipled", given))
-    return made
+    if not stage.night:
+        return finished(stage, nodes, look, rough)
+    lit = nodes.math("MULTIPLY", nodes.step(nodes.noise(0.35, 1), 0.52, 0.56), 0.4)
+    shine = {
+        "Emission Color": (1, 0.7, 0.35, 1),
+        "Emission Strength": nodes.math("MULTIPLY", pane, lit),
+    }
+    return finished(stage, nodes, look, rough, shine)

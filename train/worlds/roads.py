@@ -3,18 +3,15 @@
 A cross-section is given as (across, up) in metres from the road's middle and swept along the
 course; the land is swept as well, so that everything follows the hills.
 """
-# pyright: reportMissingImports=false
-# (Blender is in an environment of its own)
 
 from collections.abc import Sequence
 from itertools import pairwise
 from math import cos, pi, sin
 from typing import NamedTuple
 
-import bpy
 from mathutils import Vector, noise
 
-from train.worlds.materials import Colour, drawn, ground, paved, plain
+from train.worlds.materials import Colour, drawn, ground, palette, paved, plain
 from train.worlds.stage import HORIZONTAL, ROAD, VERTICAL, VOID, Material, Stage
 
 SPACING = 1.5
@@ -26,48 +23,48 @@ START = 10
 FAR = 85
 """From this point on (112 metres ahead) the road is void: people's labels end somewhere there."""
 
+END = 130
+"""Points of a course."""
+
 Section = Sequence[tuple[float, float]]
 
+
+class Kind(NamedTuple):
+    """A kind of road, and how often it is drawn.
+
+    half: half its width in metres, from … to. bend, steepest: of its course. ragged: metres by
+    which its edges wander. trees: from … to. vehicles: how many drive there, each as likely.
+    """
+
+    often: int
+    half: tuple[float, float]
+    bend: float = 1.0
+    steepest: float = 0.07
+    ragged: float = 0.0
+    trees: tuple[int, int] = (0, 14)
+    vehicles: Sequence[int] = (0, 1, 3, 6)
+
+
 KINDS = {
-    "street": 5,
-    "rural": 4,
-    "motorway": 2,
-    "track": 5,
-    "trail": 3,
-    "overgrown": 10,
-    "yard": 2,
-    "bazaar": 3,
-    "lane": 2,
+    "street": Kind(5, (2.8, 6.5)),
+    "rural": Kind(4, (2.2, 3.8), ragged=0.07, trees=(0, 40)),
+    "motorway": Kind(2, (5.5, 9), bend=0.3),
+    "track": Kind(5, (1.2, 2.3), ragged=0.3, trees=(0, 40), vehicles=(0, 0, 0, 1)),
+    "trail": Kind(3, (1.2, 2.6), 1.0, 0.14, 0.3, (30, 70), (0, 0, 0, 1)),
+    "overgrown": Kind(10, (1.3, 3.0), 1.0, 0.25, 0.3, (0, 70), (0, 0, 0, 1)),
+    "yard": Kind(2, (7, 20), bend=0.0, steepest=0.0, vehicles=(2, 6, 12)),
+    "bazaar": Kind(3, (2.5, 6), ragged=0.3),
+    "lane": Kind(2, (1.6, 2.6), ragged=0.1, trees=(4, 40), vehicles=(0, 0, 1)),
 }
-"""Kinds of road, and how often each is drawn."""
 
 UNPAVED = ("track", "trail", "overgrown")
 """The last is a trail with grass on it between tall grass and bushes."""
 
-EARTHS = [
-    (0.32, 0.24, 0.16),
-    (0.4, 0.36, 0.3),
-    (0.2, 0.16, 0.12),
-    (0.3, 0.3, 0.29),
-    (0.5, 0.47, 0.42),
-    (0.4, 0.2, 0.11),
-]
-GREENS = [
-    (0.1, 0.17, 0.05),
-    (0.16, 0.2, 0.07),
-    (0.3, 0.26, 0.13),
-    (0.07, 0.11, 0.04),
-    (0.38, 0.33, 0.2),
-]
-LITTER = [(0.2, 0.13, 0.07), (0.28, 0.2, 0.12), (0.15, 0.12, 0.08), (0.35, 0.3, 0.25)]
-SNOW = [(0.75, 0.78, 0.84), (0.6, 0.62, 0.66)]
-PAVINGS = [
-    (0.4, 0.38, 0.35),
-    (0.28, 0.28, 0.28),
-    (0.4, 0.3, 0.24),
-    (0.18, 0.18, 0.18),
-    (0.5, 0.49, 0.46),
-]
+EARTHS = palette("32 24 16, 40 36 30, 20 16 12, 30 30 29, 50 47 42, 40 20 11")
+GREENS = palette("10 17 5, 16 20 7, 30 26 13, 7 11 4, 38 33 20")
+LITTER = palette("20 13 7, 28 20 12, 15 12 8, 35 30 25")
+SNOW = palette("75 78 84, 60 62 66")
+PAVINGS = palette("40 38 35, 28 28 28, 40 30 24, 18 18 18, 50 49 46")
 
 
 class Course(NamedTuple):
@@ -101,41 +98,33 @@ class Road(NamedTuple):
     def spot(self, index: int, beyond: float, side: int) -> tuple[float, float, float]:
         """A place on the land, metres beyond where it begins."""
         rises = self.land_rises[side]
-        for (near, low), (far, high) in pairwise(rises):
-            if near <= beyond <= far:
-                up = low + (high - low) * (beyond - near) / (far - near)
-                break
-        else:
-            up = rises[-1][1]
-        return self.course.at(index, side * (self.land + beyond), up - 0.05)
+        between = (
+            low + (high - low) * (beyond - near) / (far - near)
+            for (near, low), (far, high) in pairwise(rises)
+            if near <= beyond <= far
+        )
+        return self.course.at(
+            index, side * (self.land + beyond), next(between, rises[-1][1]) - 0.05
+        )
 
 
-def drawn_course(stage: Stage, kind: str) -> Course:
+def drawn_course(stage: Stage, kind: Kind) -> Course:
     """A gentle curve over gentle hills, narrower or wider by kind."""
     at = stage.at
-    widths = {"street": (2.8, 6.5), "rural": (2.2, 3.8), "motorway": (5.5, 9), "track": (1.2, 2.3)}
-    widths |= {
-        "trail": (1.2, 2.6),
-        "overgrown": (1.3, 3.0),
-        "yard": (7, 20),
-        "bazaar": (2.5, 6),
-        "lane": (1.6, 2.6),
-    }
-    bend = {"motorway": 0.3, "yard": 0.0}.get(kind, 1.0) * at.choice([0.3, 1.0, 1.0])
+    bend = kind.bend * at.choice([0.3, 1.0, 1.0])
     first, change = at.uniform(-0.012, 0.012) * bend, at.uniform(-0.00022, 0.00022) * bend
     wave, length = at.uniform(100, 300), SPACING
-    steepest = {"trail": 0.14, "overgrown": 0.25, "yard": 0.0}.get(kind, 0.07)
-    steep = at.choice([0.0, min(0.02, steepest), steepest]) * at.choice([-1, 1])
+    steep = at.choice([0.0, min(0.02, kind.steepest), kind.steepest]) * at.choice([-1, 1])
     x, y, heading = 0.0, -START * length, 0.0
     points, headings = [], []
-    for index in range(130):
+    for index in range(END):
         ahead = max(0.0, (index - START) * length)
         z = steep * wave / 2 / pi * (1 - cos(2 * pi * ahead / wave))
         points.append(Vector((x, y, z)))
         headings.append(heading)
         x, y = x + sin(heading) * length, y + cos(heading) * length
         heading += (first + change * max(index - START, 0)) * length * (index > START)
-    return Course(points, headings, at.uniform(*widths[kind]))
+    return Course(points, headings, at.uniform(*kind.half))
 
 
 def swept(
@@ -145,17 +134,16 @@ def swept(
     material: Material,
     truth: int,
     ragged: float = 0.0,
-    span: tuple[int, int] = (0, 130),
+    span: tuple[int, int] = (0, END),
     bumps: float = 0.0,
 ) -> None:
     """Sweep a cross-section along a part of the course.
 
     ragged: metres by which its ends wander; bumps: metres by which it goes up and down.
     """
-    points, faces, uvs = [], [], []
-    count = len(section)
-    seed = stage.at.uniform(0, 1000)
-    for index in range(max(span[0], 0), min(span[1], len(course.points))):
+    points, uvs = [], []
+    count, seed = len(section), stage.at.uniform(0, 1000)
+    for index in range(span[0], min(span[1], END)):
         for k, (across, up) in enumerate(section):
             if ragged and k in (0, count - 1):
                 spot = Vector((index * 0.4, seed + 9 * k, 0))
@@ -164,28 +152,34 @@ def swept(
                 up += bumps * noise.noise(Vector((index * 0.8, across * 1.3, seed)))
             points.append(course.at(index, across, up))
             uvs.append((across, index * SPACING))
-    for row in range(len(points) // count - 1):
-        for k in range(count - 1):
-            a = row * count + k
-            faces.append((a, a + 1, a + count + 1, a + count))
-    if not faces:
-        return
-    mesh = bpy.data.meshes.new("swept")
-    mesh.from_pydata(points, [], faces)
-    mesh.materials.append(material)
-    layer = mesh.uv_layers.new(name="UV")
-    layer.data.foreach_set("uv", [value for face in faces for k in face for value in uvs[k]])
-    stage.put(mesh, truth)
+    corners = [k for k in range(len(points) - count) if (k + 1) % count]
+    faces = [(a, a + 1, a + count + 1, a + count) for a in corners]
+    if faces:
+        mesh = stage.mesh([((points, faces), material)])
+        layer = mesh.uv_layers.new(name="UV")
+        layer.data.foreach_set("uv", [value for face in faces for k in face for value in uvs[k]])
+        stage.put(mesh, truth)
 
 
-def swept_between(
-    stage: Stage, road: Road, section: Section, material: Material, truth: int
-) -> None:
-    """The same but for where another road crosses."""
+def swept_between(stage: Stage, road: Road, section: Section, material: Material) -> None:
+    """The same, as ground, but for where another road crosses."""
     first = 0
     for low, high in [*road.gaps, (road.length, road.length)]:
-        swept(stage, road.course, section, material, truth, span=(first, low + 1))
+        swept(stage, road.course, section, material, HORIZONTAL, span=(first, low + 1))
         first = high
+
+
+def painted(
+    stage: Stage,
+    road: Road,
+    middle: float,
+    half: float,
+    material: Material,
+    span: tuple[int, int] = (0, FAR),
+) -> None:
+    """A line along the road, upon it; ``middle`` from the road's, half its width in metres."""
+    line = [(middle - half, 0.036), (middle + half, 0.036)]
+    swept(stage, road.course, line, material, ROAD, span=span)
 
 
 # --- the whole --------------------------------------------------------------------------
@@ -194,17 +188,16 @@ def swept_between(
 def build_road(stage: Stage, kind: str, season: str) -> Road:
     """Road, bounds, marks and land of one world."""
     at = stage.at
-    course = drawn_course(stage, kind)
+    course = drawn_course(stage, KINDS[kind])
     crossing = kind in ("street", "bazaar", "rural") and stage.chance(0.4)
     where = at.randint(START + 6, START + 26)
     gaps = [(where, where + at.randint(4, 7))] if crossing else []
-    length = at.randint(START + 12, START + 45) if kind == "yard" else 130
+    length = at.randint(START + 12, START + 45) if kind == "yard" else END
     road = Road(kind, course, course.half, season, gaps, length, {})
-    surface, soil = _surface(stage, road), _soil(stage, season, kind)
-    ragged = {"rural": 0.07, "bazaar": 0.3, "lane": 0.1} | dict.fromkeys(UNPAVED, 0.3)
-    ragged, bumps = ragged.get(kind, 0.0), 0.04 * (kind in UNPAVED)
+    surface, soil = _surface(stage, road), _soil(stage, season)
     flat = [(course.half * (k / 4 - 1), 0.03) for k in range(9)]
-    swept(stage, course, flat, surface, ROAD, ragged, (0, min(FAR, length)), bumps)
+    bumps = 0.04 * (kind in UNPAVED)
+    swept(stage, course, flat, surface, ROAD, KINDS[kind].ragged, (0, min(FAR, length)), bumps)
     swept(stage, course, flat, surface, VOID, 0.0, (FAR - 1, length), bumps)
     if gaps:
         _cross(stage, road, surface)
@@ -212,40 +205,40 @@ def build_road(stage: Stage, kind: str, season: str) -> Road:
         wide = at.uniform(0.15, 0.4)
         truth = HORIZONTAL if wide > 0.22 else VOID
         swept(stage, course, [(-wide, 0.06), (0, 0.1), (wide, 0.06)], soil, truth, 0.15)
-    road = road._replace(land=_bound(stage, road, surface, soil))
-    if kind not in (*UNPAVED, "yard", "lane"):
-        _mark(stage, road)
+    road = road._replace(land=_bound(stage, road, surface))
     if kind == "yard":
         _mark_bays(stage, road)
-    if kind == "street" and stage.chance(0.2):
-        _rails(stage, road)
+    elif kind not in (*UNPAVED, "lane"):
+        _mark(stage, road)
+    if kind == "street" and stage.chance(0.2):  # tram tracks
+        steel = plain(stage, (0.35, 0.34, 0.33), 0.3, metal=0.9)
+        middle = at.uniform(-0.5, 0.5) * course.half
+        for rail in (middle - 0.72, middle + 0.72):
+            painted(stage, road, rail, 0.05, steel)
     _land(stage, road, soil)
     return road
 
 
 def _surface(stage: Stage, road: Road) -> Material:
     """Asphalt, concrete, cobbles, gravel or earth; wet or under snow at times."""
-    at = stage.at
+    at, half = stage.at, road.course.half
     wet = at.uniform(0.2, 1) if stage.chance(0.22) else 0.0
     slush = drawn(stage, SNOW) if road.season == "snow" and stage.chance(0.75) else None
     if road.kind == "overgrown" and stage.chance(0.6):
-        return _soil(stage, road.season, road.kind)
+        return _soil(stage, road.season)
     loose = road.kind in UNPAVED or (road.kind in ("yard", "lane", "bazaar") and stage.chance(0.35))
     if loose:
-        colours = EARTHS if road.kind == "track" else LITTER + EARTHS
-        colour = drawn(stage, colours, 0.35)
+        colour = drawn(stage, EARTHS if road.kind == "track" else LITTER + EARTHS, 0.35)
         ruts = at.uniform(-0.25, 0.4)
         edge = drawn(stage, GREENS + LITTER) if stage.chance(0.5) else None
-        return paved(
-            stage, colour, road.course.half, wet, at.choice([0.0, 0.0, 0.06]), slush, ruts, edge
-        )
+        return paved(stage, colour, half, wet, at.choice([0.0, 0.0, 0.06]), slush, ruts, edge)
     tone = at.uniform(0.04, 0.34)
     colour = tuple(tone * at.uniform(0.96, 1.04) for _ in range(3))
     stones = at.uniform(0.1, 0.25) if road.kind in ("street", "lane") and stage.chance(0.2) else 0.0
-    return paved(stage, colour, road.course.half, wet, stones, slush, at.uniform(-0.12, 0.2))
+    return paved(stage, colour, half, wet, stones, slush, at.uniform(-0.12, 0.2))
 
 
-def _soil(stage: Stage, season: str, kind: str) -> Material:
+def _soil(stage: Stage, season: str) -> Material:
     """What the land beside is made of."""
     at = stage.at
     colours = {"snow": SNOW, "earth": EARTHS, "litter": LITTER, "dry": GREENS[2:3] + GREENS[4:]}
@@ -255,46 +248,33 @@ def _soil(stage: Stage, season: str, kind: str) -> Material:
     return ground(stage, drawn(stage, mine), drawn(stage, second), grain, at.uniform(0.15, 0.6))
 
 
-def _bound(stage: Stage, road: Road, surface: Material, soil: Material) -> float:
+def _bound(stage: Stage, road: Road, surface: Material) -> float:
     """Kerbs and pavements, shoulders and rails, dust beside; where the land begins."""
     at, half = stage.at, road.course.half
     if road.kind == "street":
         wide, high = at.uniform(1.2, 4.5), at.uniform(0.07, 0.18)
-        # a pavement of the road's own colour, which a kerb alone parts from it, is not rare
-        paving = (
-            surface
-            if stage.chance(0.25)
-            else paved(stage, drawn(stage, PAVINGS), 99, stones=at.choice([0.0, 0.0, 0.3, 0.5]))
-        )
+        paving = surface  # a pavement of the road's own colour, parted by a kerb alone, is not rare
+        if not stage.chance(0.25):
+            colour = drawn(stage, PAVINGS)
+            paving = paved(stage, colour, 99, stones=at.choice([0.0, 0.0, 0.3, 0.5]))
         kerb = plain(stage, drawn(stage, PAVINGS), 0.9)
         for side in (-1, 1):
             if stage.chance(0.9):
-                edge = [
-                    (side * half, 0.0),
-                    (side * half, high),
-                    (side * (half + 0.14), high + 0.01),
-                ]
-                swept_between(stage, road, edge, kerb, HORIZONTAL)
-                walk = [(side * (half + 0.14), high), (side * (half + wide), high + 0.02)]
-                swept_between(stage, road, walk, paving, HORIZONTAL)
+                inner, outer = side * (half + 0.14), side * (half + wide)
+                edge = [(side * half, 0.0), (side * half, high), (inner, high + 0.01)]
+                swept_between(stage, road, edge, kerb)
+                swept_between(stage, road, [(inner, high), (outer, high + 0.02)], paving)
         return half + wide
     if road.kind == "motorway":
-        metal = plain(stage, drawn(stage, [(0.45, 0.45, 0.47), (0.5, 0.49, 0.46)]), 0.5)
+        metal = plain(stage, drawn(stage, palette("45 45 47, 50 49 46")), 0.5)
         for side in (-1, 1):
             if stage.chance(0.75):
                 out = side * (half + at.uniform(0.4, 1.5))
-                low = at.choice([0.0, 0.5])
-                swept(
-                    stage,
-                    road.course,
-                    [(out, low), (out, 0.8), (out + 0.2 * side, 0.8)],
-                    metal,
-                    VERTICAL,
-                )
+                rail = [(out, at.choice([0.0, 0.5])), (out, 0.8), (out + 0.2 * side, 0.8)]
+                swept(stage, road.course, rail, metal, VERTICAL)
         return half + at.uniform(0.3, 3)
-    if road.kind in ("bazaar", "rural", "lane") and stage.chance(
-        {"bazaar": 0.9}.get(road.kind, 0.3)
-    ):
+    bare = {"bazaar": 0.9, "rural": 0.3, "lane": 0.3}
+    if road.kind in bare and stage.chance(bare[road.kind]):
         # a bare verge: for some people's labels it is road, for others not
         wide = at.uniform(0.8, 4) if road.kind == "bazaar" else at.uniform(0.3, 1.2)
         dust = ground(stage, drawn(stage, EARTHS), drawn(stage, EARTHS), at.uniform(2, 20))
@@ -307,99 +287,60 @@ def _bound(stage: Stage, road: Road, surface: Material, soil: Material) -> float
 
 def _cross(stage: Stage, road: Road, surface: Material) -> None:
     """Another road from the left, the right or both."""
-    (low, high), course = road.gaps[0], road.course
     sides = stage.at.choice([(-70, 70), (-70, 0), (0, 70)])
-    points = [course.at(k, across, 0.028) for k in (low, high) for across in sides]
-    mesh = bpy.data.meshes.new("crossing")
-    mesh.from_pydata(points, [], [(0, 1, 3, 2)])
-    mesh.materials.append(surface)
+    points = [road.course.at(k, across, 0.028) for k in road.gaps[0] for across in sides]
+    mesh = stage.mesh([((points, [(0, 1, 3, 2)]), surface)])
     mesh.uv_layers.new(name="UV")
     stage.put(mesh, ROAD)
 
 
 def _mark(stage: Stage, road: Road) -> None:
     """Lines between lanes and along edges, a zebra crossing, all worn more or less."""
-    at, half, course = stage.at, road.course.half, road.course
-    white = plain(
-        stage, drawn(stage, [(0.75, 0.75, 0.73), (0.7, 0.68, 0.6), (0.7, 0.5, 0.1)]), 0.7, vary=0.5
-    )
-    span = (0, FAR)
+    at, half = stage.at, road.course.half
+    white = plain(stage, drawn(stage, palette("75 75 73, 70 68 60, 70 50 10")), 0.7, vary=0.5)
     if stage.chance(0.75):
         for lane in [-half / 3, half / 3] if road.kind == "motorway" else [at.uniform(-0.2, 0.2)]:
-            line = [(lane - 0.07, 0.036), (lane + 0.07, 0.036)]
             if stage.chance(0.7):
                 for first in range(0, FAR, 7):
-                    swept(stage, course, line, white, ROAD, span=(first, first + at.choice([3, 4])))
+                    painted(stage, road, lane, 0.07, white, (first, first + at.choice([3, 4])))
             else:
-                swept(stage, course, line, white, ROAD, span=span)
+                painted(stage, road, lane, 0.07, white)
     if stage.chance(0.5):
         for side in (-1, 1):
-            out = side * (half - at.uniform(0.15, 0.6))
-            swept(stage, course, [(out - 0.06, 0.036), (out + 0.06, 0.036)], white, ROAD, span=span)
+            painted(stage, road, side * (half - at.uniform(0.15, 0.6)), 0.06, white)
     if road.kind == "street" and stage.chance(0.3):
         first = at.randint(START + 3, START + 20)
         for k in range(int(half * 2 / 1.0)):
             out = -half + 0.25 + k
-            swept(
-                stage,
-                course,
-                [(out, 0.037), (out + 0.5, 0.037)],
-                white,
-                ROAD,
-                span=(first, first + 3),
-            )
+            stripe = [(out, 0.037), (out + 0.5, 0.037)]
+            swept(stage, road.course, stripe, white, ROAD, span=(first, first + 3))
 
 
 def _mark_bays(stage: Stage, road: Road) -> None:
     """The lines of a car park."""
     if stage.chance(0.4):
         return
-    white = plain(stage, (0.7, 0.7, 0.68), 0.7, vary=0.5)
+    white, half = plain(stage, (0.7, 0.7, 0.68), 0.7, vary=0.5), road.course.half
     for side in (-1, 1):
         for first in range(0, road.length - 3, 2):
-            line = [(side * (road.course.half - 5), 0.036), (side * road.course.half, 0.036)]
-            mesh = bpy.data.meshes.new("bay")
-            ends = [road.course.at(first, *end) for end in line]
-            mesh.from_pydata([*ends, *[(x, y + 0.12, z) for x, y, z in ends]], [], [(0, 1, 3, 2)])
-            mesh.materials.append(white)
-            stage.put(mesh, ROAD)
-
-
-def _rails(stage: Stage, road: Road) -> None:
-    """Tram tracks in the road."""
-    steel = plain(stage, (0.35, 0.34, 0.33), 0.3, metal=0.9)
-    middle = stage.at.uniform(-0.5, 0.5) * road.course.half
-    for out in (middle - 0.72, middle + 0.72):
-        swept(
-            stage,
-            road.course,
-            [(out - 0.05, 0.036), (out + 0.05, 0.036)],
-            steel,
-            ROAD,
-            span=(0, FAR),
-        )
+            ends = [road.course.at(first, side * out, 0.036) for out in (half - 5, half)]
+            points = [*ends, *[(x, y + 0.12, z) for x, y, z in ends]]
+            stage.put(stage.mesh([((points, [(0, 1, 3, 2)]), white)]), ROAD)
 
 
 def _land(stage: Stage, road: Road, soil: Material) -> None:
     """The land to both sides, flat at first, then banks, ditches and hills; and a plain below."""
-    at = stage.at
+    at, land = stage.at, road.land
     steps = [0, 0.5, 1, 1.8, 3, 5, 8, 12, 18, 27, 40, 60, 90]
     for side in (-1, 1):
         slope = at.choice([0.0, 0.0, -0.25, 0.15, 0.5]) * (not road.gaps)
-        flat = at.uniform(0.5, 4)
-        most = at.uniform(2, 7)
+        flat, most = at.uniform(0.5, 4), at.uniform(2, 7)
         rises = [(float(step), slope * min(max(step - flat, 0), most)) for step in steps]
         road.land_rises[side] = rises
-        section = [(side * (road.land + step), up) for step, up in rises]
+        section = [(side * (land + step), up) for step, up in rises]
         swept(stage, road.course, section, soil, HORIZONTAL, bumps=0.06 + 0.1 * abs(slope))
-    under = [(-road.land - 0.6, -0.02), (road.land + 0.6, -0.02)]
-    swept(stage, road.course, under, soil, HORIZONTAL)
+    swept(stage, road.course, [(-land - 0.6, -0.02), (land + 0.6, -0.02)], soil, HORIZONTAL)
     size, below = 900.0, min(point.z for point in road.course.points) - 1.5
-    mesh = bpy.data.meshes.new("plain")
-    mesh.from_pydata(
-        [(-size, -size, below), (size, -size, below), (size, size, below), (-size, size, below)],
-        [],
-        [(0, 1, 2, 3)],
-    )
-    mesh.materials.append(soil)
-    stage.put(mesh, HORIZONTAL)
+    corners = [(-size, -size, below), (size, -size, below), (size, size, below)]
+    corners.append((-size, size, below))
+    stage.put(stage.mesh([((corners, [(0, 1, 2, 3)]), soil)]), HORIZONTAL)

@@ -1,10 +1,8 @@
 """The stage: what every part of a world is put on, and the shapes that parts are made of.
 
 Metres; x to the right, y ahead, z up. A part has one truth, written as a colour that the pass of
-``train.worlds.truth`` shows.
+``render_truth`` shows.
 """
-# pyright: reportMissingImports=false
-# (Blender is in an environment of its own)
 
 from collections.abc import Iterable, Sequence
 from math import cos, pi, sin
@@ -16,20 +14,15 @@ import bpy
 SKY, VERTICAL, HORIZONTAL, ROAD, EGO, VOID = 0, 1, 2, 3, 4, 255
 """What a pixel of the truth says: layout without road, road, the carrying car, uncertain."""
 
-COLOURS = {
-    SKY: (0, 0, 0),
-    VERTICAL: (0, 0, 1),
-    HORIZONTAL: (0, 1, 0),
-    ROAD: (1, 1, 0),
-    EGO: (1, 0, 0),
-    VOID: (1, 1, 1),
-}
+COLOURS = {SKY: (0, 0, 0), VERTICAL: (0, 0, 1), HORIZONTAL: (0, 1, 0)}
+COLOURS |= {ROAD: (1, 1, 0), EGO: (1, 0, 0), VOID: (1, 1, 1)}
 """Of the truth, for its pass."""
 
 Point = tuple[float, float, float]
 Material = Any
 Shape = tuple[Sequence[Point], Sequence[Sequence[int]]]
 """Points and the faces between them."""
+Parts = list[tuple[Shape, Material]]
 
 
 class Haze(NamedTuple):
@@ -54,7 +47,7 @@ class Stage:
         return self.at.random() < share
 
     def mesh(self, parts: Iterable[tuple[Shape, Material]], smooth: bool = False) -> Any:
-        """One mesh of shapes, each with a material of its own; UV is not kept."""
+        """One mesh of shapes, each with a material of its own."""
         points: list[Point] = []
         faces: list[Sequence[int]] = []
         materials: list[Material] = []
@@ -82,9 +75,15 @@ class Stage:
         size: Point = (1, 1, 1),
     ) -> Any:
         """Put a mesh (or one more copy of it) somewhere, turned about z by radians."""
-        thing = bpy.data.objects.new("thing", mesh)
-        thing.location, thing.rotation_euler, thing.scale = where, (0, 0, turn), size
+        thing = self.add("thing", mesh, where)
+        thing.rotation_euler, thing.scale = (0, 0, turn), size
         thing.color = (*COLOURS[truth], 1)
+        return thing
+
+    def add(self, name: str, data: Any, where: Point) -> Any:
+        """Put a mesh, a light or a camera somewhere."""
+        thing = bpy.data.objects.new(name, data)
+        thing.location = where
         self.scene.collection.objects.link(thing)
         return thing
 
@@ -96,31 +95,22 @@ def box(middle: Point, size: Point) -> Shape:
     """A box of a size around its middle."""
     (x, y, z), (a, b, c) = middle, (side / 2 for side in size)
     points = [(x + i * a, y + j * b, z + k * c) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]
-    return points, [
-        (0, 1, 3, 2),
-        (4, 6, 7, 5),
-        (0, 4, 5, 1),
-        (2, 3, 7, 6),
-        (0, 2, 6, 4),
-        (1, 5, 7, 3),
-    ]
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1)]
+    return points, [*sides, (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+
+
+def loose(points: Sequence[Point]) -> Shape:
+    """Triangles that do not touch, of three points each: leaves, twigs, blades."""
+    return points, [(first, first + 1, first + 2) for first in range(0, len(points), 3)]
 
 
 def turned(profile: Sequence[tuple[float, float]], sides: int = 10) -> Shape:
     """A profile of (radius, height) turned about z: posts, trunks, people."""
-    points = [
-        (r * cos(2 * pi * k / sides), r * sin(2 * pi * k / sides), z)
-        for r, z in profile
-        for k in range(sides)
-    ]
+    turns = [2 * pi * k / sides for k in range(sides)]
+    points = [(r * cos(turn), r * sin(turn), z) for r, z in profile for turn in turns]
     faces = [
-        (
-            i * sides + k,
-            i * sides + (k + 1) % sides,
-            (i + 1) * sides + (k + 1) % sides,
-            (i + 1) * sides + k,
-        )
-        for i in range(len(profile) - 1)
+        (low + k, low + (k + 1) % sides, low + sides + (k + 1) % sides, low + sides + k)
+        for low in range(0, (len(profile) - 1) * sides, sides)
         for k in range(sides)
     ]
     return points, faces
@@ -133,19 +123,14 @@ def moved(shape: Shape, by: Point) -> Shape:
 
 def wheel(x: float, y: float, radius: float, wide: float) -> Shape:
     """A wheel that stands on z = 0, its axle along x."""
-    points, faces = turned(
-        [(0.01, -wide / 2), (radius, -wide / 2), (radius, wide / 2), (0.01, wide / 2)], 14
-    )
+    half = wide / 2
+    points, faces = turned([(0.01, -half), (radius, -half), (radius, half), (0.01, half)], 14)
     return [(x + c, y + a, radius + b) for a, b, c in points], faces
 
 
 def extruded(outline: Sequence[tuple[float, float]], halves: Sequence[float]) -> Shape:
     """An outline of (y, z) to both sides of x = 0, as far as ``halves`` says of each point."""
-    n = len(outline)
-    points = [
-        (side * half, y, z)
-        for side in (-1, 1)
-        for (y, z), half in zip(outline, halves, strict=True)
-    ]
+    n, rim = len(outline), list(zip(outline, halves, strict=True))
+    points = [(side * half, y, z) for side in (-1, 1) for (y, z), half in rim]
     faces: list[Sequence[int]] = [list(range(n)), [2 * n - 1 - k for k in range(n)]]
     return points, faces + [(k, n + k, n + (k + 1) % n, (k + 1) % n) for k in range(n)]

@@ -1,6 +1,4 @@
 """What stands beside the road, and over it: plants, houses, posts, people, bridges, hills."""
-# pyright: reportMissingImports=false
-# (Blender is in an environment of its own)
 
 from math import cos, pi, sin
 from typing import Any
@@ -8,18 +6,23 @@ from typing import Any
 import bpy
 from mathutils import Vector, noise
 
-from train.worlds.materials import drawn, facade, ground, lamp, plain
-from train.worlds.roads import EARTHS, GREENS, LITTER, SNOW, START, UNPAVED, Road, swept
-from train.worlds.stage import HORIZONTAL, ROAD, VERTICAL, Shape, Stage, box, moved, turned
+from train.worlds.materials import drawn, facade, ground, lamp, palette, plain
+from train.worlds.roads import EARTHS, GREENS, KINDS, LITTER, SNOW, START, UNPAVED, Road, swept
+from train.worlds.stage import (
+    HORIZONTAL,
+    ROAD,
+    VERTICAL,
+    Parts,
+    Point,
+    Shape,
+    Stage,
+    box,
+    loose,
+    moved,
+    turned,
+)
 
-WALLS = [
-    (0.55, 0.47, 0.38),
-    (0.4, 0.18, 0.12),
-    (0.55, 0.55, 0.54),
-    (0.25, 0.25, 0.27),
-    (0.65, 0.6, 0.45),
-    (0.5, 0.35, 0.25),
-]
+WALLS = palette("55 47 38, 40 18 12, 55 55 54, 25 25 27, 65 60 45, 50 35 25")
 
 
 def build_surroundings(stage: Stage, road: Road) -> None:
@@ -27,115 +30,79 @@ def build_surroundings(stage: Stage, road: Road) -> None:
     at = stage.at
     town = road.kind in ("street", "bazaar", "yard")
     wild = road.kind in (*UNPAVED, "rural", "lane")
-    leaf = _leaves(stage, road)
+    tones = {"dry": GREENS[2:] + LITTER, "snow": SNOW + LITTER, "litter": LITTER + GREENS}
+    mine = tones.get(road.season, palette("6 12 3, 10 15 5, 4 9 3"))
+    leaf = ground(stage, drawn(stage, mine, 0.4), drawn(stage, mine, 0.4), at.uniform(1, 5), 0.3, 0)
     if not town or stage.chance(0.3):
         _grass(stage, road, at.choice([0, 250, 700] if wild else [0, 150]))
-    counts = {
-        "trail": (30, 70),
-        "overgrown": (0, 70),
-        "track": (0, 40),
-        "rural": (0, 40),
-        "lane": (4, 40),
-    }
-    low, high = counts.get(road.kind, (0, 14))
-    _trees(stage, road, leaf, at.randint(low, high))
+    _trees(stage, road, leaf, at.randint(*KINDS[road.kind].trees))
     bushes = [0, 10, 40] if wild else [0, 0, 8]
     _bushes(stage, road, leaf, at.choice([0, 60, 160] if road.kind == "overgrown" else bushes))
     if town or stage.chance(0.2):
         _houses(stage, road, at.randint(6, 22) if town else at.randint(1, 5))
     if stage.chance(0.4 if town else 0.25):
         _fence(stage, road)
-    _posts(
-        stage,
-        road,
-        at.choice([0, 0, 3] if road.kind in UNPAVED else [0, 4, 9]),
-    )
-    if road.kind in ("street", "bazaar", "yard"):
+    _posts(stage, road, at.choice([0, 0, 3] if road.kind in UNPAVED else [0, 4, 9]))
+    if town:
         _people(stage, road, at.choice([0, 2, 6]) if road.kind != "bazaar" else at.randint(3, 16))
     if road.kind in ("motorway", "street", "rural") and stage.chance(0.16):
         _bridge(stage, road)
     if road.kind == "yard":
         _end_of_yard(stage, road, leaf)
     if stage.chance(0.6):
-        _hills(stage)
+        for _ in range(at.choice([1, 1, 2])):
+            _hills(stage)
 
 
-def _leaves(stage: Stage, road: Road) -> Any:
-    tones = {"dry": GREENS[2:] + LITTER, "snow": SNOW + LITTER, "litter": LITTER + GREENS}
-    mine = tones.get(road.season, [(0.06, 0.12, 0.03), (0.1, 0.15, 0.05), (0.04, 0.09, 0.03)])
-    return ground(
-        stage, drawn(stage, mine, 0.4), drawn(stage, mine, 0.4), stage.at.uniform(1, 5), 0.3, 0
-    )
+# --- plants -----------------------------------------------------------------------------
 
 
 def _crown(stage: Stage, count: int, size: float) -> Shape:
     """Loose leaves in a ball of radius 1, ``size`` each: light falls through."""
-    at, points, faces = stage.at, [], []
+    at = stage.at
     knots = [Vector((at.gauss(0, 0.45), at.gauss(0, 0.45), at.gauss(0, 0.4))) for _ in range(9)]
-    for number in range(count):
+    points = []
+    for _ in range(count):
         middle = at.choice(knots) + Vector([at.gauss(0, 0.24) for _ in range(3)])
         for _ in range(3):
             points.append(tuple(middle + Vector([at.uniform(-size, size) for _ in range(3)])))
-        faces.append((3 * number, 3 * number + 1, 3 * number + 2))
-    return points, faces
+    return loose(points)
 
 
 def _fir(stage: Stage, tiers: int = 9) -> Shape:
     """Tiers of hanging branches, 1 wide and 1 tall."""
-    points, faces = [], []
+    points = []
     for tier in range(tiers):
         low, reach = tier / tiers, 0.5 * (1 - tier / tiers) + 0.05
         for k in range(11):
             turn, wide = 2 * pi * k / 11 + tier, 0.25
             out = reach * stage.at.uniform(0.7, 1.1)
-            n = len(points)
-            points += [
-                (0, 0, low + 0.16),
-                (out * cos(turn - wide), out * sin(turn - wide), low - 0.02),
-            ]
+            points.append((0, 0, low + 0.16))
+            points.append((out * cos(turn - wide), out * sin(turn - wide), low - 0.02))
             points.append((out * cos(turn + wide), out * sin(turn + wide), low))
-            faces.append((n, n + 1, n + 2))
-    return points, faces
+    return loose(points)
 
 
 def _bare(stage: Stage) -> Shape:
     """A tree without leaves: thin branches, radius 1."""
-    points, faces = [], []
+    at, points, half = stage.at, [], Vector((0.02, 0.015, 0))
     for _ in range(90):
-        start = Vector(
-            (stage.at.gauss(0, 0.12), stage.at.gauss(0, 0.12), stage.at.uniform(-1, 0.4))
-        )
-        end = start + Vector(
-            (stage.at.gauss(0, 0.4), stage.at.gauss(0, 0.4), stage.at.uniform(0.2, 0.8))
-        )
-        n = len(points)
-        points += [
-            tuple(start - Vector((0.02, 0.015, 0))),
-            tuple(start + Vector((0.02, 0.015, 0))),
-            tuple(end),
-        ]
-        faces.append((n, n + 1, n + 2))
-    return points, faces
+        start = Vector((at.gauss(0, 0.12), at.gauss(0, 0.12), at.uniform(-1, 0.4)))
+        end = start + Vector((at.gauss(0, 0.4), at.gauss(0, 0.4), at.uniform(0.2, 0.8)))
+        points += [tuple(start - half), tuple(start + half), tuple(end)]
+    return loose(points)
 
 
 def _trees(stage: Stage, road: Road, leaf: Any, count: int) -> None:
     """Broad, bare and fir trees; near ones throw their shadows on the road."""
     at = stage.at
-    bark = plain(
-        stage,
-        drawn(stage, [(0.12, 0.09, 0.06), (0.2, 0.17, 0.14), (0.3, 0.28, 0.25)]),
-        0.95,
-        vary=0.5,
-    )
+    bark = plain(stage, drawn(stage, palette("12 9 6, 20 17 14, 30 28 25")), 0.95, vary=0.5)
     bare = road.season == "snow" or stage.chance(0.12)
     crowns = [_bare(stage) if bare else _crown(stage, 1500, 0.1) for _ in range(2)]
     meshes = [stage.mesh([(crown, bark if bare else leaf)]) for crown in crowns]
-    fir, trunk = (
-        stage.mesh([(_fir(stage), leaf)]),
-        stage.mesh([(turned([(0.5, 0), (0.35, 1)], 7), bark)]),
-    )
-    near = at.uniform(0.4, 3)
-    firs = at.choice([0.0, 0.2, 1.0])
+    fir = stage.mesh([(_fir(stage), leaf)])
+    trunk = stage.mesh([(turned([(0.5, 0), (0.35, 1)], 7), bark)])
+    near, firs = at.uniform(0.4, 3), at.choice([0.0, 0.2, 1.0])
     for _ in range(count):
         side, index = at.choice((-1, 1)), at.randint(START + 1, 110)
         if not road.open(index):
@@ -189,23 +156,16 @@ def _tuft(stage: Stage, road: Road, tall: float) -> Any:
     """Blades of grass on two by two metres."""
     at = stage.at
     tones = LITTER + GREENS[2:] if road.season in ("litter", "dry", "earth", "snow") else GREENS
-    blade = plain(stage, drawn(stage, tones, 0.35), 0.8, vary=0.5)
-    points, faces = [], []
-    for number in range(220):
-        x, y, turn, high = (
-            at.uniform(-1, 1),
-            at.uniform(-1, 1),
-            at.uniform(0, 6.28),
-            at.uniform(0.3, 1) * tall,
-        )
-        dx, dy = 0.025 * cos(turn), 0.025 * sin(turn)
-        points += [
-            (x + dx, y + dy, 0),
-            (x - dx, y - dy, 0),
-            (x + at.gauss(0, 0.3) * high, y + at.gauss(0, 0.3) * high, high),
-        ]
-        faces.append((3 * number, 3 * number + 1, 3 * number + 2))
-    return stage.mesh([((points, faces), blade)])
+    blade, points = plain(stage, drawn(stage, tones, 0.35), 0.8, vary=0.5), []
+    for _ in range(220):
+        x, y, turn = at.uniform(-1, 1), at.uniform(-1, 1), at.uniform(0, 6.28)
+        high, dx, dy = at.uniform(0.3, 1) * tall, 0.025 * cos(turn), 0.025 * sin(turn)
+        points += [(x + dx, y + dy, 0), (x - dx, y - dy, 0)]
+        points.append((x + at.gauss(0, 0.3) * high, y + at.gauss(0, 0.3) * high, high))
+    return stage.mesh([(loose(points), blade)])
+
+
+# --- what people built ------------------------------------------------------------------
 
 
 def _houses(stage: Stage, road: Road, count: int) -> None:
@@ -226,15 +186,9 @@ def _houses(stage: Stage, road: Road, count: int) -> None:
         parts = [(box((0, 0, tall / 2 - 2), (deep, long, tall + 4)), wall)]
         if stage.chance(0.4):
             a, b, up = deep / 2 + 0.3, long / 2 + 0.3, at.uniform(1, 3.5)
-            gable = [
-                (-a, -b, tall),
-                (a, -b, tall),
-                (0, -b, tall + up),
-                (-a, b, tall),
-                (a, b, tall),
-                (0, b, tall + up),
-            ]
-            parts.append(((gable, [(0, 1, 2), (3, 5, 4), (0, 2, 5, 3), (1, 4, 5, 2)]), roof))
+            ends = [((-a, y, tall), (a, y, tall), (0, y, tall + up)) for y in (-b, b)]
+            gable = [(0, 1, 2), (3, 5, 4), (0, 2, 5, 3), (1, 4, 5, 2)]
+            parts.append((([*ends[0], *ends[1]], gable), roof))
         if stage.chance(0.3):
             awning = plain(stage, [at.uniform(0.05, 0.8) for _ in range(3)], 0.7)
             parts.append((box((-side * (deep / 2 + 0.6), 0, 2.6), (1.3, long * 0.8, 0.15)), awning))
@@ -255,92 +209,60 @@ def _fence(stage: Stage, road: Road) -> None:
         if what == "rails":
             metal = plain(stage, drawn(stage, WALLS), 0.6)
             for up in (tall * 0.35, tall * 0.7, tall):
-                section = [(out, up - 0.06), (out, up)]
-                swept(stage, road.course, section, metal, VERTICAL, span=span)
+                rail = [(out, up - 0.06), (out, up)]
+                swept(stage, road.course, rail, metal, VERTICAL, span=span)
             continue
-        wide = 0.9 if what == "hedge" else 0.2
+        far = out + (0.9 if what == "hedge" else 0.2) * side
         tones = GREENS[:2] + GREENS[3:4] if what == "hedge" else WALLS
         look = ground(stage, drawn(stage, tones), drawn(stage, tones), at.uniform(1, 8), 0.5, 0.9)
-        section = [(out, -0.3), (out, tall), (out + wide * side, tall), (out + wide * side, -0.3)]
-        swept(
-            stage,
-            road.course,
-            section,
-            look,
-            VERTICAL,
-            span=span,
-            bumps=0.25 if what == "hedge" else 0,
-        )
+        section = [(out, -0.3), (out, tall), (far, tall), (far, -0.3)]
+        bumps = 0.25 if what == "hedge" else 0
+        swept(stage, road.course, section, look, VERTICAL, span=span, bumps=bumps)
 
 
 def _posts(stage: Stage, road: Road, count: int) -> None:
     """Lamp posts that shine at night, poles, signs, bins."""
     at = stage.at
-    grey = plain(stage, drawn(stage, [(0.3, 0.3, 0.3), (0.15, 0.12, 0.09), (0.5, 0.5, 0.5)]), 0.6)
+    grey = plain(stage, drawn(stage, palette("30 30 30, 15 12 9, 50 50 50")), 0.6)
     tall, spacing, beyond = at.uniform(4, 9), at.randint(9, 18), at.uniform(-0.2, 1.0)
-    warm = at.choice([(1, 0.6, 0.25), (1, 0.85, 0.65), (0.8, 0.9, 1)])
+    warm = at.choice(palette("100 60 25, 100 85 65, 80 90 100"))
     for number in range(count):
         side = at.choice((-1, 1))
         index = START + 4 + number * spacing
         if index > 115:
             break
         where = road.spot(index, max(beyond, 0.2), side)
-        turn = -road.course.headings[index]
-        parts = [
-            (turned([(0.11, 0), (0.06, tall)], 8), grey),
-            (box((-side * 0.7, 0, tall), (1.6, 0.1, 0.1)), grey),
-        ]
+        parts: Parts = [(turned([(0.11, 0), (0.06, tall)], 8), grey)]
+        parts.append((box((-side * 0.7, 0, tall), (1.6, 0.1, 0.1)), grey))
         if stage.night:
-            parts.append(
-                (box((-side * 1.4, 0, tall - 0.1), (0.5, 0.25, 0.1)), lamp(stage, warm, 60))
-            )
-        stage.put(stage.mesh(parts), VERTICAL, where, turn)
+            parts.append((box((-side * 1.4, 0, tall - 0.1), (0.5, 0.25, 0.1)), lamp(warm, 60)))
+        stage.put(stage.mesh(parts), VERTICAL, where, -road.course.headings[index])
         if stage.night:
-            _shine(
-                stage,
-                (where[0] - side * 1.4, where[1], where[2] + tall - 0.4),
-                warm,
-                at.uniform(150, 600),
-            )
+            light = bpy.data.lights.new("lamp", "POINT")
+            light.energy, light.color, light.shadow_soft_size = at.uniform(150, 600), warm, 0.2
+            stage.add("lamp", light, (where[0] - side * 1.4, where[1], where[2] + tall - 0.4))
     for _ in range(at.choice([0, 1, 4]) * (count > 0)):
         index, side = at.randint(START + 3, 70), at.choice((-1, 1))
-        colour = at.choice(
-            [
-                (0.6, 0.02, 0.02),
-                (0.02, 0.08, 0.5),
-                (0.8, 0.8, 0.8),
-                (0.7, 0.5, 0.02),
-                (0.02, 0.3, 0.1),
-            ]
+        colour = at.choice(palette("60 2 2, 2 8 50, 80 80 80, 70 50 2, 2 30 10"))
+        middle, size = (
+            (0, 0, at.uniform(1.8, 2.6)),
+            (at.uniform(0.5, 1.4), 0.03, at.uniform(0.5, 0.9)),
         )
-        plate = box(
-            (0, 0, at.uniform(1.8, 2.6)), (at.uniform(0.5, 1.4), 0.03, at.uniform(0.5, 0.9))
-        )
-        sign = [(turned([(0.04, 0), (0.04, 2.5)], 6), grey), (plate, plain(stage, colour, 0.5))]
+        sign: Parts = [(turned([(0.04, 0), (0.04, 2.5)], 6), grey)]
+        sign.append((box(middle, size), plain(stage, colour, 0.5)))
         stage.put(stage.mesh(sign), VERTICAL, road.spot(index, 0.4, side), at.uniform(-0.3, 0.3))
 
 
-def _shine(
-    stage: Stage, where: tuple[float, float, float], colour: tuple[float, ...], watts: float
-) -> None:
-    light = bpy.data.lights.new("lamp", "POINT")
-    light.energy, light.color, light.shadow_soft_size = watts, colour, 0.2
-    thing = bpy.data.objects.new("lamp", light)
-    thing.location = where
-    stage.scene.collection.objects.link(thing)
-
-
-def person(stage: Stage) -> list[tuple[Shape, Any]]:
+def person(stage: Stage) -> Parts:
     """Somebody on foot: legs, body, head."""
     at = stage.at
     cloth = [plain(stage, [at.uniform(0.02, 0.6) for _ in range(3)], 0.9) for _ in range(2)]
-    skin = plain(stage, drawn(stage, [(0.4, 0.25, 0.18), (0.2, 0.1, 0.06)]), 0.7)
-    legs = [
-        moved(turned([(0.07, 0), (0.1, 0.85)], 7), (x, y, 0)) for x, y in ((-0.1, 0.1), (0.1, -0.1))
-    ]
+    skin = plain(stage, drawn(stage, palette("40 25 18, 20 10 6")), 0.7)
+    leg = turned([(0.07, 0), (0.1, 0.85)], 7)
     body = turned([(0.13, 0.8), (0.24, 1.1), (0.22, 1.4), (0.07, 1.5)], 8)
     head = turned([(0.05, 1.48), (0.11, 1.6), (0.08, 1.75), (0.01, 1.78)], 8)
-    return [*((leg, cloth[0]) for leg in legs), (body, cloth[1]), (head, skin)]
+    legs = [(moved(leg, by), cloth[0]) for by in ((-0.1, 0.1, 0), (0.1, -0.1, 0))]
+    return [*legs, (body, cloth[1]), (head, skin)]
 
 
 def _people(stage: Stage, road: Road, count: int) -> None:
@@ -348,12 +270,8 @@ def _people(stage: Stage, road: Road, count: int) -> None:
     for _ in range(count):
         index = at.randint(START + 4, 50)
         across = at.uniform(-1, 1) * (road.land if stage.chance(0.6) else road.course.half)
-        stage.put(
-            stage.mesh(person(stage)),
-            VERTICAL,
-            road.course.at(index, across, 0.05),
-            at.uniform(0, 6),
-        )
+        where = road.course.at(index, across, 0.05)
+        stage.put(stage.mesh(person(stage)), VERTICAL, where, at.uniform(0, 6))
 
 
 def _bridge(stage: Stage, road: Road) -> None:
@@ -361,18 +279,15 @@ def _bridge(stage: Stage, road: Road) -> None:
     at = stage.at
     concrete = plain(stage, drawn(stage, WALLS), 0.9, vary=0.4)
     index, wide, high = at.randint(START + 5, START + 45), at.uniform(5, 14), at.uniform(4.3, 6)
-    out = road.land + at.uniform(0.5, 4)
-    parts = [
-        (box((0, 0, high + 0.6), (140, wide, 1.2)), concrete),
-        (box((0, -wide / 2, high + 1.5), (140, 0.2, 0.9)), concrete),
-    ]
-    parts += [
-        (box((side * (out + 1), 0, high / 2 - 1), (2, wide, high + 2)), concrete)
-        for side in (-1, 1)
-    ]
-    stage.put(
-        stage.mesh(parts), VERTICAL, tuple(road.course.points[index]), -road.course.headings[index]
+    out = road.land + at.uniform(0.5, 4) + 1
+    shapes = [box((0, 0, high + 0.6), (140, wide, 1.2))]
+    shapes.append(box((0, -wide / 2, high + 1.5), (140, 0.2, 0.9)))
+    shapes += [box((side * out, 0, high / 2 - 1), (2, wide, high + 2)) for side in (-1, 1)]
+    mesh, where = (
+        stage.mesh((shape, concrete) for shape in shapes),
+        tuple(road.course.points[index]),
     )
+    stage.put(mesh, VERTICAL, where, -road.course.headings[index])
 
 
 def _end_of_yard(stage: Stage, road: Road, leaf: Any) -> None:
@@ -382,40 +297,27 @@ def _end_of_yard(stage: Stage, road: Road, leaf: Any) -> None:
     if what == "house":
         tall = at.uniform(3, 12)
         wall = facade(stage, drawn(stage, WALLS))
-        stage.put(
-            stage.mesh([(box((at.uniform(-15, 15), y + 8, tall / 2), (40, 10, tall)), wall)]),
-            VERTICAL,
-        )
+        house = box((at.uniform(-15, 15), y + 8, tall / 2), (40, 10, tall))
+        stage.put(stage.mesh([(house, wall)]), VERTICAL)
     if what == "hedge":
         mesh = stage.mesh([(_crown(stage, 700, 0.2), leaf)])
         for k in range(-16, 17):
             size = at.uniform(0.7, 1.6)
-            stage.put(
-                mesh, VERTICAL, (k * 1.6, y + 2, size * 0.5), at.uniform(0, 6), (1.3, 1.3, size)
-            )
+            where: Point = (k * 1.6, y + 2, size * 0.5)
+            stage.put(mesh, VERTICAL, where, at.uniform(0, 6), (1.3, 1.3, size))
 
 
 def _hills(stage: Stage) -> None:
-    """Woods, roofs or mountains at the horizon, one or two rows."""
+    """Woods, roofs or mountains at the horizon, a row."""
     at = stage.at
-
-    def row(turn: float, seed: float) -> float:
-        return noise.fractal(Vector((turn * 3, seed, 0)), 0.9, 2.2, 6)
-
-    for _ in range(at.choice([1, 1, 2])):
-        far, tall, seed = at.uniform(190, 480), at.uniform(3, 45), at.uniform(0, 99)
-        tones = GREENS[:1] + GREENS[3:4] + EARTHS[:1] + [(0.2, 0.22, 0.25)]
-        look = ground(
-            stage, drawn(stage, tones), drawn(stage, tones), at.uniform(0.02, 0.2), 0.5, 0
-        )
-        points, faces = [], []
-        for k in range(241):
-            turn = (k / 240 - 0.5) * 3.0
-            up = tall * max(0.1, 0.6 + 0.7 * row(turn, seed))
-            points += [
-                (far * sin(turn), far * cos(turn), -12.0),
-                (far * sin(turn), far * cos(turn), up),
-            ]
-            if k:
-                faces.append((2 * k - 2, 2 * k, 2 * k + 1, 2 * k - 1))
-        stage.put(stage.mesh([((points, faces), look)]), VERTICAL)
+    far, tall, seed = at.uniform(190, 480), at.uniform(3, 45), at.uniform(0, 99)
+    tones = GREENS[:1] + GREENS[3:4] + EARTHS[:1] + [(0.2, 0.22, 0.25)]
+    look = ground(stage, drawn(stage, tones), drawn(stage, tones), at.uniform(0.02, 0.2), 0.5, 0)
+    points: list[Point] = []
+    for k in range(241):
+        turn = (k / 240 - 0.5) * 3.0
+        rise = noise.fractal(Vector((turn * 3, seed, 0)), 0.9, 2.2, 6)
+        x, y = far * sin(turn), far * cos(turn)
+        points += [(x, y, -12.0), (x, y, tall * max(0.1, 0.6 + 0.7 * rise))]
+    faces = [(k, k + 2, k + 3, k + 1) for k in range(0, 480, 2)]
+    stage.put(stage.mesh([((points, faces), look)]), VERTICAL)
