@@ -1,36 +1,23 @@
-"""Corrections of people in training: what they said is the truth, machine labels fill the rest."""
+"""Corrections of people in training: which a run uses, and what its weights say of them."""
 
 import json
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
-from torch.nn.functional import adaptive_avg_pool2d
 
-from roadtorch.data.correction_labels import NOT_ROAD, ROAD_SAID, VOID_SAID
+from roadtorch.data.correction_labels import NOT_ROAD, ROAD_SAID
 from roadtorch.data.corrections import Correction
 from roadtorch.data.labelme import picture_size
 from roadtorch.errors import InputError
-from roadtorch.imaging.resize import at_picture_size
 from roadtorch.io.atomic import make_folder, write_text
-from roadtorch.layout.classes import CLASSES, UNLABELLED
 from roadtorch.layout.weights import people_behind, weights_path
 from roadtorch.settings import toml_lines
 from roadtorch.sources.pictures import Picture
 from roadtorch.train.config import Descent, PictureTraining, Training
-from roadtorch.train.prepared import Arrays, name_of, to_bytes, write_arrays
-from roadtorch.train.teachers import Targets
-
-HALF = 0.5
-"""Share of a cell's pixels that have to be said before the cell counts as said."""
-
-SPACING = 8
-"""Pixels, at working size, between the patches that are taken where people spoke: as far apart as
-superpixels are."""
+from roadtorch.train.prepared import Arrays, name_of, write_arrays
 
 # --- which ------------------------------------------------------------------------------
 
@@ -100,105 +87,6 @@ def write_corrections(
     for file, path in written.items():
         write_arrays(path, shrink(files[file]))
     return written
-
-
-# --- whole pictures ---------------------------------------------------------------------
-
-
-def correction_planes(correction: Correction, size: tuple[int, int]) -> Arrays:
-    """``planes``, uint8 (6,h,w) as 255ths: shares of a cell's pixels that people called so.
-
-    Road, not road, void; sky, vertical, horizontal.
-    """
-    road, layout = torch.from_numpy(correction.road), torch.from_numpy(correction.layout)
-    planes = [road == value for value in (ROAD_SAID, NOT_ROAD, VOID_SAID)]
-    planes += [layout == number for number in range(CLASSES)]
-    return {"planes": to_bytes(adaptive_avg_pool2d(torch.stack(planes).to(torch.float32), size))}
-
-
-def corrected_targets(targets: Targets, planes: Tensor, weight: float) -> Targets:
-    """Targets in which what people said replaces the machine's.
-
-    planes: (B,6,H,W) of ``correction_planes``. Where they are void, neither counts; where they
-    are road there is no ego car.
-    """
-    road, other, void, layout = planes.split((1, 1, 1, CLASSES), 1)
-    known, left_out = road + other >= HALF, void > HALF
-    share = road / (road + other).clamp_min(1e-6)
-    layout_share = layout.sum(1, keepdim=True)
-    layout_known, no_ego = layout_share >= HALF, road >= HALF
-
-    def weighed(own: Tensor, where: Tensor) -> Tensor:
-        return torch.where(where, weight, own).masked_fill(left_out, 0)
-
-    return Targets(
-        torch.where(layout_known, layout / layout_share.clamp_min(1e-6), targets.layout),
-        weighed(targets.layout_weight, layout_known),
-        torch.where(known, share, targets.road),
-        weighed(targets.road_weight, known),
-        torch.where(no_ego, 0, targets.ego),
-        torch.where(no_ego, weight, targets.ego_weight),
-    )
-
-
-def corrected_shares(shares: Tensor, corrected: Tensor, share: float) -> Tensor:
-    """Shares (n,) of visits of which the corrected pictures, bool (n,), get ``share`` together.
-
-    Unchanged where all pictures are corrected, or none.
-    """
-    if not corrected.any() or corrected.all():
-        return shares
-    own, others = shares[corrected].sum(), shares[~corrected].sum()
-    return torch.where(corrected, shares * (share / own), shares * ((1 - share) / others))
-
-
-# --- patches ----------------------------------------------------------------------------
-
-
-class LabelledCentres(NamedTuple):
-    """Where patches are taken: centres int16 (n,2), classes uint8 (n,), weights float32 (n,)."""
-
-    centres: Tensor
-    classes: Tensor
-    weights: Tensor
-
-
-def correction_layout(correction: Correction, size: tuple[int, int]) -> Arrays:
-    """``layout``, uint8 (h,w): 0, 1, 2, 255 not said; ``known``: 1 where no machine label counts.
-
-    Who says void, or "not road", says nothing of the layout; void counts as known all the same.
-    """
-    layout = at_picture_size(torch.from_numpy(correction.layout), size)
-    void = at_picture_size(torch.from_numpy(correction.road == VOID_SAID), size)
-    return {"layout": layout, "known": ((layout != UNLABELLED) | void).to(torch.uint8)}
-
-
-def corrected_centres(
-    labelled: LabelledCentres, correction: Arrays, weight: float
-) -> LabelledCentres:
-    """The machine's where nobody spoke, and a grid of places where somebody named a class."""
-    layout, known = correction["layout"], correction["known"].bool()
-    rows, columns = labelled.centres.long().unbind(1)
-    kept = ~known[rows, columns]
-    places = torch.zeros_like(known)
-    places[SPACING // 2 :: SPACING, SPACING // 2 :: SPACING] = True
-    new = (places & (layout != UNLABELLED)).nonzero()
-    classes = layout[new[:, 0], new[:, 1]].to(labelled.classes.dtype)
-    return LabelledCentres(
-        torch.cat([labelled.centres[kept], new.to(labelled.centres.dtype)]),
-        torch.cat([labelled.classes[kept], classes]),
-        torch.cat([labelled.weights[kept], torch.full((len(new),), weight)]),
-    )
-
-
-def repeated(files: Sequence[Path], corrected: Container[Path], share: float) -> list[Path]:
-    """The files, corrected ones so often that they are about ``share`` of all, once at least."""
-    own = [file for file in files if file in corrected]
-    others = len(files) - len(own)
-    if not own or not others or share == 1:
-        return own if own and share == 1 else list(files)
-    times = max(1, round(share * others / ((1 - share) * len(own))))
-    return [file for file in files for _ in range(times if file in corrected else 1)]
 
 
 # --- what fusion makes of the weights ---------------------------------------------------

@@ -8,16 +8,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from roadtorch.errors import ConfigError
 from roadtorch.layout.weights import LayoutNetwork
 from roadtorch.runtime.progress import Progress
-from roadtorch.runtime.signals import Stop
 from roadtorch.train.config import Descent, Stopping
 from roadtorch.train.folder import RunFolder
 from roadtorch.train.processes import Processes
@@ -47,43 +47,6 @@ def seeded(seed: int, *place: int) -> Iterator[None]:
         yield
 
 
-# --- samples ----------------------------------------------------------------------------
-
-
-class Batch(NamedTuple):
-    """This process's part of one step.
-
-    inputs: what the network takes, first dimension n. targets and weights: what the loss takes.
-    count: samples of the step in all processes together; the loss of a step is the sum over all
-    of them divided by it.
-    """
-
-    inputs: Tensor
-    targets: Tensor
-    weights: Tensor
-    count: int
-
-
-class Samples(Protocol):
-    """Endless samples in a settled order: epochs of chunks of batches.
-
-    A chunk is what is in memory together, and where a run can be cut and go on.
-    """
-
-    @property
-    def chunks(self) -> int:
-        """Chunks of one epoch."""
-        ...
-
-    def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
-        """The batches of a chunk, the same whenever they are asked for."""
-        ...
-
-
-Loss = Callable[[nn.Module, Batch], Tensor]
-"""The summed loss of a network over one process's part of a batch: a scalar."""
-
-
 # --- the mean of the weights ------------------------------------------------------------
 
 
@@ -106,7 +69,7 @@ class MovingAverage(Generic[Network]):
     @torch.no_grad()
     def add(self, network: nn.Module, steps: int) -> None:
         """Take in the weights that a network has after ``steps`` steps."""
-        kept = min(self._ema, steps / (steps + WARM_UP_STEPS)) if self._ema else 0.0
+        kept = min(self._ema, steps / (steps + WARM_UP_STEPS))
         for mean, weight in zip(self.network.parameters(), network.parameters(), strict=True):
             mean.lerp_(weight, 1 - kept)
 
@@ -115,6 +78,37 @@ class MovingAverage(Generic[Network]):
 
 
 SAVE_EVERY = 60.0  # seconds of work that a power cut may cost
+
+
+class RoundStart(NamedTuple):
+    """What a round begins with.
+
+    files: prepared pictures. corrected: by prepared picture, what people said of it. last: the
+    network of the round before, or the one that the run starts from.
+    """
+
+    number: int
+    files: Sequence[Path]
+    corrected: Mapping[Path, Path]
+    last: LayoutNetwork | None
+
+
+class Batch(NamedTuple):
+    """This process's part of one step.
+
+    inputs: what the network takes, first dimension n. targets and weights: what the loss takes.
+    count: samples of the step in all processes together; the loss of a step is the sum over all
+    of them divided by it.
+    """
+
+    inputs: Tensor
+    targets: Tensor
+    weights: Tensor
+    count: int
+
+
+Loss = Callable[[nn.Module, Batch], Tensor]
+"""The summed loss of a network over one process's part of a batch: a scalar."""
 
 
 @dataclass
@@ -135,40 +129,6 @@ class TrainingProgress:
     rows: list[dict[str, Any]] = field(default_factory=list)
 
 
-class TrainingSetup(NamedTuple):
-    """What a round trains, and how; average: what becomes of the weights over the steps."""
-
-    network: nn.Module
-    average: MovingAverage
-    optimiser: torch.optim.Optimizer
-    samples: Samples
-    loss: Loss
-    descent: Descent
-    stopping: Stopping
-
-
-class RoundStart(NamedTuple):
-    """What a round begins with.
-
-    files: prepared pictures. corrected: by prepared picture, what people said of it. last: the
-    network of the round before, or the one that the run starts from.
-    """
-
-    number: int
-    files: Sequence[Path]
-    corrected: Mapping[Path, Path]
-    last: LayoutNetwork | None
-
-
-class RunContext(NamedTuple):
-    """Where a run happens: its processes, its folder, who may interrupt or watch it."""
-
-    processes: Processes
-    folder: RunFolder
-    stop: Stop
-    quiet: bool = False
-
-
 def make_optimiser(network: nn.Module, descent: Descent) -> torch.optim.Optimizer:
     """The optimiser that the settings name."""
     weights, rate, decay = network.parameters(), descent.learning_rate, descent.weight_decay
@@ -177,128 +137,135 @@ def make_optimiser(network: nn.Module, descent: Descent) -> torch.optim.Optimize
     return torch.optim.SGD(weights, rate, momentum=descent.momentum, weight_decay=decay)
 
 
-def train_round(setup: TrainingSetup, progress: TrainingProgress, context: RunContext) -> None:
-    """Train from where ``progress`` is until the round's end, or until asked to stop.
+@dataclass(frozen=True)
+class Round:
+    """A round of training: what is trained, on what, how, how far it is and who keeps it.
 
-    Saves a checkpoint at the end of each epoch, now and then between, and before it returns.
-    Raises ConfigError when the loss is no longer a number.
+    average: what becomes of the weights over the steps. chunks: of an epoch, each what is in
+    memory together, and where a run can be cut and go on. batches: those of an epoch and a chunk,
+    the same whenever they are asked for.
     """
-    setup.network.train()
-    while not progress.finished and not context.processes.any(context.stop.asked):
-        _train_epoch(setup, progress, context)
-        if progress.chunk == setup.samples.chunks:
-            _end_epoch(setup, progress, context)
-        save_checkpoint(setup, progress, context)
 
+    network: nn.Module
+    average: MovingAverage
+    optimiser: torch.optim.Optimizer
+    chunks: int
+    batches: Callable[[int, int], Iterator[Batch]]
+    loss: Loss
+    descent: Descent
+    stopping: Stopping
+    progress: TrainingProgress
+    folder: RunFolder
+    processes: Processes
 
-def save_checkpoint(setup: TrainingSetup, progress: TrainingProgress, context: RunContext) -> None:
-    """Write the checkpoint, once for all processes."""
-    if context.processes.leads:
-        context.folder.write_checkpoint(
-            {
-                "network": setup.network.state_dict(),
-                "average": setup.average.network.state_dict(),
-                "optimiser": setup.optimiser.state_dict(),
-                "progress": asdict(progress),
-            }
+    def train(self) -> None:
+        """Train from where ``progress`` is until the round's end, or until asked to stop.
+
+        Saves a checkpoint at the end of each epoch, now and then between, and before it returns.
+        Raises ConfigError when the loss is no longer a number.
+        """
+        self.network.train()
+        while not self.progress.finished and not self.processes.stopped():
+            self._train_epoch()
+            if self.progress.chunk == self.chunks:
+                self._end_epoch()
+            self.save()
+
+    def save(self) -> None:
+        """Write the checkpoint, once for all processes."""
+        if self.processes.leads:
+            self.folder.write_checkpoint(
+                {
+                    "network": self.network.state_dict(),
+                    "average": self.average.network.state_dict(),
+                    "optimiser": self.optimiser.state_dict(),
+                    "progress": asdict(self.progress),
+                }
+            )
+
+    def _train_epoch(self) -> None:
+        """Work through the rest of an epoch, at least a chunk of it, or until asked to stop."""
+        progress = self.progress
+        bar = Progress(
+            desc=f"epoch {progress.epoch + 1}",
+            total=self.chunks,
+            initial=progress.chunk,
+            unit="chunk",
+            quiet=self.processes.silent,
         )
+        saved = time.monotonic()
+        with bar:
+            while progress.chunk < self.chunks:
+                start = time.perf_counter()
+                self._train_chunk()
+                progress.seconds += time.perf_counter() - start
+                bar.set_postfix(loss=f"{progress.loss / max(1, progress.count):.4f}", refresh=False)
+                bar.update()
+                if time.monotonic() - saved > SAVE_EVERY:
+                    self.save()
+                    saved = time.monotonic()
+                if self.processes.stopped():
+                    return
 
+    def _train_chunk(self) -> None:
+        progress, loss = self.progress, 0.0
+        epochs = progress.epoch + progress.chunk / self.chunks
+        for group in self.optimiser.param_groups:
+            group["lr"] = self.descent.learning_rate_at(epochs / self.stopping.epochs)
+        for batch in self.batches(progress.epoch, progress.chunk):
+            loss += self.step(batch)
+            progress.count += batch.count
+            progress.steps += 1
+            self.average.add(self.network, progress.steps)
+        if not math.isfinite(loss):
+            what = "the loss is no longer a number"
+            raise ConfigError("descent.learning_rate", what, "give a lower one")
+        progress.loss += loss
+        progress.chunk += 1
 
-def _train_epoch(setup: TrainingSetup, progress: TrainingProgress, context: RunContext) -> None:
-    """Work through the rest of an epoch, at least a chunk of it, or until asked to stop."""
-    bar = Progress(
-        desc=f"epoch {progress.epoch + 1}",
-        total=setup.samples.chunks,
-        initial=progress.chunk,
-        unit="chunk",
-        quiet=context.quiet or not context.processes.leads,
-    )
-    saved = time.monotonic()
-    with bar:
-        while progress.chunk < setup.samples.chunks:
-            start = time.perf_counter()
-            _train_chunk(setup, progress, context.processes)
-            progress.seconds += time.perf_counter() - start
-            bar.set_postfix(loss=f"{progress.loss / max(1, progress.count):.4f}", refresh=False)
-            bar.update()
-            if time.monotonic() - saved > SAVE_EVERY:
-                save_checkpoint(setup, progress, context)
-                saved = time.monotonic()
-            if context.processes.any(context.stop.asked):
-                return
+    def step(self, batch: Batch) -> float:
+        """One step on one batch; returns the loss summed over the batch of all processes.
 
+        Gradients are summed over the processes, so that any number of them makes the same step up
+        to rounding.
+        """
+        self.optimiser.zero_grad(set_to_none=False)
+        loss = torch.zeros(())
+        if len(batch.inputs):
+            with torch.autocast("cpu", torch.bfloat16, self.descent.precision == "bfloat16"):
+                loss = self.loss(self.network, batch)
+            (loss / batch.count).backward()
+        weights = list(self.network.parameters())
+        for weight in weights:
+            if weight.grad is None:  # this process had no sample yet
+                weight.grad = torch.zeros_like(weight)
+        sums = [loss.detach(), *(weight.grad for weight in weights if weight.grad is not None)]
+        if self.processes.size > 1:  # the gradients and the loss in one exchange
+            vector_to_parameters(self.processes.add(parameters_to_vector(sums)), sums)
+        self.optimiser.step()
+        return float(sums[0])
 
-def _train_chunk(setup: TrainingSetup, progress: TrainingProgress, processes: Processes) -> None:
-    epochs = progress.epoch + progress.chunk / setup.samples.chunks
-    for group in setup.optimiser.param_groups:
-        group["lr"] = setup.descent.learning_rate_at(epochs / setup.stopping.epochs)
-    loss = 0.0
-    for batch in setup.samples.batches(progress.epoch, progress.chunk):
-        loss += step(setup, batch, processes)
-        progress.count += batch.count
-        progress.steps += 1
-        setup.average.add(setup.network, progress.steps)
-    if not math.isfinite(loss):
-        what = "the loss is no longer a number"
-        raise ConfigError("descent.learning_rate", what, "give a lower one")
-    progress.loss += loss
-    progress.chunk += 1
-
-
-def step(setup: TrainingSetup, batch: Batch, processes: Processes) -> float:
-    """One step on one batch; returns the loss summed over the batch of all processes.
-
-    Gradients are summed over the processes, so that any number of them makes the same step up
-    to rounding.
-    """
-    setup.optimiser.zero_grad(set_to_none=False)
-    loss = torch.zeros(())
-    if len(batch.inputs):
-        with torch.autocast("cpu", torch.bfloat16, setup.descent.precision == "bfloat16"):
-            loss = setup.loss(setup.network, batch)
-        (loss / batch.count).backward()
-    loss = _add_gradients(setup.network, loss.detach(), processes)
-    setup.optimiser.step()
-    return float(loss)
-
-
-def _add_gradients(network: nn.Module, loss: Tensor, processes: Processes) -> Tensor:
-    """Replace the gradients and the loss by their sums over the processes, in one exchange."""
-    weights = list(network.parameters())
-    for weight in weights:
-        if weight.grad is None:  # this process had no sample yet
-            weight.grad = torch.zeros_like(weight)
-    if processes.size == 1:
-        return loss
-    gradients = [weight.grad for weight in weights if weight.grad is not None]
-    flat = processes.add(torch.cat([loss.reshape(1), *(value.reshape(-1) for value in gradients)]))
-    at = 1
-    for value in gradients:
-        value.copy_(flat[at : at + value.numel()].reshape(value.shape))
-        at += value.numel()
-    return flat[0]
-
-
-def _end_epoch(setup: TrainingSetup, progress: TrainingProgress, context: RunContext) -> None:
-    """Close the books of an epoch and decide whether it was the last."""
-    row = {
-        "round": progress.round + 1,
-        "epoch": progress.epoch + 1,
-        "loss": progress.loss / max(1, progress.count),
-        "samples": progress.count,
-        "learning_rate": setup.optimiser.param_groups[0]["lr"],
-        "seconds": round(progress.seconds, 1),
-    }
-    before = [one["loss"] for one in progress.rows if one["round"] == row["round"]]
-    fall = before[-1] - row["loss"] if before else math.inf
-    progress.rows.append(row)
-    progress.epoch += 1
-    progress.chunk, progress.loss, progress.count, progress.seconds = 0, 0.0, 0, 0.0
-    plateau = setup.stopping.rule == "plateau" and fall <= setup.stopping.min_delta
-    progress.finished = plateau or progress.epoch >= setup.stopping.epochs
-    if context.processes.leads:
-        context.folder.write_log(progress.rows)
-        if not context.quiet:
+    def _end_epoch(self) -> None:
+        """Close the books of an epoch and decide whether it was the last."""
+        progress = self.progress
+        row = {
+            "round": progress.round + 1,
+            "epoch": progress.epoch + 1,
+            "loss": progress.loss / max(1, progress.count),
+            "samples": progress.count,
+            "learning_rate": self.optimiser.param_groups[0]["lr"],
+            "seconds": round(progress.seconds, 1),
+        }
+        before = [one["loss"] for one in progress.rows if one["round"] == row["round"]]
+        fall = before[-1] - row["loss"] if before else math.inf
+        progress.rows.append(row)
+        progress.epoch += 1
+        progress.chunk, progress.loss, progress.count, progress.seconds = 0, 0.0, 0, 0.0
+        plateau = self.stopping.rule == "plateau" and fall <= self.stopping.min_delta
+        progress.finished = plateau or progress.epoch >= self.stopping.epochs
+        if self.processes.leads:
+            self.folder.write_log(progress.rows)
+        if not self.processes.silent:
             change = f" ({-fall:+.4f})" if before else ""
             text = (
                 f"roadtorch: round {row['round']} epoch {row['epoch']}: "

@@ -5,7 +5,7 @@ certain; at a random scale and angle, with Gaussian noise; squared error; no har
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -14,9 +14,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from roadtorch.data.correction_labels import VOID_SAID
 from roadtorch.data.corrections import Correction
 from roadtorch.errors import InputError
-from roadtorch.imaging.resize import at_work, working_size
+from roadtorch.imaging.resize import at_picture_size, at_work, working_size
 from roadtorch.layout.classes import CLASSES, UNLABELLED
 from roadtorch.layout.labeller import label_layout
 from roadtorch.layout.patch_network import PatchNetwork, normalise
@@ -25,19 +26,13 @@ from roadtorch.sources.pictures import Picture
 from roadtorch.superpixels.segments import segment_mean, segment_size
 from roadtorch.train.augmentation import uniform
 from roadtorch.train.config import PatchAugmentation, PatchCentres, PatchTraining
-from roadtorch.train.corrections import (
-    LabelledCentres,
-    corrected_centres,
-    correction_layout,
-    repeated,
-)
+from roadtorch.train.folder import RunFolder
 from roadtorch.train.loop import (
     CENTRES,
     PATCH_ORDER,
     PATCH_VARIATION,
     Batch,
     RoundStart,
-    RunContext,
     generator_at,
     seeded,
 )
@@ -98,6 +93,60 @@ def class_weights(files: Sequence[Path], training: PatchTraining) -> Tensor:
     if training.balance == "none":
         return torch.ones(CLASSES)
     return counts.sum() / (CLASSES * counts.clamp_min(1))
+
+
+# --- where people spoke -----------------------------------------------------------------
+
+
+SPACING = 8
+"""Pixels, at working size, between the patches that are taken where people spoke: as far apart as
+superpixels are."""
+
+
+class LabelledCentres(NamedTuple):
+    """Where patches are taken: centres int16 (n,2), classes uint8 (n,), weights float32 (n,)."""
+
+    centres: Tensor
+    classes: Tensor
+    weights: Tensor
+
+
+def correction_layout(correction: Correction, size: tuple[int, int]) -> Arrays:
+    """``layout``, uint8 (h,w): 0, 1, 2, 255 not said; ``known``: 1 where no machine label counts.
+
+    Who says void, or "not road", says nothing of the layout; void counts as known all the same.
+    """
+    layout = at_picture_size(torch.from_numpy(correction.layout), size)
+    void = at_picture_size(torch.from_numpy(correction.road == VOID_SAID), size)
+    return {"layout": layout, "known": ((layout != UNLABELLED) | void).to(torch.uint8)}
+
+
+def corrected_centres(
+    labelled: LabelledCentres, correction: Arrays, weight: float
+) -> LabelledCentres:
+    """The machine's where nobody spoke, and a grid of places where somebody named a class."""
+    layout, known = correction["layout"], correction["known"].bool()
+    rows, columns = labelled.centres.long().unbind(1)
+    kept = ~known[rows, columns]
+    places = torch.zeros_like(known)
+    places[SPACING // 2 :: SPACING, SPACING // 2 :: SPACING] = True
+    new = (places & (layout != UNLABELLED)).nonzero()
+    classes = layout[new[:, 0], new[:, 1]].to(labelled.classes.dtype)
+    return LabelledCentres(
+        torch.cat([labelled.centres[kept], new.to(labelled.centres.dtype)]),
+        torch.cat([labelled.classes[kept], classes]),
+        torch.cat([labelled.weights[kept], torch.full((len(new),), weight)]),
+    )
+
+
+def repeated(files: Sequence[Path], corrected: Container[Path], share: float) -> list[Path]:
+    """The files, corrected ones so often that they are about ``share`` of all, once at least."""
+    own = [file for file in files if file in corrected]
+    others = len(files) - len(own)
+    if not own or not others or share == 1:
+        return own if own and share == 1 else list(files)
+    times = max(1, round(share * others / ((1 - share) * len(own))))
+    return [file for file in files for _ in range(times if file in corrected else 1)]
 
 
 # --- how they are cut -------------------------------------------------------------------
@@ -299,7 +348,7 @@ class PatchRecipe:
             "centres": training.centres.model_dump(),
         }
 
-    def survey(self, pictures: Sequence[Picture], folder: Path, context: RunContext) -> None:
+    def survey(self, pictures: Sequence[Picture], folder: Path, processes: Processes) -> None:
         """Nothing: patches are taken from single pictures."""
 
     def make(self, image: Tensor, name: str) -> Arrays:
@@ -319,7 +368,7 @@ class PatchRecipe:
         with seeded(self._training.random_seed, begun.number):
             return PatchNetwork(self._training.network)
 
-    def samples(self, begun: RoundStart, context: RunContext) -> PatchSamples:
+    def samples(self, begun: RoundStart, folder: RunFolder, processes: Processes) -> PatchSamples:
         """The varied patches of prepared pictures; corrected ones come more often."""
         often = repeated(begun.files, begun.corrected, self._training.corrections.share)
-        return PatchSamples(often, self._training, context.processes, begun.corrected)
+        return PatchSamples(often, self._training, processes, begun.corrected)

@@ -1,16 +1,17 @@
 """How networks for whole pictures are trained: varied pictures with their targets. Ours."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from roadtorch.data.correction_labels import NOT_ROAD, ROAD_SAID, VOID_SAID
 from roadtorch.data.corrections import Correction
 from roadtorch.imaging.resize import resized
 from roadtorch.layout.backbone_network import BackboneNetwork
@@ -21,17 +22,9 @@ from roadtorch.layout.weights import STEP, WholePictureNetwork
 from roadtorch.sources.pictures import Picture
 from roadtorch.train import augmentation
 from roadtorch.train.config import HeadWeights, PictureTraining
-from roadtorch.train.corrections import corrected_shares, corrected_targets, correction_planes
-from roadtorch.train.loop import (
-    PICTURE_ORDER,
-    VARIATION,
-    Batch,
-    RoundStart,
-    RunContext,
-    generator_at,
-    seeded,
-)
-from roadtorch.train.prepared import Arrays, from_bytes, kept_arrays
+from roadtorch.train.folder import RunFolder
+from roadtorch.train.loop import PICTURE_ORDER, VARIATION, Batch, RoundStart, generator_at, seeded
+from roadtorch.train.prepared import Arrays, from_bytes, kept_arrays, to_bytes
 from roadtorch.train.processes import Processes
 from roadtorch.train.recordings import ego_of, find_ego_cars, recording_of
 from roadtorch.train.teachers import (
@@ -52,67 +45,64 @@ EGO_CARS = "ego-cars"
 # --- samples ----------------------------------------------------------------------------
 
 
-class Prepared(NamedTuple):
-    """The prepared pictures of a run.
+@dataclass(frozen=True)
+class PictureSamples:
+    """Prepared pictures of a round in varied batches; a chunk is one batch.
 
     files: image, teacher's maps and ego car of each. labels: the last network's maps, in the
     same order; none in the first round. shares: how often each is visited, against the others.
     ego_cars: the files that show an ego car, by recording. corrected: by file, what people said.
     """
 
+    training: PictureTraining
+    processes: Processes
+    number: int
     files: Sequence[Path]
     labels: Sequence[Path]
     shares: Tensor
     ego_cars: Mapping[str, Sequence[Path]]
-    corrected: Mapping[Path, Path] = MappingProxyType({})
+    corrected: Mapping[Path, Path]
+    read: Callable[..., Arrays] = field(default_factory=kept_arrays)
 
-
-class PictureSamples:
-    """Prepared pictures in varied batches; a chunk is one batch."""
-
-    def __init__(
-        self, prepared: Prepared, number: int, training: PictureTraining, processes: Processes
-    ) -> None:
-        self._prepared, self._round = prepared, number
-        self._training, self._processes = training, processes
-        self._count = training.samples_per_epoch or len(prepared.files)
-        self._read = kept_arrays()
+    @property
+    def count(self) -> int:
+        """Pictures of one epoch."""
+        return self.training.samples_per_epoch or len(self.files)
 
     @property
     def chunks(self) -> int:
         """Batches of one epoch."""
-        return max(1, round(self._count / self._training.descent.batch))
+        return max(1, round(self.count / self.training.descent.batch))
 
     def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
         """This process's pictures of one batch. Targets are the ``Targets``, eight planes.
 
         All processes draw the variation of all pictures, and each takes its own.
         """
-        training, place = self._training, (self._round, epoch)
+        training, place = self.training, (self.number, epoch)
         generator = generator_at(training.random_seed, PICTURE_ORDER, *place)
-        order = draw_members(self._prepared.shares, self._count, generator)
+        order = draw_members(self.shares, self.count, generator)
         members = order.tensor_split(self.chunks)[chunk].tolist()
         size = (training.network.height, training.network.width)
         generator = generator_at(training.random_seed, VARIATION, *place, chunk)
         geometry = training.augmentation.geometry
         frames = augmentation.draw_frames(len(members), size, geometry, generator)
         seeds = torch.randint(2**62, (len(members),), generator=generator).tolist()
-        mine = self._processes.share(range(len(members)))
+        mine = self.processes.share(range(len(members)))
         parts = [self._one(members[i], frames[i : i + 1], seeds[i]) for i in mine]
-        if parts:
-            images, targets = (torch.cat(maps) for maps in zip(*parts, strict=True))
-        else:
-            images, targets = torch.empty(0, 3, *size), torch.empty(0, sum(PLANES), *size)
+        images, targets = torch.empty(0, 3, *size), torch.empty(0, sum(PLANES), *size)
         scales = training.scales
         scale = scales[int(torch.randint(len(scales), (), generator=generator))]
-        if scale != 1 and parts:
-            scaled = [max(1, round(scale * side / STEP)) * STEP for side in size]
-            images, targets = (resized(maps, (scaled[0], scaled[1])) for maps in (images, targets))
+        if parts:
+            images, targets = (torch.cat(maps) for maps in zip(*parts, strict=True))
+            if scale != 1:
+                height, width = (max(1, round(scale * side / STEP)) * STEP for side in size)
+                images, targets = (resized(maps, (height, width)) for maps in (images, targets))
         yield Batch(images, targets, torch.ones(len(images)), len(members))
 
     def _one(self, member: int, frame: Tensor, seed: int) -> tuple[Tensor, Tensor]:
         """One varied picture (1,3,H,W), normalised, and its targets (1,8,H,W)."""
-        training, at = self._training, torch.Generator().manual_seed(seed)
+        training, at = self.training, torch.Generator().manual_seed(seed)
         vary = training.augmentation
         image, targets = self._unvaried(member)
         image = augmentation.reframed(image, frame, "border")
@@ -127,9 +117,8 @@ class PictureSamples:
             image = augmentation.resurfaced(image, known.road, ground, vary.surface, at)
         if chosen(vary.shadow.share):
             image = augmentation.shaded(image, vary.shadow, at)
-        cars = self._prepared.ego_cars
-        if cars and chosen(vary.ego_car.share):
-            car = augmentation.draw_ego_car(cars, vary.ego_car, at)
+        if self.ego_cars and chosen(vary.ego_car.share):
+            car = augmentation.draw_ego_car(self.ego_cars, vary.ego_car, at)
             image, seen = augmentation.laid_over(image, seen, car)
         if chosen(vary.night.share):
             known = Targets(*seen.split(PLANES, 1))
@@ -140,17 +129,15 @@ class PictureSamples:
 
     def _unvaried(self, member: int) -> tuple[Tensor, Targets]:
         """A prepared picture (1,3,H,W) in [0,1], and its targets."""
-        training, prepared = self._training, self._prepared
-        file, network = prepared.files[member], None
-        arrays = self._read(file, "image", "maps", "ego")
+        training, file, network = self.training, self.files[member], None
+        arrays = self.read(file, "image", "maps", "ego")
         image, maps, ego = (from_bytes(arrays[name])[None] for name in ("image", "maps", "ego"))
-        if prepared.labels:
-            network = from_bytes(self._read(prepared.labels[member], "maps")["maps"])[None]
+        if self.labels:
+            network = from_bytes(self.read(self.labels[member], "maps")["maps"])[None]
         targets = targets_of(maps, ego[None], network, training.teacher, training.rounds)
-        if file in prepared.corrected:
-            planes = self._read(prepared.corrected[file], "planes")["planes"]
-            weight = training.corrections.weight
-            targets = corrected_targets(targets, from_bytes(planes)[None], weight)
+        if file in self.corrected:
+            planes = from_bytes(self.read(self.corrected[file], "planes")["planes"])[None]
+            targets = corrected_targets(targets, planes, training.corrections.weight)
         return image, targets
 
 
@@ -165,6 +152,60 @@ def draw_members(shares: Tensor, count: int, at: torch.Generator) -> Tensor:
     steps = torch.arange(count, dtype=torch.float64) + float(torch.rand((), generator=at)) * 0.999
     chosen = torch.searchsorted(fair, steps + 5e-4).clamp(max=len(shares) - 1)
     return chosen[torch.randperm(count, generator=at)]
+
+
+# --- what people said -------------------------------------------------------------------
+
+
+HALF = 0.5
+"""Share of a cell's pixels that have to be said before the cell counts as said."""
+
+
+def correction_planes(correction: Correction, size: tuple[int, int]) -> Arrays:
+    """``planes``, uint8 (6,h,w) as 255ths: shares of a cell's pixels that people called so.
+
+    Road, not road, void; sky, vertical, horizontal.
+    """
+    road, layout = torch.from_numpy(correction.road), torch.from_numpy(correction.layout)
+    planes = [road == value for value in (ROAD_SAID, NOT_ROAD, VOID_SAID)]
+    planes += [layout == number for number in range(CLASSES)]
+    return {"planes": to_bytes(F.adaptive_avg_pool2d(torch.stack(planes).to(torch.float32), size))}
+
+
+def corrected_targets(targets: Targets, planes: Tensor, weight: float) -> Targets:
+    """Targets in which what people said replaces the machine's.
+
+    planes: (B,6,H,W) of ``correction_planes``. Where they are void, neither counts; where they
+    are road there is no ego car.
+    """
+    road, other, void, layout = planes.split((1, 1, 1, CLASSES), 1)
+    known, left_out = road + other >= HALF, void > HALF
+    share = road / (road + other).clamp_min(1e-6)
+    layout_share = layout.sum(1, keepdim=True)
+    layout_known, no_ego = layout_share >= HALF, road >= HALF
+
+    def weighed(own: Tensor, where: Tensor) -> Tensor:
+        return torch.where(where, weight, own).masked_fill(left_out, 0)
+
+    return Targets(
+        torch.where(layout_known, layout / layout_share.clamp_min(1e-6), targets.layout),
+        weighed(targets.layout_weight, layout_known),
+        torch.where(known, share, targets.road),
+        weighed(targets.road_weight, known),
+        torch.where(no_ego, 0, targets.ego),
+        torch.where(no_ego, weight, targets.ego_weight),
+    )
+
+
+def corrected_shares(shares: Tensor, corrected: Tensor, share: float) -> Tensor:
+    """Shares (n,) of visits of which the corrected pictures, bool (n,), get ``share`` together.
+
+    Unchanged where all pictures are corrected, or none.
+    """
+    if not corrected.any() or corrected.all():
+        return shares
+    own, others = shares[corrected].sum(), shares[~corrected].sum()
+    return torch.where(corrected, shares * (share / own), shares * ((1 - share) / others))
 
 
 # --- loss -------------------------------------------------------------------------------
@@ -221,10 +262,10 @@ class PictureRecipe:
             "recordings": self._training.recordings.model_dump(include={"separator", "least"}),
         }
 
-    def survey(self, pictures: Sequence[Picture], folder: Path, context: RunContext) -> None:
+    def survey(self, pictures: Sequence[Picture], folder: Path, processes: Processes) -> None:
         """Find the ego cars that recordings show; ``folder`` keeps what is found."""
         self._prepared, settings = folder, self._training.recordings
-        self._recordings = find_ego_cars(pictures, folder / EGO_CARS, settings, context)
+        self._recordings = find_ego_cars(pictures, folder / EGO_CARS, settings, processes)
 
     def make(self, image: Tensor, name: str) -> Arrays:
         """The picture at the network's size, with the teacher's maps and the ego car."""
@@ -247,22 +288,21 @@ class PictureRecipe:
         with seeded(self._training.random_seed, begun.number):
             return PictureNetwork(settings)
 
-    def samples(self, begun: RoundStart, context: RunContext) -> PictureSamples:
+    def samples(self, begun: RoundStart, folder: RunFolder, processes: Processes) -> PictureSamples:
         """Varied pictures of a round; with what the last network says of them, if any."""
-        files, labels = begun.files, list[Path]()
+        training, files, labels = self._training, begun.files, list[Path]()
         if isinstance(begun.last, WholePictureNetwork):
-            folder = context.folder.labels_of(begun.number)
-            labels = label_with_network(files, folder, begun.last.eval(), context)
-        settings = self._training.recordings
-        pictures = [file.relative_to(self._prepared) for file in files]
-        stems = [each.with_suffix("").with_suffix("").as_posix() for each in pictures]
-        names = [recording_of(stem, settings.separator) for stem in stems]
+            labels_folder = folder.labels_of(begun.number)
+            labels = label_with_network(files, labels_folder, begun.last.eval(), processes)
+        pictures = [file.relative_to(self._prepared).with_suffix("") for file in files]
+        stems = [each.with_suffix("").as_posix() for each in pictures]
+        names = [recording_of(stem, training.recordings.separator) for stem in stems]
         sizes, cars = Counter(names), dict[str, list[Path]]()
         for name, file in zip(names, files, strict=True):
             if lends_ego(file):
                 cars.setdefault(name, []).append(file)
-        shares = torch.tensor([sizes[name] ** -settings.evenness for name in names])
+        shares = torch.tensor([sizes[name] ** -training.recordings.evenness for name in names])
         corrected = torch.tensor([file in begun.corrected for file in files])
-        shares = corrected_shares(shares, corrected, self._training.corrections.share)
-        prepared = Prepared(files, labels, shares, cars, begun.corrected)
-        return PictureSamples(prepared, begun.number, self._training, context.processes)
+        shares = corrected_shares(shares, corrected, training.corrections.share)
+        said = (labels, shares, cars, begun.corrected)
+        return PictureSamples(training, processes, begun.number, files, *said)

@@ -19,7 +19,6 @@ from roadtorch.io.atomic import atomic, make_folder, write_text
 from roadtorch.io.bounded import read_regular
 from roadtorch.io.image import read_image
 from roadtorch.runtime.progress import Progress
-from roadtorch.runtime.signals import Stop
 from roadtorch.sources.pictures import Picture
 from roadtorch.train.processes import Processes
 
@@ -82,12 +81,10 @@ class PreparedPicture:
 
 @dataclass(frozen=True)
 class PreparedFolder:
-    """The folder of prepared pictures: who fills it, and who may interrupt or watch that."""
+    """The folder of prepared pictures, and who fills it."""
 
     path: Path
     processes: Processes
-    stop: Stop
-    quiet: bool = False
 
     def claim(self, settings: Mapping[str, Any]) -> None:
         """Take the folder for these settings; ConfigError when it was used with others."""
@@ -115,13 +112,8 @@ class PreparedFolder:
         Returns one item a picture, in their order, in every process. Stops early when asked
         to: then only what is ready comes back.
         """
-        made = []
-        for picture in self.processes.bar(pictures, title, self.quiet):
-            if self.stop.asked:
-                break
-            made.append(self._one(picture, make))
-        everyone = self.processes.gather(made)
-        by_name = {item.name: item for items in everyone for item in items}
+        made = [self._one(picture, make) for picture in self.processes.each(pictures, title)]
+        by_name = {item.name: item for items in self.processes.gather(made) for item in items}
         return [by_name[name] for name in map(name_of, pictures) if name in by_name]
 
     def _one(self, picture: Picture, make: Callable[[Tensor, str], Arrays]) -> PreparedPicture:

@@ -1,9 +1,9 @@
 """The processes that train together: one, or those that torchrun started on this machine."""
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 import torch
@@ -11,30 +11,43 @@ from torch import Tensor, distributed
 
 from roadtorch.errors import RoadtorchError
 from roadtorch.runtime.progress import Progress
+from roadtorch.runtime.signals import Stop
 
 Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
 class Processes:
-    """The processes of a run, seen from one of them. The first (rank 0) writes the files."""
+    """The processes of a run, seen from one of them. The first (rank 0) writes the files.
+
+    stop: whether somebody asked this one to stop. quiet: nobody wants to hear how far it is.
+    """
 
     rank: int = 0
     size: int = 1
+    stop: Stop = field(default_factory=Stop, compare=False)
+    quiet: bool = False
 
     @property
     def leads(self) -> bool:
         """Whether this process writes and speaks for all."""
         return self.rank == 0
 
+    @property
+    def silent(self) -> bool:
+        """Whether this process says nothing."""
+        return self.quiet or not self.leads
+
     def share(self, items: Sequence[Item]) -> Sequence[Item]:
         """This process's part of a list that all have: every ``size``-th item."""
         return items[self.rank :: self.size]
 
-    def bar(self, items: Sequence[Item], title: str, quiet: bool) -> Iterable[Item]:
-        """This process's part of a list; the first process tells how far it is."""
-        hidden = quiet or not self.leads
-        return Progress(self.share(items), desc=title, unit="image", quiet=hidden)
+    def each(self, items: Sequence[Item], title: str) -> Iterator[Item]:
+        """This process's part of a list until it is asked to stop; the first tells how far."""
+        for item in Progress(self.share(items), desc=title, unit="image", quiet=self.silent):
+            if self.stop.asked:
+                return
+            yield item
 
     def add(self, values: Tensor) -> Tensor:
         """The sum of the processes' values, the same in all of them."""
@@ -42,9 +55,9 @@ class Processes:
             distributed.all_reduce(values)
         return values
 
-    def any(self, flag: bool) -> bool:
-        """Whether the flag is up in one of the processes."""
-        return bool(self.add(torch.tensor(float(flag))) > 0)
+    def stopped(self) -> bool:
+        """Whether one of the processes was asked to stop, the same in all of them."""
+        return bool(self.add(torch.tensor(float(self.stop.asked))) > 0)
 
     def gather(self, item: Item) -> list[Item]:
         """The items of all processes, in order of rank; waits for the slowest."""
@@ -71,10 +84,10 @@ class Processes:
 
 
 @contextmanager
-def join_processes() -> Iterator[Processes]:
+def join_processes(stop: Stop, quiet: bool = False) -> Iterator[Processes]:
     """The processes that the environment describes as torchrun does; alone where it does not."""
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:
-        yield Processes()
+        yield Processes(stop=stop, quiet=quiet)
         return
     # It has the group that is there when it is imported as default arguments: imported later, as
     # optimisers do, it would keep gloo's threads alive until they crash the ending interpreter.
@@ -82,6 +95,6 @@ def join_processes() -> Iterator[Processes]:
 
     distributed.init_process_group("gloo")
     try:
-        yield Processes(distributed.get_rank(), distributed.get_world_size())
+        yield Processes(distributed.get_rank(), distributed.get_world_size(), stop, quiet)
     finally:
         distributed.destroy_process_group()

@@ -13,8 +13,8 @@ from roadtorch.io.atomic import make_folder, write_text
 from roadtorch.io.image import read_image
 from roadtorch.sources.pictures import Picture
 from roadtorch.train.config import Recordings
-from roadtorch.train.loop import RunContext
 from roadtorch.train.prepared import read_arrays, write_arrays
+from roadtorch.train.processes import Processes
 
 DONE = "done"
 """The file that says that a recording has been looked at."""
@@ -39,7 +39,7 @@ def recording_of(name: str, separator: str) -> str:
 
 
 def find_ego_cars(
-    pictures: Sequence[Picture], folder: Path, settings: Recordings, context: RunContext
+    pictures: Sequence[Picture], folder: Path, settings: Recordings, processes: Processes
 ) -> Mapping[str, Path]:
     """Look in each recording for the ego car; the folder of what was found, by picture name.
 
@@ -51,12 +51,10 @@ def find_ego_cars(
     for picture in pictures:
         recordings.setdefault(recording_of(picture.name, settings.separator), []).append(picture)
     long = {name: each for name, each in recordings.items() if len(each) >= settings.least}
-    for name in context.processes.bar(list(long), "ego cars", context.quiet):
-        if context.stop.asked:
-            break
+    for name in processes.each(list(long), "ego cars"):
         if not (folder / name / DONE).exists():
             _write_ego_car(long[name], folder / name, settings.least)
-    context.processes.gather(None)  # nobody reads before all have written
+    processes.gather(None)  # nobody reads before all have written
     return {picture.name: folder / name for name, each in long.items() for picture in each}
 
 

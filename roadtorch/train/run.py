@@ -42,20 +42,11 @@ from roadtorch.train.folder import (
     config_hash,
     record_of,
 )
-from roadtorch.train.loop import (
-    MovingAverage,
-    RoundStart,
-    RunContext,
-    TrainingProgress,
-    TrainingSetup,
-    make_optimiser,
-    save_checkpoint,
-    train_round,
-)
+from roadtorch.train.loop import MovingAverage, Round, RoundStart, TrainingProgress, make_optimiser
 from roadtorch.train.patches import PatchRecipe
 from roadtorch.train.pictures import PictureRecipe
 from roadtorch.train.prepared import PreparedFolder, PreparedPicture
-from roadtorch.train.processes import join_processes
+from roadtorch.train.processes import Processes, join_processes
 from roadtorch.version import __version__
 
 Recipe = PatchRecipe | PictureRecipe
@@ -98,9 +89,8 @@ def train(training: Training, request: Request) -> Outcome:
     when the folder holds something else than this run, InputError when another one is in it.
     """
     pictures = find_images([request.images], apart=request.out)
-    with stop_on_signals() as stop, join_processes() as processes:
+    with stop_on_signals() as stop, join_processes(stop, request.quiet) as processes:
         folder = RunFolder(request.out)
-        context = RunContext(processes, folder, stop, request.quiet)
         start, recipe = load_start(training), recipe_of(training)
         with processes.led(folder.held()):
             corrections = corrections_by_picture(pictures, request.corrections)
@@ -112,7 +102,7 @@ def train(training: Training, request: Request) -> Outcome:
             if processes.leads:
                 folder.begin(record)
             behind = [*corrections_behind(training), *([summary] if summary else [])]
-            run = _Run(training, recipe, start, request, context, corrections, behind)
+            run = _Run(training, recipe, start, request, folder, processes, corrections, behind)
             return run.go(pictures, state)
 
 
@@ -148,60 +138,58 @@ class _Run:
     recipe: Recipe
     start: LayoutNetwork | None
     request: Request
-    context: RunContext
+    folder: RunFolder
+    processes: Processes
     corrections: Mapping[str, Correction]
     behind: Sequence[Mapping[str, Any]]
 
     def go(self, pictures: Sequence[Picture], state: dict[str, Any] | None) -> Outcome:
         """Make the pictures ready and train the rounds that are left, from a checkpoint if any."""
-        processes, folder, stop, _ = self.context
+        processes, path = self.processes, self.folder.path
         prepared = self._prepared(pictures)
         skipped = sum(item.file is None for item in prepared)
-        if processes.any(stop.asked):
-            return Outcome(None, stop.signal or SIGTERM, skipped)
+        if processes.stopped():
+            return Outcome(None, processes.stop.signal or SIGTERM, skipped)
         files = self._usable(prepared)
         people = {
             item.file: self.corrections[item.name]
             for item in prepared
             if item.file is not None and item.name in self.corrections
         }
-        own = folder.path / CORRECTIONS / f"process-{processes.rank}"  # each has its own copy
+        own = path / CORRECTIONS / f"process-{processes.rank}"  # each has its own copy
         corrected = write_corrections(own, people, self.recipe.shrink) if people else {}
-        progress = _progress_of(state, folder.path / CHECKPOINT) if state else TrainingProgress()
+        progress = _progress_of(state, path / CHECKPOINT) if state else TrainingProgress()
         while True:
             self._round(files, corrected, progress, state)
             state = None
             if not progress.finished:
-                return Outcome(None, stop.signal or SIGTERM, skipped)
+                return Outcome(None, processes.stop.signal or SIGTERM, skipped)
             if progress.round + 1 == self.recipe.rounds:
                 break
             progress = TrainingProgress(progress.round + 1, rows=progress.rows)
-        weights = folder.path / WEIGHTS
         if people and isinstance(self.training, PictureTraining) and processes.leads:
-            write_corrected(weights.with_name(FUSION), weights, list(people.values()))
-        return Outcome(weights, None, skipped)
+            write_corrected(path / FUSION, path / WEIGHTS, list(people.values()))
+        return Outcome(path / WEIGHTS, None, skipped)
 
     def _prepared(self, pictures: Sequence[Picture]) -> list[PreparedPicture]:
         """The pictures made ready; fewer where somebody asked to stop."""
-        processes, folder, stop, quiet = self.context
-        path = self.request.prepared or folder.path / PREPARED
-        small = PreparedFolder(path, processes, stop, quiet)
-        with processes.led(shared(path)):
+        path = self.request.prepared or self.folder.path / PREPARED
+        small = PreparedFolder(path, self.processes)
+        with self.processes.led(shared(path)):
             small.claim(self.recipe.preparation())
-            self.recipe.survey(pictures, path, self.context)
-            if processes.any(stop.asked):  # nothing is made ready by half a survey
+            self.recipe.survey(pictures, path, self.processes)
+            if self.processes.stopped():  # nothing is made ready by half a survey
                 return []
             return small.prepare(pictures, self.recipe.make, "labels")
 
     def _usable(self, prepared: Sequence[PreparedPicture]) -> list[Path]:
         """The files of the pictures that were not skipped; the list of all is written."""
-        processes, folder, _, quiet = self.context
-        if processes.leads:
-            folder.write_pictures(prepared)
+        if self.processes.leads:
+            self.folder.write_pictures(prepared)
         files = [item.file for item in prepared if item.file is not None]
         if not files:
             raise InputError(self.request.images, "holds no picture that can be used", "see above")
-        if len(files) == 1 and processes.leads and not quiet:
+        if len(files) == 1 and not self.processes.silent:
             text = "roadtorch: one picture only: the network will know that one and no other"
             Progress.write(text, file=sys.stderr)
         return files
@@ -214,10 +202,10 @@ class _Run:
         state: dict[str, Any] | None,
     ) -> None:
         """Train one round, or what is left of it, and write its weights."""
-        training, number, folder = self.training, progress.round, self.context.folder
+        training, number, folder = self.training, progress.round, self.folder
         last = load_network(folder.path / _weights_of(number - 1)) if number else self.start
         begun = RoundStart(number, files, corrected, last)
-        samples = self.recipe.samples(begun, self.context)
+        samples = self.recipe.samples(begun, folder, self.processes)
         network = self.recipe.network(begun)
         descent = paced(training.descent, training.corrections.halfway, len(self.corrections))
         average = MovingAverage(network, descent.ema)
@@ -230,22 +218,19 @@ class _Run:
                 optimiser.load_state_dict(state["optimiser"])
             except (KeyError, TypeError, ValueError, AttributeError):
                 raise WeightsError(path, *NO_CHECKPOINT) from None
-        loss, stopping = self.recipe.loss, training.stopping
-        setup = TrainingSetup(network, average, optimiser, samples, loss, descent, stopping)
+        parts = (network, average, optimiser, samples.chunks, samples.batches, self.recipe.loss)
+        rules = (descent, training.stopping)
+        this = Round(*parts, *rules, progress, folder, self.processes)
         if not state:
-            save_checkpoint(setup, progress, self.context)
-        train_round(setup, progress, self.context)
-        self._write(average.network.eval(), progress, len(files))
-        self.context.processes.gather(None)  # the next round reads what the first one writes
+            this.save()
+        this.train()
+        if self.processes.leads and (progress.finished or not progress.round):
+            self._write(average.network.eval(), progress, len(files))
+        self.processes.gather(None)  # the next round reads what the first one writes
 
     def _write(self, network: LayoutNetwork, progress: TrainingProgress, used: int) -> None:
-        """The weights as they are, finished or not, and the curve so far."""
-        if not self.context.processes.leads:
-            return
-        if progress.round and not progress.finished:
-            return  # the weights of the last round are better than half of this one
-        folder = self.context.folder
-        config = as_values(self.training)
+        """The weights as they are, and the curve so far; half of a later round is not worth it."""
+        folder, config = self.folder, as_values(self.training)
         origin = {
             "roadtorch": __version__,
             "config": config,

@@ -24,8 +24,8 @@ from roadtorch.layout.weights import WholePictureNetwork
 from roadtorch.road.ego import continued
 from roadtorch.road.fusion import centred_odds, log_odds
 from roadtorch.train.config import PictureTraining, Rounds, Teacher
-from roadtorch.train.loop import RunContext
 from roadtorch.train.prepared import Arrays, from_bytes, read_arrays, to_bytes, write_arrays
+from roadtorch.train.processes import Processes
 
 # --- targets ----------------------------------------------------------------------------
 
@@ -117,19 +117,23 @@ def prepare_picture(
     ego: bool (H,W), the ego car that the footage shows; the teachers see the ground continued
     in its place. None where nothing is known.
 
-    image: uint8 (3,h,w). maps: uint8 (4,h,w), what the teacher says: sky, vertical,
-    horizontal, road, as 255ths. ego: uint8 (h,w): 255 ego, 0 not, 128 unknown. Raises
-    ConfigError for a teacher without a layout.
+    Raises ConfigError for a teacher without a layout.
     """
     size = (training.network.height, training.network.width)
     seen = image if ego is None else continued(image, ego)
     maps = teacher_maps(seen, teachers, training.teacher.views)
-    known = torch.full(size, 0.5) if ego is None else resized(ego[None].float(), size)[0]
-    return {
-        "image": to_bytes(resized(image, size).clamp(0, 1)),
-        "maps": to_bytes(resized(maps, size).clamp(0, 1)),
-        "ego": to_bytes(known.clamp(0, 1)),
-    }
+    return shrunk(image, maps, torch.full(size, 0.5) if ego is None else ego.float(), size)
+
+
+def shrunk(image: Tensor, maps: Tensor, ego: Tensor, size: tuple[int, int]) -> Arrays:
+    """The arrays of a prepared picture from maps in [0,1] of any size: uint8, as 255ths.
+
+    image: (3,h,w). maps: (4,h,w), what the teacher says: sky, vertical, horizontal, road. ego:
+    (h,w): 255 ego, 0 not, 128 unknown.
+    """
+    parts = {"image": image, "maps": maps, "ego": ego[None]}
+    small = {name: to_bytes(resized(part, size).clamp(0, 1)) for name, part in parts.items()}
+    return {**small, "ego": small["ego"][0]}
 
 
 def lends_ego(file: Path) -> bool:
@@ -174,7 +178,7 @@ def teacher_maps(image: Tensor, teachers: Sequence[Detector], views: str = "one"
 
 
 def label_with_network(
-    files: Sequence[Path], folder: Path, network: WholePictureNetwork, context: RunContext
+    files: Sequence[Path], folder: Path, network: WholePictureNetwork, processes: Processes
 ) -> list[Path]:
     """What a network says of prepared pictures, the mean with their mirror images, on disk.
 
@@ -183,14 +187,11 @@ def label_with_network(
     """
     names = [folder / f"{number:06d}.npz" for number in range(len(files))]
     make_folder(folder)
-    pairs = list(zip(files, names, strict=True))
-    for file, name in context.processes.bar(pairs, "labels again", context.quiet):
-        if context.stop.asked:
-            break
+    for file, name in processes.each(list(zip(files, names, strict=True)), "labels again"):
         if not name.exists():
             image = from_bytes(read_arrays(file, "image")["image"])
             write_arrays(name, {"maps": to_bytes(network_maps(network, image))})
-    context.processes.gather(None)  # nobody reads before all have written
+    processes.gather(None)  # nobody reads before all have written
     return names
 
 

@@ -28,7 +28,6 @@ from roadtorch.layout.weights import load_network
 from roadtorch.road.ego import read_ego_mask
 from roadtorch.runs.folder import result_folder
 from roadtorch.runs.index import read_index
-from roadtorch.runtime.signals import Stop
 from roadtorch.settings import read_settings_file
 from roadtorch.train.folder import RunFolder
 from roadtorch.train.prepared import PreparedFolder, read_arrays
@@ -136,7 +135,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "network.safetensors": load_network,
     "metrics.json": lambda path: earlier_thresholds(path, []),
     "prepared.npz": read_arrays,
-    "settings.json": lambda path: PreparedFolder(path.parent, Processes(), Stop()).claim({}),
+    "settings.json": lambda path: PreparedFolder(path.parent, Processes()).claim({}),
     "checkpoint.pt": lambda path: RunFolder(path.parent).read_checkpoint(),
 }
 

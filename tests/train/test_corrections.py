@@ -18,19 +18,15 @@ from roadtorch.errors import ConfigError, InputError
 from roadtorch.layout.weights import corrected_pictures, load_network, people_behind
 from roadtorch.settings import read_settings_file
 from roadtorch.train.config import Descent, Training
-from roadtorch.train.corrections import (
+from roadtorch.train.corrections import corrections_summary, paced, write_corrected
+from roadtorch.train.loop import RoundStart
+from roadtorch.train.patches import (
     LabelledCentres,
     corrected_centres,
-    corrected_shares,
-    corrected_targets,
     correction_layout,
-    correction_planes,
-    corrections_summary,
-    paced,
     repeated,
-    write_corrected,
 )
-from roadtorch.train.loop import RoundStart
+from roadtorch.train.pictures import corrected_shares, corrected_targets, correction_planes
 from roadtorch.train.run import FUSION, Request, recipe_of, train
 from roadtorch.train.teachers import Targets
 from tests.train.runs import PATCHES, request_of, training_of, write_config

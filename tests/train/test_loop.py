@@ -1,6 +1,7 @@
 """One step of training, in either precision; the moving average of the weights."""
 
 from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
@@ -8,28 +9,21 @@ from torch import nn
 
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.train.config import Descent, PictureTraining, Stopping
+from roadtorch.train.folder import RunFolder
 from roadtorch.train.loop import (
     WARM_UP_STEPS,
     Batch,
     MovingAverage,
-    TrainingSetup,
+    Round,
+    TrainingProgress,
     make_optimiser,
-    step,
 )
 from roadtorch.train.pictures import picture_loss
 from roadtorch.train.processes import Processes
 from roadtorch.train.teachers import PLANES
+from tests.draws import seeded
 
 # --- a step --------------------------------------------------------------------------------
-
-
-class OneBatch:
-    """Samples are not asked for: the step is given its batch."""
-
-    chunks = 1
-
-    def batches(self, epoch: int, chunk: int) -> list[Batch]:
-        raise AssertionError
 
 
 def stepped(precision: str) -> tuple[float, PictureNetwork]:
@@ -37,19 +31,13 @@ def stepped(precision: str) -> tuple[float, PictureNetwork]:
     torch.manual_seed(0)
     network = PictureNetwork(PictureNetworkSettings(height=32, width=40, narrow=8, wide=8))
     descent = Descent.model_validate({"learning_rate": 0.1, "precision": precision})
-    setup = TrainingSetup(
-        network,
-        MovingAverage(network, 0.0),
-        make_optimiser(network, descent),
-        OneBatch(),  # type: ignore[arg-type]
-        partial(picture_loss, training=PictureTraining()),
-        descent,
-        Stopping(),
-    )
-    at = torch.Generator().manual_seed(1)
-    targets = torch.rand(2, sum(PLANES), 32, 40, generator=at)
-    batch = Batch(torch.randn(2, 3, 32, 40, generator=at), targets, torch.ones(2), 2)
-    return step(setup, batch, Processes()), network
+    loss = partial(picture_loss, training=PictureTraining())
+    parts = (network, MovingAverage(network, 0.0), make_optimiser(network, descent))
+    no_samples = (1, lambda *_: iter(()))
+    last = (TrainingProgress(), RunFolder(Path()), Processes())
+    targets = torch.rand(2, sum(PLANES), 32, 40, generator=seeded(1))
+    batch = Batch(torch.randn(2, 3, 32, 40, generator=seeded(2)), targets, torch.ones(2), 2)
+    return Round(*parts, *no_samples, loss, descent, Stopping(), *last).step(batch), network
 
 
 def test_a_step_in_bfloat16_is_that_in_float32_to_its_digits() -> None:
@@ -101,11 +89,3 @@ def test_later_it_keeps_the_share_that_is_asked_for() -> None:
 
     wanted = sum(0.2 * 0.8 ** (steps[-1] - number) * number for number in steps)
     assert weight_of(average) == pytest.approx(wanted, rel=1e-5)
-
-
-def test_a_share_of_nothing_is_the_last_step() -> None:
-    average = MovingAverage(with_weight(5.0), 0.0)
-
-    average.add(with_weight(-2.0), 1000)
-
-    assert weight_of(average) == -2.0

@@ -7,18 +7,12 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadtorch.runtime.signals import Stop
-from roadtorch.train import pictures
-from roadtorch.train.config import (
-    HeadWeights,
-    PictureTraining,
-    build_training,
-)
+from roadtorch.train.config import HeadWeights, PictureTraining, build_training
 from roadtorch.train.folder import RunFolder
-from roadtorch.train.loop import Batch, RoundStart, RunContext
+from roadtorch.train.loop import Batch, RoundStart
 from roadtorch.train.pictures import (
+    PictureRecipe,
     PictureSamples,
-    Prepared,
     draw_members,
     picture_loss,
     target_loss,
@@ -48,20 +42,11 @@ def files(tmp_path: Path) -> list[Path]:
     return paths
 
 
-@pytest.fixture
-def labels(tmp_path: Path) -> list[Path]:
-    """What a network said of them."""
-    paths = []
-    for number in range(5):
-        path = tmp_path / f"labels-{number}.npz"
-        maps = torch.randint(256, (5, 32, 40), generator=seeded(number + 9)).to(torch.uint8)
-        write_arrays(path, {"maps": maps})
-        paths.append(path)
-    return paths
-
-
-def prepared(files: list[Path], labels: list[Path], shows_ego: bool = False) -> Prepared:
-    return Prepared(files, labels, torch.ones(5), {"drive": files[4:]} if shows_ego else {})
+def samples_of(
+    files: list[Path], training: PictureTraining, number: int = 0, shows_ego: bool = False
+) -> PictureSamples:
+    cars = {"drive": files[4:]} if shows_ego else {}
+    return PictureSamples(training, Processes(), number, files, [], torch.ones(5), cars, {})
 
 
 def training_of(**values: object) -> PictureTraining:
@@ -83,9 +68,7 @@ def training_of(**values: object) -> PictureTraining:
 
 
 def test_an_epoch_has_every_picture_once(files: list[Path]) -> None:
-    samples = PictureSamples(
-        prepared(files, []), 0, training_of(augmentation={"light": DARK}), Processes()
-    )
+    samples = samples_of(files, training_of(augmentation={"light": DARK}))
 
     batches = [batch for chunk in range(samples.chunks) for batch in samples.batches(0, chunk)]
 
@@ -99,8 +82,7 @@ def test_rounds_and_epochs_draw_differently(files: list[Path]) -> None:
     training = training_of()
 
     def first(number: int, epoch: int) -> torch.Tensor:
-        samples = PictureSamples(prepared(files, []), number, training, Processes())
-        return next(samples.batches(epoch, 0)).inputs
+        return next(samples_of(files, training, number).batches(epoch, 0)).inputs
 
     assert torch.equal(first(0, 0), first(0, 0))
     assert not torch.equal(first(0, 0), first(1, 0))
@@ -110,17 +92,17 @@ def test_rounds_and_epochs_draw_differently(files: list[Path]) -> None:
 # --- ego cars ------------------------------------------------------------------------------
 
 
-def said_of(given: Prepared, share: float) -> Targets:
+def said_of(files: list[Path], share: float, shows_ego: bool = True) -> Targets:
     """The targets of an epoch whose pictures stay in their frame."""
     still = {"scale": 0.0, "stretch": 0.0, "rotation": 0.0, "move": 0.0}
     varied = {"geometry": still, "ego_car": {"share": share}}
     training = training_of(augmentation=varied, descent={"batch": 5})
-    (batch,) = PictureSamples(given, 0, training, Processes()).batches(0, 0)
+    (batch,) = samples_of(files, training, shows_ego=shows_ego).batches(0, 0)
     return Targets(*batch.targets.split(PLANES, 1))
 
 
 def test_every_picture_can_get_an_ego_car(files: list[Path]) -> None:
-    said = said_of(prepared(files, [], shows_ego=True), 1.0)
+    said = said_of(files, 1.0)
 
     assert (said.ego[:, :, -1] == 1).all()
     assert (said.ego_weight[:, :, -1] == 1).all()
@@ -129,13 +111,13 @@ def test_every_picture_can_get_an_ego_car(files: list[Path]) -> None:
 
 
 def test_without_a_share_only_its_own_picture_shows_it(files: list[Path]) -> None:
-    said = said_of(prepared(files, [], shows_ego=True), 0.0)
+    said = said_of(files, 0.0)
 
     assert said.ego[:, 0, -1, 20].round().sort().values.tolist() == [0, 0, 0, 0, 1]
 
 
 def test_where_no_footage_shows_one_a_share_changes_nothing(files: list[Path]) -> None:
-    one, other = (said_of(prepared(files, []), share) for share in (0.0, 1.0))
+    one, other = (said_of(files, share, shows_ego=False) for share in (0.0, 1.0))
 
     assert all(torch.equal(*pair) for pair in zip(one, other, strict=True))
 
@@ -176,25 +158,19 @@ def write_ego(file: Path, seen: bool) -> Path:
 
 @pytest.mark.parametrize(("evenness", "share"), [(0.0, 1.0), (0.5, 3**-0.5), (1.0, 1 / 3)])
 def test_recordings_are_told_by_the_names_of_pictures_wherever_they_are_kept(
-    evenness: float, share: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    evenness: float, share: float, tmp_path: Path
 ) -> None:
     """The kept folder's own name has the separator; the names of two pictures have none."""
     folder = tmp_path / "kept_here"
     files = [write_ego(folder / f"{name}.png.npz", name != "a_1") for name in PICTURES]
-    made = pictures.PictureRecipe(
-        training_of(
-            recordings={"separator": "_", "evenness": evenness}, teacher={"detector": "labeller"}
-        )
-    )
-    context = RunContext(Processes(), RunFolder(tmp_path), Stop(), quiet=True)
-    given: list[Prepared] = []
-    monkeypatch.setattr(pictures, "PictureSamples", lambda prepared, *_: given.append(prepared))
+    recordings = {"separator": "_", "evenness": evenness}
+    made = PictureRecipe(training_of(recordings=recordings, teacher={"detector": "labeller"}))
 
-    made.survey([], folder, context)
-    made.samples(RoundStart(0, files, {}, None), context)
+    made.survey([], folder, Processes())
+    samples = made.samples(RoundStart(0, files, {}, None), RunFolder(tmp_path), Processes())
 
-    assert given[0].shares.tolist() == pytest.approx([share, share, share, 1, 1])
-    assert given[0].ego_cars == {"a": files[1:3], "b": files[3:4], "c": files[4:]}
+    assert samples.shares.tolist() == pytest.approx([share, share, share, 1, 1])
+    assert samples.ego_cars == {"a": files[1:3], "b": files[3:4], "c": files[4:]}
 
 
 PICTURES = ("a_1", "a_2", "a_3", "b", "c")

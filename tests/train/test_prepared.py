@@ -35,10 +35,8 @@ class Maker:
         return {"mean": self.last}
 
 
-def folder_in(
-    path: Path, processes: Processes | None = None, stop: Stop | None = None
-) -> PreparedFolder:
-    return PreparedFolder(path / "kept", processes or Processes(), stop or Stop(), quiet=True)
+def folder_in(path: Path, processes: Processes | None = None) -> PreparedFolder:
+    return PreparedFolder(path / "kept", processes or Processes(quiet=True))
 
 
 def test_pictures_are_made_ready_once(tmp_path: Path) -> None:
@@ -115,7 +113,7 @@ def test_a_request_to_stop_is_heard_between_pictures(tmp_path: Path) -> None:
         stop.ask(15)
         return {"mean": image.mean()}
 
-    made = folder_in(tmp_path, stop=stop).prepare(pictures, make, "labels")
+    made = folder_in(tmp_path, Processes(stop=stop)).prepare(pictures, make, "labels")
 
     assert len(made) == 1
 

@@ -9,6 +9,7 @@ import torch
 
 from roadtorch.errors import InputError
 from roadtorch.layout.weights import load_network
+from roadtorch.runtime.signals import Stop
 from roadtorch.train.processes import Processes, join_processes
 from roadtorch.train.run import train
 from tests.train.runs import CONFIGS, request_of, rows_of, run, torchrun, training_of, write_config
@@ -19,6 +20,7 @@ DESCENT = ("descent.method=sgd", "descent.learning_rate=0.05", "descent.ema=0.7"
 
 MEMBER = """
 import os, runpy, sys, torch
+from roadtorch.runtime.signals import Stop
 from roadtorch.train.processes import join_processes
 
 
@@ -28,12 +30,14 @@ def gloo_threads():
     return [name for name in names if "gloo" in name]
 
 
-with join_processes() as processes:
+with join_processes(Stop()) as processes:
     weight = torch.nn.Parameter(torch.ones(3))
     optimiser = torch.optim.SGD([weight], 0.1)
     (weight * (processes.rank + 1)).sum().backward()
     added, ranks = processes.add(weight.grad).tolist(), processes.gather(processes.rank)
-    asked = processes.any(processes.rank == 1)
+    if processes.rank == 1:
+        processes.stop.ask(15)
+    asked = processes.stopped()
     optimiser.step()
 file = open(f"member{processes.rank}", "w")
 print(added, ranks, asked, processes.share(list("abc")), sep="; ", file=file)
@@ -54,7 +58,7 @@ print(gloo_threads(), file=file, flush=True)
 def test_alone_there_is_nothing_to_add(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("WORLD_SIZE", raising=False)
 
-    with join_processes() as processes:
+    with join_processes(Stop()) as processes:
         assert processes == Processes(0, 1)
         assert processes.leads
         assert processes.gather("a") == ["a"]

@@ -11,8 +11,6 @@ from roadtorch.runtime.signals import Stop
 from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.train import recordings
 from roadtorch.train.config import Recordings
-from roadtorch.train.folder import RunFolder
-from roadtorch.train.loop import RunContext
 from roadtorch.train.processes import Processes
 from roadtorch.train.recordings import ego_of, find_ego_cars, is_line, recording_of, shape_of
 from tests.train.runs import bonnet, write_bonnets, write_streets
@@ -20,8 +18,7 @@ from tests.train.runs import bonnet, write_bonnets, write_streets
 NUMBERED = Recordings(separator="_", least=8)
 
 
-def context_in(folder: Path, stop: Stop | None = None) -> RunContext:
-    return RunContext(Processes(), RunFolder(folder), stop or Stop(), quiet=True)
+ALONE = Processes(quiet=True)
 
 
 def overlap(one: torch.Tensor, other: torch.Tensor) -> float:
@@ -59,12 +56,12 @@ def footage(tmp_path_factory: pytest.TempPathFactory) -> list[Picture]:
 @pytest.fixture(scope="module")
 def kept_at(footage: list[Picture], tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("ego-cars")
-    find_ego_cars(footage, folder, NUMBERED, context_in(folder))
+    find_ego_cars(footage, folder, NUMBERED, ALONE)
     return folder
 
 
 def test_the_ego_car_of_a_recording_is_found(footage: list[Picture], kept_at: Path) -> None:
-    found = find_ego_cars(footage, kept_at, NUMBERED, context_in(kept_at))
+    found = find_ego_cars(footage, kept_at, NUMBERED, ALONE)
 
     image = read_image(footage[0].path)
     ego = ego_of(found[footage[0].name], image)
@@ -85,7 +82,7 @@ def test_it_is_cut_to_the_size_of_each_picture_of_that_shape(kept_at: Path) -> N
 
 
 def test_of_small_recordings_nothing_is_known(footage: list[Picture], kept_at: Path) -> None:
-    found = find_ego_cars(footage, kept_at, NUMBERED, context_in(kept_at))
+    found = find_ego_cars(footage, kept_at, NUMBERED, ALONE)
 
     assert {name.partition("_")[0] for name in found} == {"bonnet"}
     assert ego_of(found.get("street_0"), torch.zeros(3, 60, 80)) is None
@@ -96,7 +93,7 @@ def test_what_was_found_is_not_looked_for_again(
 ) -> None:
     monkeypatch.setattr(recordings, "still_ego", lambda _: pytest.fail("looked again"))
 
-    found = find_ego_cars(footage, kept_at, NUMBERED, context_in(kept_at))
+    found = find_ego_cars(footage, kept_at, NUMBERED, ALONE)
 
     assert ego_of(found["bonnet_0"], torch.zeros(3, 60, 80)) is not None
 
@@ -135,7 +132,7 @@ def test_that_there_is_none_is_kept_as_well(
     footage: list[Picture], looker: Looker, tmp_path: Path
 ) -> None:
     for _ in range(2):
-        found = find_ego_cars(footage, tmp_path, NUMBERED, context_in(tmp_path))
+        found = find_ego_cars(footage, tmp_path, NUMBERED, ALONE)
 
     assert len(looker.shown) == 1
     assert ego_of(found["bonnet_0"], torch.zeros(3, 60, 80)) is None
@@ -150,7 +147,7 @@ def test_frames_of_another_shape_are_looked_at_by_themselves(
     pictures = find_images([str(tmp_path)])
 
     few = Recordings(separator="_", least=3)
-    find_ego_cars(pictures, tmp_path / "kept", few, context_in(tmp_path))
+    find_ego_cars(pictures, tmp_path / "kept", few, ALONE)
 
     assert [{tuple(frame.shape) for frame in frames} for frames in looker.shown] == [
         {(3, 20, 40)},
@@ -168,7 +165,7 @@ def test_of_long_recordings_evenly_spread_frames_are_looked_at_each_kept_small(
     pictures = find_images([str(tmp_path)])
 
     few = Recordings(separator="_", least=3)
-    find_ego_cars(pictures, tmp_path / "kept", few, context_in(tmp_path))
+    find_ego_cars(pictures, tmp_path / "kept", few, ALONE)
 
     (frames,) = looker.shown
     assert [round(float(frame.mean()) * 255 / 20) for frame in frames] == [0, 3, 6]
@@ -178,7 +175,7 @@ def test_of_long_recordings_evenly_spread_frames_are_looked_at_each_kept_small(
 def test_without_a_separator_there_are_no_recordings(
     footage: list[Picture], looker: Looker, tmp_path: Path
 ) -> None:
-    assert find_ego_cars(footage, tmp_path, Recordings(), context_in(tmp_path)) == {}
+    assert find_ego_cars(footage, tmp_path, Recordings(), ALONE) == {}
     assert not looker.shown
 
 
@@ -188,7 +185,7 @@ def test_a_request_to_stop_is_heard_between_recordings(
     stop = Stop()
     stop.ask(15)
 
-    find_ego_cars(footage, tmp_path, NUMBERED, context_in(tmp_path, stop))
+    find_ego_cars(footage, tmp_path, NUMBERED, Processes(stop=stop))
 
     assert not looker.shown
     assert not list(tmp_path.iterdir())

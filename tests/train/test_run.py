@@ -16,9 +16,8 @@ from roadtorch.io.atomic import locked
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import load_network, read_origin, save_network
-from roadtorch.train import loop
 from roadtorch.train.config import Training
-from roadtorch.train.loop import RoundStart
+from roadtorch.train.loop import Batch, Round, RoundStart
 from roadtorch.train.prepared import read_arrays
 from roadtorch.train.run import Outcome, Request, recipe_of, train
 from tests.train.runs import (
@@ -87,7 +86,7 @@ def test_training_stops_when_the_error_falls_by_no_more(
 def test_an_error_that_is_no_number_is_told(
     streets: Path, kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(loop, "step", lambda *_: math.nan)
+    monkeypatch.setattr(Round, "step", lambda *_: math.nan)
 
     with pytest.raises(ConfigError, match=r"descent.learning_rate: the loss is no longer a number"):
         train(
@@ -219,15 +218,15 @@ def test_weights_of_another_network_are_no_start(streets: Path, kept: Path, tmp_
 
 def interrupt_after(steps: int, number: signal.Signals, patch: pytest.MonkeyPatch) -> None:
     """Send this process a signal in the middle of its n-th step from now."""
-    original, left = loop.step, [steps]
+    original, left = Round.step, [steps]
 
-    def step(*arguments: object) -> float:
+    def step(this: Round, batch: Batch) -> float:
         left[0] -= 1
         if left[0] == 0:
             os.kill(os.getpid(), number)
-        return original(*arguments)  # type: ignore[arg-type]
+        return original(this, batch)
 
-    patch.setattr(loop, "step", step)
+    patch.setattr(Round, "step", step)
 
 
 @pytest.mark.parametrize(
