@@ -49,33 +49,50 @@ def save(path: Path, picture: Image.Image, **options: Any) -> Path:
 # --- reading ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("suffix", "options"),
-    [
-        (".png", {}),
-        (".bmp", {}),
-        (".tif", {}),
-        (".tif", {"compression": "tiff_lzw"}),
-        (".webp", {"lossless": True}),
-    ],
-)
-def test_lossless_formats_give_the_exact_pixels(
-    tmp_path: Path, suffix: str, options: dict[str, Any]
-) -> None:
-    path = save(tmp_path / f"a{suffix}", Image.fromarray(PIXELS), **options)
+EXACT = {
+    **{".png": {}, ".bmp": {}, ".tif": {}},
+    **{".webp": {"lossless": True, "exact": True}},
+}
+"""How formats keep every pixel as it is."""
 
-    image = read_image(path)
+
+@pytest.mark.parametrize("suffix", EXACT)
+@pytest.mark.parametrize("mode", ["RGB", "L", "P", "1", "LA", "RGBA"])
+def test_every_mode_looks_as_pillow_shows_it_over_black(
+    tmp_path: Path, suffix: str, mode: str
+) -> None:
+    mode = mode.removesuffix("A") if suffix == ".bmp" else mode  # which keeps no alpha
+    alpha = np.full((5, 7, 1), 255, np.uint8)
+    alpha[0], alpha[1:, :3] = 51, 0
+    picture = Image.fromarray(np.dstack([PIXELS, alpha]) if "A" in mode else PIXELS).convert(mode)
+    shown = as_tensor(np.asarray(picture.convert("RGBA")))
+
+    image = read_image(save(tmp_path / f"a{suffix}", picture, **EXACT[suffix]))
 
     assert image.dtype == torch.float32
     assert image.is_contiguous()
-    assert torch.equal(image, as_tensor(PIXELS))
+    torch.testing.assert_close(image, shown[:3] * shown[3:])
+    assert torch.equal(as_image(picture), image)
 
 
-def test_jpeg_is_close_and_rgb(tmp_path: Path) -> None:
-    plain = np.full((32, 48, 3), (200, 90, 20), np.uint8)
-    path = save(tmp_path / "a.jpg", Image.fromarray(plain), quality=95)
+def test_tiff_of_lzw_and_a_transparent_palette(tmp_path: Path) -> None:
+    lzw = save(tmp_path / "a.tif", Image.fromarray(PIXELS), compression="tiff_lzw")
+    palette = Image.new("P", (4, 4), 1)
+    palette.putpalette([255, 255, 255, 10, 20, 30])
 
-    assert (read_image(path) - as_tensor(plain)).abs().max() < 3 / 255
+    assert torch.equal(read_image(lzw), as_tensor(PIXELS))
+    nothing = read_image(save(tmp_path / "b.png", palette, transparency=1))
+    assert torch.equal(nothing, torch.zeros(3, 4, 4))
+
+
+@pytest.mark.parametrize("colour", [(200, 90, 20), 77])
+@pytest.mark.parametrize("suffix", [".jpg", ".webp"])
+def test_lossy_formats_are_close_and_rgb(tmp_path: Path, suffix: str, colour: Any) -> None:
+    plain = Image.new("RGB" if isinstance(colour, tuple) else "L", (48, 32), colour)
+
+    image = read_image(save(tmp_path / f"a{suffix}", plain, quality=95))
+
+    assert (image - as_tensor(np.asarray(plain.convert("RGB")))).abs().max() < 3.5 / 255
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif"])
@@ -88,52 +105,6 @@ def test_sixteen_bits_are_kept(tmp_path: Path, suffix: str, kind: str) -> None:
 
     expected = deep if kind == "rgb" else np.repeat(deep[..., :1], 3, axis=2)
     torch.testing.assert_close(read_image(path), as_tensor(expected, 65535), rtol=0, atol=1e-7)
-
-
-@pytest.mark.parametrize("suffix", [".png", ".bmp", ".tif", ".jpg", ".webp"])
-def test_grey_becomes_three_equal_channels(tmp_path: Path, suffix: str) -> None:
-    grey = Image.fromarray(np.full((16, 16), 77, np.uint8))
-
-    image = read_image(save(tmp_path / f"a{suffix}", grey))
-
-    assert image.shape == (3, 16, 16)
-    torch.testing.assert_close(image, torch.full_like(image, 77 / 255), rtol=0, atol=1.5 / 255)
-
-
-@pytest.mark.parametrize("suffix", [".png", ".bmp", ".tif"])
-@pytest.mark.parametrize("mode", ["P", "1", "L"])
-def test_palette_and_bits_look_as_pillow_shows_them(tmp_path: Path, suffix: str, mode: str) -> None:
-    picture = Image.fromarray(PIXELS).convert(mode)
-
-    image = read_image(save(tmp_path / f"a{suffix}", picture))
-
-    assert torch.equal(image, as_tensor(np.asarray(picture.convert("RGB"))))
-
-
-@pytest.mark.parametrize("suffix", [".png", ".tif", ".webp"])
-def test_alpha_is_composited_over_black(tmp_path: Path, suffix: str) -> None:
-    alpha = np.zeros((5, 7, 1), np.uint8)
-    alpha[:, 3:] = 255
-    alpha[0] = 51
-    picture = Image.fromarray(np.concatenate([PIXELS, alpha], axis=2))
-    options = {"lossless": True, "exact": True} if suffix == ".webp" else {}
-
-    image = read_image(save(tmp_path / f"a{suffix}", picture, **options))
-
-    torch.testing.assert_close(image, as_tensor(PIXELS) * as_tensor(alpha))
-
-
-def test_grey_with_alpha_and_a_transparent_palette_are_composited(tmp_path: Path) -> None:
-    grey = Image.fromarray(np.full((4, 4), 100, np.uint8))
-    grey.putalpha(Image.fromarray(np.full((4, 4), 51, np.uint8)))
-    palette = Image.new("P", (4, 4), 1)
-    palette.putpalette([255, 255, 255, 10, 20, 30])
-
-    see_through = read_image(save(tmp_path / "a.png", grey))
-    nothing = read_image(save(tmp_path / "b.png", palette, transparency=1))
-
-    torch.testing.assert_close(see_through, torch.full((3, 4, 4), 100 / 255 * 0.2))
-    assert torch.equal(nothing, torch.zeros(3, 4, 4))
 
 
 TURNS = {  # EXIF 2.3, tag 274: what has to be done to the stored pixels
@@ -149,33 +120,25 @@ TURNS = {  # EXIF 2.3, tag 274: what has to be done to the stored pixels
 
 
 @pytest.mark.parametrize("orientation", TURNS)
-@pytest.mark.parametrize("suffix", [".png", ".tif", ".webp"])
-def test_exif_orientation_is_applied(tmp_path: Path, suffix: str, orientation: int) -> None:
-    exif = Image.Exif()
-    exif[274] = orientation
-    options = {
-        ".png": {"exif": exif},
-        ".webp": {"exif": exif, "lossless": True},
-        ".tif": {"tiffinfo": {274: orientation}},
-    }[suffix]
-    path = save(tmp_path / f"a{suffix}", Image.fromarray(PIXELS), **options)
-
-    assert torch.equal(read_image(path), as_tensor(TURNS[orientation](PIXELS)))
-
-
-@pytest.mark.parametrize("orientation", TURNS)
-def test_exif_orientation_of_jpeg_and_deep_tiff(tmp_path: Path, orientation: int) -> None:
+def test_exif_orientation_is_applied(tmp_path: Path, orientation: int) -> None:
     blocks = np.kron(PIXELS[:2, :3], np.ones((16, 16, 1), np.uint8))
     exif = Image.Exif()
     exif[274] = orientation
-    jpeg = save(tmp_path / "a.jpg", Image.fromarray(blocks), exif=exif, quality=98, subsampling=0)
-    deep = tmp_path / "a.tif"
+    for suffix, options, within in (
+        *((".png", {"exif": exif}, 0), (".webp", {"exif": exif, "lossless": True}, 0)),
+        *((".tif", {"tiffinfo": {274: orientation}}, 0),),
+        *((".jpg", {"exif": exif, "quality": 98, "subsampling": 0}, 4 / 255),),
+    ):
+        path = save(tmp_path / f"a{suffix}", Image.fromarray(blocks), **options)
+        image = read_image(path)
+        assert (image - as_tensor(TURNS[orientation](blocks))).abs().max() <= within, suffix
+        with Image.open(path) as picture:
+            assert (as_image(picture) - image).abs().max() <= within, suffix
     tags = [(274, 3, 1, orientation, True)]
+    deep = tmp_path / "deep.tif"
     tifffile.imwrite(deep, PIXELS.astype(np.uint16), photometric="rgb", extratags=tags)
-
-    turned = TURNS[orientation]
-    assert (read_image(jpeg) - as_tensor(turned(blocks))).abs().max() < 4 / 255
-    torch.testing.assert_close(read_image(deep), as_tensor(turned(PIXELS), 65535))
+    expected = as_tensor(TURNS[orientation](PIXELS), 65535)
+    torch.testing.assert_close(read_image(deep), expected)
 
 
 def test_one_pixel_and_ten_thousand_by_eight_thousand_can_be_read(tmp_path: Path) -> None:
@@ -252,14 +215,6 @@ def test_a_progressive_jpeg_and_bytes_behind_the_end_are_fine(tmp_path: Path) ->
     assert read_image(path).shape == (3, 64, 64)
 
 
-def test_floating_point_tiff_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "a.tif"
-    tifffile.imwrite(path, np.ones((16, 16), np.float32))
-
-    with pytest.raises(InputError, match="floating-point"):
-        read_image(path)
-
-
 def test_jpeg_takes_little_longer_than_opencv_alone(tmp_path: Path) -> None:
     path = save(tmp_path / "a.jpg", noise(720, 960), quality=90)
 
@@ -326,24 +281,6 @@ def test_pillow_images_of_any_mode_are_converted(mode: str) -> None:
         assert torch.allclose(image, torch.full((3, 20, 24), 0.2), atol=0.005)
 
 
-@pytest.mark.parametrize("orientation", range(1, 9))
-def test_pillow_images_are_turned_upright_as_files_are(tmp_path: Path, orientation: int) -> None:
-    exif = Image.Exif()
-    exif[0x0112] = orientation
-    path = save(tmp_path / "a.png", Image.fromarray(PIXELS), exif=exif)
-
-    with Image.open(path) as picture:
-        assert torch.equal(as_image(picture), read_image(path))
-
-
-def test_see_through_pixels_of_pillow_images_are_black_as_those_of_files_are(
-    tmp_path: Path,
-) -> None:
-    picture = Image.fromarray(np.dstack([PIXELS, np.full((5, 7), 128, np.uint8)]))
-
-    assert torch.equal(as_image(picture), read_image(save(tmp_path / "a.png", picture)))
-
-
 @pytest.mark.parametrize(
     ("picture", "order", "what"),
     [
@@ -359,20 +296,16 @@ def test_see_through_pixels_of_pillow_images_are_black_as_those_of_files_are(
         (None, "bgr", "is None (check its path: cv2.imread gives that"),
         ("missing.png", None, "does not exist"),
         ("file:///missing.png", None, "file:///missing.png: does not exist"),
+        (PIXELS, "RGB", "RGB: unknown order of colours"),
     ],
 )
 def test_what_a_program_has_that_is_no_picture_is_refused(
     picture: Any, order: Any, what: str
 ) -> None:
-    with pytest.raises(InputError) as caught:
+    with pytest.raises((InputError, ConfigError)) as caught:
         as_image(picture, order)
 
     assert what in str(caught.value)
-
-
-def test_an_order_that_is_none_is_refused() -> None:
-    with pytest.raises(ConfigError, match="RGB: unknown order of colours"):
-        as_image(PIXELS, "RGB")  # type: ignore[arg-type]
 
 
 def test_a_pillow_image_that_cannot_be_decoded_is_refused(tmp_path: Path) -> None:
@@ -433,11 +366,13 @@ def test_masks_labels_colours_and_arrays_keep_their_values(tmp_path: Path) -> No
     write_labels(tmp_path / "labels.png", labels)
     write_colours(tmp_path / "image.png", image)
     write_npy(tmp_path / "image.npy", image)
+    write_overlay(tmp_path / "overlay.jpg", image, torch.ones(5, 7, dtype=torch.bool))
 
     assert stored(tmp_path / "mask.png").tolist() == [[255, 0]]
     assert stored(tmp_path / "labels.png").tolist() == [[0, 2, 255]]
     assert torch.equal(read_image(tmp_path / "image.png"), image)
     assert np.array_equal(np.load(tmp_path / "image.npy"), image.numpy())
+    assert stored(tmp_path / "overlay.jpg").shape == (5, 7, 3)
 
 
 def test_labels_beyond_a_byte_are_refused_and_nothing_is_written(tmp_path: Path) -> None:
@@ -474,12 +409,6 @@ def test_captions_can_be_read_in_small_pictures_and_are_the_same_twice(
     assert not tall or np.ptp(white) >= tall
     assert (grey == 128).all()
     assert np.array_equal(with_caption(grey, "trust 0.91"), shown)
-
-
-def test_an_overlay_has_the_size_of_its_image(tmp_path: Path) -> None:
-    write_overlay(tmp_path / "a.jpg", as_tensor(PIXELS), torch.ones(5, 7, dtype=torch.bool))
-
-    assert stored(tmp_path / "a.jpg").shape == (5, 7, 3)
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
