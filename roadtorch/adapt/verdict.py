@@ -18,7 +18,7 @@ from torch import Tensor
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation.metrics import Decisions, count_mask, f_measure
 from roadtorch.evaluation.result import Interval
-from roadtorch.evaluation.uncertainty import Replicated, bootstrap_weights, difference, interval
+from roadtorch.evaluation.uncertainty import bootstrap_weights, interval
 from roadtorch.imaging.resize import resized
 from roadtorch.runtime.progress import Progress
 from roadtorch.sources.pictures import Picture
@@ -126,13 +126,11 @@ def verdict_of(judged: Sequence[Judged]) -> Verdict:
     generator = torch.Generator().manual_seed(SEED)
     blocks = [torch.stack([part.sum(0) for part in each.split(BLOCK)]) for each in (before, after)]
     weights = bootstrap_weights(len(blocks[0]), generator).to(torch.float64)
-    first, second = (
-        Replicated(float(_f_measure(each.sum(0))), _f_measure(weights @ each.to(weights)))
-        for each in blocks
-    )
-    change = interval(difference(second, first))
-    if change.low > 0 and second.value - first.value >= MIN_GAIN:
+    first, second = (float(_f_measure(each.sum(0))) for each in blocks)
+    draws = [_f_measure(weights @ each.to(weights)) for each in blocks]
+    change = interval(draws[1] - draws[0])
+    if change.low > 0 and second - first >= MIN_GAIN:
         word = "adopt"
     else:
         word = "do not adopt" if change.high < MIN_GAIN else "cannot tell"
-    return Verdict(word, first.value, second.value, change, frames)
+    return Verdict(word, first, second, change, frames)

@@ -15,11 +15,20 @@ from roadtorch.evaluation.curves import Curve
 from roadtorch.evaluation.measure import Figures, Measure, Trusted
 from roadtorch.evaluation.methods import Method
 from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.result import DetectorFigures, Evaluation
+from roadtorch.evaluation.result import (
+    DetectorFigures,
+    Evaluation,
+    best_median_worst,
+    pictures_by_f,
+)
 from roadtorch.evaluation.tally import WHOLE, Tally, trusted, vertical_roc
 from roadtorch.evaluation.trust import ideal_risk_coverage, risk_coverage
 from roadtorch.io.bounded import read_regular, reason
 from roadtorch.version import __version__
+
+SHOWN = 10  # best, median and worst pictures in metrics.json
+
+QUANTILES = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)  # of F over the single pictures
 
 
 def document(evaluation: Evaluation, command: str) -> dict[str, Any]:
@@ -37,7 +46,8 @@ def document(evaluation: Evaluation, command: str) -> dict[str, Any]:
         "left_out": evaluation.left_out,
         "failed": [{"image": one.image, "reason": one.reason} for one in evaluation.failures],
         "detectors": {
-            name: _detector(one, measures) for name, one in evaluation.detectors.items()
+            name: _detector(one, evaluation.tallies[name], measures)
+            for name, one in evaluation.detectors.items()
         },
         "paired": {
             "against": evaluation.comparison.against,
@@ -52,22 +62,23 @@ def document(evaluation: Evaluation, command: str) -> dict[str, Any]:
     })  # fmt: skip
 
 
-def _detector(one: DetectorFigures, measures: Sequence[Measure]) -> dict[str, Any]:
-    by_f = one.pictures_by_f
+def _detector(one: DetectorFigures, tally: Tally, measures: Sequence[Measure]) -> dict[str, Any]:
+    order = pictures_by_f(tally, one)
+    values = torch.tensor([value for value, _ in order], dtype=torch.float64)
+    shares = torch.tensor(QUANTILES, dtype=torch.float64)
+    quantiles = values.quantile(shares).tolist() if order else []
     content = {
         **_levels(one.headline),
         "maxf_threshold": one.best_threshold,
         "threshold_from": one.threshold_from,
         "images_by_f": {
-            "quantiles": {f"{share:g}": value for share, value in by_f.quantiles.items()},
+            "quantiles": {f"{share:g}": q for share, q in zip(QUANTILES, quantiles, strict=False)},
             **{
                 part: [{"image": name, "f": value} for value, name in pictures]
-                for part, pictures in (
-                    ("best", by_f.best), ("median", by_f.median), ("worst", by_f.worst)
-                )
+                for part, pictures in best_median_worst(order, SHOWN).items()
             },
         },
-    }  # fmt: skip
+    }
     if one.groups:
         content["groups"] = {group: _levels(figures) for group, figures in one.groups.items()}
         content["left_out"] = {group: _levels(figures) for group, figures in one.left_out.items()}

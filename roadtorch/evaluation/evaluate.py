@@ -8,7 +8,7 @@ import io
 import json
 import math
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,13 +21,13 @@ from roadtorch.errors import ConfigError, DatasetError, UnscorableError, unknown
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.document import earlier_thresholds
 from roadtorch.evaluation.measure import Measure
-from roadtorch.evaluation.measures import MEASURES
+from roadtorch.evaluation.measures import MAXF, MEASURES
 from roadtorch.evaluation.methods import Method, methods_for
 from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.result import Evaluation, Failure, held_out_thresholds, summarise
 from roadtorch.evaluation.scoring import score
 from roadtorch.evaluation.tally import Scored, Tally
-from roadtorch.evaluation.uncertainty import best_of, compare, intervals, resample
+from roadtorch.evaluation.uncertainty import compare, intervals, resample
 from roadtorch.io.atomic import atomic
 from roadtorch.settings import Settings
 
@@ -102,10 +102,12 @@ def evaluated(
         for name, one in zip(names, methods, strict=True)
     }
     draws = {name: resample(tallies[name], figures[name], measures) for name in names}
+    scores = MAXF.known({name: one.headline for name, one in figures.items()})
+    best = max(scores, key=scores.__getitem__, default=names[0])
     return Evaluation(
         pictures,
         {name: replace(figures[name], intervals=intervals(draws[name])) for name in names},
-        compare(draws, against or best_of(figures), measures),
+        compare(figures, draws, against or best, measures),
         failures,
         tallies,
         measures,
@@ -116,29 +118,39 @@ def count_all(
     dataset: Dataset, methods: Sequence[Method], jobs: int, keep_in: Path | None, watch: Watch
 ) -> tuple[Mapping[str, Tally], list[Failure]]:
     """Run what is left of the pass; the tallies are saved whatever ends it."""
-    saved = SavedTallies(keep_in, fingerprint(dataset, methods))
-    failures: list[Failure] = []
-    done, total = saved.done, len(dataset.items)
+    file = keep_in / FILE if keep_in else None
+    run, failures = fingerprint(dataset, methods), list[Failure]()
+    tallies = read_progress(file, run) if file and file.is_file() else {}
+    done = {name for one in tallies.values() for name, _ in one.pictures}
+    saved, pause = time.monotonic(), SAVE_EVERY
     try:
-        for result in watch(score(dataset, methods, jobs, done), len(done), total):
+        for result in watch(score(dataset, methods, jobs, done), len(done), len(dataset.items)):
             if result.failure:
-                item = result.item
-                failures.append(Failure(item.name, item.group, result.failure))
-            saved.add(result)
+                failures.append(Failure(result.item.name, result.item.group, result.failure))
+            for name, counts in result.scores.items():
+                tallies.setdefault(name, Tally()).add(result.item, counts)
+            if file and tallies and time.monotonic() - saved > pause:
+                start = time.monotonic()
+                write_progress(file, run, tallies)
+                saved = time.monotonic()
+                pause = max(SAVE_EVERY, (saved - start) / SAVING)
     except BaseException:
-        saved.save()
+        if file and tallies:
+            write_progress(file, run, tallies)
         raise
-    saved.sort([item.name for item in dataset.items])
-    counting = {group for tally in saved.tallies.values() for _, group in tally.pictures}
+    order = [item.name for item in dataset.items]
+    for tally in tallies.values():
+        tally.sort(order)
+    counting = {group for tally in tallies.values() for _, group in tally.pictures}
     if not counting - dataset.left_out:
         first = failures[0].reason if failures else "all groups are left out"
-        what = f"none of its {total} pictures could be scored; the first: {first}"
+        what = f"none of its {len(dataset.items)} pictures could be scored; the first: {first}"
         raise DatasetError(dataset.root, what, "mend that first")
-    roads = [road for tally in saved.tallies.values() for road in tally.sums["road"].values()]
+    roads = [road for tally in tallies.values() for road in tally.sums["road"].values()]
     if not any(bool(road[0].any()) for road in roads):
         what = "there is no road in any label"
         raise UnscorableError(dataset.root, what, "check which numbers mean road in this set")
-    return saved.tallies, failures
+    return tallies, failures
 
 
 # --- a run that is interrupted ----------------------------------------------------------
@@ -168,61 +180,32 @@ def _stamp(path: Path) -> tuple[str, int, int]:
     return str(path), stat.st_size if stat else -1, stat.st_mtime_ns if stat else -1
 
 
-class SavedTallies:
-    """The tallies of a run, saved now and then if there is a folder to save in.
+def read_progress(path: Path, run: str) -> dict[str, Tally]:
+    """The tallies that ``write_progress`` saved.
 
     Raises ConfigError for a file that another run left there, or that is not the one that was
     saved: before its bytes stands their SHA-256.
     """
+    try:
+        content = path.read_bytes()
+        if hashlib.sha256(content[32:]).digest() != content[:32]:
+            raise ValueError("damaged")
+    except (OSError, ValueError):
+        raise ConfigError(path, "is not the progress of a run, or damaged", REMEDY) from None
+    saved = torch.load(io.BytesIO(content[32:]), weights_only=True)
+    if saved["run"] != run:
+        what = "holds the beginning of another run (other pictures, settings or code)"
+        raise ConfigError(path, what, REMEDY)
+    return {name: Tally(**parts) for name, parts in saved["tallies"].items()}
 
-    def __init__(self, folder: Path | None, run: str) -> None:
-        self.path = folder / FILE if folder else None
-        self.run = run
-        self.tallies: dict[str, Tally] = {}
-        self._saved, self._pause = time.monotonic(), SAVE_EVERY
-        if self.path and self.path.is_file():
-            try:
-                content = self.path.read_bytes()
-                if hashlib.sha256(content[32:]).digest() != content[:32]:
-                    raise ValueError("damaged")
-            except (OSError, ValueError):
-                what = "is not the progress of a run, or damaged"
-                raise ConfigError(self.path, what, REMEDY) from None
-            saved = torch.load(io.BytesIO(content[32:]), weights_only=True)
-            if saved["run"] != run:
-                what = "holds the beginning of another run (other pictures, settings or code)"
-                raise ConfigError(self.path, what, REMEDY)
-            self.tallies = {name: Tally(**parts) for name, parts in saved["tallies"].items()}
 
-    def add(self, result: Scored) -> None:
-        """Count one more picture, if it could be scored; save if the last time is a while ago."""
-        for name, counts in result.scores.items():
-            self.tallies.setdefault(name, Tally()).add(result.item, counts)
-        if time.monotonic() - self._saved > self._pause:
-            self.save()
-
-    def sort(self, names: Sequence[str]) -> None:
-        """Bring the pictures' rows into the order of the set, however the run came about."""
-        for tally in self.tallies.values():
-            tally.sort(names)
-
-    @property
-    def done(self) -> Collection[str]:
-        """The names of the pictures that are counted."""
-        first = next(iter(self.tallies.values()), Tally())
-        return {name for name, _ in first.pictures}
-
-    def save(self) -> None:
-        """Write everything counted so far, whole or not at all."""
-        if self.path is None or not self.tallies:
-            return
-        start, file = time.monotonic(), io.BytesIO()
-        tallies = {name: vars(tally) for name, tally in self.tallies.items()}
-        torch.save({"run": self.run, "tallies": tallies}, file)
-        with atomic(self.path) as temporary:
-            temporary.write_bytes(hashlib.sha256(file.getvalue()).digest() + file.getvalue())
-        self._saved = time.monotonic()
-        self._pause = max(SAVE_EVERY, (self._saved - start) / SAVING)
+def write_progress(path: Path, run: str, tallies: Mapping[str, Tally]) -> None:
+    """Write everything counted so far, whole or not at all; run: its fingerprint."""
+    file = io.BytesIO()
+    parts = {name: vars(tally) for name, tally in tallies.items()}
+    torch.save({"run": run, "tallies": parts}, file)
+    with atomic(path) as temporary:
+        temporary.write_bytes(hashlib.sha256(file.getvalue()).digest() + file.getvalue())
 
 
 def forget(folder: Path) -> None:

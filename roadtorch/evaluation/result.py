@@ -14,7 +14,7 @@ from roadtorch.evaluation.measure import Figures, Measure, Part, Place
 from roadtorch.evaluation.measures import MAXF, MEASURES
 from roadtorch.evaluation.methods import Method
 from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.tally import WHOLE, Pictures, Tally, counted, taken_together
+from roadtorch.evaluation.tally import WHOLE, Pictures, Tally, of_groups, of_pictures
 
 
 class Interval(NamedTuple):
@@ -27,20 +27,6 @@ class Interval(NamedTuple):
     def is_known(self) -> bool:
         """Whether it has two ends."""
         return not math.isnan(self.low) and not math.isnan(self.high)
-
-
-@dataclass(frozen=True)
-class PicturesByF:
-    """F of the single pictures at their group's threshold.
-
-    quantiles: by share of the pictures, empty without any. best, median, worst: some
-    pictures as (F, name).
-    """
-
-    quantiles: Mapping[float, float] = field(default_factory=dict)
-    best: Sequence[tuple[float, str]] = ()
-    median: Sequence[tuple[float, str]] = ()
-    worst: Sequence[tuple[float, str]] = ()
 
 
 @dataclass(frozen=True)
@@ -66,7 +52,6 @@ class DetectorFigures:
     threshold_from: str = ""
     best_threshold: float = math.nan
     intervals: Mapping[str, Interval] = field(default_factory=dict)
-    pictures_by_f: PicturesByF = field(default_factory=PicturesByF)
 
     @property
     def interval(self) -> Interval:
@@ -188,41 +173,28 @@ def held_out_thresholds(groups: Mapping[str, RoadCounts]) -> dict[str, float]:
     }
 
 
-class Thresholds(NamedTuple):
-    """Where they come from, in words; one for every group; the best of all groups that choose."""
-
-    source: str
-    thresholds: Mapping[str, float]
-    best: float
-
-
 def choose_thresholds(
     groups: Mapping[str, RoadCounts],
     default: float,
     given: float | None,
     left_out: Collection[str] = (),
-) -> Thresholds:
-    """The thresholds of all groups: given, those of the others, or the detector's default.
+) -> tuple[str, Mapping[str, float], float]:
+    """Where thresholds come from, in words; one for every group; the best of those that choose.
 
-    left_out: groups that choose for nobody.
+    They are given, or those of the other groups, or the detector's default. left_out: groups that
+    choose for nobody.
     """
     choosing = {group: counts for group, counts in groups.items() if group not in left_out}
     best = shared_threshold(choosing)
     if given is not None:
-        return Thresholds("an earlier run", dict.fromkeys(groups, given), best)
+        return "an earlier run", dict.fromkeys(groups, given), best
     if len(choosing) > 1:
         held_out = held_out_thresholds(choosing)
-        by_group = {group: held_out.get(group, best) for group in groups}
-        return Thresholds("the other groups", by_group, best)
-    return Thresholds("the detector's default", dict.fromkeys(groups, default), best)
+        return "the other groups", {one: held_out.get(one, best) for one in groups}, best
+    return "the detector's default", dict.fromkeys(groups, default), best
 
 
 # --- from counts to figures -------------------------------------------------------------
-
-
-SHOWN = 10  # pictures of each kind in metrics.json
-
-QUANTILES = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
 
 
 def summarise(
@@ -238,24 +210,18 @@ def summarise(
     given: a threshold chosen elsewhere. left_out: groups that count in nothing but their own.
     conditions: pictures by condition, which have figures together, whatever groups they are of.
     """
-    chosen = choose_thresholds(tally.road, method.threshold, given, left_out)
-    thresholds = chosen.thresholds
+    source, thresholds, best = choose_thresholds(tally.road, method.threshold, given, left_out)
     counting = {group: one for group, one in thresholds.items() if group not in left_out}
     parts = {
-        group: replace(counted(tally, {group: one}), threshold=one)
+        group: replace(of_groups(tally, {group: one}), threshold=one)
         for group, one in thresholds.items()
     }
     of_condition = {
         name: tally.named({item.name for item in items})
         for name, items in (conditions or {}).items()
     }
-    together = {
-        name: taken_together(pictures, thresholds)
-        for name, pictures in of_condition.items()
-        if pictures.names
-    }
     is_whole = list(parts) == [WHOLE]
-    pooled = {} if is_whole else figures_of(counted(tally, counting), measures)
+    pooled = {} if is_whole else figures_of(of_groups(tally, counting), measures)
     figures = {group: figures_of(part, measures) for group, part in parts.items()}
     groups = {} if is_whole else {group: figures[group] for group in counting}
     return DetectorFigures(
@@ -264,11 +230,14 @@ def summarise(
         groups=groups,
         pooled=pooled,
         left_out={group: one for group, one in figures.items() if group not in counting},
-        conditions={name: figures_of(part, measures) for name, part in together.items()},
+        conditions={
+            name: figures_of(of_pictures(pictures, thresholds), measures)
+            for name, pictures in of_condition.items()
+            if pictures.names
+        },
         thresholds=thresholds,
-        threshold_from=chosen.source,
-        best_threshold=chosen.best,
-        pictures_by_f=chosen_pictures(tally.kept(counting), thresholds, SHOWN),
+        threshold_from=source,
+        best_threshold=best,
     )
 
 
@@ -360,19 +329,21 @@ def image_f(pictures: Pictures, thresholds: Mapping[str, float]) -> Tensor:
     return f
 
 
-def chosen_pictures(pictures: Pictures, thresholds: Mapping[str, float], count: int) -> PicturesByF:
-    """Quantiles of F over the pictures with road, and the best, median and worst ``count``."""
-    values = image_f(pictures, thresholds).tolist()
-    known = [(f, name) for f, name in zip(values, pictures.names, strict=True) if not math.isnan(f)]
-    if not known:
-        return PicturesByF()
-    order = sorted(known, key=lambda pair: (-pair[0], pair[1]))
+def pictures_by_f(tally: Tally, figures: DetectorFigures) -> list[tuple[float, str]]:
+    """(F, name) of the pictures with road that count, the best first."""
+    pictures = tally.kept(figures.counting)
+    values = image_f(pictures, figures.thresholds).tolist()
+    known = [pair for pair in zip(values, pictures.names, strict=True) if not math.isnan(pair[0])]
+    return sorted(known, key=lambda pair: (-pair[0], pair[1]))
+
+
+def best_median_worst(
+    order: Sequence[tuple[float, str]], count: int
+) -> dict[str, Sequence[tuple[float, str]]]:
+    """The first ``count`` of pictures, those in the middle, and the last, from the last on."""
     begin = max((len(order) - count) // 2, 0)
-    shares = torch.tensor(QUANTILES, dtype=torch.float64)
-    of_all = torch.tensor([value for value, _ in order], dtype=torch.float64)
-    return PicturesByF(
-        dict(zip(QUANTILES, of_all.quantile(shares).tolist(), strict=True)),
-        order[:count],
-        order[begin : begin + count],
-        order[::-1][:count],
-    )
+    return {
+        "best": order[:count],
+        "median": order[begin : begin + count],
+        "worst": order[::-1][:count],
+    }

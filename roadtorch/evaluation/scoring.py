@@ -6,15 +6,17 @@ import pickle
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from roadtorch.data.dataset import Dataset, Item, Truth
 from roadtorch.errors import RoadtorchError
+from roadtorch.evaluation.boundary import count_boundary
 from roadtorch.evaluation.methods import Look, Method
-from roadtorch.evaluation.tally import Score, Scored, count
+from roadtorch.evaluation.metrics import count_layout, count_levels, count_mask
+from roadtorch.evaluation.tally import Score, Scored
 from roadtorch.runtime.image_cache import ImageCache, image_cache
 from roadtorch.runtime.signals import end_with_parent, interrupting_none_started
 
@@ -23,7 +25,7 @@ from roadtorch.runtime.signals import end_with_parent, interrupting_none_started
 
 @dataclass(frozen=True)
 class LabelledPicture:
-    """One item as it is scored: its picture, and the truth where it is scored."""
+    """One item that has been read: its picture, and the truth in the picture's own space."""
 
     dataset: Dataset
     item: Item
@@ -31,43 +33,44 @@ class LabelledPicture:
     truth: Truth
 
     def seen(self, values: Tensor) -> Tensor:
-        """A map (…,H,W) of the picture's size in the space of the truth."""
+        """A map (…,H,W) of the picture's size in the space in which it is scored."""
         view = self.dataset.view
         in_picture = values.shape[-2:] == self.image.shape[-2:]
         return view(self.item, values) if view is not None and in_picture else values
 
-
-def read_scene(dataset: Dataset, item: Item) -> LabelledPicture:
-    """Read one item; RoadtorchError when its files are missing, damaged or do not fit."""
-    image, truth = dataset.read(item)
-    scene = LabelledPicture(dataset, item, image, truth)
-    return replace(scene, truth=seen_truth(scene))
+    def seen_truth(self) -> Truth:
+        """The truth in the space in which it is scored."""
+        layout = None if self.truth.layout is None else self.seen(self.truth.layout)
+        return Truth(self.seen(self.truth.road), self.seen(self.truth.valid), layout)
 
 
-def seen_truth(scene: LabelledPicture) -> Truth:
-    """The truth of a scene in the space in which it is scored."""
-    truth = scene.truth
-    layout = None if truth.layout is None else scene.seen(truth.layout)
-    return Truth(scene.seen(truth.road), scene.seen(truth.valid), layout)
-
-
-def score_scene(look: Look, scene: LabelledPicture, shared: ImageCache) -> Score:
-    """Run one detector on one picture and count."""
+def score_look(look: Look, scene: LabelledPicture, truth: Truth, shared: ImageCache) -> Score:
+    """Run one detector on one picture and count; truth: as it is scored."""
     saved, start = shared.saved, time.perf_counter()
     detection = look(scene.image, scene.item)
     # What others had made before it counts as this one's work, too.
     seconds = time.perf_counter() - start + shared.saved - saved
-    layout, labels = detection.cues.get("layout"), detection.cues.get("layout_labels")
-    counts = count(
-        scene.truth,
-        scene.dataset.levels,
-        scene.seen(detection.likelihood),
-        scene.seen(detection.mask),
-        layout=None if layout is None else scene.seen(layout.argmax(0)),
-        labels=None if labels is None else scene.seen(labels),
+    mask, layout = scene.seen(detection.mask), detection.cues.get("layout")
+    labels = {
+        "layout": None if layout is None else layout.argmax(0),
+        "labels": detection.cues.get("layout_labels"),
+    }
+    confusions = {
+        kind: count_layout(scene.seen(values), truth.layout)
+        for kind, values in labels.items()
+        if values is not None and truth.layout is not None
+    }
+    return Score(
+        count_levels(
+            scene.seen(detection.likelihood), truth.road, truth.valid, scene.dataset.levels
+        ),
+        count_mask(mask, truth.road, truth.valid),
+        count_boundary(mask, truth.road, truth.valid),
+        confusions.get("layout"),
+        confusions.get("labels"),
+        seconds,
+        math.nan if detection.trust is None else detection.trust,
     )
-    trust = math.nan if detection.trust is None else detection.trust
-    return replace(counts, seconds=seconds, trust=trust)
 
 
 def score_item(dataset: Dataset, looks: Mapping[str, Look], item: Item) -> Scored:
@@ -78,11 +81,11 @@ def score_item(dataset: Dataset, looks: Mapping[str, Look], item: Item) -> Score
     """
     who = ""
     try:
-        scene = read_scene(dataset, item)
-        scores = {}
+        scene = LabelledPicture(dataset, item, *dataset.read(item))
+        truth, scores = scene.seen_truth(), {}
         with image_cache() as shared:
             for who, look in looks.items():
-                scores[who] = score_scene(look, scene, shared)
+                scores[who] = score_look(look, scene, truth, shared)
         return Scored(item, scores)
     except RoadtorchError as problem:
         return Scored(item, {}, f"{who}: {problem}" if who else str(problem))

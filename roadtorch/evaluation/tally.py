@@ -14,9 +14,8 @@ from operator import add
 import torch
 from torch import Tensor
 
-from roadtorch.data.dataset import Item, Truth
+from roadtorch.data.dataset import Item
 from roadtorch.evaluation import curves, metrics
-from roadtorch.evaluation.boundary import count_boundary
 from roadtorch.evaluation.curves import Curve
 from roadtorch.evaluation.measure import Part, Trusted
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
@@ -28,7 +27,7 @@ FIRST_ROWS = 64  # pictures that there is room for before a column grows
 
 @dataclass(frozen=True)
 class Score:
-    """One detector's counts on one picture."""
+    """One detector's counts on one picture, in the space of the truth."""
 
     road: RoadCounts
     mask: Decisions
@@ -37,28 +36,6 @@ class Score:
     labels: Tensor | None  # confusion (4,4) of labels that may abstain
     seconds: float = math.nan  # for detect alone, as if nothing had been shared
     trust: float = math.nan  # the expected F of the mask; NaN where the detector does not say
-
-
-def count(
-    truth: Truth, levels: int, likelihood: Tensor, mask: Tensor, **labels: Tensor | None
-) -> Score:
-    """The counts of one picture's maps (H,W) in the space of the truth.
-
-    labels: the ``layout`` of the strongest potentials, and ``labels`` that may abstain; they are
-    counted where the truth has a layout.
-    """
-    confusions = {
-        kind: metrics.count_layout(values, truth.layout)
-        for kind, values in labels.items()
-        if values is not None and truth.layout is not None
-    }
-    return Score(
-        metrics.count_levels(likelihood, truth.road, truth.valid, levels),
-        metrics.count_mask(mask, truth.road, truth.valid),
-        count_boundary(mask, truth.road, truth.valid),
-        confusions.get("layout"),
-        confusions.get("labels"),
-    )
 
 
 @dataclass(frozen=True)
@@ -99,10 +76,10 @@ class Pictures:
 class Tally:
     """One detector's counts so far: sums by kind and group, and columns with a row a picture.
 
-    Kinds of sums: ``road`` (2,levels), ``mask`` (4,), ``boundary``, ``layout``, ``labels`` as a
-    score has them, and ``curve``, the single pictures' ROC. Rows are written into a few large
-    tensors that double when they are full: thousands of small ones between the large temporary
-    ones of counting would keep their memory in use.
+    Kinds of sums: ``road`` (2,levels), ``labels`` as a score has them, and ``curve``, the single
+    pictures' ROC. Rows are written into a few large tensors that double when they are full:
+    thousands of small ones between the large temporary ones of counting would keep their memory
+    in use.
     """
 
     sums: dict[str, dict[str, Tensor]] = field(default_factory=dict)
@@ -112,25 +89,26 @@ class Tally:
     def add(self, item: Item, score: Score) -> None:
         """Count one more picture."""
         group, mask = item.group or WHOLE, score.mask
-        outcome = (mask.true_positive, mask.false_positive, mask.false_negative, mask.true_negative)
-        counts = {
+        area, best = float(metrics.auc(score.road)), float(metrics.max_f(score.road)[0])
+        summed = {
             "road": torch.stack([score.road.road, score.road.other]),
+            "labels": score.labels,
+            "curve": None if math.isnan(area) else curves.vertical_sample(score.road),
+        }
+        for kind, part in summed.items():
+            if part is not None:
+                sums = self.sums.setdefault(kind, {})
+                sums[group] = sums[group] + part if group in sums else part
+        coarse = metrics.coarsen(score.road, COARSE)
+        outcome = (mask.true_positive, mask.false_positive, mask.false_negative, mask.true_negative)
+        known = {
+            "road": torch.stack([coarse.road, coarse.other]).to(torch.int32),
             "mask": torch.stack(outcome),
             "boundary": score.boundary,
-            "layout": score.layout,
-            "labels": score.labels,
+            "numbers": torch.tensor([area, best, score.seconds, score.trust], dtype=torch.float64),
         }
-        known = {kind: part for kind, part in counts.items() if part is not None}
-        area, best = float(metrics.auc(score.road)), float(metrics.max_f(score.road)[0])
-        curve = {} if math.isnan(area) else {"curve": curves.vertical_sample(score.road)}
-        for kind, part in (known | curve).items():
-            sums = self.sums.setdefault(kind, {})
-            sums[group] = sums[group] + part if group in sums else part
-        coarse = metrics.coarsen(score.road, COARSE)
-        known["road"] = torch.stack([coarse.road, coarse.other]).to(torch.int32)
-        numbers = [area, best, score.seconds, score.trust]
-        known["numbers"] = torch.tensor(numbers, dtype=torch.float64)
-        known.pop("labels", None)
+        if score.layout is not None:
+            known["layout"] = score.layout
         row = len(self.pictures)
         for key in known.keys() - self.columns.keys():
             self.columns[key] = known[key].new_zeros((FIRST_ROWS, *known[key].shape))
@@ -188,26 +166,50 @@ class Tally:
 # --- what measures are taken of ---------------------------------------------------------
 
 
-def counted(tally: Tally, thresholds: Mapping[str, float]) -> Part:
+def of_groups(tally: Tally, thresholds: Mapping[str, float]) -> Part:
     """The groups that have thresholds, their counts added up."""
-    pictures = tally.kept(thresholds)
+    counts = {group: tally.road[group] for group in thresholds}
+    roc, labels = vertical_roc(tally, thresholds), tally.total("labels", thresholds)
+    return replace(_together(tally.kept(thresholds), counts, thresholds), roc=roc, labels=labels)
+
+
+def of_pictures(pictures: Pictures, thresholds: Mapping[str, float]) -> Part:
+    """Pictures of any groups, their counts added up, on 8-bit maps.
+
+    thresholds: those of their groups. Labels that may abstain are not known.
+    """
+    counts = {
+        group: RoadCounts(pictures.road.road[own].sum(0), pictures.road.other[own].sum(0))
+        for group in dict.fromkeys(pictures.groups)
+        for own in [pictures.of_group(group)]
+    }
+    known = ~pictures.auc.isnan()
+    rates = curves.vertical_sample(
+        RoadCounts(pictures.road.road[known], pictures.road.other[known])
+    )
+    roc = curves.vertical_average(rates.mean(0)) if known.any() else None
+    return replace(_together(pictures, counts, thresholds), roc=roc)
+
+
+def _together(
+    pictures: Pictures, counts: Mapping[str, RoadCounts], thresholds: Mapping[str, float]
+) -> Part:
+    """Pictures added up; counts: of their likelihoods, by group."""
     areas = [area for area in pictures.auc.tolist() if not math.isnan(area)]
     mean_area = sum(areas) / len(areas) if areas else math.nan
-    road, mask, boundary, layout, labels = (
-        tally.total(kind, thresholds) for kind in ("road", "mask", "boundary", "layout", "labels")
-    )
-    if road is None or mask is None or boundary is None:
-        raise ValueError(f"nothing is counted of {', '.join(thresholds)}")
-    by_group = {group: tally.road[group] for group in thresholds}
+    layout = pictures.layout
+    outcomes = [
+        metrics.decisions_at(counts[group], thresholds[group])
+        for group in counts
+        if not math.isnan(thresholds[group])
+    ]
     return Part(
-        RoadCounts(*road),
-        Decisions(*mask),
-        boundary,
-        layout,
-        _at_thresholds(by_group, thresholds),
+        reduce(add, counts.values()),
+        Decisions(*pictures.outcomes.sum(0)),
+        pictures.boundary.sum(0),
+        layout.sum(0) if layout is not None and layout.any() else None,
+        reduce(add, outcomes) if outcomes else None,
         torch.tensor(mean_area, dtype=torch.float64),
-        labels,
-        vertical_roc(tally, thresholds),
         images=len(pictures.names),
         skipped=len(pictures.names) - len(areas),
         milliseconds=1000 * statistics.median(pictures.seconds.tolist()),
@@ -221,18 +223,6 @@ def vertical_roc(tally: Tally, groups: Collection[str]) -> Curve | None:
     return None if summed is None else curves.vertical_average(summed / int(known.sum()))
 
 
-def _at_thresholds(
-    counts: Mapping[str, RoadCounts], thresholds: Mapping[str, float]
-) -> Decisions | None:
-    """The outcomes of the groups, each at its threshold, together; None where none has any."""
-    outcomes = [
-        metrics.decisions_at(counts[group], threshold)
-        for group, threshold in thresholds.items()
-        if group in counts and not math.isnan(threshold)
-    ]
-    return reduce(add, outcomes) if outcomes else None
-
-
 def trusted(pictures: Pictures) -> Trusted | None:
     """The pictures that have a trust and an F of the mask; None where no picture has a trust."""
     if pictures.trust.isnan().all():
@@ -241,31 +231,6 @@ def trusted(pictures: Pictures) -> Trusted | None:
     known = ~(pictures.trust.isnan() | f.isnan())
     groups = [group for group, kept in zip(pictures.groups, known.tolist(), strict=True) if kept]
     return Trusted(pictures.trust[known], f[known], groups)
-
-
-def taken_together(pictures: Pictures, thresholds: Mapping[str, float]) -> Part:
-    """Pictures of any groups, their counts added up, on 8-bit maps: figures of shape (1,).
-
-    thresholds: those of their groups. Labels that may abstain are not known.
-    """
-    once = torch.ones(1, len(pictures.names), dtype=torch.int64)
-    by_group = {
-        group: metrics.pool(pictures.road, once * pictures.of_group(group))
-        for group in dict.fromkeys(pictures.groups)
-    }
-    known = ~pictures.auc.isnan()
-    rates = curves.vertical_sample(
-        RoadCounts(pictures.road.road[known], pictures.road.other[known])
-    )
-    return replace(
-        drawn(pictures, math.nan, once),
-        chosen=_at_thresholds(by_group, thresholds),
-        roc=curves.vertical_average(rates.mean(0)) if known.any() else None,
-        images=len(pictures.names),
-        skipped=int((~known).sum()),
-        milliseconds=1000 * statistics.median(pictures.seconds.tolist()),
-        trusted=trusted(pictures),
-    )
 
 
 def drawn(pictures: Pictures, threshold: float, weights: Tensor) -> Part:

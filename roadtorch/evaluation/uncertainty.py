@@ -9,27 +9,18 @@ Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 13 (pe
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from roadtorch.evaluation.measure import Measure
-from roadtorch.evaluation.measures import MAXF, MEASURES
+from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.result import Comparison, DetectorFigures, Difference, Interval
 from roadtorch.evaluation.tally import Pictures, Tally, drawn
 
 REPLICATES = 1000
 
 SEED = 11  # of the draws of a run
-
-
-@dataclass(frozen=True)
-class Replicated:
-    """A figure of all images, and its values under every draw, float64 (replicates,)."""
-
-    value: float
-    draws: Tensor
 
 
 def bootstrap_weights(
@@ -40,33 +31,23 @@ def bootstrap_weights(
     return torch.zeros_like(places).scatter_add_(1, places, torch.ones_like(places))
 
 
-def interval(figure: Replicated) -> Interval:
-    """The 95 % percentile interval of a figure; draws without a value are left out."""
-    values = figure.draws[~figure.draws.isnan()]
+def interval(draws: Tensor) -> Interval:
+    """The 95 % percentile interval of a figure's values under every draw, float64 (replicates,).
+
+    Draws without a value are left out. Of the difference of two figures over the same weights it
+    lies above 0 where the first is larger beyond what the choice of images explains.
+    """
+    values = draws[~draws.isnan()]
     if not len(values):
         return Interval()
     low, high = torch.quantile(values, torch.tensor([0.025, 0.975], dtype=values.dtype))
     return Interval(float(low), float(high))
 
 
-def difference(one: Replicated, other: Replicated) -> Replicated:
-    """How much larger ``one`` is than ``other``, draw by draw; both of the same weights.
-
-    Its `interval` lies above 0 where ``one`` is larger beyond what the choice of images
-    explains. Raises ValueError when the numbers of draws differ.
-    """
-    if one.draws.shape != other.draws.shape:
-        raise ValueError(
-            f"{len(one.draws)} draws cannot be compared with {len(other.draws)}: "
-            "replicate both with the same weights"
-        )
-    return Replicated(one.value - other.value, one.draws - other.draws)
-
-
 # --- the figures of a run -----------------------------------------------------------------
 
-Draws = Mapping[str, Replicated]
-"""Figures of all pictures and of every draw of them, by the key of the measure."""
+Draws = Mapping[str, Tensor]
+"""Headline figures under every draw of the pictures, float64 (replicates,), by measure's key."""
 
 
 def resample(
@@ -84,10 +65,9 @@ def resample(
     once = [torch.ones_like(drawing[:1]) for drawing in weights]
     kept = [one for one in measures if one.interval and one.key in figures.headline]
     coarse, draws = (_mean_over_groups(groups, thresholds, each, kept) for each in (once, weights))
-    values = {one.key: one.of(figures.headline) for one in kept}
     return {
-        key: Replicated(value, draws[key] + (value - float(coarse[key])))
-        for key, value in values.items()
+        one.key: draws[one.key] + (one.of(figures.headline) - float(coarse[one.key]))
+        for one in kept
     }
 
 
@@ -111,27 +91,31 @@ def _mean_over_groups(
 
 def intervals(draws: Draws) -> dict[str, Interval]:
     """95 % intervals of the headline figures, inside [0,1]."""
-    ends = {key: interval(figure) for key, figure in draws.items()}
+    ends = {key: interval(values) for key, values in draws.items()}
     return {key: Interval(max(low, 0.0), min(high, 1.0)) for key, (low, high) in ends.items()}
 
 
-def best_of(detectors: Mapping[str, DetectorFigures]) -> str:
-    """The detector with the highest MaxF, the first of equals."""
-    scores = MAXF.known({name: one.headline for name, one in detectors.items()})
-    return max(scores, key=scores.__getitem__) if scores else next(iter(detectors))
-
-
 def compare(
-    draws: Mapping[str, Draws], against: str, measures: Sequence[Measure] = MEASURES
+    detectors: Mapping[str, DetectorFigures],
+    draws: Mapping[str, Draws],
+    against: str,
+    measures: Sequence[Measure] = MEASURES,
 ) -> Comparison:
     """Every detector less the one called ``against``, in the measures that both have."""
-    other = draws[against]
-    keys = [one.key for one in measures if "pairs" in one.shown and one.key in other]
-    differences: dict[str, dict[str, Difference]] = {}
-    for name, one in draws.items():
-        if name != against:
-            changes = {key: difference(one[key], other[key]) for key in keys if key in one}
-            differences[name] = {
-                key: Difference(change.value, interval(change)) for key, change in changes.items()
+    shared = [one for one in measures if "pairs" in one.shown and one.key in draws[against]]
+    other = detectors[against].headline
+    return Comparison(
+        against,
+        {
+            name: {
+                one.key: Difference(
+                    one.of(detectors[name].headline) - one.of(other),
+                    interval(own[one.key] - draws[against][one.key]),
+                )
+                for one in shared
+                if one.key in own
             }
-    return Comparison(against, differences)
+            for name, own in draws.items()
+            if name != against
+        },
+    )

@@ -1,7 +1,6 @@
 """Sheets of pictures to look at: what a detector saw, and what it made of it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,8 +11,8 @@ from torch import Tensor
 from roadtorch.data.dataset import Dataset, Item, Truth
 from roadtorch.detection import Detection
 from roadtorch.evaluation.methods import Look
-from roadtorch.evaluation.result import Evaluation, chosen_pictures
-from roadtorch.evaluation.scoring import LabelledPicture, seen_truth
+from roadtorch.evaluation.result import Evaluation, best_median_worst, pictures_by_f
+from roadtorch.evaluation.scoring import LabelledPicture
 from roadtorch.evaluation.tally import WHOLE
 from roadtorch.io.bounded import printable
 from roadtorch.io.image import to_pixels, write_jpeg
@@ -40,10 +39,9 @@ def write_montages(out: Path, evaluation: Evaluation, count: int) -> dict[str, d
     for name in shown[:MAX_DETECTORS]:
         thresholds = detectors[name].thresholds
         look = detectors[name].method.prepare(evaluation.dataset)
-        counting = evaluation.tallies[name].kept(detectors[name].counting)
-        chosen = chosen_pictures(counting, thresholds, count)
-        for part in ("best", "median", "worst"):
-            if pictures := getattr(chosen, part):
+        order = pictures_by_f(evaluation.tallies[name], detectors[name])
+        for part, pictures in best_median_worst(order, count).items():
+            if pictures:
                 path = out / f"montage.{name.replace(':', '-')}.{part}.jpg"
                 write_jpeg(path, sheet(evaluation.dataset, look, pictures, thresholds))
                 sheets.setdefault(name, {})[part] = path.read_bytes()
@@ -75,16 +73,16 @@ def sheet_row(
     A map that was made for another view, as KITTI's are, is shown in that view.
     """
     image, truth = dataset.read(item)
-    detection = look(image, item)
-    scene = LabelledPicture(dataset, item, image, truth)
+    shown, detection = image, look(image, item)
     if detection.likelihood.shape != truth.road.shape:
-        scene = replace(scene, image=scene.seen(image), truth=seen_truth(scene))
+        scene = LabelledPicture(dataset, item, image, truth)
+        shown, truth = scene.seen(image), scene.seen_truth()
     decided = detection.likelihood >= threshold
     tiles = {
         f"{item.name}  F {value:.3f}": to_pixels(image),
         **cue_tiles(detection),
         "likelihood": heat(detection.likelihood),
-        "decision (blue), truth (line)": decision_tile(scene.image, decided, scene.truth),
+        "decision (blue), truth (line)": decision_tile(shown, decided, truth),
     }
     height = round(image.shape[1] * TILE_WIDTH / image.shape[2])
     return np.concatenate([captioned(tile, text, height) for text, tile in tiles.items()], axis=1)

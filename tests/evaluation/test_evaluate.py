@@ -14,8 +14,8 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError, DatasetError, InputError, UnscorableError
 from roadtorch.evaluation import metrics, scoring
 from roadtorch.evaluation.document import defined, document
-from roadtorch.evaluation.evaluate import FILE, evaluate, fingerprint, forget
-from roadtorch.evaluation.methods import expand_names, methods_for
+from roadtorch.evaluation.evaluate import FILE, evaluate, forget
+from roadtorch.evaluation.methods import expand_names
 from roadtorch.evaluation.result import Evaluation
 from roadtorch.evaluation.tally import WHOLE
 from roadtorch.io.atomic import write_json
@@ -254,12 +254,6 @@ def test_a_group_that_is_left_out_is_scored_and_changes_no_other_figure(camvid):
     assert grey.group(out)["threshold"] == grey.best_threshold
     assert grey.group(out)["maxf"] == whole.detectors["grey-uniformity"].group(out)["maxf"]
     assert document(found, "")["left_out"] == [out]
-
-
-def test_the_same_folder_with_other_groups_left_out_is_another_run(camvid):
-    methods = methods_for(camvid, ["grey-uniformity"], {}, {}, None)
-
-    assert fingerprint(leave_out(camvid, GROUPS[:1]), methods) != fingerprint(camvid, methods)
 
 
 def test_a_condition_has_the_figures_of_its_pictures_whatever_their_group(camvid):

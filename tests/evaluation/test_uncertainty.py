@@ -1,34 +1,31 @@
-"""Intervals and paired differences: textbook cases, properties, and how often they are right."""
+"""Intervals and paired differences: the textbook case, how often they are right, and of a run."""
 
 import math
 
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from torch import Tensor
 
+from roadtorch.data.dataset import Dataset
+from roadtorch.detector import Detection
 from roadtorch.evaluation import uncertainty
-from roadtorch.evaluation.uncertainty import Replicated
+from roadtorch.evaluation.measures import MEASURES
+from roadtorch.evaluation.result import DetectorFigures
+from tests.evaluation.conftest import counted, summarised
 
-SEED = 5
 
-
-def weights(size: int, replicates: int = 400, seed: int = SEED) -> Tensor:
+def weights(size: int, replicates: int = 400, seed: int = 5) -> Tensor:
     return uncertainty.bootstrap_weights(size, torch.Generator().manual_seed(seed), replicates)
 
 
-def mean_of(values: Tensor, drawn: Tensor) -> Replicated:
-    """The mean over images, and over every draw of them."""
-    return Replicated(float(values.mean()), drawn.to(values.dtype) @ values / len(values))
+def means(values: Tensor, drawn: Tensor) -> Tensor:
+    """The mean over every draw of images."""
+    return drawn.to(values.dtype) @ values / len(values)
 
 
 def normal(count: int, seed: int) -> Tensor:
     generator = torch.Generator().manual_seed(seed)
     return torch.randn(count, generator=generator, dtype=torch.float64)
-
-
-# --- draws ----------------------------------------------------------------------------------------
 
 
 def test_weights_draw_every_image_once_on_average():
@@ -38,13 +35,10 @@ def test_weights_draw_every_image_once_on_average():
     assert drawn.to(torch.float64).mean(0).tolist() == pytest.approx([1.0] * 7, abs=0.06)
 
 
-# --- intervals ------------------------------------------------------------------------------------
-
-
 def test_interval_of_a_mean_is_the_textbook_one():
     values = normal(200, seed=1)
 
-    low, high = uncertainty.interval(mean_of(values, weights(200, 4000, seed=2)))
+    low, high = uncertainty.interval(means(values, weights(200, 4000, seed=2)))
 
     error = float(values.std()) / math.sqrt(200)
     assert low == pytest.approx(float(values.mean()) - 1.96 * error, abs=0.1 * error)
@@ -52,55 +46,81 @@ def test_interval_of_a_mean_is_the_textbook_one():
 
 
 def test_draws_without_a_value_are_left_out():
-    nothing = torch.full((5,), math.nan, dtype=torch.float64)
     some = torch.tensor([math.nan, 1, 1, math.nan, 1], dtype=torch.float64)
 
-    assert all(math.isnan(end) for end in uncertainty.interval(Replicated(math.nan, nothing)))
-    assert uncertainty.interval(Replicated(1.0, some)) == (1, 1)
+    assert all(math.isnan(end) for end in uncertainty.interval(some[:1]))
+    assert uncertainty.interval(some) == (1, 1)
 
 
-def test_intervals_hold_the_true_mean_about_as_often_as_they_say():
-    inside = 0
-    for trial in range(300):
-        figure = mean_of(3 + normal(40, seed=trial), weights(40, seed=trial))
-        low, high = uncertainty.interval(figure)
-        inside += low < 3 < high
-
-    assert 0.90 <= inside / 300 <= 0.98
-
-
-# --- two detectors over the same images -----------------------------------------------------------
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.integers(0, 10_000), st.integers(2, 40))
-def test_pairs_are_signed_and_what_is_better_on_every_image_is_so_under_every_draw(seed, images):
-    base, gain = normal(images, seed), 0.01 + normal(images, seed + 1).abs()
-    drawn = weights(images)
-    one, other = (mean_of(values, drawn) for values in (base + gain, base))
-
-    low, high = uncertainty.interval(uncertainty.difference(one, other))
-    back = uncertainty.interval(uncertainty.difference(other, one))
-
-    assert 0 < low <= high
-    assert back == pytest.approx((-high, -low), abs=1e-12)
-    assert uncertainty.interval(uncertainty.difference(one, one)) == (0, 0)
-
-
-def test_equal_detectors_are_called_different_about_as_rarely_as_promised():
-    called = 0
+def test_intervals_hold_the_truth_and_equals_are_called_different_as_often_as_they_say():
+    inside = called = 0
     for trial in range(300):
         drawn = weights(40, seed=trial)
-        one, other = (mean_of(normal(40, seed=2 * trial + step), drawn) for step in (0, 1))
-        low, high = uncertainty.interval(uncertainty.difference(one, other))
+        one, other = (means(3 + normal(40, 2 * trial + step), drawn) for step in (0, 1))
+        low, high = uncertainty.interval(one)
+        inside += low < 3 < high
+        low, high = uncertainty.interval(one - other)
         called += not low < 0 < high
 
+    assert 0.90 <= inside / 300 <= 0.98
     assert 0.02 <= called / 300 <= 0.10
 
 
-def test_draws_of_different_lengths_are_refused():
-    values = normal(8, seed=0)
-    one, other = (mean_of(values, weights(8, many)) for many in (10, 20))
+# --- of a run -------------------------------------------------------------------------------------
 
-    with pytest.raises(ValueError, match="10 draws cannot be compared with 20"):
-        uncertainty.difference(one, other)
+Measured = tuple[DetectorFigures, uncertainty.Draws]
+
+
+def measured(dataset: Dataset, scenes, noise: float) -> Measured:
+    """Figures and draws of a detector whose road is that much blurred by noise."""
+
+    def look(image, item):
+        generator = torch.Generator().manual_seed(int(item.name[7:]))
+        blur = torch.rand(48, 64, generator=generator)
+        likelihood = (1 - noise) * scenes[item.name].road + noise * blur
+        scores = scenes[item.name].layout
+        layout = torch.stack([(scores == kind).float() for kind in range(3)]) + blur * noise * 3
+        return Detection(likelihood, likelihood > 0.5, {"layout": layout})
+
+    tally = counted(dataset, look)
+    figures = summarised(tally)
+    return figures, uncertainty.resample(tally, figures)
+
+
+def test_every_headline_figure_has_an_interval_around_it(dataset, scenes):
+    figures, draws = measured(dataset, scenes, 0.7)
+
+    found = uncertainty.intervals(draws)
+
+    names = {
+        *("maxf", "auc_pooled", "auc_mean", "ap", "eer", "brier"),
+        *("iou", "f", "f_mask", "iou_mask", "layout/mean"),
+    }
+    assert set(found) == names == {one.key for one in MEASURES if one.interval}
+    for name, (low, high) in found.items():
+        assert low <= figures.headline[name] <= high
+        assert 0 <= high - low < 0.2
+    assert found["maxf"][1] > found["maxf"][0]
+
+
+def test_pairs_are_signed_share_their_draws_and_have_the_figures_of_both(dataset, scenes):
+    runs = {"good": measured(dataset, scenes, 0.72), "poor": measured(dataset, scenes, 0.75)}
+    runs |= {"again": runs["good"], "bare": (runs["good"][0], dict(runs["good"][1]))}
+    detectors = {name: figures for name, (figures, _) in runs.items()}
+    draws = {name: own for name, (_, own) in runs.items()}
+    draws["bare"] = {key: own for key, own in draws["bare"].items() if key != "layout/mean"}
+
+    found = uncertainty.compare(detectors, draws, "good").differences
+    other = uncertainty.compare(detectors, draws, "poor").differences
+
+    assert found["again"]["maxf"].value == 0
+    assert found["again"]["maxf"].interval == (0, 0)
+    assert found["poor"]["maxf"].interval.high < 0  # worse on every picture
+    assert found["poor"]["brier"].interval.low > 0
+    low, high = found["poor"]["maxf"].interval
+    assert low < found["poor"]["maxf"].value < high
+    assert other["good"]["maxf"].interval == pytest.approx((-high, -low))
+    # Paired, the interval is far narrower than those of the two figures.
+    alone = uncertainty.intervals(draws["poor"])["maxf"]
+    assert high - low < 0.7 * (alone.high - alone.low)
+    assert set(found["again"]) - set(found["bare"]) == {"layout/mean"}

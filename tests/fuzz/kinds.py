@@ -28,10 +28,11 @@ from roadtorch.data.labelme import PolygonLabels
 from roadtorch.data.maps import CONFIG, deciding_settings, map_likelihood, map_mask
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
 from roadtorch.errors import ConfigError, DatasetError, InputError
+from roadtorch.evaluation import evaluate
 from roadtorch.evaluation.document import earlier_thresholds
-from roadtorch.evaluation.evaluate import FILE, SavedTallies
 from roadtorch.evaluation.methods import Method, named_detector
 from roadtorch.evaluation.scoring import score
+from roadtorch.evaluation.tally import Tally
 from roadtorch.io.image import read_image
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
@@ -477,19 +478,17 @@ def make_progress(draw: Draw, folder: Path) -> Path:
     """What an interrupted ``evaluate`` has counted."""
     write_set(folder, "a")
     item = Item("a", folder / "images/a.png", folder / "masks/a.png")
-    saved = SavedTallies(folder, "run")
+    tally, path = Tally(), folder / evaluate.FILE
     for result in score(Dataset("folder", folder, "all", (item,), FolderLabels()), methods()):
-        told = {name: replace(one, seconds=0.01) for name, one in result.scores.items()}
-        saved.add(replace(result, scores=told))
-    saved.save()
-    path = folder / FILE
+        tally.add(item, replace(result.scores[DETECTOR], seconds=0.01))
+    evaluate.write_progress(path, "run", {DETECTOR: tally})
     return written(path, tampered(draw, path.read_bytes()))
 
 
 def read_progress(path: Path) -> bool:
-    saved = SavedTallies(path.parent, "run")
-    saved.sort(["a"])
-    return saved.done == {"a"}
+    tally = evaluate.read_progress(path, "run")[DETECTOR]
+    tally.sort(["a"])
+    return [name for name, _ in tally.pictures] == ["a"]
 
 
 KINDS: Mapping[str, Kind] = {
