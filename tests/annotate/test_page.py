@@ -53,6 +53,17 @@ def server(streets: Path, tmp_path: Path) -> Iterator[Server]:
     one.stop()
 
 
+@pytest.fixture
+def many(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Server]:
+    """So many pictures, all the same."""
+    folder = write_streets(tmp_path / "many", 1)
+    for number in range(1, request.param):
+        os.link(folder / "street_0.png", folder / f"street_{number}.png")
+    one = Server(folder, tmp_path / "corrections")
+    yield one
+    one.stop()
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator["Browser"]:
     with sync_api.sync_playwright() as playwright:
@@ -78,7 +89,7 @@ def visit(browser: "Browser") -> Iterator[Open]:
         page.on("pageerror", lambda error: mistakes.append(str(error)))
         page.goto(server.url)
         page.fill("#user", user)
-        page.keyboard.press("Enter")
+        press(page, "Enter")
         page.wait_for_selector("body[data-picture]")
         return page
 
@@ -98,15 +109,29 @@ def shown(page: "Page", name: str) -> None:
     page.wait_for_function("name => document.body.dataset.picture === name", arg=name)
 
 
-def click(page: "Page", across: float, down: float) -> None:
+def place_of(page: "Page", across: float, down: float) -> tuple[float, float]:
     box = page.locator("#stage").bounding_box()
     assert box is not None
-    page.mouse.click(box["x"] + across * box["width"], box["y"] + down * box["height"])
+    return box["x"] + across * box["width"], box["y"] + down * box["height"]
 
 
-def notices(page: "Page", words: str) -> None:
+def click(page: "Page", across: float, down: float, version: int | None = None) -> None:
+    """Click on the picture, and wait for its version if one is given."""
+    page.mouse.click(*place_of(page, across, down))
+    if version is not None:
+        at_version(page, version)
+
+
+def press(page: "Page", *keys: str) -> None:
+    for key in keys:
+        page.keyboard.press(key)
+
+
+def tells(page: "Page", identity: str, words: str) -> None:
+    """Wait until an element says these words."""
     page.wait_for_function(
-        "words => document.getElementById('notice').textContent.includes(words)", arg=words
+        "([id, words]) => document.getElementById(id).textContent.includes(words)",
+        arg=[identity, words],
     )
 
 
@@ -115,16 +140,15 @@ def notices(page: "Page", words: str) -> None:
 
 def test_correct_undo_redo_reload(visit: Open, server: Server) -> None:
     page = visit(server)
-    page.keyboard.press("2")
-    click(page, 0.5, 0.9)
-    at_version(page, 1)
+    press(page, "2")
+    click(page, 0.5, 0.9, version=1)
     (one,) = server.corrections()
     assert 0 < (one.road == 0).sum() < one.road.size / 4
     assert not (one.road == 1).any()
-    page.keyboard.press("z")
+    press(page, "z")
     at_version(page, 2)
     assert server.corrections() == []
-    page.keyboard.press("Control+y")
+    press(page, "Control+y")
     at_version(page, 3)
     page.reload()
     at_version(page, 3)
@@ -135,23 +159,18 @@ def test_correct_undo_redo_reload(visit: Open, server: Server) -> None:
 @pytest.mark.slow
 def test_drag_polygon_and_brush(visit: Open, server: Server) -> None:
     page = visit(server)
-    box = page.locator("#stage").bounding_box()
-    assert box is not None
-    page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.9 * box["height"])
+    page.mouse.move(*place_of(page, 0.3, 0.9))
     page.mouse.down()
-    page.mouse.move(box["x"] + 0.7 * box["width"], box["y"] + 0.9 * box["height"], steps=12)
+    page.mouse.move(*place_of(page, 0.7, 0.9), steps=12)
     page.mouse.up()
     at_version(page, 1)
-    page.keyboard.press("p")
-    page.keyboard.press("4")
+    press(page, "p", "4")
     for place in ((0.3, 0.1), (0.7, 0.1), (0.7, 0.3)):
         click(page, *place)
-    page.keyboard.press("Enter")
+    press(page, "Enter")
     at_version(page, 2)
-    page.keyboard.press("b")
-    page.keyboard.press("5")
-    click(page, 0.5, 0.5)
-    at_version(page, 3)
+    press(page, "b", "5")
+    click(page, 0.5, 0.5, version=3)
     (one,) = server.corrections()
     assert (one.road == 1).sum() > 100
     assert {0, 1, 2} <= set(one.layout.reshape(-1).tolist())
@@ -161,42 +180,34 @@ def test_drag_polygon_and_brush(visit: Open, server: Server) -> None:
 def test_right_as_it_is_in_one_key_and_the_next_comes(visit: Open, server: Server) -> None:
     page = visit(server)
     shown(page, "street_0.png")
-    page.keyboard.press("Enter")
+    press(page, "Enter")
     shown(page, "street_1.png")
     (one,) = server.corrections()
     assert (one.name, one.confirmed, one.clicks) == ("street_0.png", True, 1)
-    page.wait_for_function(
-        "() => document.getElementById('progress').textContent.startsWith('1 of 3 right')"
-    )
+    tells(page, "progress", "1 of 3 right")
 
 
 @pytest.mark.slow
 def test_the_keyboard_alone_is_enough(visit: Open, server: Server) -> None:
     page = visit(server, "keys")
-    page.keyboard.press("?")
+    press(page, "?")
     assert page.locator("#help").is_visible()
     assert "Space" in page.locator("#keys").inner_text()
-    page.keyboard.press("Escape")
+    press(page, "Escape")
     page.wait_for_selector("#help", state="hidden")
-    page.keyboard.press("ArrowDown")
-    page.keyboard.press("3")
-    page.keyboard.press("Space")
+    press(page, "ArrowDown", "3", "Space")
     at_version(page, 1)
-    page.keyboard.press("p")
+    press(page, "p")
     for arrow in ("ArrowUp", "ArrowRight", "ArrowDown"):
-        for _ in range(12):
-            page.keyboard.press(arrow)
-        page.keyboard.press("Space")
-    page.keyboard.press("Enter")
+        press(page, *[arrow] * 12, "Space")
+    press(page, "Enter")
     at_version(page, 2)
-    for key in ("+", "-", "0", "o", "O", "v", "v", "g", "l", "l", "Control+ArrowLeft", "]", "["):
-        page.keyboard.press(key)
-    page.keyboard.press("n")
+    press(page, *"+-0oOvvgll", "Control+ArrowLeft", "]", "[")
+    press(page, "n")
     shown(page, "street_1.png")
-    page.keyboard.press("k")
+    press(page, "k")
     shown(page, "street_0.png")
-    page.keyboard.press("m")
-    page.keyboard.press("ArrowDown")
+    press(page, "m", "ArrowDown")
     shown(page, "street_1.png")
     (one,) = server.corrections()
     assert one.users == ("keys",)
@@ -209,8 +220,7 @@ def test_a_narrow_window_has_everything_in_reach(visit: Open, server: Server) ->
     assert page.evaluate("document.documentElement.scrollWidth") <= 360
     assert not page.locator("#side").is_visible()
     page.locator("button", has_text="not road").click()
-    click(page, 0.5, 0.55)
-    at_version(page, 1)
+    click(page, 0.5, 0.55, version=1)
     page.locator("#show-list").click()
     page.locator(".row", has_text="street_2").click()
     shown(page, "street_2.png")
@@ -225,7 +235,7 @@ def test_the_hint_goes_for_good_and_the_colour_stays(visit: Open, server: Server
     assert page.locator("#hint li").count() == 3
     assert page.evaluate(road) == "rgb(86 180 233)"  # as infer draws it
     page.locator("#hint-seen").click()
-    page.keyboard.press("h")
+    press(page, "h")
     assert page.evaluate(road) == "rgb(0 158 115)"
     page.reload()
     page.wait_for_selector("body[data-picture]")
@@ -236,37 +246,31 @@ def test_the_hint_goes_for_good_and_the_colour_stays(visit: Open, server: Server
 @pytest.mark.slow
 def test_same_as_last_frame(visit: Open, server: Server) -> None:
     page = visit(server)
-    page.keyboard.press("c")
-    notices(page, "before it that you called right")
-    page.keyboard.press("Enter")
+    press(page, "c")
+    tells(page, "notice", "before it that you called right")
+    press(page, "Enter")
     shown(page, "street_1.png")
-    page.keyboard.press("c")
+    press(page, "c")
     at_version(page, 1)
     assert [one.name for one in server.corrections()] == ["street_0.png"]
-    page.keyboard.press("Enter")
+    press(page, "Enter")
     shown(page, "street_2.png")
     first, second = server.corrections()
     assert (first.road == second.road).all()
 
 
 @pytest.mark.slow
-def test_faster_than_anybody_looks_is_told(visit: Open, tmp_path: Path) -> None:
-    folder = write_streets(tmp_path / "many", 1)
-    for number in range(1, 12):
-        shutil.copy(folder / "street_0.png", folder / f"street_{number}.png")
-    server = Server(folder, tmp_path / "corrections")
-    page = visit(server)
+@pytest.mark.parametrize("many", [12], indirect=True)
+def test_faster_than_anybody_looks_is_told(visit: Open, many: Server) -> None:
+    page = visit(many)
     for count in range(1, 11):
         before = page.evaluate("document.body.dataset.picture")
         page.evaluate("dispatchEvent(new KeyboardEvent('keydown', { key: 'Enter' }))")
         page.wait_for_function("b => document.body.dataset.picture !== b", arg=before)
-        page.wait_for_function(
-            "n => document.getElementById('progress').textContent.startsWith(n + ' of')", arg=count
-        )
+        tells(page, "progress", f"{count} of 12 right")
     text = page.locator("#progress").inner_text()
-    hasty = [one.seconds < 1 for one in server.corrections()]
+    hasty = [one.seconds < 1 for one in many.corrections()]
     assert ("caution: 10 in a row" in text) == all(hasty)
-    server.stop()
 
 
 # --- several windows and people ---------------------------------------------------------
@@ -275,12 +279,10 @@ def test_faster_than_anybody_looks_is_told(visit: Open, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_two_windows_of_one_person_lose_nothing(visit: Open, server: Server) -> None:
     one, other = visit(server, "ann"), visit(server, "ann")
-    click(one, 0.5, 0.9)
-    at_version(one, 1)
+    click(one, 0.5, 0.9, version=1)
     at_version(other, 1)  # it comes by itself
-    other.keyboard.press("2")
-    click(other, 0.5, 0.2)
-    at_version(other, 2)
+    press(other, "2")
+    click(other, 0.5, 0.2, version=2)
     at_version(one, 2)
     (found,) = server.corrections()
     assert (found.road == 1).any()
@@ -290,10 +292,8 @@ def test_two_windows_of_one_person_lose_nothing(visit: Open, server: Server) -> 
 @pytest.mark.slow
 def test_two_people_see_how_far_they_agree(visit: Open, server: Server) -> None:
     ann, bob = visit(server, "ann"), visit(server, "bob")
-    click(ann, 0.5, 0.9)
-    at_version(ann, 1)
-    click(bob, 0.5, 0.9)
-    at_version(bob, 1)
+    click(ann, 0.5, 0.9, version=1)
+    click(bob, 0.5, 0.9, version=1)
     assert "agreement 100.0 %" in bob.locator("#facts").inner_text()
     assert server.corrections()[0].users == ("ann", "bob")
     bob.wait_for_function(
@@ -308,21 +308,17 @@ def test_a_second_person_reviews(visit: Open, server: Server) -> None:
         ann.keyboard.press("Enter")
         shown(ann, picture)
     bob = visit(server, "bob")
-    bob.keyboard.press("r")
+    press(bob, "r")
     shown(bob, "street_0.png")
-    bob.wait_for_function(
-        "() => document.getElementById('facts').textContent.includes('work of ann')"
-    )
+    tells(bob, "facts", "work of ann")
     click(bob, 0.5, 0.9)  # a reviewer draws nothing
-    bob.keyboard.press("Enter")
+    press(bob, "Enter")
     shown(bob, "street_1.png")
-    bob.keyboard.press("x")
-    ann.wait_for_function(
-        "() => document.getElementById('progress').textContent.startsWith('1 of 3 right')"
-    )
+    press(bob, "x")
+    tells(ann, "progress", "1 of 3 right")
     (one,) = server.corrections()  # of the other nothing but the confirmation was said
     assert (one.name, one.users, one.reviewers) == ("street_0.png", ("ann",), ("bob",))
-    bob.keyboard.press("r")
+    press(bob, "r")
     bob.wait_for_function(
         "() => !document.getElementById('facts').textContent.includes('work of ann')"
     )
@@ -334,12 +330,11 @@ def test_a_second_person_reviews(visit: Open, server: Server) -> None:
 @pytest.mark.slow
 def test_a_server_that_is_started_again_gets_what_waits(visit: Open, server: Server) -> None:
     page = visit(server)
-    click(page, 0.5, 0.9)
-    at_version(page, 1)
+    click(page, 0.5, 0.9, version=1)
     server.stop()
-    page.keyboard.press("2")
+    press(page, "2")
     click(page, 0.5, 0.2)
-    notices(page, "1 event waits here")
+    tells(page, "notice", "1 event waits here")
     click(page, 0.2, 0.2)
     again = Server(server.folder, server.out)
     assert again.url == server.url
@@ -356,7 +351,7 @@ def test_what_waits_outlives_a_reload(visit: Open, server: Server) -> None:
     page = visit(server)
     page.route("**/api/event*", lambda route: route.abort())
     click(page, 0.5, 0.9)
-    notices(page, "1 event waits here")
+    tells(page, "notice", "1 event waits here")
     page.unroute("**/api/event*")
     page.route("**/api/event*", lambda route: route.abort(), times=1)
     page.reload()
@@ -370,10 +365,9 @@ def test_a_folder_that_changes_while_open(visit: Open, server: Server) -> None:
     shutil.copy(server.folder / "street_0.png", server.folder / "later.png")
     page.wait_for_selector(".row:has-text('later.png')")
     (server.folder / "street_0.png").unlink()
-    notices(page, "no longer in the folder")
-    click(page, 0.5, 0.9)
-    at_version(page, 1)
-    page.keyboard.press("n")
+    tells(page, "notice", "no longer in the folder")
+    click(page, 0.5, 0.9, version=1)
+    press(page, "n")
     page.wait_for_function("() => document.body.dataset.picture !== 'street_0.png'")
     assert server.corrections()[0].name == "street_0.png"
 
@@ -387,25 +381,20 @@ def test_a_refused_stroke_is_told_and_the_next_one_goes_through(
         status=413, content_type="application/json", body='{"error": "stroke: is too long (x)"}'
     ), times=1)  # fmt: skip
     click(page, 0.5, 0.9)
-    notices(page, "Not kept: stroke")
+    tells(page, "notice", "Not kept: stroke")
     assert not list(server.out.rglob("*.jsonl"))
-    click(page, 0.5, 0.9)
-    at_version(page, 1)
+    click(page, 0.5, 0.9, version=1)
     page.wait_for_selector("#notice", state="hidden")
     assert [one.clicks for one in server.corrections()] == [1]
 
 
 @pytest.mark.slow
-def test_a_thousand_pictures(visit: Open, tmp_path: Path) -> None:
-    folder = write_streets(tmp_path / "many", 1)
-    for number in range(1, 1000):
-        os.link(folder / "street_0.png", folder / f"street_{number}.png")
-    server = Server(folder, tmp_path / "corrections")
-    page = visit(server)
+@pytest.mark.parametrize("many", [1000], indirect=True)
+def test_a_thousand_pictures(visit: Open, many: Server) -> None:
+    page = visit(many)
     assert "of 1000" in page.locator("#progress").inner_text()
     assert page.locator(".row").count() < 40
     page.evaluate("document.getElementById('list').scrollTop = 1e6")
     page.locator(".row", has_text="street_999.png").click()
     shown(page, "street_999.png")
     assert page.locator(".row").count() < 40
-    server.stop()

@@ -1,11 +1,18 @@
-"""A small CamVid of rendered streets."""
+"""Label pictures, and a small CamVid of rendered streets."""
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from roadtorch.scenes.street import render_scene
 from tests.streets import write_camvid
+
+
+def write_png(path: Path, pixels: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(pixels).save(path)
 
 
 @pytest.fixture

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.conditions import with_conditions
 from roadtorch.data.dataset import Dataset, leave_out
 from roadtorch.errors import ConfigError, DatasetError
+from tests.data.conftest import write_png
 
 TABLE = """name,file,place,condition,size
 near,a.png,"a town, by the sea",day bonnet,3x1
@@ -21,12 +21,9 @@ far,b.png,,night rain night,3x1
 @pytest.fixture
 def root(tmp_path) -> Path:
     """Two cameras; ``a`` is a picture of both."""
-    for name in ("near/images/a", "near/masks/a", "far/images/a", "far/masks/a", "far/images/b",
-                 "far/masks/b", "far/images/c", "far/masks/c"):  # fmt: skip
-        path = tmp_path / f"{name}.png"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        shape = (1, 3, 3) if "images" in name else (1, 3)
-        Image.fromarray(np.zeros(shape, np.uint8)).save(path)
+    for name in ("near/{}/a", "far/{}/a", "far/{}/b", "far/{}/c"):
+        for part in ("images", "masks"):
+            write_png(tmp_path / f"{name.format(part)}.png", np.zeros((1, 3), np.uint8))
     return tmp_path
 
 

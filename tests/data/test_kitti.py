@@ -7,22 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, Item
 from roadtorch.data.kitti import BirdsEye, birds_eye, open_kitti_road, result_name
 from roadtorch.errors import ConfigError, DatasetError
 from roadtorch.evaluation.metrics import average_precision, count_levels, max_f
+from tests.data.conftest import write_png
 from tests.reference import bev as reference
 
 MAGENTA, RED, BLACK, BLUE = (255, 0, 255), (255, 0, 0), (0, 0, 0), (0, 0, 255)
 HEIGHT, WIDTH = 120, 160
-
-
-def write_png(path: Path, pixels: np.ndarray) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(pixels).save(path)
 
 
 def street() -> np.ndarray:
@@ -99,21 +94,6 @@ def test_missing_and_misnamed_files_are_named(kitti):
         open_kitti_road(kitti / "calib", "road")
 
 
-# --- truth -------------------------------------------------------------------------------
-
-
-def test_the_four_colours(kitti):
-    truth = np.array([[MAGENTA, RED, BLACK, BLUE]], np.uint8)
-    write_png(kitti / "gt_image_2/um_road_000000.png", truth)
-    found = open_kitti_road(kitti, "road")
-
-    decoded = found.truth(found.items[0])
-
-    assert decoded.road.tolist() == [[True, False, False, False]]
-    assert decoded.valid.tolist() == [[True, True, False, False]]
-    assert decoded.layout is None
-
-
 # --- bird's-eye view ---------------------------------------------------------------------
 
 
@@ -153,13 +133,7 @@ def test_cells_without_a_pixel_are_void(kitti):
 
     assert unseen.any()
     assert not (valid & unseen).any()
-
-
-def test_truth_is_perfect_and_its_opposite_is_not(kitti):
-    found = birds_eye(open_kitti_road(kitti, "road"))
-    item = found.items[0]
     road = found.truth(item).road.float()
-
     assert scores(found, item, road) == pytest.approx((1, 1), abs=1e-9)
     assert scores(found, item, 1 - road)[0] < 0.9
 

@@ -6,39 +6,53 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, Item, Kind
 from roadtorch.data.labels import read_labels
 from roadtorch.errors import DatasetError
+from tests.data.conftest import write_png
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs/evaluation.md"
 
 
-def write_png(path: Path, pixels: np.ndarray) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(pixels).save(path)
+FOLDER = ("folder", "images/a", "masks/a")
+ULM = "val/ulm/ulm_000001_000019"
+SCORED = [7, 8, 11, 12, 13, 17, *range(19, 29), 31, 32, 33]  # the 19 of Cityscapes' own evaluation
+CITY_LAYOUT = [{7: 2, 8: 2, 22: 2, 23: 0}.get(n, 1) if n in SCORED else 255 for n in range(35)]
 
 
-def folder_set(root: Path, mask: np.ndarray) -> Dataset:
-    write_png(root / "images/a.png", np.zeros((*mask.shape[:2], 3), np.uint8))
-    write_png(root / "masks/a.png", mask)
-    return open_dataset("folder", root)
+@pytest.mark.parametrize(
+    ("name", "picture", "label", "pixels", "road", "void", "layout"),
+    [
+        ("camvid", "train/0001TP_1", "trainannot/0001TP_1", range(12), [3], [11],
+         [0, 1, 1, 2, 2, *[1] * 6, 255]),
+        (*FOLDER, [0, 255, 127], [1], [2], None),
+        (*FOLDER, [0, 255, 128], [1], [2], None),
+        (*FOLDER, [0, 1, 128], [1], [2], None),
+        ("idd-lite", "images/a", "labels/a", [*range(7), 255], [0], [7],
+         [2, 2, 1, 1, 1, 1, 0, 255]),
+        ("cityscapes", f"leftImg8bit/{ULM}_leftImg8bit", f"gtFine/{ULM}_gtFine_labelIds",
+         [*range(34), 255], [7], [n for n in range(35) if n not in SCORED], CITY_LAYOUT),
+        ("kitti-road", "image_2/um_000000", "gt_image_2/um_road_000000",
+         [(255, 0, 255), (255, 0, 0), (0, 0, 0), (0, 0, 255)], [0], [2, 3], None),
+    ],
+)  # fmt: skip
+def test_what_the_labels_of_a_set_mean(tmp_path, name, picture, label, pixels, road, void, layout):
+    write_png(tmp_path / f"{picture}.png", np.zeros((1, len(pixels), 3), np.uint8))
+    write_png(tmp_path / f"{label}.png", np.array([pixels], np.uint8))
+    for part in ("val", "valannot") if name == "camvid" else ():
+        (tmp_path / part).symlink_to(tmp_path / part.replace("val", "train"))
+    found = open_dataset(name, tmp_path)
+
+    truth = found.read(found.items[0])[1]
+
+    assert truth.road[0].nonzero().flatten().tolist() == road
+    assert (~truth.valid[0]).nonzero().flatten().tolist() == void
+    assert (truth.layout if truth.layout is None else truth.layout[0].tolist()) == layout
 
 
 # --- folder --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("road", "void"), [(255, 127), (255, 128), (1, 128)])
-def test_folder_masks_in_either_coding(tmp_path, road, void):
-    found = folder_set(tmp_path, np.array([[0, road, void]], np.uint8))
-
-    truth = found.truth(found.items[0])
-
-    assert truth.road[0].tolist() == [False, True, False]
-    assert truth.valid[0].tolist() == [True, True, False]
-    assert truth.layout is None
 
 
 def grouped_set(root: Path) -> Dataset:
@@ -83,27 +97,15 @@ def test_a_folder_without_pictures_and_a_layout_of_another_size_are_named(tmp_pa
 
 
 def test_one_and_255_in_one_mask_are_ambiguous(tmp_path):
-    found = folder_set(tmp_path, np.array([[0, 1, 255]], np.uint8))
+    write_png(tmp_path / "images/a.png", np.zeros((1, 3, 3), np.uint8))
+    write_png(tmp_path / "masks/a.png", np.array([[0, 1, 255]], np.uint8))
+    found = open_dataset("folder", tmp_path)
 
     with pytest.raises(DatasetError, match="both 1 and 255"):
         found.truth(found.items[0])
 
 
 # --- IDD Lite ------------------------------------------------------------------------------------
-
-
-def test_idd_lite_classes(tmp_path):
-    write_png(tmp_path / "images/a.png", np.zeros((1, 8, 3), np.uint8))
-    write_png(tmp_path / "labels/a.png", np.array([[0, 1, 2, 3, 4, 5, 6, 255]], np.uint8))
-
-    found = open_dataset("idd-lite", tmp_path)
-    truth = found.truth(found.items[0])
-
-    assert found.groups() == []
-    assert truth.road[0].tolist() == [True] + [False] * 7
-    assert truth.valid[0].tolist() == [True] * 7 + [False]
-    assert truth.layout is not None
-    assert truth.layout[0].tolist() == [2, 2, 1, 1, 1, 1, 0, 255]
 
 
 @pytest.mark.data
@@ -120,14 +122,11 @@ def test_shares_of_the_classes_of_idd_lite(data_root):
 
 # --- Cityscapes ----------------------------------------------------------------------------------
 
-LABELS = np.arange(35, dtype=np.uint8)[None]
-LABELS[0, 34] = 255
-
 
 def write_city(root: Path, name: str, split: str = "val") -> Path:
     place = f"{split}/{name.partition('_')[0]}/{name}"
-    write_png(root / f"leftImg8bit/{place}_leftImg8bit.png", np.zeros((*LABELS.shape, 3), np.uint8))
-    write_png(root / f"gtFine/{place}_gtFine_labelIds.png", LABELS)
+    write_png(root / f"leftImg8bit/{place}_leftImg8bit.png", np.zeros((1, 1, 3), np.uint8))
+    write_png(root / f"gtFine/{place}_gtFine_labelIds.png", np.zeros((1, 1), np.uint8))
     return root / f"gtFine/{place}_gtFine_labelIds.png"
 
 
@@ -141,21 +140,6 @@ def test_cityscapes_is_grouped_by_city(tmp_path):
     assert [item.name for item in found.items] == ["bonn_000000_000019", "ulm_000001_000019"]
     assert found.groups() == ["bonn", "ulm"]
     assert open_dataset("cityscapes", tmp_path, "train").groups() == ["aachen"]
-
-
-def test_cityscapes_numbers(tmp_path):
-    write_city(tmp_path, "ulm_000001_000019")
-    found = open_dataset("cityscapes", tmp_path)
-
-    truth = found.read(found.items[0])[1]
-
-    scored = [7, 8, 11, 12, 13, 17, *range(19, 29), 31, 32, 33]  # the 19 of its own evaluation
-    assert truth.road[0].nonzero().flatten().tolist() == [7]
-    assert truth.valid[0].nonzero().flatten().tolist() == scored
-    assert truth.layout is not None
-    assert (truth.layout[0] != 255).nonzero().flatten().tolist() == scored
-    assert (truth.layout[0] == 2).nonzero().flatten().tolist() == [7, 8, 22]
-    assert (truth.layout[0] == 0).nonzero().flatten().tolist() == [23]
 
 
 def test_what_cityscapes_may_lack(tmp_path):
