@@ -30,8 +30,8 @@ from roadtorch.io.image import read_image
 from roadtorch.runs.engines import processors, rows_of_workers
 from roadtorch.runs.footage import USUAL_OF_PICTURES
 from roadtorch.runs.index import Row
-from roadtorch.runs.pictures import Job
-from roadtorch.runs.results import Inference, plan_results
+from roadtorch.runs.pictures import Job, plan
+from roadtorch.runs.results import Inference
 from roadtorch.runtime.memory import keep_freed_memory
 from roadtorch.runtime.threads import Threads
 from roadtorch.sources.pictures import find_images
@@ -79,10 +79,10 @@ def measure(given: argparse.Namespace, out: Path) -> dict[str, float]:
     Threads(1, 1).set()
     keep_freed_memory()
     detector = load_detector(given.detector)
-    jobs = plan_results(find_images([given.images]), out, USUAL_OF_PICTURES)[: given.pictures]
+    infer = Inference(detector, KINDS, 8)
+    jobs = plan(find_images([given.images]), out, infer.ends)[: given.pictures]
     images = [read_image(job.picture.path) for job in jobs[:KEPT]]
     found = [detector.detect(image) for image in images]
-    infer = Inference(detector, KINDS, 8)
     ways: dict[str, Callable[[Job], Row]] = {
         "detect": Detecting(detector, images),
         "read and write": ReadingAndWriting(found, infer),

@@ -20,18 +20,13 @@ SHOWN = 60
     "most",
     type=click.IntRange(min=2),
     default=400,
-    show_default=True,
     help="Frames to learn from, evenly chosen.",
 )
 @SETTING
 @click.option(
     "--labelled", help="Labelled set NAME:ROOT for F before and after; its labels teach nothing."
 )
-@click.option(
-    "--threads",
-    type=click.IntRange(min=1),
-    help="Threads; the result depends on it.",
-)
+@click.option("--threads", type=click.IntRange(min=1), help="Threads; the result depends on it.")
 @QUIET
 @click.pass_context
 def adapt(

@@ -20,7 +20,6 @@ FORMATS = ("labelme", "xml", "png", "cvat", "label-studio")
     "--order",
     type=click.Choice(ORDERS),
     default=ORDERS[0],
-    show_default=True,
     help="Which picture comes next; different: most unlike those corrected.",
 )
 @with_detector
@@ -29,12 +28,7 @@ FORMATS = ("labelme", "xml", "png", "cvat", "label-studio")
 @click.option("--to", type=PATH, help="Folder for --export.")
 @click.option("--import", "imported", type=click.Choice(FORMATS), help="Read labels from --from.")
 @click.option("--from", "origin", type=PATH, help="Folder of --import.")
-@click.option(
-    "--user",
-    default="imported",
-    show_default=True,
-    help="Name of the person whose labels --import reads.",
-)
+@click.option("--user", default="imported", help="Name of the person whose labels --import reads.")
 @click.pass_context
 def annotate(
     context: click.Context,

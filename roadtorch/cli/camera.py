@@ -1,29 +1,22 @@
 """roadtorch camera: what one camera's footage tells about it."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from roadtorch.cli.options import FOOTAGE, PATH
-
-if TYPE_CHECKING:
-    from roadtorch.camera.camera import Camera
 
 SHOWN = 12  # frames that the mean in the picture is made of
 
 
 @click.command()
 @FOOTAGE
-@click.option(
-    "--out", type=PATH, default=Path("camera.toml"), show_default=True, help="File to write."
-)
+@click.option("--out", type=PATH, default=Path("camera.toml"), help="File to write.")
 @click.option(
     "--frames",
     "most",
     type=click.IntRange(min=5),
     default=120,
-    show_default=True,
     help="Frames to look at, evenly chosen.",
 )
 def camera(footage: tuple[str, ...], out: Path, most: int) -> None:
@@ -36,6 +29,7 @@ def camera(footage: tuple[str, ...], out: Path, most: int) -> None:
     from roadtorch.camera.camera import check_picture
     from roadtorch.camera.footage import camera_of
     from roadtorch.io.image import write_jpeg
+    from roadtorch.road.ego import is_given, outline_rows
     from roadtorch.runtime.progress import Progress
     from roadtorch.sources.open import frame_places, read_frames
 
@@ -47,24 +41,15 @@ def camera(footage: tuple[str, ...], out: Path, most: int) -> None:
     shown = places[:: max(1, len(places) // SHOWN)]
     found.write(out)
     write_jpeg(picture, check_picture(found, list(read_frames(shown))))
-    click.echo("\n".join(told(found, out, picture)))
-
-
-def told(camera: "Camera", out: Path, picture: Path) -> list[str]:
-    """What was found, in three lines."""
-    from roadtorch.road.ego import is_given, outline_rows
-
-    ego = "ego car: none seen"
-    if is_given(camera.ego):
-        rows = outline_rows(camera.ego.outline, camera.width)
-        share = float((1 - rows).double().mean())
-        ego = f"ego car: {share:.1%} of the picture, from row {float(rows.min()):.2f} of the height"
-    size = f"{camera.frames} frames of {camera.width}×{camera.height} pixels"
-    return [
-        ego,
-        f"horizon: row {camera.horizon:.2f}; seed row: {camera.seed_row:.2f}",
-        f"{size}; written: {out}, and {picture} to check",
-    ]
+    ego = "none seen"
+    if is_given(found.ego):
+        rows = outline_rows(found.ego.outline, found.width)
+        share, top = float((1 - rows).double().mean()), float(rows.min())
+        ego = f"{share:.1%} of the picture, from row {top:.2f} of the height"
+    click.echo(f"ego car: {ego}")
+    click.echo(f"horizon: row {found.horizon:.2f}; seed row: {found.seed_row:.2f}")
+    size = f"{found.frames} frames of {found.width}×{found.height} pixels"
+    click.echo(f"{size}; written: {out}, and {picture} to check")
 
 
 def _refuse_replacing(out: Path, picture: Path, inputs: set[Path]) -> None:

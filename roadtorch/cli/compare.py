@@ -33,11 +33,7 @@ if TYPE_CHECKING:
 @click.option("--out", type=PATH, help="Folder for the page and the figures.")
 @click.option("--limit", type=click.IntRange(min=1), help="Look at this many pictures only.")
 @click.option(
-    "--worst",
-    type=click.IntRange(min=0),
-    default=12,
-    show_default=True,
-    help="Pictures on the page, the worst first.",
+    "--worst", type=click.IntRange(min=0), default=12, help="Pictures on the page, the worst first."
 )
 @JOBS
 @QUIET

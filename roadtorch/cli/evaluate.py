@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from roadtorch.cli.completion import suggest_detectors, suggest_rooted_datasets
-from roadtorch.cli.options import CAMERA, PATH, command_line, labelled_set
+from roadtorch.cli.options import CAMERA, PATH, LabelledOptions, command_line, with_labelled
 
 if TYPE_CHECKING:
     from roadtorch.evaluation.result import Evaluation
 
 
 @click.command()
-@labelled_set
+@with_labelled
 @CAMERA
 @click.option("--maps", "folders", multiple=True, help="Maps made elsewhere: NAME=DIR or DIR.")
 @click.option("--bev", is_flag=True, help="Score in bird's-eye view (kitti-road).")
@@ -35,25 +35,17 @@ if TYPE_CHECKING:
     "--montage",
     type=click.IntRange(min=0),
     default=4,
-    show_default=True,
     help="Show the N best, median and worst pictures of each detector.",
 )
 @click.pass_context
 def evaluate(
     context: click.Context,
-    dataset: str,
-    root: Path,
-    split: str | None,
-    names: tuple[str, ...],
-    assignments: tuple[str, ...],
+    labelled: LabelledOptions,
     camera: Path | None,
     folders: tuple[str, ...],
     bev: bool,
     conditions: Path | None,
     out: Path | None,
-    left_out: tuple[str, ...],
-    limit: int | None,
-    jobs: int,
     mean_from: str | None,
     threshold_from: Path | None,
     against: str | None,
@@ -66,9 +58,8 @@ def evaluate(
     groups can teach it, prior:mean.
     A run that is interrupted goes on where it was when it is started again.
     """
-    from roadtorch.data.catalogue import open_dataset, open_named
+    from roadtorch.data.catalogue import open_named
     from roadtorch.data.conditions import with_conditions
-    from roadtorch.data.dataset import leave_out
     from roadtorch.data.kitti import birds_eye
     from roadtorch.data.maps import parse_maps
     from roadtorch.evaluation.evaluate import evaluate as score
@@ -80,23 +71,23 @@ def evaluate(
 
     if out is not None:
         context.with_resource(output_lock(out))  # now rather than after the long run
-    labelled = leave_out(open_dataset(dataset, root, split), left_out)
+    dataset, names = labelled.opened(), labelled.names
     default = click.core.ParameterSource.DEFAULT
     if folders and context.get_parameter_source("names") is default:
         names = ()  # no detector but the baselines when only maps are asked for
-    values = merge(camera_settings(camera, names), parse_assignments(assignments))
+    values = merge(camera_settings(camera, names), parse_assignments(labelled.assignments))
     if conditions is not None:
-        labelled = with_conditions(labelled, conditions)
+        dataset = with_conditions(dataset, conditions)
     evaluation = score(
-        birds_eye(labelled) if bev else labelled,
+        birds_eye(dataset) if bev else dataset,
         names,
         settings=values,
         maps=parse_maps(folders),
-        limit=limit,
+        limit=labelled.limit,
         mean_from=None if mean_from is None else open_named(mean_from),
         threshold_from=threshold_from,
         against=against,
-        jobs=jobs,
+        jobs=labelled.jobs,
         keep_in=out,
         watch=watched,
     )
@@ -112,20 +103,13 @@ def evaluate(
 
 
 @click.command()
-@labelled_set
+@with_labelled
 @click.option("--out", type=PATH, required=True, help="Folder for the configs, NAME.toml.")
 @click.pass_context
 def tune(
     context: click.Context,
-    dataset: str,
-    root: Path,
-    split: str | None,
-    names: tuple[str, ...],
-    assignments: tuple[str, ...],
+    labelled: LabelledOptions,
     out: Path,
-    left_out: tuple[str, ...],
-    limit: int | None,
-    jobs: int,
 ) -> None:
     """Choose thresholds on the labelled pictures of DATASET at ROOT.
 
@@ -134,8 +118,6 @@ def tune(
     Shown beside it is how well such a choice carries over: F and IoU of each group at the
     threshold that the other groups choose.
     """
-    from roadtorch.data.catalogue import open_dataset
-    from roadtorch.data.dataset import leave_out
     from roadtorch.evaluation.evaluate import choose_threshold, forget
     from roadtorch.evaluation.evaluate import evaluate as score
     from roadtorch.io.atomic import write_text
@@ -146,13 +128,13 @@ def tune(
     from roadtorch.settings import parse_assignments
 
     context.with_resource(output_lock(out))
-    settings = parse_assignments(assignments)
+    settings = parse_assignments(labelled.assignments)
     evaluation = score(
-        leave_out(open_dataset(dataset, root, split), left_out),
-        names,
+        labelled.opened(),
+        labelled.names,
         settings=settings,
-        limit=limit,
-        jobs=jobs,
+        limit=labelled.limit,
+        jobs=labelled.jobs,
         keep_in=out,
         watch=watched,
     )

@@ -16,7 +16,6 @@ from roadtorch.cli.options import PATH, SETTING
     "kind",
     type=click.Choice(["onnx", "openvino"]),
     default="onnx",
-    show_default=True,
     help="OpenVINO's has its weights in a second file, NAME.bin.",
 )
 @SETTING

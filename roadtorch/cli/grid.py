@@ -1,6 +1,7 @@
 """roadtorch grid: the road in pictures and footage as metric maps of the ground."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -44,30 +45,30 @@ def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, fl
     "--roll",
     type=float,
     default=0.0,
+    show_default=False,
     help="Roll in degrees; positive: the right side is lower. [0]",
 )
 @click.option("--fov", type=float, help="What the camera sees from side to side, degrees.")
 @click.option("--camera-info", type=PATH, help="ROS camera_info as YAML, with its distortion.")
 @click.option("--calibration", type=PATH, help="KITTI's calibration file; it has the height.")
 @CAMERA
-@click.option("--mount", default="0,0", callback=_place, help="X,Y of the camera on the robot.")
-@click.option("--resolution", type=float, default=0.1, show_default=True, help="Metres a cell.")
-@click.option("--range", "ahead", type=float, default=30.0, show_default=True, help="Metres ahead.")
-@click.option("--side", type=float, default=15.0, show_default=True, help="Metres left and right.")
 @click.option(
-    "--coarsest", type=float, default=10.0, show_default=True, help="Most cells a pixel may cover."
+    "--mount",
+    default="0,0",
+    show_default=False,
+    callback=_place,
+    help="X,Y of the camera on the robot.",
 )
+@click.option("--resolution", type=float, default=0.1, help="Metres a cell.")
+@click.option("--range", type=float, default=30.0, help="Metres ahead.")
+@click.option("--side", type=float, default=15.0, help="Metres left and right.")
+@click.option("--coarsest", type=float, default=10.0, help="Most cells a pixel may cover.")
 @with_detector
 @click.option("--threshold", type=float, help="Likelihood from which a pixel is road.")
 @click.option("--likelihood", is_flag=True, help="Also write NAME.grid.likelihood.npy.")
 @click.option("--picture", is_flag=True, help="Also write NAME.grid.jpg, to look at.")
 @with_frames
-@click.option(
-    "--frame-id",
-    default="base_link",
-    show_default=True,
-    help="Frame of the robot in bags of grids.",
-)
+@click.option("--frame-id", default="base_link", help="Frame of the robot in bags of grids.")
 @JOBS
 @OVERWRITE
 @QUIET
@@ -76,18 +77,7 @@ def grid(
     context: click.Context,
     inputs: tuple[str, ...],
     out: Path,
-    height: float | None,
-    pitch: float | None,
-    roll: float,
-    fov: float | None,
-    camera_info: Path | None,
-    calibration: Path | None,
     camera: Path | None,
-    mount: tuple[float, float],
-    resolution: float,
-    ahead: float,
-    side: float,
-    coarsest: float,
     choice: DetectorOptions,
     threshold: float | None,
     likelihood: bool,
@@ -97,6 +87,7 @@ def grid(
     jobs: int,
     overwrite: bool,
     quiet: bool,
+    **mounting: Any,
 ) -> None:
     """Map the road in pictures and footage onto flat ground: x forward, y left (REP 103).
 
@@ -115,33 +106,28 @@ def grid(
     from roadtorch.camera.ground_grid import GridSettings
     from roadtorch.detectors.catalogue import load_detector
     from roadtorch.runs import footage, grids, pictures, results
-    from roadtorch.runs.folder import Owners, result_folder
+    from roadtorch.runs.folder import result_folder
     from roadtorch.runs.options import as_toml
     from roadtorch.settings import build_settings
 
     found = footage.opened(inputs, out, frames)
-    given = grids.Mounting(height, pitch, roll, mount, fov, camera_info, calibration, camera)
-    placing = grids.placing_of(given, found)
+    cells = {name: mounting.pop(name) for name in ("resolution", "range", "side", "coarsest")}
+    placing = grids.placing_of(grids.Mounting(camera=camera, **mounting), found)
     name, values = choice.named(threshold)
     known = None if camera is None else Camera.read(camera)
     loaded = load_detector(name, camera=known, **values)
-    cells = {"resolution": resolution, "range": ahead, "side": side, "coarsest": coarsest}
     settings = build_settings(GridSettings, {**cells, "threshold": loaded.settings.threshold})
     kinds = ("pgm", "yaml", "npy", *["likelihood"] * likelihood, *["picture"] * picture)
-    suffixes = {kind: grids.SUFFIXES[kind] for kind in kinds}
-    chosen = footage.selected(frames)
-    owners = Owners(out)
-    planned_pictures = pictures.plan(found.pictures, out, suffixes, chosen, owners=owners)
     work = grids.Gridding(loaded, placing, settings, kinds, known)
     written = grids.FootageGrids(work, frames.topic, frame_id)
-    planned = footage.plan_footage(found.sources, out, written, owners)
+    planned = footage.plan_run(found, out, work.ends, written)
     effective = as_toml(loaded.name, loaded.settings)
     effective = "\n".join([effective, f"# {settings.model_dump_json()}", placing.words])
     folder = context.with_resource(result_folder(out, effective, overwrite))
     options = pictures.RunOptions(jobs, overwrite, quiet)
     method = results.detector_method(loaded, effective, kinds)
-    failed = pictures.run_pictures(planned_pictures, work, method, folder, options)
+    failed = pictures.run_pictures(planned.jobs, work, method, folder, options)
     parts = repr((frames, frame_id)).encode()
     method = results.detector_method(loaded, effective, (), parts)
-    seen = footage.FootageWork(loaded, owners, known)
+    seen = footage.FootageWork(loaded, known)
     context.exit(max(failed, footage.run_footage(planned, seen, method, options)))

@@ -223,7 +223,7 @@ def open_streams() -> None:
 @click.group(
     cls=CommandGroup,
     params=[_debug_option()],
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings={"help_option_names": ["-h", "--help"], "show_default": True},
 )
 @click.version_option(__version__, message="roadtorch %(version)s")
 def main() -> None:

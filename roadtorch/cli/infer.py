@@ -57,7 +57,7 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
 @click.command(cls=Sectioned)
 @click.argument("inputs", metavar="INPUT...", nargs=-1, shell_complete=suggest_files)
 @with_detector
-@click.option("--out", default="roads", show_default=True, help="Folder or URL for results.")
+@click.option("--out", default="roads", help="Folder or URL for results.")
 @click.option(
     "--save",
     callback=_kinds,
@@ -68,18 +68,13 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
 @click.option(
     "--steady/--no-steady",
     default=True,
-    show_default=True,
     help="In footage, carry what earlier frames said along the motion.",
 )
 @click.option("--gif", callback=_stretch, metavar="START:END", help="Seconds to show as a GIF.")
 @CAMERA
 @click.option("--threshold", type=float, help="Likelihood from which a pixel is road.")
 @click.option(
-    "--depth",
-    type=click.Choice(["8", "16"]),
-    default="8",
-    show_default=True,
-    help="Bits of likelihood maps.",
+    "--depth", type=click.Choice(["8", "16"]), default="8", help="Bits of likelihood maps."
 )
 @with_compute
 @OVERWRITE
@@ -128,7 +123,7 @@ def infer(
     from roadtorch.detectors.catalogue import load_detector
     from roadtorch.io.addresses import is_url
     from roadtorch.runs import engines, footage, pictures, results
-    from roadtorch.runs.folder import Owners, RunRecord, result_folder
+    from roadtorch.runs.folder import RunRecord, result_folder
     from roadtorch.runs.options import as_toml
     from roadtorch.sinks.remote_folder import RemoteFolder
     from roadtorch.sources.pictures import label_and_picture
@@ -143,14 +138,11 @@ def infer(
     place = RemoteFolder(out) if is_url(out) else Path(out)
     opened = footage.opened(inputs, place, frames)
     kinds = footage.USUAL_OF_PICTURES if save is None else save
-    owners = Owners(place)
-    chosen = footage.selected(frames)
-    jobs = results.plan_results(opened.pictures, place, kinds, chosen, owners)
     bits = 16 if depth == "16" else 8
     work = results.Inference(loaded, frozenset(kinds), bits, known, compute.device)
     written = footage.FootageResults(work, save, gif, frames.topic)
-    planned = footage.plan_footage(opened.sources, place, written, owners)
-    if found := label_and_picture(job.picture for job in jobs):
+    planned = footage.plan_run(opened, place, work.ends, written)
+    if found := label_and_picture(opened.pictures):
         label, picture = found
         what = f"{label.origin} looks like a label of {picture.origin}"
         click.echo(f"roadtorch: {what}; give the folder of the pictures alone", err=True)
@@ -160,14 +152,14 @@ def infer(
     def run() -> int:
         options = pictures.RunOptions(compute.jobs or 1, overwrite, quiet, compute.fail_fast)
         method = results.detector_method(loaded, effective, kinds, depth.encode())
-        with engines.started_engine(compute, len(jobs)) as engine:
+        with engines.started_engine(compute, len(planned.jobs)) as engine:
             own = replace(options, engine=engine)
-            failed = pictures.run_pictures(jobs, work, method, folder, own)
+            failed = pictures.run_pictures(planned.jobs, work, method, folder, own)
         parts = repr((depth, of_frames)).encode()
         method = results.detector_method(loaded, effective, (), parts)
-        seen = footage.FootageWork(loaded, owners, known, steady)
+        seen = footage.FootageWork(loaded, known, steady)
         return max(failed, footage.run_footage(planned, seen, method, options))
 
-    files = [job.file for job in [*jobs, *(one.job for one in planned)]]
+    files = [job.file for job in [*planned.jobs, *(one.job for one in planned.footage)]]
     given = {**asdict(compute), **of_frames, "save": kinds, "depth": bits}
     context.exit(RunRecord(folder, loaded, files, given).around(run, "polygons" in kinds))

@@ -15,7 +15,6 @@ from roadtorch.cli.options import JOBS, OVERWRITE, PATH, QUIET, SETTING
     "--support",
     type=click.Choice(["margin", "maximum"]),
     default="margin",
-    show_default=True,
     help="Leave doubtful segments unlabelled, or give each its likeliest class.",
 )
 @SETTING
@@ -49,8 +48,8 @@ def label(
     values = {"support": support} | parse_assignments(assignments)
     settings = build_settings(LabellerSettings, values)
     kinds = ["labels", *["overlay"] * overlay]
-    suffixes = {kind: results.LABEL_SUFFIXES[kind] for kind in kinds}
-    planned = pictures.plan(find_images(inputs, out), out, suffixes)
+    ends = [results.LABEL_SUFFIXES[kind] for kind in kinds]
+    planned = pictures.plan(find_images(inputs, out), out, ends)
     effective = as_toml("labeller", settings)
     folder = context.with_resource(result_folder(out, effective, overwrite))
     method = pictures.method_of(kinds, effective)

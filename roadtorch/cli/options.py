@@ -3,8 +3,9 @@
 import functools
 import shlex
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,6 +18,9 @@ from roadtorch.cli.completion import (
     suggest_splits,
 )
 from roadtorch.runs.options import ComputeOptions, DetectorOptions, FrameSelection
+
+if TYPE_CHECKING:
+    from roadtorch.data.dataset import Dataset
 
 PATH = click.Path(path_type=Path)
 Command = Callable[..., Any]
@@ -62,7 +66,6 @@ JOBS = click.option(
     "--jobs",
     type=click.IntRange(min=1),
     default=1,
-    show_default=True,
     help="Pictures at a time; the results do not depend on it.",
 )
 OVERWRITE = click.option("--overwrite", is_flag=True, help="Redo pictures that are done.")
@@ -135,7 +138,6 @@ with_compute = _gathered(
         "--engine",
         type=click.Choice(["local", "ray"]),
         default="local",
-        show_default=True,
         help="Processes of this machine, or actors on Ray (extra: ray).",
     ),
     click.option("--address", help="Address of a Ray cluster; without it one is started here."),
@@ -143,22 +145,15 @@ with_compute = _gathered(
         "--workers",
         type=click.IntRange(min=1),
         default=2,
-        show_default=True,
         help="Actors on Ray, each with one processor.",
     ),
     click.option(
         "--threads",
         type=click.IntRange(min=1),
         default=1,
-        show_default=True,
         help="Threads within a picture; likelihoods differ in the seventh digit.",
     ),
-    click.option(
-        "--device",
-        default="cpu",
-        show_default=True,
-        help="Device of the tensors: cpu, cuda, cuda:1.",
-    ),
+    click.option("--device", default="cpu", help="Device of the tensors: cpu, cuda, cuda:1."),
     click.option("--fail-fast", is_flag=True, help="End at the first picture that fails."),
 )
 """A command gets the options of ``ComputeOptions`` as ``compute``."""
@@ -167,12 +162,17 @@ with_frames = _gathered(
     FrameSelection,
     "frames",
     click.option(
-        "--every", type=click.IntRange(min=1), default=1, help="Look at one frame in this many."
+        "--every",
+        type=click.IntRange(min=1),
+        default=1,
+        show_default=False,
+        help="Look at one frame in this many.",
     ),
     click.option(
         "--start",
         type=click.FloatRange(min=0),
         default=0.0,
+        show_default=False,
         help="Where to begin in footage, in seconds.",
     ),
     click.option(
@@ -188,13 +188,36 @@ with_frames = _gathered(
         "--patience",
         type=click.FloatRange(min=0.1),
         default=10.0,
-        show_default=True,
         help="Seconds within which a stream has to answer.",
     ),
 )
 """A command gets the options of ``FrameSelection`` as ``frames``."""
 
-LABELLED_SET = (
+
+@dataclass(frozen=True)
+class LabelledOptions:
+    """Which detectors are looked at on which labelled pictures; see the options."""
+
+    dataset: str
+    root: Path
+    split: str | None
+    names: tuple[str, ...]
+    assignments: tuple[str, ...]
+    left_out: tuple[str, ...]
+    limit: int | None
+    jobs: int
+
+    def opened(self) -> "Dataset":
+        """The labelled set; DatasetError for one that is not there."""
+        from roadtorch.data.catalogue import open_dataset
+        from roadtorch.data.dataset import leave_out
+
+        return leave_out(open_dataset(self.dataset, self.root, self.split), self.left_out)
+
+
+with_labelled = _gathered(
+    LabelledOptions,
+    "labelled",
     click.argument("dataset", shell_complete=suggest_datasets),
     click.argument("root", type=PATH),
     click.option(
@@ -207,7 +230,6 @@ LABELLED_SET = (
         "names",
         multiple=True,
         default=("fusion",),
-        show_default=True,
         shell_complete=suggest_detectors,
         help="Detector; may be given several times, with wildcards ('cpf*').",
     ),
@@ -228,13 +250,7 @@ LABELLED_SET = (
     click.option("--limit", type=click.IntRange(min=1), help="Look at this many pictures only."),
     JOBS,
 )
-
-
-def labelled_set(command: Command) -> Command:
-    """Detectors over a labelled set: DATASET ROOT and what ``LABELLED_SET`` has beside them."""
-    for option in reversed(LABELLED_SET):
-        command = option(command)
-    return command
+"""A command gets DATASET, ROOT and the options of ``LabelledOptions`` as ``labelled``."""
 
 
 def command_line(context: click.Context) -> str:

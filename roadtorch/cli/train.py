@@ -41,7 +41,6 @@ from roadtorch.cli.options import PATH, SETTING, ConfigFile, command_line
     "--compared",
     type=click.IntRange(min=1),
     default=60,
-    show_default=True,
     help="Pictures that the page compares before and after, evenly spread.",
 )
 @click.option("--quiet", is_flag=True, help="No progress, only what goes wrong.")

@@ -25,14 +25,10 @@ MIN_PICTURES = 4
 
 
 def prepare(compute: ComputeOptions) -> None:
-    """Set threads and memory; ConfigError for a device that is not there."""
+    """Set threads and memory; ConfigError for a device that torch or this machine lacks."""
     Threads(compute.threads, compute.threads).set()
     keep_freed_memory()
-    check_device(compute.device)
-
-
-def check_device(name: str) -> None:
-    """Raises ConfigError for a device that torch does not know, or that this machine lacks."""
+    name = compute.device
     try:
         kind = torch.device(name).type
     except RuntimeError:

@@ -39,6 +39,7 @@ from roadtorch.runs.pictures import (
     Method,
     RunOptions,
     least_trusted,
+    plan,
     spared,
     trust_of,
 )
@@ -97,14 +98,14 @@ Write = Callable[[Seen], Row]
 class Written(NamedTuple):
     """What a command writes of one source.
 
-    kinds: what index.csv says was saved. suffixes: how the names of the files of the whole source
-    end, by kind. frame_suffixes: how those of the files of each frame end. open: of the source's
-    job, what writes frame after frame within the block.
+    kinds: what index.csv says was saved. ends: of the names of the files of the whole source.
+    frame_ends: of those of the files of each frame. open: of the source's job, what writes frame
+    after frame within the block.
     """
 
     kinds: tuple[str, ...]
-    suffixes: Mapping[str, str]
-    frame_suffixes: tuple[str, ...]
+    ends: Sequence[str]
+    frame_ends: Sequence[str]
     open: Callable[[Job], AbstractContextManager[Write]]
 
 
@@ -144,7 +145,8 @@ class FootageResults:
         usual = USUAL_OF_BAGS if is_from_bag(source) else USUAL_OF_FOOTAGE
         usual = usual if source.moving else USUAL_OF_PICTURES
         kinds = usual if self.asked is None else self.asked
-        ends, of_frames = {}, set(kinds)
+        ends: dict[str, str] = {}
+        of_frames = set(kinds)
         if source.moving:
             kinds = (*kinds, "gif") if self.gif else kinds
             ends = {kind: end for kind, (end, _) in VIDEOS.items()}
@@ -152,41 +154,38 @@ class FootageResults:
             of_frames -= ends.keys()
             if "overlay-frames" in kinds:
                 of_frames = of_frames - {"overlay-frames"} | {"overlay"}
+        own = {kind: ends[kind] for kind in kinds if kind in ends}
+        frame_ends = [SUFFIXES.get(kind, f".{kind}") for kind in of_frames]
         work = replace(self.work, kinds=frozenset(of_frames))
-        return Written(
-            kinds,
-            {kind: ends[kind] for kind in kinds if kind in ends},
-            tuple(SUFFIXES.get(kind, f".{kind}") for kind in of_frames),
-            partial(self._open, source, work),
-        )
+        return Written(kinds, [*own.values()], frame_ends, partial(self._open, source, work, own))
 
     @contextmanager
-    def _open(self, source: Source, work: Inference, job: Job) -> Iterator[Write]:
+    def _open(
+        self, source: Source, work: Inference, ends: Mapping[str, str], job: Job
+    ) -> Iterator[Write]:
         """However the block ends, videos and bags are finished with the frames that they have."""
         with ExitStack() as stack:
-
-            def into(sink: VideoSink | GifSink) -> Put:
-                stack.enter_context(closing(sink))
-                return lambda seen, pixels: sink.write(pixels, seen.frame.seconds)
-
             puts: list[tuple[Draw, Put]] = []
+
+            def show(draw: Draw, sink: VideoSink | GifSink) -> None:
+                stack.enter_context(closing(sink))
+                puts.append((draw, lambda seen, pixels: sink.write(pixels, seen.frame.seconds)))
+
             if self.gif and source.moving:
-                puts.append((Detection.overlay, into(GifSink(job.output(GIF), *self.gif))))
-            for end, draw in (VIDEOS[kind] for kind in job.suffixes if kind in VIDEOS):
-                puts.append((draw, into(VideoSink(job.output(end), source.rate))))
-            if "bag" in job.suffixes:
+                show(Detection.overlay, GifSink(job.output(GIF), *self.gif))
+            for kind in [kind for kind in ends if kind in VIDEOS]:
+                show(VIDEOS[kind][1], VideoSink(job.output(ends[kind]), source.rate))
+            if "bag" in ends:
                 frame_id = CAMERA_FRAME
                 if is_from_bag(source):
                     frame_id = image_topic(source.origin, self.topic).frame_id
-                path = job.output(job.suffixes["bag"])
-                bag = BagSink(path, frame_id, work.detector.settings.threshold)
+                bag = BagSink(job.output(ends["bag"]), frame_id, work.detector.settings.threshold)
                 stack.enter_context(closing(bag))
-                puts.append(
-                    (
-                        Detection.overlay,
-                        lambda one, drawn: bag.write(one.detection, stamp_of(one.frame), drawn),
-                    )
-                )
+
+                def add(seen: Seen, pixels: np.ndarray) -> None:
+                    bag.write(seen.detection, stamp_of(seen.frame), pixels)
+
+                puts.append((Detection.overlay, add))
             yield partial(_write, work, puts, job)
 
 
@@ -206,20 +205,6 @@ def _write(work: Inference, puts: list[tuple[Draw, Put]], job: Job, seen: Seen) 
 # --- all sources ------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class FootageWork:
-    """The work on sources, whatever is written of them.
-
-    owners: of the names that the run has given. camera: the one that the footage has to be of,
-    where it is known. steady: whether the likelihood of a source that moves is steadied.
-    """
-
-    detector: Detector
-    owners: Owners
-    camera: Camera | None = None
-    steady: bool = True
-
-
 class Footage(NamedTuple):
     """A source, what is written of it, and its job."""
 
@@ -228,49 +213,66 @@ class Footage(NamedTuple):
     job: Job
 
 
-def plan_footage(
-    sources: Sequence[Source],
-    out: Path | RemoteFolder,
-    results: Callable[[Source], Written],
-    owners: Owners,
-) -> list[Footage]:
-    """The footage of sources.
+class Plan(NamedTuple):
+    """What a run does: the jobs of pictures that stand alone, footage, and whose name is which."""
 
-    owners: of the names that the run has given, who are told of these. Raises ConfigError where
-    results would go behind a URL, replace a source, or be those of two.
+    jobs: list[Job]
+    footage: list[Footage]
+    owners: Owners
+
+
+def plan_run(
+    found: Inputs,
+    out: Path | RemoteFolder,
+    ends: Sequence[str],
+    results: Callable[[Source], Written],
+) -> Plan:
+    """The jobs for pictures, and what is to be done of sources; no file is written yet.
+
+    ends: of the names of the pictures' results, see ``Job``. Raises what ``plan`` raises, also for
+    sources, and ConfigError where results of footage would go behind a URL.
     """
-    if not sources:
-        return []
-    if not isinstance(out, Path):
+    owners = Owners(out)
+    jobs = plan(found.pictures, out, ends, owners)
+    if found.sources and not isinstance(out, Path):
         remedy = "give a folder of this machine, or pictures alone"
         raise ConfigError(f"--out {out.url}", "takes no results of footage", remedy)
-    planned: list[Footage] = []
-    for source in sources:
+    footage: list[Footage] = []
+    for source in found.sources:
         written = results(source)
-        owners.take_source(
-            source.name, source.origin, source.moving and bool(written.frame_suffixes)
-        )
+        has_files = source.moving and bool(written.frame_ends)
+        owners.take_source(source.name, source.origin, has_files)
         picture = Picture(source.path or Path(source.origin), source.name)
-        planned.append(Footage(source, written, Job(picture, out, written.suffixes)))
-    spared([one.job for one in planned])
-    return planned
+        footage.append(Footage(source, written, Job(picture, out, written.ends)))
+    spared([one.job for one in footage])
+    return Plan(jobs, footage, owners)
 
 
 def opened(inputs: Sequence[str], out: Path | RemoteFolder, frames: FrameSelection) -> Inputs:
-    """The pictures and sources among inputs, but those of ``out``; raises as ``find_inputs``."""
+    """The pictures and sources that inputs and options choose, but those of ``out``.
+
+    Raises as ``find_inputs`` and ``Selection.of_pictures`` do.
+    """
+    chosen = Selection(frames.every, frames.start, frames.end, frames.limit)
     apart = out if isinstance(out, Path) else None
     options = SourceOptions(apart, Patience(answer=frames.patience), frames.topic)
-    return find_inputs(inputs, selected(frames), options)
+    found = find_inputs(inputs, chosen, options)
+    return found._replace(pictures=chosen.of_pictures(found.pictures))
 
 
-def selected(selection: FrameSelection) -> Selection:
-    """Which frames and pictures the options choose."""
-    return Selection(selection.every, selection.start, selection.end, selection.limit)
+class FootageWork(NamedTuple):
+    """What looks at sources, whatever is written of them.
+
+    camera: the one that the footage has to be of, where it is known. steady: whether the likelihood
+    of a source that moves is steadied.
+    """
+
+    detector: Detector
+    camera: Camera | None = None
+    steady: bool = True
 
 
-def run_footage(
-    planned: Sequence[Footage], work: FootageWork, method: Method, options: RunOptions
-) -> int:
+def run_footage(planned: Plan, work: FootageWork, method: Method, options: RunOptions) -> int:
     """Work through the sources that are not done yet; returns the exit code.
 
     A source is done when index.csv says so, of this method and of the bytes that its file has now,
@@ -278,25 +280,27 @@ def run_footage(
     of its frames, a partial one where some were done, and the others go on. When interrupted, what
     was finished is kept, the videos with what they have.
     """
-    if not planned:
+    if not planned.footage:
         return 0
     skipped, ended = 0, Counter[str]()
-    for one in planned:
+    for one in planned.footage:
         own = replace(method, kinds=one.written.kinds)
         row = read_index(one.job.output("", INDEX)).get(one.job.file)
         if not options.overwrite and own.covers(row, one.job):
             skipped += 1
             if not one.source.moving:  # its results are there, and stay
-                deque(_owned(one, work.owners), maxlen=0)
+                deque(_owned(one, planned.owners), maxlen=0)
         else:
-            status = _run_source(one, work, own, options).status
+            status = _run_source(one, planned.owners, work, own, options).status
             ended[status.partition(":")[0]] += 1
     failed = ended[PARTIAL] + ended[FAILED]
     if not options.quiet or failed:
         parts = [f"{ended[DONE]} done"]
         parts += [f"{skipped} skipped (done before)"] if skipped else []
         parts += [f"{ended[kind]} {kind}" for kind in (PARTIAL, FAILED) if ended[kind]]
-        click.echo(f"roadtorch: {', '.join(parts)}; results in {planned[0].job.out}", err=True)
+        click.echo(
+            f"roadtorch: {', '.join(parts)}; results in {planned.footage[0].job.out}", err=True
+        )
     return 1 if failed else 0
 
 
@@ -332,9 +336,13 @@ class FrameCount:
         return ", ".join(parts)
 
 
-def _run_source(footage: Footage, work: FootageWork, method: Method, options: RunOptions) -> Row:
+def _run_source(
+    footage: Footage, owners: Owners, work: FootageWork, method: Method, options: RunOptions
+) -> Row:
     """The row of a source whose frames were looked at as far as possible; the index has it."""
     source, written, job = footage
+    if not source.moving:
+        source = replace(source, frames=partial(_owned, footage, owners))
     remove_leftovers([job.output("").parent, job.output("")])
     make_folder(job.output("").parent, ELSEWHERE)
     problem: BaseException | None = None
@@ -359,7 +367,7 @@ def _run_source(footage: Footage, work: FootageWork, method: Method, options: Ru
 
         try:
             with written.open(job) as write:
-                _work_through(footage, work, partial(settle, write=write), options)
+                _work_through(source, work, partial(settle, write=write), options)
         except (RoadtorchError, KeyboardInterrupt) as own:
             problem = own
         row = method.finished(_row(source, job, count, problem), job)
@@ -402,7 +410,7 @@ def _owned(footage: Footage, owners: Owners) -> Generator[Frame]:
     with closing(frames) if isinstance(frames, Generator) else nullcontext():
         for frame in frames:
             try:
-                owners.take(frame.name, footage.written.frame_suffixes, frame.origin)
+                owners.take(frame.name, footage.written.frame_ends, frame.origin)
             except ConfigError as problem:
                 name = f"{Path(source.origin).name}!{frame.name}{Path(frame.origin).suffix}"
                 frame = replace(frame, name=name, read=partial(refuse, problem))
@@ -410,15 +418,12 @@ def _owned(footage: Footage, owners: Owners) -> Generator[Frame]:
 
 
 def _work_through(
-    footage: Footage,
+    source: Source,
     work: FootageWork,
     settle: Callable[[Seen | Missed], None],
     options: RunOptions,
 ) -> None:
     """Look at all frames, and write what is found in a thread of its own, a few frames behind."""
-    source = footage.source
-    if not source.moving:
-        source = replace(source, frames=partial(_owned, footage, work.owners))
     steady = Steady(SteadySettings()) if work.steady and source.moving else None
     check = None if work.camera is None else work.camera.check
     seen = seen_frames(source, work.detector, jobs=options.jobs, steady=steady, check=check)

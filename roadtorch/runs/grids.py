@@ -189,13 +189,10 @@ def placing_of(given: Mounting, inputs: Inputs) -> Placing:
     if len(named) > 1:
         raise ConfigError("grid", f"{' and '.join(named)} were given", remedy)
     if given.calibration is not None:
-        for name, value in {"--height": given.height, "--pitch": given.pitch}.items():
-            if value is not None:
-                what = "was given beside --calibration, which has it"
-                raise ConfigError(name, what, "leave it out")
-        if given.roll:
+        own = {"--height": given.height, "--pitch": given.pitch, "--roll": given.roll or None}
+        for name in (name for name, value in own.items() if value is not None):
             what = "was given beside --calibration, which has it"
-            raise ConfigError("--roll", what, "leave it out")
+            raise ConfigError(name, what, "leave it out")
         return Placing(given, read_calibration(given.calibration))
     if not named and (inputs.pictures or not all(map(is_from_bag, inputs.sources))):
         raise ConfigError("grid", "nothing tells the lens", remedy)
@@ -225,6 +222,11 @@ class Gridding:
     settings: GridSettings
     kinds: tuple[str, ...]
     known: Camera | None = None
+
+    @property
+    def ends(self) -> list[str]:
+        """How the names of its results end."""
+        return [SUFFIXES[kind] for kind in self.kinds]
 
     def __call__(self, job: Job) -> Row:
         """Write the grid of one picture; the row's road share is that of free cells."""
@@ -283,11 +285,10 @@ class FootageGrids:
 
     def __call__(self, source: Source) -> Written:
         """What is written of that source."""
-        kinds, ends = self.gridding.kinds, {}
-        frame_ends = tuple(SUFFIXES[kind] for kind in kinds)
+        kinds, ends = self.gridding.kinds, list[str]()
         if is_from_bag(source):
-            kinds, ends = (*kinds, "bag"), {"bag": bag_ending(source, ".grid")}
-        return Written(kinds, ends, frame_ends, partial(self._open, source))
+            kinds, ends = (*kinds, "bag"), [bag_ending(source, ".grid")]
+        return Written(kinds, ends, self.gridding.ends, partial(self._open, source))
 
     @contextmanager
     def _open(self, source: Source, job: Job) -> Iterator[Write]:
@@ -301,10 +302,10 @@ class FootageGrids:
             gridding = replace(gridding, placing=gridding.placing.through(lens))
         if source.moving and gridding.placing.asks_pictures:
             gridding = replace(gridding, placing=steadied(gridding, source))
-        if "bag" not in job.suffixes:
+        if not job.ends:
             yield partial(self._write, gridding, None, job)
             return
-        sink = BagSink(job.output(job.suffixes["bag"]), self.frame_id, gridding.settings.threshold)
+        sink = BagSink(job.output(job.ends[0]), self.frame_id, gridding.settings.threshold)
         with closing(sink) as bag:
             yield partial(self._write, gridding, bag, job)
 

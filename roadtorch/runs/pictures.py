@@ -3,7 +3,7 @@
 import hashlib
 import os
 import sys
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
@@ -22,7 +22,6 @@ from roadtorch.runs.index import DONE, DOUBTFUL, FAILED, INDEX, Row, SavedIndex,
 from roadtorch.runtime.signals import stop_on_signals
 from roadtorch.runtime.threads import ordered_results
 from roadtorch.sinks.remote_folder import RemoteFolder
-from roadtorch.sources.frame import Selection
 from roadtorch.sources.pictures import Picture
 from roadtorch.version import __version__
 
@@ -40,17 +39,15 @@ ROOM, ROOM_PER_ROW = 2**16, 2**9  # bytes held for index.csv, should the disk be
 
 @dataclass(frozen=True)
 class Job:
-    """A picture, the folder of its results and how their names end, by kind.
+    """A picture, the folder of its results and how their names end.
 
-    Each may be behind a URL. cue_suffixes: the same for the kinds that write a file a cue, ``{}``
-    standing for its name. beside: files that belong to the picture, whose bytes decide on the
-    results as well.
+    Each may be behind a URL. ends: ``{}`` in one stands for the names of the cues, with a file for
+    each. beside: files that belong to the picture, whose bytes decide on the results as well.
     """
 
     picture: Picture
     out: Path | RemoteFolder
-    suffixes: Mapping[str, str]
-    cue_suffixes: Sequence[str] = ()
+    ends: Sequence[str]
     beside: tuple[Path, ...] = ()
 
     @property
@@ -91,12 +88,12 @@ class Job:
     @property
     def is_complete(self) -> bool:
         """Whether all files exist whose names are known beforehand."""
-        return all(map(self._has, self.suffixes.values()))
+        return all(self._has(end) for end in self.ends if "{}" not in end)
 
     def has_all(self, row: Row) -> bool:
         """Whether all files exist, those of the cues that its row names among them."""
         cues = filter(None, row.cues.split("/"))
-        of_cues = (each.format(cue) for cue in cues for each in self.cue_suffixes)
+        of_cues = (end.format(cue) for cue in cues for end in self.ends if "{}" in end)
         return self.is_complete and all(map(self._has, of_cues))
 
     def _has(self, suffix: str) -> bool:
@@ -185,22 +182,18 @@ def method_of(kinds: Iterable[str], settings: str, *parts: bytes) -> Method:
 def plan(
     pictures: Sequence[Picture],
     out: Path | RemoteFolder,
-    suffixes: Mapping[str, str],
-    selection: Selection = Selection(),  # noqa: B008 - it is frozen
-    cue_suffixes: Sequence[str] = (),
+    ends: Sequence[str],
     owners: Owners | None = None,
 ) -> list[Job]:
-    """The jobs for the pictures that are selected; no file is written yet.
+    """The jobs for pictures; no file is written yet.
 
-    suffixes: kind of result → what its file name ends with. cue_suffixes: see ``Job``. owners:
-    of the names that the run has given already.
-    Raises ConfigError when two pictures share a result or a result would replace a picture.
+    ends: of the names of results, see ``Job``. owners: of the names that the run has given
+    already. Raises ConfigError when two pictures share a result, or one would replace a picture.
     """
-    chosen = selection.of_pictures(pictures)
-    jobs = [Job(picture, out, suffixes, cue_suffixes) for picture in chosen]
+    jobs = [Job(picture, out, ends) for picture in pictures]
     owners = owners or Owners(out)
     for job in jobs:
-        owners.take(job.picture.name, suffixes.values(), job.origin)
+        owners.take(job.picture.name, [end for end in ends if "{}" not in end], job.origin)
     return spared(jobs)
 
 
@@ -209,10 +202,10 @@ def spared(jobs: list[Job]) -> list[Job]:
     # Path.resolve raises for a link to itself.
     inputs = {os.path.realpath(job.picture.path) for job in jobs if not job.picture.is_remote}
     for job in jobs:
-        for suffix in job.suffixes.values() if isinstance(job.out, Path) else ():
-            if os.path.realpath(job.output(suffix)) in inputs:
+        for end in job.ends if isinstance(job.out, Path) else ():
+            if os.path.realpath(job.output(end)) in inputs:
                 what = "is one of the pictures"
-                raise ConfigError(job.output(suffix), what, "give another --out")
+                raise ConfigError(job.output(end), what, "give another --out")
     return jobs
 
 

@@ -28,12 +28,10 @@ from roadtorch.io.image import (
 from roadtorch.layout.classes import HORIZONTAL, LAYOUT_COLOURS, layout_colours
 from roadtorch.layout.labeller import LabellerSettings, label_layout
 from roadtorch.layout.weights import tensors_hash
-from roadtorch.runs.folder import ELSEWHERE, POLYGONS, Owners
+from roadtorch.runs.folder import ELSEWHERE, POLYGONS
 from roadtorch.runs.index import DONE, DOUBTFUL, Row
 from roadtorch.runs.pictures import Job, Method, method_of, plan
 from roadtorch.sinks.polygons import labelme_document
-from roadtorch.sinks.remote_folder import RemoteFolder
-from roadtorch.sources.frame import Selection
 from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.version import __version__
 
@@ -50,19 +48,6 @@ CUE_SUFFIXES = {"cues": ".cue.{}.png", "npy": ".{}.npy"}
 """Of the kinds that write a file a cue."""
 
 GOLDEN = 0.6180339887  # the fractional step that spreads neighbouring labels over the colours
-
-
-def plan_results(
-    pictures: Sequence[Picture],
-    out: Path | RemoteFolder,
-    kinds: Sequence[str],
-    selection: Selection = Selection(),  # noqa: B008 - it is frozen
-    owners: Owners | None = None,
-) -> list[Job]:
-    """The jobs that give results of those kinds for pictures; raises what ``plan`` raises."""
-    suffixes = {kind: SUFFIXES[kind] for kind in kinds if kind in SUFFIXES}
-    of_cues = [CUE_SUFFIXES[kind] for kind in kinds if kind in CUE_SUFFIXES]
-    return plan(pictures, out, suffixes, selection, of_cues, owners)
 
 
 def detector_method(
@@ -99,6 +84,12 @@ class Inference:
     depth: Literal[8, 16]
     camera: Camera | None = None
     device: str = "cpu"
+
+    @property
+    def ends(self) -> list[str]:
+        """How the names of its results end, ``{}`` standing for those of the cues."""
+        tables = (SUFFIXES, CUE_SUFFIXES)
+        return [table[kind] for table in tables for kind in table if kind in self.kinds]
 
     def __call__(self, job: Job) -> Row:
         """Write the results of one picture; the row for index.csv."""
@@ -243,7 +234,7 @@ def plan_maps(images: Path, calib: Path, out: Path) -> list[Job]:
     Raises what ``find_images`` and ``plan`` raise, and DatasetError for a picture that is not named
     CATEGORY_NUMBER.
     """
-    jobs = plan(find_images([images], out), out, {"map": MAP_SUFFIX})
+    jobs = plan(find_images([images], out), out, [MAP_SUFFIX])
     return [
         replace(
             job,

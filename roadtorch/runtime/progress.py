@@ -38,7 +38,8 @@ class Progress(tqdm):  # pyright: ignore[reportMissingTypeArgument]
         if not self._lines:
             return bool(super().display(msg, pos))
         if msg is None:
-            print(self, file=sys.stderr, flush=True)
+            self.fp.write(f"{self}\n")
+            self.fp.flush()
         return False
 
     def clear(self, nolock: bool = False) -> None:
@@ -58,7 +59,7 @@ def watched(results: Iterator[Item], done: int, total: int) -> Iterator[Item]:
     done: how many were there before, of how many.
     """
     if done:
-        print(f"roadtorch: going on after {done} of {total} pictures", file=sys.stderr)
+        Progress.write(f"roadtorch: going on after {done} of {total} pictures", file=sys.stderr)
     with stop_on_signals() as stop:
         for result in Progress(results, initial=done, total=total, unit="image"):
             yield result

@@ -29,36 +29,26 @@ def map_picture(grid: Grid) -> np.ndarray:
     return grey[::-1].copy()
 
 
-def write_pgm(path: Path, grid: Grid) -> None:
-    """Write the grid's picture as binary PGM."""
-    grey = map_picture(grid)
-    with atomic(path) as temporary:
+def write_grid(stem: str | os.PathLike[str], grid: Grid, told: str = "") -> None:
+    """Write STEM.grid.pgm, STEM.grid.yaml and STEM.grid.npy (int8, y by x); folders must exist.
+
+    told: a comment, one line, for the YAML. Raises InputError when one cannot be written.
+    """
+    stem = Path(stem)
+    grey, picture = map_picture(grid), stem.with_name(stem.name + ".grid.pgm")
+    with atomic(picture) as temporary:
         head = f"P5\n{grey.shape[1]} {grey.shape[0]}\n255\n"
         temporary.write_bytes(head.encode() + grey.tobytes())
-
-
-def map_yaml(grid: Grid, picture: str, told: str = "") -> str:
-    """What map_server loads beside the picture of that name; told: a comment, one line."""
+    write_npy(stem.with_name(stem.name + ".grid.npy"), grid.cells)
     lines = [f"# {told}"] if told else []
     lines += [
-        f"image: {json.dumps(picture)}",
+        f"image: {json.dumps(picture.name)}",
         "mode: trinary",
         f"resolution: {grid.resolution:g}",
         f"origin: [{grid.origin[0]:g}, {grid.origin[1]:g}, 0]",
         "negate: 0",
         f"occupied_thresh: {OCCUPIED_FROM}",
         f"free_thresh: {FREE_UP_TO}",
+        "",
     ]
-    return "\n".join([*lines, ""])
-
-
-def write_grid(stem: str | os.PathLike[str], grid: Grid, told: str = "") -> None:
-    """Write STEM.grid.pgm, STEM.grid.yaml and STEM.grid.npy (int8, y by x); folders must exist.
-
-    Raises InputError when one cannot be written.
-    """
-    stem = Path(stem)
-    picture = stem.with_name(stem.name + ".grid.pgm")
-    write_pgm(picture, grid)
-    write_npy(stem.with_name(stem.name + ".grid.npy"), grid.cells)
-    write_text(stem.with_name(stem.name + ".grid.yaml"), map_yaml(grid, picture.name, told))
+    write_text(stem.with_name(stem.name + ".grid.yaml"), "\n".join(lines))

@@ -151,26 +151,21 @@ def coco_text(
     yield '],\n"annotations": ['
     separator = "\n"
     for number, one in enumerate(pictures, 1):
-        annotation = _coco_annotation(number, one, mask_of(one.file))
-        if annotation is not None:
-            yield separator + json.dumps(annotation)
-            separator = ",\n"
+        mask = mask_of(one.file)
+        if not mask.any():
+            continue
+        rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
+        left, top = int(columns[0]), int(rows[0])
+        annotation = {
+            "id": number,
+            "image_id": number,
+            "category_id": 1,
+            "segmentation": coco_polygons(mask),
+            "area": int(mask.sum()),
+            "bbox": [left, top, int(columns[-1]) + 1 - left, int(rows[-1]) + 1 - top],
+            "iscrowd": 0,
+        }
+        annotation |= {} if one.trust is None else {"score": one.trust}
+        yield separator + json.dumps(annotation)
+        separator = ",\n"
     yield "]}\n"
-
-
-def _coco_annotation(number: int, one: CocoPicture, mask: np.ndarray) -> dict[str, Any] | None:
-    if not mask.any():
-        return None
-    rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
-    left, top = int(columns[0]), int(rows[0])
-    score = {} if one.trust is None else {"score": one.trust}
-    return {
-        "id": number,
-        "image_id": number,
-        "category_id": 1,
-        "segmentation": coco_polygons(mask),
-        "area": int(mask.sum()),
-        "bbox": [left, top, int(columns[-1]) + 1 - left, int(rows[-1]) + 1 - top],
-        "iscrowd": 0,
-        **score,
-    }

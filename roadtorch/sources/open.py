@@ -52,8 +52,8 @@ class SourceOptions:
 class Inputs(NamedTuple):
     """What inputs stand for: pictures that stand alone, and what is looked at frame by frame."""
 
-    pictures: list[Picture]
-    sources: list[Source]
+    pictures: Sequence[Picture]
+    sources: Sequence[Source]
 
 
 def find_inputs(
@@ -67,22 +67,24 @@ def find_inputs(
     names: what ``-`` reads, standard input where it is None. Raises InputError for a list that
     cannot be read, for what holds neither, does not exist or cannot be opened.
     """
-    found, inputs = Inputs([], []), list(inputs)
+    inputs = list(inputs)
+    found_pictures: list[Picture] = []
+    sources: list[Source] = []
     for given in named(inputs, sys.stdin if names is None else names):
         if source := _alone(given, selection, options):
-            found.sources.append(source)
+            sources.append(source)
             continue
         videos = [] if is_url(given) else files_at(given, names_video, options.apart) or []
         for one in videos:
             name = Path(one.name).with_suffix("").as_posix()
-            found.sources.append(video_source(Path(one.origin), name, selection))
+            sources.append(video_source(Path(one.origin), name, selection))
         pictures = pictures_at(given, options.apart)
         if not pictures and not videos:
             raise InputError(given, "holds no pictures", f"give {READABLE} files")
-        found.pictures.extend(pictures)
-    if inputs and not found.pictures and not found.sources:
+        found_pictures += pictures
+    if inputs and not found_pictures and not sources:
         raise InputError(inputs[0], "names nothing", "give names, one a line")
-    return found._replace(pictures=each_once(found.pictures))
+    return Inputs(each_once(found_pictures), sources)
 
 
 def _alone(given: str, selection: Selection, options: SourceOptions) -> Source | None:

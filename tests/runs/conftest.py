@@ -1,5 +1,22 @@
 """The command line called in this process, on a folder of pictures."""
 
-from tests.command import call, footage
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from tests.command import ROWS, Call, call, footage
 
 __all__ = ["call", "footage"]
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    """Where results go; not there yet."""
+    return tmp_path / "out"
+
+
+@pytest.fixture
+def run(call: Call, footage: Path, out: Path) -> Call:
+    """``infer`` on the three pictures with the quickest detector, into ``out``."""
+    return partial(call, "infer", footage, *ROWS, "--out", out)

@@ -1,6 +1,7 @@
 """roadtorch infer on bags: a bag comes out, read back by rosbags."""
 
 import shutil
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,13 +26,17 @@ def drive(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return write_drive(tmp_path, request.param, [street_pixels(n) for n in range(4)], 60.0)
 
 
+@pytest.fixture
+def run(call: Call, drive: Path, out: Path) -> Call:
+    """``infer`` on it with the quickest detector, into ``out``."""
+    return partial(call, "infer", drive, *ROWS, "--out", out)
+
+
 def result_of(drive: Path, out: Path) -> Path:
     return out / ("drive.road.bag" if drive.suffix else "drive.road")
 
 
-def test_a_bag_gives_a_bag_and_an_overlay_video(call: Call, drive: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-
+def test_a_bag_gives_a_bag_and_an_overlay_video(call: Call, drive: Path, out: Path) -> None:
     result = call("infer", drive, *GREY, "--set", "threshold=0.4", "--out", out, "--no-steady")
 
     assert result.exit_code == 0, result.stderr
@@ -50,32 +55,27 @@ def test_a_bag_gives_a_bag_and_an_overlay_video(call: Call, drive: Path, tmp_pat
     assert rows_of(out)["drive/000002"]["saved"] == "overlay bag"
 
 
-def test_what_is_done_is_skipped_until_the_bag_changes(
-    call: Call, drive: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    run = ("infer", drive, *ROWS, "--out", out)
-    call(*run)
+def test_what_is_done_is_skipped_until_the_bag_changes(run: Call, drive: Path, out: Path) -> None:
+    run()
 
-    again = call(*run)
+    again = run()
     touched = drive / "note.txt" if drive.is_dir() else drive
     with touched.open("ab") as file:
         file.write(b" ")
-    anew = call(*run)
+    anew = run()
 
     assert "1 skipped (done before)" in again.stderr
     assert "(done before)" not in anew.stderr
     shutil.rmtree(result_of(drive, out), ignore_errors=True)
     result_of(drive, out).unlink(missing_ok=True)
-    assert "(done before)" not in call(*run).stderr
+    assert "(done before)" not in run().stderr
     assert result_of(drive, out).exists()
 
 
-def test_a_bag_is_replaced_by_one_of_other_frames(call: Call, drive: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    call("infer", drive, *ROWS, "--out", out, "--save", "bag")
+def test_a_bag_is_replaced_by_one_of_other_frames(run: Call, drive: Path, out: Path) -> None:
+    run("--save", "bag")
 
-    result = call("infer", drive, *ROWS, "--out", out, "--save", "bag", "--every", "2")
+    result = run("--save", "bag", "--every", "2")
 
     assert result.exit_code == 0, result.stderr
     found = [one.stamp for one in read_bag(result_of(drive, out)) if one.topic.endswith("/mask")]
@@ -84,24 +84,26 @@ def test_a_bag_is_replaced_by_one_of_other_frames(call: Call, drive: Path, tmp_p
         "config.toml", "index.csv", "run.json", result_of(drive, out).name}  # fmt: skip
 
 
-def test_a_video_gives_a_bag_whose_stamps_are_its_seconds(call: Call, tmp_path: Path) -> None:
+def test_a_video_gives_a_bag_whose_stamps_are_its_seconds(
+    call: Call, tmp_path: Path, out: Path
+) -> None:
     video = write_video(tmp_path / "drive.mp4")
 
-    result = call("infer", video, *ROWS, "--out", tmp_path / "out", "--save", "bag", "--limit", 3)
+    result = call("infer", video, *ROWS, "--out", out, "--save", "bag", "--limit", 3)
 
     assert result.exit_code == 0, result.stderr
-    found = [one for one in read_bag(tmp_path / "out" / "drive.road") if one.topic in TOPICS]
+    found = [one for one in read_bag(out / "drive.road") if one.topic in TOPICS]
     stamps = [one.stamp for one in found if one.topic == "/segmentation/mask"]
     assert stamps == pytest.approx([0, 1e8, 2e8], abs=1)
     assert found[-1].message.header.frame_id == "camera"
 
 
-def test_what_lies_in_the_way_of_the_bag_is_kept(call: Call, drive: Path, tmp_path: Path) -> None:
-    other = result_of(drive, tmp_path / "out")
+def test_what_lies_in_the_way_of_the_bag_is_kept(run: Call, drive: Path, out: Path) -> None:
+    other = result_of(drive, out)
     other.parent.mkdir()
     other.write_text("mine")
 
-    result = call("infer", drive, *ROWS, "--out", tmp_path / "out", "--save", "bag")
+    result = run("--save", "bag")
 
     assert result.exit_code == 1
     assert f"failed: {other}: exists already, and is no bag of ours" in result.stderr
@@ -109,7 +111,7 @@ def test_what_lies_in_the_way_of_the_bag_is_kept(call: Call, drive: Path, tmp_pa
 
 
 def test_a_folder_is_no_result_until_it_has_its_list(tmp_path: Path) -> None:
-    job = Job(Picture(tmp_path / "drive", "drive"), tmp_path, {"bag": ".road"})
+    job = Job(Picture(tmp_path / "drive", "drive"), tmp_path, [".road"])
     job.output(".road").mkdir()
 
     assert not job.is_complete

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -31,12 +32,16 @@ def drive(tmp_path: Path) -> Path:
     return write_video(tmp_path / "in" / "drive.mp4")
 
 
-def test_a_video_gives_an_overlay_video_and_a_row_a_frame(
-    call: Call, drive: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
+@pytest.fixture
+def run(call: Call, drive: Path, out: Path) -> Call:
+    """``infer`` on it with the quickest detector, into ``out``."""
+    return partial(call, "infer", drive, *ROWS, "--out", out)
 
-    result = call("infer", drive, *ROWS, "--out", out)
+
+def test_a_video_gives_an_overlay_video_and_a_row_a_frame(
+    run: Call, drive: Path, out: Path
+) -> None:
+    result = run()
 
     assert result.exit_code == 0, result.stderr
     assert result.stderr == (
@@ -52,8 +57,7 @@ def test_a_video_gives_an_overlay_video_and_a_row_a_frame(
     assert rows["drive/000003"]["saved"] == rows["drive.mp4"]["saved"] == "overlay"
 
 
-def test_frames_are_what_the_library_says(call: Call, drive: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
+def test_frames_are_what_the_library_says(call: Call, drive: Path, out: Path) -> None:
     kinds = "likelihood,mask,mask-video,likelihood-video,overlay-frames"
 
     call("infer", drive, *GREY, "--out", out, "--save", kinds, "--every", "5", "--start", "0.2",
@@ -71,16 +75,16 @@ def test_frames_are_what_the_library_says(call: Call, drive: Path, tmp_path: Pat
     assert (shown == detection.mask.numpy()).mean() > 0.95
 
 
-def test_a_stretch_becomes_a_gif(call: Call, drive: Path, tmp_path: Path) -> None:
-    call("infer", drive, *ROWS, "--out", tmp_path / "out", "--gif", "0.2:0.7")
+def test_a_stretch_becomes_a_gif(run: Call, out: Path) -> None:
+    run("--gif", "0.2:0.7")
 
-    with Image.open(tmp_path / "out" / "drive.overlay.gif") as gif:
+    with Image.open(out / "drive.overlay.gif") as gif:
         assert gif.n_frames == 5  # pyright: ignore[reportAttributeAccessIssue]
 
 
 @pytest.mark.parametrize("given", ["3", "5:3", "0:900", "a:b"])
-def test_no_stretch_is_wrong_usage(given: str, call: Call, drive: Path, tmp_path: Path) -> None:
-    result = call("infer", drive, *ROWS, "--out", tmp_path / "out", "--gif", given)
+def test_no_stretch_is_wrong_usage(given: str, run: Call) -> None:
+    result = run("--gif", given)
 
     assert result.exit_code == 2
     assert result.stderr.startswith("roadtorch: error: --gif: ")
@@ -94,23 +98,21 @@ def test_several_jobs_give_the_same_bytes(call: Call, drive: Path, tmp_path: Pat
     assert bytes_in(tmp_path / "1") == bytes_in(tmp_path / "3")
 
 
-def test_folders_of_both_and_names_on_standard_input(call: Call, tmp_path: Path) -> None:
+def test_folders_of_both_and_names_on_standard_input(call: Call, tmp_path: Path, out: Path) -> None:
     root = tmp_path / "in"
     save_picture(root / "a.png")
     write_video(root / "drive.mp4")
     listed = tmp_path / "list.txt"
     listed.write_text(f"{root}\n")
 
-    result = call("infer", f"@{listed}", *ROWS, "--out", tmp_path / "out")
+    result = call("infer", f"@{listed}", *ROWS, "--out", out)
 
     assert result.exit_code == 0
-    assert list(rows_of(tmp_path / "out"))[-1] == "drive.mp4"
-    assert {"a.mask.png", "drive.overlay.mp4"} <= files_in(tmp_path / "out")
+    assert list(rows_of(out))[-1] == "drive.mp4"
+    assert {"a.mask.png", "drive.overlay.mp4"} <= files_in(out)
 
 
-def test_pictures_can_be_chosen_but_have_no_time(call: Call, footage: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-
+def test_pictures_can_be_chosen_but_have_no_time(call: Call, footage: Path, out: Path) -> None:
     call("infer", footage, *ROWS, "--out", out, "--every", "2")
     refused = call("infer", footage, *ROWS, "--out", out, "--start", "2")
 
@@ -123,20 +125,18 @@ def test_pictures_can_be_chosen_but_have_no_time(call: Call, footage: Path, tmp_
 
 
 def test_a_video_that_is_done_is_skipped_until_something_changes(
-    call: Call, drive: Path, tmp_path: Path
+    run: Call, drive: Path, out: Path
 ) -> None:
-    out = tmp_path / "out"
-    run = ("infer", drive, *ROWS, "--out", out)
-    call(*run)
+    run()
 
-    again = call(*run)
-    other = call(*run, "--every", "4")
+    again = run()
+    other = run("--every", "4")
 
     assert again.stderr == f"roadtorch: 0 done, 1 skipped (done before); results in {out}\n"
     assert other.stderr.startswith("roadtorch: drive.mp4: 3 frames")
     assert len(rows_of(out)) == 4  # those of the first run are gone
     (out / "drive.overlay.mp4").unlink()
-    assert "3 frames" in call(*run, "--every", "4").stderr
+    assert "3 frames" in run("--every", "4").stderr
 
 
 def test_the_frames_of_the_least_trust_are_known_without_keeping_all() -> None:
@@ -147,14 +147,12 @@ def test_the_frames_of_the_least_trust_are_known_without_keeping_all() -> None:
     assert [row.trust for row in count.least] == ["0.2", "0.5", "0.6", "0.7", "0.8"]
 
 
-def test_an_index_cut_short_is_mended(call: Call, drive: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    run = ("infer", drive, *ROWS, "--out", out)
-    call(*run)
+def test_an_index_cut_short_is_mended(run: Call, out: Path) -> None:
+    run()
     index = out / "index.csv"
     index.write_bytes(index.read_bytes()[:-30])
 
-    assert "12 frames" in call(*run).stderr
+    assert "12 frames" in run().stderr
     assert len(rows_of(out)) == 13
 
 
@@ -162,14 +160,13 @@ def test_an_index_cut_short_is_mended(call: Call, drive: Path, tmp_path: Path) -
 
 
 def test_a_cut_video_keeps_what_is_readable_and_the_others_go_on(
-    call: Call, drive: Path, tmp_path: Path
+    call: Call, drive: Path, tmp_path: Path, out: Path
 ) -> None:
     whole = write_video(
         tmp_path / "in" / "a.mp4", [n / 10 for n in range(40)], options={"crf": "1"}
     )
     whole.write_bytes(whole.read_bytes()[: whole.stat().st_size * 6 // 10])
     write_sound(tmp_path / "in" / "song.mp4")
-    out = tmp_path / "out"
 
     result = call("infer", tmp_path / "in", *ROWS, "--out", out)
 
@@ -190,10 +187,9 @@ def test_a_cut_video_keeps_what_is_readable_and_the_others_go_on(
 
 
 def test_a_full_disk_keeps_the_finished_frames(
-    call: Call, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    call: Call, drive: Path, out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fill_the_disk(monkeypatch, 8_000)
-    out = tmp_path / "out"
     noisy = write_video(
         drive, [n / 10 for n in range(200)], options={"crf": "1"},
         change=lambda n, pixels: np.random.default_rng(n).integers(0, 255, pixels.shape, np.uint8),
@@ -208,9 +204,8 @@ def test_a_full_disk_keeps_the_finished_frames(
     assert rows_of(out)["drive.mp4"]["status"].startswith("partial: ")
 
 
-def test_ctrl_c_finishes_the_video(tmp_path: Path) -> None:
+def test_ctrl_c_finishes_the_video(tmp_path: Path, out: Path) -> None:
     path = write_video(tmp_path / "drive.mp4", [n / 10 for n in range(600)])
-    out = tmp_path / "out"
     command = [sys.executable, "-m", "roadtorch", "infer", str(path), *ROWS, "--out", str(out)]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     while not (out / "index.csv").exists() or (out / "index.csv").stat().st_size < 3000:
@@ -229,16 +224,18 @@ def test_ctrl_c_finishes_the_video(tmp_path: Path) -> None:
     assert not list(out.glob(".*"))
 
 
-def test_frames_of_another_camera_fail_one_by_one(call: Call, drive: Path, tmp_path: Path) -> None:
+def test_frames_of_another_camera_fail_one_by_one(
+    call: Call, drive: Path, tmp_path: Path, out: Path
+) -> None:
     from roadtorch.camera.camera import Camera
 
     Camera(width=200, height=50, frames=10, horizon=0.4, seed_row=1.0).write(tmp_path / "c.toml")
 
-    result = call("infer", drive, *ROWS, "--camera", tmp_path / "c.toml", "--out", tmp_path / "out")
+    result = call("infer", drive, *ROWS, "--camera", tmp_path / "c.toml", "--out", out)
 
     assert result.exit_code == 1
     assert f"failed: {drive}: frame 0: " in result.stderr
-    assert not (tmp_path / "out" / "drive.overlay.mp4").exists()
+    assert not (out / "drive.overlay.mp4").exists()
 
 
 def test_footage_is_steadied_unless_one_asks_for_its_frames_alone(

@@ -32,8 +32,10 @@ def drive(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("form", ["bag", "mcap"])
-def test_a_bag_gives_a_grid_a_frame_and_messages(call: Call, tmp_path: Path, form: str) -> None:
-    drive, out = write_drive(tmp_path, form, [street(s) for s in (3, 4)], FOCAL), tmp_path / "out"
+def test_a_bag_gives_a_grid_a_frame_and_messages(
+    call: Call, tmp_path: Path, out: Path, form: str
+) -> None:
+    drive = write_drive(tmp_path, form, [street(s) for s in (3, 4)], FOCAL)
     options = ("--pitch", 3, "--frame-id", "robot", *TRIANGLE)
 
     result = call("grid", drive, "--out", out, *MAP, *options)
@@ -71,11 +73,7 @@ def test_the_lens_is_that_of_the_bags_camera_info(call: Call, drive: Path, tmp_p
     assert own == told != other
 
 
-def test_all_frames_have_the_median_of_their_pitches(
-    call: Call, drive: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-
+def test_all_frames_have_the_median_of_their_pitches(call: Call, drive: Path, out: Path) -> None:
     result = call("grid", drive, "--out", out, *MAP)
 
     assert result.exit_code == 0, result.stderr
@@ -105,7 +103,7 @@ def test_neither_jobs_nor_a_second_run_change_the_grids_of_a_video(
     assert "1 skipped (done before)" in again.stderr
 
 
-def test_pictures_and_footage_side_by_side(call: Call, tmp_path: Path) -> None:
+def test_pictures_and_footage_side_by_side(call: Call, tmp_path: Path, out: Path) -> None:
     root = tmp_path / "in"
     root.mkdir()
     write_video(root / "drive.mp4", [0, 0.1])
@@ -113,32 +111,32 @@ def test_pictures_and_footage_side_by_side(call: Call, tmp_path: Path) -> None:
 
     Image.fromarray(street_pixels(1)).save(root / "a.png")
 
-    result = call("grid", root, *VIEW, "--pitch", 3, *TRIANGLE, "--out", tmp_path / "out")
+    result = call("grid", root, *VIEW, "--pitch", 3, *TRIANGLE, "--out", out)
 
     assert result.exit_code == 0, result.stderr
-    assert {"a.png", "drive.mp4", "drive/000001"} <= set(rows_of(tmp_path / "out"))
+    assert {"a.png", "drive.mp4", "drive/000001"} <= set(rows_of(out))
 
 
 # --- what goes wrong --------------------------------------------------------------------
 
 
-def test_a_frame_of_another_shape_costs_itself_alone(call: Call, tmp_path: Path) -> None:
+def test_a_frame_of_another_shape_costs_itself_alone(call: Call, tmp_path: Path, out: Path) -> None:
     pictures = [street(3), street(4)[:60], street(5)]
     drive = write_drive(tmp_path, "mcap", pictures, FOCAL)
 
-    result = call("grid", drive, *MAP, "--pitch", 3, *TRIANGLE, "--out", tmp_path / "out")
+    result = call("grid", drive, *MAP, "--pitch", 3, *TRIANGLE, "--out", out)
 
     assert result.exit_code == 1
     told = f"failed: {drive}:/camera/image_raw#1: is 160×60 pixels, the calibration 160×120"
     assert told in result.stderr
     assert "2 frames, 1 failed" in result.stderr
-    assert len(list(read_bag(tmp_path / "out" / "drive.grid"))) == 2
+    assert len(list(read_bag(out / "drive.grid"))) == 2
 
 
-def test_a_bag_without_camera_info_needs_a_lens(call: Call, tmp_path: Path) -> None:
+def test_a_bag_without_camera_info_needs_a_lens(call: Call, tmp_path: Path, out: Path) -> None:
     images = [raw_image(ROS2, street(3), "rgb8", FIRST)]
     drive = write_bag(tmp_path / "drive", {"/camera/image_raw": images})
-    run = ("grid", drive, *MAP, "--pitch", 3, *TRIANGLE, "--out", tmp_path / "out")
+    run = ("grid", drive, *MAP, "--pitch", 3, *TRIANGLE, "--out", out)
 
     result = call(*run)
 
@@ -147,8 +145,8 @@ def test_a_bag_without_camera_info_needs_a_lens(call: Call, tmp_path: Path) -> N
     assert call(*run, "--fov", 60, "--overwrite").exit_code == 0
 
 
-def test_footage_that_does_not_tell_its_pitch(call: Call, drive: Path, tmp_path: Path) -> None:
-    result = call("grid", drive, *MAP, *TRIANGLE, "--out", tmp_path / "out")
+def test_footage_that_does_not_tell_its_pitch(call: Call, drive: Path, out: Path) -> None:
+    result = call("grid", drive, *MAP, *TRIANGLE, "--out", out)
 
     assert result.exit_code == 1
     told = f"failed: {drive}: has no layout by this detector to tell the pitch (give --pitch"
@@ -157,14 +155,14 @@ def test_footage_that_does_not_tell_its_pitch(call: Call, drive: Path, tmp_path:
 
 @pytest.mark.parametrize("bags_only", [True, False])
 def test_options_are_refused_before_any_work(
-    call: Call, drive: Path, tmp_path: Path, bags_only: bool
+    call: Call, drive: Path, tmp_path: Path, out: Path, bags_only: bool
 ) -> None:
     inputs = [drive] if bags_only else [drive, write_video(tmp_path / "v.mp4", [0])]
     options = ("--pitch", 3) if bags_only else MAP
     told = "--height: is missing" if bags_only else "grid: nothing tells the lens"
 
-    result = call("grid", *inputs, *options, "--out", tmp_path / "out")
+    result = call("grid", *inputs, *options, "--out", out)
 
     assert result.exit_code == 2
     assert f"roadtorch: error: {told}" in result.stderr
-    assert not (tmp_path / "out").exists()
+    assert not (out).exists()

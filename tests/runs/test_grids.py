@@ -21,9 +21,7 @@ def street(tmp_path: Path) -> Path:
     return tmp_path / "street"
 
 
-def test_every_picture_gives_a_map(call: Call, street: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-
+def test_every_picture_gives_a_map(call: Call, street: Path, out: Path) -> None:
     result = call("grid", street, "--out", out, *VIEW, "--likelihood", "--picture")
 
     assert result.exit_code == 0, result.stderr
@@ -41,9 +39,8 @@ def test_every_picture_gives_a_map(call: Call, street: Path, tmp_path: Path) -> 
 
 
 def test_a_second_run_does_nothing_and_other_settings_are_refused(
-    call: Call, street: Path, tmp_path: Path
+    call: Call, street: Path, out: Path
 ) -> None:
-    out = tmp_path / "out"
     options = ("grid", street, "--out", out, *VIEW, "--detector", "prior:triangle", "--pitch")
     first = call(*options, 2)
     before = {path: path.stat().st_mtime_ns for path in out.rglob("*.grid.*")}
@@ -56,14 +53,16 @@ def test_a_second_run_does_nothing_and_other_settings_are_refused(
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*.grid.*")} == before
 
 
-def test_the_pitch_is_that_of_the_cameras_file(call: Call, street: Path, tmp_path: Path) -> None:
+def test_the_pitch_is_that_of_the_cameras_file(
+    call: Call, street: Path, tmp_path: Path, out: Path
+) -> None:
     path = tmp_path / "camera.toml"
     Camera(width=160, height=120, frames=10, horizon=0.4, seed_row=1).write(path)
 
-    result = call("grid", street / "a.png", "--out", tmp_path / "out", *VIEW, "--camera", path)
+    result = call("grid", street / "a.png", "--out", out, *VIEW, "--camera", path)
 
     assert result.exit_code == 0, result.stderr
-    assert "row 0.400 of the camera's file" in (tmp_path / "out" / "a.grid.yaml").read_text()
+    assert "row 0.400 of the camera's file" in (out / "a.grid.yaml").read_text()
 
 
 INFO = """
@@ -108,17 +107,17 @@ def test_camera_info_is_scaled_and_other_shapes_fail(
     ],
 )
 def test_wrong_usage_is_told_before_any_work(
-    call: Call, street: Path, tmp_path: Path, options: tuple[object, ...], told: str
+    call: Call, street: Path, out: Path, options: tuple[object, ...], told: str
 ) -> None:
-    result = call("grid", street, "--out", tmp_path / "out", *options)
+    result = call("grid", street, "--out", out, *options)
 
     assert result.exit_code == 2
     assert f"roadtorch: error: {told}" in result.stderr
-    assert not (tmp_path / "out").exists()
+    assert not (out).exists()
 
 
-def test_a_detector_without_layout_needs_a_pitch(call: Call, street: Path, tmp_path: Path) -> None:
-    result = call("grid", street, "--out", tmp_path / "out", *VIEW, "--detector", "cpf")
+def test_a_detector_without_layout_needs_a_pitch(call: Call, street: Path, out: Path) -> None:
+    result = call("grid", street, "--out", out, *VIEW, "--detector", "cpf")
 
     assert result.exit_code == 1
     assert "has no layout by this detector to tell the pitch" in result.stderr

@@ -1,3 +1,5 @@
+"""roadtorch infer on pictures: what is written, when it is written again, what is refused."""
+
 import os
 import tomllib
 from hashlib import sha256
@@ -14,24 +16,20 @@ from roadtorch.runs import pictures, results
 from roadtorch.scenes.street import render_scene
 from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
 
+GREY = ("--detector", "grey-uniformity")
+
 # --- what is written ------------------------------------------------------------------------
 
 
 def test_a_folder_gives_three_files_a_picture_and_an_index(
-    call: Call, footage: Path, tmp_path: Path
+    run: Call, footage: Path, out: Path
 ) -> None:
-    out = tmp_path / "out"
+    result = run()
 
-    result = call("infer", footage, *ROWS, "--out", out)
-
-    assert result.exit_code == 0
-    assert result.stdout == ""
+    assert (result.exit_code, result.stdout) == (0, "")
     assert result.stderr == f"roadtorch: 3 done; results in {out}\n"
-    expected = {
-        f"{name}.{kind}"
-        for name in ("a", "b", "sub/c")
-        for kind in ("likelihood.png", "mask.png", "overlay.jpg")
-    }
+    kinds = ("likelihood.png", "mask.png", "overlay.jpg")
+    expected = {f"{name}.{kind}" for name in ("a", "b", "sub/c") for kind in kinds}
     assert files_in(out) == expected | {"index.csv", "config.toml", "run.json"}
     rows = rows_of(out)
     assert list(rows) == ["a.jpg", "b.png", "sub/c.png"]
@@ -45,14 +43,14 @@ def test_a_folder_gives_three_files_a_picture_and_an_index(
     assert {row["trust"] for row in rows.values()} == {""}  # a floor does not say
     assert (rows["a.jpg"]["width"], rows["a.jpg"]["height"]) == ("64", "48")
     assert float(rows["a.jpg"]["road_share"]) == pytest.approx(0.5, abs=0.05)
+    assert float(rows["a.jpg"]["ms"]) >= 0
 
 
-def test_files_hold_what_the_library_says(call: Call, tmp_path: Path) -> None:
+def test_files_hold_what_the_library_says(call: Call, tmp_path: Path, out: Path) -> None:
     picture = save_picture(tmp_path / "x.png")
-    out, kinds = tmp_path / "out", "likelihood,mask,overlay,cues, npy"
-    options = ("--detector", "grey-uniformity", "--save", kinds, "--depth", "16")
+    kinds = "likelihood,mask,overlay,cues, npy"
 
-    call("infer", picture, *options, "--out", out)
+    call("infer", picture, *GREY, "--save", kinds, "--depth", "16", "--out", out)
 
     detection = load_detector("grey-uniformity").detect(read_image(picture))
     stored = np.asarray(Image.open(out / "x.likelihood.png"))
@@ -69,41 +67,36 @@ def test_files_hold_what_the_library_says(call: Call, tmp_path: Path) -> None:
 
 
 def test_cue_pictures() -> None:
+    shown = results.cue_picture
     ramp = torch.linspace(-3, 5, 12).view(3, 4)
     layout = torch.zeros(3, 2, 2)
     layout[0] = 1
+    sky = torch.tensor([86.0, 180, 233])
 
-    shown = results.cue_picture("texture", ramp)
-    assert (shown.min(), shown.max()) == (0, 1)
-    assert torch.equal(
-        results.cue_picture("texture", torch.full((2, 2), 7.0)), torch.zeros(3, 2, 2)
-    )
-    holes = results.cue_picture("texture", torch.tensor([[float("nan"), 0, 2]]))
+    assert (shown("texture", ramp).min(), shown("texture", ramp).max()) == (0, 1)
+    assert torch.equal(shown("texture", torch.full((2, 2), 7.0)), torch.zeros(3, 2, 2))
+    holes = shown("texture", torch.tensor([[float("nan"), 0, 2]]))
     assert holes[0].tolist() == [[0, 0, 1]]
-    sky = results.cue_picture("layout", layout)[:, 0, 0] * 255
-    assert sky.round().tolist() == [86, 180, 233]
-    shown = results.cue_picture("layout_labels", torch.tensor([[0, 255]]))
-    assert torch.equal(shown[:, 0, 0] * 255, torch.tensor([86.0, 180, 233]))
-    assert not shown[:, 0, 1].any()
+    assert torch.equal((shown("layout", layout)[:, 0, 0] * 255).round(), sky)
+    labels = shown("layout_labels", torch.tensor([[0, 255]]))
+    assert torch.equal(labels[:, 0, 0] * 255, sky)
+    assert not labels[:, 0, 1].any()
     picture = torch.rand(3, 4, 5, generator=torch.Generator().manual_seed(0))
-    low, high = picture.aminmax()
-    shown = results.cue_picture("dictionary", picture * 2 - 1)  # one range for all channels
-    torch.testing.assert_close(shown, (picture - low) / (high - low))
-    shown = results.cue_picture("maps", torch.stack([ramp, -ramp]))
-    assert torch.equal(shown, torch.zeros(3, 3, 4))
-    labels = results.cue_picture("segments", torch.arange(30).view(5, 6)).flatten(1)
-    assert len({tuple(colour) for colour in labels.T.tolist()}) == 30
+    low, high = picture.aminmax()  # one range for all channels
+    torch.testing.assert_close(shown("dictionary", picture * 2 - 1), (picture - low) / (high - low))
+    assert torch.equal(shown("maps", torch.stack([ramp, -ramp])), torch.zeros(3, 3, 4))
+    segments = shown("segments", torch.arange(30).view(5, 6)).flatten(1)
+    assert len({tuple(colour) for colour in segments.T.tolist()}) == 30
 
 
 def test_several_jobs_give_the_same_bytes(call: Call, footage: Path, tmp_path: Path) -> None:
-    one, three = tmp_path / "one", tmp_path / "three"
-    options = ("--detector", "grey-uniformity", "--save", "likelihood,mask,overlay,npy")
+    options = (*GREY, "--save", "likelihood,mask,overlay,npy")
 
-    call("infer", footage, *options, "--out", one)
-    call("infer", footage, *options, "--out", three, "--jobs", "3")
+    for jobs in "13":
+        call("infer", footage, *options, "--out", tmp_path / jobs, "--jobs", jobs)
 
-    assert bytes_in(one) == bytes_in(three)
-    assert list(rows_of(one)) == list(rows_of(three))
+    assert bytes_in(tmp_path / "1") == bytes_in(tmp_path / "3")
+    assert list(rows_of(tmp_path / "1")) == list(rows_of(tmp_path / "3"))
 
 
 # --- settings -------------------------------------------------------------------------------
@@ -129,25 +122,20 @@ def test_set_goes_over_the_file_and_threshold_over_both_and_what_is_printed_give
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        (["--detector", "prior:row"], "prior:row: unknown detector (did you mean"),
-        (
-            ["--set", "treshold=0.1"],
-            "treshold: unknown setting (did you mean threshold, isolated?)",
-        ),
-        (["--set", "threshold=high"], "threshold: 'high' was given ("),
-        (["--threshold", "1.5"], "threshold: 1.5 was given ("),
-        (["--set", "threshold"], "threshold: is not a setting ("),
-        (["--save", "masks"], "masks: unknown kind of result (did you mean mask, mask-video?)"),
-        (["--save", ","], "--save: nothing to save ("),
-        (["--config", "none.toml"], "none.toml: cannot be read"),
+        ("--detector prior:row", "prior:row: unknown detector (did you mean"),
+        ("--set treshold=.1", "treshold: unknown setting (did you mean threshold, isolated?)"),
+        ("--set threshold=high", "threshold: 'high' was given ("),
+        ("--threshold 1.5", "threshold: 1.5 was given ("),
+        ("--set threshold", "threshold: is not a setting ("),
+        ("--save masks", "masks: unknown kind of result (did you mean mask, mask-video?)"),
+        ("--save ,", "--save: nothing to save ("),
+        ("--config none.toml", "none.toml: cannot be read"),
     ],
 )
 def test_wrong_settings_are_refused_before_work(
-    call: Call, footage: Path, tmp_path: Path, options: list[str], line: str
+    run: Call, out: Path, options: str, line: str
 ) -> None:
-    out = tmp_path / "out"
-
-    result = call("infer", footage, *ROWS, "--out", out, *options)
+    result = run(*options.split())
 
     assert result.exit_code == 2
     assert result.stderr.startswith(f"roadtorch: error: {line}")
@@ -158,38 +146,33 @@ def test_wrong_settings_are_refused_before_work(
 # --- a second run ---------------------------------------------------------------------------
 
 
-def test_what_is_done_is_skipped_until_overwrite(call: Call, footage: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    call("infer", footage, *ROWS, "--out", out)
+def test_what_is_done_is_skipped_until_overwrite(run: Call, footage: Path, out: Path) -> None:
+    run()
     (out / "a.mask.png").unlink()
     (out / "b.mask.png").write_bytes(b"marked")
     save_picture(footage / "d.png")
 
-    again = call("infer", footage, *ROWS, "--out", out)
+    again = run()
     assert again.stderr == f"roadtorch: 2 done, 2 skipped (done before); results in {out}\n"
     assert (out / "a.mask.png").exists()
     assert (out / "b.mask.png").read_bytes() == b"marked"
     assert list(rows_of(out)) == ["a.jpg", "b.png", "d.png", "sub/c.png"]
 
-    anew = call("infer", footage, *ROWS, "--out", out, "--overwrite")
+    anew = run("--overwrite")
     assert anew.stderr.startswith("roadtorch: 4 done;")
     assert (out / "b.mask.png").read_bytes() != b"marked"
 
 
-def test_results_of_other_settings_are_not_mixed_in(
-    call: Call, footage: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    call("infer", footage, *ROWS, "--out", out)
+def test_results_of_other_settings_are_not_mixed_in(run: Call, out: Path) -> None:
+    run()
     before = bytes_in(out)
 
-    other = call("infer", footage, *ROWS, "--threshold", "0.9", "--out", out)
+    other = run("--threshold", "0.9")
     assert other.exit_code == 2
     assert "holds results of other settings" in other.stderr
     assert bytes_in(out) == before
 
-    anew = call("infer", footage, *ROWS, "--threshold", "0.9", "--out", out, "--overwrite")
-    assert anew.exit_code == 0
+    assert run("--threshold", "0.9", "--overwrite").exit_code == 0
     assert bytes_in(out) != before
 
 
@@ -205,9 +188,8 @@ def test_results_beside_the_pictures_are_not_taken_for_pictures(call: Call, foot
 
 
 def test_broken_pictures_become_failed_rows_beside_finished_ones(
-    call: Call, footage: Path, tmp_path: Path
+    call: Call, footage: Path, out: Path
 ) -> None:
-    out = tmp_path / "out"
     whole = (footage / "a.jpg").read_bytes()
     (footage / "cut.jpg").write_bytes(whole[: len(whole) // 2])
     (footage / "empty.png").touch()
@@ -243,14 +225,8 @@ def test_broken_pictures_become_failed_rows_beside_finished_ones(
     ],
 )
 def test_a_detector_that_trips_costs_one_row(
-    problem: Exception,
-    told: str,
-    call: Call,
-    footage: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    problem: Exception, told: str, run: Call, out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = tmp_path / "out"
     real = results.Inference.__call__
 
     def trips(self: results.Inference, job: pictures.Job) -> pictures.Row:
@@ -259,25 +235,10 @@ def test_a_detector_that_trips_costs_one_row(
         return real(self, job)
 
     monkeypatch.setattr(results.Inference, "__call__", trips)
-    result = call("infer", footage, *ROWS, "--out", out)
 
-    assert result.exit_code == 1
+    assert run().exit_code == 1
     assert told in rows_of(out)["b.png"]["status"]
     assert rows_of(out)["sub/c.png"]["status"] == "done"
-
-
-def test_two_pictures_for_one_result_are_refused_before_work(
-    call: Call, footage: Path, tmp_path: Path
-) -> None:
-    save_picture(footage / "a.png")
-
-    result = call("infer", footage, *ROWS, "--out", tmp_path / "out")
-
-    assert result.exit_code == 2
-    assert str(footage / "a.jpg") in result.stderr
-    assert str(footage / "a.png") in result.stderr
-    assert "both would write" in result.stderr
-    assert not (tmp_path / "out").exists()
 
 
 def test_a_result_never_replaces_a_picture(call: Call, tmp_path: Path) -> None:
@@ -302,21 +263,18 @@ def test_an_output_folder_that_cannot_be_is_named(
     result = call("infer", footage, *ROWS, "--out", tmp_path / place)
 
     assert result.exit_code == 2
-    assert result.stderr.startswith(
-        f"roadtorch: error: {tmp_path / place}: cannot be made a folder"
-    )
+    told = f"roadtorch: error: {tmp_path / place}: cannot be made a folder"
+    assert result.stderr.startswith(told)
     assert (tmp_path / "file").read_text() == "mine"
 
 
 def test_nothing_to_look_at_is_wrong_usage(call: Call, tmp_path: Path) -> None:
     (tmp_path / "bare").mkdir()
 
-    bare = call("infer", tmp_path / "bare", *ROWS)
-    missing = call("infer", tmp_path / "none", *ROWS)
-
-    assert bare.exit_code == missing.exit_code == 2
-    assert f"{tmp_path / 'bare'}: holds no pictures" in bare.stderr
-    assert f"{tmp_path / 'none'}: does not exist" in missing.stderr
+    for name, what in ("bare", "holds no pictures"), ("none", "does not exist"):
+        result = call("infer", tmp_path / name, *ROWS)
+        assert result.exit_code == 2
+        assert f"{tmp_path / name}: {what}" in result.stderr
 
 
 # --- trust --------------------------------------------------------------------------------
@@ -340,54 +298,45 @@ def test_the_five_least_trusted_pictures_are_named_the_worst_first(
     assert lines[0].split()[1].startswith("noise.jpg")
     for row in rows.values():
         assert row["status"].startswith("doubtful: ") == (float(row["trust"]) < 0.6)
-
-
-def test_a_doubtful_picture_is_done_and_not_done_again(call: Call, tmp_path: Path) -> None:
-    save_picture(tmp_path / "a.jpg")
-    doubtful = ("--set", "trust.least=1")
-    call("infer", tmp_path / "a.jpg", *doubtful, "--out", tmp_path / "out")
-
-    again = call("infer", tmp_path / "a.jpg", *doubtful, "--out", tmp_path / "out")
-
+    again = call("infer", tmp_path, "--out", tmp_path / "out")
     assert again.exit_code == 0
-    assert again.stderr.startswith("roadtorch: 0 done, 1 skipped")
+    assert again.stderr.startswith("roadtorch: 0 done, 7 skipped")  # doubtful ones are done
 
 
 # --- names and kinds of files -----------------------------------------------------------------
 
 
 def test_names_in_any_encoding_and_files_that_are_none_cost_nobody_else(
-    call: Call, footage: Path, tmp_path: Path
+    run: Call, footage: Path, out: Path
 ) -> None:
     odd = footage / os.fsdecode(b"z\xff.jpg")
     (footage / "a.jpg").rename(odd)
     os.mkfifo(footage / "pipe.png")
     (footage / "loop.png").symlink_to(footage / "loop.png")
-    out = tmp_path / "out"
 
-    for _ in range(2):  # what is done under such a name is done
-        result = call("infer", footage, *ROWS, "--out", out)
+    for skipped in ("", "0 done, 3 skipped"):  # what is done under such a name is done
+        result = run()
         assert result.exit_code == 1
         rows = rows_of(out)
-        assert [file for file, row in rows.items() if row["status"] == "done"] == [
-            *("b.png", "sub/c.png", r"z\xff.jpg")
-        ]
-        assert set(rows) - {"b.png", "sub/c.png", r"z\xff.jpg"} == {"loop.png", "pipe.png"}
-    assert "0 done, 3 skipped" in result.stderr
+        done = [file for file, row in rows.items() if row["status"] == "done"]
+        assert done == ["b.png", "sub/c.png", r"z\xff.jpg"]
+        assert set(rows) - set(done) == {"loop.png", "pipe.png"}
+        assert skipped in result.stderr
     assert (out / os.fsdecode(b"z\xff.mask.png")).exists()
 
 
 @pytest.mark.parametrize("text", ["name,price\napple,3\n", "width,file\n1\n"])
 def test_a_foreign_index_and_a_config_of_bytes_are_told_and_kept(
-    call: Call, footage: Path, tmp_path: Path, text: str
+    run: Call, out: Path, text: str
 ) -> None:
-    (tmp_path / "index.csv").write_text(text)
+    out.mkdir()
+    (out / "index.csv").write_text(text)
 
-    result = call("infer", footage, *ROWS, "--out", tmp_path)
-    (tmp_path / "config.toml").write_bytes(b"detector = '\xff'\n")
-    other = call("infer", footage, *ROWS, "--out", tmp_path)
+    result = run()
+    (out / "config.toml").write_bytes(b"detector = '\xff'\n")
+    other = run()
 
     assert result.exit_code == other.exit_code == 2
-    assert f"{tmp_path}/index.csv: is not an index of ours" in result.stderr
+    assert f"{out}/index.csv: is not an index of ours" in result.stderr
     assert "holds results of other settings" in other.stderr
-    assert (tmp_path / "index.csv").read_text() == text
+    assert (out / "index.csv").read_text() == text

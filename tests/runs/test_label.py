@@ -14,8 +14,10 @@ from tests.command import Call
 
 
 @pytest.mark.parametrize("support", ["margin", "maximum"])
-def test_labels_are_written_as_one_byte_a_pixel(call: Call, tmp_path: Path, support: str) -> None:
-    street, out = tmp_path / "in" / "sub" / "street.png", tmp_path / "out"
+def test_labels_are_written_as_one_byte_a_pixel(
+    call: Call, tmp_path: Path, out: Path, support: str
+) -> None:
+    street = tmp_path / "in" / "sub" / "street.png"
     write_picture(street, render_scene(1, 96, 128))
     options = [] if support == "margin" else ["--support", support, "--overlay"]
 
@@ -47,12 +49,12 @@ def test_labels_never_replace_the_pictures(call: Call, footage: Path) -> None:
 
 
 def test_broken_pictures_do_not_hold_up_the_others_and_settings_are_checked(
-    call: Call, footage: Path, tmp_path: Path
+    call: Call, footage: Path, out: Path
 ) -> None:
     (footage / "empty.png").touch()
 
-    result = call("label", footage, "--out", tmp_path / "out")
-    wrong = call("label", footage, "--out", tmp_path / "out", "--set", "segment=3")
+    result = call("label", footage, "--out", out)
+    wrong = call("label", footage, "--out", out, "--set", "segment=3")
 
     assert result.exit_code == 1
     assert "3 done, 1 failed" in result.stderr

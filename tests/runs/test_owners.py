@@ -40,9 +40,9 @@ def write_inputs(root: Path, names: Sequence[str]) -> list[Path]:
     ],
 )
 def test_who_comes_second_is_refused_by_name_and_replaces_nothing(
-    names: list[str], done: int, call: Call, tmp_path: Path
+    names: list[str], done: int, call: Call, tmp_path: Path, out: Path
 ) -> None:
-    given, out = write_inputs(tmp_path / "in", names), tmp_path / "out"
+    given = write_inputs(tmp_path / "in", names)
     run = ("infer", *given, *ROWS, "--out", out, "--save", "mask,json,polygons")
 
     result, again = call(*run), call(*run)
@@ -60,6 +60,7 @@ def test_who_comes_second_is_refused_by_name_and_replaces_nothing(
 @pytest.mark.parametrize(
     ("names", "told"),
     [
+        (["a.jpg", "a.png"], "a.jpg and "),
         (["run.png"], "the run itself and "),
         (["drive.mp4", "drive.avi"], "drive.avi and "),
         (["a.png", "a.labelme.jpg"], "a.labelme.json"),
@@ -67,33 +68,35 @@ def test_who_comes_second_is_refused_by_name_and_replaces_nothing(
     ],
 )
 def test_what_is_known_beforehand_is_refused_before_work(
-    names: list[str], told: str, call: Call, tmp_path: Path
+    names: list[str], told: str, call: Call, tmp_path: Path, out: Path
 ) -> None:
     given = write_inputs(tmp_path / "in", names)
 
-    result = call("infer", *given, *ROWS, "--out", tmp_path / "out", "--save", "json,polygons")
+    result = call("infer", *given, *ROWS, "--out", out, "--save", "json,polygons")
 
     assert result.exit_code == 2
     assert told in result.stderr
     assert "both would write" in result.stderr
-    assert not (tmp_path / "out").exists()
+    assert not (out).exists()
 
 
-def test_pictures_beside_a_video_of_their_name_keep_their_rows(call: Call, tmp_path: Path) -> None:
+def test_pictures_beside_a_video_of_their_name_keep_their_rows(
+    call: Call, tmp_path: Path, out: Path
+) -> None:
     given = write_inputs(tmp_path, ["drive.mp4", "drive/000003.png", "drive/x.png"])
 
-    result = call("infer", *given, *ROWS, "--out", tmp_path / "out")
+    result = call("infer", *given, *ROWS, "--out", out)
 
     assert result.exit_code == 0, result.stderr
-    assert {"drive/000003.png", "drive/x.png"} < set(rows_of(tmp_path / "out"))
+    assert {"drive/000003.png", "drive/x.png"} < set(rows_of(out))
 
 
 @pytest.mark.parametrize("command", ["infer", "grid"])
 def test_a_name_that_is_too_long_costs_its_own_member(
-    command: str, call: Call, tmp_path: Path
+    command: str, call: Call, tmp_path: Path, out: Path
 ) -> None:
     names = [*(f"a.zip!{number}.png" for number in range(4)), f"a.zip!1{'n' * 245}.png"]
-    given, out = write_inputs(tmp_path, names), tmp_path / "out"
+    given = write_inputs(tmp_path, names)
     lens = ("--fov", "70", "--height", "1.2", "--pitch", "2") if command == "grid" else ()
 
     result = call(command, *given, *ROWS, "--out", out, *lens)

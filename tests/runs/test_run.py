@@ -18,23 +18,24 @@ from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
 # --- polygons and facts -----------------------------------------------------------------
 
 
-def test_polygons_are_the_mask_and_coco_has_all_pictures(call: Call, tmp_path: Path) -> None:
-    pictures, out = tmp_path / "in", tmp_path / "out"
-    pictures.mkdir()
+def test_polygons_are_the_mask_and_coco_has_all_pictures(
+    call: Call, tmp_path: Path, out: Path
+) -> None:
+    pictures = tmp_path / "in"
     for seed in (1, 2):
         write_picture(pictures / f"{seed}.png", render_scene(seed, 60, 80))
 
-    call("infer", pictures / "1.png", "--detector", "cpf", "--out", out, "--save", "polygons,mask")
-    first = json.loads((out / "coco.json").read_text())
-    call("infer", pictures, "--detector", "cpf", "--out", out, "--save", "polygons,mask")
+    cocos = []
+    for given in (pictures / "1.png", pictures):
+        call("infer", given, "--detector", "cpf", "--out", out, "--save", "polygons,mask")
+        cocos.append(json.loads((out / "coco.json").read_text()))
 
-    coco = json.loads((out / "coco.json").read_text())
-    assert [one["file_name"] for one in first["images"]] == ["1.png"]
-    assert [one["file_name"] for one in coco["images"]] == ["1.png", "2.png"]
+    names = [[one["file_name"] for one in coco["images"]] for coco in cocos]
+    assert names == [["1.png"], ["1.png", "2.png"]]
     for seed in (1, 2):
         (out / f"{seed}.labelme.json").rename(pictures / f"{seed}.labelme.json")
     dataset = open_labelme(pictures, "all")
-    for item, one in zip(dataset.items, coco["annotations"], strict=True):
+    for item, one in zip(dataset.items, cocos[1]["annotations"], strict=True):
         mask = np.asarray(Image.open(out / f"{item.name}.mask.png")) == 255
         assert np.array_equal(dataset.reader.truth(item).road.numpy(), mask)
         assert one["area"] == mask.sum() > 0
@@ -58,13 +59,12 @@ def test_facts_of_a_picture_do_not_depend_on_the_run(
 # --- run.json ---------------------------------------------------------------------------
 
 
-def test_run_json_says_how_the_results_were_made(call: Call, footage: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
+def test_run_json_says_how_the_results_were_made(run: Call, footage: Path, out: Path) -> None:
     (footage / "bad.png").write_bytes(b"no picture")
 
     before = Threads.of_now()
     try:
-        call("infer", footage, *ROWS, "--out", out, "--threshold", "0.4", "--threads", "2")
+        run("--threshold", "0.4", "--threads", "2")
     finally:
         before.set()
 
@@ -86,61 +86,56 @@ def test_run_json_says_how_the_results_were_made(call: Call, footage: Path, tmp_
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_fail_fast_ends_at_the_first_failure_and_goes_on_later(
-    call: Call, footage: Path, tmp_path: Path, jobs: int
+    run: Call, footage: Path, out: Path, jobs: int
 ) -> None:
-    out = tmp_path / "out"
     (footage / "aa.png").write_bytes(b"no picture")
     for letter in "defghi":
         save_picture(footage / f"{letter}.png")
-    command = ("infer", footage, *ROWS, "--out", out, "--jobs", jobs)
 
-    stopped = call(*command, "--fail-fast")
-    kept = rows_of(out)
-    again = call(*command)
+    stopped = run("--jobs", jobs, "--fail-fast")
 
     assert stopped.exit_code == 1
-    assert list(kept) == ["a.jpg", "aa.png"]
-    assert stopped.stderr.endswith(
-        f"roadtorch: 1 done, 1 failed, 8 not tried (--fail-fast); results in {out}\n"
-    )
-    assert again.exit_code == 1
+    assert list(rows_of(out)) == ["a.jpg", "aa.png"]
+    told = f"roadtorch: 1 done, 1 failed, 8 not tried (--fail-fast); results in {out}\n"
+    assert stopped.stderr.endswith(told)
+    assert run("--jobs", jobs).exit_code == 1
     assert len(rows_of(out)) == 10
 
 
 @pytest.mark.parametrize("device", ["cuda", "meta", "gpu", "cuda:99"])
-def test_a_device_that_is_not_there_is_refused(
-    call: Call, footage: Path, tmp_path: Path, device: str
-) -> None:
+def test_a_device_that_is_not_there_is_refused(run: Call, out: Path, device: str) -> None:
     if device == "cuda" and torch.cuda.is_available():
         pytest.skip("there is one")
 
-    result = call("infer", footage, *ROWS, "--out", tmp_path / "out", "--device", device)
+    result = run("--device", device)
 
     assert result.exit_code == 2
     assert result.stderr.startswith(f"roadtorch: error: --device {device}: ")
     assert result.stderr.count("\n") == 1
-    assert not (tmp_path / "out").exists()
+    assert not out.exists()
 
 
 # --- elsewhere --------------------------------------------------------------------------
 
 
-def test_urls_give_the_same_files_and_rows(call: Call, footage: Path, tmp_path: Path) -> None:
+def test_urls_give_the_same_files_and_rows(
+    call: Call, run: Call, footage: Path, tmp_path: Path, out: Path
+) -> None:
     (footage / "bad.png").write_bytes(b"no picture")
-    here, there = tmp_path / "here", tmp_path / "there"
     kinds = ("--save", "likelihood,mask,cues,polygons,json")
+    there = tmp_path / "there"
+    remote = ("infer", footage.as_uri(), *ROWS, "--out", there.as_uri(), *kinds)
 
-    call("infer", footage, *ROWS, "--out", here, *kinds)
-    result = call("infer", footage.as_uri(), *ROWS, "--out", there.as_uri(), *kinds)
-    again = call("infer", footage.as_uri(), *ROWS, "--out", there.as_uri(), *kinds)
+    run(*kinds)
+    result, again = call(*remote), call(*remote)
 
     assert result.stderr.splitlines()[0] == (
         f"roadtorch: failed: {footage.as_uri()}/bad.png: is not a picture "
         "(give JPEG, PNG, TIFF, WebP or BMP)"
     )
-    assert bytes_in(here) == bytes_in(there)
-    assert files_in(here) == files_in(there)
-    told, expected = rows_of(there), rows_of(here)
+    assert bytes_in(out) == bytes_in(there)
+    assert files_in(out) == files_in(there)
+    told, expected = rows_of(there), rows_of(out)
     for name, row in expected.items():
         ignored = {"ms", "status"} if row["status"].startswith("failed") else {"ms"}
         assert {key for key in row if row[key] != told[name][key]} <= ignored
@@ -148,20 +143,20 @@ def test_urls_give_the_same_files_and_rows(call: Call, footage: Path, tmp_path: 
 
 
 def test_what_changed_behind_a_url_is_done_anew_and_mistakes_are_refused(
-    call: Call, footage: Path, tmp_path: Path
+    call: Call, footage: Path, out: Path
 ) -> None:
-    command = ("infer", footage, *ROWS, "--out", (tmp_path / "out").as_uri())
+    command = ("infer", footage, *ROWS, "--out", out.as_uri())
     call(*command)
     save_picture(footage / "a.jpg", 9)
     save_picture(footage / "sub" / "a.jpg")
 
     again = call(*command)
     other = call(*command, "--threshold", "0.9")
-    twice = call("infer", footage.as_uri(), (footage / "sub").as_uri(), "--out", tmp_path / "o")
+    twice = call("infer", footage.as_uri(), (footage / "sub").as_uri(), "--out", out / "o")
 
     assert again.stderr.startswith("roadtorch: 2 done (1 anew), 2 skipped")
     assert other.exit_code == twice.exit_code == 2
-    assert f"{(tmp_path / 'out').as_uri()}: holds results of other settings" in other.stderr
+    assert f"{out.as_uri()}: holds results of other settings" in other.stderr
     assert "both would write" in twice.stderr
 
 
@@ -176,16 +171,11 @@ def test_what_changed_behind_a_url_is_done_anew_and_mistakes_are_refused(
     ],
 )
 def test_ray_that_was_not_asked_for_or_is_not_installed(
-    call: Call,
-    footage: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    options: tuple[str, ...],
-    told: str,
+    run: Call, monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], told: str
 ) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
 
-    refused = call("infer", footage, *ROWS, "--out", tmp_path / "out", *options)
+    refused = run(*options)
 
     assert refused.exit_code == 2
     assert refused.stderr.startswith(f"roadtorch: error: {told}")

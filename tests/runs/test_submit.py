@@ -31,10 +31,8 @@ def kitti(tmp_path: Path) -> Path:
 
 
 def test_each_picture_gives_its_map_and_all_of_them_the_archive(
-    call: Call, kitti: Path, tmp_path: Path
+    call: Call, kitti: Path, out: Path
 ) -> None:
-    out = tmp_path / "out"
-
     result = call("submit", kitti, *GREY, "--out", out)
 
     assert result.exit_code == 0
@@ -53,9 +51,7 @@ def test_each_picture_gives_its_map_and_all_of_them_the_archive(
             assert archive.read(name) == (out / name).read_bytes()
 
 
-def test_maps_are_the_detectors_from_above(call: Call, kitti: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-
+def test_maps_are_the_detectors_from_above(call: Call, kitti: Path, out: Path) -> None:
     call("submit", kitti, *GREY, "--set", "threshold=0.9", "--out", out)
 
     image = read_image(kitti / "image_2/umm_000003.png")
@@ -86,9 +82,8 @@ def test_the_archives_own_folder_is_found_and_jobs_do_not_matter(
 
 
 def test_broken_pictures_are_listed_and_mended_by_a_second_run(
-    call: Call, kitti: Path, tmp_path: Path
+    call: Call, kitti: Path, out: Path
 ) -> None:
-    out = tmp_path / "out"
     picture, calibration = kitti / "image_2/um_000000.png", kitti / "calib/uu_000012.txt"
     whole, text = picture.read_bytes(), calibration.read_text()
     picture.write_bytes(whole[:1000])
@@ -118,10 +113,7 @@ def test_broken_pictures_are_listed_and_mended_by_a_second_run(
         assert archive.namelist() == MAPS
 
 
-def test_a_calibration_that_changed_is_looked_at_anew(
-    call: Call, kitti: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
+def test_a_calibration_that_changed_is_looked_at_anew(call: Call, kitti: Path, out: Path) -> None:
     call("submit", kitti, *GREY, "--out", out)
     before = (out / MAPS[0]).read_bytes()
     rows = reference.made_up_rows(pitch=0.05)
@@ -146,9 +138,8 @@ def test_a_calibration_that_changed_is_looked_at_anew(
     ],
 )
 def test_mistakes_are_one_line_before_any_work(
-    call: Call, kitti: Path, tmp_path: Path, spoil: str, line: str
+    call: Call, kitti: Path, out: Path, spoil: str, line: str
 ) -> None:
-    out = tmp_path / "out"
     picture = kitti / "image_2/um_000000.png"
     if spoil in ("calib", "image_2"):
         (kitti / spoil).rename(kitti / "elsewhere")

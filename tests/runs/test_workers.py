@@ -4,66 +4,44 @@ import os
 import signal
 import sys
 import time
-from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
 from roadtorch.runs.engines import MIN_PICTURES, processors, rows_of_workers, usual_workers
 from roadtorch.runs.index import Row
+from roadtorch.runs.pictures import Job
+from roadtorch.sources.pictures import Picture
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="workers are copies of a process")
 
-
-@dataclass(frozen=True)
-class Number:
-    """A task that is a number; ``deadly`` kills the worker that does it."""
-
-    value: int
-    deadly: bool = False
-
-    @property
-    def file(self) -> str:
-        return f"{self.value}.png"
-
-    @property
-    def origin(self) -> str:
-        return f"in/{self.value}.png"
-
-    @property
-    def is_complete(self) -> bool:
-        return False
-
-    def has_all(self, row: Row) -> bool:
-        return False
-
-    def digest(self) -> str:
-        return ""
+JOBS = [Job(Picture(Path(f"in/{n}.png"), str(n)), Path("out"), ()) for n in range(30)]
 
 
-def work(task: Number) -> Row:
-    if task.deadly:
+def work(job: Job) -> Row:
+    time.sleep(0.001 * (int(job.picture.name) % 3))
+    return Row(job.file, width=str(os.getpid()))
+
+
+def deadly_at_7(job: Job) -> Row:
+    if job.picture.name == "7":
         os.kill(os.getpid(), signal.SIGKILL)
-    time.sleep(0.001 * (task.value % 3))
-    return Row(task.file, width=str(os.getpid()))
+    return work(job)
 
 
 @pytest.mark.parametrize("workers", [1, 2, 3])
-def test_rows_come_in_the_order_of_the_tasks_from_other_processes(workers: int) -> None:
-    tasks = [Number(value) for value in range(20)]
+def test_rows_come_in_the_order_of_the_jobs_from_other_processes(workers: int) -> None:
+    rows = list(rows_of_workers(JOBS, work, workers))
 
-    rows = list(rows_of_workers(tasks, work, workers))
-
-    assert [row.file for row in rows] == [task.file for task in tasks]
+    assert [row.file for row in rows] == [job.file for job in JOBS]
     assert str(os.getpid()) not in {row.width for row in rows}
     assert len({row.width for row in rows}) <= workers
 
 
 def test_a_worker_that_dies_costs_what_was_in_hand_and_others_go_on() -> None:
-    tasks = [Number(value, deadly=value == 7) for value in range(30)]
+    rows = {row.file: row for row in rows_of_workers(JOBS, deadly_at_7, 2)}
 
-    rows = {row.file: row for row in rows_of_workers(tasks, work, 2)}
-
-    assert set(rows) == {task.file for task in tasks}
+    assert set(rows) == {job.file for job in JOBS}
     failed = {name for name, row in rows.items() if row.failed}
     assert "7.png" in failed
     assert len(failed) <= 3
@@ -72,7 +50,7 @@ def test_a_worker_that_dies_costs_what_was_in_hand_and_others_go_on() -> None:
 
 
 def test_closing_ends_the_workers() -> None:
-    rows = rows_of_workers([Number(value) for value in range(50)], work, 2)
+    rows = rows_of_workers(JOBS, work, 2)
     worker = int(next(rows).width)
 
     rows.close()

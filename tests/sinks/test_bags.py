@@ -15,8 +15,7 @@ from rosbags.interfaces import QosDurability, QosReliability
 from roadtorch.detector import Detection
 from roadtorch.errors import InputError
 from roadtorch.sinks import bags
-from roadtorch.sinks.bags import BagSink
-from roadtorch.sinks.messages import message_types, occupancy_message
+from roadtorch.sinks.bags import BagSink, message_types, occupancy_message
 from roadtorch.sources.bags import bag_source, image_topic
 from roadtorch.sources.frame import Frame
 from tests.sources.bags import ROS2, raw_image, write_bag
