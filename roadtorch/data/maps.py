@@ -45,19 +45,6 @@ def parse_maps(texts: Sequence[str]) -> dict[str, Path]:
     return found
 
 
-def find_map(folder: Path, names: Sequence[str]) -> Path:
-    """The file with the map of a picture that goes by one of these names.
-
-    Raises InputError when there is none.
-    """
-    paths = [folder / f"{name}{ending}" for name in names for ending in ENDINGS]
-    for path in paths:
-        if path.is_file():
-            return path
-    remedy = f"every picture needs a map, {' or '.join(ENDINGS)}"
-    raise InputError(paths[0], "is missing", remedy)
-
-
 def read_map(path: Path) -> Tensor:
     """A map file as float32 (H,W): a grey picture of 8 or 16 bits, or a NumPy file of floats.
 
@@ -129,7 +116,11 @@ def map_likelihood(
     names: what its file may be called, but for the ending. Raises InputError naming the
     file when it is missing, of another size, not grey, or has values that are not in [0,1].
     """
-    path = find_map(folder, names)
+    paths = [folder / f"{name}{ending}" for name in names for ending in ENDINGS]
+    path = next(filter(Path.is_file, paths), None)
+    if path is None:
+        remedy = f"every picture needs a map, {' or '.join(ENDINGS)}"
+        raise InputError(paths[0], "is missing", remedy)
     likelihood = read_map(path)
     if tuple(likelihood.shape) not in sizes:
         height, width = likelihood.shape

@@ -8,9 +8,8 @@ fsspec: it makes paths absolute, follows links without end, and asks for the sta
 import glob
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from functools import partial
 from itertools import takewhile
 from os.path import basename
 from pathlib import Path
@@ -101,20 +100,6 @@ Wanted = Callable[[str], bool]
 """Whether a file is asked for, by its name without folders."""
 
 
-class _Files(NamedTuple):
-    """What is asked of the files of this machine and of fsspec alike.
-
-    below: the files in a folder and all below it; matching: what a glob matches, and whether
-    that is a folder; origin: of a file that was found.
-    """
-
-    exists: Callable[[str], bool]
-    is_folder: Callable[[str], bool]
-    below: Callable[[str], Iterable[str]]
-    matching: Callable[[str], Iterable[tuple[str, bool]]]
-    origin: Callable[[str], Path | str]
-
-
 def files_at(
     given: str | os.PathLike[str], wanted: Wanted, apart: Path | None = None
 ) -> list[File] | None:
@@ -130,57 +115,53 @@ def files_at(
     remote = is_url(path)
     if remote:
         system, path = file_system(path)
-        told, files = url_errors(os.fspath(given)), _remote(system)
     else:
-        told, files = nullcontext(), _local(apart)
-    with told:
-        if glob.has_magic(path) and not files.exists(path):
+        system = _Local(apart)
+    with url_errors(os.fspath(given)) if remote else nullcontext():
+        if glob.has_magic(path) and not system.exists(path):
             fixed = takewhile(lambda part: not glob.has_magic(part), Path(path).parts)
-            root, matches = Path(*fixed), sorted(files.matching(path))
-            found = [one for one, is_folder in matches if not is_folder and wanted(basename(one))]
-            folders = [one for one, is_folder in matches if is_folder and not found]
-        elif files.is_folder(path):
+            root, matches = Path(*fixed), sorted(system.glob(path, detail=True).items())
+            is_folder = {one: about["type"] == "directory" for one, about in matches}
+            found = [one for one in is_folder if not is_folder[one] and wanted(basename(one))]
+            folders = [one for one in is_folder if is_folder[one] and not found]
+        elif system.isdir(path):
             root, found, folders = Path(path), [], [path]
         else:
             return None
-        found += [one for top in folders for one in files.below(top) if wanted(basename(one))]
+        for top in folders:
+            below = sorted(system.find(top)) if remote else system.find(top)
+            found += [one for one in below if wanted(basename(one))]
         named = [(one, Path(one).relative_to(root)) for one in dict.fromkeys(found)]
         return [
-            File(files.origin(one), name.as_posix())
+            File(system.unstrip_protocol(one), name.as_posix())
             for one, name in named
             if not (remote and any(part[0] == "." for part in name.parts))
         ]
 
 
-def _local(apart: Path | None) -> _Files:
-    def matching(pattern: str) -> Iterator[tuple[str, bool]]:
-        for one in glob.glob(pattern, recursive=True):
-            if os.path.isdir(one) or os.path.isfile(one):
-                yield one, os.path.isdir(one)
+class _Local:
+    """The files of this machine, asked for as those of a file system of fsspec; apart: left out."""
 
-    return _Files(os.path.exists, os.path.isdir, partial(_walk, apart=apart), matching, Path)
+    exists, isdir = staticmethod(os.path.exists), staticmethod(os.path.isdir)
+    unstrip_protocol = Path
 
+    def __init__(self, apart: Path | None) -> None:
+        # Path.resolve raises for a link to itself, which is a file like any other here.
+        self._apart = os.path.realpath(apart) if apart else None
 
-def _walk(folder: str, apart: Path | None) -> Iterator[str]:
-    """Every file below a folder but hidden folders and ``apart``, sorted, folder by folder."""
-    # Path.resolve raises for a link to itself, which is a file like any other here.
-    other = os.path.realpath(apart) if apart else None
-    other = None if other == os.path.realpath(folder) else other
-    for top, folders, names in os.walk(folder):
-        folders[:] = sorted(
-            name
-            for name in folders
-            if name[0] != "." and os.path.realpath(os.path.join(top, name)) != other
-        )
-        yield from (os.path.join(top, name) for name in sorted(names))
+    def glob(self, pattern: str, **_: object) -> dict[str, dict[str, str]]:
+        """What a glob matches, and whether it is a directory."""
+        kinds = {"directory": os.path.isdir, "file": os.path.isfile}
+        found = glob.glob(pattern, recursive=True)
+        return {one: {"type": kind} for kind, fits in kinds.items() for one in found if fits(one)}
 
-
-def _remote(system: Any) -> _Files:
-    def matching(pattern: str) -> Iterator[tuple[str, bool]]:
-        for one, about in system.glob(pattern, detail=True).items():
-            yield one, about["type"] == "directory"
-
-    def below(folder: str) -> list[str]:
-        return sorted(system.find(folder))
-
-    return _Files(system.exists, system.isdir, below, matching, system.unstrip_protocol)
+    def find(self, folder: str) -> Iterator[str]:
+        """Every file below a folder but hidden folders and ``apart``, sorted, folder by folder."""
+        apart = None if self._apart == os.path.realpath(folder) else self._apart
+        for top, folders, names in os.walk(folder):
+            folders[:] = sorted(
+                name
+                for name in folders
+                if name[0] != "." and os.path.realpath(os.path.join(top, name)) != apart
+            )
+            yield from (os.path.join(top, name) for name in sorted(names))

@@ -81,7 +81,18 @@ def read_image(path: str | os.PathLike[str]) -> Tensor:
     if isinstance(path, str) and is_url(path):
         return decode_image(url_bytes(path), without_password(path))
     path = Path(path)
-    return decode_image(_read_bytes(path), path)
+    try:
+        if (size := regular_size(path)) > LARGE:
+            with path.open("rb") as file, undecodable(path):
+                check_bytes(file, size)
+        data = read_regular(path)
+    except FileNotFoundError:
+        raise InputError(path, "does not exist", "check the name") from None
+    except IsADirectoryError:
+        raise InputError(path, "is a folder", "give a picture file") from None
+    except OSError as problem:
+        raise InputError(path, f"cannot be read: {problem.strerror}", "check the file") from None
+    return decode_image(data, path)
 
 
 def decode_image(data: bytes, origin: object) -> Tensor:
@@ -110,20 +121,6 @@ def undecodable(origin: object) -> Iterator[None]:
             raise fault(origin, problem) from None
         what = f"cannot be decoded: {reason(problem)}"
         raise InputError(origin, what, "replace the file") from None
-
-
-def _read_bytes(path: Path) -> bytes:
-    try:
-        if (size := regular_size(path)) > LARGE:
-            with path.open("rb") as file, undecodable(path):
-                check_bytes(file, size)
-        return read_regular(path)
-    except FileNotFoundError:
-        raise InputError(path, "does not exist", "check the name") from None
-    except IsADirectoryError:
-        raise InputError(path, "is a folder", "give a picture file") from None
-    except OSError as problem:
-        raise InputError(path, f"cannot be read: {problem.strerror}", "check the file") from None
 
 
 def from_pixels(pixels: np.ndarray) -> Tensor:

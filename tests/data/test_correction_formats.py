@@ -15,6 +15,7 @@ from roadtorch.data.corrections import Correction
 from roadtorch.data.cvat import object_colours, voc_colour
 from roadtorch.data.label_studio import _picture_of, packed_mask, unpacked_mask
 from roadtorch.errors import DatasetError
+from tests.data.conftest import write_png
 
 SIZE = (37, 53)
 
@@ -88,28 +89,25 @@ def test_a_folder_without_labels_is_told(name: str, tmp_path: Path) -> None:
         FORMATS[name].read(tmp_path, {"a.jpg": SIZE})
 
 
-@pytest.mark.parametrize("name", ["xml", "labelme"])
-def test_our_own_sets_read_the_files_and_untouched_is_void(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "kind", "place"),
+    [("xml", "labelme", "images"), ("labelme", "labelme", "images"), ("png", "folder", ".")],
+)
+def test_our_own_sets_read_the_files_and_untouched_is_void(
+    name: str, kind: str, place: str, tmp_path: Path
+) -> None:
     labels = nested(4)
-    Image.fromarray(np.zeros((*SIZE, 3), np.uint8)).save(tmp_path / "a.png")
-    FORMATS[name].write([correction(labels, "a.png")], tmp_path)
-    dataset = open_dataset("labelme", tmp_path)
+    write_png(tmp_path / "images/a.png", np.zeros((*SIZE, 3), np.uint8))
+    FORMATS[name].write([correction(labels, "a.png")], tmp_path / place)
+    dataset = open_dataset(kind, tmp_path)
     truth = dataset.truth(dataset.items[0])
-    known = ~np.isin(labels, [LABELS.index(one) for one in ("untouched", "void")])
+    said = ("untouched", "void", *(("horizontal",) if name == "png" else ()))
+    known = ~np.isin(labels, [LABELS.index(one) for one in said])
     assert (truth.valid.numpy() == known).all()
     assert (truth.road.numpy() == (labels == LABELS.index("road"))).all()
-
-
-def test_png_is_a_set_of_ones_own(tmp_path: Path) -> None:
-    labels = nested(5)
-    FORMATS["png"].write([correction(labels, "a.png")], tmp_path)
-    (tmp_path / "images").mkdir()
-    Image.fromarray(np.zeros((*SIZE, 3), np.uint8)).save(tmp_path / "images/a.png")
-    dataset = open_dataset("folder", tmp_path)
-    truth = dataset.truth(dataset.items[0])
-    assert truth.layout is not None
-    assert (truth.road.numpy() == (labels == LABELS.index("road"))).all()
-    assert (truth.layout.numpy() == correction(labels).layout).all()
+    if name == "png":
+        assert truth.layout is not None
+        assert (truth.layout.numpy() == correction(labels).layout).all()
 
 
 # --- CVAT -------------------------------------------------------------------------------
@@ -285,22 +283,6 @@ def test_broken_regions_are_named(changed: dict[str, object], words: str, tmp_pa
         FORMATS["label-studio"].read(tmp_path, {"a.jpg": (1, 2)})
 
 
-@pytest.mark.parametrize(
-    "changed",
-    [
-        {"annotations": {"result": []}},
-        {"annotations": [{"result": "none"}]},
-        {"annotations": [{"result": ["a region"]}]},
-        {"data": []},
-        {"data": {"image": "other.jpg"}},
-    ],
-)
-def test_tasks_that_are_none_are_refused(changed: dict[str, object], tmp_path: Path) -> None:
-    (tmp_path / "tasks.json").write_text(json.dumps([{**task()[0], **changed}]))
-    with pytest.raises(DatasetError, match=r"tasks\.json: "):
-        FORMATS["label-studio"].read(tmp_path, {"a.jpg": (1, 2)})
-
-
 def test_two_tasks_of_one_picture_are_refused_and_what_was_skipped_is_none(tmp_path: Path) -> None:
     path, sizes = tmp_path / "tasks.json", {"a.jpg": (1, 2)}
     said = {"type": "brushlabels", "original_width": 2, "original_height": 1}
@@ -314,8 +296,20 @@ def test_two_tasks_of_one_picture_are_refused_and_what_was_skipped_is_none(tmp_p
         FORMATS["label-studio"].read(tmp_path, sizes)
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[1]", "[" * 100_000])
+WRONG = (
+    {"annotations": {"result": []}},
+    {"annotations": [{"result": "none"}]},
+    {"annotations": [{"result": ["a region"]}]},
+    {"data": []},
+    {"data": {"image": "other.jpg"}},
+)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{}", "[1]", "[" * 100_000, *(json.dumps([{**task()[0], **one}]) for one in WRONG)],
+)
 def test_what_is_no_list_of_tasks_is_refused(text: str, tmp_path: Path) -> None:
     (tmp_path / "tasks.json").write_text(text)
-    with pytest.raises(DatasetError, match="tasks"):
+    with pytest.raises(DatasetError, match=r"tasks\.json: "):
         FORMATS["label-studio"].read(tmp_path, {"a.jpg": (1, 2)})

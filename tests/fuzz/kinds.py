@@ -5,7 +5,6 @@ import io
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,7 +32,6 @@ from roadtorch.evaluation.document import earlier_thresholds
 from roadtorch.evaluation.methods import Method, named_detector
 from roadtorch.evaluation.scoring import score
 from roadtorch.evaluation.tally import Tally
-from roadtorch.io.image import read_image
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import MAX_WEIGHT, load_network, save_network, shipped_weights
@@ -41,23 +39,24 @@ from roadtorch.road.ego import Ego, ego_car
 from roadtorch.runs.folder import result_folder
 from roadtorch.runs.index import Row, read_index, write_index
 from roadtorch.runs.options import DetectorOptions, as_toml
-from roadtorch.scenes.street import render_scene
 from roadtorch.settings import build_settings, parse_assignments
 from roadtorch.train.config import PatchTraining, as_values, build_training
 from roadtorch.train.folder import CHECKPOINT, FORMAT, RUN, RunFolder
 from roadtorch.train.prepared import read_arrays, write_arrays
+from tests.data.conftest import write_png
+from tests.fuzz.pictures import OF_PICTURES, make_picture, read_picture
 from tests.fuzz.tampered import (
-    OF_BYTES,
     OF_TEXT,
     PIECES,
     Draw,
+    one_of,
     tampered,
     tampered_json,
     tampered_safetensors,
+    written,
 )
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
-OF_PICTURES = (*OF_BYTES, "size")
 HEIGHT, WIDTH = 12, 16
 SIZE = (4, 6)  # of maps, in pixels
 DETECTOR = "prior:rows"
@@ -70,64 +69,12 @@ class Kind(NamedTuple):
     read: Callable[[Path], bool]
 
 
-def one_of(draw: Draw, *choices: Any) -> Any:
-    return draw(st.sampled_from(choices))
-
-
-def written(path: Path, data: bytes) -> Path:
-    path.write_bytes(data)
-    return path
-
-
 def told_of(path: Path, build: Callable[[], object]) -> None:
     """Build settings; a refusal that names their key names their file too, as a user knows it."""
     try:
         build()
     except ConfigError as problem:
         raise ConfigError(f"{path} {problem.where}", problem.what, problem.remedy) from None
-
-
-# --- pictures -----------------------------------------------------------------------------
-
-SIZES = ((64, 48), (1, 1), (1, 90), (90, 1), (320, 240))
-
-
-@cache
-def scene(seed: int) -> Image.Image:
-    """A rendered street."""
-    pixels = render_scene(seed).image.mul(255).round().byte().permute(1, 2, 0).numpy()
-    return Image.fromarray(np.ascontiguousarray(pixels))
-
-
-def whole_picture(draw: Draw) -> bytes:
-    """A picture of some size, mode, format and EXIF; one in six has frames."""
-    size, data = one_of(draw, *SIZES), io.BytesIO()
-    if one_of(draw, *range(6)) == 0:
-        frames = [scene(number).resize(size) for number in range(one_of(draw, 2, 5))]
-        kind = one_of(draw, "PNG", "WEBP", "TIFF", "GIF")
-        frames[0].save(data, kind, save_all=True, append_images=frames[1:])
-        return data.getvalue()
-    picture = scene(one_of(draw, *range(4))).resize(size)
-    exif = Image.Exif()
-    exif[274] = one_of(draw, *range(12))
-    options = one_of(draw, {}, {"exif": exif}, {"exif": b"no exif"}, {"progressive": True})
-    kind = one_of(draw, "JPEG", "PNG", "TIFF", "WEBP", "BMP")
-    try:
-        mode = one_of(draw, "RGB", "L", "P", "RGBA", "1", "CMYK", "I;16")
-        picture.convert(mode).save(data, kind, **options)
-    except Exception:  # Pillow raises anything where a format knows no such mode or metadata
-        data = io.BytesIO()
-        picture.save(data, "PNG")
-    return data.getvalue()
-
-
-def make_picture(draw: Draw, folder: Path) -> Path:
-    return written(folder / "picture.bin", tampered(draw, whole_picture(draw), OF_PICTURES))
-
-
-def read_picture(path: Path) -> bool:
-    image = read_image(path)
-    return bool((image >= 0).all() and (image <= 1).all()) and image.ndim == 3
 
 
 # --- weights, arrays, checkpoints -----------------------------------------------------------
@@ -228,8 +175,7 @@ def make_assignments(draw: Draw, folder: Path) -> Path:
 
 def read_assignments(path: Path) -> bool:
     texts = path.read_bytes().decode("utf-8", "surrogateescape").split("\n")
-    kind = detector_entry("cpf").settings
-    told_of(path, lambda: build_settings(kind, parse_assignments(texts)))
+    told_of(path, lambda: build_settings(detector_entry("cpf").settings, parse_assignments(texts)))
     return True
 
 
@@ -260,9 +206,8 @@ def make_labelme(draw: Draw, folder: Path) -> Path:
     data = io.BytesIO()
     kind = one_of(draw, "PNG", "PNG", "JPEG", "GIF", "TIFF", "EPS")
     Image.new("L", (4, 3), 255).save(data, kind)
-    mask = (
-        tampered(draw, data.getvalue(), OF_PICTURES) if one_of(draw, 0, 1, 2) else data.getvalue()
-    )
+    mask = data.getvalue()
+    mask = tampered(draw, mask, OF_PICTURES) if one_of(draw, 0, 1, 2) else mask
     shapes = [
         ([[1, 1], [9, 1], [9, 8]], "polygon", {}),
         ([[2, 3], [9, 8]], "rectangle", {}),
@@ -307,17 +252,8 @@ def read_labels(path: Path) -> bool:
     return truth.road.shape == truth.valid.shape and truth.road.dtype == torch.bool
 
 
-# --- labels of people and of other programs -------------------------------------------------
-
-SAID = Correction(
-    Path("a.png"),
-    "a.png",
-    np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) % 97 % 8,
-    False,
-    (),
-    0,
-    0,
-)
+NUMBERS = (np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) % 97 % 8).astype(np.uint8)
+SAID = Correction(Path("a.png"), "a.png", NUMBERS, False, (), 0, 0)
 IMPORTS = {
     "label-studio": "tasks.json",
     "cvat": "labelmap.txt",
@@ -329,7 +265,7 @@ IMPORTS = {
 def make_import(draw: Draw, folder: Path) -> Path:
     """An export of ours for one of the programs."""
     name = one_of(draw, *IMPORTS)
-    IMPORTED[name].write([replace(SAID, labels=SAID.labels.astype(np.uint8))], folder)
+    IMPORTED[name].write([SAID], folder)
     path = folder / IMPORTS[name]
     if path.suffix == ".json" and one_of(draw, 0, 1, 2):
         return written(path, tampered_json(draw, json.loads(path.read_bytes())))
@@ -380,8 +316,7 @@ def make_conditions(draw: Draw, folder: Path) -> Path:
 def write_set(folder: Path, *names: str) -> None:
     for name in names:
         for part in ("images", "masks"):
-            (folder / part).mkdir(parents=True, exist_ok=True)
-            Image.new("L", (24, 18)).save(folder / part / f"{name}.png")
+            write_png(folder / part / f"{name}.png", np.zeros((18, 24), np.uint8))
 
 
 def read_conditions(path: Path) -> bool:

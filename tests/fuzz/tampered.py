@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -34,6 +35,15 @@ VALUES = st.sampled_from(
 OF_BYTES = ("flip", "edge", "cut", "leave out", "swap", "repeat")
 OF_TEXT = (*OF_BYTES, "insert", "insert", *("word",) * 8, "lines")
 TYPES = ("F64", "F16", "BF16", "I32", "I64", "U8", "BOOL", "F8_E4M3", "C64", "X9")
+
+
+def one_of(draw: Draw, *choices: Any) -> Any:
+    return draw(st.sampled_from(choices))
+
+
+def written(path: Path, data: bytes) -> Path:
+    path.write_bytes(data)
+    return path
 
 
 def tampered(draw: Draw, data: bytes, kinds: tuple[str, ...] = OF_BYTES) -> bytes:

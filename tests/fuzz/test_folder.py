@@ -8,7 +8,7 @@ from pathlib import Path
 from random import Random
 
 from roadtorch.io.bounded import printable
-from tests.fuzz.kinds import scene
+from tests.fuzz.pictures import scene
 
 SUFFIXES = (".jpg", ".png", ".tif", ".webp", ".bmp")
 GOOD, DAMAGED = 10, 40

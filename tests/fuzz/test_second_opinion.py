@@ -9,10 +9,8 @@ bags and archives what was put in. A part of footage is right when it says what 
 """
 
 import io
-import tarfile
 import tempfile
 import warnings
-import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
@@ -37,9 +35,11 @@ from roadtorch.sources.archives import archive_source
 from roadtorch.sources.bags import bag_source
 from roadtorch.sources.frame import Selection, Source
 from roadtorch.sources.video import video_source
-from tests.fuzz.kinds import OF_PICTURES, one_of, scene, whole_picture, written
-from tests.fuzz.tampered import OF_BYTES, Draw, tampered
+from tests.fuzz.pictures import OF_PICTURES, scene, whole_picture
+from tests.fuzz.tampered import OF_BYTES, Draw, one_of, tampered, written
+from tests.io.test_image import TURNS
 from tests.sources.bags import FIRST, ROS1, ROS2, STEP, raw_image, write_bag
+from tests.sources.test_archives import write_archive
 from tests.videos import write_video
 
 COUNTS = {"pictures": 3_000, "videos": 500, "bags": 500, "archives": 300}
@@ -103,12 +103,6 @@ def pillows(data: bytes) -> np.ndarray:
             return np.repeat(np.array(upright).astype(float)[..., None] / 65535, 3, 2)
         pixels = np.array(upright.convert("RGBA")) / 255
         return pixels[..., :3] * (pixels[..., 3:] if upright.has_transparency_data else 1)
-
-
-TURNS: dict[Any, Callable[[np.ndarray], np.ndarray]] = {
-    **{2: np.fliplr, 3: lambda a: np.rot90(a, 2), 4: np.flipud, 5: lambda a: a.swapaxes(0, 1)},
-    **{6: lambda a: np.rot90(a, -1), 7: lambda a: np.rot90(a, 2).swapaxes(0, 1), 8: np.rot90},
-}
 
 
 def tifffiles(data: bytes) -> np.ndarray:
@@ -263,24 +257,13 @@ ARCHIVES = (".zip", ".tar", ".tar.gz", ".tar.xz")
 
 @cache
 def archive(suffix: str) -> bytes:
-    data = io.BytesIO()
     members = {}
     for number in range(4):
         member = io.BytesIO()
         scene(number).save(member, "PNG")
         members[f"{number}.png"] = member.getvalue()
-    if suffix == ".zip":
-        with zipfile.ZipFile(data, "w") as packed:
-            for name, content in members.items():
-                packed.writestr(name, content)
-    else:
-        kind: Any = "w:" + suffix[5:]
-        with tarfile.open(fileobj=data, mode=kind) as packed:
-            for name, content in members.items():
-                info = tarfile.TarInfo(name)
-                info.size = len(content)
-                packed.addfile(info, io.BytesIO(content))
-    return data.getvalue()
+    with tempfile.TemporaryDirectory() as folder:
+        return write_archive(Path(folder, f"many{suffix}"), members).read_bytes()
 
 
 def make_archive(draw: Draw, folder: Path) -> Path:

@@ -141,18 +141,12 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_no_reader_waits_for_a_pipe(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_no_reader_waits_for_a_pipe_or_reads_a_device_without_end(
+    kind: str, name: str, tmp_path: Path
+) -> None:
     path = tmp_path / name
-    os.mkfifo(path)
-
-    with within(3, path), pytest.raises(RoadtorchError, match=re.escape(name)):
-        READERS[name](path)
-
-
-@pytest.mark.parametrize("name", READERS)
-def test_no_reader_reads_a_device_without_end(name: str, tmp_path: Path) -> None:
-    path = tmp_path / name
-    path.symlink_to("/dev/zero")
+    os.mkfifo(path) if kind == "pipe" else path.symlink_to("/dev/zero")
 
     with within(3, path), pytest.raises(RoadtorchError, match=re.escape(name)):
         READERS[name](path)
