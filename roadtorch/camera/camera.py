@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from torch import Tensor
 from torch.nn import functional as F
 
-from roadtorch.camera.gradients import Stillness, gradients, small_grey, small_size, softened
+from roadtorch.camera.gradients import Stillness, gradient_of, small_grey, small_size, softened
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.imaging.resize import resized
 from roadtorch.io.atomic import write_text
@@ -93,7 +93,7 @@ def sure_look(look: EgoLook, found: list[Tensor]) -> EgoLook:
 
 def image_likeness(look: EgoLook, image: Tensor) -> float:
     """How alike an image (3,H,W) in [0,1] is to a look, from -1 to 1; .1 for other cameras."""
-    return gradient_likeness(look, next(gradients([small_grey(image, small_size([image]))])))
+    return gradient_likeness(look, gradient_of(small_grey(image, small_size([image]))))
 
 
 def likenesses(look: EgoLook, found: Sequence[Tensor]) -> Tensor:

@@ -20,7 +20,7 @@ from roadtorch.camera.gradients import (
     Stillness,
     VanishingPoint,
     crossing,
-    gradients,
+    gradient_of,
     road_lines,
     small_grey,
     small_size,
@@ -75,16 +75,6 @@ class Footage(NamedTuple):
     lines: Tensor
 
 
-class EdgePath(NamedTuple):
-    """A row (w,) int64 in each column, h where the path is below the picture.
-
-    evidence: above NEUTRAL_EVIDENCE, mean over the columns.
-    """
-
-    rows: Tensor
-    evidence: float
-
-
 def still_ego(frames: Sequence[Tensor]) -> Tensor | None:
     """The ego car in frames (3,H,W) of one camera, floating point in [0,1]: bool (H,W), or None.
 
@@ -95,7 +85,7 @@ def still_ego(frames: Sequence[Tensor]) -> Tensor | None:
     if len(frames) < 2:
         raise InputError("footage", f"is {len(frames)} frame(s)", "give 10 or more of one camera")
     size = small_size(frames)
-    rows = ego_rows(look_through(list(gradients(small_grey(frame, size) for frame in frames))))
+    rows = ego_rows(look_through([gradient_of(small_grey(frame, size)) for frame in frames]))
     if rows is None:
         return None
     below = torch.arange(size[0])[:, None] >= rows
@@ -116,14 +106,13 @@ def ego_rows(footage: Footage) -> Tensor | None:
     """
     evidence = edge_evidence(footage.still, footage.point)
     height, row = len(evidence), torch.arange(len(evidence))[:, None]
-    best = best_path(evidence)
-    while best.evidence >= MIN_EVIDENCE and _is_road(footage.lines, row >= best.rows + MIN_APART):
+    rows, gained = best_path(evidence)
+    while gained >= MIN_EVIDENCE and _is_road(footage.lines, row >= rows + MIN_APART):
         # A reflection in the windscreen, or the road's own texture: look further down.
-        best = best_path(evidence * (row > best.rows + MIN_APART))
-    if best.evidence < MIN_EVIDENCE:
+        rows, gained = best_path(evidence * (row > rows + MIN_APART))
+    if gained < MIN_EVIDENCE:
         return None
-    rows = best.rows
-    while (above := _edge_above(footage.lines, evidence, rows, best.evidence)) is not None:
+    while (above := _edge_above(footage.lines, evidence, rows, gained)) is not None:
         rows = above
     return rows if height - int(rows.min()) >= MIN_EGO_HEIGHT * height else None
 
@@ -132,13 +121,11 @@ def _edge_above(lines: Tensor, evidence: Tensor, rows: Tensor, enough: float) ->
     """The rows (w,) of an edge close above that is the ego car's too; None where there is none."""
     height, row = len(evidence), torch.arange(len(evidence))[:, None]
     close = (row < rows - MIN_APART) & (row >= rows - MAX_EDGE_DISTANCE * height)
-    above = best_path(evidence * close)
-    if above.evidence < max(MIN_EVIDENCE, NEXT_EDGE * enough):
-        return None
-    higher = torch.minimum(rows, above.rows)
-    return (
-        None if _is_road(lines, (row >= higher + MIN_APART) & (row < rows - MIN_APART)) else higher
-    )
+    above, gained = best_path(evidence * close)
+    higher = torch.minimum(rows, above)
+    between = (row >= higher + MIN_APART) & (row < rows - MIN_APART)
+    is_edge = gained >= max(MIN_EVIDENCE, NEXT_EDGE * enough) and not _is_road(lines, between)
+    return higher if is_edge else None
 
 
 def _is_road(lines: Tensor, where: Tensor) -> bool:
@@ -156,10 +143,11 @@ def edge_evidence(still: Stillness, point: VanishingPoint) -> Tensor:
     return F.max_pool2d(evidence[None, None], (3, 1), 1, (1, 0))[0, 0]
 
 
-def best_path(evidence: Tensor) -> EdgePath:
-    """The path across evidence (h,w) that gains most; below the picture it is free.
+def best_path(evidence: Tensor) -> tuple[Tensor, float]:
+    """The path across evidence (h,w) that gains most: its row (w,) int64 in each column, and gain.
 
-    Dynamic programming over the columns.
+    The row is h where the path is below the picture, which is free; the gain is above
+    NEUTRAL_EVIDENCE, mean over the columns. Dynamic programming over the columns.
     """
     height, width = evidence.shape
     gain = torch.cat([evidence - NEUTRAL_EVIDENCE, evidence.new_zeros(1, width)])
@@ -175,7 +163,7 @@ def best_path(evidence: Tensor) -> EdgePath:
     rows = [row]
     for back in reversed(came):
         rows.append(row := int(back[row]))
-    return EdgePath(torch.tensor(rows[::-1]), float(total.max()) / width)
+    return torch.tensor(rows[::-1]), float(total.max()) / width
 
 
 # --- the camera ------------------------------------------------------------------------
@@ -220,14 +208,20 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
     if width / height > SAME_SHAPE * low_width / low_height:
         what = f"is of several cameras: {low_width}×{low_height} and {width}×{height} pixels"
         raise InputError(where, what, "give the footage of one")
-    found = list(gradients(at_one_size(greys)))
+    size = small_size(greys)
+    found = [
+        gradient_of(F.interpolate(grey[None, None], size, mode="bilinear")[0, 0]) for grey in greys
+    ]
     footage = look_through(found)
     if footage.still.share >= STILL_SHARE:
         raise StillError(where, "stands still: nothing moves", "give footage of a drive")
     _check_looks(footage, found, where)
     rows = ego_rows(footage)
     look = EgoLook() if rows is None else sure_look(ego_look(footage.still, rows), found)
-    outline = () if rows is None else outline_of(rows, footage.still.length.shape[0])
+    outline = ()
+    if rows is not None:
+        shares = F.adaptive_avg_pool1d(rows[None].to(torch.float64) / size[0], OUTLINE_COLUMNS)[0]
+        outline = tuple(round(share, 4) for share in shares.tolist())
     height, width = Counter(sizes).most_common(1)[0][0]
     return Camera(
         width=width,
@@ -238,23 +232,6 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
         ego=Ego(outline=outline),
         look=look,
     )
-
-
-def at_one_size(greys: Sequence[Tensor]) -> list[Tensor]:
-    """Small grey pictures (h,w) of nearly the same shape, all at the median one."""
-    size = small_size(greys)
-    return [
-        F.interpolate(grey[None, None], size, mode="bilinear")[0, 0]
-        if tuple(grey.shape) != size
-        else grey
-        for grey in greys
-    ]
-
-
-def outline_of(rows: Tensor, height: int) -> tuple[float, ...]:
-    """An outline as ``Ego`` has it, of rows (w,) int64 in a picture of that height."""
-    shares = F.adaptive_avg_pool1d(rows[None].to(torch.float64) / height, OUTLINE_COLUMNS)[0]
-    return tuple(round(share, 4) for share in shares.tolist())
 
 
 # --- what forbids it --------------------------------------------------------------------

@@ -8,7 +8,7 @@ road detection", CVPR 2009, who vote with Gabor filters in one picture). Frames 
 pixels wide: edges of the ego car stay visible, and a hundred frames take seconds.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -84,14 +84,11 @@ def small_size(frames: Sequence[Tensor]) -> tuple[int, int]:
     return max(16, round(shapes[len(shapes) // 2] * SMALL_WIDTH)), SMALL_WIDTH
 
 
-def gradients(greys: Iterable[Tensor]) -> Iterator[Tensor]:
-    """Sobel's gradients (2,h,w) of grey levels (h,w): across and down, levels over two pixels."""
-    for grey in greys:
-        smooth = cv2.GaussianBlur(grey.numpy(), (0, 0), BLUR)
-        across, down = (
-            cv2.Sobel(smooth, cv2.CV_32F, *way, scale=1 / 4) for way in ((1, 0), (0, 1))
-        )
-        yield torch.from_numpy(np.stack([across, down]))
+def gradient_of(grey: Tensor) -> Tensor:
+    """Sobel's gradient (2,h,w) of grey levels (h,w): across and down, levels over two pixels."""
+    smooth = cv2.GaussianBlur(grey.numpy(), (0, 0), BLUR)
+    ways = [cv2.Sobel(smooth, cv2.CV_32F, *way, scale=1 / 4) for way in ((1, 0), (0, 1))]
+    return torch.from_numpy(np.stack(ways))
 
 
 def softened(gradient: Tensor) -> Tensor:
@@ -143,7 +140,7 @@ class VanishingPoint(NamedTuple):
     column: float
 
 
-def vanishing_point(gradients: Iterable[Tensor]) -> VanishingPoint:
+def vanishing_point(gradients: Sequence[Tensor]) -> VanishingPoint:
     """The point at which the edges of the frames' gradients (2,h,w) aim, left and right alike.
 
     The largest product of both sides' shares of aiming edges and of a Gaussian prior: a single
@@ -153,11 +150,10 @@ def vanishing_point(gradients: Iterable[Tensor]) -> VanishingPoint:
         torch.tensor(CANDIDATE_ROWS), torch.tensor(CANDIDATE_COLUMNS), indexing="ij"
     )
     aiming = all_votes = torch.zeros(2, rows.numel())
-    frames = 0
     for gradient in gradients:
         some, every = _votes(gradient, rows.reshape(-1), columns.reshape(-1))
-        aiming, all_votes, frames = aiming + some, all_votes + every, frames + 1
-    share = (aiming / (all_votes + DOUBT * frames)).prod(0).reshape(rows.shape)
+        aiming, all_votes = aiming + some, all_votes + every
+    share = (aiming / (all_votes + DOUBT * len(gradients))).prod(0).reshape(rows.shape)
     away = (rows - PLACE[0]).square() + (columns - PLACE[1]).square()
     best = int((share * (-away / (2 * SPREAD**2)).exp()).argmax())
     return VanishingPoint(
@@ -180,7 +176,7 @@ def crossing(direction: Tensor, point: VanishingPoint) -> Tensor:
     return ((sine - 0.15) / 0.2).clamp(0, 1)
 
 
-def road_lines(gradients: Iterable[Tensor], point: VanishingPoint) -> Tensor:
+def road_lines(gradients: Sequence[Tensor], point: VanishingPoint) -> Tensor:
     """Strength of slanting edges that aim at the vanishing point, and of all: (2,h,w), summed.
 
     Lanes, kerbs and rails pass through a place of the ground sooner or later; over a bonnet pass
@@ -269,7 +265,7 @@ def horizon_of(image: Tensor, layout: Tensor) -> Horizon:
     if top <= 0:
         raise InputError("image", "shows ground up to its upper edge, no horizon", PITCH_REMEDY)
     grey = small_grey(image, small_size([image]))
-    meeting = vanishing_point(gradients([grey])).row
+    meeting = vanishing_point([gradient_of(grey)]).row
     shown, aimed = max(top - GROUND_BELOW_HORIZON, 0.0), min(meeting, top)
     if abs(shown - meeting) > MAX_APART:
         what = f"has ground up to row {top:.2f}, but lines that meet at row {meeting:.2f}"

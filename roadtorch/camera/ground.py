@@ -145,18 +145,13 @@ def mounted(
     right, down = np.array([0.0, -1.0, 0.0]), np.array([-sine, 0.0, -cosine])
     turn, level = math.sin(math.radians(roll)), math.cos(math.radians(roll))
     rows = (level * right + turn * down, level * down - turn * right, (cosine, 0.0, -sine))
-    return Pose(_triples(rows), (*mount, height))
-
-
-def _triples(rows: object) -> tuple[Triple, Triple, Triple]:
-    x, y, z = np.asarray(rows, np.float64).tolist()
-    return tuple(x), tuple(y), tuple(z)
+    return pose_of(np.array(rows), np.array([*mount, height]))
 
 
 def pose_of(axes: np.ndarray, position: np.ndarray) -> Pose:
     """The pose of axes (3,3), a row each, and position (3,), as ``Pose`` has them."""
-    x, y, z = position.tolist()
-    return Pose(_triples(axes), (x, y, z))
+    x, y, z, place = (tuple(row) for row in [*axes.tolist(), position.tolist()])
+    return Pose((x, y, z), place)
 
 
 @dataclass(frozen=True)

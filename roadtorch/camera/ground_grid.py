@@ -87,22 +87,6 @@ class Grid:
         return self.cells.reshape(-1)
 
 
-@dataclass(frozen=True, eq=False)
-class Rays:
-    """What is seen along rays over the ground from the camera's foot.
-
-    azimuth: radians (B,), positive to the left. distance: metres (K,), along each ray.
-    likelihood: float32 (K,B), mean of a cell there. seen: bool (K,B). free: metres (B,), where
-    the first cell that is no road begins; inf where none is seen.
-    """
-
-    azimuth: Tensor
-    distance: Tensor
-    likelihood: Tensor
-    seen: Tensor
-    free: Tensor
-
-
 def ground_grid(
     road: Tensor, camera: GroundCamera, settings: GridSettings, ego: Tensor | None = None
 ) -> Grid:
@@ -111,41 +95,37 @@ def ground_grid(
     ego: the ego car bool (H,W), unknown. Raises InputError for another size than the lens's, and
     where no ground within the settings' distance is seen.
     """
-    rays = ground_rays(road, camera, settings, ego)
-    x, y, origin = _cell_centres(camera, settings)
-    away, azimuth = torch.hypot(x, y), torch.atan2(y, x)
-    step, turn = rays.distance[1] - rays.distance[0], rays.azimuth[1] - rays.azimuth[0]
-    index = ((away - rays.distance[0]) / step).round().long()
-    ray = ((azimuth - rays.azimuth[0]) / turn).round().long()
-    inside = (index >= 0) & (index < len(rays.distance)) & (ray >= 0) & (ray < len(rays.azimuth))
-    index, ray = index.clamp(0, len(rays.distance) - 1), ray.clamp(0, len(rays.azimuth) - 1)
-    first = rays.free[ray]
-    known = inside & rays.seen[index, ray] & (away < first)
-    cells = torch.where(known, FREE, UNKNOWN).to(torch.int8)
-    ends = _edge_cells(rays, camera, settings, origin, cells.shape)
-    cells[ends] = OCCUPIED
-    likelihood = rays.likelihood[index, ray].where(known | (ends & inside), math.nan)
-    return Grid(cells, likelihood, settings.resolution, origin)
-
-
-def ground_rays(
-    road: Tensor, camera: GroundCamera, settings: GridSettings, ego: Tensor | None = None
-) -> Rays:
-    """The same mask or likelihood along rays, as a laser scan would see the road's end."""
-    lens = camera.lens
+    lens, size = camera.lens, settings.resolution
     if tuple(road.shape) != (lens.height, lens.width):
         what = f"is {road.shape[1]}×{road.shape[0]} pixels, the lens {lens.width}×{lens.height}"
         raise InputError("road", what, "give a map of the lens's size, or lens.at(width, height)")
     places = ray_places(camera, settings)  # type: ignore[arg-type]  # frozen: it has a hash
-    values = _looked_up(road.float(), places)
+    likelihood = _looked_up(road.float(), places)
     seen = places.inside if ego is None else places.inside & (_looked_up(ego.float(), places) < 0.5)
-    values, seen = _cell_means(values, seen, places, settings)
+    likelihood, seen = _cell_means(likelihood, seen, places, settings)
     distance = (places.distance[1:] + places.distance[:-1]) / 2
-    ends = seen & (values < settings.threshold)
-    first = ends.int().argmax(0)
-    free = distance[first] - settings.resolution / (2 * ALONG)
-    free = torch.where(ends.any(0), free, math.inf)
-    return Rays(places.azimuth, distance, values, seen, free)
+    ends = seen & (likelihood < settings.threshold)
+    free = distance[ends.int().argmax(0)] - size / (2 * ALONG)
+    free = torch.where(ends.any(0), free, math.inf)  # where a ray's first cell of no road begins
+    # The cells' middles, seen from the camera's foot.
+    columns, rows = math.ceil(settings.range / size), 2 * math.ceil(settings.side / size)
+    x = (torch.arange(columns, dtype=torch.float64) + 0.5) * size
+    y = ((torch.arange(rows, dtype=torch.float64) + 0.5 - rows / 2) * size)[:, None]
+    away, azimuth = torch.hypot(x, y), torch.atan2(y, x)
+    index = ((away - distance[0]) / (distance[1] - distance[0])).round().long()
+    turn = places.azimuth[1] - places.azimuth[0]
+    ray = ((azimuth - places.azimuth[0]) / turn).round().long()
+    inside = (index >= 0) & (index < len(distance)) & (ray >= 0) & (ray < len(places.azimuth))
+    index, ray = index.clamp(0, len(distance) - 1), ray.clamp(0, len(places.azimuth) - 1)
+    known = inside & seen[index, ray] & (away < free[ray])
+    cells = torch.where(known, FREE, UNKNOWN).to(torch.int8)
+    edge = _edge_cells(free, places.azimuth, size, cells.shape)
+    cells[edge] = OCCUPIED
+    foot = camera.pose.position
+    origin = (foot[0], foot[1] - rows / 2 * size)
+    return Grid(
+        cells, likelihood[index, ray].where(known | (edge & inside), math.nan), size, origin
+    )
 
 
 # --- where rays are in the picture ------------------------------------------------------
@@ -263,41 +243,22 @@ def _cell_means(
     return mean.float(), total[1] >= MIN_SEEN * width
 
 
-def _cell_centres(
-    camera: GroundCamera, settings: GridSettings
-) -> tuple[Tensor, Tensor, tuple[float, float]]:
-    """Cells' middles seen from the camera's foot, x (1,C) and y (R,1), and the grid's origin."""
-    size = settings.resolution
-    columns, rows = math.ceil(settings.range / size), 2 * math.ceil(settings.side / size)
-    x = (torch.arange(columns, dtype=torch.float64) + 0.5) * size
-    y = (torch.arange(rows, dtype=torch.float64) + 0.5 - rows / 2) * size
-    foot = camera.pose.position
-    return x[None], y[:, None], (foot[0], foot[1] - rows / 2 * size)
-
-
-def _edge_cells(
-    rays: Rays,
-    camera: GroundCamera,
-    settings: GridSettings,
-    origin: tuple[float, float],
-    size: torch.Size,
-) -> Tensor:
-    """The cells, bool (R,C), in which the rays meet the first that is no road.
+def _edge_cells(free: Tensor, azimuth: Tensor, size: float, shape: torch.Size) -> Tensor:
+    """The cells, bool (R,C), in which rays meet the first that is no road; free, azimuth: (B,).
 
     A road's side is met at a slant: points between the ends of neighbouring rays close the gaps,
     but not where one end is much nearer: it is a corner, and what lies between is unknown.
     """
-    ends = rays.free + settings.resolution / (2 * ALONG)
-    joined = (ends[1:] - ends[:-1]).abs() <= JOINED * settings.resolution
+    ends = free + size / (2 * ALONG)
+    joined = (ends[1:] - ends[:-1]).abs() <= JOINED * size
     share = torch.linspace(0, 1, BETWEEN, dtype=torch.float64)[:, None]
     away = torch.cat([ends, torch.lerp(ends[:-1], ends[1:], share)[:, joined].reshape(-1)])
-    turned = torch.lerp(rays.azimuth[:-1], rays.azimuth[1:], share)[:, joined].reshape(-1)
-    azimuth = torch.cat([rays.azimuth, turned])
-    azimuth, away = azimuth[away.isfinite()], away[away.isfinite()]
-    x = camera.pose.position[0] + away * azimuth.cos() - origin[0]
-    y = camera.pose.position[1] + away * azimuth.sin() - origin[1]
-    column, row = ((each / settings.resolution).floor().long() for each in (x, y))
-    inside = (row >= 0) & (row < size[0]) & (column >= 0) & (column < size[1])
-    cells = torch.zeros(size, dtype=torch.bool)
+    turned = torch.lerp(azimuth[:-1], azimuth[1:], share)[:, joined].reshape(-1)
+    turned = torch.cat([azimuth, turned])[away.isfinite()]
+    away = away[away.isfinite()]
+    column = (away * turned.cos() / size).floor().long()
+    row = ((away * turned.sin() + shape[0] / 2 * size) / size).floor().long()
+    inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
+    cells = torch.zeros(shape, dtype=torch.bool)
     cells[row[inside], column[inside]] = True
     return cells

@@ -45,12 +45,12 @@ def test_a_path_follows_its_edge_and_drops_where_there_is_none() -> None:
     evidence = torch.zeros(30, 40)
     evidence[20, 5:25] = 1.0
 
-    path = best_path(evidence)
+    rows, gained = best_path(evidence)
 
-    assert set(path.rows[5:25].tolist()) == {20}
-    assert path.rows[-1] == 30  # below the picture
+    assert set(rows[5:25].tolist()) == {20}
+    assert rows[-1] == 30  # below the picture
     # 20 columns gain .65 each; before them 5 lose .35, behind them 3; ten rows down cost .15 each.
-    assert path.evidence * 40 == pytest.approx(20 * 0.65 - 8 * 0.35 - 10 * 0.15)
+    assert gained * 40 == pytest.approx(20 * 0.65 - 8 * 0.35 - 10 * 0.15)
 
 
 # --- the camera -----------------------------------------------------------------------------
