@@ -46,6 +46,9 @@ from roadtorch.road.trust import Judgement
 from roadtorch.runtime.threads import one_thread, ordered_results
 from roadtorch.settings import Settings, build_settings, merge
 
+Cue = Tensor | Callable[[], Tensor]
+"""A map (H,W) or (C,H,W), or what makes it when it is asked for."""
+
 MIN_SIDE = 16  # pixels; below it, superpixels and the seed area have no meaning
 
 Threshold = Annotated[float, Field(ge=0, le=1, description="road from this likelihood on")]
@@ -345,9 +348,7 @@ class Detector(nn.Module):
         return f"{self.name!r}, {self.settings!r}"
 
 
-def lean(
-    forward: Callable[[Any, Tensor], Mapping[str, Tensor | Callable[[], Tensor]]],
-) -> Callable[[Any, Tensor], Maps]:
+def lean(forward: Callable[[Any, Tensor], Mapping[str, Cue]]) -> Callable[[Any, Tensor], Maps]:
     """Mark the ``forward`` of an analysis: image (3,H,W) in [0,1] → maps, or what makes them.
 
     It runs in inference mode, on the CPU and where no gradients are asked for: what autograd
@@ -362,6 +363,20 @@ def lean(
             return Maps(forward(self, image))
 
     return wrapped
+
+
+class Analysis(nn.Module):
+    """An analysis without weights: ``find(image, settings)`` gives the cues."""
+
+    def __init__(self, find: Callable[[Tensor, Any], Mapping[str, Cue]], settings: Any) -> None:
+        super().__init__()
+        self.find = find
+        self.settings = settings
+
+    @lean
+    def forward(self, image: Tensor) -> Mapping[str, Cue]:
+        """The cues of an image (3,H,W) in [0,1]."""
+        return self.find(image, self.settings)
 
 
 def without_ego(maps: Maps, ego: Tensor) -> Maps:

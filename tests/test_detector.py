@@ -69,7 +69,8 @@ def test_deferred_maps_are_made_anew_and_only_when_asked_for() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["fusion", "fusion:untrained", "layout", "labeller", "cpf", "cpf:v2", "lbp"]
+    "name",
+    ["fusion", "fusion:untrained", "layout", "labeller", "cpf", "cpf:v2", "lbp", "prior:rows"],
 )
 def test_detections_hold_ordinary_tensors(name: str) -> None:
     image = scene(1).image[:, ::2, ::2].contiguous()  # below the working size: nothing is resized

@@ -1,17 +1,17 @@
 """The two detectors with which P1 compares its own: baselines worth having."""
 
-from collections.abc import Mapping
+from functools import partial
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from roadtorch.detector import DetectorSettings, Entry, Isolated, WorkingSettings
+from roadtorch.detector import Analysis, DetectorSettings, Entry, Isolated, WorkingSettings
 from roadtorch.imaging.color import plane
 from roadtorch.imaging.resize import WorkingSize, full_size
 from roadtorch.road.seed_area import seed_rectangle
-from roadtorch.ufl.features import DictionarySettings, assign, learn_dictionary, white_patches
-from roadtorch.ufl.maps import MapSettings, select_maps
-from roadtorch.ufl.preprocess import Smoothing, WorkingShape, bicubic, equalised
+from roadtorch.ufl.features import DictionarySettings, assign
+from roadtorch.ufl.maps import MapSettings, learn_features
+from roadtorch.ufl.preprocess import Smoothing, WorkingShape, bicubic
 from roadtorch.ufl.region_cut import (
     CutSettings,
     PeakSettings,
@@ -38,31 +38,23 @@ class VanishingPointSettings(WorkingSettings):
     borders: BorderSettings = BorderSettings()
 
 
-class VanishingPointRoad(nn.Module):
-    """Gabor filters vote for a vanishing point, from which two borders run (Kong et al. 2010)."""
+def vanishing_point_road(image: Tensor, settings: VanishingPointSettings) -> dict[str, Tensor]:
+    """Gabor filters vote for a vanishing point, from which two borders run (Kong et al. 2010).
 
-    def __init__(self, settings: VanishingPointSettings) -> None:
-        super().__init__()
-        self.settings = settings
-
-    def forward(self, image: Tensor) -> dict[str, Tensor]:
-        """The cues of an image (3,H,W) in [0,1]; no road where no texture votes.
-
-        ``likelihood`` is 1 between the borders and 0 elsewhere.
-        """
-        settings = self.settings
-        responses = gabor_responses(plane(image, "grey"), settings.gabor)
-        orientation, confidence = dominant_orientation(responses)
-        point = vote_vanishing_point(orientation, confidence, settings.voting)
-        likelihood = torch.zeros_like(confidence)
-        if point is not None:
-            borders = find_borders(image, orientation, point, settings.borders)
-            likelihood = road_between(borders, (image.shape[1], image.shape[2])).to(image)
-        return {
-            "likelihood": likelihood,
-            "orientation": orientation / 180,
-            "confidence": confidence,
-        }
+    ``likelihood`` is 1 between the borders and 0 elsewhere; no road where no texture votes.
+    """
+    responses = gabor_responses(plane(image, "grey"), settings.gabor)
+    orientation, confidence = dominant_orientation(responses)
+    point = vote_vanishing_point(orientation, confidence, settings.voting)
+    likelihood = torch.zeros_like(confidence)
+    if point is not None:
+        borders = find_borders(image, orientation, point, settings.borders)
+        likelihood = road_between(borders, (image.shape[1], image.shape[2])).to(image)
+    return {
+        "likelihood": likelihood,
+        "orientation": orientation / 180,
+        "confidence": confidence,
+    }
 
 
 class KmeansRoadSettings(DetectorSettings):
@@ -79,31 +71,23 @@ ALL_MAPS = MapSettings(encoder="patch", share=1.0)
 """Eq. 3 of P1, and every map: what Xia et al. did before P1's eqs. 4 and 5."""
 
 
-class KmeansRoad(nn.Module):
-    """Features of K-means, clusters of pixels, regions parted by a graph cut (Xia et al. 2015)."""
+def kmeans_road(image: Tensor, settings: KmeansRoadSettings) -> dict[str, Tensor]:
+    """Features of K-means, clusters of pixels, regions parted by a graph cut (Xia et al. 2015).
 
-    def __init__(self, settings: KmeansRoadSettings) -> None:
-        super().__init__()
-        self.settings = settings
-
-    def forward(self, image: Tensor) -> Mapping[str, Tensor]:
-        """The cues of an image (3,H,W) in [0,1]; ``likelihood`` is 1 on the road, else 0."""
-        settings = self.settings
-        height, width = image.shape[-2:]
-        even = equalised(bicubic(image, settings.working.size(height, width)), settings.smoothing)
-        side = settings.dictionary.side
-        patches = white_patches(even, settings.dictionary)
-        bases = learn_dictionary(patches, settings.dictionary)
-        size = (even.shape[1] - side + 1, even.shape[2] - side + 1)
-        features = select_maps(patches, bases, size, ALL_MAPS).maps
-        clusters = cluster_pixels(features, settings.peaks)
-        regions, words = connected_regions(clusters), assign(patches, bases).view(size).cpu()
-        seed = seed_rectangle(size, settings.seed_area)
-        road = mask_to_image(cut_road(regions, words, len(bases), seed, settings.cut), side)
-        shown = clusters / max(1, settings.peaks.clusters - 1)
-        cues = {"road": road, "clusters": map_to_image(shown.to(image), side)}
-        full = full_size(cues, (height, width))
-        return {"likelihood": full["road"].to(image), "clusters": full["clusters"]}
+    ``likelihood`` is 1 on the road, else 0.
+    """
+    height, width = image.shape[-2:]
+    small, side = bicubic(image, settings.working.size(height, width)), settings.dictionary.side
+    learned = learn_features(small, settings.smoothing, settings.dictionary, ALL_MAPS)
+    bases, size = learned.dictionary, learned.size
+    clusters = cluster_pixels(learned.maps.maps, settings.peaks)
+    regions, words = connected_regions(clusters), assign(learned.patches, bases).view(size).cpu()
+    seed = seed_rectangle(size, settings.seed_area)
+    road = mask_to_image(cut_road(regions, words, len(bases), seed, settings.cut), side)
+    shown = clusters / max(1, settings.peaks.clusters - 1)
+    cues = {"road": road, "clusters": map_to_image(shown.to(image), side)}
+    full = full_size(cues, (height, width))
+    return {"likelihood": full["road"].to(image), "clusters": full["clusters"]}
 
 
 ENTRIES = (
@@ -111,12 +95,12 @@ ENTRIES = (
         "kmeans-road",
         "K-means features in clusters, parted by a graph cut (Xia et al.)",
         KmeansRoadSettings,
-        KmeansRoad,
+        partial(Analysis, kmeans_road),
     ),
     Entry(
         "vanishing-point",
         "between borders from a voted vanishing point (Kong et al.)",
         VanishingPointSettings,
-        VanishingPointRoad,
+        partial(Analysis, vanishing_point_road),
     ),
 )

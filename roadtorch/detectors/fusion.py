@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal
 
 import torch
 from pydantic import Field
@@ -10,6 +10,8 @@ from torch import Tensor, nn
 
 from roadtorch.detector import (
     TUNED,
+    Analysis,
+    Cue,
     Entry,
     Outlines,
     Threshold,
@@ -147,28 +149,20 @@ PRIORS: Mapping[str, Callable[[int, int], Tensor]] = {
 }
 
 
-class UntrainedFusion(nn.Module):
-    """Naive Bayes of what one picture shows by itself. Ours, after P2."""
-
-    def __init__(self, settings: UntrainedFusionSettings) -> None:
-        super().__init__()
-        self.settings = settings
-
-    @lean
-    def forward(self, image: Tensor) -> Mapping[str, Tensor | Callable[[], Tensor]]:
-        """The cues of an image (3,H,W) in [0,1]."""
-        street = look_at(image, self.settings)
-        labels, ground = street.labels, street.layout[:, HORIZONTAL]
-        seed = seed_rectangle(labels.shape, self.settings.seed_area).to(image.device)
-        nearby = seen_from(street, seed, seed_segments(labels, seed))
-        road = segment_road(street.segments, ground, nearby.near, nearby.even)
-        return {
-            "likelihood": paint(road, labels),
-            "layout": partial(paint, street.layout.T, labels),
-            "layout_labels": partial(painted_labels, street.layout, labels),
-            "seed_area": seed,
-            **nearby.cues,
-        }
+def untrained(image: Tensor, settings: UntrainedFusionSettings) -> Mapping[str, Cue]:
+    """Naive Bayes of what one picture (3,H,W) shows by itself. Ours, after P2."""
+    image = brightened(image, EXPOSURE)
+    segments = measure_segments(image, settings.superpixels.cut(image))
+    labels, layout = segments.labels, segment_layout(segments, settings.labeller.rules)
+    seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
+    near, even, cues = seen_from(image, segments, seed, seed_segments(labels, seed))
+    return {
+        "likelihood": paint(segment_road(segments, layout[:, HORIZONTAL], near, even), labels),
+        "layout": lambda: paint(layout.T, labels),
+        "layout_labels": lambda: paint(decide_layout(layout), labels),
+        "seed_area": seed,
+        **cues,
+    }
 
 
 class Fusion(nn.Module):
@@ -184,7 +178,7 @@ class Fusion(nn.Module):
         self.network = picture_network_of(settings.weights, FOR_PICTURES, settings.network_scale)
 
     @lean
-    def forward(self, image: Tensor) -> Mapping[str, Tensor | Callable[[], Tensor]]:
+    def forward(self, image: Tensor) -> Mapping[str, Cue]:
         """The cues of an image (3,H,W) in [0,1]."""
         settings = self.settings
         learned = self.learned(image)
@@ -193,38 +187,29 @@ class Fusion(nn.Module):
             known = torch.cat([image, learned["layout"], learned["road"][None]])
             image, layout, road = continued(known, ego).split([3, CLASSES, 1])
             learned = {"layout": layout, "road": road[0]}
-        street = look_at(image, settings)
-        segments, labels = street.segments, street.labels
+        image = brightened(image, EXPOSURE)
+        segments = measure_segments(image, settings.superpixels.cut(image))
+        labels, own = segments.labels, segment_layout(segments, settings.labeller.rules)
         taught = segment_mean([*learned["layout"], learned["road"]], labels, segments.pixels)
-        layout = pooled(street.layout.T, taught[:CLASSES], settings.share)
+        layout = pooled(own.T, taught[:CLASSES], settings.share)
         known = log_odds(taught[CLASSES])
-        sources = likely_seed(
-            known + seed_log_odds(segments, layout[HORIZONTAL]),
-            segments.row,
-            segments.size,
-            settings.seed_area.share,
-        )
+        evidence = known + seed_log_odds(segments, layout[HORIZONTAL])
+        share = settings.seed_area.share
+        sources = likely_seed(evidence, segments.row, segments.size, share)
         seed = sources[labels]
-        nearby = seen_from(street, seed, sources.nonzero()[:, 0])
-        road = segment_road(
-            segments,
-            layout[HORIZONTAL],
-            nearby.near,
-            nearby.even,
-            settings.learned.weight * known,
-        )
+        near, even, cues = seen_from(image, segments, seed, sources.nonzero()[:, 0])
+        further = settings.learned.weight * known
+        road = segment_road(segments, layout[HORIZONTAL], near, even, further)
         odds = fused_log_odds([paint(road, labels), learned["road"]], [1, settings.learned.detail])
         calibration = settings.calibration
         return {
             "likelihood": ((odds - calibration.centre) / calibration.temperature).sigmoid(),
-            "layout": partial(
-                pooled_layout, street.layout, labels, learned["layout"], settings.share
-            ),
-            "layout_labels": partial(painted_labels, layout.T, labels),
+            "layout": lambda: pooled(paint(own.T, labels), learned["layout"], settings.share),
+            "layout_labels": lambda: paint(decide_layout(layout.T), labels),
             "learned_road": learned["road"],
             "seed_area": seed,
             "ego": ego,
-            **nearby.cues,
+            **cues,
         }
 
     def learned(self, image: Tensor) -> Mapping[str, Tensor]:
@@ -237,71 +222,27 @@ class Fusion(nn.Module):
         return judgement(signs, bool(mask.any()), self.settings.trust)
 
 
-def pooled_layout(seen: Tensor, labels: Tensor, learned: Tensor, share: float) -> Tensor:
-    """Potentials (3,H,W): those of the segments (n,3) of labels (H,W), pooled with learned ones."""
-    return pooled(paint(seen.T, labels), learned, share)
+def seen_from(
+    image: Tensor, segments: Segments, seed: Tensor, sources: Tensor
+) -> tuple[Tensor, Tensor, Mapping[str, Cue]]:
+    """How like the seed area segments are: likelihoods (n,) by distance and by texture, and cues.
 
-
-def painted_labels(potentials: Tensor, labels: Tensor) -> Tensor:
-    """Layout labels (H,W) of the segments (n,3) of labels (H,W); 255 in doubt."""
-    return paint(decide_layout(potentials), labels)
-
-
-class Street(NamedTuple):
-    """One picture's segments at working size and their layout (n,3) by the labeller."""
-
-    image: Tensor
-    segments: Segments
-    layout: Tensor
-
-    @property
-    def labels(self) -> Tensor:
-        """int64 (H,W)."""
-        return self.segments.labels
-
-
-def look_at(image: Tensor, settings: UntrainedFusionSettings) -> Street:
-    """Segments and layout of an image (3,H,W) at working size, brightened where it is dark."""
-    image = brightened(image, EXPOSURE)
-    segments = measure_segments(image, settings.superpixels.cut(image))
-    return Street(image, segments, segment_layout(segments, settings.labeller.rules))
-
-
-class Nearby(NamedTuple):
-    """How like the seed area segments are: likelihoods (n,) by distance and by texture."""
-
-    near: Tensor
-    even: Tensor
-    cues: Mapping[str, Tensor | Callable[[], Tensor]]
-
-
-def seen_from(street: Street, seed: Tensor, sources: Tensor) -> Nearby:
-    """Texture and distance of a street's segments, seen from its seed area.
-
-    seed: bool (H,W); sources: numbers (k,) of its segments.
+    image: (3,H,W) as it was measured; seed: bool (H,W); sources: numbers (k,) of its segments.
     """
-    segments, labels = street.segments, street.labels
-    settings = TextureSettings()
-    fused, uniformity, clipped = unsaturated_uniformity(
-        street.image, labels, seed, settings, SATURATION
-    )
+    labels, settings = segments.labels, TextureSettings()
+    fused, uniformity, clipped = unsaturated_uniformity(image, labels, seed, settings, SATURATION)
     even = uniformity_likelihood(uniformity, settings.even)
     near = distance_likelihood(seed_distance(segments, sources), RULES.reach)
-    cues: dict[str, Tensor | Callable[[], Tensor]] = {
-        "texture": partial(paint, even, labels),
-        "uniformity": partial(paint, uniformity, labels),
+    cues: dict[str, Cue] = {
+        "texture": lambda: paint(even, labels),
+        "uniformity": lambda: paint(uniformity, labels),
         "fused_plane": fused,
         "saturated": clipped,
-        "distance": partial(paint, near, labels),
-        "place": partial(painted_place, segments),
+        "distance": lambda: paint(near, labels),
+        "place": lambda: paint(road_place(segments.row, segments.column), labels),
         "segments": labels,
     }
-    return Nearby(near, even, cues)
-
-
-def painted_place(segments: Segments) -> Tensor:
-    """The prior of place of each segment, as a map (H,W)."""
-    return paint(road_place(segments.row, segments.column), segments.labels)
+    return near, even, cues
 
 
 class PaperFusion(nn.Module):
@@ -314,31 +255,26 @@ class PaperFusion(nn.Module):
 
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
-        settings = self.settings
+        settings, texture = self.settings, self.settings.texture
         layout = self.network.potentials(image)
         labels = settings.superpixels.cut(image)
         seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
-        fused, values = described(image, labels, seed, settings)
+        if settings.descriptor == "cpf":
+            fused, values = fused_uniformity(image, labels, labels >= 0, seed, texture)
+        else:
+            saturation = settings.saturation
+            fused, values, _ = unsaturated_uniformity(image, labels, seed, texture, saturation)
         uniformity = paint(values, labels)
         prior = PRIORS[settings.prior](*labels.shape).to(image)
         return {
             # The paper thresholds the product as it is.
             "likelihood": likelihood_product(prior, [layout[HORIZONTAL], uniformity]),
             "layout": layout,
-            "texture": uniformity_likelihood(uniformity, settings.texture.even),
+            "texture": uniformity_likelihood(uniformity, texture.even),
             "uniformity": uniformity,
             "fused_plane": fused,
             "segments": labels,
         }
-
-
-def described(
-    image: Tensor, labels: Tensor, seed: Tensor, settings: PaperFusionSettings
-) -> tuple[Tensor, Tensor]:
-    """The fused plane (H,W) and U (n,) of segments (H,W), by the descriptor of the settings."""
-    if settings.descriptor == "cpf":
-        return fused_uniformity(image, labels, labels >= 0, seed, settings.texture)
-    return unsaturated_uniformity(image, labels, seed, settings.texture, settings.saturation)[:2]
 
 
 FROM_SCRATCH = {
@@ -384,7 +320,7 @@ ENTRIES = (
         "fusion:untrained",
         "the same without the network: nothing was trained",
         UntrainedFusionSettings,
-        UntrainedFusion,
+        partial(Analysis, untrained),
     ),
     Entry(
         "fusion:paper",

@@ -1,9 +1,11 @@
 """Detectors that take the ground of the scene layout for road."""
 
+from functools import partial
+
 from pydantic import Field
 from torch import Tensor, nn
 
-from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings, lean
+from roadtorch.detector import TUNED, Analysis, Entry, Threshold, WorkingSettings, lean
 from roadtorch.layout.classes import HORIZONTAL, Share, pooled
 from roadtorch.layout.labeller import HorizonSettings, decide_layout, label_whole
 from roadtorch.layout.patch_network import PatchNetwork
@@ -36,22 +38,14 @@ class LayoutSettings(WorkingSettings):
     share: Share = 0.8
 
 
-class Labeller(nn.Module):
+def labeller(image: Tensor, settings: LabellerDetectorSettings) -> dict[str, Tensor]:
     """The ground that the labeller finds in the picture itself; no weights."""
-
-    def __init__(self, settings: LabellerDetectorSettings) -> None:
-        super().__init__()
-        self.settings = settings
-
-    @lean
-    def forward(self, image: Tensor) -> dict[str, Tensor]:
-        """The cues of an image (3,H,W) in [0,1]."""
-        found = label_whole(image, self.settings.labeller, self.settings.superpixels)
-        return {
-            "likelihood": found.potentials[HORIZONTAL],
-            "layout": found.potentials,
-            "layout_labels": found.labels,
-        }
+    found = label_whole(image, settings.labeller, settings.superpixels)
+    return {
+        "likelihood": found.potentials[HORIZONTAL],
+        "layout": found.potentials,
+        "layout_labels": found.labels,
+    }
 
 
 class Cnn7(nn.Module):
@@ -120,6 +114,6 @@ ENTRIES = (
         "labeller",
         "ground of the machine-made scene layout, no training",
         LabellerDetectorSettings,
-        Labeller,
+        partial(Analysis, labeller),
     ),
 )

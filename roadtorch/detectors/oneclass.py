@@ -6,9 +6,16 @@ from typing import Any, ClassVar
 
 import torch
 from pydantic import Field, create_model
-from torch import Tensor, nn
+from torch import Tensor
 
-from roadtorch.detector import DetectorGrid, Entry, Isolated, Threshold, WorkingSettings
+from roadtorch.detector import (
+    Analysis,
+    DetectorGrid,
+    Entry,
+    Isolated,
+    Threshold,
+    WorkingSettings,
+)
 from roadtorch.imaging.color import REPRESENTATIONS
 from roadtorch.imaging.resize import WorkingSize
 from roadtorch.oneclass import CLASSIFIERS
@@ -110,35 +117,28 @@ def settings_of(classifier: Classifier) -> type[OneClassSettings]:
     return made
 
 
-class OneClass(nn.Module):
-    """A classifier that learns the colours of the seed area and judges all pixels by them."""
+def judged(
+    image: Tensor, settings: OneClassSettings, classifier: Classifier, planes: str
+) -> dict[str, Tensor]:
+    """All pixels of an image (3,H,W) judged by a classifier of the colours of its seed area.
 
-    def __init__(self, settings: OneClassSettings, classifier: Classifier, planes: str) -> None:
-        super().__init__()
-        self.settings = settings
-        self.classifier = classifier
-        self.planes = REPRESENTATIONS[planes]
-
-    def forward(self, image: Tensor) -> dict[str, Tensor]:
-        """The cues of an image (3,H,W) in [0,1]; they are found on the CPU, with NumPy's help."""
-        found = self._found(image.cpu())
-        return {name: cue.to(image.device) for name, cue in found.items()}
-
-    def _found(self, image: Tensor) -> dict[str, Tensor]:
-        settings = self.settings
-        generator = torch.Generator().manual_seed(settings.random_seed)
-        samples = road_samples(image, self.planes, settings.samples, settings.seed_area)
-        fitted = fit(self.classifier, samples, axes_of(self.planes), settings.classifier, generator)
-        palette = representation(image, self.planes)
-        distance = fitted.distance(palette.values.T)
-        used = torch.zeros_like(palette.index, dtype=torch.bool)
-        used[sample_area(palette.index.shape, settings.seed_area)] = True
-        near = distance.clamp_max(MAX_DISTANCE * fitted.threshold)
-        return {
-            "likelihood": fitted.squashed(distance)[palette.index],
-            "distance": near[palette.index],
-            "seed_area": used,
-        }
+    Found on the CPU, with NumPy's help.
+    """
+    here, names = image.cpu(), REPRESENTATIONS[planes]
+    generator = torch.Generator().manual_seed(settings.random_seed)
+    samples = road_samples(here, names, settings.samples, settings.seed_area)
+    fitted = fit(classifier, samples, axes_of(names), settings.classifier, generator)
+    palette = representation(here, names)
+    distance = fitted.distance(palette.values.T)
+    used = torch.zeros_like(palette.index, dtype=torch.bool)
+    used[sample_area(palette.index.shape, settings.seed_area)] = True
+    near = distance.clamp_max(MAX_DISTANCE * fitted.threshold)
+    cues = {
+        "likelihood": fitted.squashed(distance)[palette.index],
+        "distance": near[palette.index],
+        "seed_area": used,
+    }
+    return {name: cue.to(image.device) for name, cue in cues.items()}
 
 
 def _entries() -> Iterator[Entry]:
@@ -146,7 +146,8 @@ def _entries() -> Iterator[Entry]:
         for planes in REPRESENTATIONS:
             name = _name(classifier, planes)
             summary = f"{classifier.summary}, in {planes} (Álvarez 2014)"
-            build = partial(OneClass, classifier=classifier, planes=planes)
+            find = partial(judged, classifier=classifier, planes=planes)
+            build = partial(Analysis, find)
             if name not in GRID.refused:
                 yield Entry(name, summary, settings_of(classifier), build, GRID)
             if classifier.paper:

@@ -3,26 +3,22 @@
 from collections.abc import Callable
 from functools import partial
 
-from torch import Tensor, nn
+from torch import Tensor
 
-from roadtorch.detector import DetectorSettings, Entry
+from roadtorch.detector import Analysis, DetectorSettings, Entry
 from roadtorch.road.fusion import prior_rows, prior_triangle, prior_uniform
 
-
-class Prior(nn.Module):
-    """A location prior as an answer: ``prior(height, width)``, whatever the picture shows."""
-
-    def __init__(self, settings: DetectorSettings, prior: Callable[[int, int], Tensor]) -> None:
-        super().__init__()
-        self.prior = prior
-
-    def forward(self, image: Tensor) -> dict[str, Tensor]:
-        """``likelihood`` (H,W) for an image (3,H,W)."""
-        return {"likelihood": self.prior(*image.shape[-2:]).to(image)}
+Prior = Callable[[int, int], Tensor]
 
 
-def _baseline(name: str, summary: str, prior: Callable[[int, int], Tensor]) -> Entry:
-    return Entry(name, summary, DetectorSettings, partial(Prior, prior=prior), baseline=True)
+def located(image: Tensor, settings: DetectorSettings, prior: Prior) -> dict[str, Tensor]:
+    """A location prior as an answer: ``prior(height, width)``, whatever the image (3,H,W) shows."""
+    return {"likelihood": prior(*image.shape[-2:]).to(image)}
+
+
+def _baseline(name: str, summary: str, prior: Prior) -> Entry:
+    build = partial(Analysis, partial(located, prior=prior))
+    return Entry(name, summary, DetectorSettings, build, baseline=True)
 
 
 ENTRIES = (

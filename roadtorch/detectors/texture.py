@@ -1,12 +1,13 @@
 """Detectors that rest on texture alone: colour plane fusion, grey uniformity, LBP (P2)."""
 
+from functools import partial
 from typing import Literal
 
 import torch
 from pydantic import Field
-from torch import Tensor, nn
+from torch import Tensor
 
-from roadtorch.detector import TUNED, Entry, Threshold, WorkingSettings, lean
+from roadtorch.detector import TUNED, Analysis, Entry, Threshold, WorkingSettings
 from roadtorch.imaging.color import plane
 from roadtorch.road.seed_area import seed_area, seed_rectangle
 from roadtorch.road.texture import (
@@ -73,93 +74,15 @@ class LbpSettings(WorkingSettings):
     )
 
 
-class Cpf(nn.Module):
+def cpf(image: Tensor, settings: CpfSettings) -> dict[str, Tensor]:
     """Colour plane fusion: U of the fused plane over superpixels (P2, section 4)."""
-
-    def __init__(self, settings: CpfSettings) -> None:
-        super().__init__()
-        self.settings = settings
-
-    @lean
-    def forward(self, image: Tensor) -> dict[str, Tensor]:
-        """The cues of an image (3,H,W) in [0,1]."""
-        return _cues_over(self.settings.superpixels.cut(image), image, self.settings)
+    return _cues_over(settings.superpixels.cut(image), image, settings)
 
 
-class CpfSquares(nn.Module):
+def cpf_squares(image: Tensor, settings: CpfSquaresSettings) -> dict[str, Tensor]:
     """Colour plane fusion over squares, which P2 compares superpixels with."""
-
-    def __init__(self, settings: CpfSquaresSettings) -> None:
-        super().__init__()
-        self.settings = settings
-
-    @lean
-    def forward(self, image: Tensor) -> dict[str, Tensor]:
-        """The cues of an image (3,H,W) in [0,1]."""
-        labels = squares(image.shape[-2], image.shape[-1], self.settings.square)
-        return _cues_over(labels.to(image.device), image, self.settings)
-
-
-class CpfV2(nn.Module):
-    """Colour plane fusion without saturated pixels (P2, section 6.2)."""
-
-    def __init__(self, settings: CpfV2Settings) -> None:
-        super().__init__()
-        self.settings = settings
-
-    @lean
-    def forward(self, image: Tensor) -> dict[str, Tensor]:
-        """The cues of an image (3,H,W) in [0,1]."""
-        settings = self.settings
-        labels = settings.superpixels.cut(image)
-        fused, values, clipped = unsaturated_uniformity(
-            image,
-            labels,
-            seed_rectangle(labels.shape, settings.seed_area).to(image.device),
-            settings.texture,
-            settings.saturation,
-        )
-        cues = _texture_cues(labels, fused, values, settings.texture.even)
-        return {**cues, "saturated": clipped}
-
-
-class GreyUniformity(nn.Module):
-    """U of the grey image over superpixels, P2's baseline without fusion."""
-
-    def __init__(self, settings: GreyUniformitySettings) -> None:
-        super().__init__()
-        self.settings = settings
-
-    @lean
-    def forward(self, image: Tensor) -> dict[str, Tensor]:
-        """The cues of an image (3,H,W) in [0,1]."""
-        settings = self.settings
-        labels = settings.superpixels.cut(image)
-        levels = quantise(plane(image, "grey"), settings.bins, 0, 1)
-        values = uniformity(segment_histograms(levels, labels, settings.bins))
-        painted = paint(values, labels)
-        likelihood = uniformity_likelihood(painted, settings.even)
-        return {"likelihood": likelihood, "uniformity": painted, "segments": labels}
-
-
-class Lbp(nn.Module):
-    """Local binary patterns like those of the seed area, P2's texture baseline."""
-
-    def __init__(self, settings: LbpSettings) -> None:
-        super().__init__()
-        self.settings = settings
-
-    @lean
-    def forward(self, image: Tensor) -> dict[str, Tensor]:
-        """The cues of an image (3,H,W) in [0,1]."""
-        patterns_of, codes = PATTERNS[self.settings.patterns]
-        labels = self.settings.superpixels.cut(image)
-        patterns = patterns_of(plane(image, "grey"))
-        counts = segment_histograms(patterns, labels, codes)
-        area = seed_area(labels.shape[-2], labels.shape[-1], self.settings.seed_area)
-        reference = torch.bincount(patterns[area].flatten(), minlength=codes).to(counts)
-        likelihood = paint(similarity(counts, reference), labels)
-        return {"likelihood": likelihood, "patterns": patterns, "segments": labels}
+    labels = squares(image.shape[-2], image.shape[-1], settings.square)
+    return _cues_over(labels.to(image.device), image, settings)
 
 
 def _cues_over(
@@ -171,6 +94,17 @@ def _cues_over(
     return _texture_cues(labels, fused, values, settings.texture.even)
 
 
+def cpf_v2(image: Tensor, settings: CpfV2Settings) -> dict[str, Tensor]:
+    """Colour plane fusion without saturated pixels (P2, section 6.2)."""
+    labels = settings.superpixels.cut(image)
+    seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
+    fused, values, clipped = unsaturated_uniformity(
+        image, labels, seed, settings.texture, settings.saturation
+    )
+    cues = _texture_cues(labels, fused, values, settings.texture.even)
+    return {**cues, "saturated": clipped}
+
+
 def _texture_cues(labels: Tensor, fused: Tensor, values: Tensor, even: float) -> dict[str, Tensor]:
     return {
         "likelihood": paint(uniformity_likelihood(values, even), labels),
@@ -180,21 +114,56 @@ def _texture_cues(labels: Tensor, fused: Tensor, values: Tensor, even: float) ->
     }
 
 
+def grey_uniformity(image: Tensor, settings: GreyUniformitySettings) -> dict[str, Tensor]:
+    """U of the grey image over superpixels, P2's baseline without fusion."""
+    labels = settings.superpixels.cut(image)
+    levels = quantise(plane(image, "grey"), settings.bins, 0, 1)
+    painted = paint(uniformity(segment_histograms(levels, labels, settings.bins)), labels)
+    likelihood = uniformity_likelihood(painted, settings.even)
+    return {"likelihood": likelihood, "uniformity": painted, "segments": labels}
+
+
+def lbp(image: Tensor, settings: LbpSettings) -> dict[str, Tensor]:
+    """Local binary patterns like those of the seed area, P2's texture baseline."""
+    patterns_of, codes = PATTERNS[settings.patterns]
+    labels = settings.superpixels.cut(image)
+    patterns = patterns_of(plane(image, "grey"))
+    counts = segment_histograms(patterns, labels, codes)
+    area = seed_area(labels.shape[-2], labels.shape[-1], settings.seed_area)
+    reference = torch.bincount(patterns[area].flatten(), minlength=codes).to(counts)
+    likelihood = paint(similarity(counts, reference), labels)
+    return {"likelihood": likelihood, "patterns": patterns, "segments": labels}
+
+
 ENTRIES = (
     Entry(
-        "cpf", "uniformity of fused colour planes over superpixels (Álvarez 2012)", CpfSettings, Cpf
+        "cpf",
+        "uniformity of fused colour planes over superpixels (Álvarez 2012)",
+        CpfSettings,
+        partial(Analysis, cpf),
     ),
-    Entry("cpf:v2", "the same without saturated pixels (Álvarez 2012)", CpfV2Settings, CpfV2),
     Entry(
-        "cpf:squares", "the same as cpf over squares (Álvarez 2012)", CpfSquaresSettings, CpfSquares
+        "cpf:v2",
+        "the same without saturated pixels (Álvarez 2012)",
+        CpfV2Settings,
+        partial(Analysis, cpf_v2),
+    ),
+    Entry(
+        "cpf:squares",
+        "the same as cpf over squares (Álvarez 2012)",
+        CpfSquaresSettings,
+        partial(Analysis, cpf_squares),
     ),
     Entry(
         "grey-uniformity",
         "uniformity of the grey image (Álvarez 2012)",
         GreyUniformitySettings,
-        GreyUniformity,
+        partial(Analysis, grey_uniformity),
     ),
     Entry(
-        "lbp", "local binary patterns like those of the seed area (Álvarez 2012)", LbpSettings, Lbp
+        "lbp",
+        "local binary patterns like those of the seed area (Álvarez 2012)",
+        LbpSettings,
+        partial(Analysis, lbp),
     ),
 )

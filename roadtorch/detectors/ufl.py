@@ -1,11 +1,13 @@
 """Detectors that learn their features in the picture itself (P1)."""
 
 from collections.abc import Mapping
+from functools import partial
 
+import torch
 from pydantic import Field
-from torch import Tensor, nn
+from torch import Tensor
 
-from roadtorch.detector import DetectorSettings, Entry, Threshold
+from roadtorch.detector import Analysis, DetectorSettings, Entry, Threshold
 from roadtorch.imaging.resize import full_size
 from roadtorch.road.seed_area import remove_isolated, seed_rectangle
 from roadtorch.ufl.features import DictionarySettings
@@ -25,6 +27,7 @@ from roadtorch.ufl.maps import (
 )
 from roadtorch.ufl.preprocess import Smoothing, WorkingShape, bicubic
 from roadtorch.ufl.road import (
+    SHARPNESS,
     StabilitySettings,
     enlarged_likelihood,
     find_road,
@@ -32,7 +35,6 @@ from roadtorch.ufl.road import (
     map_to_image,
     mask_to_image,
     road_likelihood,
-    stable_pixels,
     widened,
 )
 
@@ -51,22 +53,17 @@ class UflSettings(DetectorSettings):
     road: StabilitySettings = StabilitySettings()
 
 
-class Ufl(nn.Module):
-    """Features learned in one picture, regions chosen from a tree of thresholds (P1)."""
+def ufl(image: Tensor, settings: UflSettings) -> Mapping[str, Tensor]:
+    """Features learned in one picture, regions chosen from a tree of thresholds (P1).
 
-    def __init__(self, settings: UflSettings) -> None:
-        super().__init__()
-        self.settings = settings
-
-    def forward(self, image: Tensor) -> Mapping[str, Tensor]:
-        """The cues of an image (3,H,W) in [0,1], found at P1's size, brought back to its own."""
-        height, width = image.shape[-2:]
-        settings = self.settings
-        small = bicubic(image, settings.working.size(height, width))
-        learned = learn_features(small, settings.smoothing, settings.dictionary, settings.maps)
-        cues = road_cues(learned, settings)
-        likelihood = enlarged_likelihood(cues["likelihood"], (height, width))
-        return full_size(cues, (height, width)).but(likelihood=likelihood)
+    Found at P1's size, brought back to the image's own.
+    """
+    height, width = image.shape[-2:]
+    small = bicubic(image, settings.working.size(height, width))
+    learned = learn_features(small, settings.smoothing, settings.dictionary, settings.maps)
+    cues = road_cues(learned, settings)
+    likelihood = enlarged_likelihood(cues["likelihood"], (height, width))
+    return full_size(cues, (height, width)).but(likelihood=likelihood)
 
 
 def road_cues(learned: LearnedFeatures, settings: UflSettings) -> dict[str, Tensor]:
@@ -77,8 +74,12 @@ def road_cues(learned: LearnedFeatures, settings: UflSettings) -> dict[str, Tens
     regions = threshold_regions(mean, thresholds(settings.tree.levels, settings.tree.top))
     tree = build_tree(regions, settings.tree.least, settings.tree.nodes)
     rounds = find_road(found.maps, mean, tree, settings.road)
-    masks = [_image_mask(step.road, settings) for step in rounds]
-    pixels = map_to_image(stable_pixels(rounds[-1], mean), side)
+    masks = [mask_to_image(widened(step.road, settings.road.dilation), side) for step in rounds]
+    if settings.isolated == "drop":
+        seed = seed_rectangle(masks[0].shape, settings.seed_area)
+        masks = [remove_isolated(mask, seed) for mask in masks]
+    stable = torch.sigmoid(SHARPNESS * rounds[-1].pixels).to(mean)
+    pixels = map_to_image(stable.where(mean > 0, 0), side)  # 0 where no selected base responds
     return {
         "likelihood": road_likelihood(masks[-1], pixels),
         "equalised": learned.even,
@@ -87,15 +88,6 @@ def road_cues(learned: LearnedFeatures, settings: UflSettings) -> dict[str, Tens
         **map_pictures(found, mean, tree, rounds[-1], side),
         **{f"iteration_{number}": mask for number, mask in enumerate(masks, 1)},
     }
-
-
-def _image_mask(road: Tensor, settings: UflSettings) -> Tensor:
-    """The road of one iteration, bool, at the size of the image."""
-    wide = widened(road, settings.road.dilation)
-    mask = mask_to_image(wide, settings.dictionary.side)
-    if settings.isolated == "keep":
-        return mask
-    return remove_isolated(mask, seed_rectangle(mask.shape, settings.seed_area))
 
 
 TEXT = {
@@ -112,12 +104,14 @@ TEXT = {
 }
 """Where the text of P1 differs from its authors' program, all of it together."""
 
+UFL = partial(Analysis, ufl)
+
 ENTRIES = (
     Entry(
         "ufl",
         "features learned from the picture, regions chosen (Zhang 2016)",
         UflSettings,
-        Ufl,
+        UFL,
         # The best readings and settings we know.
         values={
             "isolated": "drop",
@@ -130,9 +124,9 @@ ENTRIES = (
         "ufl:kitti",
         "ufl:original with the blur of the paper's Table II",
         UflSettings,
-        Ufl,
+        UFL,
         values={"smoothing": {"sigma": 2.5}},
     ),
-    Entry("ufl:paper", "the same as the paper's text has it", UflSettings, Ufl, values=TEXT),
-    Entry("ufl:original", "the same as the authors' program has it", UflSettings, Ufl),
+    Entry("ufl:paper", "the same as the paper's text has it", UflSettings, UFL, values=TEXT),
+    Entry("ufl:original", "the same as the authors' program has it", UflSettings, UFL),
 )

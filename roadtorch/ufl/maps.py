@@ -4,6 +4,7 @@
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -57,51 +58,37 @@ class FeatureMaps:
     scores: Tensor
 
 
-@dataclass(frozen=True)
-class Encoder:
-    """Eq. 3 or 4 over the patches of one picture.
-
-    points: (n,d+2), the patches, their squared lengths and 1, so that one matrix product
-        gives the squared distances.
-    reference: (n,), each patch's mean distance to all bases (eq. 3); None for eq. 4.
-    """
-
-    points: Tensor
-    reference: Tensor | None
-
-    def distances(self, bases: Tensor) -> Tensor:
-        """Distances (k,n) to bases (k,d): |x-c|² = x·x + c·c - 2 x·c, at least 0."""
-        sizes = bases.square().sum(1, keepdim=True)
-        planes = torch.cat([-2 * bases, torch.ones_like(sizes), sizes], 1)
-        return (planes @ self.points.T).clamp_min_(0).sqrt_()
-
-    def __call__(self, bases: Tensor) -> Tensor:
-        """Responses (k,n) ≥ 0: how much nearer than usual each patch is to each base."""
-        far = self.distances(bases)
-        usual = far.mean(1, keepdim=True) if self.reference is None else self.reference
-        return torch.sub(usual, far, out=far).clamp_min_(0)
-
-
 def make_encoder(
     patches: Tensor, dictionary: Tensor, kind: Literal["base", "patch"] = "base"
-) -> Encoder:
-    """The encoder for patches (n,d): by ``base`` eq. 4, by ``patch`` eq. 3 (see MapSettings)."""
-    sizes = patches.square().sum(1, keepdim=True)
-    encoder = Encoder(torch.cat([patches, sizes, torch.ones_like(sizes)], 1), None)
-    if kind == "base":
-        return encoder
-    total = torch.zeros_like(sizes[:, 0])
-    for bases in dictionary.split(BLOCK):
-        total += encoder.distances(bases).sum(0)
-    return Encoder(encoder.points, total / len(dictionary))
+) -> Callable[[Tensor], Tensor]:
+    """What encodes patches (n,d): bases (k,d) → responses (k,n) ≥ 0.
+
+    How much nearer than usual each patch is to each base: than all patches are to the base (eq. 4,
+    ``base``), or than the patch is to all bases of the dictionary (eq. 3, ``patch``).
+    """
+    squares = patches.square().sum(1, keepdim=True)
+    points = torch.cat([patches, squares, torch.ones_like(squares)], 1)
+
+    def distances(bases: Tensor) -> Tensor:
+        """(k,n), by one matrix product: |x-c|² = x·x + c·c - 2 x·c, at least 0."""
+        sizes = bases.square().sum(1, keepdim=True)
+        planes = torch.cat([-2 * bases, torch.ones_like(sizes), sizes], 1)
+        return (planes @ points.T).clamp_min_(0).sqrt_()
+
+    total = torch.zeros_like(squares[:, 0])
+    for bases in dictionary.split(BLOCK) if kind == "patch" else ():
+        total += distances(bases).sum(0)
+
+    def encode(bases: Tensor) -> Tensor:
+        far = distances(bases)
+        usual = total / len(dictionary) if kind == "patch" else far.mean(1, keepdim=True)
+        return torch.sub(usual, far, out=far).clamp_min_(0)
+
+    return encode
 
 
-def to_unit(responses: Tensor) -> Tensor:
-    """Responses (k,n) ≥ 0, each map over its maximum: in [0,1]. Faint maps become 0."""
-    return responses / _divisor(responses)[:, None]
-
-
-def _divisor(responses: Tensor) -> Tensor:
+def divisor(responses: Tensor) -> Tensor:
+    """What scales responses (k,n) ≥ 0 to [0,1]: the maximum of each map, (k,); faint ones to 0."""
     top = responses.amax(1)
     return torch.where(top > MIN_RESPONSE, top, torch.inf)
 
@@ -116,7 +103,7 @@ def row_weights(rows: int, kind: RowWeights) -> Tensor:
 
 def score_maps(responses: Tensor, weights: Tensor) -> Tensor:
     """Eq. 5: scores (k,) of responses (k,n), scaled to [0,1], with a weight for each pixel (n,)."""
-    return (responses @ weights.to(responses)) / _divisor(responses)
+    return (responses @ weights.to(responses)) / divisor(responses)
 
 
 def select_maps(
@@ -130,13 +117,8 @@ def select_maps(
     weights = row_weights(size[0], settings.row_weights).repeat_interleave(size[1])
     scores = torch.cat([score_maps(encode(bases), weights) for bases in dictionary.split(BLOCK)])
     order = scores.argsort(descending=True, stable=True)
-    kept = order[: selected_count(len(dictionary), settings.share)]
-    return FeatureMaps(to_unit(encode(dictionary[kept])).view(-1, *size), order, scores)
-
-
-def selected_count(bases: int, share: float) -> int:
-    """How many maps are selected: the share, rounded half up, and at least one."""
-    return min(bases, max(1, int(bases * share + 0.5)))
+    best = encode(dictionary[order[: max(1, int(len(order) * settings.share + 0.5))]])
+    return FeatureMaps((best / divisor(best)[:, None]).view(-1, *size), order, scores)
 
 
 def mean_map(maps: Tensor, scale: Literal["maximum", "none"]) -> Tensor:
@@ -155,12 +137,15 @@ def mean_map(maps: Tensor, scale: Literal["maximum", "none"]) -> Tensor:
 class LearnedFeatures:
     """What is learned from one picture, before any road is looked for.
 
-    even: (3,H,W), equalised. dictionary: (K,d). maps: the selected feature maps.
+    even: (3,H,W), equalised. patches: (n,d), white. dictionary: (K,d). maps: the selected ones,
+    of ``size`` rows and columns.
     """
 
     even: Tensor
+    patches: Tensor
     dictionary: Tensor
     maps: FeatureMaps
+    size: tuple[int, int]
 
 
 def learn_features(
@@ -171,7 +156,7 @@ def learn_features(
     patches = white_patches(even, dictionary)
     bases = learn_dictionary(patches, dictionary)
     size = (image.shape[1] - dictionary.side + 1, image.shape[2] - dictionary.side + 1)
-    return LearnedFeatures(even, bases, select_maps(patches, bases, size, maps))
+    return LearnedFeatures(even, patches, bases, select_maps(patches, bases, size, maps), size)
 
 
 def dictionary_picture(

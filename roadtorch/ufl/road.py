@@ -228,12 +228,6 @@ def _bordered(values: Tensor, side: int) -> Tensor:
     return F.pad(values[None], (reach, reach, reach, reach), mode="replicate")
 
 
-def stable_pixels(last: Round, mean_map: Tensor) -> Tensor:
-    """(H,W) in [0,1) from the stability of pixels; 0 where no selected base responds."""
-    stable = torch.sigmoid(SHARPNESS * last.pixels).to(mean_map)
-    return stable.where(mean_map > 0, 0)
-
-
 def road_likelihood(mask: Tensor, pixels: Tensor) -> Tensor:
     """(H,W) in [0,1]: the mask first, the stability of pixels in [0,1) inside and outside of it.
 

@@ -82,12 +82,6 @@ def test_grey_uniformity_is_that_of_the_grey_levels_of_each_segment() -> None:
         assert float(value) == pytest.approx(float(shares.square().sum()), abs=1e-5)
 
 
-def test_squares_are_squares() -> None:
-    found = load_detector("cpf:squares", square=24).detect(street())
-
-    assert torch.equal(found.cues["segments"], squares(96, 128, 24))
-
-
 def test_the_fused_plane_varies_least_over_the_seed_area() -> None:
     seed = SeedArea(height=60, width=120)
 
@@ -130,12 +124,6 @@ def test_segments_that_are_mostly_saturated_have_no_uniformity_and_are_not_road(
     assert (clipped_share > 0.5).any()
     assert torch.equal(values == 0, clipped_share > 0.5)
     assert not found.mask[62:70, 24:40].any()
-
-
-def test_without_the_rule_a_saturated_patch_is_the_most_uniform_of_all() -> None:
-    found = load_detector("cpf").detect(street())
-
-    assert found.cues["uniformity"][66, 32] > 0.9
 
 
 def test_saturated_pixels_do_not_enter_the_histogram_of_their_segment() -> None:

@@ -119,14 +119,6 @@ def test_a_map_of_0_has_one_node_worth_nothing() -> None:
     assert choice.best.tolist() == [0]
 
 
-def test_sums_of_regions() -> None:
-    regions = hierarchy.threshold_regions(two_hills(), STEPS)
-
-    sums = hierarchy.region_sums(regions, torch.ones(8, 12))
-
-    assert sums.tolist() == regions.area.tolist()
-
-
 def test_nothing_below_a_winner_is_chosen_however_deep() -> None:
     regions = hierarchy.threshold_regions(two_hills(), STEPS)
     chain = torch.tensor([-1, 0, 1, 2])

@@ -44,9 +44,10 @@ def test_the_programs_row_weights(rows: int, first: int, last: int) -> None:
 
 
 @pytest.mark.parametrize("kind", ["base", "patch"])
-def test_the_best_maps_are_kept_best_first(kind: str) -> None:
+@pytest.mark.parametrize(("share", "count"), [(0.3, 12), (0.5, 21), (0.01, 1), (1.0, 41)])
+def test_the_best_maps_are_kept_best_first(kind: str, share: float, count: int) -> None:
     points, dictionary = random(35, 4), random(41, 4, seed=1)
-    settings = MapSettings.model_validate({"encoder": kind, "share": 0.3})
+    settings = MapSettings.model_validate({"encoder": kind, "share": share})
 
     found = maps.select_maps(points, dictionary, SIZE, settings)
 
@@ -55,14 +56,7 @@ def test_the_best_maps_are_kept_best_first(kind: str) -> None:
     weights = np.repeat(np.arange(7) - 3, 5)
     order = np.argsort(-(unit @ weights), kind="stable")
     assert found.order.tolist() == order.tolist()
-    np.testing.assert_allclose(found.maps.flatten(1).numpy(), unit[order[:12]], atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("bases", "share", "count"), [(200, 0.2, 40), (5, 0.5, 3), (3, 0.01, 1), (4, 1.0, 4)]
-)
-def test_how_many_maps_are_selected(bases: int, share: float, count: int) -> None:
-    assert maps.selected_count(bases, share) == count
+    np.testing.assert_allclose(found.maps.flatten(1).numpy(), unit[order[:count]], atol=1e-6)
 
 
 def test_patches_that_are_all_equal_give_maps_of_0() -> None:

@@ -47,21 +47,6 @@ def test_the_blurs_window_follows_sigma(sigma: float, reach: int) -> None:
     assert found.sum() == (2 * reach + 1) ** 2
 
 
-@pytest.mark.parametrize(
-    ("sigma", "reach", "effective"), [(1.5, 3, 1.41), (2.5, 3, 1.76), (2.5, 5, 2.29)]
-)
-def test_a_window_makes_the_blur_narrower_than_its_sigma(
-    sigma: float, reach: int, effective: float
-) -> None:
-    dot = torch.zeros(1, 21, 21, dtype=torch.float64)
-    dot[:, 10, 10] = 1
-
-    rows = preprocess.blur(dot, sigma, reach)[0].sum(1)
-
-    spread = (rows * (torch.arange(21) - 10) ** 2).sum().sqrt()
-    assert float(spread) == pytest.approx(effective, abs=0.005)
-
-
 def test_the_old_name_of_the_window_is_refused_with_the_new_one() -> None:
     with pytest.raises(ConfigError, match=r"reach: has another name now \(write window\)"):
         build_settings(preprocess.Smoothing, {"reach": 3})

@@ -13,7 +13,6 @@ from roadtorch.vanishing.borders import (
     consistency,
     find_borders,
     road_between,
-    side_moments,
 )
 
 SIZE = (90, 120)
@@ -59,16 +58,6 @@ def test_colours_differ_most_at_the_borders() -> None:
 
     best = CANDIDATES[found.argsort(descending=True)[:2]].tolist()
     assert sorted(best) == [50, 125]
-
-
-def test_moments_are_means_and_variances() -> None:
-    values = torch.rand(3, 50, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
-    sums = torch.cat([torch.ones(1, 50), values, values.square()]).sum(1, keepdim=True)
-
-    mean, variance = side_moments(sums)
-
-    torch.testing.assert_close(mean[:, 0], values.mean(1))
-    torch.testing.assert_close(variance[:, 0], values.var(1, correction=0))
 
 
 @pytest.mark.parametrize(("first", "second"), [(45, 130), (70, 140)])
