@@ -1,8 +1,8 @@
 """The contract of the one-class classifiers (P3, section III-B).
 
-A classifier is described by a ``Classifier``: a model of settings, a function that fits it
-to samples of road, and one that tells how far pixels are from what it has learned. All the
-rest is here, once: checks, chunks, thresholds, likelihoods.
+A classifier is described by a ``Classifier``: a model of settings, and a function that fits it
+to samples of road and returns what tells how far pixels are from them. All the rest is here,
+once: checks, chunks, thresholds, likelihoods.
 
 Every classifier answers with a distance ≥ 0: lower is more road-like, infinite is allowed.
 A density p answers with √(2 ln(peak/p)), where peak is no less than its largest value; for
@@ -19,7 +19,7 @@ that a 16-bit map can hold; without the root, a tight threshold still does.
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -41,9 +41,6 @@ PROBES = 16
 ROUNDING = 1e-3
 """A threshold below this share of one quantum's distance comes from rounding alone."""
 
-State = Mapping[str, Tensor]
-"""What a classifier has learned, by name."""
-
 
 class ClassifierSettings(Settings):
     """What every one-class classifier can be told."""
@@ -63,20 +60,38 @@ class ClassifierSettings(Settings):
 
 
 @dataclass(frozen=True)
+class Road:
+    """What a classifier learns from: samples float64 (m,d), m ≥ 1, all finite.
+
+    axes: of the samples, hue already an ordinary number. generator: where all chance comes from.
+    """
+
+    samples: Tensor
+    axes: Axes
+    generator: torch.Generator
+
+
+@dataclass(frozen=True)
 class Learned:
     """What fitting gives.
 
-    state: the tensors that the distance needs, of any number, type and shape.
+    distance: pixels float32 (d,n) to (n,), ≥ 0; called chunk by chunk. What it says of values
+        that are not finite does not matter.
     floats: the largest tensor made while a pixel is scored, in float32; sets the chunks.
     training: distances of the training samples, any number of them, where these are not
         simply scored (leave-one-out, lengths of edges).
     threshold: the distance of the boundary, where the classifier has one of its own.
     """
 
-    state: State
+    distance: Callable[[Tensor], Tensor]
     floats: int
     training: Tensor | None = None
     threshold: float | None = None
+
+    def chunked_distance(self, planes: Tensor) -> Tensor:
+        """The distance of finite pixels (d,n), arranged, in chunks that stay in the cache: (n,)."""
+        length = max(1, CHUNK // max(1, self.floats))
+        return _joined([self.distance(part) for part in planes.split(length, 1)])
 
 
 @dataclass(frozen=True)
@@ -84,11 +99,8 @@ class Classifier:
     """One classifier on offer.
 
     name, summary: for lists. settings: the model of its settings.
-    fit: samples float64 (m,d), m ≥ 1, all finite; their axes, hue already an ordinary
-        number; settings; a generator. It must cope with one sample, identical samples,
-        constant planes and fewer samples than dimensions.
-    distance: state and pixels float32 (d,n) to (n,), ≥ 0; called chunk by chunk. What it
-        says of values that are not finite does not matter.
+    fit: it must cope with one sample, identical samples, constant planes and fewer samples than
+        dimensions.
     single: why it cannot work with a single plane; empty where it can.
     paper: settings with which it is P3's to the letter, where its defaults are not.
     """
@@ -96,19 +108,13 @@ class Classifier:
     name: str
     summary: str
     settings: type[ClassifierSettings]
-    fit: Callable[[Tensor, Axes, Any, torch.Generator], Learned]
-    distance: Callable[[State, Tensor], Tensor]
+    fit: Callable[[Road, Any], Learned]
     single: str = ""
     paper: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     def refuses(self, planes: int) -> str:
         """Why it cannot work with so many planes; empty where it can."""
         return self.single if planes == 1 else ""
-
-    def chunked_distance(self, learned: Learned, planes: Tensor) -> Tensor:
-        """The distance of finite pixels (d,n), arranged, in chunks that stay in the cache: (n,)."""
-        length = max(1, CHUNK // max(1, learned.floats))
-        return _joined([self.distance(learned.state, part) for part in planes.split(length, 1)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,17 +124,11 @@ class Fitted:
     hues: (d,), the mean hue of circular axes, else 0. threshold: the distance of the boundary, ().
     """
 
-    classifier: Classifier
     axes: Axes
     hue: Hue
     hues: Tensor
     learned: Learned
     threshold: Tensor
-
-    @property
-    def state(self) -> State:
-        """What was learned, by name."""
-        return self.learned.state
 
     @torch.no_grad()
     def distance(self, pixels: Tensor) -> Tensor:
@@ -147,7 +147,7 @@ class Fitted:
             broken = None if math.isfinite(float(part.sum())) else ~part.sum(0).isfinite()
             finite = part if broken is None else torch.where(broken, 0, part)
             seen = arranged(finite, self.axes, self.hue, self.hues)
-            distance = self.classifier.chunked_distance(self.learned, seen)
+            distance = self.learned.chunked_distance(seen)
             distances.append(distance if broken is None else distance.masked_fill(broken, math.inf))
         return _joined(distances)
 
@@ -197,13 +197,9 @@ def fit(
     hues = mean_hues(samples.T, axes)
     inner = arranged_axes(axes, settings.hue)
     seen = arranged(samples.T, axes, settings.hue, hues)
-    learned = classifier.fit(seen.T.double(), inner, settings, generator)
-    state = {name: value.detach().contiguous() for name, value in learned.state.items()}
-    learned = replace(learned, state=state)
-    threshold = _threshold(classifier, learned, seen, inner, settings.rejected)
-    return Fitted(
-        classifier, axes, settings.hue, hues, learned, torch.tensor(threshold, dtype=torch.float32)
-    )
+    learned = classifier.fit(Road(seen.T.double(), inner, generator), settings)
+    threshold = _threshold(learned, seen, inner, settings.rejected)
+    return Fitted(axes, settings.hue, hues, learned, torch.tensor(threshold, dtype=torch.float32))
 
 
 def _check_table(where: str, values: Tensor, dimensions: int) -> None:
@@ -227,9 +223,7 @@ def rejecting_distance(distances: np.ndarray, rejected: float) -> float:
     return float(beside.mean(dtype=np.float64))
 
 
-def _threshold(
-    classifier: Classifier, learned: Learned, seen: Tensor, axes: Axes, rejected: float
-) -> float:
+def _threshold(learned: Learned, seen: Tensor, axes: Axes, rejected: float) -> float:
     """The boundary of the training samples; one quantum's distance where that says nothing.
 
     Samples of one colour are all at distance 0. Then everything within about one quantum
@@ -240,7 +234,7 @@ def _threshold(
     known = learned.threshold is not None or learned.training is not None
     # In one go: for few samples a call costs more than what it computes.
     asked = near if known else torch.cat([seen, near], 1)
-    distances = classifier.chunked_distance(learned, asked).numpy()
+    distances = learned.chunked_distance(asked).numpy()
     training, steps = np.split(distances, [-near.shape[1]])
     threshold = learned.threshold
     if threshold is None:

@@ -5,6 +5,7 @@ even where thousands of pixels share a few hundred values.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Annotated, Literal
 
 import numpy as np
@@ -14,8 +15,7 @@ from scipy.sparse import eye_array, hstack
 from torch import Tensor
 
 from roadtorch.errors import InputError
-from roadtorch.oneclass.axes import Axes
-from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, State
+from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, Road
 from roadtorch.oneclass.neighbours import few_distinct, squared_distances
 
 Width = Annotated[float, Field(ge=1e-6, le=1e6)]
@@ -95,71 +95,73 @@ def _median_distance(points: Tensor, counts: Tensor) -> float:
     return float(median) or float((distances * pairs).sum() / below[-1].clamp(min=1)) or 1.0
 
 
-def _fit_svdd(
-    samples: Tensor, axes: Axes, settings: SvddSettings, generator: torch.Generator
-) -> Learned:
-    points, counts = few_distinct("svdd", samples)
+def fit_svdd(road: Road, settings: SvddSettings) -> Learned:
+    """The smallest soft ball around the samples."""
+    points, counts = few_distinct("svdd", road.samples)
     width = settings.sigma if settings.sigma != "median" else _median_distance(points, counts)
     # Less one, as the kernel is 1 - 1e-5 where the width is much larger than the distances.
-    gram = torch.expm1(-squared_distances(points.T, points) / width**2)
+    gram = torch.expm1(-squared_distances(points.T, points) / width**2).numpy()
     # A cap above 1 binds no weight, and one sample alone is then on the sphere.
-    caps = np.minimum(counts.numpy() / max(settings.rejected * len(samples), 1e-9), 2.0)
-    weights = smallest_ball(gram.numpy(), caps)
-    centre = float(weights @ gram.numpy() @ weights)
-    squared = np.maximum(centre - 2 * gram.numpy() @ weights, 0)
+    caps = np.minimum(counts.numpy() / max(settings.rejected * len(road.samples), 1e-9), 2.0)
+    weights = smallest_ball(gram, caps)
+    centre = float(weights @ gram @ weights)
     kept = torch.from_numpy(weights > 0)
-    state = {
-        "points": points[kept].float(),
-        "weights": torch.from_numpy(weights)[kept].float(),
-        "centre": torch.tensor(centre, dtype=torch.float32),
-        "scale": torch.tensor(-1 / width**2, dtype=torch.float32),
-    }
+    distance = partial(
+        ball_distance,
+        points=points[kept].float(),
+        weights=torch.from_numpy(weights)[kept].float(),
+        scale=torch.tensor(-1 / width**2, dtype=torch.float32),
+        centre=torch.tensor(centre, dtype=torch.float32),
+    )
+    squared = np.maximum(centre - 2 * gram @ weights, 0)
     radius = ball_radius(squared, weights, caps) ** 0.5 if settings.threshold == "radius" else None
-    return Learned(state, max(int(kept.sum()), 4), threshold=radius)
+    return Learned(distance, max(int(kept.sum()), 4), threshold=radius)
 
 
-def ball_distance(state: State, planes: Tensor) -> Tensor:
+def ball_distance(
+    planes: Tensor, points: Tensor, weights: Tensor, scale: Tensor, centre: Tensor
+) -> Tensor:
     """P3: the distance of a pixel to the centre of the ball, in the space of the kernel.
 
     |φ(x) - Σ a_i φ(y_i)|² = 1 + aᵀKa - 2 Σ a_i K(x, y_i), written with K - 1 as Σ a = 1.
-    state: points (s,d), weights (s,), scale -1/σ², centre aᵀ(K-1)a. Planes (d,n) to (n,).
+    points: (s,d); weights: (s,); scale: -1/σ²; centre: aᵀ(K-1)a. Planes (d,n) to (n,).
 
     With σ = 5 on planes of order 1, the toolbox's width, the kernel is all but linear and
     the distance is that to the centre of the smallest soft ball in colour space: so it is in
     P3's results, where SVDD, dLP and MPM agree within 0.2 in every combination.
     """
-    exponent = squared_distances(planes, state["points"]).mul_(state["scale"])
-    near = state["weights"] @ torch.expm1(exponent, out=exponent)
-    return (state["centre"] - 2 * near).clamp_(min=0).sqrt_()
+    exponent = squared_distances(planes, points).mul_(scale)
+    near = weights @ torch.expm1(exponent, out=exponent)
+    return (centre - 2 * near).clamp_(min=0).sqrt_()
 
 
 # --- distances from scores without a zero -----------------------------------------------
 
 
-def excess_scale(
-    measure: Callable[[Tensor], Tensor], points: Tensor, counts: Tensor
-) -> dict[str, Tensor]:
-    """What ``excess`` needs of a measure of planes (d,n), lower = more road-like: (n,).
+Measure = Callable[[Tensor], Tensor]
+"""Of planes (d,n): (n,)."""
 
-    Its least value over the different samples (k,d), which occur counts (k,) times, and
-    their mean (two samples alone have the same value), and the thousandth part of how far
-    the samples lie above it.
+
+def excess_over(measure: Measure, points: Tensor, counts: Tensor, kind: torch.dtype) -> Measure:
+    """How far values (n,) of a measure lie above the least one known: > 0, and rising with them.
+
+    The least known is that of the different samples (k,d), which occur counts (k,) times, and of
+    their mean (two samples alone have the same value). t above it is t + u, u the thousandth part
+    of the samples' mean t, and u²/(u - t) where a pixel does better (t < 0): what is merely cut
+    off at 0 would lose the ranks there. 0 for t ≤ 0 if u = 0. kind: of the values.
     """
     shares = counts / counts.sum()
     values = measure(points.T)
     least = torch.minimum(values.min(), measure((shares @ points)[:, None])[0])
-    return {"least": least, "unit": (shares @ values - least).clamp(min=0) / 1000}
+    unit = ((shares @ values - least).clamp(min=0) / 1000).to(kind)
+    least = least.to(kind)
 
+    def excess(values: Tensor) -> Tensor:
+        over = values - least
+        better = unit**2 / (unit - over.clamp(max=0)).clamp_(min=torch.finfo(values.dtype).tiny)
+        return torch.where(over > 0, over + unit, better)
 
-def excess(state: State, values: Tensor) -> Tensor:
-    """How far values (n,) lie above the least one known: > 0, and rising with them.
-
-    t + u with u a small unit, and u²/(u - t) where a pixel does better
-    (t < 0): what is merely cut off at 0 would lose the ranks there. 0 for t ≤ 0 if u = 0.
-    """
-    over, unit = values - state["least"], state["unit"]
-    better = unit**2 / (unit - over.clamp(max=0)).clamp_(min=torch.finfo(values.dtype).tiny)
-    return torch.where(over > 0, over + unit, better)
+    return excess
 
 
 # --- minimax probability machine --------------------------------------------------------
@@ -200,45 +202,34 @@ def minimax_direction(
     return np.sqrt(twins) * solved / strength
 
 
-def _fit_minimax(
-    samples: Tensor, axes: Axes, settings: MinimaxSettings, generator: torch.Generator
-) -> Learned:
-    points, counts = few_distinct("mpm", samples)
+def minimax_score(points: Tensor, counts: Tensor, settings: MinimaxSettings) -> Measure:
+    """gᵀf(x), higher is more road-like: with the kernel Σ g_i K(x, y_i), else gᵀx; float64 (n,).
+
+    points: the different samples (k,d), which occur counts (k,) times. In double precision: the
+    terms have both signs and cancel, and in the interior of the samples what remains differs by
+    less than single precision can tell.
+    """
     numbers = counts.double().numpy()
     if settings.kernel == "linear":
-        ones = np.ones(len(axes))
-        direction = minimax_direction(points.numpy(), numbers, ones, settings.ridge)
-        state = {"direction": torch.from_numpy(direction)}
-        floats = 2 * len(axes)
-    else:
-        scale = torch.tensor(-1 / settings.sigma**2, dtype=torch.float64)
-        gram = torch.exp(squared_distances(points.T, points) * scale).numpy()
-        weights = minimax_direction(gram, numbers, numbers, settings.ridge)
-        state = {"points": points, "weights": torch.from_numpy(weights), "scale": scale}
-        floats = 2 * len(points)
-    scale_of = excess_scale(lambda planes: -minimax_score(state, planes), points, counts.double())
-    return Learned({**state, **scale_of}, floats)
+        ones = np.ones(points.shape[1])
+        slope = torch.from_numpy(minimax_direction(points.numpy(), numbers, ones, settings.ridge))
+        return lambda planes: slope @ planes.double()
+    scale = torch.tensor(-1 / settings.sigma**2, dtype=torch.float64)
+    gram = torch.exp(squared_distances(points.T, points) * scale).numpy()
+    weights = torch.from_numpy(minimax_direction(gram, numbers, numbers, settings.ridge))
+    return lambda planes: weights @ squared_distances(planes, points).mul_(scale).exp_()
 
 
-def minimax_score(state: State, planes: Tensor) -> Tensor:
-    """gᵀf(x): with the kernel Σ g_i K(x, y_i), else gᵀx; (d,n) to float64 (n,), higher = road.
-
-    In double precision: the terms have both signs and cancel, and in the interior of the
-    samples what remains differs by less than single precision can tell.
-    """
-    if "direction" in state:
-        return state["direction"] @ planes.double()
-    exponent = squared_distances(planes, state["points"]).mul_(state["scale"])
-    return state["weights"] @ exponent.exp_()
-
-
-def minimax_distance(state: State, planes: Tensor) -> Tensor:
+def fit_minimax(road: Road, settings: MinimaxSettings) -> Learned:
     """P3's MPM as a distance: the root of how far the score lies below a sample's best.
 
-    Like |x - centre| near the samples. state: of ``minimax_score`` and ``excess_scale``.
-    Planes (d,n) to float32 (n,).
+    Like |x - centre| near the samples.
     """
-    return excess(state, -minimax_score(state, planes)).sqrt_().float()
+    points, counts = few_distinct("mpm", road.samples)
+    score = minimax_score(points, counts, settings)
+    excess = excess_over(lambda planes: -score(planes), points, counts.double(), torch.float64)
+    floats = 2 * (points.shape[1] if settings.kernel == "linear" else len(points))
+    return Learned(lambda planes: excess(-score(planes)).sqrt_().float(), floats)
 
 
 # --- linear programming on distances ----------------------------------------------------
@@ -307,67 +298,54 @@ def least_margin(
     return weights / weights.sum(), float(solution.x[number])
 
 
-def _fit_linear(
-    samples: Tensor, axes: Axes, settings: LinearSettings, generator: torch.Generator
-) -> Learned:
-    points, counts = few_distinct("dlp", samples, MAX_CONSTRAINTS)
-    kind = list(DISSIMILARITIES).index(settings.dissimilarity)
-    between = DISSIMILARITIES[settings.dissimilarity](squared_distances(points.T, points))
+def fit_linear(road: Road, settings: LinearSettings) -> Learned:
+    """P3: L = Σ_j w_j d(x, y_j), over the few samples with a weight, less its least value.
+
+    Its root where the dissimilarity is all but a squared distance. P3's sum runs over the wrong
+    index. Its d is "distance"; only with the toolbox's, all but squared, does dLP equal SVDD within
+    0.1 in 18 of 19 columns, as it does in P3's results.
+    """
+    points, counts = few_distinct("dlp", road.samples, MAX_CONSTRAINTS)
+    dissimilarity = DISSIMILARITIES[settings.dissimilarity]
+    between = dissimilarity(squared_distances(points.T, points))
     # The solver's tolerances are absolute; rescaled so that the mean is 1, they are small.
     scale = float(between.mean()) or 1.0
     weights, margin = least_margin(between.numpy() / scale, counts.numpy(), settings.rejected)
     kept = torch.from_numpy(weights > 0)
-    state = {
-        "points": points[kept],
-        "weights": torch.from_numpy(weights)[kept],
-        "dissimilarity": torch.tensor(kind),
-    }
-    state |= excess_scale(lambda planes: _mixed(state, planes), points, counts.double())
-    state = {
-        key: value.float() if value.is_floating_point() else value for key, value in state.items()
-    }
+    few = {"points": points[kept], "weights": torch.from_numpy(weights)[kept]}
+    mixed = partial(weighted_sum, dissimilarity=dissimilarity, **few)
+    excess = excess_over(mixed, points, counts.double(), torch.float32)
+    mixed = partial(mixed, **{name: tensor.float() for name, tensor in few.items()})
+
+    def as_distance(values: Tensor) -> Tensor:
+        above = excess(values)
+        return above.sqrt_() if settings.dissimilarity == "toolbox" else above
+
     threshold = None
     if settings.threshold == "margin":
-        threshold = float(_as_distance(state, torch.tensor(margin * scale).float()))
-    return Learned(state, max(int(kept.sum()), 4), threshold=threshold)
+        threshold = float(as_distance(torch.tensor(margin * scale).float()))
+    floats = max(int(kept.sum()), 4)
+    return Learned(lambda planes: as_distance(mixed(planes)), floats, threshold=threshold)
 
 
-def _mixed(state: State, planes: Tensor) -> Tensor:
-    dissimilarity = list(DISSIMILARITIES.values())[int(state["dissimilarity"])]
-    return state["weights"] @ dissimilarity(squared_distances(planes, state["points"]))
-
-
-def _as_distance(state: State, mixed: Tensor) -> Tensor:
-    above = excess(state, mixed)
-    return above.sqrt_() if int(state["dissimilarity"]) == 0 else above
-
-
-def linear_distance(state: State, planes: Tensor) -> Tensor:
-    """P3: L = Σ_j w_j d(x, y_j), over the few samples with a weight, less its least value.
-
-    state: points (s,d), weights (s,), the index of the dissimilarity, ``excess_scale``; the
-    root where the dissimilarity is all but a squared distance. Planes (d,n) to (n,).
-    P3's sum runs over the wrong index. Its d is "distance"; only with the toolbox's, all but
-    squared, does dLP equal SVDD within 0.1 in 18 of 19 columns, as it does in P3's results.
-    """
-    return _as_distance(state, _mixed(state, planes))
+def weighted_sum(
+    planes: Tensor, points: Tensor, weights: Tensor, dissimilarity: Callable[[Tensor], Tensor]
+) -> Tensor:
+    """Σ_j w_j d(x, y_j) of planes (d,n) with points (s,d) and weights (s,): (n,)."""
+    return weights @ dissimilarity(squared_distances(planes, points))
 
 
 SVDD = Classifier(
     "svdd",
     "distance to the centre of the smallest soft ball around the samples",
     SvddSettings,
-    _fit_svdd,
-    ball_distance,
+    fit_svdd,
 )
-MPM = Classifier(
-    "mpm", "minimax probability machine", MinimaxSettings, _fit_minimax, minimax_distance
-)
+MPM = Classifier("mpm", "minimax probability machine", MinimaxSettings, fit_minimax)
 DLP = Classifier(
     "dlp",
     "weighted sum of distances to a few samples, by linear programming",
     LinearSettings,
-    _fit_linear,
-    linear_distance,
+    fit_linear,
     paper={"dissimilarity": "euclid"},
 )

@@ -4,7 +4,7 @@ Fits are in float64, whatever the samples; pixels are scored in float32.
 """
 
 import math
-from functools import cache
+from functools import cache, partial
 from typing import Literal
 
 import torch
@@ -12,7 +12,7 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.oneclass.axes import Axes
-from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, State
+from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, Road
 
 MAX_STEPS = 50
 """Rounds of reweighting at most."""
@@ -92,20 +92,19 @@ def mahalanobis(samples: Tensor, mean: Tensor, covariance: Tensor) -> Tensor:
 
 
 def _gaussian(mean: Tensor, inverse_root: Tensor, settings: GaussianSettings) -> Learned:
-    offset = -inverse_root @ mean
-    state = {"mean": mean, "whitening": inverse_root, "offset": offset[:, None]}
+    offset = (-inverse_root @ mean)[:, None].float()
     threshold = None
     if settings.threshold == "chi2" and settings.rejected > 0:
         threshold = chi_quantile(1 - settings.rejected, len(mean))
-    state = {name: value.float() for name, value in state.items()}
-    return Learned(state, len(mean) + 1, threshold=threshold)
+    root = inverse_root.float().contiguous()
+    distance = partial(gaussian_distance, whitening=root, offset=offset.contiguous())
+    return Learned(distance, len(mean) + 1, threshold=threshold)
 
 
-def _fit_gaussian(
-    samples: Tensor, axes: Axes, settings: GaussianSettings, generator: torch.Generator
-) -> Learned:
-    mean, covariance = moments(samples)
-    covariance = regularised(covariance, settings.ridge, floor_of(axes))
+def fit_gaussian(road: Road, settings: GaussianSettings) -> Learned:
+    """Mean and covariance of the samples."""
+    mean, covariance = moments(road.samples)
+    covariance = regularised(covariance, settings.ridge, floor_of(road.axes))
     return _gaussian(mean, whitening(covariance), settings)
 
 
@@ -120,15 +119,15 @@ def length_of(planes: Tensor) -> Tensor:
     return total.sqrt_()
 
 
-def gaussian_distance(state: State, pixels: Tensor) -> Tensor:
-    """The Mahalanobis distance of pixels (d,n): (n,), float32.
+def gaussian_distance(pixels: Tensor, whitening: Tensor, offset: Tensor) -> Tensor:
+    """The Mahalanobis distance |Wx + o| of pixels (d,n): (n,), float32; o = -W mean, (d,1).
 
     P3 announces the density G(x, μ, σ) and writes down (x-μ)ᵀΣ⁻¹(x-μ); both rank alike.
     """
     if len(pixels) == 1:
-        slope = float(state["whitening"])  # a factor of the sum, which takes no pass of its own
-        return torch.add(state["offset"][0], pixels[0], alpha=slope).abs_()
-    return length_of(torch.addmm(state["offset"], state["whitening"], pixels))
+        slope = float(whitening)  # a factor of the sum, which takes no pass of its own
+        return torch.add(offset[0], pixels[0], alpha=slope).abs_()
+    return length_of(torch.addmm(offset, whitening, pixels))
 
 
 # --- robust Gaussian --------------------------------------------------------------------
@@ -231,9 +230,9 @@ def tyler(samples: Tensor, axes: Axes, settings: GaussianSettings) -> tuple[Tens
     return mean, factor
 
 
-def _fit_robust(
-    samples: Tensor, axes: Axes, settings: RobustSettings, generator: torch.Generator
-) -> Learned:
+def fit_robust(road: Road, settings: RobustSettings) -> Learned:
+    """Mean and covariance by one of the methods."""
+    samples, axes = road.samples, road.axes
     match settings.method:
         case "reweighted":
             mean, covariance = reweighted(samples, axes, settings, power=1.5)
@@ -243,7 +242,7 @@ def _fit_robust(
             everything = torch.arange(len(samples))
             mean, covariance = concentrated(samples, axes, settings, everything)
         case "mcd":
-            mean, covariance = least_determinant(samples, axes, settings, generator)
+            mean, covariance = least_determinant(samples, axes, settings, road.generator)
         case "tyler":
             mean, factor = tyler(samples, axes, settings)
             covariance = torch.linalg.inv(factor @ factor.T)
@@ -255,16 +254,14 @@ def _fit_robust(
     return _gaussian(mean, whitening(covariance), settings)
 
 
-GAUSSIAN = Classifier(
-    "gaussian", "Mahalanobis distance", GaussianSettings, _fit_gaussian, gaussian_distance
+CLASSIFIERS = (
+    Classifier("gaussian", "Mahalanobis distance", GaussianSettings, fit_gaussian),
+    Classifier(
+        "robust_gaussian",
+        "Mahalanobis distance, outliers weighed down by a power of ours",
+        RobustSettings,
+        fit_robust,
+        paper={"method": "huber"},
+    ),
 )
-ROBUST_GAUSSIAN = Classifier(
-    "robust_gaussian",
-    "Mahalanobis distance, outliers weighed down by a power of ours",
-    RobustSettings,
-    _fit_robust,
-    gaussian_distance,
-    paper={"method": "huber"},
-)
-CLASSIFIERS: tuple[Classifier, ...] = (GAUSSIAN, ROBUST_GAUSSIAN)
 """The single Gaussians of P3."""

@@ -4,6 +4,8 @@ With 64 or 100 bins per plane, from the samples (S) or from samples and a noisy 
 """
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import Literal
 
 import torch
@@ -12,7 +14,7 @@ from torch import Tensor
 
 from roadtorch.errors import ConfigError
 from roadtorch.oneclass.axes import Axes
-from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, State
+from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, Road
 
 MAX_BINS = 1 << 25
 """Of a joint histogram: 134 MB."""
@@ -99,36 +101,37 @@ def _flat(bin_numbers: Tensor, bins: int) -> Tensor:
     return index
 
 
-def _fit_histogram(
-    samples: Tensor, axes: Axes, settings: HistogramSettings, generator: torch.Generator
-) -> Learned:
-    bins, dimensions = settings.bins, len(axes)
+def fit_histogram(road: Road, settings: HistogramSettings) -> Learned:
+    """The histogram of the samples, joint or one for each plane."""
+    samples, axes, bins = road.samples, road.axes, settings.bins
+    dimensions, joint = len(axes), settings.planes == "joint"
     if isinstance(settings, NoisyHistogramSettings) and settings.noise > 0:
-        samples = with_noisy_copy(samples, axes, settings.noise, settings.edge, generator)
-    low, scale = torch.tensor(axes.low), (bins / axes.span).float()
-    numbers = bin_of(samples.T.float(), low, scale, bins)
-    if settings.planes == "joint" and bins**dimensions > MAX_BINS:
+        samples = with_noisy_copy(samples, axes, settings.noise, settings.edge, road.generator)
+    if joint and bins**dimensions > MAX_BINS:
         what = f"{bins} bins in {dimensions} dimensions are too many"
         raise ConfigError("bins", what, 'use fewer, or planes="product"')
-    if settings.planes == "joint":
-        numbers = _flat(numbers, bins)[None]
-    size = bins**dimensions if settings.planes == "joint" else bins
-    tables = torch.full((len(numbers), size), math.inf)
+    places = partial(
+        bin_of, low=torch.tensor(axes.low), scale=(bins / axes.span).float(), bins=bins
+    )
+    numbers = places(samples.T.float())
+    numbers = _flat(numbers, bins)[None] if joint else numbers
+    tables = torch.full((len(numbers), bins**dimensions if joint else bins), math.inf)
     for table, row in zip(tables, numbers, strict=True):
-        places, counts = row.long().unique(return_counts=True)
-        table[places] = (2 * (counts.max() / counts).double().log()).float()
-    state = {"low": low, "scale": scale, "tables": tables, "bins": torch.tensor(bins)}
-    return Learned(state, 4 * dimensions + 4)
+        filled, counts = row.long().unique(return_counts=True)
+        table[filled] = (2 * (counts.max() / counts).double().log()).float()
+    distance = partial(histogram_distance, tables=tables, places=places, bins=bins)
+    return Learned(distance, 4 * dimensions + 4)
 
 
-def histogram_distance(state: State, pixels: Tensor) -> Tensor:
+def histogram_distance(
+    pixels: Tensor, tables: Tensor, places: Callable[[Tensor], Tensor], bins: int
+) -> Tensor:
     """√(2 ln(peak/p)) with p the histogram's share of the pixel's bin: L = p(x) in P3.
 
-    Infinite in empty bins. state: tables float32 (1, bins^d) of the joint histogram, or
-    (d, bins) of one for each plane, with low and scale (d,). Pixels (d,n) to (n,).
+    Infinite in empty bins. tables: float32 (1, bins^d) of the joint histogram, or (d, bins) of
+    one for each plane; places: the bins of pixels (d,n). Pixels (d,n) to (n,).
     """
-    tables, bins = state["tables"], int(state["bins"])
-    numbers = bin_of(pixels, state["low"], state["scale"], bins)
+    numbers = places(pixels)
     if len(tables) == 1:
         return tables[0][_flat(numbers, bins)].sqrt_()
     pairs = zip(tables, numbers, strict=True)
@@ -136,7 +139,7 @@ def histogram_distance(state: State, pixels: Tensor) -> Tensor:
 
 
 CLASSIFIERS = tuple(
-    Classifier(name, summary, settings, _fit_histogram, histogram_distance)
+    Classifier(name, summary, settings, fit_histogram)
     for name, summary, settings in (
         ("hist64_s", "histogram of 64 bins", HistogramSettings),
         ("hist64_sn", "histogram of 64 bins, with noise", NoisyHistogramSettings),

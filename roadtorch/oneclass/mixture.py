@@ -5,18 +5,18 @@ expectation maximisation in float64. Weights tell the samples that a run may see
 """
 
 import math
+from functools import partial
 from typing import Literal, NamedTuple
 
 import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.oneclass.axes import Axes
 from roadtorch.oneclass.base import (
     Classifier,
     ClassifierSettings,
     Learned,
-    State,
+    Road,
     rejecting_distance,
 )
 from roadtorch.oneclass.density import floor_of, whitening
@@ -273,13 +273,12 @@ def _best_runs(
     return mixtures_of(samples, shares, widening), likelihoods
 
 
-def _fit_mixture(
-    samples: Tensor, axes: Axes, settings: MixtureSettings, generator: torch.Generator
-) -> Learned:
-    centre = samples.mean(0)
-    samples = samples - centre
+def fit_mixture(road: Road, settings: MixtureSettings) -> Learned:
+    """The likeliest mixture of all starts, of the number of components that is chosen."""
+    centre, generator = road.samples.mean(0), road.generator
+    samples = road.samples - centre
     most = min(settings.components, len(samples.unique(dim=0)))
-    widening = WIDENING * samples.square().mean() + floor_of(axes)
+    widening = WIDENING * samples.square().mean() + floor_of(road.axes)
     if isinstance(settings, BestMixtureSettings):
         numbers = list(range(1, most + 1))
         runs, likelihoods = _best_runs(samples, numbers, widening, settings.restarts, generator)
@@ -298,34 +297,32 @@ def _fit_mixture(
     # Of the sum of all peaks, which no density exceeds: then near the top little is lost.
     log_weights = log_weights - log_weights.logsumexp(0)
     means = means + centre
-    state = {
-        "log_weights": log_weights,
-        "means": means,
-        "whitening": whiten,
-        "offsets": -(whiten @ means[..., None]).flatten(0, 1),
-    }
-    state = {name: value.float() for name, value in state.items()}
-    return Learned(state, 2 * means.numel() + 2 * len(means))
+    distance = partial(
+        mixture_distance,
+        log_weights=log_weights.float(),
+        whiten=whiten.float().contiguous(),
+        offsets=-(whiten @ means[..., None]).flatten(0, 1).float(),
+    )
+    return Learned(distance, 2 * means.numel() + 2 * len(means))
 
 
-def mixture_distance(state: State, pixels: Tensor) -> Tensor:
+def mixture_distance(
+    pixels: Tensor, log_weights: Tensor, whiten: Tensor, offsets: Tensor
+) -> Tensor:
     """√(2 ln(peak/p)) of pixels (d,n): (n,), with p = Σ_n P_n N(x; μ_n, Σ_n) of P3.
 
     ``peak`` is the sum of the components' peaks. One component gives its Mahalanobis
     distance. Nothing is exponentiated before the largest term is taken out: in float32 a
     density underflows at a distance of 14. P3's formula has no 1/2 in the exponent and no
-    determinant; for that the state has W·√2 and the bare shares.
+    determinant; for that there are W·√2 and the bare shares. whiten: W (N,d,d); offsets: -Wμ.
     """
-    whiten = state["whitening"]
-    parts = torch.addmm(state["offsets"], whiten.flatten(0, 1), pixels).unflatten(
-        0, whiten.shape[:2]
-    )
+    parts = torch.addmm(offsets, whiten.flatten(0, 1), pixels).unflatten(0, whiten.shape[:2])
     squared = parts[:, 0].square_()
     for axis in range(1, whiten.shape[1]):
         squared.addcmul_(parts[:, axis], parts[:, axis])
     if len(squared) == 1:
         return squared[0].sqrt_()
-    exponents = torch.add(state["log_weights"][:, None], squared, alpha=-0.5)
+    exponents = torch.add(log_weights[:, None], squared, alpha=-0.5)
     top = exponents.clamp_min_(MIN_EXPONENT).amax(0)
     # Below that they are lost in the sum, and subnormal numbers are slow.
     total = exponents.sub_(top).clamp_min_(-80).exp_().sum(0).log_()
@@ -333,7 +330,7 @@ def mixture_distance(state: State, pixels: Tensor) -> Tensor:
 
 
 CLASSIFIERS = tuple(
-    Classifier(name, summary, settings, _fit_mixture, mixture_distance, paper={"formula": "paper"})
+    Classifier(name, summary, settings, fit_mixture, paper={"formula": "paper"})
     for name, summary, settings in (
         ("mog2", "mixture of 2 Gaussians", MixtureSettings),
         ("mog4", "mixture of 4 Gaussians", LargerMixtureSettings),

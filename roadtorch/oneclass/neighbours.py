@@ -5,6 +5,7 @@ has distance 0, and near pixels keep all their digits, both of which |x|² - 2xy
 in single precision. With two or three coordinates it is the faster way as well.
 """
 
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -15,8 +16,7 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 from torch import Tensor
 
 from roadtorch.errors import InputError
-from roadtorch.oneclass.axes import Axes
-from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, State
+from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, Road
 
 MAX_DISTINCT = 4096
 """Distinct samples of which a square matrix is made: 134 MB in double precision."""
@@ -66,35 +66,33 @@ def nearest_on_line(points: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
     return torch.minimum(up, down), torch.where(up < down, above, below)
 
 
-def _fit_nearest(
-    samples: Tensor, axes: Axes, settings: NearestSettings, generator: torch.Generator
-) -> Learned:
+def fit_nearest(road: Road, settings: NearestSettings) -> Learned:
+    """The different samples, and how far each is from the next."""
     from scipy.spatial import KDTree  # slow to import, and most others do without
 
-    points, counts = samples.unique(dim=0, return_counts=True)
-    floats = 8 if len(axes) == 1 else len(points)
-    state = {"points": points.float()}
+    points, counts = road.samples.unique(dim=0, return_counts=True)
+    floats = 8 if len(road.axes) == 1 else len(points)
+    distance = partial(nearest_distance, points=points.float())
     if len(points) == 1:
-        return Learned(state, floats)
+        return Learned(distance, floats)
     both = KDTree(points).query(points, k=2)
     own, nearest = (torch.from_numpy(np.asarray(values)[:, 1]) for values in both)
     if settings.reading == "ratio":
-        state["own"] = own.float()
-        return Learned(state, floats, training=(own / own[nearest]).repeat_interleave(counts))
-    # Leave one out: a sample that occurs twice has its twin as neighbour.
-    training = torch.where(counts > 1, 0, own)
-    return Learned(state, floats, training=training.repeat_interleave(counts))
+        distance = partial(distance, own=own.float().contiguous())
+        training = own / own[nearest]
+    else:  # leave one out: a sample that occurs twice has its twin as neighbour
+        training = torch.where(counts > 1, 0, own)
+    return Learned(distance, floats, training=training.repeat_interleave(counts))
 
 
-def nearest_distance(state: State, planes: Tensor) -> Tensor:
+def nearest_distance(planes: Tensor, points: Tensor, own: Tensor | None = None) -> Tensor:
     """P3: L = min_j |x - y_j|², here without the square, which changes no rank.
 
-    state: points (m,d), sorted where d = 1; with ``own`` (m,), the distance of each point to
+    points: (m,d), sorted where d = 1; with ``own`` (m,), the distance of each point to
     its next one, the toolbox's reading |x - y*| / own(y*) with y* the nearest point. P3's
     formula is the distance, and its results stay within 3 of the spanning tree's in every
     combination, which the ratio's do not; so the distance is the default. Planes (d,n) to (n,).
     """
-    points, own = state["points"], state.get("own")
     if len(planes) == 1:
         distances, nearest = nearest_on_line(points[:, 0].contiguous(), planes[0].contiguous())
         return distances if own is None else distances / own[nearest]
@@ -138,38 +136,38 @@ def edge_quantile(lengths: Tensor, fraction: float) -> float:
     return float(lengths.sort().values[rank - 1]) if rank else 0.0
 
 
-def _fit_tree(
-    samples: Tensor, axes: Axes, settings: SpanningTreeSettings, generator: torch.Generator
-) -> Learned:
-    points, _ = few_distinct("mst", samples)
+def fit_tree(road: Road, settings: SpanningTreeSettings) -> Learned:
+    """The minimum spanning tree of the different samples."""
+    points, _ = few_distinct("mst", road.samples)
     edges = spanning_tree(points)
-    lengths = (points[edges[:, 1]] - points[edges[:, 0]]).norm(dim=1)
-    # The samples lie on the tree: their own distances are 0 and set no threshold.
-    threshold = edge_quantile(lengths, 1 - settings.rejected)
     starts, ends = points[edges[:, 0]], points[edges[:, 1]]
-    if len(points) == 1 or len(axes) == 1:  # a point, or all of the line between the ends
+    # The samples lie on the tree: their own distances are 0 and set no threshold.
+    threshold = edge_quantile((ends - starts).norm(dim=1), 1 - settings.rejected)
+    if len(points) == 1 or len(road.axes) == 1:  # a point, or all of the line between the ends
         starts, ends = points[:1], points[-1:]
-    return Learned(segments(starts, ends), max(len(starts), 4), threshold=threshold)
-
-
-def segments(starts: Tensor, ends: Tensor) -> dict[str, Tensor]:
-    """What ``tree_distance`` needs of segments (m,d) to (m,d), which may be points."""
     steps = ends - starts
     lengths = steps.norm(dim=1, keepdim=True)
     directions = steps / torch.where(lengths > 0, lengths, 1)
-    offsets = -(starts * directions).sum(1, keepdim=True)
-    state = {"starts": starts, "directions": directions, "lengths": lengths, "offsets": offsets}
-    return {name: tensor.float() for name, tensor in state.items()}
+    distance = partial(
+        tree_distance,
+        starts=starts.float(),
+        directions=directions.float(),
+        lengths=lengths.float(),
+        offsets=-(starts * directions).sum(1, keepdim=True).float(),
+    )
+    return Learned(distance, max(len(starts), 4), threshold=threshold)
 
 
-def tree_distance(state: State, planes: Tensor) -> Tensor:
+def tree_distance(
+    planes: Tensor, starts: Tensor, directions: Tensor, lengths: Tensor, offsets: Tensor
+) -> Tensor:
     """P3: L = |x - p(x)| with p the projection onto the nearest edge, cut off at its ends.
 
-    state: of ``segments``. Planes (d,n) to (n,).
+    starts, directions: (m,d); lengths, offsets (minus the start along the edge): (m,1).
+    Planes (d,n) to (n,).
     """
-    directions, starts = state["directions"], state["starts"]
-    along = torch.addmm(state["offsets"], directions, planes)
-    along = torch.minimum(along.clamp_(min=0), state["lengths"], out=along)
+    along = torch.addmm(offsets, directions, planes)
+    along = torch.minimum(along.clamp_(min=0), lengths, out=along)
     total = torch.zeros_like(along)
     for axis, values in enumerate(planes):
         column = slice(axis, axis + 1)
@@ -178,13 +176,7 @@ def tree_distance(state: State, planes: Tensor) -> Tensor:
     return total.amin(0).sqrt_()
 
 
-NN = Classifier(
-    "nn", "distance to the nearest sample", NearestSettings, _fit_nearest, nearest_distance
-)
+NN = Classifier("nn", "distance to the nearest sample", NearestSettings, fit_nearest)
 MST = Classifier(
-    "mst",
-    "distance to the samples' minimum spanning tree",
-    SpanningTreeSettings,
-    _fit_tree,
-    tree_distance,
+    "mst", "distance to the samples' minimum spanning tree", SpanningTreeSettings, fit_tree
 )

@@ -4,14 +4,14 @@ They tell how much of a pixel is lost when it is replaced by its projection or b
 nearest of a few centres. k-centres differs from k-means in how the centres are found alone.
 """
 
+from functools import partial
 from typing import Literal
 
 import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.oneclass.axes import Axes
-from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, State
+from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, Road
 from roadtorch.oneclass.density import floor_of, length_of, moments
 from roadtorch.oneclass.mixture import spread_starts
 from roadtorch.oneclass.neighbours import MAX_DISTINCT, few_distinct, squared_distances
@@ -52,31 +52,28 @@ def kept_components(variances: Tensor, share: float) -> int:
     return int((~reached).sum()) + 1 if share > 0 else 0
 
 
-def _fit_components(
-    samples: Tensor, axes: Axes, settings: ComponentSettings, generator: torch.Generator
-) -> Learned:
-    mean, covariance = moments(samples)
+def fit_components(road: Road, settings: ComponentSettings) -> Learned:
+    """The principal components of the samples."""
+    mean, covariance = moments(road.samples)
     variances, directions = torch.linalg.eigh(covariance)
     # What rounding to float32 makes of a constant plane is no variance.
-    variances = torch.where(variances > 1e-6 * floor_of(axes).min(), variances, 0)
+    variances = torch.where(variances > 1e-6 * floor_of(road.axes).min(), variances, 0)
     order = variances.argsort(descending=True, stable=True)
     kept = kept_components(variances[order], settings.variance)
-    if kept == len(axes):
+    if kept == len(mean):
         kept = {"cap": kept - 1, "strict": kept, "mean": 0}[settings.full]
-    lost = directions[:, order[kept:]]
-    return Learned({"mean": mean.float(), "lost": lost.T.float()}, 4 * len(axes))
+    lost = directions[:, order[kept:]].T.float().contiguous()
+    return Learned(partial(residual_distance, mean=mean.float(), lost=lost), 4 * len(mean))
 
 
-def residual_distance(state: State, pixels: Tensor) -> Tensor:
+def residual_distance(pixels: Tensor, mean: Tensor, lost: Tensor) -> Tensor:
     """|(x-μ) - P(x-μ)|, P the projection on the kept components: pixels (d,n) to (n,).
 
-    state: mean (d,), lost (k,d), the directions that are not kept. P3: eigenvectors with
+    mean: (d,); lost: (k,d), the directions that are not kept. P3: eigenvectors with
     95 % of the variance; the square it writes changes no rank.
     """
-    centred = pixels - state["mean"][:, None]
-    if not len(state["lost"]):
-        return torch.zeros_like(centred[0])
-    return length_of(state["lost"] @ centred)
+    centred = pixels - mean[:, None]
+    return length_of(lost @ centred) if len(lost) else torch.zeros_like(centred[0])
 
 
 # --- centres ------------------------------------------------------------------------------
@@ -119,17 +116,16 @@ def k_means(samples: Tensor, start: Tensor) -> tuple[Tensor, Tensor]:
     return centres, inertia
 
 
-def _fit_means(
-    samples: Tensor, axes: Axes, settings: CentreSettings, generator: torch.Generator
-) -> Learned:
+def fit_means(road: Road, settings: CentreSettings) -> Learned:
+    """The best means of all starts."""
+    samples = road.samples
     count = min(settings.centres, len(samples.unique(dim=0)))
     numbers = torch.full((settings.restarts,), count)
     weights = samples.new_ones(settings.restarts, len(samples))
-    member = spread_starts(samples, weights, numbers, generator)
+    member = spread_starts(samples, weights, numbers, road.generator)
     start = member @ samples / member.sum(2, keepdim=True).clamp_min(1)
     centres, inertia = k_means(samples, start)
-    best = centres[int(inertia.argmin())].float()
-    return Learned({"centres": best}, 2 * len(best))
+    return _learned_centres(centres[int(inertia.argmin())])
 
 
 def farthest_first(apart: Tensor, count: int, first: int = 0) -> Tensor:
@@ -165,44 +161,36 @@ def k_centres(apart: Tensor, start: Tensor) -> tuple[Tensor, Tensor]:
     return centres, apart[centres].amin(1).amax(1)
 
 
-def _fit_centres(
-    samples: Tensor, axes: Axes, settings: SampleCentreSettings, generator: torch.Generator
-) -> Learned:
-    points, _ = few_distinct("kcentres", samples)
-    count = min(settings.centres, len(points))
+def fit_centres(road: Road, settings: SampleCentreSettings) -> Learned:
+    """The best centres of a greedy start and of random ones."""
+    points, _ = few_distinct("kcentres", road.samples)
+    count, restarts = min(settings.centres, len(points)), settings.restarts
     apart = squared_distances(points.T, points).sqrt_()
-    draws = [
-        torch.randperm(len(points), generator=generator)[:count] for _ in range(settings.restarts)
-    ]
+    draws = [torch.randperm(len(points), generator=road.generator)[:count] for _ in range(restarts)]
     middle = int(apart.amax(1).argmin())
     start = torch.stack([farthest_first(apart, count, middle), *draws])
     together = max(1, MAX_DISTINCT**2 // len(points) ** 2)  # each takes as much room as ``apart``
     runs = [k_centres(apart, part) for part in start.split(together)]
     centres, radii = (torch.cat(parts) for parts in zip(*runs, strict=True))
-    best = points[centres[int(radii.argmin())]].float()
-    return Learned({"centres": best}, 2 * len(best))
+    return _learned_centres(points[centres[int(radii.argmin())]])
 
 
-def centre_distance(state: State, pixels: Tensor) -> Tensor:
+def _learned_centres(centres: Tensor) -> Learned:
+    return Learned(partial(centre_distance, centres=centres.float()), 2 * len(centres))
+
+
+def centre_distance(pixels: Tensor, centres: Tensor) -> Tensor:
     """min_j |x - c_j| of pixels (d,n): (n,). P3 has the square, which changes no rank."""
-    return squared_distances(pixels, state["centres"]).amin(0).sqrt_()
+    return squared_distances(pixels, centres).amin(0).sqrt_()
 
 
 PCA = Classifier(
-    "pca",
-    "distance to the principal components",
-    ComponentSettings,
-    _fit_components,
-    residual_distance,
-    SINGLE,
+    "pca", "distance to the principal components", ComponentSettings, fit_components, SINGLE
 )
-K_MEANS = Classifier(
-    "kmeans", "distance to the nearest of a few means", CentreSettings, _fit_means, centre_distance
-)
+K_MEANS = Classifier("kmeans", "distance to the nearest of a few means", CentreSettings, fit_means)
 K_CENTRES = Classifier(
     "kcentres",
     "distance to the nearest of a few samples that cover the others",
     SampleCentreSettings,
-    _fit_centres,
-    centre_distance,
+    fit_centres,
 )

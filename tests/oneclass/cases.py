@@ -4,14 +4,17 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Any, get_args
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from roadtorch.oneclass import CLASSIFIERS, Fitted, axes_of, fit
-from roadtorch.oneclass.base import Classifier
+from roadtorch.oneclass.base import Classifier, ClassifierSettings
 
 RGB = axes_of(("R", "G", "B"))
+PLANES = {1: ("nr",), 2: ("nr", "ng"), 3: ("R", "G", "B")}
+DIMENSIONS = pytest.mark.parametrize("dimensions", PLANES)
 HS = axes_of(("H", "S"))
 HISTOGRAMS = {name for name in CLASSIFIERS if name.startswith("hist")}
 SPREAD = 0.02
@@ -54,6 +57,28 @@ every_distance = pytest.mark.parametrize(
     [classifier for name, classifier in CLASSIFIERS.items() if name not in HISTOGRAMS],
     ids=[name for name in CLASSIFIERS if name not in HISTOGRAMS],
 )
+
+
+def kept(fitted: Fitted, name: str) -> Tensor:
+    """What a classifier keeps of its samples, by the name under which its distance takes it."""
+    return fitted.learned.distance.keywords[name]  # type: ignore[attr-defined]
+
+
+def some(number: int, dimensions: int, seed: int = 0, spread: float = 1.0) -> Tensor:
+    """Samples (number,dimensions), even in a box of that side around 0.4 (of side 1: 0 to 1)."""
+    generator = torch.Generator().manual_seed(seed)
+    return 0.4 + spread * (torch.rand(number, dimensions, generator=generator) - 0.4)
+
+
+def fitted(
+    classifier: Classifier, samples: Tensor, settings: ClassifierSettings | None = None
+) -> Fitted:
+    """A classifier fitted to samples (m,d) of some d planes."""
+    return fit(classifier, samples, axes_of(PLANES[samples.shape[1]]), settings)
+
+
+def doubles(values: Tensor) -> np.ndarray:
+    return values.double().numpy()
 
 
 def asphalt(count: int = 90, seed: int = 0) -> Tensor:

@@ -1,6 +1,9 @@
 """What all one-class classifiers share: axes, hue, thresholds, likelihoods, chunks."""
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -25,10 +28,11 @@ from roadtorch.oneclass.base import (
     Classifier,
     ClassifierSettings,
     Learned,
-    State,
+    Road,
     fit,
     rejecting_distance,
 )
+from tests.oneclass.cases import kept
 from tests.reference import oneclass_density as reference
 
 PLANE = axes_of(("S",))
@@ -40,17 +44,16 @@ class ScaledSettings(ClassifierSettings):
     scale: float = Field(default=1.0, gt=0)
 
 
-def _fit_middle(
-    samples: Tensor, axes: Axes, settings: ScaledSettings, generator: torch.Generator
-) -> Learned:
-    return Learned({"middle": samples.mean(0).float() / settings.scale}, floats=2)
+def _fit_middle(road: Road, settings: ScaledSettings) -> Learned:
+    middle = road.samples.mean(0).float() / settings.scale
+    return Learned(partial(_from_middle, middle=middle), floats=2)
 
 
-def _from_middle(state: State, pixels: Tensor) -> Tensor:
-    return (pixels - state["middle"][:, None]).abs().amax(0)
+def _from_middle(pixels: Tensor, middle: Tensor) -> Tensor:
+    return (pixels - middle[:, None]).abs().amax(0)
 
 
-MIDDLE = Classifier("middle", "distance to the middle", ScaledSettings, _fit_middle, _from_middle)
+MIDDLE = Classifier("middle", "distance to the middle", ScaledSettings, _fit_middle)
 
 
 def line(*values: float) -> Tensor:
@@ -147,15 +150,17 @@ def test_the_likelihood_is_a_half_at_the_threshold_and_falls_with_the_root_of_th
 
 
 def test_a_classifier_may_bring_its_threshold_or_the_distances_for_it() -> None:
-    def with_own(samples: Tensor, *rest: object) -> Learned:
-        return Learned({"middle": samples.mean(0).float()}, 2, threshold=7.0)
+    def with_own(road: Road, settings: ScaledSettings) -> Learned:
+        return replace(_fit_middle(road, settings), threshold=7.0)
 
-    def left_out(samples: Tensor, *rest: object) -> Learned:
-        return Learned({"middle": samples.mean(0).float()}, 2, training=torch.tensor([1.0, 3.0]))
+    def left_out(road: Road, settings: ScaledSettings) -> Learned:
+        return replace(_fit_middle(road, settings), training=torch.tensor([1.0, 3.0]))
 
-    def threshold(how: object, rejected: float) -> float:
-        kind = Classifier("own", "", ScaledSettings, how, _from_middle)  # type: ignore[arg-type]
-        settings = ScaledSettings(rejected=rejected)
+    def threshold(how: Callable[..., Learned], rejected: float) -> float:
+        kind, settings = (
+            Classifier("own", "", ScaledSettings, how),
+            ScaledSettings(rejected=rejected),
+        )
         return float(fit(kind, line(0.1, 0.2), PLANE, settings).threshold)
 
     assert threshold(with_own, 0.5) == 7
@@ -170,9 +175,9 @@ def test_one_quantum_is_the_threshold_where_samples_say_nothing() -> None:
 
 def test_settings_reach_the_fit_and_a_refusal_is_an_error() -> None:
     wide = fit(MIDDLE, line(0.2, 0.4), PLANE, ScaledSettings(scale=2.0))
-    refusing = Classifier("picky", "", ScaledSettings, _fit_middle, _from_middle, "not today")
+    refusing = Classifier("picky", "", ScaledSettings, _fit_middle, "not today")
 
-    assert float(wide.state["middle"]) == pytest.approx(0.15)
+    assert float(kept(wide, "middle")) == pytest.approx(0.15)
     with pytest.raises(ConfigError, match=r"^picky: not today .choose other planes"):
         fit(refusing, line(0.2), PLANE)
 
@@ -180,7 +185,7 @@ def test_settings_reach_the_fit_and_a_refusal_is_an_error() -> None:
 def test_a_fit_sees_hue_as_distance_from_the_mean() -> None:
     fitted = fit(MIDDLE, line(0.9, 0.1), axes_of(("H",)), ScaledSettings(rejected=0.0))
 
-    assert float(fitted.state["middle"]) == pytest.approx(0, abs=1e-6)
+    assert float(kept(fitted, "middle")) == pytest.approx(0, abs=1e-6)
     found = fitted.distance(line(0.95, 0.05, 0.5, 1.0)).tolist()
     assert found == pytest.approx([0.05, 0.05, 0.5, 0], abs=1e-6)
 
@@ -188,13 +193,12 @@ def test_a_fit_sees_hue_as_distance_from_the_mean() -> None:
 def test_memory_is_bounded_by_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     sizes = []
 
-    def watched(state: State, pixels: Tensor) -> Tensor:
+    def watched(pixels: Tensor) -> Tensor:
         sizes.append(pixels.shape[1])
-        return _from_middle(state, pixels)
+        return pixels[0]
 
-    fitted = fit(
-        Classifier("middle", "", ScaledSettings, _fit_middle, watched), line(0.4, 0.5), PLANE
-    )
+    watching = Classifier("watching", "", ScaledSettings, lambda *_: Learned(watched, floats=2))
+    fitted = fit(watching, line(0.4, 0.5), PLANE)
     sizes.clear()
     monkeypatch.setattr(base, "CHUNK", 200)
 

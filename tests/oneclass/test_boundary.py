@@ -13,8 +13,6 @@ from torch import Tensor
 
 from roadtorch.errors import InputError
 from roadtorch.oneclass import boundary
-from roadtorch.oneclass.axes import axes_of
-from roadtorch.oneclass.base import Classifier, ClassifierSettings, Fitted, fit
 from roadtorch.oneclass.boundary import (
     DISSIMILARITIES,
     DLP,
@@ -25,32 +23,17 @@ from roadtorch.oneclass.boundary import (
     SvddSettings,
 )
 from roadtorch.oneclass.neighbours import MST, NN, squared_distances
+from tests.oneclass.cases import DIMENSIONS, doubles, fitted, kept, some
 from tests.reference import oneclass_boundary as reference
 
-PLANES = {1: ("nr",), 2: ("nr", "ng"), 3: ("R", "G", "B")}
-DIMENSIONS = pytest.mark.parametrize("dimensions", [1, 2, 3])
 ALL = pytest.mark.parametrize(
     "classifier", [NN, SVDD, MPM, MST, DLP], ids=lambda classifier: classifier.name
 )
 
 
-def some(number: int, dimensions: int, seed: int = 0) -> Tensor:
-    return torch.rand(number, dimensions, generator=torch.Generator().manual_seed(seed))
-
-
 def road(number: int, dimensions: int, seed: int = 1) -> Tensor:
     generator = torch.Generator().manual_seed(seed)
     return 0.4 + 0.03 * torch.randn(number, dimensions, generator=generator)
-
-
-def fitted(
-    classifier: Classifier, samples: Tensor, settings: ClassifierSettings | None = None
-) -> Fitted:
-    return fit(classifier, samples, axes_of(PLANES[samples.shape[1]]), settings)
-
-
-def doubles(values: Tensor) -> np.ndarray:
-    return values.double().numpy()
 
 
 def gram_of(samples: Tensor, sigma: float) -> np.ndarray:
@@ -128,7 +111,7 @@ def test_a_wide_ball_is_the_smallest_ball_of_colour_space():
 def test_rejecting_everything_leaves_parzens_density():
     samples, pixels = road(30, 2), some(300, 2)
     learned = fitted(SVDD, samples, SvddSettings(sigma=0.1, rejected=1.0))
-    torch.testing.assert_close(learned.state["weights"], torch.full((30,), 1 / 30))
+    torch.testing.assert_close(kept(learned, "weights"), torch.full((30,), 1 / 30))
     density = np.exp(
         -(reference.distance_matrix(doubles(pixels), doubles(samples)) ** 2) / 0.1**2
     ).sum(1)
@@ -149,13 +132,17 @@ def test_median_width_is_the_median_distance_of_pairs():
 # --- MPM --------------------------------------------------------------------------------
 
 
+def score_of(samples: Tensor, pixels: Tensor, settings: MinimaxSettings) -> Tensor:
+    points, counts = samples.double().unique(dim=0, return_counts=True)
+    return boundary.minimax_score(points, counts, settings)(pixels.T)
+
+
 @DIMENSIONS
 @pytest.mark.parametrize("sigma", [1.0, 0.1])
 def test_minimax_score_is_the_toolboxs(dimensions, sigma):
     samples, pixels = road(20, dimensions), some(400, dimensions)
     for given_samples in (samples, torch.cat([samples, samples[:7]])):
-        learned = fitted(MPM, given_samples, MinimaxSettings(sigma=sigma))
-        score = boundary.minimax_score(learned.state, pixels.T).numpy()
+        score = score_of(given_samples, pixels, MinimaxSettings(sigma=sigma))
         expected = reference.minimax_score(doubles(given_samples), doubles(pixels), 1e-6, sigma)
         np.testing.assert_allclose(score, expected, rtol=1e-6, atol=1e-7)
 
@@ -179,20 +166,21 @@ def test_minimax_direction_has_the_least_spread_for_its_margin():
 
 def test_linear_kernel_is_the_closed_form():
     samples, pixels = road(50, 3), some(500, 3)
-    learned = fitted(MPM, samples, MinimaxSettings(kernel="linear", ridge=1e-4))
+    settings = MinimaxSettings(kernel="linear", ridge=1e-4)
     values = doubles(samples)
     direction = np.linalg.solve(np.cov(values.T, bias=True) + 1e-4 * np.eye(3), values.mean(0))
     expected = doubles(pixels) @ direction / (values.mean(0) @ direction)
-    np.testing.assert_allclose(boundary.minimax_score(learned.state, pixels.T), expected, rtol=1e-9)
-    assert correlation(learned.score(pixels), expected) == pytest.approx(1)
+    np.testing.assert_allclose(score_of(samples, pixels, settings), expected, rtol=1e-9)
+    found = fitted(MPM, samples, settings).score(pixels)
+    assert correlation(found, expected) == pytest.approx(1)
 
 
 @DIMENSIONS
 def test_minimax_distance_ranks_as_its_score_does(dimensions):
-    learned = fitted(MPM, road(90, dimensions))
+    samples = road(90, dimensions)
     pixels = torch.cat([road(3000, dimensions, seed=5), some(1000, dimensions)])
-    distance = learned.distance(pixels)
-    order = boundary.minimax_score(learned.state, pixels.T).argsort(descending=True)
+    distance = fitted(MPM, samples).distance(pixels)
+    order = score_of(samples, pixels, MinimaxSettings()).argsort(descending=True)
     assert (distance[order].diff() >= 0).all()
     assert distance.unique().numel() > 0.97 * pixels.unique(dim=0).shape[0]
 
@@ -241,14 +229,17 @@ def test_dissimilarities_are_the_toolboxs_from_the_nearest_to_the_farthest():
 def test_distance_ranks_as_the_weighted_sum_of_dissimilarities(kind, dimensions):
     samples, pixels = road(30, dimensions), some(1000, dimensions)
     learned = fitted(DLP, samples, LinearSettings(dissimilarity=kind))
-    to_points = reference.distance_matrix(doubles(pixels), doubles(learned.state["points"]))
+    to_points, between = (
+        reference.distance_matrix(doubles(each), doubles(samples)) for each in (pixels, samples)
+    )
     dissimilarity = {
-        "toolbox": 4 / (1 + np.exp(-(to_points**2))) - 2,
-        "euclid": to_points,
-        "euclid_sigmoid": 4 / (1 + np.exp(-to_points)) - 2,
+        "toolbox": lambda away: 4 / (1 + np.exp(-(away**2))) - 2,
+        "euclid": lambda away: away,
+        "euclid_sigmoid": lambda away: 4 / (1 + np.exp(-away)) - 2,
     }[kind]
-    expected = dissimilarity @ doubles(learned.state["weights"])
-    same_ranks(learned.distance(pixels), expected)
+    apart = dissimilarity(between)
+    weights, _ = boundary.least_margin(apart / apart.mean(), np.ones(30), 0.025)
+    same_ranks(learned.distance(pixels), dissimilarity(to_points) @ weights)
 
 
 @DIMENSIONS

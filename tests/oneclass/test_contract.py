@@ -302,6 +302,6 @@ def test_no_tensor_is_much_larger_than_the_floats_that_size_the_chunks(
         fitted, pixels = fit(classifier, asphalt()[:, : len(axes)], axes), colours(count)
 
         with Largest() as seen, torch.no_grad():
-            classifier.distance(fitted.state, pixels.T[: len(axes)])
+            fitted.learned.distance(pixels.T[: len(axes)])
 
         assert seen.floats <= count * max(fitted.learned.floats, 4)

@@ -8,7 +8,7 @@ import torch
 from sklearn.mixture import GaussianMixture
 from torch import Tensor
 
-from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
+from roadtorch.oneclass import CLASSIFIERS, Fitted, axes_of, fit
 from roadtorch.oneclass.mixture import (
     BestMixtureSettings,
     Mixtures,
@@ -20,6 +20,7 @@ from roadtorch.oneclass.mixture import (
     spread_starts,
 )
 from tests.draws import seeded
+from tests.oneclass.cases import kept
 from tests.reference import oneclass_density as reference
 
 TWO, FOUR, BEST = (CLASSIFIERS[name] for name in ("mog2", "mog4", "mog_opt"))
@@ -39,6 +40,15 @@ def clusters(number: int, count: int = 120, seed: int = 0) -> Tensor:
 def memberships(samples: Tensor, number: int) -> Tensor:
     weights = samples.new_ones(1, len(samples))
     return spread_starts(samples, weights, torch.tensor([number]), seeded())
+
+
+def parts_of(fitted: Fitted) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Logarithms of the weights (N,), means (N,d) and whitening (N,d,d) of a fitted mixture."""
+    log_weights, whiten, offsets = (
+        kept(fitted, name).double() for name in ("log_weights", "whiten", "offsets")
+    )
+    means = -torch.linalg.solve(whiten, offsets.view(*whiten.shape[:2], 1))[..., 0]
+    return log_weights.numpy(), means.numpy(), whiten.numpy()
 
 
 def covariances(mixtures: Mixtures) -> np.ndarray:
@@ -69,17 +79,17 @@ def test_the_density_is_scipys(planes: int) -> None:
 def test_the_distance_is_that_of_the_density_from_its_peak(name: str) -> None:
     fitted = fit(CLASSIFIERS[name], clusters(2), AXES)
     points = torch.rand(200, 2, generator=seeded(1)) - 0.5
-    state = {key: value.double().numpy() for key, value in fitted.state.items()}
+    log_weights, means, matrices = parts_of(fitted)
 
     found = fitted.distance(points).double().numpy()
 
     squared = [
         np.square((points.double().numpy() - mean) @ matrix.T).sum(1)
-        for mean, matrix in zip(state["means"], state["whitening"], strict=True)
+        for mean, matrix in zip(means, matrices, strict=True)
     ]
-    log = reference.log_sum(state["log_weights"][:, None] - np.stack(squared) / 2)
+    log = reference.log_sum(log_weights[:, None] - np.stack(squared) / 2)
     np.testing.assert_allclose(found, np.sqrt(-2 * log), rtol=1e-4)
-    assert np.isclose(reference.log_sum(state["log_weights"]), 0, atol=1e-6)
+    assert np.isclose(reference.log_sum(log_weights), 0, atol=1e-6)
 
 
 def test_one_component_is_the_gaussian() -> None:
@@ -98,15 +108,16 @@ def test_the_papers_formula_has_neither_half_nor_determinants() -> None:
     complete = fit(TWO, samples, AXES)
     printed = fit(TWO, samples, AXES, MixtureSettings(formula="paper"))
 
-    weights = printed.state["log_weights"].exp().double().numpy()
+    log_weights, means, matrices = parts_of(printed)
+    weights = np.exp(log_weights)
     np.testing.assert_allclose(weights, [0.5, 0.5], atol=0.01)
     squared = [
-        ((point - mean) @ matrix.T).double().square().sum().item() / 2  # the state has W·√2
-        for mean, matrix in zip(printed.state["means"], printed.state["whitening"], strict=True)
+        float(np.square((point.double().numpy() - mean) @ matrix.T).sum()) / 2  # W is W·√2 here
+        for mean, matrix in zip(means, matrices, strict=True)
     ]
     expected = np.sqrt(-2 * reference.log_sum(np.log(weights) - np.array(squared)))
     assert float(printed.distance(point)) == pytest.approx(expected, rel=1e-4)
-    assert not np.allclose(complete.state["log_weights"].exp(), weights, atol=0.1)
+    assert not np.allclose(np.exp(parts_of(complete)[0]), weights, atol=0.1)
 
 
 # --- fit --------------------------------------------------------------------------------
@@ -174,9 +185,9 @@ def test_starts_are_spread_over_the_heaps() -> None:
 
 def components(number: int, select: str, **more: object) -> int:
     settings = BEST.settings.model_validate({"select": select, **more})
-    state = fit(BEST, clusters(number), AXES, settings).state
-    assert state["log_weights"].isfinite().all()  # those that a run does not have are left out
-    return len(state["means"])
+    log_weights = kept(fit(BEST, clusters(number), AXES, settings), "log_weights")
+    assert log_weights.isfinite().all()  # those that a run does not have are left out
+    return len(log_weights)
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 5])
@@ -208,5 +219,5 @@ def test_few_samples_have_few_components(count: int, select: str) -> None:
 
     fitted = fit(BEST, clusters(3)[:count], AXES, settings)
 
-    assert 1 <= len(fitted.state["means"]) <= count
+    assert 1 <= len(kept(fitted, "log_weights")) <= count
     assert fitted.likelihood(clusters(3).float()).isfinite().all()

@@ -9,31 +9,15 @@ from torch import Tensor
 
 from roadtorch.errors import InputError
 from roadtorch.oneclass import neighbours
-from roadtorch.oneclass.axes import axes_of
-from roadtorch.oneclass.base import Fitted, fit
 from roadtorch.oneclass.neighbours import MST, NN, NearestSettings, SpanningTreeSettings
+from tests.oneclass.cases import DIMENSIONS, doubles, fitted, kept, some
 from tests.reference import oneclass_boundary as reference
 
-PLANES = {1: ("nr",), 2: ("nr", "ng"), 3: ("R", "G", "B")}
-DIMENSIONS = pytest.mark.parametrize("dimensions", [1, 2, 3])
 RATIO = NearestSettings(reading="ratio")
-
-
-def some(number: int, dimensions: int, seed: int = 0, spread: float = 1.0) -> Tensor:
-    generator = torch.Generator().manual_seed(seed)
-    return 0.4 + spread * (torch.rand(number, dimensions, generator=generator) - 0.4)
 
 
 def road(number: int, dimensions: int) -> Tensor:
     return some(number, dimensions, seed=1, spread=0.2)
-
-
-def fitted(classifier, samples: Tensor, settings=None) -> Fitted:
-    return fit(classifier, samples, axes_of(PLANES[samples.shape[1]]), settings)
-
-
-def doubles(values: Tensor) -> np.ndarray:
-    return values.double().numpy()
 
 
 def edges_of(samples: Tensor) -> list[tuple[int, int]]:
@@ -88,7 +72,7 @@ def test_threshold_leaves_each_sample_out(values, reading, half):
     settings = NearestSettings.model_validate({"rejected": 0.5, "reading": reading})
     learned = fitted(NN, torch.tensor(values)[:, None], settings)
     assert float(learned.threshold) == pytest.approx(half)
-    assert len(learned.state["points"]) == len(set(values))
+    assert len(kept(learned, "points")) == len(set(values))
 
 
 @given(st.integers(1, 3), st.integers(1, 20), st.integers(0, 1000))
@@ -134,17 +118,6 @@ def test_tree_distance_is_that_of_a_loop_over_segments(dimensions):
     expected = reference.tree_distance(doubles(samples), edges, doubles(pixels))
     found = doubles(fitted(MST, samples).distance(pixels))
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-8)
-
-
-def test_tree_on_a_line_covers_all_between_its_ends():
-    samples, pixels = road(30, 1), some(1000, 1)
-    low, high = samples.min(), samples.max()
-    expected = torch.maximum(low - pixels, pixels - high).clamp(min=0)[:, 0]
-    found = fitted(MST, samples).distance(pixels)
-    torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-8)
-    inside = ((pixels >= low) & (pixels <= high))[:, 0]
-    assert inside.any()
-    assert (found[inside] == 0).all()
 
 
 def test_tree_threshold_is_a_length_of_an_edge():

@@ -19,6 +19,7 @@ from roadtorch.oneclass.reconstruction import (
     k_means,
     kept_components,
 )
+from tests.oneclass.cases import kept
 from tests.reference import oneclass_density as reference
 
 COMPONENTS, MEANS, CENTRES, NEAREST = (
@@ -103,7 +104,7 @@ def test_restarts_are_as_good_as_scikit_learns() -> None:
     options: dict = {"n_init": 10, "random_state": 0}
     peer: Any = KMeans(5, **options).fit(samples.numpy())
 
-    centres = fit(MEANS, samples.float(), RGB).state["centres"].double()
+    centres = kept(fit(MEANS, samples.float(), RGB), "centres").double()
 
     inertia = torch.cdist(samples, centres).square().amin(1).sum()
     assert float(inertia) < 1.02 * peer.inertia_
@@ -148,7 +149,7 @@ def test_a_better_start_is_never_made_worse() -> None:
 def test_centres_are_samples() -> None:
     samples = flat_samples()
 
-    centres = fit(CENTRES, samples, RGB).state["centres"]
+    centres = kept(fit(CENTRES, samples, RGB), "centres")
 
     assert all(bool((samples == centre).all(1).any()) for centre in centres)
 
