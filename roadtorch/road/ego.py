@@ -107,12 +107,8 @@ def outline_rows(outline: tuple[float, ...], width: int) -> Tensor:
 
     The outline's values hold in the middle of its equally wide columns; straight lines between.
     """
-    values = torch.tensor(outline, dtype=torch.float32)
-    at = (torch.arange(width) + 0.5) / width * len(outline) - 0.5
-    at = at.clamp(0, len(outline) - 1)
-    left = at.floor().long()
-    right = (left + 1).clamp_max(len(outline) - 1)
-    return values[left].lerp(values[right], at - left)
+    at = (np.arange(width) + 0.5) / width * len(outline) - 0.5
+    return torch.from_numpy(np.interp(at, np.arange(len(outline)), outline)).float()
 
 
 def is_anywhere(ego: Tensor) -> bool:

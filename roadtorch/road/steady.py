@@ -62,14 +62,6 @@ class SteadySettings(Settings):
     )
 
 
-class Observation(NamedTuple):
-    """What one frame shows: grey uint8 (h,w), log odds (H,W), and what it hides, bool (H,W)."""
-
-    grey: Tensor
-    odds: Tensor
-    hidden: Tensor
-
-
 class Past(NamedTuple):
     """What is known after a frame.
 
@@ -120,12 +112,8 @@ class Steady:
         if hidden is None:
             hidden = torch.zeros(likelihood.shape, dtype=torch.bool)
         self._standing = stood(self._standing, hidden, self.settings.standing)
-        seen = Observation(
-            flow_picture(image, self.settings.width),
-            log_odds(likelihood),
-            hidden | self._standing.hidden,
-        )
-        self._past = recalled(self._past, seen, self.settings)
+        grey, unseen = flow_picture(image, self.settings.width), hidden | self._standing.hidden
+        self._past = recalled(self._past, grey, log_odds(likelihood), unseen, self.settings)
         return self._past.odds.sigmoid().masked_fill(self._standing.hidden, 0.0)
 
 
@@ -138,22 +126,30 @@ def stood(before: Standing | None, hidden: Tensor, most: float) -> Standing:
     return Standing(before.share + (now - before.share) / frames, frames)
 
 
-def recalled(past: Past | None, seen: Observation, settings: SteadySettings) -> Past:
-    """What is known after a frame, from what was known before it."""
-    height, width = seen.grey.shape
-    hidden = seen.hidden.to(torch.float32).numpy()
-    fresh = 1 - torch.from_numpy(cv2.resize(hidden, (width, height), interpolation=cv2.INTER_AREA))
-    begun = Past(seen.grey, seen.odds, fresh)
-    if past is None or past.odds.shape != seen.odds.shape or past.grey.shape != seen.grey.shape:
+def recalled(
+    past: Past | None, grey: Tensor, odds: Tensor, hidden: Tensor, settings: SteadySettings
+) -> Past:
+    """What is known after a frame, from what was known before it.
+
+    grey: the frame, uint8 (h,w); odds: its log odds (H,W); hidden: what it hides, bool (H,W).
+    """
+    height, width = grey.shape
+    covered = hidden.to(torch.float32).numpy()
+    fresh = 1 - torch.from_numpy(cv2.resize(covered, (width, height), interpolation=cv2.INTER_AREA))
+    begun = Past(grey, odds, fresh)
+    if past is None or past.odds.shape != odds.shape or past.grey.shape != grey.shape:
         return begun
-    flow = dense_flow(seen.grey, past.grey, FAST)
-    belief = flow_confidence(past.grey, seen.grey, flow, settings)
+    flow = dense_flow(grey, past.grey, FAST)
+    belief = flow_confidence(past.grey, grey, flow, settings)
     if belief.mean() < settings.cut:
         return begun
     weight = warp(past.frames, flow).clamp_max(settings.memory) * belief
     before = warp(past.odds, flow)
-    now = seen.odds.where(~seen.hidden, before)
-    return Past(seen.grey, blended(before, now, weight, fresh), weight + fresh)
+    now = odds.where(~hidden, before)
+    # The mean of both, which count as so many frames.
+    share = (weight / (weight + fresh).clamp_min(1e-6)).numpy()
+    larger = cv2.resize(share, now.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return Past(grey, now + torch.from_numpy(larger) * (before - now), weight + fresh)
 
 
 def flow_confidence(before: Tensor, grey: Tensor, flow: Tensor, settings: SteadySettings) -> Tensor:
@@ -169,11 +165,3 @@ def flow_confidence(before: Tensor, grey: Tensor, flow: Tensor, settings: Steady
     change = np.abs((change - change.median()).numpy()) / 255
     around = torch.from_numpy(cv2.blur(change, (AROUND, AROUND))) / settings.contrast
     return (-(missed.square() + around.square())).exp()
-
-
-def blended(before: Tensor, now: Tensor, weight: Tensor, fresh: Tensor) -> Tensor:
-    """The mean of log odds (H,W) that count as so many frames: ``weight`` and ``fresh`` (h,w)."""
-    height, width = now.shape
-    share = (weight / (weight + fresh).clamp_min(1e-6)).numpy()
-    larger = cv2.resize(share, (width, height), interpolation=cv2.INTER_LINEAR)
-    return now + torch.from_numpy(larger) * (before - now)

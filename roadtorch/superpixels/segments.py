@@ -17,25 +17,19 @@ from roadtorch.imaging.color import planes
 from roadtorch.runtime.image_cache import cached_per_image
 
 
-def segment_sum(planes: Sequence[Tensor] | Tensor, labels: Tensor, count: int) -> Tensor:
-    """Sum of each of C planes (H,W) over each of ``count`` segments of labels (H,W): (C,count).
-
-    Added up in float64: a large segment would lose what a pixel adds to it.
-    """
-    segment = labels.reshape(-1).cpu().numpy()
-    sums = [
-        np.bincount(segment, plane.reshape(-1).cpu().numpy(), minlength=count) for plane in planes
-    ]
-    return torch.from_numpy(np.stack(sums)).to(planes[0])
-
-
 def segment_mean(planes: Sequence[Tensor] | Tensor, labels: Tensor, size: Tensor) -> Tensor:
     """Mean of each of C planes (H,W) over each of n segments of labels (H,W): (C,n); 0 if empty.
 
-    size: int64 (n,), their pixels, by ``segment_size``.
+    size: int64 (n,), their pixels, by ``segment_size``. Added up in float64: a large segment would
+    lose what a pixel adds to it.
     """
-    sums = segment_sum(planes, labels, len(size))
-    return sums / size.to(sums.dtype).clamp_min_(1)
+    segment = labels.reshape(-1).cpu().numpy()
+    sums = [
+        np.bincount(segment, plane.reshape(-1).cpu().numpy(), minlength=len(size))
+        for plane in planes
+    ]
+    found = torch.from_numpy(np.stack(sums)).to(planes[0])
+    return found / size.to(found.dtype).clamp_min_(1)
 
 
 def segment_size(labels: Tensor, count: int) -> Tensor:
@@ -189,17 +183,11 @@ def border_contrast(lab: Tensor) -> Tensor:
     The mean of 3×3 pixels goes first, against sensor noise; lightness counts by
     ``LIGHTNESS_SHARE``.
     """
-    weights = lab.new_tensor([LIGHTNESS_SHARE, 1, 1])[:, None, None]
-    return _difference_squares(mean_of_nine(lab * weights)).sum(0).sqrt_().div_(2)
-
-
-def mean_of_nine(planes: Tensor) -> Tensor:
-    """Means of 3×3 pixels of planes (C,H,W); the edge pixels are repeated beyond the edge."""
-    before = planes.cpu().numpy()
+    before = (lab * lab.new_tensor([LIGHTNESS_SHARE, 1, 1])[:, None, None]).cpu().numpy()
     after = np.empty_like(before)
     for plane, target in zip(before, after, strict=True):
         cv2.blur(plane, (3, 3), dst=target, borderType=cv2.BORDER_REPLICATE)
-    return torch.from_numpy(after).to(planes.device)
+    return _difference_squares(torch.from_numpy(after).to(lab.device)).sum(0).sqrt_().div_(2)
 
 
 def gradient_length(planes: Tensor) -> Tensor:

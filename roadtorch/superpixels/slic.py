@@ -162,16 +162,6 @@ def _places(grid: CellGrid, stride: int) -> Tensor:
     return torch.stack([row[:, None] * one, column * one, one])
 
 
-def _neighbours(grid: CellGrid, batch: int) -> Tensor:
-    """(B·cells, 9) int64: the cells around each of a batch's, itself in the middle.
-
-    ``B·cells`` beyond the grid.
-    """
-    cells = torch.arange(batch * grid.rows * grid.columns)
-    framed = F.pad(cells.reshape(batch, grid.rows, grid.columns), (1, 1, 1, 1), value=len(cells))
-    return framed.unfold(1, 3, 1).unfold(2, 3, 1).reshape(-1, NEIGHBOURS)
-
-
 class Moves(NamedTuple):
     """What turns sums over segments into factors of distances, and sums over cells into those.
 
@@ -220,7 +210,10 @@ def _moves(grid: CellGrid, step: float, batch: int) -> Moves:
     factors[:, 6, 5] = (leaning * shifts).sum(1) + most
     sums = torch.eye(6).repeat(NEIGHBOURS, 1, 1)
     sums[:, 5, :5] = shifts
-    around = _neighbours(grid, batch)
+    cells = torch.arange(batch * grid.rows * grid.columns)
+    framed = F.pad(cells.reshape(batch, grid.rows, grid.columns), (1, 1, 1, 1), value=len(cells))
+    # The cells around each of a batch's, itself in the middle; len(cells) beyond the grid.
+    around = framed.unfold(1, 3, 1).unfold(2, 3, 1).reshape(-1, NEIGHBOURS)
     beyond = torch.full((1, NEIGHBOURS), len(around))
     return Moves(
         metric,

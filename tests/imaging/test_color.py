@@ -91,55 +91,12 @@ def test_values_keep_to_their_bounds_and_the_corners_reach_them(colors, name):
 
 @given(st.tuples(UNIT, UNIT, UNIT))
 @settings(max_examples=300, deadline=None)
-def test_every_color_has_finite_planes_within_bounds(color):
-    found = planes(image_of([color]), tuple(PLANES)).flatten()
-
-    for value, (name, about) in zip(found.tolist(), PLANES.items(), strict=True):
-        assert about.low - 1e-6 <= value <= about.high + 1e-6, name
-
-
-@given(st.tuples(UNIT, UNIT, UNIT))
-@settings(max_examples=300, deadline=None)
 def test_hue_never_reaches_a_whole_turn(color):
     assert 0 <= plane(image_of([color]), "H").item() < 1
 
 
 def test_a_hue_just_below_red_is_not_rounded_to_a_whole_turn():
     assert plane(image_of([(1.0, 0.0, 1e-30)]), "H").item() == 0
-
-
-@given(UNIT)
-@settings(deadline=None)
-def test_grey_has_no_color(level):
-    pixel = image_of([(level, level, level)])
-
-    for name in ("O1", "O2", "a", "b", "H", "S"):
-        assert plane(pixel, name).item() == pytest.approx(0, abs=2e-6), name
-    for name in ("nr", "ng"):
-        assert plane(pixel, name).item() == pytest.approx(1 / 3, abs=1e-6), name
-    assert plane(pixel, "grey").item() == pytest.approx(level, abs=1e-6)
-
-
-def test_chromaticity_does_not_depend_on_brightness():
-    image = random_image()
-
-    for name in ("nr", "ng", "H", "S"):
-        torch.testing.assert_close(plane(image / 2, name), plane(image, name))
-
-
-def test_the_opponent_planes_are_a_rotation_of_rgb():
-    image = random_image()
-
-    opponent = planes(image, ("O1", "O2", "O3"))
-
-    torch.testing.assert_close(opponent.square().sum(0), image.square().sum(0))
-
-
-def test_lightness_runs_from_black_to_white():
-    lightness = plane(image_of([(v, v, v) for v in np.linspace(0, 1, 50).tolist()]), "L")[0]
-
-    assert (lightness.diff() > 0).all()
-    assert lightness[[0, -1]].tolist() == pytest.approx([0, 1], abs=1e-6)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

@@ -51,16 +51,6 @@ def test_two_values_are_parted_in_the_middle_however_rare_one_is(
     assert found == pytest.approx(low + apart / 2, abs=apart / BINS)
 
 
-@given(st.floats(0.1, 10), st.floats(-10, 10))
-def test_it_goes_with_the_scale_and_the_shift_of_the_values(scale: float, shift: float) -> None:
-    values = clusters((0, 1, 400), (5, 1, 300)).double()
-
-    moved = float(otsu_threshold(values * scale + shift))
-
-    bin_width = scale * float(values.max() - values.min()) / BINS
-    assert moved == pytest.approx(float(otsu_threshold(values)) * scale + shift, abs=2 * bin_width)
-
-
 def test_between_two_gaps_that_are_as_good_it_is_in_one_of_them() -> None:
     values = torch.tensor([-1.0, -1.0, -0.001, 0.001, 1.0, 1.0])
 

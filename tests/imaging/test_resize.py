@@ -87,14 +87,6 @@ def test_maps_of_any_dimensions_are_resized_within_their_range(
     assert result.max() <= maps.max() + 1e-5
 
 
-def test_making_a_map_smaller_averages_it() -> None:
-    stripes = (torch.arange(63) % 3 == 0).float().expand(63, 63)
-
-    small = resized(stripes, (9, 9))
-
-    assert (small[:, 1:-1] - 1 / 3).abs().max() < 0.05  # single pixels are 0 or 1
-
-
 @pytest.mark.parametrize("size", [(20, 26), (21, 31), (5, 6)])
 def test_labels_come_back_as_labels_and_masks_as_masks(size: tuple[int, int]) -> None:
     labels = torch.arange(130).reshape(10, 13)
@@ -106,14 +98,6 @@ def test_labels_come_back_as_labels_and_masks_as_masks(size: tuple[int, int]) ->
     assert torch.equal(mask, result > 64)
     for row, column in ((0, 0), (size[0] - 1, size[1] - 1), (size[0] // 2, 1)):
         assert result[row, column] == labels[row * 10 // size[0], column * 13 // size[1]]
-
-
-def test_doubling_a_label_map_repeats_each_label() -> None:
-    labels = torch.tensor([[4, 7], [9, 255]])
-
-    doubled = at_picture_size(labels, (4, 4))
-
-    assert torch.equal(doubled, labels.repeat_interleave(2, 0).repeat_interleave(2, 1))
 
 
 def test_an_analysis_at_working_size_sees_a_small_picture_and_answers_at_full_size() -> None:

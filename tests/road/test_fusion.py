@@ -93,32 +93,6 @@ def test_odds_can_rank_pixels_the_other_way_round_than_equation_four() -> None:
     assert odds[0] > odds[1]
 
 
-def test_naive_bayes_by_hand() -> None:
-    # 0.5·0.8·0.6 = 0.24 for road, 0.5·0.2·0.4 = 0.04 for background
-    assert combined(0.5, [0.8, 0.6], [1, 1]) == pytest.approx(0.24 / 0.28)
-
-
-@given(LIKELIHOODS, LIKELIHOODS, WEIGHTS)
-def test_a_cue_of_one_half_says_nothing(prior: float, likelihood: float, weight: float) -> None:
-    without = combined(prior, [likelihood], [1])
-
-    assert combined(prior, [likelihood, 0.5], [1, weight]) == pytest.approx(without, abs=1e-12)
-
-
-@given(LIKELIHOODS, LIKELIHOODS, LIKELIHOODS, WEIGHTS)
-def test_more_likely_in_a_cue_is_never_less_likely_together(
-    prior: float, one: float, two: float, weight: float
-) -> None:
-    low, high = sorted((one, two))
-
-    assert combined(prior, [low], [weight]) <= combined(prior, [high], [weight])
-
-
-def test_a_weight_of_two_counts_a_cue_twice_and_of_zero_not_at_all() -> None:
-    assert combined(0.3, [0.7], [2]) == pytest.approx(combined(0.3, [0.7, 0.7], [1, 1]))
-    assert combined(0.3, [0.9], [0]) == pytest.approx(0.3)
-
-
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("extreme", [0.0, 1.0])
 def test_extreme_cues_stay_finite_and_can_be_outvoted(dtype: torch.dtype, extreme: float) -> None:
@@ -251,46 +225,6 @@ def test_the_road_of_segments_is_that_of_a_loop(rounds: int) -> None:
     torch.testing.assert_close(road, wanted, atol=2e-3, rtol=0.0)
 
 
-def test_without_learning_it_is_naive_bayes_of_the_cues() -> None:
-    segments = noisy()
-    found = cues(len(segments.size))
-    chosen = RoadRules(rounds=0, bias=0.0, temperature=1.0, place=RoadPlace(weight=1.0))
-
-    road = segment_road(segments, *found, rules=chosen)
-
-    prior = road_place(segments.row, segments.column, chosen.place)
-    weights = [chosen.exponents.layout, chosen.exponents.distance, chosen.exponents.texture]
-    torch.testing.assert_close(road, naive_bayes(prior, found, weights), atol=1e-5, rtol=0.0)
-
-
-def test_with_all_weights_zero_the_bias_is_all_there_is() -> None:
-    segments = noisy()
-    chosen = RoadRules(
-        place=RoadPlace(weight=0.0),
-        exponents=Exponents(layout=0, distance=0, texture=0, look=0, neighbours=0),
-        bias=-1.5,
-        temperature=3.0,
-    )
-
-    road = segment_road(segments, *cues(len(segments.size)), rules=chosen)
-
-    torch.testing.assert_close(road, torch.full_like(road, -0.5).sigmoid())
-
-
-@pytest.mark.parametrize("cue", range(3))
-def test_before_learning_more_likely_in_a_cue_is_more_likely_road(cue: int) -> None:
-    segments = noisy()
-    chosen = RoadRules(rounds=0, exponents=Exponents(layout=1, distance=1, texture=1))
-    found = cues(len(segments.size))
-    layout, distance, texture = (
-        value + (0.5 * (1 - value) if number == cue else 0) for number, value in enumerate(found)
-    )
-
-    before = segment_road(segments, *found, rules=chosen)
-
-    assert (segment_road(segments, layout, distance, texture, rules=chosen) > before).all()
-
-
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
 def test_cues_that_say_the_same_everywhere_give_finite_roads(value: float) -> None:
     segments = noisy()
@@ -300,19 +234,6 @@ def test_cues_that_say_the_same_everywhere_give_finite_roads(value: float) -> No
 
     assert road.isfinite().all()
     assert 0 <= road.min() <= road.max() <= 1
-
-
-def test_neighbours_are_those_that_share_a_border_each_counted_once() -> None:
-    segments = noisy()
-    count = len(segments.size)
-
-    around = neighbour_mean(segments)
-
-    near = reference.neighbours([(one, two) for one, two in segments.pairs.T.tolist()], count)
-    wanted = torch.zeros(count, count)
-    for number, others in enumerate(near):
-        wanted[number, others] = 1 / len(others)
-    torch.testing.assert_close(around, wanted)
 
 
 def test_a_segment_without_neighbours_hears_nothing_and_is_at_no_distance() -> None:

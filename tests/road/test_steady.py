@@ -6,13 +6,9 @@ import torch
 from roadtorch.imaging.motion import flow_picture
 from roadtorch.road.fusion import log_odds
 from roadtorch.road.steady import (
-    Observation,
-    Past,
     Steady,
     SteadySettings,
-    blended,
     flow_confidence,
-    recalled,
 )
 from roadtorch.scenes.street import render_scene
 
@@ -161,27 +157,6 @@ def test_what_is_given_is_not_changed() -> None:
 
     assert torch.equal(image, STREET)
     assert torch.equal(likelihood, kept)
-
-
-def test_weights_count_frames() -> None:
-    before, now = torch.full((40, 60), 3.0), torch.zeros(40, 60)
-
-    found = blended(before, now, torch.full((20, 30), 2.0), torch.ones(20, 30))
-
-    assert torch.allclose(found, torch.tensor(2.0))
-
-
-def test_frames_are_counted_up_to_the_memory() -> None:
-    nothing = torch.zeros(120, 160)
-    shown = Observation(flow_picture(STREET, 240), nothing, nothing.bool())
-    past: Past | None = None
-    counts = []
-
-    for _ in range(6):
-        past = recalled(past, shown, settings(memory=3.0))
-        counts.append(round(float(past.frames.median()), 2))
-
-    assert counts == pytest.approx([1, 2, 3, 4, 4, 4], abs=0.05)
 
 
 def lower(rows: int) -> torch.Tensor:
