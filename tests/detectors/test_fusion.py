@@ -52,12 +52,6 @@ def test_likelihoods_and_shares_are_between_zero_and_one(name: str) -> None:
     assert 0 <= cue.min() < cue.max() <= 1
 
 
-def test_layout_potentials_sum_to_one() -> None:
-    total = detected().cues["layout"].sum(0)
-
-    torch.testing.assert_close(total, torch.ones_like(total))
-
-
 def test_the_texture_cue_leaves_out_saturated_segments() -> None:
     cues = detected().cues
 

@@ -61,14 +61,6 @@ def test_the_ego_car_is_where_the_network_sees_it(detected: Detection) -> None:
     assert set(detected.cues) == CUES
 
 
-def test_on_the_ego_car_there_is_no_road_and_no_seed(detected: Detection) -> None:
-    ego = car(96, 128)
-
-    assert not detected.likelihood[ego].any()
-    assert not detected.mask[ego].any()
-    assert not detected.cues["seed_area"][ego].any()
-
-
 def test_above_it_there_is_road(detected: Detection) -> None:
     right = detected.mask & scene(3, 96, 128, shadows=0).road
 
@@ -109,17 +101,6 @@ def test_what_is_above_is_as_if_the_ground_went_on(
     above = ~car(96, 128)
     assert not without.cues["ego"].any()
     assert torch.equal(detected.likelihood[above], without.likelihood[above])
-
-
-@pytest.mark.parametrize("paint", [0.0, 1.0])
-def test_whatever_the_ego_car_looks_like_nothing_changes(
-    paint: float, seeing: Detector, detected: Detection
-) -> None:
-    other = seeing.detect(torch.where(car(96, 128), paint, street()))
-
-    assert torch.equal(other.likelihood, detected.likelihood)
-    assert torch.equal(other.mask, detected.mask)
-    assert torch.equal(other.cues["seed_area"], detected.cues["seed_area"])
 
 
 def test_without_an_ego_car_the_whole_picture_may_be_road(blind: Detector) -> None:

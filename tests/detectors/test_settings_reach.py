@@ -18,7 +18,7 @@ from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import save_network
 from roadtorch.oneclass import CLASSIFIERS
-from roadtorch.settings import Settings, build_settings, group_at
+from roadtorch.settings import Settings, build_settings, group_at, merge
 from tests.streets import lost_highlights
 
 
@@ -97,16 +97,6 @@ def nested(path: tuple[str, ...], value: object) -> dict:
     return value
 
 
-def merged(*trees: dict) -> dict:
-    """Nested settings, later ones over earlier ones."""
-    found: dict = {}
-    for tree in trees:
-        for key, value in tree.items():
-            is_group = isinstance(value, dict)
-            found[key] = merged(found.get(key, {}), value) if is_group else value
-    return found
-
-
 def declared_in(kind: type[Settings], path: tuple[str, ...]) -> type:
     """The class that declares a setting: where detectors share it, so do they share its code."""
     group = group_at(kind, path[:-1])
@@ -153,7 +143,7 @@ def need_of(name: str, path: tuple[str, ...]) -> str:
 
 
 def usual_settings(name: str, need: str) -> dict:
-    return merged(USUAL.get(name, {}), NEEDS.get(need, {}))
+    return merge(USUAL.get(name, {}), NEEDS.get(need, {}))
 
 
 @cache
@@ -175,7 +165,7 @@ def reaches(name: str, path: tuple[str, ...], value: Any) -> bool:
     def changes(number: int, threshold: float) -> bool:
         before = usual(name, number, need, threshold)
         settings = usual_settings(name, need) | {"threshold": threshold}
-        after = maps(name, number, merged(settings, nested(path, value)))
+        after = maps(name, number, merge(settings, nested(path, value)))
         pairs = zip(before, after, strict=False)
         return len(before) != len(after) or not all(torch.equal(*pair) for pair in pairs)
 

@@ -59,16 +59,6 @@ def test_the_cues_show_every_stage_at_the_size_of_the_picture(name: str) -> None
     assert cues["iteration_2"].dtype == torch.bool
 
 
-@pytest.mark.parametrize("name", BY_NAME)
-def test_at_the_working_size_the_decision_is_that_of_the_second_iteration(name: str) -> None:
-    image = render_scene(4, 120, 160).image
-
-    result = detector(name).detect(image)
-
-    assert result.mask.any()
-    assert torch.equal(result.mask, result.cues["iteration_2"])
-
-
 @pytest.mark.parametrize("size", [(96, 128), (241, 319), (480, 640), (120, 397)])
 @pytest.mark.parametrize("name", BY_NAME)
 def test_at_a_half_the_likelihood_is_exactly_the_regions_at_any_size(

@@ -74,20 +74,6 @@ def test_the_farther_the_less_likely_even_on_16_bit_levels(classifier: Classifie
 
 
 @every_classifier
-def test_the_likelihood_is_decreasing_in_the_distance_and_half_at_the_threshold(
-    classifier: Classifier,
-) -> None:
-    fitted = of_asphalt(classifier)
-    pixels = torch.cat([asphalt(seed=2), colours()])
-
-    distance, likelihood = fitted.distance(pixels), fitted.likelihood(pixels)
-
-    assert (likelihood[distance.argsort()].diff() <= 0).all()
-    assert fitted.squashed(fitted.threshold).item() == 0.5
-    assert torch.equal(fitted.score(pixels), -distance)
-
-
-@every_classifier
 def test_the_threshold_rejects_about_the_fraction(classifier: Classifier) -> None:
     shares, samples = (0.0, 0.1, 0.5, 0.9), asphalt(150)
     by_share = [fit(classifier, samples, RGB, classifier.settings(rejected=s)) for s in shares]
