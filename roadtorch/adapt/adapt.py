@@ -1,8 +1,8 @@
 """A whole adaptation: frames, camera, two networks from the halves, their mean, a verdict. Ours.
 
-Each half of the footage teaches a network of its own, which is judged on the half that it has not
-seen. The network that comes out is the mean of both: networks that begin alike and learn a little
-lie in one valley (Wortsman et al., Model soups, ICML 2022).
+Each half of the footage teaches a network of its own and says how bold that should be; it is judged
+on the half that it has not seen. The network that comes out is the mean of both: networks that
+begin alike and learn a little lie in one valley (Wortsman et al., Model soups, ICML 2022).
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,11 +13,18 @@ from typing import Any
 import torch
 
 from roadtorch.adapt.frames import HALVES, KeptFrames, keep_frames
-from roadtorch.adapt.verdict import Verdict, judged_half, unknown, verdict_of
+from roadtorch.adapt.verdict import Verdict, fitted_bias, judged_half, unknown, verdict_of
 from roadtorch.camera.footage import StillError, camera_of
 from roadtorch.errors import InputError
 from roadtorch.io.atomic import write_text
-from roadtorch.layout.weights import load_network, read_origin, save_network, weights_path
+from roadtorch.layout.picture_network import ROAD
+from roadtorch.layout.weights import (
+    WholePictureNetwork,
+    load_network,
+    read_origin,
+    save_network,
+    weights_path,
+)
 from roadtorch.train.config import PictureTraining
 from roadtorch.train.corrections import card_of, corrections_behind
 from roadtorch.train.folder import CHECKPOINT, WEIGHTS, RunFolder
@@ -25,6 +32,8 @@ from roadtorch.train.recordings import MAX_FRAMES
 from roadtorch.train.run import Outcome, Request, train
 
 CAMERA, FRAMES, PREPARED = "camera.toml", "frames", "prepared"
+CALIBRATED = "calibrated.safetensors"
+"""Of each half: what it learned, as bold as the teacher."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +86,11 @@ def _adapt(
         outcomes.append(train(training, request))
         if outcomes[-1].interrupted:
             return Adapted(outcomes[-1], frames, camera, tuple(missing))
-    files = [out / half / WEIGHTS for half in HALVES]
+    files = [out / half / CALIBRATED for half in HALVES]
+    for half, file in zip(HALVES, files, strict=True):
+        learned = file.with_name(WEIGHTS)
+        bias = fitted_bias(frames.pictures(half), learned, out / PREPARED, training, quiet)
+        write_shifted(learned, file, bias)
     mean_network(files, out / WEIGHTS, {**read_origin(files[0]), "pictures": frames.count})
     if behind := corrections_behind(training):
         write_text((out / WEIGHTS).with_suffix(".md"), card_of(behind))
@@ -108,6 +121,17 @@ def mean_network(files: Sequence[Path], path: Path, origin: Mapping[str, Any]) -
     }
     networks[0].load_state_dict(mean)
     save_network(path, networks[0], origin)
+
+
+def write_shifted(learned: Path, file: Path, bias: float) -> None:
+    """Write a network with so much more log odds of road everywhere."""
+    network = load_network(learned)
+    assert isinstance(network, WholePictureNetwork)
+    with torch.no_grad():
+        for layer in network.last_layers():
+            assert layer.bias is not None
+            layer.bias[ROAD] += bias
+    save_network(file, network, read_origin(learned))
 
 
 def _camera_problem(frames: KeptFrames, file: Path, where: str) -> InputError | None:

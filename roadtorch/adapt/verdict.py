@@ -7,8 +7,10 @@ has no part in it, for agreement with what was learned raises it.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import astuple
+from functools import reduce
+from operator import add
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -16,7 +18,15 @@ import torch
 from torch import Tensor
 
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.evaluation.metrics import Decisions, count_mask, f_measure
+from roadtorch.detectors.fusion import FusionSettings
+from roadtorch.evaluation.metrics import (
+    Decisions,
+    RoadCounts,
+    count_levels,
+    count_mask,
+    f_measure,
+    max_f,
+)
 from roadtorch.evaluation.result import Interval
 from roadtorch.evaluation.uncertainty import bootstrap_weights, interval
 from roadtorch.imaging.resize import resized
@@ -89,22 +99,66 @@ def judged_half(
 ) -> Judged:
     """How the masks with two weight files fit the teacher's maps of prepared frames."""
     detectors = [load_detector("fusion", weights={"file": str(file)}) for file in (before, after)]
-    some = pictures[:: -(-len(pictures) // MAX_JUDGED)]
     counts: list[list[Tensor]] = [[], []]
-    for picture in Progress(some, desc="judging", unit="frame", quiet=quiet):
+    seen = Progress(spread(pictures), desc="judging", unit="frame", quiet=quiet)
+    for image, road, sure in taught_frames(seen, prepared, training):
+        for known, detector in zip(counts, detectors, strict=True):
+            mask = resized(detector.detect(image).mask.float()[None], size_of(road))[0] >= 0.5
+            known.append(torch.stack(astuple(count_mask(mask, road, sure))))
+    return Judged(*(torch.stack(known) if known else torch.empty(0, 4) for known in counts))
+
+
+def fitted_bias(
+    pictures: Sequence[Picture],
+    file: Path,
+    prepared: Path,
+    training: PictureTraining,
+    quiet: bool = False,
+) -> float:
+    """What a network's log odds of road lack for the mask to fit the teacher's best, by F. Ours.
+
+    A network that goes on learning from soft labels ranks pixels better, and is less bold or
+    bolder than the one that `fusion` is calibrated for: one number of a whole footage mends that
+    without a label. 0 where no frame can tell.
+    """
+    detector = load_detector("fusion", weights={"file": str(file)})
+    settings = detector.settings
+    assert isinstance(settings, FusionSettings)
+    counts: list[RoadCounts] = []
+    seen = Progress(spread(pictures), desc="calibrating", unit="frame", quiet=quiet)
+    for image, road, sure in taught_frames(seen, prepared, training):
+        likelihood = resized(detector.detect(image).likelihood[None], size_of(road))[0]
+        counts.append(count_levels(likelihood.clamp(0, 1), road, sure, levels=256))
+    best, threshold = max_f(reduce(add, counts)) if counts else (torch.tensor(math.nan),) * 2
+    if best.isnan():
+        return 0.0
+    lacking = torch.tensor(settings.threshold).logit() - threshold.clamp(0.05, 0.95).logit()
+    pull = settings.learned.weight + settings.learned.detail
+    return float(lacking * settings.calibration.temperature / max(pull, 1.0))
+
+
+def taught_frames(
+    pictures: Iterable[Picture], prepared: Path, training: PictureTraining
+) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+    """Frames (3,H,W), and of each the teacher's road and where it is sure of it, bool (h,w)."""
+    for picture in pictures:
         file = prepared / f"{name_of(picture)}.npz"
         if not file.exists():
             continue  # it was skipped, and told
         arrays = read_arrays(file, "maps", "ego")
         maps, ego = (from_bytes(arrays[name])[None] for name in ("maps", "ego"))
         said = targets_of(maps, ego[None], None, training.teacher, training.rounds)
-        road, sure = said.road[0, 0] >= 0.5, said.road_weight[0, 0] > 0
-        image = picture.read()
-        for known, detector in zip(counts, detectors, strict=True):
-            mask = detector.detect(image).mask.float()[None]
-            small = resized(mask, (road.shape[0], road.shape[1]))[0]
-            known.append(torch.stack(astuple(count_mask(small >= 0.5, road, sure))))
-    return Judged(*(torch.stack(known) if known else torch.empty(0, 4) for known in counts))
+        yield picture.read(), said.road[0, 0] >= 0.5, said.road_weight[0, 0] > 0
+
+
+def spread(pictures: Sequence[Picture]) -> Sequence[Picture]:
+    """At most ``MAX_JUDGED`` of them, evenly."""
+    return pictures[:: -(-len(pictures) // MAX_JUDGED)] if pictures else pictures
+
+
+def size_of(maps: Tensor) -> tuple[int, int]:
+    """Rows and columns."""
+    return maps.shape[-2], maps.shape[-1]
 
 
 def _f_measure(counts: Tensor) -> Tensor:
@@ -132,5 +186,5 @@ def verdict_of(judged: Sequence[Judged]) -> Verdict:
     if change.low > 0 and second - first >= MIN_GAIN:
         word = "adopt"
     else:
-        word = "do not adopt" if change.high < MIN_GAIN else "cannot tell"
+        word = "do not adopt" if change.high < 0 else "cannot tell"
     return Verdict(word, first, second, change, frames)

@@ -195,6 +195,10 @@ class BackboneNetwork(nn.Module):
             head.get_submodule("drop").eval()  # it would draw what no seed of a run tells
         return self
 
+    def last_layers(self) -> list[nn.Conv2d]:
+        """Those that give the scores, of each head."""
+        return [head.get_submodule("scores") for head in self.heads]  # type: ignore[misc]
+
     def forward(self, images: Tensor) -> Tensor:
         """Scores (B,5,H/4,W/4) of images (B,3,H,W) in [0,1], the mean of the heads'."""
         features = self.backbone(images)

@@ -71,6 +71,10 @@ class PictureNetwork(nn.Module):
         self.to_half = Stage(narrow, narrow)
         self.heads = nn.Conv2d(narrow, OUTPUTS, 1)
 
+    def last_layers(self) -> list[nn.Conv2d]:
+        """Those that give the scores."""
+        return [self.heads]
+
     def forward(self, pixels: Tensor) -> Tensor:
         """Scores (B,5,H/2,W/2) of normalised pictures (B,3,H,W): three classes, road, ego.
 

@@ -28,8 +28,8 @@ def test_a_loss_is_not_adopted() -> None:
     assert verdict_of([judged([60] * 24, [50] * 24)]).word == "do not adopt"
 
 
-def test_no_change_is_not_worth_another_file() -> None:
-    assert verdict_of([judged([60] * 24, [60] * 24)]).word == "do not adopt"
+def test_no_change_tells_nothing_for_the_judge_errs_too() -> None:
+    assert verdict_of([judged([60] * 24, [60] * 24)]).word == "cannot tell"
 
 
 def test_a_gain_in_one_stretch_alone_may_be_chance() -> None:
