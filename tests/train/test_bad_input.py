@@ -3,6 +3,7 @@
 import csv
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -60,10 +61,6 @@ def test_a_folder_without_pictures_that_can_be_used_is_told(
     assert (tmp_path / "run").exists() == bool(names)
 
 
-def changed(request: Request, **changes: object) -> Request:
-    return Request(**{**request.__dict__, **changes})  # type: ignore[arg-type]
-
-
 def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
@@ -73,7 +70,7 @@ def test_a_folder_with_a_run_is_not_overwritten(finished: tuple[Training, Reques
     before = contents(request.out)
 
     with pytest.raises(ConfigError, match="holds a run already"):
-        train(training, changed(request, resume=False))
+        train(training, replace(request, resume=False))
 
     assert contents(request.out) == before
 
@@ -102,7 +99,7 @@ def test_other_pictures_are_told(finished: tuple[Training, Request], tmp_path: P
     training, request = finished
 
     with pytest.raises(ConfigError, match="holds a run on other pictures"):
-        train(training, changed(request, images=str(write_streets(tmp_path, 2))))
+        train(training, replace(request, images=str(write_streets(tmp_path, 2))))
 
 
 def test_labelled_pictures_of_other_settings_are_told(
@@ -112,7 +109,7 @@ def test_labelled_pictures_of_other_settings_are_told(
     other = build_training({**training.model_dump(), "centres": {"around": 1}})
 
     with pytest.raises(ConfigError, match="holds pictures prepared with other settings"):
-        train(other, changed(request, out=tmp_path / "new"))
+        train(other, replace(request, out=tmp_path / "new"))
 
 
 def test_files_of_somebody_else_are_not_overwritten(streets: Path, tmp_path: Path) -> None:

@@ -132,7 +132,7 @@ def test_the_page_is_written_again_when_a_finished_run_is_resumed(
 
 
 def test_agreement_counts_the_pixels_where_the_teacher_is_sure(tmp_path: Path) -> None:
-    training = training_of("pictures", tmp_path)
+    training = training_of("pictures")
     assert isinstance(training, PictureTraining)
     network = PictureNetwork(NETWORK).eval()
     for weight in network.parameters():

@@ -1,16 +1,20 @@
 """The settings of training: kinds, bounds, schedules, and the files that ship."""
 
+from collections.abc import Iterator
+
 import pytest
 
 from roadtorch.errors import ConfigError
-from roadtorch.settings import parse_assignments
+from roadtorch.settings import Settings, parse_assignments
 from roadtorch.train.config import (
+    KINDS,
     Descent,
     PatchTraining,
     as_values,
     build_training,
     with_current_names,
 )
+from roadtorch.train.folder import flat
 
 
 def test_the_defaults_are_p2s() -> None:
@@ -46,6 +50,18 @@ def test_settings_survive_the_way_to_nested_values_and_back(kind: str) -> None:
         ),
         ({"descent": {"learning_rate": 0.0}}, "descent.learning_rate: 0.0 was given"),
         ({"network": {"topology": {"size1": 9}}}, "topology: .* cannot halve"),
+        (
+            {"kind": "pictures", "network": {"heads": 1, "width": 80}},
+            r"network.width: 80 was given .*multiple of 32",
+        ),
+        (
+            {"kind": "pictures", "network": {"wide": 7}},
+            r"network.wide: 7 was given .*multiple of 8",
+        ),
+        (
+            {"kind": "pictures", "network": {"heads": 1, "hight": 64}},
+            r"network.hight: unknown setting \(did you mean network.height",
+        ),
     ],
 )
 def test_mistakes_are_told_with_their_key(values: dict[str, object], told: str) -> None:
@@ -53,41 +69,24 @@ def test_mistakes_are_told_with_their_key(values: dict[str, object], told: str) 
         build_training(values)
 
 
-OLD = {
-    "patches": {
-        "seed": "random_seed",
-        "sites": "centres",
-        "jitter": "augmentation",
-        "augmentation.smallest": "augmentation.min_scale",
-        "augmentation.noisiest": "augmentation.max_noise",
-        "descent.decay": "descent.weight_decay",
-        "stopping.fall": "stopping.min_delta",
-    },
-    "pictures": {
-        "seed": "random_seed",
-        "road_weight": "heads.road",
-        "visits": "samples_per_epoch",
-        "light.gamma": "augmentation.light",
-        "shift.move": "augmentation.geometry",
-        "surfaces.share": "augmentation.surface",
-        "shadows.share": "augmentation.shadow",
-        "nights.share": "augmentation.night",
-        "ego_cars.share": "augmentation.ego_car",
-        "descent.rate": "descent.learning_rate",
-        "descent.average": "descent.ema",
-    },
-}
-"""Keys of older versions, by kind, and what to write."""
+def renamed_keys(kind: type[Settings], path: str = "") -> Iterator[tuple[str, str]]:
+    """All keys that had other names, old and new, with the path to them."""
+    yield from ((path + old, path + new) for old, new in kind.renamed.items())
+    for name, field in kind.model_fields.items():
+        if isinstance(field.annotation, type) and issubclass(field.annotation, Settings):
+            yield from renamed_keys(field.annotation, f"{path}{name}.")
 
 
-@pytest.mark.parametrize(
-    ("kind", "old", "new"), [(k, *pair) for k, names in OLD.items() for pair in names.items()]
-)
-def test_an_old_key_is_told_the_new_one(kind: str, old: str, new: str) -> None:
-    values = parse_assignments([f"kind={kind}", f"{old}=0.1"])
+@pytest.mark.parametrize(("kind", "count"), [("patches", 11), ("pictures", 13)])
+def test_an_old_key_is_told_the_new_one_which_there_is(kind: str, count: int) -> None:
+    names = dict(renamed_keys(KINDS[kind]))
+    known = flat(KINDS[kind]().model_dump())
 
-    with pytest.raises(ConfigError, match=rf"has another name now \(write {new}\)"):
-        build_training(values)
+    assert len(names) == count
+    for old, new in names.items():
+        assert any(key == new or key.startswith(f"{new}.") for key in known)
+        with pytest.raises(ConfigError, match=rf"has another name now \(write {new}\)"):
+            build_training(parse_assignments([f"kind={kind}", f"{old}=0.1"]))
 
 
 def test_settings_that_an_older_version_wrote_down_get_todays_names() -> None:

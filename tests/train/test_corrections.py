@@ -29,7 +29,8 @@ from roadtorch.train.patches import (
 from roadtorch.train.pictures import corrected_shares, corrected_targets, correction_planes
 from roadtorch.train.run import FUSION, Request, recipe_of, train
 from roadtorch.train.teachers import Targets
-from tests.train.runs import PATCHES, request_of, training_of, write_config
+from tests.train.conftest import Trained
+from tests.train.runs import PATCHES, training_of, write_config
 
 UNTOUCHED, ROAD, NOT_ROAD, VOID, SKY = range(5)
 
@@ -130,8 +131,8 @@ def test_patches_are_taken_where_people_named_a_class() -> None:
     assert found.weights.tolist() == [1, 1, *[2.5] * 24]
 
 
-def corrected_street(streets: Path, number: int = 0) -> Correction:
-    return correction(quarters(60, 80), streets / f"street_{number}.png")
+def corrected_street(streets: Path) -> Correction:
+    return correction(quarters(60, 80), streets / "street_0.png")
 
 
 def test_few_corrected_pictures_shorten_the_steps() -> None:
@@ -143,19 +144,15 @@ def test_few_corrected_pictures_shorten_the_steps() -> None:
     assert paced(descent, 10, 1000).learning_rate < descent.learning_rate
 
 
-def test_a_run_paces_its_steps_by_the_corrected_pictures(
-    streets: Path, kept: Path, tmp_path: Path
-) -> None:
+def test_a_run_paces_its_steps_by_the_corrected_pictures(trained: Trained, streets: Path) -> None:
     """One corrected picture and a far halfway: next to no step is taken."""
     runs = {}
     for halfway in (1e6, 0.0):
-        training = training_of("pictures", tmp_path, f"corrections.halfway={halfway}")
-        request = request_of(streets, kept, tmp_path / f"run-{halfway}", "pictures")
-        outcome = train(training, replace(request, corrections=[corrected_street(streets)]))
-        assert outcome.weights is not None
-        runs[halfway] = load_network(outcome.weights).state_dict()
+        change, said = f"corrections.halfway={halfway}", [corrected_street(streets)]
+        outcome = trained("pictures", change, out=f"run-{halfway}", corrections=said)
+        runs[halfway] = load_network(outcome.weights or "").state_dict()
     begun = RoundStart(1, [], {}, None)
-    start = recipe_of(training_of("pictures", tmp_path)).network(begun).state_dict()
+    start = recipe_of(training_of("pictures")).network(begun).state_dict()
     for name, weight in start.items():
         torch.testing.assert_close(runs[1e6][name], weight, atol=1e-6, rtol=0)
     assert any(not torch.allclose(runs[0.0][name], weight) for name, weight in start.items())
@@ -163,12 +160,9 @@ def test_a_run_paces_its_steps_by_the_corrected_pictures(
 
 @pytest.mark.parametrize("kind", ["patches", "pictures"])
 def test_weights_say_that_people_corrected_pictures(
-    kind: str, streets: Path, kept: Path, tmp_path: Path
+    kind: str, trained: Trained, streets: Path, tmp_path: Path
 ) -> None:
-    request = request_of(streets, kept, tmp_path / "run", kind)
-    given = replace(request, corrections=[corrected_street(streets)])
-
-    outcome = train(training_of(kind, tmp_path), given)
+    outcome = trained(kind, corrections=[corrected_street(streets)])
 
     assert outcome.weights is not None
     (told,) = people_behind(outcome.weights)
@@ -199,19 +193,14 @@ def test_the_command_reads_what_annotate_kept(streets: Path, kept: Path, tmp_pat
 
 
 def test_what_goes_on_from_corrected_weights_is_not_label_free_either(
-    streets: Path, kept: Path, tmp_path: Path
+    trained: Trained, streets: Path
 ) -> None:
-    request = request_of(streets, kept, tmp_path / "first", "patches")
-    train(
-        training_of("patches", tmp_path), replace(request, corrections=[corrected_street(streets)])
-    )
-    start = tmp_path / "first" / "weights.safetensors"
-    training = training_of("patches", tmp_path, f"start={start}")
+    first = trained("patches", out="first", corrections=[corrected_street(streets)]).weights
+    second = trained("patches", f"start={first}", out="second").weights
 
-    outcome = train(training, request_of(streets, kept, tmp_path / "second", "patches"))
-
-    assert outcome.weights is not None
-    assert people_behind(outcome.weights) == people_behind(start) != []
+    assert first
+    assert second
+    assert people_behind(second) == people_behind(first) != []
 
 
 def test_resuming_wants_the_same_corrections(
@@ -223,15 +212,12 @@ def test_resuming_wants_the_same_corrections(
 
 
 def test_corrections_of_other_pictures_are_refused(
-    streets: Path, kept: Path, tmp_path: Path
+    trained: Trained, streets: Path, tmp_path: Path
 ) -> None:
-    request = request_of(streets, kept, tmp_path / "run", "patches")
-    training = training_of("patches", tmp_path)
     with pytest.raises(InputError, match="none of them is among --images"):
-        train(training, replace(request, corrections=[correction(quarters(), tmp_path / "x.png")]))
-    small = correction(quarters(), streets / "street_0.png")
+        trained("patches", corrections=[correction(quarters(), tmp_path / "x.png")])
     with pytest.raises(InputError, match="another size"):
-        train(training, replace(request, corrections=[small]))
+        trained("patches", corrections=[correction(quarters(), streets / "street_0.png")])
 
 
 def test_nothing_is_told_without_corrections_and_all_that_was_said_counts() -> None:

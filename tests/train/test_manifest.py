@@ -1,9 +1,6 @@
 """The manifest of the training pictures: written, checked, and that of the shipped weights."""
 
-import sys
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 
@@ -23,64 +20,43 @@ from train.manifest import (
     read_rows,
 )
 
-DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "research" / "training_data.md"
-
-
-@dataclass(frozen=True)
-class Street:
-    """A folder of three pictures of two recordings, and where its manifest goes."""
-
-    folder: Path
-    manifest: Path
-
 
 @pytest.fixture
-def street(tmp_path: Path) -> Street:
+def street(tmp_path: Path) -> Path:
+    """A folder of three pictures of two recordings."""
     folder = tmp_path / "pictures"
     folder.mkdir()
     for number, name in enumerate(("one_0001", "one_0002", "two_town_0001")):
         write_jpeg(folder / f"{name}.jpg", render_scene(number, 48, 64).image)
     (tmp_path / RECORDINGS).write_text("recording,terms\none,CC0\ntwo_town,unknown\n")
-    return Street(folder, tmp_path / "told.csv")
+    return folder
 
 
-@pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, Street], int]:
-    """The command on a street; its exit status."""
-
-    def command(name: str, street: Street) -> int:
-        told = ["manifest.py", name, str(street.folder), "--manifest", str(street.manifest)]
-        monkeypatch.setattr(sys, "argv", told)
-        with pytest.raises(SystemExit) as end:
-            main()
-        return int(end.value.code or 0)
-
-    return command
+def run(name: str, street: Path) -> int:
+    return main([name, str(street), "--manifest", str(street.with_name("told.csv"))])
 
 
-def test_a_written_manifest_tells_name_size_bytes_and_recording(
-    street: Street, run: Callable[[str, Street], int]
-) -> None:
+def test_a_written_manifest_tells_name_size_bytes_and_recording(street: Path) -> None:
     assert run("write", street) == 0
 
-    rows = list(read_rows(street.manifest, "file").values())
+    rows = list(read_rows(street.with_name("told.csv"), "file").values())
     assert tuple(rows[0]) == COLUMNS
     assert [row["recording"] for row in rows] == ["one", "one", "two_town"]
-    data = (street.folder / "two_town_0001.jpg").read_bytes()
+    data = (street / "two_town_0001.jpg").read_bytes()
     told = [rows[2][key] for key in ("file", "bytes", "sha256", "width", "height")]
     assert told == ["two_town_0001.jpg", str(len(data)), sha256(data).hexdigest(), "64", "48"]
 
 
 def test_the_same_folder_passes_and_every_difference_is_told(
-    street: Street, run: Callable[[str, Street], int], capsys: pytest.CaptureFixture[str]
+    street: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run("write", street)
     assert run("check", street) == 0
-    (street.folder / "one_0001.jpg").unlink()
-    same_size = bytearray((street.folder / "one_0002.jpg").read_bytes())
+    (street / "one_0001.jpg").unlink()
+    same_size = bytearray((street / "one_0002.jpg").read_bytes())
     same_size[-3] ^= 1
-    (street.folder / "one_0002.jpg").write_bytes(same_size)
-    write_jpeg(street.folder / "new_0001.jpg", render_scene(7, 48, 64).image)
+    (street / "one_0002.jpg").write_bytes(same_size)
+    write_jpeg(street / "new_0001.jpg", render_scene(7, 48, 64).image)
     capsys.readouterr()
 
     assert run("check", street) == 1
@@ -94,30 +70,28 @@ def test_the_same_folder_passes_and_every_difference_is_told(
 
 
 def test_a_recording_without_terms_is_refused(
-    street: Street, run: Callable[[str, Street], int], capsys: pytest.CaptureFixture[str]
+    street: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    street.manifest.with_name(RECORDINGS).write_text("recording,terms\none,CC0\n")
+    street.with_name(RECORDINGS).write_text("recording,terms\none,CC0\n")
 
     assert run("write", street) == 2
 
-    assert not street.manifest.exists()
+    assert not street.with_name("told.csv").exists()
     assert "has no row for the recording two_town (add" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("wrong", ["missing", "not csv"])
+@pytest.mark.parametrize("text", [None, "hello\nthere\n"])
 def test_a_manifest_that_cannot_be_used_is_one_line(
-    wrong: str,
-    street: Street,
-    run: Callable[[str, Street], int],
-    capsys: pytest.CaptureFixture[str],
+    text: str | None, street: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    if wrong == "not csv":
-        street.manifest.write_text("hello\nthere\n")
+    manifest = street.with_name("told.csv")
+    if text is not None:
+        manifest.write_text(text)
 
     assert run("check", street) == 2
 
     told = capsys.readouterr().err
-    assert told.startswith(f"roadtorch: error: {street.manifest}: ")
+    assert told.startswith(f"roadtorch: error: {manifest}: ")
     assert len(told.splitlines()) == 1
 
 

@@ -11,8 +11,8 @@ from roadtorch.errors import InputError
 from roadtorch.layout.weights import load_network
 from roadtorch.runtime.signals import Stop
 from roadtorch.train.processes import Processes, join_processes
-from roadtorch.train.run import train
-from tests.train.runs import CONFIGS, request_of, rows_of, run, torchrun, training_of, write_config
+from tests.train.conftest import Trained
+from tests.train.runs import CONFIGS, rows_of, run, torchrun, write_config
 
 TOLERANCE = 1e-4  # of the weights after a few dozen steps: sums in another order
 
@@ -104,11 +104,9 @@ def test_two_add_gather_and_leave_no_thread_behind(two: Path) -> None:
 
 @pytest.mark.parametrize("kind", CONFIGS)
 def test_two_processes_give_the_weights_of_one(
-    kind: str, two: Path, streets: Path, kept: Path, tmp_path: Path
+    kind: str, two: Path, trained: Trained, tmp_path: Path
 ) -> None:
-    training = training_of(kind, tmp_path, *DESCENT)
-
-    train(training, request_of(streets, kept, tmp_path / "one", kind))
+    trained(kind, *DESCENT, out="one")
 
     outs = (tmp_path / "one", two / kind)
     one, both = (load_network(out / "weights.safetensors") for out in outs)

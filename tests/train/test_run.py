@@ -15,19 +15,19 @@ from roadtorch.errors import ConfigError, InputError, WeightsError
 from roadtorch.io.atomic import locked
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
-from roadtorch.layout.weights import load_network, read_origin, save_network
+from roadtorch.layout.weights import LayoutNetwork, load_network, read_origin, save_network
 from roadtorch.train.config import Training
 from roadtorch.train.loop import Batch, Round, RoundStart
 from roadtorch.train.prepared import read_arrays
 from roadtorch.train.run import Outcome, Request, recipe_of, train
-from tests.train.runs import (
-    PATCHES,
-    request_of,
-    rows_of,
-    training_of,
-    write_bonnets,
-    write_config,
-)
+from tests.train.conftest import Trained
+from tests.train.runs import PATCHES, rows_of, training_of, write_bonnets, write_config
+
+
+def new_network(kind: str, *changes: str) -> LayoutNetwork:
+    """What a run with these changes begins with."""
+    return recipe_of(training_of(kind, *changes)).network(RoundStart(0, [], {}, None))
+
 
 # --- whole runs ------------------------------------------------------------------------------
 
@@ -54,12 +54,8 @@ def test_a_run_leaves_weights_a_log_a_curve_and_a_list(
     assert not list(out.rglob("*.part"))
 
 
-def test_rounds_begin_with_the_labels_of_the_last_network(
-    streets: Path, kept: Path, tmp_path: Path
-) -> None:
-    outcome = train(
-        training_of("pictures", tmp_path), request_of(streets, kept, tmp_path / "run", "pictures")
-    )
+def test_rounds_begin_with_the_labels_of_the_last_network(trained: Trained, tmp_path: Path) -> None:
+    outcome = trained("pictures")
 
     out = tmp_path / "run"
     assert outcome.weights == out / "weights.safetensors"
@@ -72,40 +68,36 @@ def test_rounds_begin_with_the_labels_of_the_last_network(
 
 @pytest.mark.parametrize(("fall", "epochs"), [("10.0", 2), ("0.0", 4)])
 def test_training_stops_when_the_error_falls_by_no_more(
-    fall: str, epochs: int, streets: Path, kept: Path, tmp_path: Path
+    fall: str, epochs: int, trained: Trained, tmp_path: Path
 ) -> None:
     slow = "descent.learning_rate=0.02"  # so slow that the error falls at each of four epochs
     rules = ("stopping.rule=plateau", "stopping.epochs=4", f"stopping.min_delta={fall}", slow)
-    training = training_of("patches", tmp_path, *rules)
 
-    train(training, request_of(streets, kept, tmp_path / "run", "patches"))
+    trained("patches", *rules)
 
     assert len(rows_of(tmp_path / "run")) == epochs
 
 
 def test_an_error_that_is_no_number_is_told(
-    streets: Path, kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    trained: Trained, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Round, "step", lambda *_: math.nan)
 
     with pytest.raises(ConfigError, match=r"descent.learning_rate: the loss is no longer a number"):
-        train(
-            training_of("patches", tmp_path), request_of(streets, kept, tmp_path / "run", "patches")
-        )
+        trained("patches")
 
 
 def test_the_weights_that_are_written_are_the_mean_over_the_steps(
-    streets: Path, kept: Path, tmp_path: Path
+    trained: Trained, tmp_path: Path
 ) -> None:
     changes = ("rounds.count=1", "stopping.epochs=1", "descent.batch=5", "descent.ema=0.9")
-    training = training_of("pictures", tmp_path, *changes)
 
-    train(training, request_of(streets, kept, tmp_path / "run", "pictures"))
+    trained("pictures", *changes)
 
     # One step: the mean keeps one eleventh of the weights before it.
     last = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)["network"]
     written = load_network(tmp_path / "run" / "weights.safetensors").state_dict()
-    begun = recipe_of(training).network(RoundStart(0, [], {}, None)).state_dict()
+    begun = new_network("pictures", *changes).state_dict()
     assert not torch.equal(last["heads.bias"], begun["heads.bias"])
     for name, weight in written.items():
         torch.testing.assert_close(weight, (begun[name] + 10 * last[name]) / 11)
@@ -114,23 +106,16 @@ def test_the_weights_that_are_written_are_the_mean_over_the_steps(
 # --- footage that shows the ego car ------------------------------------------------------------
 
 
-def test_the_ego_car_that_footage_shows_is_in_the_pictures_made_ready(tmp_path: Path) -> None:
-    footage = write_bonnets(tmp_path / "footage", 8)
-    changes = (
-        "augmentation.ego_car.share=1.0",
-        "recordings.least=8",
-        "rounds.count=1",
-        "stopping.epochs=1",
-    )
+def test_the_ego_car_that_footage_shows_is_in_the_pictures_made_ready(
+    trained: Trained, tmp_path: Path
+) -> None:
+    footage, kept = write_bonnets(tmp_path / "footage", 8), tmp_path / "kept"
+    changes = ("augmentation.ego_car.share=1.0", "recordings.least=8", "rounds.count=1")
 
-    outcome = train(
-        training_of("pictures", tmp_path, *changes),
-        Request(str(footage), tmp_path / "run", quiet=True),
-    )
+    assert trained("pictures", *changes, images=str(footage), prepared=kept).weights
 
-    assert outcome.weights
     for number in range(8):
-        ego = read_arrays(tmp_path / "run" / "prepared" / f"bonnet_{number}.png.npz")["ego"]
+        ego = read_arrays(kept / f"bonnet_{number}.png.npz")["ego"]
         assert (ego[-4:] > 190).all()
         assert (ego[-4:] == 255).float().mean() > 0.9
         assert not ego[:20].any()
@@ -146,29 +131,26 @@ def test_two_runs_do_not_write_into_one_folder(finished: tuple[Training, Request
         train(training, request)
 
 
-def test_what_killed_runs_left_half_written_is_removed(
-    streets: Path, kept: Path, tmp_path: Path
-) -> None:
+def test_what_killed_runs_left_half_written_is_removed(trained: Trained, tmp_path: Path) -> None:
     out = tmp_path / "run"
     for folder in (".", "labels-2", "prepared", "prepared/ego-cars/street"):
         (out / folder).mkdir(parents=True, exist_ok=True)
         (out / folder / ".roadtorch.0123abcd.part").touch()
 
-    train(training_of("pictures", tmp_path), Request(str(streets), out, quiet=True))
+    trained("pictures", prepared=None)
 
     assert not list(out.rglob("*.part"))
 
 
 def test_the_bytes_of_a_checkpoint_are_settled(
-    streets: Path, kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(time, "perf_counter", lambda: 0.0)
-    outs = (tmp_path / "one", tmp_path / "other")
 
-    for out in outs:
-        train(training_of("patches", tmp_path), request_of(streets, kept, out, "patches"))
+    for out in ("one", "other"):
+        trained("patches", out=out)
 
-    one, other = ((out / "checkpoint.pt").read_bytes() for out in outs)
+    one, other = ((tmp_path / out / "checkpoint.pt").read_bytes() for out in ("one", "other"))
     assert one == other
 
 
@@ -179,11 +161,10 @@ def test_the_bytes_of_a_checkpoint_are_settled(
     ("kind", "size"), [("patches", None), ("pictures", (32, 40)), ("pictures", (40, 48))]
 )
 def test_a_run_can_start_from_the_weights_of_another_whatever_size_it_learned_at(
-    kind: str, size: tuple[int, int] | None, streets: Path, kept: Path, tmp_path: Path
+    kind: str, size: tuple[int, int] | None, trained: Trained, tmp_path: Path
 ) -> None:
     first, run = tmp_path / "first.safetensors", tmp_path / "run"
-    other = training_of(kind, tmp_path, "random_seed=5")
-    network = recipe_of(other).network(RoundStart(1, [], {}, None))
+    network = new_network(kind, "random_seed=5")
     if size is not None:
         sides = PictureNetworkSettings(height=size[0], width=size[1], narrow=8, wide=8)
         network = PictureNetwork(sides)
@@ -191,7 +172,7 @@ def test_a_run_can_start_from_the_weights_of_another_whatever_size_it_learned_at
     changes = [f"start={json.dumps(str(first))}", "descent.learning_rate=1e-9"]
     changes += ["rounds.count=1", "rounds.start=continued"] if kind == "pictures" else []
 
-    train(training_of(kind, tmp_path, *changes), request_of(streets, kept, run, kind))
+    trained(kind, *changes)
 
     # With next to no rate the weights stay where they started.
     one, two = (load_network(path) for path in (first, run / "weights.safetensors"))
@@ -202,13 +183,12 @@ def test_a_run_can_start_from_the_weights_of_another_whatever_size_it_learned_at
     assert (run / "labels-1").exists() == (kind == "pictures")
 
 
-def test_weights_of_another_network_are_no_start(streets: Path, kept: Path, tmp_path: Path) -> None:
+def test_weights_of_another_network_are_no_start(trained: Trained, tmp_path: Path) -> None:
     other = tmp_path / "other.safetensors"
     save_network(other, PatchNetwork(), {})
-    training = training_of("patches", tmp_path, f"start={json.dumps(str(other))}")
 
     with pytest.raises(WeightsError, match="holds a network with other settings"):
-        train(training, request_of(streets, kept, tmp_path / "run", "patches"))
+        trained("patches", f"start={json.dumps(str(other))}")
 
     assert not (tmp_path / "run").exists()
 
@@ -230,28 +210,21 @@ def interrupt_after(steps: int, number: signal.Signals, patch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize(
-    ("kind", "change"),
-    [("patches", "descent.momentum=0.9"), ("pictures", "descent.ema=0.7")],
+    ("kind", "change"), [("patches", "descent.momentum=0.9"), ("pictures", "descent.ema=0.7")]
 )
 def test_a_run_in_pieces_ends_with_the_bits_of_a_whole_one(
-    kind: str,
-    change: str,
-    streets: Path,
-    kept: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    kind: str, change: str, trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    training = training_of(kind, tmp_path, change)
     whole, pieces = tmp_path / "whole", tmp_path / "pieces"
-    train(training, request_of(streets, kept, whole, kind))
+    trained(kind, change, out="whole")
 
     cuts = 0
     for cut in (1, 2, 3, 4):
         with monkeypatch.context() as patch:
             interrupt_after(cut, signal.SIGTERM, patch)
-            outcome = train(training, request_of(streets, kept, pieces, kind, resume=True))
+            outcome = trained(kind, change, out="pieces", resume=True)
         cuts += outcome.interrupted == signal.SIGTERM
-    train(training, request_of(streets, kept, pieces, kind, resume=True))
+    trained(kind, change, out="pieces", resume=True)
 
     assert cuts >= 3
     names = [path.name for path in whole.glob("*.safetensors")]
@@ -262,13 +235,11 @@ def test_a_run_in_pieces_ends_with_the_bits_of_a_whole_one(
 
 
 def test_the_last_rounds_weights_outlive_an_interruption_of_the_next(
-    streets: Path, kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     interrupt_after(5, signal.SIGTERM, monkeypatch)  # a round has 2 epochs of 2 batches
 
-    train(
-        training_of("pictures", tmp_path), request_of(streets, kept, tmp_path / "run", "pictures")
-    )
+    trained("pictures")
 
     assert read_origin(tmp_path / "run" / "weights.safetensors")["round"] == 1
 
