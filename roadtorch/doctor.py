@@ -6,8 +6,8 @@ Each section imports what it looks at when it looks: what cannot be imported bre
 import os
 import platform
 import statistics
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, metadata, requires, version
 from importlib.util import find_spec
 from pathlib import Path
@@ -276,20 +276,19 @@ def is_well(report: Report) -> bool:
 def as_text(report: Report) -> str:
     """A line for each check under the name of its section; the remedies in brackets."""
     width = max(len(check.name) for checks in report.values() for check in checks)
-
-    def lines(checks: Iterable[Check]) -> Iterator[str]:
+    lines = [f"roadtorch {__version__}"]
+    for name, checks in report.items():
+        lines += ["", name]
         for check in checks:
             remedy = f" ({check.remedy})" if check.remedy else ""
-            yield f"  {check.state:<8} {check.name:<{width}}  {check.what}{remedy}"
-
-    sections = ("\n".join([f"\n{name}", *lines(checks)]) for name, checks in report.items())
-    return f"roadtorch {__version__}\n" + "\n".join(sections)
+            lines.append(f"  {check.state:<8} {check.name:<{width}}  {check.what}{remedy}")
+    return "\n".join(lines)
 
 
 def as_document(report: Report) -> dict[str, Any]:
     """The same for programs: as JSON can hold it."""
     checks = [
-        {"section": section, **vars(check), "figures": dict(check.figures)}
+        {"section": section, **asdict(check)}
         for section, found in report.items()
         for check in found
     ]

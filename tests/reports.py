@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from roadtorch.data.dataset import Dataset, Item
@@ -24,6 +23,7 @@ from roadtorch.evaluation.result import (
     PictureRow,
 )
 from roadtorch.layout.classes import NAMES as CLASSES
+from roadtorch.report.montage import on_page
 
 GROUPS = ("0001TP", "0006R0", "0016E5")
 NAMES = ("fusion", "labeller", "prior:mean", "cpf:v2", "prior:rows")
@@ -163,10 +163,9 @@ def made_curves(score: float, groups: Sequence[str]) -> DetectorCurves:
     return {"mean": {**one, **risk}, "groups": dict.fromkeys(groups, one)}
 
 
-def made_sheet(kind: str = ".png", width: int = 64, height: int = 24) -> bytes:
-    """A sheet of pictures, encoded."""
-    ramp = np.tile(np.arange(width, dtype=np.uint8)[None, :, None], (height, 1, 3))
-    return cv2.imencode(kind, ramp)[1].tobytes()
+def made_sheet(width: int = 64, height: int = 24) -> dict[str, str]:
+    """A sheet of pictures as the page has it."""
+    return on_page(np.tile(np.arange(width, dtype=np.uint8)[None, :, None], (height, 1, 3)))
 
 
 def changed(evaluation: Evaluation, name: str, **fields: Any) -> Evaluation:

@@ -108,7 +108,7 @@ def _score(
 
 def _disagree(
     context: click.Context,
-    methods: "Sequence[Method]",
+    methods: "tuple[Method, Method]",
     images: Sequence[str],
     limit: int | None,
     worst: int,
@@ -116,19 +116,18 @@ def _disagree(
 ) -> int:
     from roadtorch.data.dataset import every_kth
     from roadtorch.errors import InputError
-    from roadtorch.evaluation.disagreement import disagreements, unlabelled_set, worst_first
-    from roadtorch.report.disagreement import Disagreements, disagreement_text, write_disagreement
+    from roadtorch.evaluation.disagreement import disagreements, unlabelled_set
+    from roadtorch.report.disagreement import disagreement_text, write_disagreement
     from roadtorch.sources.pictures import find_images
 
     out = context.params["out"]
     dataset = every_kth(unlabelled_set(find_images(images, out)), limit)
-    compared, failures = disagreements(dataset, methods, quiet)
-    for one in failures:
+    both = disagreements(dataset, methods, quiet)
+    for one in both.failures:
         click.echo(f"failed: {one.image}: {one.reason}", err=True)
-    if not compared:
+    if not both.pictures:
         raise InputError(images[0], "has no picture that both could look at", "see above")
-    both = Disagreements(dataset, methods[0], methods[1], worst_first(compared), failures)
     click.echo(disagreement_text(both))
     if out is not None:
         write_disagreement(out, both, worst, command_line(context))
-    return 1 if failures else 0
+    return 1 if both.failures else 0

@@ -1,7 +1,6 @@
 """What two methods decide differently on unlabelled pictures: A and B, or before and after."""
 
 import math
-import statistics
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,10 +63,20 @@ def unlabelled_set(pictures: Iterable[Picture]) -> Dataset:
     return Dataset("pictures", Path(), "", items, Unlabelled())
 
 
+@dataclass(frozen=True)
+class Disagreements:
+    """Two methods on a set without labels. pictures: those that differ most first, then by name."""
+
+    dataset: Dataset
+    methods: tuple[Method, Method]
+    pictures: Sequence[Disagreement]
+    failures: Sequence[Failure]
+
+
 def disagreements(
-    dataset: Dataset, methods: Iterable[Method], quiet: bool = False, **bar: str
-) -> tuple[list[Disagreement], list[Failure]]:
-    """Every picture as two methods decide on it, each at its own threshold; those that failed.
+    dataset: Dataset, methods: tuple[Method, Method], quiet: bool = False, **bar: str
+) -> Disagreements:
+    """Every picture as two methods decide on it, each at its own threshold.
 
     bar: what else ``Progress`` is told.
     """
@@ -83,7 +92,8 @@ def disagreements(
             continue
         trusts = [math.nan if each.trust is None else each.trust for each in (one, other)]
         pictures.append(disagreement(item, one.mask, other.mask, *trusts))
-    return pictures, failures
+    pictures.sort(key=lambda one: (-one.differs, one.item.name))
+    return Disagreements(dataset, methods, pictures, failures)
 
 
 def disagreement(item: Item, first: Tensor, second: Tensor, *trusts: float) -> Disagreement:
@@ -94,29 +104,7 @@ def disagreement(item: Item, first: Tensor, second: Tensor, *trusts: float) -> D
     return Disagreement(item, shares[2] + shares[3], *shares, *trusts)
 
 
-def worst_first(pictures: Sequence[Disagreement]) -> list[Disagreement]:
-    """By the share of pixels that differ, the largest first, then by name."""
-    return sorted(pictures, key=lambda one: (-one.differs, one.item.name))
-
-
 # --- what further training changed: first is before, second is after ----------------------
-
-
-@dataclass(frozen=True)
-class MeanChange:
-    """Means over the pictures. differs, median, most: share of the pixels; grown, shrunk:
-    pictures on which trust rose or fell; trust: NaN without any."""
-
-    pictures: int
-    differs: float
-    median: float
-    most: float
-    road_before: float
-    road_after: float
-    trust_before: float
-    trust_after: float
-    grown: int
-    shrunk: int
 
 
 class Agreement(NamedTuple):
@@ -138,37 +126,14 @@ class Taught(NamedTuple):
     after: Agreement
 
 
-def mean_change(pictures: Sequence[Disagreement]) -> MeanChange:
-    """What all pictures (one at least) say together."""
-    trusted = [one for one in pictures if one.has_trust]
-    differs = [one.differs for one in pictures]
-    return MeanChange(
-        pictures=len(pictures),
-        differs=statistics.fmean(differs),
-        median=statistics.median(differs),
-        most=max(differs),
-        road_before=statistics.fmean(one.first for one in pictures),
-        road_after=statistics.fmean(one.second for one in pictures),
-        trust_before=_mean([one.first_trust for one in trusted]),
-        trust_after=_mean([one.second_trust for one in trusted]),
-        grown=sum(one.second_trust > one.first_trust for one in trusted),
-        shrunk=sum(one.second_trust < one.first_trust for one in trusted),
-    )
-
-
-def _mean(values: Sequence[float]) -> float:
-    return statistics.fmean(values) if values else math.nan
-
-
-def most_and_spread(pictures: Sequence[Disagreement], count: int) -> list[Disagreement]:
+def most_and_spread(ranked: Sequence[Disagreement], count: int) -> list[Disagreement]:
     """So many pictures to look at: half of them changed most, the others are evenly spread.
 
-    The spread is over what is left, from much changed to little, the least changed included.
-    All, the most changed first, where there are no more than ``count``.
+    ranked: the most changed first. The spread is over what is left, from much changed to little,
+    the least changed included. All where there are no more than ``count``.
     """
-    ranked = worst_first(pictures)
     if len(ranked) <= count:
-        return ranked
+        return list(ranked)
     most, rest = ranked[: count - count // 2], ranked[count - count // 2 :]
     steps = count // 2
-    return most + [rest[(place + 1) * len(rest) // steps - 1] for place in range(steps)]
+    return [*most, *(rest[(place + 1) * len(rest) // steps - 1] for place in range(steps))]

@@ -1,6 +1,7 @@
 """The page at the end of an adaptation: before and after, on one page."""
 
 import math
+import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -10,11 +11,10 @@ from typing import Any
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from roadtorch.data.dataset import Dataset
-from roadtorch.evaluation.disagreement import Disagreement, MeanChange, Taught
+from roadtorch.evaluation.disagreement import Disagreement, Disagreements, Taught
 from roadtorch.evaluation.measures import F_MASK
-from roadtorch.evaluation.methods import Method
-from roadtorch.evaluation.result import Evaluation, Failure, Interval
+from roadtorch.evaluation.result import Evaluation, Interval
+from roadtorch.io.atomic import write_text
 from roadtorch.report.disagreement import both_sheets
 from roadtorch.report.svg import BASELINE, COLOURS, DASHES, Series, to_svg
 from roadtorch.report.table import (
@@ -22,10 +22,10 @@ from roadtorch.report.table import (
     NONE,
     Cell,
     Table,
+    page_text,
     percent,
     share,
     signed,
-    write_page,
 )
 
 
@@ -33,19 +33,15 @@ from roadtorch.report.table import (
 class Adaptation:
     """What a run changed.
 
-    methods: the detectors before and after; files: their weights. means, pictures: of those
-    that were compared; shown: those on the page. taught: None for networks without a teacher's
-    maps. rows: round, epoch and error of each epoch. labelled: None without labels.
-    verdict: whether to adopt it, and why; empty where nobody judged.
+    seen: the pictures as the detectors before and after see them; files: their weights. shown:
+    the pictures on the page. taught: None for networks without a teacher's maps. rows: round,
+    epoch and error of each epoch. labelled: None without labels. verdict: whether to adopt it, and
+    why; empty where nobody judged.
     """
 
-    dataset: Dataset
-    methods: tuple[Method, Method]
+    seen: Disagreements
     files: tuple[Path, Path]
-    means: MeanChange
-    pictures: Sequence[Disagreement]
     shown: Sequence[Disagreement]
-    failures: Sequence[Failure]
     taught: Taught | None
     rows: Sequence[Mapping[str, Any]]
     labelled: Evaluation | None
@@ -56,29 +52,35 @@ def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> N
     """Write the page: one file that asks for no other."""
     items = [one.item for one in adaptation.shown]
     caption = "only before blue, only after orange"
-    sheets = both_sheets(adaptation.dataset, adaptation.methods, items, caption)
-    is_part = len(items) < len(adaptation.pictures)
+    sheets = both_sheets(adaptation.seen, items, caption)
+    is_part = len(items) < len(adaptation.seen.pictures)
     draw = partial(draw_losses, rows=adaptation.rows)
     loss_chart = to_svg("loss", "Mean loss of the epochs", 260, draw)
+    differs = [each.differs for each in adaptation.seen.pictures]
     values = {
         "one": adaptation,
+        "mean": statistics.fmean(differs),
+        "median": statistics.median(differs),
+        "most": max(differs),
         "shown": list(zip(adaptation.shown, sheets, strict=True)),
         "half": len(items) - len(items) // 2 if is_part else len(items),
         "summary": summary_table(adaptation),
         "scores": score_table(adaptation.labelled) if adaptation.labelled else None,
         "charts": [Markup(svg) for svg in (loss_chart, trust_chart(adaptation))],
     }
-    write_page(path, "adaptation.html", command, values)
+    write_text(path, page_text("adaptation.html", command, values))
 
 
 def summary_table(one: Adaptation) -> Table:
     """What can be said without a label: road, trust and agreement before and after."""
-    means, rows = one.means, {}
-    rows["share of road"] = _row(means.road_before, means.road_after)
-    if not math.isnan(means.trust_before):
-        before, after = means.trust_before, means.trust_after
-        note = f"rose on {means.grown}, fell on {means.shrunk} pictures"
-        change = Cell(signed(after - before), note=note)
+    pictures, rows = one.seen.pictures, {}
+    road = [(each.first, each.second) for each in pictures]
+    rows["share of road"] = _row(*map(statistics.fmean, zip(*road, strict=True)))
+    if trusts := [(each.first_trust, each.second_trust) for each in pictures if each.has_trust]:
+        before, after = map(statistics.fmean, zip(*trusts, strict=True))
+        rose = sum(second > first for first, second in trusts)
+        fell = sum(second < first for first, second in trusts)
+        change = Cell(signed(after - before), note=f"rose on {rose}, fell on {fell} pictures")
         rows["trust"] = (Cell(share(before)), Cell(share(after)), change)
     if one.taught is not None:
         before, after = one.taught.before, one.taught.after
@@ -164,7 +166,7 @@ def draw_losses(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> None:
 
 def trust_chart(one: Adaptation) -> str:
     """Trust after over trust before, a mark a picture, as SVG text; empty without trust."""
-    pairs = [(each.first_trust, each.second_trust) for each in one.pictures if each.has_trust]
+    pairs = [(each.first_trust, each.second_trust) for each in one.seen.pictures if each.has_trust]
     if not pairs:
         return ""
 

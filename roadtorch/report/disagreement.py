@@ -1,25 +1,18 @@
 """The page on which two methods disagree: pictures side by side, the worst first."""
 
-import base64
 import statistics
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from roadtorch.data.dataset import Dataset, Item
-from roadtorch.evaluation.disagreement import Disagreement
-from roadtorch.evaluation.methods import Method
-from roadtorch.evaluation.result import Failure
+from roadtorch.data.dataset import Item
+from roadtorch.evaluation.disagreement import Disagreements
 from roadtorch.io.atomic import csv_text, write_text
 from roadtorch.io.image import read_image, tint_mask, to_pixels
-from roadtorch.report.montage import BLUE, TILE_WIDTH, VERMILLION, captioned
-from roadtorch.report.table import Table, number_cell, percent, table_text, write_page
+from roadtorch.report.montage import BLUE, TILE_WIDTH, VERMILLION, captioned, jpeg_uri
+from roadtorch.report.table import Table, number_cell, page_text, percent, table_text
 from roadtorch.runtime.image_cache import image_cache
-
-QUALITY = 80  # of JPEG
 
 ON_SCREEN = 10  # pictures
 
@@ -31,17 +24,6 @@ COLUMNS = (
 )
 
 
-@dataclass(frozen=True)
-class Disagreements:
-    """Two methods on a set without labels. pictures: the worst first."""
-
-    dataset: Dataset
-    first: Method
-    second: Method
-    pictures: Sequence[Disagreement]
-    failures: Sequence[Failure]
-
-
 def disagreement_text(seen: Disagreements) -> str:
     """The screen: how much differs in all, and the pictures that differ most."""
     return f"{table_text(_table(seen, ON_SCREEN), 'picture')}\n\n{_summary(seen)}"
@@ -51,8 +33,8 @@ def _table(seen: Disagreements, most: int | None = None) -> Table:
     """The shares of each picture, or of the ``most`` first."""
     pictures = seen.pictures[:most]
     table = Table([one.item.name for one in pictures])
-    first, second = seen.first.name, seen.second.name
-    headers = ("differs", f"road {first}", f"road {second}", "only A", "only B")
+    first, second = (f"road {one.name}" for one in seen.methods)
+    headers = ("differs", first, second, "only A", "only B")
     for header, key in zip(headers, SHARES, strict=True):
         shares = [getattr(one, key) for one in pictures]
         table.add(header, "", [number_cell(percent(share), share) for share in shares])
@@ -80,21 +62,19 @@ def write_disagreement(out: Path, seen: Disagreements, worst: int, command: str 
     write_text(out / "disagreement.csv", csv_text(COLUMNS, rows))
     items = [one.item for one in seen.pictures[:worst]]
     caption = "only A blue, only B orange"
-    sheets = both_sheets(seen.dataset, (seen.first, seen.second), items, caption)
+    sheets = both_sheets(seen, items, caption)
     values = {
         "seen": seen,
         "shown": list(zip(seen.pictures, sheets, strict=False)),
         "summary": _summary(seen),
         "table": _table(seen),
     }
-    write_page(out / "disagreement.html", "disagreement.html", command, values)
+    write_text(out / "disagreement.html", page_text("disagreement.html", command, values))
 
 
-def both_sheets(
-    dataset: Dataset, methods: tuple[Method, Method], items: Iterable[Item], caption: str
-) -> list[str]:
-    """A JPEG in base64 for each item: the overlays of both, and what differs, so captioned."""
-    looks = {one.name: one.prepare(dataset) for one in methods}
+def both_sheets(seen: Disagreements, items: Iterable[Item], caption: str) -> list[str]:
+    """For each item a JPEG for the page: the overlays of both, and what differs, so captioned."""
+    looks = {one.name: one.prepare(seen.dataset) for one in seen.methods}
     sheets = []
     for item in items:
         image = read_image(item.image)
@@ -105,9 +85,7 @@ def both_sheets(
         tiles[caption] = differing(pixels, *masks.values())
         height = round(pixels.shape[0] * TILE_WIDTH / pixels.shape[1])
         sheet = np.concatenate([captioned(t, text, height) for text, t in tiles.items()], axis=1)
-        options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
-        encoded = cv2.imencode(".jpg", np.ascontiguousarray(sheet[..., ::-1]), options)[1]
-        sheets.append(base64.b64encode(encoded.tobytes()).decode())
+        sheets.append(jpeg_uri(sheet))
     return sheets
 
 

@@ -3,28 +3,24 @@
 report.html says what a run found, in one file that a person can read without anything else.
 """
 
-import base64
 import json
 import math
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, fields
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
 from markupsafe import Markup
 
-from roadtorch.errors import InputError
 from roadtorch.evaluation.document import RunCurves, defined, document, group_curves
 from roadtorch.evaluation.result import Evaluation, Failure, PictureRow, picture_rows
 from roadtorch.io.atomic import csv_text, write_json, write_text
 from roadtorch.oneclass import CLASSIFIERS
 from roadtorch.report import charts
 from roadtorch.report.montage import write_montages
-from roadtorch.report.roc_families import write_roc_families
+from roadtorch.report.roc_families import roc_families
 from roadtorch.report.screen import outcome
 from roadtorch.report.svg import MAX_SERIES, choose_series
 from roadtorch.report.table import page_text
@@ -41,16 +37,12 @@ SHEETS = 4  # pictures of a sheet, if nobody says
 
 COLUMNS = (*(each.name for each in fields(PictureRow)), "status")
 
-MAX_WIDTH = 1200  # pixels of a sheet; ours: as wide as the page shows it
-
-JPEG_QUALITY = 80  # of sheets; ours: no artefact is seen at the size they are shown
-
 MAX_FAILURES = 200  # listed; metrics.json has them all
 
 PARTS = {"best": "Best", "median": "Median", "worst": "Worst"}  # sheets, in this order
 
-Sheets = Mapping[str, Mapping[str, bytes]]
-"""By detector: the pictures ``best``, ``median`` and ``worst``, as JPEG or PNG."""
+Sheets = Mapping[str, Mapping[str, Mapping[str, str]]]
+"""By detector: the pictures ``best``, ``median`` and ``worst``, as ``montage.on_page`` has them."""
 
 
 def write(evaluation: Evaluation, out: Path, command: str = "", pictures: int = SHEETS) -> None:
@@ -90,7 +82,8 @@ def write_table3(out: Path, evaluation: Evaluation, curves: RunCurves) -> None:
     histograms = [name for name in CLASSIFIERS if name.startswith("hist")]
     others = [name for name in CLASSIFIERS if name not in histograms]
     for file, names in {"fig8.svg": histograms, "fig9.svg": others}.items():
-        write_roc_families(out / file, curves, FAMILY, names, HALVES)
+        if svg := roc_families(curves, FAMILY, names, HALVES):
+            write_text(out / file, svg)
 
 
 def rows_csv(
@@ -132,8 +125,6 @@ def render_page(
     rows: the figures of single pictures. sheets: pictures to look at. command: what made
     the run, for the record. What is missing in any of them is left out; what is undefined is
     a dash.
-
-    Raises InputError for a sheet that is no picture.
     """
     detectors, dataset = evaluation.detectors, evaluation.dataset
     series = choose_series(evaluation)
@@ -155,7 +146,10 @@ def render_page(
         "tables": page_tables(evaluation, in_charts),
         "measures": measures_shown(evaluation),
         "charts": {name: Markup(svg) for name, svg in drawn.items()},
-        "sheets": list(_sheets(sheets, evaluation)),
+        "sheets": {
+            name: {PARTS[part]: sheets[name][part] for part in PARTS if part in sheets[name]}
+            for name in [one for one in evaluation.ranked() if sheets.get(one)][:MAX_SERIES]
+        },
         "sheets_left_out": max(len(sheets) - MAX_SERIES, 0),
         "failures": evaluation.failures[:MAX_FAILURES],
         "failures_left_out": max(len(evaluation.failures) - MAX_FAILURES, 0),
@@ -167,23 +161,3 @@ def render_page(
         "sources": sorted({one.threshold_from for one in detectors.values()} - {""}),
     }
     return page_text("report.html", command, values)
-
-
-def _sheets(sheets: Sheets, evaluation: Evaluation) -> Iterator[tuple[str, list[dict[str, str]]]]:
-    """(detector, its sheets) of the best detectors that have some."""
-    names = [name for name in evaluation.ranked() if sheets.get(name)]
-    for name in names[:MAX_SERIES]:
-        own = sheets[name]
-        yield name, [_sheet(name, part, own[part]) for part in PARTS if part in own]
-
-
-def _sheet(name: str, part: str, data: bytes) -> dict[str, str]:
-    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
-    if picture is None:
-        raise InputError(f"{name}, {part} pictures", "is not a picture", "give JPEG or PNG")
-    scale = min(1.0, MAX_WIDTH / picture.shape[1])
-    picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    small = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
-    height, width = picture.shape[:2]
-    uri = f"data:image/jpeg;base64,{base64.b64encode(small).decode()}"
-    return {"title": PARTS[part], "uri": uri, "width": str(width), "height": str(height)}

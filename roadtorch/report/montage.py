@@ -1,5 +1,6 @@
 """Sheets of pictures to look at: what a detector saw, and what it made of it."""
 
+import base64
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from roadtorch.evaluation.result import Evaluation, best_median_worst, pictures_
 from roadtorch.evaluation.scoring import LabelledPicture
 from roadtorch.evaluation.tally import WHOLE
 from roadtorch.io.bounded import printable
-from roadtorch.io.image import to_pixels, write_jpeg
+from roadtorch.io.image import to_pixels, write_pixels
 from roadtorch.layout.classes import layout_colours
 
 MAX_DETECTORS = 8  # detectors with sheets
@@ -24,18 +25,24 @@ TILE_WIDTH = 320  # pixels
 
 CAPTION = 18  # pixels of height
 
+MAX_WIDTH = 1200  # pixels of a sheet on the page; ours: as wide as it is shown
+
+JPEG_QUALITY = 80  # on pages; ours: no artefact is seen at the size they are shown
+
 BLUE, VERMILLION, WHITE = (0, 114, 178), (213, 94, 0), (255, 255, 255)  # Okabe and Ito
 
 
-def write_montages(out: Path, evaluation: Evaluation, count: int) -> dict[str, dict[str, bytes]]:
+def write_montages(
+    out: Path, evaluation: Evaluation, count: int
+) -> dict[str, dict[str, dict[str, str]]]:
     """Write ``montage.NAME.best.jpg``, ``.median`` and ``.worst`` for the best detectors.
 
     Baselines get none, and of many detectors only the ``MAX_DETECTORS`` with the highest MaxF do.
-    Returns the files' content by detector and part.
+    Returns what the page shows of them, by detector and part.
     """
     detectors = evaluation.detectors
     shown = [name for name in evaluation.ranked() if not detectors[name].is_baseline]
-    sheets: dict[str, dict[str, bytes]] = {}
+    sheets: dict[str, dict[str, dict[str, str]]] = {}
     for name in shown[:MAX_DETECTORS]:
         thresholds = detectors[name].thresholds
         look = detectors[name].method.prepare(evaluation.dataset)
@@ -43,8 +50,9 @@ def write_montages(out: Path, evaluation: Evaluation, count: int) -> dict[str, d
         for part, pictures in best_median_worst(order, count).items():
             if pictures:
                 path = out / f"montage.{name.replace(':', '-')}.{part}.jpg"
-                write_jpeg(path, sheet(evaluation.dataset, look, pictures, thresholds))
-                sheets.setdefault(name, {})[part] = path.read_bytes()
+                made = sheet(evaluation.dataset, look, pictures, thresholds)
+                write_pixels(path, made)
+                sheets.setdefault(name, {})[part] = on_page(made)
     return sheets
 
 
@@ -53,8 +61,8 @@ def sheet(
     look: Look,
     chosen: Sequence[tuple[float, str]],
     thresholds: Mapping[str, float],
-) -> Tensor:
-    """One sheet (3,H,W): a row of tiles for each chosen (F, picture name)."""
+) -> np.ndarray:
+    """One sheet, uint8 RGB (H,W,3): a row of tiles for each chosen (F, picture name)."""
     by_name = {item.name: item for item in dataset.items}
     rows = []
     for value, name in chosen:
@@ -62,7 +70,7 @@ def sheet(
         rows.append(sheet_row(dataset, look, item, thresholds[item.group or WHOLE], value))
     width = max(row.shape[1] for row in rows)
     rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows]
-    return torch.from_numpy(np.concatenate(rows).transpose(2, 0, 1).astype(np.float32) / 255)
+    return np.concatenate(rows)
 
 
 def sheet_row(
@@ -130,3 +138,18 @@ def captioned(tile: np.ndarray, text: str, height: int) -> np.ndarray:
     left = (TILE_WIDTH - size[0]) // 2
     canvas[CAPTION : CAPTION + size[1], left : left + size[0]] = small
     return canvas
+
+
+def on_page(sheet: np.ndarray) -> dict[str, str]:
+    """A sheet, uint8 RGB (H,W,3), as the attributes of a picture on the page."""
+    scale = min(1.0, MAX_WIDTH / sheet.shape[1])
+    small = cv2.resize(sheet, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    height, width = small.shape[:2]
+    return {"uri": jpeg_uri(small), "width": str(width), "height": str(height)}
+
+
+def jpeg_uri(pixels: np.ndarray) -> str:
+    """Pixels uint8 RGB (H,W,3) as a JPEG inside a page."""
+    options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+    encoded = cv2.imencode(".jpg", np.ascontiguousarray(pixels[..., ::-1]), options)[1]
+    return f"data:image/jpeg;base64,{base64.b64encode(encoded.tobytes()).decode()}"

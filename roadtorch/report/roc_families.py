@@ -4,14 +4,12 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import chain, product
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from roadtorch.evaluation.document import DetectorCurves, RunCurves
-from roadtorch.io.atomic import write_text
 from roadtorch.report.svg import COLOURS, DASHES, GRID, INK, Series, to_svg
 
 ROW = 190  # points, of the panels of one classifier
@@ -28,6 +26,7 @@ Lines = Mapping[tuple[str, str], np.ndarray]
 def roc_families(curves: RunCurves, family: str, classifiers: Sequence[str], halves: Halves) -> str:
     """One row a classifier, one column a half, one line a representation; "" without curves.
 
+    An SVG file for any viewer, its colours as they are, on white.
     Drawn are P3's averages over the pictures (``roc_vertical``), and of them the mean over
     groups. Names are ``family`` + ``classifier:planes``, with ``:paper`` where that ran.
     """
@@ -41,7 +40,10 @@ def roc_families(curves: RunCurves, family: str, classifiers: Sequence[str], hal
     label = f"ROC curves of {', '.join(shown)}"
     height = KEY + ROW * len(shown)
     draw = partial(draw_families, lines=lines, classifiers=shown, halves=halves)
-    return to_svg(label, label, height, draw) if shown else ""
+    if not shown:
+        return ""
+    plain = re.sub(r"var\(--\w+, (#[0-9a-f]{6})\)", r"\1", to_svg(label, label, height, draw))
+    return plain.replace("<svg ", '<svg style="background:#fff" ', 1)
 
 
 def draw_families(figure: Figure, lines: Lines, classifiers: Sequence[str], halves: Halves) -> None:
@@ -82,13 +84,3 @@ def _panel(axes: Axes, title: str, lines: Sequence[tuple[Series, np.ndarray | No
             axes.plot(*line, **one.line(1.2))
     axes.set(xlim=(0, 1), ylim=(0, 1))
     axes.label_outer()
-
-
-def write_roc_families(
-    path: Path, curves: RunCurves, family: str, classifiers: Sequence[str], halves: Halves
-) -> None:
-    """Write the figure, if there is any curve, as an SVG file for any viewer."""
-    if svg := roc_families(curves, family, classifiers, halves):
-        # Pages may change the colours; a file has them as they are, on white.
-        plain = re.sub(r"var\(--\w+, (#[0-9a-f]{6})\)", r"\1", svg)
-        write_text(path, plain.replace("<svg ", '<svg style="background:#fff" ', 1))

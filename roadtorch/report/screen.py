@@ -10,10 +10,9 @@ from roadtorch.report.table import Cell, Table, share, signed, table_text
 from roadtorch.report.tables import (
     MAX_COLUMNS,
     MAX_SHOWN,
+    Kind,
     best_baseline,
-    condition_rows,
     differences,
-    group_rows,
     part_table,
     recalls,
     scores,
@@ -54,11 +53,10 @@ def shortlist(evaluation: Evaluation) -> list[str]:
     return [name for name, one in detectors.items() if one.is_baseline or name in best]
 
 
-def _part_text(evaluation: Evaluation, name: str, kind: str) -> str:
+def _part_text(evaluation: Evaluation, name: str, kind: Kind) -> str:
     """The figures of one detector's groups or conditions; of very many the worst, and the rest."""
-    rows = (group_rows if kind == "group" else condition_rows)(evaluation, name)
-    text = table_text(part_table(evaluation, name, rows, MAX_ROWS), f"{name} by {kind}")
-    more = len(rows.counting) - MAX_ROWS
+    text = table_text(part_table(evaluation, name, kind, MAX_ROWS), f"{name} by {kind}")
+    more = len(evaluation.groups if kind == "group" else evaluation.conditions) - MAX_ROWS
     return text + (f"\n{more} more are in metrics.json (--out DIR)" if more > 0 else "")
 
 

@@ -3,17 +3,13 @@
 import base64
 import hashlib
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
-from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import jinja2
 
 from roadtorch.evaluation.measure import Figures, Measure
-from roadtorch.io.atomic import write_text
 from roadtorch.version import __version__
 
 NONE = "–"
@@ -68,14 +64,23 @@ class Table:
         self.headers.append((header, hint))
         self.columns.append(list(cells))
 
-    def measure(self, one: Measure, parts: Iterable[Figures], header: str = "") -> None:
-        """A column of one measure, the best in it strong; none if nobody has the measure."""
+    def measure(
+        self,
+        one: Measure,
+        parts: Iterable[Figures],
+        header: str = "",
+        strong: Callable[[Sequence[float]], float | None] | None = None,
+    ) -> None:
+        """A column of one measure; none if nobody has the measure.
+
+        strong: which of the values stands out, the best if not given.
+        """
         rows = list(parts)
         if any(one.key in figures for figures in rows):
             values = [one.of(figures) for figures in rows]
             alone = sum(not math.isnan(value) for value in values) < 2
-            best = None if alone else one.best(values)
-            cells = (number_cell(one.text(value, NONE), value, value == best) for value in values)
+            chosen = None if alone else (strong or one.best)(values)
+            cells = (number_cell(one.text(value, NONE), value, value == chosen) for value in values)
             self.add(header or one.name, one.meaning, cells)
 
     def rows(self) -> list[tuple[str, list[Cell]]]:
@@ -123,34 +128,25 @@ def align(rows: Sequence[Sequence[str]]) -> str:
 # --- pages ------------------------------------------------------------------------------
 
 
-def write_page(path: Path, template: str, command: str, values: Mapping[str, Any]) -> None:
-    """Write a page from a template that lies in this package: one file that asks for no other."""
-    write_text(path, page_text(template, command, values))
-
-
-def page_text(template: str, command: str, values: Mapping[str, Any]) -> str:
-    """The page as text; whatever is put in is text and only text. command: what made the page."""
-    text = (
-        _environment().get_template(template).render(**values, version=__version__, command=command)
-    )
-    # A file name may hold bytes that are no text.
-    return text.encode("utf-8", "backslashreplace").decode()
-
-
-@cache
-def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(
-        loader=jinja2.FunctionLoader(
-            lambda path: files("roadtorch.report").joinpath(path).read_text(encoding="utf-8")
-        ),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"sha256": _sha256, "share": share, "percent": percent}
-    return environment
-
-
 def _sha256(script: str) -> str:
     """The name by which a content security policy allows one script and no other."""
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+
+
+PAGES = jinja2.Environment(
+    loader=jinja2.PackageLoader("roadtorch.report", "."),
+    autoescape=True,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
+PAGES.filters |= {"sha256": _sha256, "share": share, "percent": percent}
+
+
+def page_text(template: str, command: str, values: Mapping[str, Any]) -> str:
+    """A page from a template of this package, one file that asks for no other.
+
+    Whatever is put in is text and only text. command: what made the page.
+    """
+    text = PAGES.get_template(template).render(**values, version=__version__, command=command)
+    # A file name may hold bytes that are no text.
+    return text.encode("utf-8", "backslashreplace").decode()

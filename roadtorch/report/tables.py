@@ -2,8 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 from roadtorch.evaluation.measure import Figures, Measure, Place
 from roadtorch.evaluation.measures import F_MASK, MAXF
@@ -28,6 +27,11 @@ of 310 fills neither well."""
 MAX_COLUMNS = {"screen": 6, "scores": 8}
 """Groups with a column of their own, on the screen and on the page."""
 
+
+Kind = Literal["group", "condition"]
+
+Parts = Mapping[str, Mapping[str, Figures]]
+"""The figures of all detectors, by group or condition."""
 
 # --- all detectors ----------------------------------------------------------------------
 
@@ -139,108 +143,86 @@ def _change(change: Difference | None) -> Cell:
 # --- groups and conditions of one detector ----------------------------------------------
 
 
-PartRow = tuple[str, Mapping[str, Figures]]
-"""The label of a group or condition, and the figures of all detectors there."""
+def part_table(evaluation: Evaluation, name: str, kind: Kind, most: int | None = None) -> Table:
+    """One detector's groups or conditions by F of its mask, the lowest first; empty without any.
 
-
-class Rows(NamedTuple):
-    """The rows of one detector's table: the worst first, and what stands below them."""
-
-    counting: Sequence[PartRow]
-    beside: Sequence[PartRow]
-
-
-def group_rows(evaluation: Evaluation, name: str) -> Rows:
-    """The groups by F of the mask, the lowest first, then their mean and those left out."""
-    if not evaluation.detectors[name].groups:
-        return Rows([], [])
-    counting = [(group, evaluation.of_group(group)) for group in evaluation.groups]
-    beside = [("mean", evaluation.headlines)]
-    beside += [(f"{one} (left out)", evaluation.of_group(one)) for one in evaluation.left_out]
-    return Rows(_worst_first(name, counting), beside)
-
-
-def condition_rows(evaluation: Evaluation, name: str) -> Rows:
-    """The conditions by F of the mask, the lowest first, with the number of their groups."""
-    items = evaluation.dataset.by_condition()
-    counting = []
-    for condition in evaluation.conditions:
-        groups = len({item.group for item in items[condition]} - {None})
-        of = f" ({groups} group{'' if groups == 1 else 's'})" if groups else ""
-        figures = {
-            each: one.conditions.get(condition, {}) for each, one in evaluation.detectors.items()
-        }
-        counting.append((condition + of, figures))
-    return Rows(_worst_first(name, counting), [])
-
-
-def _worst_first(name: str, rows: Sequence[PartRow]) -> list[PartRow]:
-    """By F of the mask, those without one last."""
-    known = F_MASK.known({label: figures[name] for label, figures in rows})
-    return sorted(rows, key=lambda row: known.get(row[0], math.inf))
-
-
-def part_table(evaluation: Evaluation, name: str, rows: Rows, most: int | None = None) -> Table:
-    """The measures in columns, the worst value of each strong, and the best baseline's MaxF.
-
-    most: of the counting rows, so many at most.
+    Below the groups stand their mean and those left out; behind a condition the number of its
+    groups. The measures are in columns, the worst value of each strong, and the best baseline's
+    MaxF. most: of the groups that count, or of the conditions, so many at most.
     """
-    counting = rows.counting[:most]
-    labels, parts = zip(*counting, *rows.beside, strict=True) if counting else ((), ())
-    table = Table(list(labels))
+    parts, beside = _groups(evaluation) if kind == "group" else _conditions(evaluation)
+    if kind == "group" and not evaluation.detectors[name].groups:
+        return Table([])
+    known = F_MASK.known({label: figures[name] for label, figures in parts.items()})
+    worst_first = sorted(parts, key=lambda label: known.get(label, math.inf))[:most]
+    rows = {**{label: parts[label] for label in worst_first}, **beside} if parts else {}
+    table = Table(list(rows))
     for one in evaluation.shown_in("parts"):
-        if any(one.key in part[name] for part in parts):
-            values = [one.of(part[name]) for part in parts]
-            worst = one.worst(values[: len(counting)]) if len(counting) > 1 else None
-            cells = [
-                number_cell(one.text(value, NONE), value, row < len(counting) and value == worst)
+        if any(one.key in figures[name] for figures in rows.values()):
+            values = [one.of(figures[name]) for figures in rows.values()]
+            worst = one.worst(values[: len(worst_first)]) if len(worst_first) > 1 else None
+            table.add(one.name, one.meaning, (
+                number_cell(
+                    one.text(value, NONE), value, row < len(worst_first) and value == worst
+                )
                 for row, value in enumerate(values)
-            ]
-            table.add(one.name, one.meaning, cells)
-    best = [best_baseline(evaluation, part)[1] for part in parts]
+            ))  # fmt: skip
+    best = [best_baseline(evaluation, figures)[1] for figures in rows.values()]
     cells = [number_cell(share(value), value) for value in best]
     table.add("MaxF of\nbaseline", "MaxF of the best blind baseline there.", cells)
     return table
 
 
+def _groups(evaluation: Evaluation) -> tuple[Parts, Parts]:
+    """The groups that count; what stands below them."""
+    left_out = {f"{one} (left out)": evaluation.of_group(one) for one in evaluation.left_out}
+    counting = {group: evaluation.of_group(group) for group in evaluation.groups}
+    return counting, {"mean": evaluation.headlines, **left_out}
+
+
+def _conditions(evaluation: Evaluation) -> tuple[Parts, Parts]:
+    """The conditions with the number of their groups, and nothing below them."""
+    items, found = evaluation.dataset.by_condition(), {}
+    for condition in evaluation.conditions:
+        groups = len({item.group for item in items[condition]} - {None})
+        of = f" ({groups} group{'' if groups == 1 else 's'})" if groups else ""
+        found[condition + of] = {
+            each: one.conditions.get(condition, {}) for each, one in evaluation.detectors.items()
+        }
+    return found, {}
+
+
 # --- layout -----------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class LayoutTables:
-    """The layout figures of one detector: its confusion as rows of shares, and recalls."""
+class LayoutTables(NamedTuple):
+    """The layout figures of some detectors: confusion as rows of shares, and recalls."""
 
-    name: str
+    names: list[str]
     confusion: list[tuple[str, list[Cell]]]
     recalls: Table
 
-    def equals(self, other: "LayoutTables") -> bool:
-        """Whether both have the same figures: detectors may share one layout."""
-        return replace(self, name=other.name) == other
-
 
 def layouts(evaluation: Evaluation, names: Sequence[str]) -> list[LayoutTables]:
-    """Confusion and recalls of the detectors that label the layout."""
-    tables: list[LayoutTables] = []
+    """Confusion and recalls of the detectors that label the layout; they may share one."""
+    found: list[LayoutTables] = []
     for name in names:
         one = evaluation.detectors[name]
-        parts = {**one.groups, "mean" if one.groups else "all": one.headline}
-        table = recalls(evaluation, parts)
-        if table.headers:
-            layout = LayoutTables(name, _confusion(one.headline), table)
-            twin = next((i for i, old in enumerate(tables) if layout.equals(old)), None)
-            if twin is None:
-                tables.append(layout)
-            else:
-                tables[twin] = replace(tables[twin], name=f"{tables[twin].name}, {name}")
-    return tables
+        table = recalls(evaluation, {**one.groups, "mean" if one.groups else "all": one.headline})
+        tables = (_confusion(one.headline), table)
+        twins = [old.names for old in found if old[1:] == tables]
+        if twins:
+            twins[0].append(name)
+        elif table.headers:
+            found.append(LayoutTables([name], *tables))
+    return found
 
 
 def recalls(evaluation: Evaluation, parts: Mapping[str, Figures]) -> Table:
     """Recalls of some parts, none of them better; without columns if there are none."""
     table = Table(list(parts))
     for measure in evaluation.shown_in("layout"):
-        table.measure(replace(measure, better=None), parts.values())
+        table.measure(measure, parts.values(), strong=lambda _: None)
     return table
 
 
@@ -273,8 +255,8 @@ def page_tables(evaluation: Evaluation, in_charts: Sequence[str]) -> dict[str, A
         of_groups["all groups, pixels pooled"] = {name: detectors[name].pooled for name in shown}
     told = [name for name in in_charts if not detectors[name].is_baseline]
     by = {
-        kind: {name: part_table(evaluation, name, rows(evaluation, name)) for name in told}
-        for kind, rows in (("group", group_rows), ("condition", condition_rows))
+        kind: {name: table for name in told if (table := part_table(evaluation, name, kind)).names}
+        for kind in get_args(Kind)
     }
     return {
         "scores": scores(evaluation, names, "scores"),
@@ -288,10 +270,7 @@ def page_tables(evaluation: Evaluation, in_charts: Sequence[str]) -> dict[str, A
             group: measured(evaluation, part, "scores", "further", above=True)
             for group, part in of_groups.items()
         },
-        "by": {
-            kind: {name: table for name, table in tables.items() if table.names}
-            for kind, tables in by.items()
-        },
+        "by": by,
         "shown": len(shown),
     }
 

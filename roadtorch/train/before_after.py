@@ -8,7 +8,6 @@ from roadtorch.data.dataset import Dataset, every_kth
 from roadtorch.evaluation.disagreement import (
     Taught,
     disagreements,
-    mean_change,
     most_and_spread,
     unlabelled_set,
 )
@@ -51,21 +50,17 @@ def adaptation_of(
     methods = (replace(before, name="before"), replace(after, name="after"))
     found = find_images([request.images], request.out)
     dataset = every_kth(unlabelled_set(found), compared)
-    pictures, failures = disagreements(dataset, methods, request.quiet, desc="before and after")
-    if not pictures:
+    seen = disagreements(dataset, methods, request.quiet, desc="before and after")
+    if not seen.pictures:
         return None
     folder = request.prepared or request.out / PREPARED
     made = [folder / f"{name_of(picture)}.npz" for picture in found]
     made = [file for file in made if file.exists()]  # the others were skipped
     made = made[:: max(1, -(-len(made) // compared))]
     return Adaptation(
-        dataset=dataset,
-        methods=methods,
+        seen=seen,
         files=(files[0], outcome.weights),
-        means=mean_change(pictures),
-        pictures=pictures,
-        shown=most_and_spread(pictures, SHOWN),
-        failures=failures,
+        shown=most_and_spread(seen.pictures, SHOWN),
         taught=_taught(training, made, files[0], outcome.weights),
         rows=RunFolder(request.out).read_log(),
         labelled=evaluated(labelled, methods, {}, against="before") if labelled else None,

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from roadtorch.evaluation import boundary
-from roadtorch.evaluation.measures import BORDERS
 from tests.reference import boundary as slow
 
 # 12 x 16: the diagonal is exactly 20, so tolerances in pixels are whole twentieths.
@@ -114,12 +113,3 @@ def test_a_mask_equal_to_the_truth_has_f_1_and_counts_add_up():
     assert boundary.boundary_f(one).tolist() == [1] * 4
     assert boundary.boundary_f(one + two).tolist() == [0.5] * 4
     assert boundary.boundary_f(torch.stack([one, two])).tolist() == [[1] * 4, [0] * 4]
-
-
-def test_figures_are_named_by_their_tolerance():
-    values = boundary.boundary_f(boundary.count_boundary(half(5), half(5), everything())).tolist()
-
-    figures = dict(zip((one.key for one in BORDERS), values, strict=True))
-    assert figures == dict.fromkeys(
-        ("boundary_f/0.0025", "boundary_f/0.00375", "boundary_f/0.005", "boundary_f/0.0075"), 1
-    )

@@ -69,18 +69,6 @@ def test_expected_error_is_the_mean_gap_over_pixels():
     assert found == pytest.approx(sum(s * abs(o - p) for p, o, s in rows if s), abs=1e-12)
 
 
-def test_a_calibrated_map_has_little_error_and_a_bold_one_much():
-    generator = np.random.default_rng(0)
-    chance = generator.random(50_000)
-    road = generator.random(50_000) < chance
-
-    honest, bold = count(chance, road), count((chance > 0.5) * 1.0, road)
-
-    assert float(curves.expected_error(honest)) < 0.02
-    assert float(curves.expected_error(bold)) == pytest.approx(0.25, abs=0.01)
-    assert float(curves.brier(honest)) < float(curves.brier(bold))
-
-
 def test_leading_dimensions_and_sums():
     one, two = count(*drawn(1), 256), count(*drawn(2), 256)
     both = stack(one, two)

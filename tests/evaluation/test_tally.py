@@ -3,29 +3,14 @@
 import pickle
 from dataclasses import replace
 
-import pytest
 import torch
 
-from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import Dataset
 from roadtorch.detector import Detection
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.methods import named_detector
 from roadtorch.evaluation.scoring import prepared, score_item
 from roadtorch.evaluation.tally import Tally
-from roadtorch.scenes.street import render_scene
-from tests.evaluation.conftest import counted
-from tests.streets import write_camvid
-
-GROUPS = ("a" * 6, "b" * 6)
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory) -> Dataset:
-    root = tmp_path_factory.mktemp("camvid")
-    scenes = {f"{group}_{i}": render_scene(i, 48, 64) for i, group in enumerate(GROUPS)}
-    write_camvid(root, "train", scenes)
-    return open_dataset("camvid", root, "train")
+from tests.evaluation.conftest import GROUPS, counted
 
 
 def look(image, item) -> Detection:
@@ -74,11 +59,11 @@ def test_pictures_with_and_without_layout_may_be_mixed_in_any_order(dataset):
 def test_pictures_come_group_by_group_when_groups_are_asked_for(dataset):
     tally = counted(dataset, look)
 
-    found = tally.kept(["b" * 6, "a" * 6])
+    found = tally.kept(GROUPS[2:0:-1])
 
-    assert list(found.groups) == ["b" * 6, "a" * 6]
-    assert torch.equal(found.road.road, tally.kept().road.road.flip(0))
-    assert tally.kept(["b" * 6]).names == found.names[:1]
+    assert list(found.groups) == [GROUPS[2]] * 2 + [GROUPS[1]] * 2
+    assert torch.equal(found.road.road, tally.named(found.names).road.road[[2, 3, 0, 1]])
+    assert tally.kept(GROUPS[2:]).names == found.names[:2]
 
 
 def test_counts_go_between_processes_whole_and_small() -> None:

@@ -63,12 +63,8 @@ def test_the_eight_best_and_the_four_best_baselines_are_shown_by_rank():
     assert [one.name for one in found] == names[:8] + names[12:16]
     assert len({(one.colour, one.dash) for one in found}) == 12
     assert all(one.is_baseline == one.name.startswith("prior:") for one in found)
-
-
-def test_detectors_without_a_score_come_last():
-    evaluation = scored({"d": math.nan, "a": math.nan, "c": 0.1, "b": None})
-
-    assert evaluation.ranked() == ["c", "a", "b", "d"]
+    unscored = scored({"d": math.nan, "a": math.nan, "c": 0.1, "b": None})
+    assert unscored.ranked() == ["c", "a", "b", "d"]
 
 
 # --- what is drawn -------------------------------------------------------------------------------
@@ -84,23 +80,19 @@ def test_intervals_of_maxf_are_where_they_belong(run, drawn):
     assert_proportional(np.concatenate(ends), np.concatenate(given))
 
 
-def test_maxf_is_written_beside_every_row_and_baselines_stand_among_them(run, drawn):
-    found = texts(drawn["maxf"])
+@pytest.mark.parametrize(("name", "measure"), [("maxf", MAXF), ("f_mask", F_MASK)])
+def test_scores_are_written_beside_every_row_and_baselines_stand_among_them(
+    run, drawn, name, measure
+):
+    found = texts(drawn[name])
 
-    for name, figures in run[0].detectors.items():
-        assert name in found
-        assert f"{figures.headline['maxf']:.3f}" in found
-    best_baseline = run[0].detectors["prior:mean"].headline["maxf"]
+    for detector, figures in run[0].detectors.items():
+        assert detector in found
+        assert measure.text(measure.of(figures.headline), "") in found
+    best_baseline = run[0].detectors["prior:mean"].headline[measure.key]
     assert f"best baseline {best_baseline:.3f}" in found
+    assert f"{measure.line} (mean over groups)" in found
     assert set(GROUPS) <= set(found)
-
-
-def test_f_of_the_mask_has_a_chart_of_its_own(run, drawn):
-    found = texts(drawn["f_mask"])
-
-    for figures in run[0].detectors.values():
-        assert F_MASK.text(F_MASK.of(figures.headline), "") in found
-    assert "F of mask (mean over groups)" in found
 
 
 def test_differences_are_where_they_belong(run, drawn):
