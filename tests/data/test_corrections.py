@@ -281,6 +281,7 @@ def test_where_two_contradict_each_other_is_void(tmp_path: Path) -> None:
     (one,) = read_corrections(tmp_path)
     assert one.users == ("ann", "bob")
     assert one.road[0].tolist() == [1] * 15 + [254] * 5 + [0] * 10
+    assert (one.road[10:] == 255).all()
     assert one.agreement == pytest.approx(0.5)
 
 

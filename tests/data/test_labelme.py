@@ -289,6 +289,7 @@ def test_every_kind_of_shape(picture, shapes, pixels):
             r"shapes\.0\.points\.2\.0: .* 1000000000.0 was",
         ),
         (document(shape([(0, 0), (1, 1), (1e6, 1)])), "far outside"),
+        (document(shape([(5, 5), (5, 40)], "circle")), r"from \(-30, -30\) to \(40, 40\), far"),
         (document(shape([(0, 0), (1e308, 1e308)], "circle")), "1e\\+308 was given"),
         (document(imageHeight=2**70), "imageHeight: .* was given"),
         (document(MASK | {"mask": "?"}), "mask 'road' that cannot be decoded"),

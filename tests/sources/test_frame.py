@@ -30,7 +30,9 @@ def test_some_frames_are_evenly_spaced(count: int, known: bool, expected: list[i
         finally:
             closed.append(True)
 
-    found = sampled(Source("a", "a", True, frames, count=count if known else None), 3)
+    opened = frames()  # held here, so that it is not closed by itself
+    source = Source("a", "a", True, lambda: opened, count=count if known else None)
+    found = sampled(source, 3)
 
     assert [frame.number for frame in found.frames()] == expected
     assert len(asked) <= (expected[-1] + 1 if expected else 0)
