@@ -284,10 +284,7 @@ class Detector(nn.Module):
             likelihood = likelihood.masked_fill(ego, 0)
         if seed is not None:
             seed = at_picture_size(seed, (likelihood.shape[0], likelihood.shape[1]))
-        if ego is None or not is_anywhere(ego):
-            mask = decide(likelihood, self.settings, seed)
-        else:
-            mask = decide_beside(likelihood, ego, self.settings, seed)
+        mask = decide(likelihood, self.settings, seed, ego)
         trust, doubt = self._judge(mask, ego, analysed)
         cues = maps.without("likelihood")
         return Detection(likelihood, mask, cues, trust, doubt, image=image)
@@ -417,26 +414,24 @@ def checked_image(image: Tensor) -> Tensor:
     return image.to(torch.float32)
 
 
-def decide(likelihood: Tensor, settings: DetectorSettings, seed: Tensor | None = None) -> Tensor:
+def decide(
+    likelihood: Tensor,
+    settings: DetectorSettings,
+    seed: Tensor | None = None,
+    ego: Tensor | None = None,
+) -> Tensor:
     """The mask bool (H,W): likelihood ≥ threshold, isolated regions dropped if asked for.
 
-    seed: the seed area bool (H,W), where a detector has found it; else its rectangle.
+    seed: the seed area bool (H,W), where a detector has found it; else its rectangle. ego: the ego
+    car bool (H,W), no road. Road reaches the seed area through the ground that it hides. Where only
+    hidden ground does, that says nothing about which region is the road, and none is dropped.
     """
+    if ego is not None and is_anywhere(ego):
+        mask = decide(continued(likelihood, ego), settings, seed) & ~ego
+        return mask if mask.any() else at_least(likelihood, settings.threshold) & ~ego
     mask = at_least(likelihood, settings.threshold)
     if settings.isolated == "keep":
         return mask
     if seed is None:
         seed = seed_rectangle(mask.shape, settings.seed_area)
     return remove_isolated(mask, seed)
-
-
-def decide_beside(
-    likelihood: Tensor, ego: Tensor, settings: DetectorSettings, seed: Tensor | None = None
-) -> Tensor:
-    """The mask bool (H,W) beside an ego car bool (H,W).
-
-    Road reaches the seed area through the ground that the ego car hides. Where only hidden ground
-    does, that says nothing about which region is the road, and no region is dropped.
-    """
-    mask = decide(continued(likelihood, ego), settings, seed) & ~ego
-    return mask if mask.any() else at_least(likelihood, settings.threshold) & ~ego

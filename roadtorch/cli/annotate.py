@@ -88,14 +88,13 @@ def _serve(
 ) -> None:
     from roadtorch.annotate.next_pictures import PictureOrder
     from roadtorch.annotate.serving import opened_session, page_server
-    from roadtorch.detectors.catalogue import load_detector
     from roadtorch.runs.folder import output_lock
     from roadtorch.sources.pictures import find_images
 
     count = len(find_images([folder], out))
-    name, values = choice.named()
+    detector, _ = choice.loaded()
     context.with_resource(output_lock(out))
-    session = opened_session(folder, out, load_detector(name, **values), order=PictureOrder(order))
+    session = opened_session(folder, out, detector, order=PictureOrder(order))
     server = page_server(session, port)
     click.echo(f"{count} pictures; corrections are kept in {out}")
     click.echo(f"Open {server.address.url}  (Ctrl-C ends it)")

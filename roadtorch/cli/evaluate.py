@@ -8,6 +8,7 @@ import click
 
 from roadtorch.cli.completion import suggest_detectors, suggest_rooted_datasets
 from roadtorch.cli.options import CAMERA, PATH, LabelledOptions, command_line, with_labelled
+from roadtorch.runs.options import as_toml
 
 if TYPE_CHECKING:
     from roadtorch.evaluation.result import Evaluation
@@ -123,7 +124,6 @@ def tune(
     from roadtorch.io.atomic import write_text
     from roadtorch.report.screen import choice_text, provenance
     from roadtorch.runs.folder import output_lock
-    from roadtorch.runs.options import as_toml
     from roadtorch.runtime.progress import watched
     from roadtorch.settings import parse_assignments
 

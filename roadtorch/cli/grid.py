@@ -8,15 +8,13 @@ import click
 from roadtorch.cli.completion import suggest_files
 from roadtorch.cli.options import (
     CAMERA,
-    JOBS,
-    OVERWRITE,
     PATH,
-    QUIET,
     Sectioned,
     with_detector,
     with_frames,
+    with_run,
 )
-from roadtorch.runs.options import DetectorOptions, FrameSelection
+from roadtorch.runs.options import DetectorOptions, FrameSelection, RunOptions, as_toml
 
 
 def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, float]:
@@ -69,9 +67,7 @@ def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, fl
 @click.option("--picture", is_flag=True, help="Also write NAME.grid.jpg, to look at.")
 @with_frames
 @click.option("--frame-id", default="base_link", help="Frame of the robot in bags of grids.")
-@JOBS
-@OVERWRITE
-@QUIET
+@with_run
 @click.pass_context
 def grid(
     context: click.Context,
@@ -84,9 +80,7 @@ def grid(
     picture: bool,
     frames: FrameSelection,
     frame_id: str,
-    jobs: int,
-    overwrite: bool,
-    quiet: bool,
+    options: RunOptions,
     **mounting: Any,
 ) -> None:
     """Map the road in pictures and footage onto flat ground: x forward, y left (REP 103).
@@ -102,20 +96,15 @@ def grid(
     once for all frames of a video or bag.
     What lies behind the first cell that is no road is unknown.
     """
-    from roadtorch.camera.camera import Camera
     from roadtorch.camera.ground_grid import GridSettings
-    from roadtorch.detectors.catalogue import load_detector
     from roadtorch.runs import footage, grids, pictures, results
     from roadtorch.runs.folder import result_folder
-    from roadtorch.runs.options import as_toml
     from roadtorch.settings import build_settings
 
     found = footage.opened(inputs, out, frames)
     cells = {name: mounting.pop(name) for name in ("resolution", "range", "side", "coarsest")}
     placing = grids.placing_of(grids.Mounting(camera=camera, **mounting), found)
-    name, values = choice.named(threshold)
-    known = None if camera is None else Camera.read(camera)
-    loaded = load_detector(name, camera=known, **values)
+    loaded, known = choice.loaded(camera, threshold)
     settings = build_settings(GridSettings, {**cells, "threshold": loaded.settings.threshold})
     kinds = ("pgm", "yaml", "npy", *["likelihood"] * likelihood, *["picture"] * picture)
     work = grids.Gridding(loaded, placing, settings, kinds, known)
@@ -123,8 +112,7 @@ def grid(
     planned = footage.plan_run(found, out, work.ends, written)
     effective = as_toml(loaded.name, loaded.settings)
     effective = "\n".join([effective, f"# {settings.model_dump_json()}", placing.words])
-    folder = context.with_resource(result_folder(out, effective, overwrite))
-    options = pictures.RunOptions(jobs, overwrite, quiet)
+    folder = context.with_resource(result_folder(out, effective, options.overwrite))
     method = results.detector_method(loaded, effective, kinds)
     failed = pictures.run_pictures(planned.jobs, work, method, folder, options)
     parts = repr((frames, frame_id)).encode()

@@ -1,6 +1,6 @@
 """roadtorch infer: pictures to likelihoods, masks and overlays."""
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import click
@@ -15,7 +15,13 @@ from roadtorch.cli.options import (
     with_detector,
     with_frames,
 )
-from roadtorch.runs.options import ComputeOptions, DetectorOptions, FrameSelection
+from roadtorch.runs.options import (
+    ComputeOptions,
+    DetectorOptions,
+    FrameSelection,
+    RunOptions,
+    as_toml,
+)
 
 KINDS = ("likelihood", "mask", "overlay", "cues", "npy", "polygons", "json")
 FOOTAGE_KINDS = ("overlay-frames", "mask-video", "likelihood-video", "bag")
@@ -115,22 +121,17 @@ def infer(
     (of ROS 1: NAME.road.bag). index.csv lists every picture and frame, run.json
     says how it was made. A second run goes on where the first one stopped.
     """
-    name, values = choice.named(threshold)
     if not inputs and not print_config:
         raise click.UsageError("Missing argument 'INPUT...'", context)
 
-    from roadtorch.camera.camera import Camera
-    from roadtorch.detectors.catalogue import load_detector
     from roadtorch.io.addresses import is_url
     from roadtorch.runs import engines, footage, pictures, results
     from roadtorch.runs.folder import RunRecord, result_folder
-    from roadtorch.runs.options import as_toml
     from roadtorch.sinks.remote_folder import RemoteFolder
     from roadtorch.sources.pictures import label_and_picture
 
     engines.prepare(compute)
-    known = None if camera is None else Camera.read(camera)
-    loaded = load_detector(name, camera=known, **values)
+    loaded, known = choice.loaded(camera, threshold)
     effective = as_toml(loaded.name, loaded.settings)
     if print_config:
         click.echo(effective)
@@ -150,11 +151,10 @@ def infer(
     of_frames = {**asdict(frames), "gif": gif, "steady": steady}
 
     def run() -> int:
-        options = pictures.RunOptions(compute.jobs or 1, overwrite, quiet, compute.fail_fast)
+        options = RunOptions(compute.jobs or 1, overwrite, quiet, compute.fail_fast)
         method = results.detector_method(loaded, effective, kinds, depth.encode())
         with engines.started_engine(compute, len(planned.jobs)) as engine:
-            own = replace(options, engine=engine)
-            failed = pictures.run_pictures(planned.jobs, work, method, folder, own)
+            failed = pictures.run_pictures(planned.jobs, work, method, folder, options, engine)
         parts = repr((depth, of_frames)).encode()
         method = results.detector_method(loaded, effective, (), parts)
         seen = footage.FootageWork(loaded, known, steady)

@@ -5,7 +5,8 @@ from pathlib import Path
 import click
 
 from roadtorch.cli.completion import suggest_files
-from roadtorch.cli.options import JOBS, OVERWRITE, PATH, QUIET, SETTING
+from roadtorch.cli.options import PATH, SETTING, with_run
+from roadtorch.runs.options import RunOptions, as_toml
 
 
 @click.command()
@@ -19,9 +20,7 @@ from roadtorch.cli.options import JOBS, OVERWRITE, PATH, QUIET, SETTING
 )
 @SETTING
 @click.option("--overlay", is_flag=True, help="Also write NAME.overlay.jpg.")
-@JOBS
-@OVERWRITE
-@QUIET
+@with_run
 @click.pass_context
 def label(
     context: click.Context,
@@ -30,9 +29,7 @@ def label(
     support: str,
     assignments: tuple[str, ...],
     overlay: bool,
-    jobs: int,
-    overwrite: bool,
-    quiet: bool,
+    options: RunOptions,
 ) -> None:
     """Label every pixel as sky (0), vertical (1), horizontal (2) or unlabelled (255).
 
@@ -41,7 +38,6 @@ def label(
     from roadtorch.layout.labeller import LabellerSettings
     from roadtorch.runs import pictures, results
     from roadtorch.runs.folder import result_folder
-    from roadtorch.runs.options import as_toml
     from roadtorch.settings import build_settings, parse_assignments
     from roadtorch.sources.pictures import find_images
 
@@ -51,8 +47,7 @@ def label(
     ends = [results.LABEL_SUFFIXES[kind] for kind in kinds]
     planned = pictures.plan(find_images(inputs, out), out, ends)
     effective = as_toml("labeller", settings)
-    folder = context.with_resource(result_folder(out, effective, overwrite))
+    folder = context.with_resource(result_folder(out, effective, options.overwrite))
     method = pictures.method_of(kinds, effective)
-    options = pictures.RunOptions(jobs, overwrite, quiet)
     work = results.Labelling(settings, overlay)
     context.exit(pictures.run_pictures(planned, work, method, folder, options))

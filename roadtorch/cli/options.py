@@ -17,7 +17,7 @@ from roadtorch.cli.completion import (
     suggest_settings,
     suggest_splits,
 )
-from roadtorch.runs.options import ComputeOptions, DetectorOptions, FrameSelection
+from roadtorch.runs.options import ComputeOptions, DetectorOptions, FrameSelection, RunOptions
 
 if TYPE_CHECKING:
     from roadtorch.data.dataset import Dataset
@@ -98,7 +98,8 @@ def _gathered(
     def decorated(command: Command) -> Command:
         @functools.wraps(command)
         def gathered(*arguments: Any, **given: Any) -> Any:
-            one = kind(**{field: given.pop(field) for field in kind.__dataclass_fields__})
+            fields = kind.__dataclass_fields__.keys() & given.keys()
+            one = kind(**{field: given.pop(field) for field in fields})
             return command(*arguments, **{name: one}, **given)
 
         for option in reversed(options):
@@ -125,6 +126,9 @@ with_detector = _gathered(
     ),
 )
 """A command gets the options of ``DetectorOptions`` as ``choice``."""
+
+with_run = _gathered(RunOptions, "options", JOBS, OVERWRITE, QUIET)
+"""A command gets these as ``options``."""
 
 with_compute = _gathered(
     ComputeOptions,

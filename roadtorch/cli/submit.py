@@ -4,26 +4,22 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import JOBS, OVERWRITE, PATH, QUIET, with_detector
-from roadtorch.runs.options import DetectorOptions
+from roadtorch.cli.options import PATH, with_detector, with_run
+from roadtorch.runs.options import DetectorOptions, RunOptions, as_toml
 
 
 @click.command()
 @click.argument("root", metavar="ROOT", type=PATH)
 @with_detector
 @click.option("--out", type=PATH, required=True, help="Folder for the maps and the archive.")
-@JOBS
-@OVERWRITE
-@QUIET
+@with_run
 @click.pass_context
 def submit(
     context: click.Context,
     root: Path,
     choice: DetectorOptions,
     out: Path,
-    jobs: int,
-    overwrite: bool,
-    quiet: bool,
+    options: RunOptions,
 ) -> None:
     """Write a submission to the KITTI road benchmark.
 
@@ -32,26 +28,21 @@ def submit(
     bits), and all of them submission.zip once every picture is done. index.csv lists the
     pictures. A second run goes on where the first one stopped.
     """
-    name, values = choice.named()
-
     from roadtorch.data.kitti import base_folder, calib_folder
-    from roadtorch.detectors.catalogue import load_detector
     from roadtorch.runs import pictures, results
     from roadtorch.runs.folder import result_folder
-    from roadtorch.runs.options import as_toml
 
-    loaded = load_detector(name, **values)
+    loaded, _ = choice.loaded()
     base = base_folder(root, "testing")
     planned = results.plan_maps(base / "image_2", calib_folder(base), out)
     effective = as_toml(loaded.name, loaded.settings)
-    folder = context.with_resource(result_folder(out, effective, overwrite))
+    folder = context.with_resource(result_folder(out, effective, options.overwrite))
     method = results.detector_method(loaded, effective, ["map"])
-    options = pictures.RunOptions(jobs, overwrite, quiet)
     failed = pictures.run_pictures(planned, results.Submission(loaded), method, folder, options)
     archive = out / results.ARCHIVE
     if failed:
         click.echo(f"roadtorch: {archive} not written, as maps are missing", err=True)
         context.exit(failed)
     results.pack(planned, archive)
-    if not quiet:
+    if not options.quiet:
         click.echo(f"roadtorch: {len(planned)} maps in {archive}", err=True)

@@ -32,15 +32,15 @@ from roadtorch.runs.index import (
     frame_index,
     read_index,
 )
-from roadtorch.runs.options import FrameSelection
+from roadtorch.runs.options import FrameSelection, RunOptions
 from roadtorch.runs.pictures import (
     LEAST_TRUSTED,
     Job,
     Method,
-    RunOptions,
     least_trusted,
     plan,
     spared,
+    tell,
     trust_of,
 )
 from roadtorch.runs.results import SUFFIXES, Inference
@@ -295,12 +295,8 @@ def run_footage(planned: Plan, work: FootageWork, method: Method, options: RunOp
             ended[status.partition(":")[0]] += 1
     failed = ended[PARTIAL] + ended[FAILED]
     if not options.quiet or failed:
-        parts = [f"{ended[DONE]} done"]
-        parts += [f"{skipped} skipped (done before)"] if skipped else []
-        parts += [f"{ended[kind]} {kind}" for kind in (PARTIAL, FAILED) if ended[kind]]
-        click.echo(
-            f"roadtorch: {', '.join(parts)}; results in {planned.footage[0].job.out}", err=True
-        )
+        others = {"skipped (done before)": skipped, PARTIAL: ended[PARTIAL], FAILED: ended[FAILED]}
+        tell(f"{ended[DONE]} done", others, planned.footage[0].job.out)
     return 1 if failed else 0
 
 

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from roadtorch.camera.camera import Camera
+    from roadtorch.detector import Detector
     from roadtorch.settings import Settings
 
 DEFAULT_DETECTOR = "fusion"
@@ -39,6 +41,20 @@ class DetectorOptions:
         if threshold is not None:
             values["threshold"] = threshold
         return self.detector or named, values
+
+    def loaded(
+        self, camera: Path | None = None, threshold: float | None = None
+    ) -> "tuple[Detector, Camera | None]":
+        """The detector, and the camera that a file describes, which its settings then know.
+
+        Raises what ``named``, ``Camera.read`` and ``load_detector`` raise.
+        """
+        from roadtorch.camera.camera import Camera
+        from roadtorch.detectors.catalogue import load_detector
+
+        name, values = self.named(threshold)
+        known = None if camera is None else Camera.read(camera)
+        return load_detector(name, camera=known, **values), known
 
 
 def as_toml(detector: str, settings: "Settings") -> str:
@@ -80,3 +96,16 @@ class ComputeOptions:
     threads: int
     device: str
     fail_fast: bool
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How a run goes: pictures or frames at a time, redo what is done, no progress on stderr.
+
+    fail_fast: end at the first picture that fails.
+    """
+
+    jobs: int = 1
+    overwrite: bool = False
+    quiet: bool = False
+    fail_fast: bool = False

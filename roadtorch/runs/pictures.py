@@ -3,7 +3,7 @@
 import hashlib
 import os
 import sys
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
@@ -19,6 +19,8 @@ from roadtorch.io.atomic import digest_of, digest_of_folder, remove_leftovers, r
 from roadtorch.io.bounded import printable
 from roadtorch.runs.folder import Owners, ResultFolder
 from roadtorch.runs.index import DONE, DOUBTFUL, FAILED, INDEX, Row, SavedIndex, read_index
+from roadtorch.runs.options import RunOptions
+from roadtorch.runtime.progress import Progress
 from roadtorch.runtime.signals import stop_on_signals
 from roadtorch.runtime.threads import ordered_results
 from roadtorch.sinks.remote_folder import RemoteFolder
@@ -209,25 +211,15 @@ def spared(jobs: list[Job]) -> list[Job]:
     return jobs
 
 
-@dataclass(frozen=True)
-class RunOptions:
-    """How a run goes: threads at work, redo what is done, no progress on stderr.
-
-    fail_fast: end at the first picture that fails. engine: does the jobs instead of threads of
-    this process.
-    """
-
-    jobs: int = 1
-    overwrite: bool = False
-    quiet: bool = False
-    fail_fast: bool = False
-    engine: Engine | None = None
-
-
 def run_pictures(
-    jobs: Sequence[Job], work: Work, method: Method, folder: ResultFolder, options: RunOptions
+    jobs: Sequence[Job],
+    work: Work,
+    method: Method,
+    folder: ResultFolder,
+    options: RunOptions,
+    engine: Engine | None = None,
 ) -> int:
-    """Do the jobs that are not done yet; returns the exit code.
+    """Do the jobs that are not done yet, by threads of this process or ``engine``; the exit code.
 
     A picture is done when index.csv says so, of this method and of the bytes that the picture
     has now, and its files exist. A picture that fails becomes a failed row, and the others go
@@ -253,7 +245,9 @@ def run_pictures(
     with stop_on_signals() as stop, reserved(folder.path, room) as let_go:
         index = SavedIndex(folder.path / INDEX, rows, folder.publish)
         try:
-            for row in _rows(todo, work, method, options):
+            engine = engine or partial(ordered_results, threads=options.jobs)
+            made = engine(todo, partial(attempt, work=work, method=method))
+            for row in _shown(made, len(todo), options.quiet):
                 tried.append(row)
                 index.add(row)
                 if stop.asked or (options.fail_fast and row.failed):
@@ -271,30 +265,26 @@ def run_pictures(
     failed = sum(job.file in rows and rows[job.file].failed for job in jobs)
     if not options.quiet or failed:
         done = f"{max(len(tried) - failed, 0)} done" + (f" ({again} anew)" if again else "")
-        skipped, left = len(jobs) - len(todo), len(todo) - len(tried)
-        parts = [done, f"{skipped} skipped (done before)" if skipped else ""]
-        parts.append(f"{failed} failed" if failed else "")
-        parts.append(f"{left} not tried (--fail-fast)" if left else "")
-        click.echo(
-            f"roadtorch: {', '.join(filter(None, parts))}; results in {folder.shown}", err=True
-        )
+        others = {"skipped (done before)": len(jobs) - len(todo), FAILED: failed}
+        others["not tried (--fail-fast)"] = len(todo) - len(tried)
+        tell(done, others, folder.shown)
         for line in least_trusted(tried):
             click.echo(line)
     return 1 if failed else 0
 
 
-def _rows(todo: Sequence[Job], work: Work, method: Method, options: RunOptions) -> Iterator[Row]:
-    """The rows of the jobs, as the engine gives them; closing this stops it.
+def tell(done: str, others: Mapping[str, int], where: object) -> None:
+    """One line on stderr: what was done, and what became of others, where there are some."""
+    parts = [done, *(f"{count} {what}" for what, count in others.items() if count)]
+    click.echo(f"roadtorch: {', '.join(parts)}; results in {where}", err=True)
 
-    With what ``Progress`` shows, and each failure on a line.
+
+def _shown(rows: Rows, total: int, quiet: bool) -> Iterator[Row]:
+    """The same rows with what ``Progress`` shows, and each failure on a line.
+
+    Closing this closes them.
     """
-    from roadtorch.runtime.progress import Progress
-
-    engine = options.engine or partial(ordered_results, threads=options.jobs)
-    with (
-        closing(engine(todo, partial(attempt, work=work, method=method))) as rows,
-        Progress(rows, total=len(todo), unit="image", quiet=options.quiet) as bar,
-    ):
+    with closing(rows), Progress(rows, total=total, unit="image", quiet=quiet) as bar:
         for row in bar:
             if row.failed:
                 bar.write(f"roadtorch: {row.status}", file=sys.stderr)

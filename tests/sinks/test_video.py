@@ -1,4 +1,7 @@
 import errno
+from collections import deque
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +17,12 @@ from roadtorch.sinks.video import GifSink, VideoSink
 from tests.videos import pixels_of, stamps_of, street_pixels
 
 
-def write(path: Path, seconds: list[float], size: tuple[int, int] = (48, 64)) -> Path:
-    sink = VideoSink(path, 10)
-    for number, at in enumerate(seconds):
-        sink.write(street_pixels(number % 3, *size), at)
-    sink.close()
+def write(
+    path: Path, seconds: Sequence[float | None], size: tuple[int, int] = (48, 64), rate: float = 10
+) -> Path:
+    with closing(VideoSink(path, rate)) as sink:
+        for number, at in enumerate(seconds):
+            sink.write(street_pixels(number % 3, *size), at)
     return path
 
 
@@ -32,12 +36,9 @@ def test_time_stamps_are_kept_from_the_first_frame_on(tmp_path: Path) -> None:
 
 
 def test_without_a_clock_frames_follow_at_the_rate(tmp_path: Path) -> None:
-    sink = VideoSink(tmp_path / "x.mp4", 4)
-    for number in range(3):
-        sink.write(street_pixels(number), None)
-    sink.close()
+    path = write(tmp_path / "x.mp4", [None] * 3, rate=4)
 
-    assert stamps_of(tmp_path / "x.mp4") == pytest.approx([0, 0.25, 0.5])
+    assert stamps_of(path) == pytest.approx([0, 0.25, 0.5])
 
 
 @pytest.mark.parametrize("size", [(47, 64), (48, 63), (47, 63)])
@@ -52,10 +53,9 @@ def test_odd_sides_are_padded(size: tuple[int, int], tmp_path: Path) -> None:
 def test_masks_stay_masks_and_other_sizes_become_the_first(tmp_path: Path) -> None:
     mask = np.zeros((48, 64), np.uint8)
     mask[20:40, 10:50] = 255
-    sink = VideoSink(tmp_path / "x.mp4", 10)
-    sink.write(mask, 0.0)
-    sink.write(street_pixels(1, 96, 128), 0.1)
-    sink.close()
+    with closing(VideoSink(tmp_path / "x.mp4", 10)) as sink:
+        sink.write(mask, 0.0)
+        sink.write(street_pixels(1, 96, 128), 0.1)
 
     frames = pixels_of(tmp_path / "x.mp4")
     assert ((frames[0][..., 0] > 127) == (mask > 0)).mean() > 0.99
@@ -63,7 +63,9 @@ def test_masks_stay_masks_and_other_sizes_become_the_first(tmp_path: Path) -> No
 
 
 def test_no_frame_gives_no_file(tmp_path: Path) -> None:
-    VideoSink(tmp_path / "x.mp4", 10).close()
+    write(tmp_path / "x.mp4", [])
+    with closing(GifSink(tmp_path / "x.gif", 5.0, 6.0)) as gif:
+        gif.write(street_pixels(0), 1.0)
 
     assert list(tmp_path.iterdir()) == []
 
@@ -120,13 +122,10 @@ def test_a_full_disk_leaves_a_video_of_what_was_written(
     fill_the_disk(monkeypatch, 30_000)
     sink = VideoSink(tmp_path / "x.mp4", 10)
     rng = np.random.default_rng(0)
-
-    def fill() -> None:
-        for number in range(500):
-            sink.write(rng.integers(0, 255, (48, 64, 3), np.uint8), number / 10)
+    frames = (rng.integers(0, 255, (48, 64, 3), np.uint8) for _ in range(500))
 
     with pytest.raises(InputError, match=r"x.mp4: ends here: No space left .*\(make room"):
-        fill()
+        deque((sink.write(pixels, None) for pixels in frames), maxlen=0)
     sink.close()
 
     assert len(pixels_of(tmp_path / "x.mp4")) > 5
@@ -136,12 +135,8 @@ def test_a_disk_without_any_room_is_told(tmp_path: Path, monkeypatch: pytest.Mon
     fill_the_disk(monkeypatch, 0, held=0)
     sink = VideoSink(tmp_path / "x.mp4", 10)
 
-    def fill() -> None:
-        for number in range(200):
-            sink.write(street_pixels(number % 3), number / 10)
-
     with pytest.raises(InputError, match="ends here"):
-        fill()
+        deque((sink.write(street_pixels(number % 3), None) for number in range(200)), maxlen=0)
     with pytest.raises(InputError, match=r"cannot be written: .*No space left"):
         sink.close()
 
@@ -153,11 +148,10 @@ def test_the_same_frames_give_the_same_bytes_wherever_memory_lies(tmp_path: Path
     written = set()
 
     for number in range(2):
-        sink = VideoSink(tmp_path / "drive.mp4", 15.0)
         _ = [np.full(200_000 + 3_000 * number, 77, np.uint8) for _ in range(30 + 7 * number)]
-        for at, pixels in enumerate(frames):
-            sink.write(pixels, at / 15)
-        sink.close()
+        with closing(VideoSink(tmp_path / "drive.mp4", 15.0)) as sink:
+            for at, pixels in enumerate(frames):
+                sink.write(pixels, at / 15)
         written.add((tmp_path / "drive.mp4").read_bytes())
 
     assert len(written) == 1
@@ -167,21 +161,12 @@ def test_the_same_frames_give_the_same_bytes_wherever_memory_lies(tmp_path: Path
 
 
 def test_a_stretch_is_small_and_ten_a_second(tmp_path: Path) -> None:
-    sink = GifSink(tmp_path / "x.gif", 1.0, 2.0)
-    for number in range(90):
-        sink.write(np.tile(street_pixels(number // 3 % 3), (10, 10, 1)), number / 30)
-    sink.close()
+    with closing(GifSink(tmp_path / "x.gif", 1.0, 2.0)) as sink:
+        for number in range(90):
+            sink.write(np.tile(street_pixels(number // 3 % 3), (10, 10, 1)), number / 30)
 
     with Image.open(tmp_path / "x.gif") as gif:
         assert gif.size == (480, 360)
         assert gif.n_frames == 10  # pyright: ignore[reportAttributeAccessIssue]
         assert gif.info["duration"] == pytest.approx(100, abs=10)
         assert gif.info["loop"] == 0
-
-
-def test_a_stretch_without_frames_gives_no_file(tmp_path: Path) -> None:
-    sink = GifSink(tmp_path / "x.gif", 5.0, 6.0)
-    sink.write(street_pixels(0), 1.0)
-    sink.close()
-
-    assert list(tmp_path.iterdir()) == []
