@@ -16,7 +16,7 @@ from roadtorch.data.correction_labels import (
     layout_layer,
     road_layer,
 )
-from roadtorch.data.corrections import agreement_share, read_corrections
+from roadtorch.data.corrections import agreed_labels, agreement_share, read_corrections
 from roadtorch.data.event_log import LogHead, append_event, log_path, read_log, read_logs
 from roadtorch.data.events import (
     AnyEvent,
@@ -283,6 +283,12 @@ def test_where_two_contradict_each_other_is_void(tmp_path: Path) -> None:
     assert one.road[0].tolist() == [1] * 15 + [254] * 5 + [0] * 10
     assert (one.road[10:] == 255).all()
     assert one.agreement == pytest.approx(0.5)
+
+
+def test_a_contradiction_stays_one_whatever_the_order_of_three_people() -> None:
+    said = [np.full((1, 1), number(name), np.uint8) for name in ("sky", "vertical", "sky")]
+    for order in ((0, 1, 2), (0, 2, 1), (1, 0, 2)):
+        assert agreed_labels([said[at] for at in order]).item() == number("not_road")
 
 
 def test_nobody_agrees_alone() -> None:
