@@ -345,19 +345,19 @@ class Detector(nn.Module):
         return f"{self.name!r}, {self.settings!r}"
 
 
-def lean(forward: Callable[[Any, Tensor], Mapping[str, Cue]]) -> Callable[[Any, Tensor], Maps]:
-    """Mark the ``forward`` of an analysis: image (3,H,W) in [0,1] → maps, or what makes them.
+def lean(find: Callable[..., Mapping[str, Cue]]) -> Callable[..., Maps]:
+    """Mark what an analysis does: image (3,H,W) in [0,1] and more → maps, or what makes them.
 
     It runs in inference mode, on the CPU and where no gradients are asked for: what autograd
     notes of a thousand small kernels takes a fifteenth of the time. For analyses of our own:
     others may want gradients inside.
     """
 
-    @wraps(forward)
-    def wrapped(self: Any, image: Tensor) -> Maps:
-        quick = image.device.type == "cpu" and not torch.is_grad_enabled()
-        with torch.inference_mode() if quick else nullcontext():
-            return Maps(forward(self, image))
+    @wraps(find)
+    def wrapped(*given: Any) -> Maps:
+        on_cpu = all(part.device.type == "cpu" for part in given if isinstance(part, Tensor))
+        with torch.inference_mode() if on_cpu and not torch.is_grad_enabled() else nullcontext():
+            return Maps(find(*given))
 
     return wrapped
 
@@ -370,7 +370,6 @@ class Analysis(nn.Module):
         self.find = find
         self.settings = settings
 
-    @lean
     def forward(self, image: Tensor) -> Mapping[str, Cue]:
         """The cues of an image (3,H,W) in [0,1]."""
         return self.find(image, self.settings)

@@ -149,6 +149,7 @@ PRIORS: Mapping[str, Callable[[int, int], Tensor]] = {
 }
 
 
+@lean
 def untrained(image: Tensor, settings: UntrainedFusionSettings) -> Mapping[str, Cue]:
     """Naive Bayes of what one picture (3,H,W) shows by itself. Ours, after P2."""
     image = brightened(image, EXPOSURE)

@@ -38,6 +38,7 @@ class LayoutSettings(WorkingSettings):
     share: Share = 0.8
 
 
+@lean
 def labeller(image: Tensor, settings: LabellerDetectorSettings) -> dict[str, Tensor]:
     """The ground that the labeller finds in the picture itself; no weights."""
     found = label_whole(image, settings.labeller, settings.superpixels)

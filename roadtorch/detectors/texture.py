@@ -7,7 +7,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.detector import TUNED, Analysis, Entry, Threshold, WorkingSettings
+from roadtorch.detector import TUNED, Analysis, Entry, Threshold, WorkingSettings, lean
 from roadtorch.imaging.color import plane
 from roadtorch.road.seed_area import seed_area, seed_rectangle
 from roadtorch.road.texture import (
@@ -74,11 +74,13 @@ class LbpSettings(WorkingSettings):
     )
 
 
+@lean
 def cpf(image: Tensor, settings: CpfSettings) -> dict[str, Tensor]:
     """Colour plane fusion: U of the fused plane over superpixels (P2, section 4)."""
     return _cues_over(settings.superpixels.cut(image), image, settings)
 
 
+@lean
 def cpf_squares(image: Tensor, settings: CpfSquaresSettings) -> dict[str, Tensor]:
     """Colour plane fusion over squares, which P2 compares superpixels with."""
     labels = squares(image.shape[-2], image.shape[-1], settings.square)
@@ -94,6 +96,7 @@ def _cues_over(
     return _texture_cues(labels, fused, values, settings.texture.even)
 
 
+@lean
 def cpf_v2(image: Tensor, settings: CpfV2Settings) -> dict[str, Tensor]:
     """Colour plane fusion without saturated pixels (P2, section 6.2)."""
     labels = settings.superpixels.cut(image)
@@ -114,6 +117,7 @@ def _texture_cues(labels: Tensor, fused: Tensor, values: Tensor, even: float) ->
     }
 
 
+@lean
 def grey_uniformity(image: Tensor, settings: GreyUniformitySettings) -> dict[str, Tensor]:
     """U of the grey image over superpixels, P2's baseline without fusion."""
     labels = settings.superpixels.cut(image)
@@ -123,6 +127,7 @@ def grey_uniformity(image: Tensor, settings: GreyUniformitySettings) -> dict[str
     return {"likelihood": likelihood, "uniformity": painted, "segments": labels}
 
 
+@lean
 def lbp(image: Tensor, settings: LbpSettings) -> dict[str, Tensor]:
     """Local binary patterns like those of the seed area, P2's texture baseline."""
     patterns_of, codes = PATTERNS[settings.patterns]
