@@ -81,7 +81,7 @@ class Torture:
     def begin(self) -> None:
         """The quiet run, its time taken."""
         start = time.monotonic()
-        status = ended(self._started(self.quiet))
+        status = ended(forked(self._command, self.quiet))
         self.seconds = time.monotonic() - start
         if status != 0:
             self._blame(self.quiet, f"ended with {status}")
@@ -98,7 +98,7 @@ class Torture:
 
     def _run(self, place: Path, longest: float) -> int | None:
         """One run: None where a signal met it, within so many seconds, else its exit status."""
-        child = self._started(place)
+        child = forked(self._command, place)
         status = ended(child, self.chance.uniform(0, longest))
         if status is not None:
             return status
@@ -120,19 +120,22 @@ class Torture:
         told = (place / "told").read_text(errors="replace").strip().splitlines()
         self.faults.append(f"{place.name}: {what}; it told: {' / '.join(told[-8:]) or 'nothing'}")
 
-    def _started(self, place: Path) -> int:
-        """A child that runs the command in a folder, what it tells kept there; its number.
+    def _command(self) -> None:
+        main([*self.words, "--out", OUT])
 
-        Until it is where it would be as a process of its own, TERM and INT wait: within fork
-        Python would tell an interruption and forget it, before it the child would end in ours.
-        """
-        place.mkdir(exist_ok=True)
-        signal.pthread_sigmask(signal.SIG_BLOCK, ASKED)
-        child = os.fork()
-        if child == 0:
-            become(lambda: main([*self.words, "--out", OUT]), place)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, ASKED)
-        return child
+
+def forked(command: Callable[[], object], place: Path) -> int:
+    """A child that runs a command in a folder, what it tells kept there; its number.
+
+    Until it is where it would be as a process of its own, TERM and INT wait: within fork
+    Python would tell an interruption and forget it, before it the child would end in ours.
+    """
+    place.mkdir(exist_ok=True)
+    signal.pthread_sigmask(signal.SIG_BLOCK, ASKED)
+    if (child := os.fork()) == 0:
+        become(command, place)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, ASKED)
+    return child
 
 
 def become(command: Callable[[], object], place: Path, notes: str = "told") -> None:

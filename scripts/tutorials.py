@@ -13,6 +13,7 @@ Commands of roadtorch run in copies of this process, which has imported everythi
 
 import argparse
 import contextlib
+import difflib
 import io
 import os
 import re
@@ -64,18 +65,13 @@ def same_line(expected: str, found: str) -> bool:
     """Whether two lines are the same but for spaces and numbers that may differ a little."""
     if expected.rstrip().endswith(ANYTHING):
         expected = expected.rstrip().removesuffix(ANYTHING).rstrip()
-        expected, found = cut_alike(" ".join(expected.split()), " ".join(found.split()))
+        found = " ".join(found.split()[: len(expected.split())])  # as far as the expected one goes
     parts, others = (SPLIT.split(" ".join(line.split())) for line in (expected, found))
     if parts[0::2] != others[0::2]:
         return False
     units = parts[2::2]
     triples = zip(parts[1::2], others[1::2], units, strict=True)
     return all(bool(TIMES.match(unit)) or near(one, other) for one, other, unit in triples)
-
-
-def cut_alike(expected: str, found: str) -> tuple[str, str]:
-    """Both lines as far as the expected one goes, counted in words."""
-    return expected, " ".join(found.split()[: len(expected.split())])
 
 
 def near(expected: str, found: str) -> bool:
@@ -273,13 +269,6 @@ def prepare() -> None:
     torch.set_num_threads(1)
 
 
-def differences(before: str, after: str) -> str:
-    """What changed, as a unified diff."""
-    import difflib
-
-    return "\n".join(difflib.unified_diff(before.splitlines(), after.splitlines(), lineterm=""))
-
-
 def main() -> int:
     """Check or write the given pages; 1 where a page says something else than happens."""
     parser = argparse.ArgumentParser(description="Execute the tutorials.")
@@ -295,7 +284,8 @@ def main() -> int:
         print(f"{path.name}: {'as written' if before == after else 'differs'}, {took:.1f} s")
         if before != after:
             wrong += 1
-            print(differences(before, after))
+            lines = before.splitlines(), after.splitlines()
+            print("\n".join(difflib.unified_diff(*lines, lineterm="")))
             if given.act == "write":
                 path.write_text(after, encoding="utf-8")
     return 1 if wrong and given.act == "check" else 0

@@ -19,6 +19,7 @@ from roadtorch.imaging.color import PLANES
 from roadtorch.io.atomic import atomic, csv_text, write_text
 from roadtorch.oneclass.axes import circular_mean, unrolled
 from roadtorch.report.svg import STYLE
+from roadtorch.report.table import align
 
 DOTS = 100  # per inch
 COLOURS = 128  # of a chart's file: lines and their soft edges need no more
@@ -53,10 +54,7 @@ def chart(path: Path, width: float, height: float, dots: int = DOTS) -> Iterator
 def tell(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, object]]) -> None:
     """Print a table and write it as CSV, numbers with three decimals."""
     cells = [{key: _cell(value) for key, value in row.items()} for row in rows]
-    widths = {name: max(len(name), *(len(row.get(name, "")) for row in cells)) for name in columns}
-    for row in ({name: name for name in columns}, *cells):
-        line = "  ".join(row.get(name, "").ljust(width) for name, width in widths.items())
-        print(line.rstrip())
+    print(align([columns, *([row.get(name, "") for name in columns] for row in cells)]))
     write_text(path, csv_text(columns, cells))
 
 

@@ -19,10 +19,10 @@ from roadtorch.evaluation.curves import Curve, area, roc
 from roadtorch.evaluation.methods import Look
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
 from roadtorch.evaluation.scoring import score_item
-from roadtorch.io.atomic import atomic, csv_text, write_text
+from roadtorch.io.atomic import atomic
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
-from roadtorch.report.table import align
 from roadtorch.runtime.progress import Progress
+from scripts.figures.chart import tell
 
 EVERY = 16
 """Figures look at every so-manieth picture."""
@@ -99,12 +99,6 @@ def auc(counts: Counts) -> Tensor:
     return metrics.auc(counts.road)
 
 
-def tell(rows: Sequence[Mapping[str, str]], path: Path) -> None:
-    """Print a table and write it as CSV."""
-    write_text(path, csv_text(list(rows[0]), rows))
-    print(align([list(rows[0]), *(list(row.values()) for row in rows)]))
-
-
 # --- layout ------------------------------------------------------------------------------
 
 PRINTED_ORDER = {"vertical": VERTICAL, "horizontal": HORIZONTAL, "sky": SKY}
@@ -130,7 +124,8 @@ def confusion_of_labeller(data: Path, out: Path) -> None:
 
 
 def _confusion(figure: str, name: str, dataset: Dataset, out: Path) -> None:
-    counts = layout_counts(name, dataset)
+    counts = pooled(found_on(dataset, {name: look_of(name)})[name]).layout
+    assert counts is not None
     readings = {"void ignored": counts, "void vertical": metrics.void_as_vertical(counts)}
     shares = {text: printed_shares(each) for text, each in readings.items()}
     rows = []
@@ -142,22 +137,10 @@ def _confusion(figure: str, name: str, dataset: Dataset, out: Path) -> None:
             line |= dict(zip(keys, own, strict=True))
             line[f"{decided}, P2"] = f"{PRINTED[figure][number][column]:.3f}"
         rows.append(line)
-    tell(rows, out / f"{figure}.csv")
+    tell(out / f"{figure}.csv", list(rows[0]), rows)
     for text, each in (*shares.items(), ("P2", PRINTED[figure])):
         print(f"{name}, {text}: global average accuracy {np.diagonal(each).mean():.3f}")
     draw_confusion(shares["void vertical"], name, out / f"{figure}.png")
-
-
-def layout_counts(name: str, dataset: Dataset) -> Tensor:
-    """The confusion int64 (4,4) of a detector's most likely class, over all pictures."""
-    detector = load_detector(name)
-    counts = torch.zeros(4, 4, dtype=torch.int64)
-    for item in Progress(dataset.items, unit="image"):
-        image, truth = dataset.read(item)
-        assert truth.layout is not None
-        found = detector.detect(image).cues["layout"].argmax(0)
-        counts += metrics.count_layout(found, truth.layout)
-    return counts
 
 
 def printed_shares(counts: Tensor) -> Shares:
@@ -173,10 +156,9 @@ def draw_confusion(shares: Shares, title: str, path: Path) -> None:
     figure = Figure(figsize=(4.2, 4), layout="constrained")
     axes = figure.subplots()
     axes.imshow(shares, cmap="Blues", vmin=0, vmax=1)
-    for row, line in enumerate(shares):
-        for column, value in enumerate(line):
-            colour = "white" if value > 0.5 else "black"
-            axes.text(column, row, f"{value:.3f}", ha="center", va="center", color=colour)
+    for (row, column), value in np.ndenumerate(shares):
+        colour = "white" if value > 0.5 else "black"
+        axes.text(column, row, f"{value:.3f}", ha="center", va="center", color=colour)
     axes.set_xticks(range(3), list(PRINTED_ORDER))
     axes.set_yticks(range(3), list(PRINTED_ORDER))
     axes.set(xlabel="decision", ylabel="truth")
@@ -212,7 +194,8 @@ def roc_curves(data: Path, out: Path) -> None:
     """Fig. 6a: ROC curves and their areas, of texture, layout and their product."""
     looks = {text: look_of(name, settings) for text, (name, settings) in LINES.items()}
     found = found_on(streets(data), looks)
-    tell(area_rows(found), out / "p2-fig6a.csv")
+    rows = area_rows(found)
+    tell(out / "p2-fig6a.csv", list(rows[0]), rows)
     draw_roc(
         {text: roc(pooled(drives).road) for text, drives in found.items()}, out / "p2-fig6a.png"
     )
@@ -261,11 +244,9 @@ def road_accuracy(data: Path, out: Path) -> None:
     found = found_on(streets(data), {name: look_of(name) for name in ACCURACY})
     rows = []
     for name, drives in found.items():
-        threshold = load_detector(name).settings.threshold
-        rows.append(
-            {"detector": name, "threshold": f"{threshold:g}"} | accuracy_row(pooled(drives))
-        )
-    tell(rows, out / "p2-fig6b.csv")
+        own = {"detector": name, "threshold": f"{load_detector(name).settings.threshold:g}"}
+        rows.append(own | accuracy_row(pooled(drives)))
+    tell(out / "p2-fig6b.csv", list(rows[0]), rows)
 
 
 def accuracy_row(counts: Counts) -> dict[str, str]:
