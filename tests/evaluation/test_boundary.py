@@ -59,14 +59,6 @@ def test_counts_equal_looking_at_every_pair_of_pixels(seed):
 # --- tolerance and F ------------------------------------------------------------------------------
 
 
-def test_a_shift_is_forgiven_from_its_own_width_on():
-    counts = boundary.count_boundary(
-        half(5), half(7), everything(), (1 * PIXEL, 1.9 * PIXEL, 2 * PIXEL, 3 * PIXEL)
-    )
-
-    assert boundary.boundary_f(counts).tolist() == [0, 0, 1, 1]
-
-
 def test_tolerances_mean_the_same_at_any_size():
     large = (120, 160)
     small_f, large_f = (

@@ -1,12 +1,10 @@
 """Rendered scenes: what the other tests take for granted about them."""
 
-import numpy as np
 import pytest
 import torch
 
 from roadtorch.scenes.canvas import CAR, ROAD, SKY, VOID
 from roadtorch.scenes.street import render_scene
-from tests.streets import write_camvid
 
 
 def test_a_seed_is_one_scene():
@@ -91,15 +89,3 @@ def test_cars_stand_on_the_road_and_are_not_road():
 def test_an_unknown_option_is_refused():
     with pytest.raises(TypeError, match="rain"):
         render_scene(0, 60, 80, rain=1)
-
-
-def test_camvid_files_hold_the_same_numbers(tmp_path):
-    from PIL import Image
-
-    scene = render_scene(0, 48, 64)
-    write_camvid(tmp_path, "train", {"0001TP_000001": scene})
-
-    labels = np.asarray(Image.open(tmp_path / "trainannot/0001TP_000001.png"))
-    pixels = np.asarray(Image.open(tmp_path / "train/0001TP_000001.png")) / 255
-    assert np.array_equal(labels, scene.classes.numpy())
-    assert np.allclose(pixels.transpose(2, 0, 1), scene.image.numpy(), atol=1e-6)
