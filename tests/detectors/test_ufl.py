@@ -72,6 +72,14 @@ def test_at_a_half_the_likelihood_is_exactly_the_regions_at_any_size(
     assert torch.equal(cues["likelihood"] >= AS_CHOSEN, cues["iteration_2"])
 
 
+def test_where_no_selected_base_responds_the_likelihood_is_the_mask_alone() -> None:
+    cues = detector("ufl:original").analysis(render_scene(3, 120, 160).image)
+
+    nothing = cues["mean_map"] == 0
+    assert nothing.any()
+    assert set(cues["likelihood"][nothing].tolist()) <= {0.0, 0.5}
+
+
 def test_for_kitti_the_blur_is_wider_and_so_is_its_window() -> None:
     kitti, plain = (detector(name).settings.model_dump() for name in ("ufl:kitti", "ufl:original"))
 
