@@ -174,6 +174,10 @@ def test_layout_recalls_by_group_over_all_and_labelled_pixels(dataset, scenes):
     assert math.isnan(group["layout/labelled/horizontal"])
     assert group["layout/labelled/mean"] == 1
     assert 0.2 < group["layout/labelled_share"] < 0.8
+    own = [scene for name, scene in scenes.items() if name.startswith("0001TP")]
+    right = sum(int(((one.layout != 2) & ~one.void).sum()) for one in own)
+    known = sum(int((~one.void).sum()) for one in own)
+    assert group["layout/accuracy"] == pytest.approx(right / known)
     assert figures.headline["layout/confusion/horizontal/vertical"] == 1
 
 
