@@ -75,10 +75,10 @@ class RoadCalibration(Settings):
     }
 
     centre: float = Field(
-        default=-1.5, ge=-20, le=20, description="log odds that part road in most pictures"
+        default=-0.5, ge=-20, le=20, description="log odds that part road in most pictures"
     )
     temperature: float = Field(
-        default=5.0, gt=0, le=100, description="by which log odds are divided then"
+        default=4.6, gt=0, le=100, description="by which log odds are divided then"
     )
 
 

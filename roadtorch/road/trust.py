@@ -36,12 +36,12 @@ class Signs(NamedTuple):
 
 LOW_AND_HIGH = (0.2, 0.8)
 
-WEIGHTS = Signs(0.38, 0.14, 0.05, -0.04, -0.15)
+WEIGHTS = Signs(0.4, 0.02, 0.06, -0.1, -0.1)
 """Of the signs; ``CONSTANT`` is added."""
 
-CONSTANT = 0.641
+CONSTANT = 0.628
 
-USUAL = Signs(0.67, 0.26, 0.95, 0.23, 0.48)
+USUAL = Signs(0.7, 0.26, 0.97, 0.2, 0.49)
 """The mean signs over the pictures on which the weights were chosen."""
 
 REASONS = (
