@@ -53,7 +53,7 @@ def test_likelihoods_and_shares_are_between_zero_and_one(name: str) -> None:
 
 
 def test_the_texture_cue_leaves_out_saturated_segments() -> None:
-    cues = detected().cues
+    cues = load_detector("fusion:scratch").detect(street()).cues
 
     assert cues["saturated"][62:70, 22:42].all()
     assert cues["texture"][66, 32] == 0
