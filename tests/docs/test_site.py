@@ -129,7 +129,7 @@ def page(browser: "Browser") -> "Iterator[Page]":
         ("bonnet", "camera.html"),
         pytest.param("--save", "commands.html", marks=pytest.mark.slow),
         pytest.param(
-            "minimum_variance_weights", "reference/api/layout.html", marks=pytest.mark.slow
+            "minimum_variance_weights", "reference/api/steps.html", marks=pytest.mark.slow
         ),
     ],
 )
