@@ -1,7 +1,8 @@
-"""Runs with made-up numbers, as `evaluate` hands them to the report."""
+"""Runs with made-up numbers, as `evaluate` hands them to the report, and what its page holds."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -172,3 +173,53 @@ def changed(evaluation: Evaluation, name: str, **fields: Any) -> Evaluation:
     """The same run with other fields of one detector's figures."""
     other = replace(evaluation.detectors[name], **fields)
     return replace(evaluation, detectors={**evaluation.detectors, name: other})
+
+
+@dataclass
+class Page(HTMLParser):
+    """What a browser would find: tables by section, text, tags and attributes."""
+
+    source: str
+    tables: dict[str, list[list[list[str]]]] = field(default_factory=dict)
+    tags: list[tuple[str, dict[str, str]]] = field(default_factory=list)
+    text: dict[str, str] = field(default_factory=dict)
+    rows_of_baselines: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        super().__init__()
+        self._section, self._cell, self._inside = "head", False, ""
+        self.feed(self.source)
+
+    def handle_starttag(self, tag, attrs):
+        values = {name: value or "" for name, value in attrs}
+        self.tags.append((tag, values))
+        self._inside = tag
+        if tag == "section":
+            self._section = values["id"]
+        tables = self.tables.setdefault(self._section, [])
+        if tag == "table":
+            tables.append([])
+        elif tag == "tr":
+            tables[-1].append([])
+            self._baseline = values.get("class") == "baseline"
+        elif tag in ("td", "th"):
+            tables[-1][-1].append("")
+            self._cell = True
+
+    def handle_endtag(self, tag):
+        if tag in ("td", "th"):
+            self._cell = False
+            if tag == "th" and self._baseline:
+                self.rows_of_baselines.append(self.tables[self._section][-1][-1][-1])
+
+    def handle_data(self, data):
+        if self._inside not in ("style", "script"):
+            self.text[self._section] = self.text.get(self._section, "") + data
+        if self._cell:
+            self.tables[self._section][-1][-1][-1] += data
+
+    def named(self, tag: str) -> list[dict[str, str]]:
+        return [values for name, values in self.tags if name == tag]
+
+    def charts(self) -> list[str]:
+        return [values["aria-label"] for values in self.named("svg") if values.get("role") == "img"]

@@ -25,6 +25,7 @@ from roadtorch.layout.weights import (
     save_network,
     weights_path,
 )
+from roadtorch.sources.frame import spread
 from roadtorch.train.config import PictureTraining
 from roadtorch.train.corrections import card_of, corrections_behind
 from roadtorch.train.folder import CHECKPOINT, WEIGHTS, RunFolder
@@ -136,8 +137,7 @@ def write_shifted(learned: Path, file: Path, bias: float) -> None:
 
 def _camera_problem(frames: KeptFrames, file: Path, where: str) -> InputError | None:
     """Write the file of the camera; why there is none, where there is none."""
-    pictures = frames.pictures()
-    some = pictures[:: -(-len(pictures) // MAX_FRAMES)]
+    some = spread(frames.pictures(), MAX_FRAMES)
     try:
         camera_of((one.read() for one in some), where).write(file)
     except InputError as problem:

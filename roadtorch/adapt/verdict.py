@@ -29,8 +29,9 @@ from roadtorch.evaluation.metrics import (
 )
 from roadtorch.evaluation.result import Interval
 from roadtorch.evaluation.uncertainty import bootstrap_weights, interval
-from roadtorch.imaging.resize import resized
+from roadtorch.imaging.resize import resized, size_of
 from roadtorch.runtime.progress import Progress
+from roadtorch.sources.frame import spread
 from roadtorch.sources.pictures import Picture
 from roadtorch.train.config import PictureTraining
 from roadtorch.train.prepared import from_bytes, name_of, read_arrays
@@ -100,7 +101,7 @@ def judged_half(
     """How the masks with two weight files fit the teacher's maps of prepared frames."""
     detectors = [load_detector("fusion", weights={"file": str(file)}) for file in (before, after)]
     counts: list[list[Tensor]] = [[], []]
-    seen = Progress(spread(pictures), desc="judging", unit="frame", quiet=quiet)
+    seen = Progress(spread(pictures, MAX_JUDGED), desc="judging", unit="frame", quiet=quiet)
     for image, road, sure in taught_frames(seen, prepared, training):
         for known, detector in zip(counts, detectors, strict=True):
             mask = resized(detector.detect(image).mask.float()[None], size_of(road))[0] >= 0.5
@@ -125,12 +126,14 @@ def fitted_bias(
     settings = detector.settings
     assert isinstance(settings, FusionSettings)
     counts: list[RoadCounts] = []
-    seen = Progress(spread(pictures), desc="calibrating", unit="frame", quiet=quiet)
+    seen = Progress(spread(pictures, MAX_JUDGED), desc="calibrating", unit="frame", quiet=quiet)
     for image, road, sure in taught_frames(seen, prepared, training):
         likelihood = resized(detector.detect(image).likelihood[None], size_of(road))[0]
         counts.append(count_levels(likelihood.clamp(0, 1), road, sure, levels=256))
-    best, threshold = max_f(reduce(add, counts)) if counts else (torch.tensor(math.nan),) * 2
-    if best.isnan():
+    if not counts:
+        return 0.0
+    best, threshold = max_f(reduce(add, counts))
+    if best.isnan():  # the teacher is sure of no road
         return 0.0
     lacking = torch.tensor(settings.threshold).logit() - threshold.clamp(0.05, 0.95).logit()
     pull = settings.learned.weight + settings.learned.detail
@@ -149,16 +152,6 @@ def taught_frames(
         maps, ego = (from_bytes(arrays[name])[None] for name in ("maps", "ego"))
         said = targets_of(maps, ego[None], None, training.teacher, training.rounds)
         yield picture.read(), said.road[0, 0] >= 0.5, said.road_weight[0, 0] > 0
-
-
-def spread(pictures: Sequence[Picture]) -> Sequence[Picture]:
-    """At most ``MAX_JUDGED`` of them, evenly."""
-    return pictures[:: -(-len(pictures) // MAX_JUDGED)] if pictures else pictures
-
-
-def size_of(maps: Tensor) -> tuple[int, int]:
-    """Rows and columns."""
-    return maps.shape[-2], maps.shape[-1]
 
 
 def _f_measure(counts: Tensor) -> Tensor:

@@ -22,7 +22,7 @@ from roadtorch.data.correction_labels import (
     road_layer,
 )
 from roadtorch.detector import Detector
-from roadtorch.imaging.resize import WorkingSize, at_picture_size, resized, working_size
+from roadtorch.imaging.resize import WorkingSize, at_picture_size, resized, size_of, working_size
 from roadtorch.layout.classes import CLASSES, UNLABELLED
 from roadtorch.road.fusion import log_odds
 from roadtorch.runtime.image_cache import image_cache
@@ -69,11 +69,11 @@ class PictureView:
 
 def look_at_picture(image: Tensor, detector: Detector, settings: AnnotationSettings) -> PictureView:
     """What a detector sees in an image (3,H,W), and the superpixels that a person clicks."""
-    size = (image.shape[-2], image.shape[-1])
+    size = size_of(image)
     with image_cache():
         detection = detector.detect(image)
         small = resized(image, working_size(*size, settings.working)).clamp(0, 1)
-        shape = (small.shape[-2], small.shape[-1])
+        shape = size_of(small)
         labels = settings.superpixels.cut(small)
         segments = measure_segments(small, labels)
     threshold = torch.tensor(detector.settings.threshold)

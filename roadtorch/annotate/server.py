@@ -33,7 +33,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from roadtorch.annotate.session import Session
 from roadtorch.data.events import parse_event
 from roadtorch.errors import RoadtorchError
-from roadtorch.imaging.resize import WorkingSize, resized, working_size
+from roadtorch.imaging.resize import WorkingSize, resized, size_of, working_size
 from roadtorch.io.image import read_image, to_pixels
 
 TYPES = {".css": "text/css", ".js": "text/javascript", ".html": "text/html"}
@@ -249,7 +249,7 @@ def _told(state: dict[str, Any]) -> Response:
 def picture_jpeg(path: Path, most: WorkingSize, quality: int) -> bytes:
     """A picture at a size of at most so many pixels as JPEG; InputError if it cannot be read."""
     image = read_image(path)
-    small = resized(image, working_size(image.shape[-2], image.shape[-1], most)).clamp(0, 1)
+    small = resized(image, working_size(*size_of(image), most)).clamp(0, 1)
     pixels = np.ascontiguousarray(to_pixels(small)[..., ::-1])
     return cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 

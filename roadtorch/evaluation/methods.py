@@ -20,6 +20,7 @@ from roadtorch.detectors.catalogue import (
     load_detector,
 )
 from roadtorch.errors import ConfigError
+from roadtorch.imaging.resize import size_of
 from roadtorch.io.bounded import printable
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.patch_network import PatchNetwork
@@ -154,7 +155,7 @@ def maps_from(name: str, folder: Path) -> Method:
 
 def _read_maps(folder: Path, deciding: DetectorSettings, dataset: Dataset) -> Look:
     def look(image: Tensor, item: Item) -> Detection:
-        sizes = [(image.shape[-2], image.shape[-1])]
+        sizes = [size_of(image)]
         if dataset.view is not None:
             height, width = dataset.view(item, torch.zeros(sizes[0])).shape
             sizes.append((height, width))

@@ -42,12 +42,17 @@ def working_size(height: int, width: int, working: WorkingSize) -> tuple[int, in
 @cached_per_image
 def at_work(image: Tensor, working: WorkingSize) -> Tensor:
     """The image (3,H,W) as it is analysed: at its working size, in [0,1]."""
-    return resized(image, working_size(image.shape[-2], image.shape[-1], working)).clamp(0, 1)
+    return resized(image, working_size(*size_of(image), working)).clamp(0, 1)
+
+
+def size_of(maps: Tensor) -> tuple[int, int]:
+    """Rows and columns of maps (…,H,W)."""
+    return maps.shape[-2], maps.shape[-1]
 
 
 def resized(maps: Tensor, size: tuple[int, int]) -> Tensor:
     """Maps (…,H,W), floating point, at another size: averaged or bilinear."""
-    before = (maps.shape[-2], maps.shape[-1])
+    before = size_of(maps)
     if before == tuple(size):
         return maps
     if maps.device.type == "cpu" and maps.dtype == torch.float32 and not maps.requires_grad:
@@ -176,4 +181,4 @@ def at_working_size(
     analyse: Callable[[Tensor], Mapping[str, Tensor]], image: Tensor, working: WorkingSize
 ) -> Maps:
     """What ``analyse`` finds in an image (3,H,W) at its working size, brought back to full size."""
-    return full_size(analyse(at_work(image, working)), (image.shape[-2], image.shape[-1]))
+    return full_size(analyse(at_work(image, working)), size_of(image))

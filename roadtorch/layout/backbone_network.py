@@ -15,6 +15,7 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from roadtorch.imaging.resize import size_of
 from roadtorch.layout.patch_network import Normalisation
 from roadtorch.layout.picture_network import OUTPUTS, cues_of, place_planes
 from roadtorch.settings import Settings
@@ -161,13 +162,13 @@ class Head(nn.Module):
         """Scores (B,5,H/4,W/4): three classes, road, ego car."""
         levels = [self.drop(norm(maps)) for norm, maps in zip(self.levels, features, strict=True)]
         seen = [narrow(maps) for narrow, maps in zip(self.middle, levels[1:], strict=True)]
-        size = (seen[0].shape[-2], seen[0].shape[-1])
+        size = size_of(seen[0])
         maps = seen[0] + self.place(place_planes(seen[0]))
         maps = F.relu(maps + _sized(seen[1], size) + _sized(seen[2], size))
         for change in self.around:
             maps = maps + F.relu(change(maps))
         fine = self.fine(levels[0])
-        fine = F.relu(fine + _sized(self.narrowed(maps), (fine.shape[-2], fine.shape[-1])))
+        fine = F.relu(fine + _sized(self.narrowed(maps), size_of(fine)))
         return self.scores(fine + F.relu(self.last(fine)))
 
 

@@ -15,7 +15,7 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from roadtorch.imaging.resize import resized
+from roadtorch.imaging.resize import resized, size_of
 from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.patch_network import Normalisation, normalise
 from roadtorch.settings import Settings
@@ -100,7 +100,7 @@ def cues_of(
     """What a network that works at a size and gives scores says of an image, as its ``cues``."""
     pixels = normalise(resized(image, size).clamp(0, 1), normalisation).pixels[None]
     scores = network(pixels.to(next(network.parameters()))).to(image)
-    full = (image.shape[-2], image.shape[-1])
+    full = size_of(image)
     potentials = resized(potentials_of(scores)[0], full).clamp(0, 1)
     return {"layout": potentials[:CLASSES], "road": potentials[ROAD], "ego": potentials[EGO]}
 

@@ -9,7 +9,7 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.imaging.levels import at_least
-from roadtorch.imaging.resize import Maps, WorkingSize, at_work, resized
+from roadtorch.imaging.resize import Maps, WorkingSize, at_work, resized, size_of
 from roadtorch.road.ego import continued, is_anywhere
 from roadtorch.road.seed_area import remove_isolated
 
@@ -58,7 +58,7 @@ def guided(
     if "ego" in found and is_anywhere(found["ego"]):
         small = continued(small, found["ego"])
     likelihood = followed(found["likelihood"], small, larger)
-    before = resized(found["likelihood"], (larger.shape[-2], larger.shape[-1]))
+    before = resized(found["likelihood"], size_of(larger))
     same = at_least(likelihood, threshold) == at_least(before, threshold)
     return filled(torch.where(same, before, likelihood), threshold)
 
@@ -86,7 +86,7 @@ def followed(likelihood: Tensor, image: Tensor, larger: Tensor) -> Tensor:
         shared = torch.stack(joint, -1) - (mean * road).permute(1, 2, 0)
         slope = (inverse @ shared[..., None])[..., 0].permute(2, 0, 1)
         offset = road - (slope * mean).sum(0)
-        shape = (seen.shape[-2], seen.shape[-1])
+        shape = size_of(seen)
         *slopes, likelihood = resized(torch.cat([slope, offset[None]]), shape)
         for weight, plane in zip(slopes, seen, strict=True):
             likelihood.addcmul_(weight, plane)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from roadtorch.errors import ConfigError
 
-Picture = TypeVar("Picture")
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Selection:
             if isinstance(frames, Generator):
                 frames.close()
 
-    def of_pictures(self, pictures: Sequence[Picture]) -> Sequence[Picture]:
+    def of_pictures(self, pictures: Sequence[Item]) -> Sequence[Item]:
         """The chosen ones of pictures that stand alone; ConfigError when seconds are asked for."""
         if pictures and (self.start or self.end is not None):
             what = "pictures have no time"
@@ -94,6 +94,11 @@ class Source:
     count: int | None = None
     live: bool = False
     path: Path | None = None
+
+
+def spread(items: Sequence[Item], most: int) -> Sequence[Item]:
+    """At most ``most`` of them, evenly: the first, and every so many-th."""
+    return items[:: max(1, -(-len(items) // most))]
 
 
 def sampled(source: Source, most: int) -> Source:

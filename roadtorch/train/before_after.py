@@ -15,6 +15,7 @@ from roadtorch.evaluation.evaluate import evaluated
 from roadtorch.evaluation.methods import candidate
 from roadtorch.layout.weights import WholePictureNetwork, load_network, weights_path
 from roadtorch.report.adaptation import Adaptation
+from roadtorch.sources.frame import spread
 from roadtorch.sources.pictures import find_images
 from roadtorch.train.config import PictureTraining, Training
 from roadtorch.train.folder import RunFolder
@@ -56,7 +57,7 @@ def adaptation_of(
     folder = request.prepared or request.out / PREPARED
     made = [folder / f"{name_of(picture)}.npz" for picture in found]
     made = [file for file in made if file.exists()]  # the others were skipped
-    made = made[:: max(1, -(-len(made) // compared))]
+    made = spread(made, compared)
     return Adaptation(
         seen=seen,
         files=(files[0], outcome.weights),

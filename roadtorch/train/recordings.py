@@ -8,9 +8,10 @@ from torch import Tensor
 
 from roadtorch.camera.footage import still_ego
 from roadtorch.errors import InputError
-from roadtorch.imaging.resize import WorkingSize, at_picture_size, at_work
+from roadtorch.imaging.resize import WorkingSize, at_picture_size, at_work, size_of
 from roadtorch.io.atomic import make_folder, write_text
 from roadtorch.io.image import read_image
+from roadtorch.sources.frame import spread
 from roadtorch.sources.pictures import Picture
 from roadtorch.train.config import Recordings
 from roadtorch.train.prepared import read_arrays, write_arrays
@@ -61,7 +62,7 @@ def find_ego_cars(
 def _write_ego_car(recording: Sequence[Picture], folder: Path, least: int) -> None:
     """Write the ego car of each shape of a recording."""
     shapes: dict[int, list[Tensor]] = {}
-    for picture in recording[:: -(-len(recording) // MAX_FRAMES)]:
+    for picture in spread(recording, MAX_FRAMES):
         try:
             image = at_work(read_image(picture.path), SEEN)
         except InputError:
@@ -97,4 +98,4 @@ def ego_of(folder: Path | None, image: Tensor) -> Tensor | None:
     path = folder / f"{shape_of(image)}.npz" if folder else None
     if path is None or not path.exists():
         return None
-    return at_picture_size(read_arrays(path, "ego")["ego"], (image.shape[-2], image.shape[-1]))
+    return at_picture_size(read_arrays(path, "ego")["ego"], size_of(image))

@@ -15,7 +15,7 @@ from roadtorch.detector import Detector
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError
 from roadtorch.evaluation.disagreement import Agreement
-from roadtorch.imaging.resize import resized
+from roadtorch.imaging.resize import resized, size_of
 from roadtorch.io.atomic import make_folder
 from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.patch_network import normalise
@@ -200,7 +200,7 @@ def network_maps(network: WholePictureNetwork, image: Tensor) -> Tensor:
     """Potentials (5,h,w) in [0,1] of an image (3,h,w): the mean with its mirror image."""
     pixels = normalise(image, network.settings.normalisation).pixels
     maps = potentials_of(network(torch.stack([pixels, pixels.flip(-1)])))
-    return resized((maps[0] + maps[1].flip(-1)) / 2, (image.shape[-2], image.shape[-1]))
+    return resized((maps[0] + maps[1].flip(-1)) / 2, size_of(image))
 
 
 # --- agreement --------------------------------------------------------------------------
