@@ -13,6 +13,7 @@ from typing import Any
 import torch
 
 from roadtorch.adapt.frames import HALVES, KeptFrames, keep_frames
+from roadtorch.adapt.teacher import write_taught
 from roadtorch.adapt.verdict import Verdict, fitted_bias, judged_half, unknown, verdict_of
 from roadtorch.camera.footage import StillError, camera_of
 from roadtorch.errors import InputError
@@ -32,7 +33,7 @@ from roadtorch.train.folder import CHECKPOINT, WEIGHTS, RunFolder
 from roadtorch.train.recordings import MAX_FRAMES
 from roadtorch.train.run import Outcome, Request, train
 
-CAMERA, FRAMES, PREPARED = "camera.toml", "frames", "prepared"
+CAMERA, FRAMES, LOOKS, PREPARED = "camera.toml", "frames", "looks", "prepared"
 CALIBRATED = "calibrated.safetensors"
 """Of each half: what it learned, as bold as the teacher."""
 
@@ -79,6 +80,8 @@ def _adapt(
     missing = [f"no {CAMERA}: {problem.where} {problem.what}"] if problem else []
     if not frames.moving:
         missing.append("pictures have no times: they are taken in the order of their names")
+    if stopped := write_taught(frames, out / LOOKS, out / PREPARED, training, quiet):
+        return Adapted(Outcome(None, stopped, 0), frames, camera, tuple(missing))
     outcomes = []
     for half in HALVES:
         folder = out / half

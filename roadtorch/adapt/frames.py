@@ -1,6 +1,11 @@
-"""The frames of footage that an adaptation learns from: at most so many, evenly, in two halves."""
+"""The frames of footage that an adaptation learns from: at most so many, in two halves.
+
+Frames close to one another show the same places (``adapt.teacher``): what is too much goes in
+stretches.
+"""
 
 import json
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -22,8 +27,11 @@ from roadtorch.train.recordings import SEEN
 HALVES = ("first", "second")
 """The halves of the footage, by order: neighbouring frames are alike, and must not part."""
 
-SECONDS = 1.0
-"""Between two frames that are kept; twice as many, and so on, of footage that is too long."""
+SECONDS = 0.4
+"""Between two frames that are kept: the ground before a car is still in the next one."""
+
+STRETCH = 5
+"""Frames in a row that stay or go together, of footage that is too long."""
 
 LIST = "frames.json"
 
@@ -57,9 +65,9 @@ class KeptFrames(NamedTuple):
 def keep_frames(inputs: Sequence[str], folder: Path, most: int, quiet: bool = False) -> KeptFrames:
     """Keep at most ``most`` frames of footage in a folder; what was kept before is taken as it is.
 
-    Of videos and bags a frame a second, fewer of long ones; of pictures all. Memory does not grow
-    with the footage. Raises ConfigError where the folder holds frames of other footage, InputError
-    where the footage has fewer than two frames that can be read.
+    Of videos and bags a frame each ``SECONDS``, of pictures all; of long footage stretches. Memory
+    does not grow with the footage. Raises ConfigError where the folder holds frames of other
+    footage, InputError where the footage has fewer than two frames that can be read.
     """
     known, asked = folder / LIST, {"footage": list(inputs), "most": most}
     if not known.exists():
@@ -95,23 +103,28 @@ def _read(known: Path, folder: Path, asked: dict[str, object]) -> KeptFrames | N
 
 
 def _keep(inputs: Sequence[str], folder: Path, most: int, quiet: bool) -> KeptFrames:
-    """Write frames while they are read; when there are too many, every second one goes."""
+    """Write frames while they are read; when there are too many, every second stretch goes."""
     numbers: list[int] = []
     skipped: list[str] = []
     step, moving = 1, False
     seen = Progress(_frames(inputs, skipped), desc="frames", unit="frame", quiet=quiet)
     for number, (frame, image) in enumerate(seen):
         moving = moving or (frame is not None and frame.seconds is not None)
-        if number % step:
+        if number // STRETCH % step:
             continue
         write_jpeg(folder / f"{number:08d}.jpg", at_work(image, SEEN))
         numbers.append(number)
-        if len(numbers) == 2 * most:
-            for gone in numbers[1::2]:
+        if len(numbers) >= 2 * most:
+            step *= 2
+            for gone in (at for at in numbers if at // STRETCH % step):
                 (folder / f"{gone:08d}.jpg").unlink()
-            numbers, step = numbers[::2], 2 * step
-    some = [numbers[at * len(numbers) // most] for at in range(most)]
-    chosen = numbers if len(numbers) <= most else some
+            numbers = [at for at in numbers if not at // STRETCH % step]
+    chosen = numbers
+    if len(numbers) > most:
+        stretches = sorted({at // STRETCH for at in numbers})
+        count = math.ceil(most / STRETCH)
+        some = {stretches[at * len(stretches) // count] for at in range(count)}
+        chosen = [at for at in numbers if at // STRETCH in some][:most]
     for gone in set(numbers).difference(chosen):
         (folder / f"{gone:08d}.jpg").unlink()
     first = (len(chosen) + 1) // 2
@@ -123,7 +136,7 @@ def _keep(inputs: Sequence[str], folder: Path, most: int, quiet: bool) -> KeptFr
 
 
 def _frames(inputs: Sequence[str], skipped: list[str]) -> Iterator[tuple[Frame | None, Tensor]]:
-    """Every picture (its frame is None), and a frame a second of every video and bag."""
+    """Every picture (its frame is None), and frames ``SECONDS`` apart of every video and bag."""
     found = find_inputs(inputs)
     for picture in found.pictures:
         try:
@@ -140,7 +153,7 @@ def _frames(inputs: Sequence[str], skipped: list[str]) -> Iterator[tuple[Frame |
                     if (frame := next(frames, None)) is None:
                         break
                     seconds = float(frame.number) if frame.seconds is None else frame.seconds
-                    if seconds >= due:
+                    if seconds > due - 1e-3:  # times are rounded
                         due = seconds + SECONDS
                         yield frame, frame.read()
                 except RoadtorchError as problem:  # behind it the frames go on, or end

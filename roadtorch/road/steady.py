@@ -15,6 +15,7 @@ An ego car stands still in the picture. What a frame alone takes for one, a shad
 camera for instance, hides nothing: there what was known before is carried on.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -22,6 +23,7 @@ import numpy as np
 import torch
 from pydantic import Field
 from torch import Tensor
+from torch.nn import functional as F
 
 from roadtorch.imaging.motion import FAST, dense_flow, flow_picture, forward_backward_error, warp
 from roadtorch.road.fusion import log_odds
@@ -150,6 +152,36 @@ def recalled(
     share = (weight / (weight + fresh).clamp_min(1e-6)).numpy()
     larger = cv2.resize(share, now.shape[::-1], interpolation=cv2.INTER_LINEAR)
     return Past(grey, now + torch.from_numpy(larger) * (before - now), weight + fresh)
+
+
+def smoothed(
+    greys: Sequence[Tensor], odds: Sequence[Tensor], settings: SteadySettings
+) -> list[Tensor]:
+    """Log odds (H,W) of road of each frame of footage by all frames, before and after it.
+
+    greys: the frames in order, uint8 (h,w); odds: what each says by itself. Two filters, one from
+    either end, meet at every frame, whose own odds both hold and count once (Fraser and Potter,
+    The optimum linear smoother as a combination of two optimum linear filters, 1969).
+    """
+    before = _filtered(greys, odds, settings)
+    after = _filtered(greys[::-1], odds[::-1], settings)[::-1]
+    return [
+        (past.frames * past.odds + future.frames * future.odds - own)
+        / (past.frames + future.frames - 1).clamp_min(1.0)
+        for past, future, own in zip(before, after, odds, strict=True)
+    ]
+
+
+def _filtered(
+    greys: Sequence[Tensor], odds: Sequence[Tensor], settings: SteadySettings
+) -> list[Past]:
+    """What is known after each frame, its ``frames`` at the size of the odds."""
+    past, found = None, list[Past]()
+    for grey, own in zip(greys, odds, strict=True):
+        past = recalled(past, grey, own, torch.zeros_like(own, dtype=torch.bool), settings)
+        frames = F.adaptive_avg_pool2d(past.frames[None], own.shape)[0]
+        found.append(past._replace(frames=frames))
+    return found
 
 
 def flow_confidence(before: Tensor, grey: Tensor, flow: Tensor, settings: SteadySettings) -> Tensor:

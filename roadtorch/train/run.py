@@ -132,6 +132,19 @@ def load_start(training: Training) -> LayoutNetwork | None:
     return network
 
 
+def made_ready(
+    recipe: Recipe, pictures: Sequence[Picture], folder: Path, processes: Processes
+) -> list[PreparedPicture]:
+    """The pictures made ready in a folder; fewer where somebody asked to stop."""
+    small = PreparedFolder(folder, processes)
+    with processes.led(shared(folder)):
+        small.claim(recipe.preparation())
+        recipe.survey(pictures, folder, processes)
+        if processes.stopped():  # nothing is made ready by half a survey
+            return []
+        return small.prepare(pictures, recipe.make, "labels")
+
+
 @dataclass(frozen=True)
 class _Run:
     training: Training
@@ -146,7 +159,8 @@ class _Run:
     def go(self, pictures: Sequence[Picture], state: dict[str, Any] | None) -> Outcome:
         """Make the pictures ready and train the rounds that are left, from a checkpoint if any."""
         processes, path = self.processes, self.folder.path
-        prepared = self._prepared(pictures)
+        folder = self.request.prepared or path / PREPARED
+        prepared = made_ready(self.recipe, pictures, folder, processes)
         skipped = sum(item.file is None for item in prepared)
         if processes.stopped():
             return Outcome(None, processes.stop.signal or SIGTERM, skipped)
@@ -170,17 +184,6 @@ class _Run:
         if people and isinstance(self.training, PictureTraining) and processes.leads:
             write_corrected(path / FUSION, path / WEIGHTS, list(people.values()))
         return Outcome(path / WEIGHTS, None, skipped)
-
-    def _prepared(self, pictures: Sequence[Picture]) -> list[PreparedPicture]:
-        """The pictures made ready; fewer where somebody asked to stop."""
-        path = self.request.prepared or self.folder.path / PREPARED
-        small = PreparedFolder(path, self.processes)
-        with self.processes.led(shared(path)):
-            small.claim(self.recipe.preparation())
-            self.recipe.survey(pictures, path, self.processes)
-            if self.processes.stopped():  # nothing is made ready by half a survey
-                return []
-            return small.prepare(pictures, self.recipe.make, "labels")
 
     def _usable(self, prepared: Sequence[PreparedPicture]) -> list[Path]:
         """The files of the pictures that were not skipped; the list of all is written."""

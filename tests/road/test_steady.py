@@ -9,6 +9,7 @@ from roadtorch.road.steady import (
     Steady,
     SteadySettings,
     flow_confidence,
+    smoothed,
 )
 from roadtorch.scenes.street import render_scene
 
@@ -202,3 +203,23 @@ def test_what_was_hidden_from_the_beginning_is_learned_at_once() -> None:
         found = steady(STREET, seen)
 
     assert torch.allclose(found, seen, atol=1e-3)
+
+
+def test_smoothed_frames_of_a_still_picture_say_their_mean() -> None:
+    odds = [log_odds(one) for one in noisy(5)]
+    greys = [flow_picture(STREET, 160)] * 5
+
+    found = smoothed(greys, odds, settings(memory=20.0))
+
+    for one in found:
+        assert torch.allclose(one, torch.stack(odds).mean(0), atol=1e-3)
+
+
+def test_smoothing_ends_at_a_cut_on_either_side() -> None:
+    odds = [log_odds(one) for one in noisy(4)]
+    greys = [flow_picture(image, 160) for image in (STREET, STREET, OTHER, OTHER)]
+
+    found = smoothed(greys, odds, settings())
+
+    assert torch.allclose(found[0], (odds[0] + odds[1]) / 2, atol=1e-3)
+    assert torch.allclose(found[3], (odds[2] + odds[3]) / 2, atol=1e-3)
