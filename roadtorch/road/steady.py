@@ -26,6 +26,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from roadtorch.imaging.motion import FAST, dense_flow, flow_picture, forward_backward_error, warp
+from roadtorch.imaging.resize import size_of
 from roadtorch.road.fusion import log_odds
 from roadtorch.settings import Settings
 
@@ -179,7 +180,7 @@ def _filtered(
     past, found = None, list[Past]()
     for grey, own in zip(greys, odds, strict=True):
         past = recalled(past, grey, own, torch.zeros_like(own, dtype=torch.bool), settings)
-        frames = F.adaptive_avg_pool2d(past.frames[None], own.shape)[0]
+        frames = F.adaptive_avg_pool2d(past.frames[None], size_of(own))[0]
         found.append(past._replace(frames=frames))
     return found
 
