@@ -17,6 +17,7 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor
 
+from roadtorch.adapt.frames import STRETCH
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.fusion import FusionSettings
 from roadtorch.evaluation.metrics import (
@@ -42,9 +43,6 @@ MAX_JUDGED = 150
 
 MIN_FRAMES = 16
 """Frames, of both halves, below which nothing is said."""
-
-BLOCK = 3
-"""Frames in a row that are drawn together: neighbours are alike."""
 
 MIN_GAIN = 0.002
 """Of F: less is not worth another file."""
@@ -165,13 +163,15 @@ def unknown(reason: str, frames: int) -> Verdict:
 
 
 def verdict_of(judged: Sequence[Judged]) -> Verdict:
-    """What both halves say, their frames pooled; the interval draws blocks of frames."""
+    """What both halves say, their frames pooled; the interval draws stretches of them."""
     before, after = (torch.cat([half[at] for half in judged]) for at in (0, 1))
     frames = len(before)
     if frames < MIN_FRAMES:
         return unknown(f"{frames} frames are too few to judge by", frames)
     generator = torch.Generator().manual_seed(SEED)
-    blocks = [torch.stack([part.sum(0) for part in each.split(BLOCK)]) for each in (before, after)]
+    blocks = [
+        torch.stack([part.sum(0) for part in each.split(STRETCH)]) for each in (before, after)
+    ]
     weights = bootstrap_weights(len(blocks[0]), generator).to(torch.float64)
     first, second = (float(_f_measure(each.sum(0))) for each in blocks)
     draws = [_f_measure(weights @ each.to(weights)) for each in blocks]

@@ -33,7 +33,7 @@ def test_no_change_tells_nothing_for_the_judge_errs_too() -> None:
 
 
 def test_a_gain_in_one_stretch_alone_may_be_chance() -> None:
-    verdict = verdict_of([judged([60] * 24, [60] * 21 + [90] * 3)])
+    verdict = verdict_of([judged([60] * 24, [60] * 20 + [90] * 4)])
 
     assert verdict.after > verdict.before
     assert verdict.word == "cannot tell"
