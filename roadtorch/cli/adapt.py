@@ -20,7 +20,7 @@ SHOWN = 60
     "most",
     type=click.IntRange(min=2),
     default=400,
-    help="Frames to learn from, evenly chosen.",
+    help="Frames to learn from, in stretches of five.",
 )
 @SETTING
 @click.option(
@@ -50,7 +50,8 @@ def adapt(
       weights.safetensors  for infer --set weights.file=OUT/weights.safetensors
       camera.toml          what stays the same, for infer --camera; where the footage shows it
       adaptation.html      before and after, on pictures
-      frames/              the frames that were learned from
+      frames/, looks/      the frames that were learned from, and what a larger look says of each
+      prepared/            the same, and what the frames around say
       first/, second/      the run of each half
     """
     import torch
