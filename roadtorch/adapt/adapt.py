@@ -109,10 +109,11 @@ def _adapt(
     if isinstance(problem, StillError):
         verdict = unknown("the footage stands still: both halves show the same", frames.count)
         return Adapted(outcome, frames, camera, tuple(missing), verdict)
-    judged = [
-        judged_half(frames.pictures(half), before, other, out / PREPARED, training, quiet)
-        for half, other in zip(HALVES, reversed(files), strict=True)
-    ]
+    judged = []
+    for half, other in zip(HALVES, reversed(files), strict=True):
+        weights = (before, other, out / WEIGHTS)
+        pictures = frames.pictures(half)
+        judged.append(judged_half(pictures, weights, out / PREPARED, training, quiet))
     return Adapted(outcome, frames, camera, tuple(missing), verdict_of(judged))
 
 

@@ -2,8 +2,10 @@
 
 Nothing here has labels. A network is judged on the half of the footage that it did not learn from,
 by maps of a detector from outside the loop, where that is sure of itself: does the mask come closer
-to them than the mask before did? It need not: what a half taught may be of that half alone. Trust
-has no part in it, for agreement with what was learned raises it.
+to them than the mask before did? It need not: what a half taught may be of that half alone. So the
+half's network says too little of the mean of both, which comes out, and the mean itself too much,
+for it has seen these frames: a gain has to show with the first, a loss with either. Trust has no
+part in it, for agreement with what was learned raises it.
 """
 
 import math
@@ -51,22 +53,28 @@ SEED = 36
 
 
 class Judged(NamedTuple):
-    """The fields of ``Decisions``, a row a frame: int64 (frames,4)."""
+    """The fields of ``Decisions``, a row a frame: int64 (frames,4).
+
+    after: of a network that has not seen the frames. both: of the mean of both, which has.
+    """
 
     before: Tensor
     after: Tensor
+    both: Tensor
 
 
 class Verdict(NamedTuple):
     """What to do, by F before and after and the interval of their difference on unseen frames.
 
-    reason: why nothing can be said, where it is not for the figures.
+    both: F of the mean of both networks on the same frames, which it has seen. reason: why nothing
+    can be said, where it is not for the figures.
     """
 
     word: Literal["adopt", "do not adopt", "cannot tell"]
     before: float
     after: float
     change: Interval
+    both: float
     frames: int
     reason: str = ""
 
@@ -82,23 +90,24 @@ class Verdict(NamedTuple):
             "do not adopt": "does not come closer",
             "cannot tell": "may or may not come closer",
         }[self.word]
-        return (
+        text = (
             f"{self.word}: on {self.frames} frames that it had not seen, the mask {outcome} to "
             f"what a larger look says: F {self.before:.3f} to {self.after:.3f}, {change}"
         )
+        together = f"; both halves together {self.both:.3f}"
+        return text + together if self.change.high < 0 else text
 
 
 def judged_half(
     pictures: Sequence[Picture],
-    before: Path,
-    after: Path,
+    weights: tuple[Path, Path, Path],
     prepared: Path,
     training: PictureTraining,
     quiet: bool = False,
 ) -> Judged:
-    """How the masks with two weight files fit the teacher's maps of prepared frames."""
-    detectors = [load_detector("fusion", weights={"file": str(file)}) for file in (before, after)]
-    counts: list[list[Tensor]] = [[], []]
+    """How the masks with the weights of ``Judged`` fit the teacher's maps of prepared frames."""
+    detectors = [load_detector("fusion", weights={"file": str(file)}) for file in weights]
+    counts: list[list[Tensor]] = [[] for _ in weights]
     seen = Progress(spread(pictures, MAX_JUDGED), desc="judging", unit="frame", quiet=quiet)
     for image, road, sure in taught_frames(seen, prepared, training):
         for known, detector in zip(counts, detectors, strict=True):
@@ -159,25 +168,24 @@ def _f_measure(counts: Tensor) -> Tensor:
 
 def unknown(reason: str, frames: int) -> Verdict:
     """That nothing can be said, and why."""
-    return Verdict("cannot tell", math.nan, math.nan, Interval(), frames, reason)
+    return Verdict("cannot tell", math.nan, math.nan, Interval(), math.nan, frames, reason)
 
 
 def verdict_of(judged: Sequence[Judged]) -> Verdict:
     """What both halves say, their frames pooled; the interval draws stretches of them."""
-    before, after = (torch.cat([half[at] for half in judged]) for at in (0, 1))
-    frames = len(before)
+    counts = [torch.cat(each) for each in zip(*judged, strict=True)]
+    frames = len(counts[0])
     if frames < MIN_FRAMES:
         return unknown(f"{frames} frames are too few to judge by", frames)
     generator = torch.Generator().manual_seed(SEED)
-    blocks = [
-        torch.stack([part.sum(0) for part in each.split(STRETCH)]) for each in (before, after)
-    ]
+    blocks = [torch.stack([part.sum(0) for part in each.split(STRETCH)]) for each in counts]
     weights = bootstrap_weights(len(blocks[0]), generator).to(torch.float64)
-    first, second = (float(_f_measure(each.sum(0))) for each in blocks)
+    before, after, both = (float(_f_measure(each.sum(0))) for each in blocks)
     draws = [_f_measure(weights @ each.to(weights)) for each in blocks]
     change = interval(draws[1] - draws[0])
-    if change.low > 0 and second - first >= MIN_GAIN:
+    word = "cannot tell"
+    if change.low > 0 and after - before >= MIN_GAIN:
         word = "adopt"
-    else:
-        word = "do not adopt" if change.high < 0 else "cannot tell"
-    return Verdict(word, first, second, change, frames)
+    elif change.high < 0 and both - before < MIN_GAIN:
+        word = "do not adopt"
+    return Verdict(word, before, after, change, both, frames)

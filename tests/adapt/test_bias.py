@@ -60,7 +60,7 @@ def test_the_bias_undoes_what_shifted_the_road(
     write_shifted(shifted, mended, bias)
 
     assert bias == pytest.approx(-shift, abs=1)
-    judged = judged_half(frames, shifted, mended, prepared, training, quiet=True)
+    judged = judged_half(frames, (shifted, mended, mended), prepared, training, quiet=True)
     assert f_of(judged.after) > f_of(judged.before)
     assert f_of(judged.after) > 0.97
 

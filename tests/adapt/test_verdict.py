@@ -6,12 +6,13 @@ from roadtorch.adapt.verdict import Judged, verdict_of
 from roadtorch.evaluation.metrics import count_mask, f_measure
 
 
-def judged(hits_before: list[int], hits_after: list[int]) -> Judged:
+def judged(before: list[int], after: list[int], both: list[int] | None = None) -> Judged:
     """Frames of 100 pixels of road, of which so many are found, and no false one."""
-    before, after = (
-        torch.tensor([[hit, 0, 100 - hit, 0] for hit in hits]) for hits in (hits_before, hits_after)
+    counts = (
+        torch.tensor([[hit, 0, 100 - hit, 0] for hit in hits])
+        for hits in (before, after, both or after)
     )
-    return Judged(before, after)
+    return Judged(*counts)
 
 
 def test_a_gain_on_every_frame_is_adopted_with_its_figures() -> None:
@@ -26,6 +27,19 @@ def test_a_gain_on_every_frame_is_adopted_with_its_figures() -> None:
 
 def test_a_loss_is_not_adopted() -> None:
     assert verdict_of([judged([60] * 24, [50] * 24)]).word == "do not adopt"
+
+
+def test_a_loss_of_half_that_both_together_make_good_tells_nothing() -> None:
+    verdict = verdict_of([judged([60] * 24, [50] * 24, [70] * 24)])
+
+    assert verdict.word == "cannot tell"
+    assert str(verdict).endswith(
+        "F 0.750 to 0.667, -0.083 (-0.083 to -0.083); both halves together 0.824"
+    )
+
+
+def test_what_was_seen_is_no_reason_to_adopt() -> None:
+    assert verdict_of([judged([60] * 24, [60] * 24, [90] * 24)]).word == "cannot tell"
 
 
 def test_no_change_tells_nothing_for_the_judge_errs_too() -> None:
