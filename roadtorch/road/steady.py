@@ -23,10 +23,9 @@ import numpy as np
 import torch
 from pydantic import Field
 from torch import Tensor
-from torch.nn import functional as F
 
 from roadtorch.imaging.motion import FAST, dense_flow, flow_picture, forward_backward_error, warp
-from roadtorch.imaging.resize import size_of
+from roadtorch.imaging.resize import resized, size_of
 from roadtorch.road.fusion import log_odds
 from roadtorch.settings import Settings
 
@@ -180,8 +179,7 @@ def _filtered(
     past, found = None, list[Past]()
     for grey, own in zip(greys, odds, strict=True):
         past = recalled(past, grey, own, torch.zeros_like(own, dtype=torch.bool), settings)
-        frames = F.adaptive_avg_pool2d(past.frames[None], size_of(own))[0]
-        found.append(past._replace(frames=frames))
+        found.append(past._replace(frames=resized(past.frames[None], size_of(own))[0]))
     return found
 
 
