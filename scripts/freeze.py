@@ -5,32 +5,38 @@
     python scripts/freeze.py compare frozen/before frozen/after
     python scripts/freeze.py thumbnails tests/frozen.json     # what tests/test_freeze.py holds to
 
-Recorded are: likelihood and mask of every detector that is not of a grid, and of ten one-class
-cells, on ten pictures; metrics.json, images.csv and curves.json of `evaluate` with all of them on
-24 CamVid and 12 IDD pictures; stdout, stderr and exit status of fifteen command lines; the weights
-of a short training run of each kind. Bytes depend on the machine and on its threads: record both
-sides on one machine. `compare` leaves times aside, and knows the keys that were renamed.
+Recorded are hashes of every detection (all detectors of the catalogue, ten pictures) and of every
+file that the command lines of OUTPUTS leave, with what they print and their exit status. The files
+stay in the folder, to look at what differs; ``--only PART`` records parts anew. Bytes depend on the
+machine: record both sides on one. What may differ from run to run is taken out by `settled`.
 """
 
 import argparse
 import csv
+import difflib
 import hashlib
+import io
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+import time
+import zipfile
+from collections.abc import Iterator, Sequence
+from itertools import groupby, product
 from pathlib import Path
-from typing import Any
 
-DETECTORS = (
-    *("cpf", "cpf:squares", "cpf:v2", "fusion", "fusion:research", "fusion:paper"),
-    *("fusion:untrained", "layout:research"),
-    *("grey-uniformity", "labeller", "layout", "layout:cnn-7", "lbp"),
-    *("prior:rows", "prior:triangle", "prior:uniform", "ufl", "ufl:kitti", "ufl:original"),
-    *("kmeans-road", "vanishing-point"),
-)
+import av
+import numpy as np
+import torch
+from rosbags import rosbag1, rosbag2
+from rosbags.typesys import Stores, get_typestore
+
+from roadtorch import list_detectors, load_detector, read_image
+from roadtorch.scenes.street import render_scene
+
 CELLS = (
     *("oneclass:nn:RGB", "oneclass:hist64_s:HS", "oneclass:gaussian:Lab"),
     *("oneclass:robust_gaussian:RGB", "oneclass:mog_opt:O1O2", "oneclass:svdd:S"),
@@ -43,258 +49,271 @@ PICTURES = (
     ("many/dn_tas500/images/*.jpg", 1),
     ("unlabelled_free/**/*.jpg", 1),
 )
-COMMANDS = {
-    "version": "--version",
-    "help": "--help",
-    "infer-help": "infer --help",
-    "no-command": "infr",
-    "detectors": "detectors",
-    "explained": "detectors cpf",
-    "misspelt": "detectors fuson",
-    "planes": "planes",
-    "infer": "infer pictures --out roads --jobs 2",
-    "infer-again": "infer pictures --out roads",
-    "infer-cues": "infer pictures --detector ufl --save likelihood,cues --out cues",
-    "no-key": "infer pictures --set texture.bin=32",
-    "wrong-value": "infer pictures --set texture.bins=1",
-    "label": "label pictures --out labels --overlay",
-    "nothing": "infer nowhere --out nothing",
+MAPS = "likelihood,mask,overlay,cues,npy,polygons,json"
+FOOTAGE = f"{MAPS},overlay-frames,mask-video,likelihood-video,bag"
+EPOCH = "--quiet --threads 1 --set stopping.epochs=1"
+OUTPUTS = {
+    "infer/folder": f"infer pictures --save {MAPS}",
+    "infer/ufl": "infer pictures --detector ufl --save likelihood,cues --depth 16 --jobs 2",
+    "infer/zip": "infer pictures.zip --save likelihood,mask,polygons",
+    "footage/video": f"infer clip.mp4 --save {FOOTAGE} --every 4 --limit 8 --gif 0:1",
+    "footage/unsteady": "infer clip.mp4 --no-steady --start 2 --end 2.5",
+    "footage/ros2": f"infer drive --save {FOOTAGE}",
+    "footage/ros1": f"infer drive.bag --save {FOOTAGE}",
+    "footage/mixed": "infer pictures clip.mp4 drive.bag --detector layout --limit 3",
+    "grid/pictures": "grid pictures --height 1.5 --fov 60 --likelihood --picture",
+    "grid/pitched": "grid pictures --height 1.5 --fov 60 --pitch 3 --likelihood",
+    "grid/video": "grid clip.mp4 --height 1.5 --fov 60 --limit 8 --picture",
+    "grid/ros2": "grid drive --height 1.5",
+    "grid/ros1": "grid drive.bag --height 1.5 --pitch 3",
+    "label/margin": "label pictures --overlay",
+    "label/maximum": "label pictures --support maximum",
+    "label/submit": "submit kitti",
+    "evaluate/camvid": "evaluate camvid ../data/camvid --limit 12 {all}",
+    "evaluate/idd": "evaluate idd-lite ../data/idd_lite --limit 6 {all} "
+    "--mean-from camvid:../data/camvid",
+    "evaluate/kitti": "evaluate kitti-road kitti --bev --detector fusion --detector cpf",
+    "evaluate/tune": "tune camvid ../data/camvid --limit 6 --detector cpf --detector fusion",
+    "evaluate/labelled": "compare cpf fusion --labelled camvid:../data/camvid --limit 6",
+    "evaluate/unlabelled": "compare cpf fusion --images pictures",
+    "adapt/clip": f"adapt clip.mp4 --frames 40 {EPOCH} --set samples_per_epoch=16",
+    "train/cnn7": f"train --config cnn7 --images footage {EPOCH} --set passes=1",
+    "train/layout": f"train --config layout --images footage {EPOCH} --set rounds.count=2",
+    "commands/version": "--version",
+    "commands/help": "--help",
+    "commands/infer-help": "infer --help",
+    "commands/no-command": "infr",
+    "commands/detectors": "detectors",
+    "commands/explained": "detectors cpf",
+    "commands/misspelt": "detectors fuson",
+    "commands/planes": "planes",
+    "commands/no-key": "infer pictures --set texture.bin=32",
+    "commands/wrong-value": "infer pictures --set texture.bins=1",
+    "commands/nothing": "infer nowhere --out ../commands/nothing",
 }
-TRAININGS = {
-    "cnn7": ("cnn7", ["stopping.epochs=1", "passes=1"]),
-    "layout": ("layout", ["stopping.epochs=1", "rounds.count=2"]),
-}
+"""Command lines, run in the folder of inputs, by PART/OUTPUT, which is also their ``--out``."""
+
+PARTS = ("detections", *dict.fromkeys(output.split("/")[0] for output in OUTPUTS))
+HASHES = "hashes.csv"
+MOST_FILES, MOST_LINES = 12, 8  # that compare shows of an output, and of a text
 
 
-# --- record -----------------------------------------------------------------------------
+def detectors() -> list[str]:
+    """All names of the catalogue, and ten cells of its grid of one-class detectors."""
+    return [*(name for name in list_detectors() if "<" not in name), *CELLS]
 
 
 def spread(data: Path) -> list[Path]:
     """Ten pictures of five sets, evenly spread over each."""
-    found = []
+    pictures = []
     for pattern, count in PICTURES:
         files = sorted(data.glob(pattern))
-        found += [files[index * len(files) // count] for index in range(count)]
-    return found
+        pictures += [files[index * len(files) // count] for index in range(count)]
+    return pictures
 
 
-def record_detections(data: Path, out: Path) -> None:
-    from roadtorch import load_detector, read_image
+def make_inputs(data: Path, folder: Path) -> None:
+    """Two folders of pictures, a zip, a video, bags of ROS 1 and 2, and four pictures of KITTI."""
+    free = sorted((data / "unlabelled_free").rglob("*.jpg"))
+    copies = {f"pictures/{file.name}": file for file in spread(data)[::3]}
+    copies |= {f"footage/{file.name}": file for file in free[::5]}
+    copies |= {"clip.mp4": data / "clips/us_rural_damp.mp4"}
+    for lens in sorted((data / "kitti_road/calib").iterdir()):
+        truth = f"gt_image_2/{lens.stem.replace('_', '_road_')}.png"
+        for name in (f"calib/{lens.name}", f"image_2/{lens.stem}.png", truth):
+            copies[f"kitti/{name}"] = data / "kitti_road" / name
+    for name, file in copies.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(file, folder / name)
+    with zipfile.ZipFile(folder / "pictures.zip", "w") as archive:
+        for file in sorted((folder / "pictures").iterdir()):
+            archive.writestr(zipfile.ZipInfo(file.name), file.read_bytes())
+    write_bags(folder)
 
-    rows = []
-    for name in DETECTORS + CELLS:
+
+def write_bags(folder: Path) -> None:
+    """Six frames of clip.mp4 and their lens: ``drive`` of ROS 2, ``drive.bag`` of ROS 1."""
+    with av.open(str(folder / "clip.mp4")) as container:
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)][:24:4]
+    height, width = frames[0].shape[:2]
+    matrix = np.array([400, 0, width / 2, 0, 400, height / 2, 0, 0, 1], float)
+    lens = (height, width, "plumb_bob", np.zeros(5), matrix, np.eye(3).ravel(), np.zeros(12), 0, 0)
+    mcap = rosbag2.StoragePlugin.MCAP
+    ros1 = (rosbag1.Writer(folder / "drive.bag"), Stores.ROS1_NOETIC, "serialize_ros1", (0,))
+    ros2 = (rosbag2.Writer(folder / "drive", version=8, storage_plugin=mcap), Stores.ROS2_HUMBLE)
+    for writer, version, pack, numbered in (ros1, (*ros2, "serialize_cdr", ())):
+        store = get_typestore(version)
+        moment = store.types["builtin_interfaces/msg/Time"]
+        region = store.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+        with writer as bag:
+            links = [
+                bag.add_connection(f"/camera/{topic}", f"sensor_msgs/msg/{kind}", typestore=store)
+                for topic, kind in (("image_raw", "Image"), ("camera_info", "CameraInfo"))
+            ]
+            for number, pixels in enumerate(frames):
+                stamp = 1_700_000_000_000_000_000 + 100_000_000 * number
+                heading = (*numbered, moment(*divmod(stamp, 10**9)), "camera")
+                header = store.types["std_msgs/msg/Header"](*heading)
+                image = (height, width, "rgb8", 0, 3 * width, pixels.reshape(-1))
+                for link, fields in zip(links, (image, (*lens, region)), strict=True):
+                    message = store.types[link.msgtype](header, *fields)
+                    bag.write(link, stamp, getattr(store, pack)(message, link.msgtype))
+
+
+def detections(data: Path) -> Iterator[tuple[str, bytes]]:
+    """``NAME/PICTURE/WHAT`` and its content, for likelihood, mask, cues and trust."""
+    torch.set_num_threads(1)
+    images = {picture.name: read_image(picture) for picture in spread(data)}
+    for name in detectors():
         detector = load_detector(name)
-        for picture in spread(data):
-            detection = detector.detect(read_image(picture))
-            likelihood, mask = detection.likelihood.numpy(), detection.mask.numpy()
-            cues = "".join(
-                f"{key}{hashlib.sha256(cue.contiguous().numpy().tobytes()).hexdigest()}"
-                for key, cue in sorted(detection.cues.items())
-            )
-            parts = (likelihood.tobytes(), mask.tobytes(), cues.encode())
-            hashes = [hashlib.sha256(part).hexdigest()[:16] for part in parts]
-            rows.append([name, picture.name, *hashes])
-    with (out / "detections.csv").open("w", newline="") as file:
-        csv.writer(file).writerows(rows)
+        for picture, image in images.items():
+            detection = detector.detect(image)
+            maps = {"likelihood": detection.likelihood, "mask": detection.mask}
+            maps |= {f"cue {cue}": values for cue, values in detection.cues.items()}
+            for kind, values in maps.items():
+                yield f"{name}/{picture}/{kind}", values.contiguous().numpy().tobytes()
+            yield f"{name}/{picture}/trust", repr(detection.trust).encode()
 
 
-def roadtorch(arguments: list[str], folder: Path) -> subprocess.CompletedProcess[bytes]:
+def outputs(part: str, data: Path, out: Path) -> Iterator[tuple[str, bytes]]:
+    """The files of the part's command lines, made in ``out``; ``OUTPUT.txt`` is what one says."""
     environment = {**os.environ, "PYTHONPATH": str(Path.cwd()), "COLUMNS": "100"}
-    command = [sys.executable, "-m", "roadtorch", *arguments]
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, check=False)
+    environment |= {f"{library}_NUM_THREADS": "1" for library in ("OMP", "MKL", "OPENBLAS")}
+    every = " ".join(f"--detector {name}" for name in detectors())
+    shutil.rmtree(out / part, ignore_errors=True)
+    (out / part).mkdir()
+    if part == "inputs":
+        make_inputs(data, out / part)
+    for output in [output for output in OUTPUTS if output.startswith(f"{part}/")]:
+        command = [sys.executable, "-m", "roadtorch", *OUTPUTS[output].format(all=every).split()]
+        command += ["--out", f"../{output}"] if part != "commands" else []
+        folder = out / "inputs"
+        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+        text = f"exit {done.returncode}\n--- stdout\n{done.stdout}--- stderr\n{done.stderr}"
+        (out / f"{output}.txt").write_text(text)
+    for file in sorted((out / part).rglob("*")):
+        if file.is_file() and file.suffix != ".pt":  # a checkpoint, which holds times
+            yield str(file.relative_to(out / part)), settled(file)
 
 
-def record_evaluations(data: Path, out: Path) -> None:
-    chosen = [word for name in DETECTORS + CELLS for word in ("--detector", name)]
-    sets = {
-        "camvid": ["camvid", str(data / "camvid"), "--limit", "24"],
-        "idd": ["idd-lite", str(data / "idd_lite"), "--limit", "12",
-                "--mean-from", f"camvid:{data / 'camvid'}"],
-    }  # fmt: skip
-    for name, where in sets.items():
-        done = roadtorch(["evaluate", *where, *chosen, "--out", f"evaluate-{name}"], out)
-        (out / f"evaluate-{name}.txt").write_bytes(done.stdout)
-        assert done.returncode == 0, done.stderr.decode()
+def record(data: Path, out: Path, parts: Sequence[str]) -> None:
+    """The parts into a folder, where they replace what is there of them already."""
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "data").unlink(missing_ok=True)
+    (out / "data").symlink_to(data.resolve())  # so that no absolute path is in what is written
+    out = out.resolve()
+    table = hashes(out) if (out / HASHES).exists() else {}
+    for part in ("inputs", *parts):
+        began = time.perf_counter()
+        table = {key: value for key, value in table.items() if key[0] != part}
+        contents = detections(data) if part == "detections" else outputs(part, data, out)
+        for name, content in contents:
+            table[part, name] = hashlib.sha256(content).hexdigest()[:16]
+        with (out / HASHES).open("w", newline="") as file:
+            csv.writer(file).writerows((*key, value) for key, value in sorted(table.items()))
+        print(f"{part}: {time.perf_counter() - began:.0f} s", file=sys.stderr)
 
 
-def record_commands(data: Path, out: Path) -> None:
-    (out / "pictures").mkdir()
-    for picture in spread(data)[::3]:
-        (out / "pictures" / picture.name).symlink_to(picture.resolve())
-    told = {}
-    for name, line in COMMANDS.items():
-        done = roadtorch(line.split(), out)
-        told[name] = [done.returncode, done.stdout.decode(), done.stderr.decode()]
-    (out / "commands.json").write_text(json.dumps(told, indent=1))
+def hashes(out: Path) -> dict[tuple[str, str], str]:
+    """By part and name the hash of everything that is recorded there."""
+    with (out / HASHES).open(newline="") as file:
+        return {(part, name): value for part, name, value in csv.reader(file)}
 
 
-def record_trainings(data: Path, out: Path) -> None:
-    footage = sorted((data / "unlabelled_free").rglob("*.jpg"))[::5]
-    (out / "footage").mkdir()
-    for picture in footage:
-        (out / "footage" / picture.name).symlink_to(picture.resolve())
-    for name, (config, settings) in TRAININGS.items():
-        words = ["train", "--config", str(Path.cwd() / f"configs/{config}.toml")]
-        words += ["--images", "footage", "--out", f"run-{name}", "--quiet", "--threads", "2"]
-        words += [word for setting in settings for word in ("--set", setting)]
-        done = roadtorch(words, out)
-        assert done.returncode == 0, done.stderr.decode()
+# --- what may differ from run to run -----------------------------------------------------
+
+TEXT = {".csv", ".html", ".json", ".md", ".toml", ".txt", ".yaml"}
+# method: the key by which a second run knows what the first one did
+UNSETTLED_COLUMNS = {"index.csv": {"ms", "method"}, "images.csv": {"ms"}, "log.csv": {"seconds"}}
+UNSETTLED = (
+    (r'"versions": \{[^}]*\}', '"versions": {}'),
+    (r'\\?"roadtorch\\?": \\?"[\w.+]*\\?"', '"roadtorch": VERSION'),
+    (r"(roadtorch, version) \S+", r"\1 VERSION"),
+    (r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d[\d.]*([+-]\d\d:\d\d|Z)?", "DATE"),
+    (r'"(index_sha256|ms|ms_per_image|seconds)": "?[\w.+-]+"?', r'"\1": TIME'),
+    (r'data-v="[\d.]+">\d+\.\d<', 'data-v="TIME">TIME<'),  # reports tell ms alone so
+    (r"(?m) +\d+\.\d(?=  [ \d.-]+$)", " TIME"),  # and so does the table on the screen
+    (r"\bin \d+(\.\d+)? s\b", "in TIME"),
+)
+"""Versions, dates and times in text, and what stands there instead."""
 
 
-def record(data: Path, out: Path) -> None:
-    """Everything, into a new folder."""
-    import torch
+def settled(file: Path) -> bytes:
+    """A file's content without versions, dates and times."""
+    content, binary = file.read_bytes(), b""
+    if file.suffix == ".safetensors":  # behind eight bytes that tell its length, its head is JSON
+        end = 8 + int.from_bytes(content[:8], "little")
+        content, binary = content[8:end], content[end:]
+    elif file.suffix not in TEXT:
+        return content
+    text = content.decode().replace(str(Path.cwd()), "REPO")
+    if file.name in UNSETTLED_COLUMNS:
+        rows = list(csv.DictReader(io.StringIO(text)))
+        for row, name in product(rows, UNSETTLED_COLUMNS[file.name]):
+            row.pop(name, None)
+        text = "\n".join(map(json.dumps, rows))
+    for pattern, word in UNSETTLED:
+        text = re.sub(pattern, word, text)
+    return text.encode() + binary
 
-    out.mkdir(parents=True)
-    torch.set_num_threads(2)
-    data, out = data.resolve(), out.resolve()
-    for part in (record_commands, record_trainings, record_detections, record_evaluations):
-        part(data, out)
-        print(part.__name__, "done", file=sys.stderr)
 
-
-# --- the part that is cheap enough for the tests -----------------------------------------
-
-THUMBNAIL = (6, 8)
-SCENES = ({"seed": 3}, {"seed": 5, "dusk": 0.6})
+def differences(before: Path, after: Path) -> Iterator[str]:
+    """What differs, by output and file; last, how many are equal."""
+    old, new = hashes(before), hashes(after)
+    parts, others = ({part for part, _ in table} for table in (old, new))
+    for part in sorted(parts ^ others):
+        yield f"{part}: recorded on one side alone, and left aside"
+    keys = sorted(key for key in old.keys() | new.keys() if key[0] in parts & others)
+    unequal = [key for key in keys if old.get(key) != new.get(key)]
+    for output, group in groupby(unequal, lambda key: f"{key[0]}/{key[1].split('/')[0]}"):
+        differing = list(group)
+        yield f"{output}: {len(differing)} differ"
+        for key in differing[:MOST_FILES]:
+            state = "gone" if key not in new else "other bytes" if key in old else "new"
+            yield f"  {'/'.join(key)}: {state}"
+            if state == "other bytes" and Path(key[1]).suffix in TEXT:
+                files = (before.joinpath(*key), after.joinpath(*key))
+                lines = [settled(file).decode().split("\n") for file in files]
+                changes = list(difflib.unified_diff(*lines, n=0, lineterm=""))[2:]
+                yield from (f"    {line[:200]}" for line in changes[:MOST_LINES])
+    yield f"equal: {len(keys) - len(unequal)} of {len(keys)}"
 
 
 def thumbnails() -> dict[str, list[list[int]]]:
     """By detector its likelihoods in two rendered streets, 6×8 means of each, in 255ths."""
-    import torch
-
-    from roadtorch import load_detector
-    from roadtorch.scenes.street import render_scene
-
-    images = [render_scene(height=96, width=128, **options).image for options in SCENES]
-    found: dict[str, list[list[int]]] = {}
-    for name in DETECTORS + CELLS:
+    scenes = ({"seed": 3}, {"seed": 5, "dusk": 0.6})
+    images = [render_scene(height=96, width=128, **options).image for options in scenes]
+    rows: dict[str, list[list[int]]] = {}
+    for name in detectors():
         detector = load_detector(name)
         maps = torch.stack([detector.detect(image).likelihood for image in images])
-        means = torch.nn.functional.adaptive_avg_pool2d(maps, THUMBNAIL)
-        found[name] = means.mul(255).round().int().flatten(1).tolist()
-    return found
-
-
-# --- compare ----------------------------------------------------------------------------
-
-RENAMED = {
-    "seed": "seed_area",
-    "random": "random_seed",
-    "road.weights": "road.exponents",
-}
-"""Keys of detectors' settings, old and new."""
-
-NEW = re.compile(r"\.baseline$|^detectors\.prior:\w+\.settings\.(isolated$|seed_area\.)")
-"""What metrics.json has gained: who is a baseline, and settings that every detector has now."""
-
-TIMES = ("ms_per_image", "ms")
-
-
-def differences(before: Path, after: Path) -> Iterator[str]:
-    """One line for everything that is not equal."""
-    yield from _lines_that_differ(before / "detections.csv", after / "detections.csv")
-    for name in ("camvid", "idd"):
-        one, two = before / f"evaluate-{name}", after / f"evaluate-{name}"
-        yield from _metrics_that_differ(one / "metrics.json", two / "metrics.json")
-        yield from _lines_that_differ(one / "images.csv", two / "images.csv")
-        yield from _lines_that_differ(one / "curves.json", two / "curves.json")
-    yield from _answers_that_differ(before / "commands.json", after / "commands.json")
-    for name in TRAININGS:
-        one, two = (_weights(folder / f"run-{name}") for folder in (before, after))
-        if one != two:
-            yield f"run-{name}: other weights"
-    for folder in ("roads", "cues", "labels"):
-        for file in sorted((before / folder).rglob("*.png")):
-            if file.read_bytes() != (after / file.relative_to(before)).read_bytes():
-                yield f"{file.relative_to(before)}: other bytes"
-
-
-def _lines_that_differ(one: Path, two: Path) -> Iterator[str]:
-    before, after = _rows(one), _rows(two)
-    if len(before) != len(after):
-        yield f"{one.name}: {len(before)} and {len(after)} lines"
-    for left, right in zip(before, after, strict=False):
-        if left != right:
-            yield f"{one.name}: {left} / {right}"[:300]
-
-
-def _rows(path: Path) -> list[Any]:
-    if path.suffix != ".csv":
-        return [path.read_text()]
-    rows = list(csv.reader(path.open(newline="")))
-    kept = [i for i, name in enumerate(rows[0]) if name not in TIMES]
-    return [[row[i] for i in kept] for row in rows]
-
-
-def _metrics_that_differ(one: Path, two: Path) -> Iterator[str]:
-    before, after = (flat(json.loads(path.read_text())) for path in (one, two))
-    before = {renamed(key): value for key, value in before.items()}
-    for key in [key for key in before if key.endswith(".threshold_from")]:
-        before[key] = before[key].replace("other drives", "other groups")
-    for key in sorted(before.keys() | after.keys()):
-        is_new = key not in before and NEW.search(key)
-        if is_new or key.rpartition(".")[2] in TIMES or key == "command":
-            continue
-        if before.get(key) != after.get(key):
-            yield f"{one.parent.name}: {key}: {before.get(key)} / {after.get(key)}"
-
-
-def renamed(key: str) -> str:
-    """The key under its new name."""
-    key = re.sub(r"\.floor$", ".baseline", key)
-    for old, new in RENAMED.items():
-        key = re.sub(rf"(\.settings(?:\..*)?)\.{re.escape(old)}(?=\.|$)", rf"\1.{new}", key)
-    return key
-
-
-def flat(values: Any, path: str = "") -> dict[str, Any]:
-    """Nested values as one level."""
-    if isinstance(values, Mapping):
-        parts = [flat(value, f"{path}.{key}" if path else key) for key, value in values.items()]
-        return {key: value for part in parts for key, value in part.items()}
-    return {path: values}
-
-
-def _answers_that_differ(one: Path, two: Path) -> Iterator[str]:
-    before, after = (json.loads(path.read_text()) for path in (one, two))
-    for name in before:
-        for what, left, right in zip(
-            ("exit", "stdout", "stderr"), before[name], after[name], strict=True
-        ):
-            if left != right:
-                yield f"{name}: {what}:\n--- before\n{left}\n--- after\n{right}"
-
-
-def _weights(run: Path) -> dict[str, bytes]:
-    from safetensors.torch import load_file
-
-    tensors = load_file(run / "weights.safetensors")
-    return {name: value.numpy().tobytes() for name, value in sorted(tensors.items())}
+        means = torch.nn.functional.adaptive_avg_pool2d(maps, (6, 8))
+        rows[name] = means.mul(255).round().int().flatten(1).tolist()
+    return rows
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     commands = parser.add_subparsers(dest="command", required=True)
-    one = commands.add_parser("record")
-    one.add_argument("data", type=Path)
-    one.add_argument("out", type=Path)
-    three = commands.add_parser("thumbnails")
-    three.add_argument("file", type=Path)
-    two = commands.add_parser("compare")
-    two.add_argument("before", type=Path)
-    two.add_argument("after", type=Path)
-    given = parser.parse_args()
-    if given.command == "record":
-        record(given.data, given.out)
-        return 0
-    if given.command == "thumbnails":
-        lines = [f"{json.dumps(name)}: {json.dumps(maps)}" for name, maps in thumbnails().items()]
-        given.file.write_text("{\n" + ",\n".join(lines) + "\n}\n")
-        return 0
-    found = list(differences(given.before, given.after))
-    print("\n".join(found) if found else "equal")
-    return 1 if found else 0
+    recording = commands.add_parser("record")
+    recording.add_argument("data", type=Path)
+    recording.add_argument("out", type=Path)
+    recording.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
+    comparing = commands.add_parser("compare")
+    comparing.add_argument("before", type=Path)
+    comparing.add_argument("after", type=Path)
+    commands.add_parser("thumbnails").add_argument("file", type=Path)
+    options = parser.parse_args()
+    if options.command == "record":
+        record(options.data, options.out, options.only)
+    if options.command == "thumbnails":
+        rows = [f"{json.dumps(name)}: {json.dumps(maps)}" for name, maps in thumbnails().items()]
+        options.file.write_text("{\n" + ",\n".join(rows) + "\n}\n")
+    lines = []
+    if options.command == "compare":
+        lines = list(differences(options.before, options.after))
+        print("\n".join(lines))
+    return int(len(lines) > 1)
 
 
 if __name__ == "__main__":
