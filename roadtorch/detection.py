@@ -30,11 +30,11 @@ class Detection:
     image: (3,H,W) in [0,1], what was looked at; None where a Detection is made without one.
 
         >>> from roadtorch import load_detector
-        >>> found = load_detector("prior:rows")("street.jpg")
-        >>> found
+        >>> detection = load_detector("prior:rows")("street.jpg")
+        >>> detection
         <Detection 320×240, road 50%>
-        >>> found.save("street.mask.png")
-        >>> sorted(found.numpy())
+        >>> detection.save("street.mask.png")
+        >>> sorted(detection.numpy())
         ['likelihood', 'mask']
     """
 
@@ -98,9 +98,9 @@ class Detection:
     def __repr__(self) -> str:
         """One line: size, share of road, and how far it can be trusted."""
         height, width = self.mask.shape
-        told = [f"{width}×{height}", f"road {float(self.mask.double().mean()):.0%}", self.caption]
+        parts = [f"{width}×{height}", f"road {float(self.mask.double().mean()):.0%}", self.caption]
         doubt = f" ({self.doubt})" if self.doubt else ""
-        return f"<Detection {', '.join(filter(None, told))}{doubt}>"
+        return f"<Detection {', '.join(filter(None, parts))}{doubt}>"
 
     def _repr_png_(self) -> bytes | None:
         """What notebooks show."""

@@ -10,18 +10,8 @@ import os
 from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field
-from functools import partial, reduce, wraps
-from typing import (
-    Annotated,
-    Any,
-    ClassVar,
-    Literal,
-    NamedTuple,
-    Protocol,
-    cast,
-    overload,
-    runtime_checkable,
-)
+from functools import reduce, wraps
+from typing import Annotated, Any, Literal, NamedTuple, Protocol, cast, overload, runtime_checkable
 
 import numpy as np
 import torch
@@ -32,22 +22,21 @@ from roadtorch.detection import Detection
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.imaging.levels import at_least
 from roadtorch.imaging.resize import (
+    Cue,
     Maps,
     WorkingSize,
     at_picture_size,
     at_work,
     full_size,
+    size_of,
 )
-from roadtorch.io.image import Order, Picture, as_image, checked_order
+from roadtorch.io.image import ImageLike, Order, as_image, checked_order
 from roadtorch.road.ego import Ego, continued, ego_car, is_anywhere, is_given, read_ego_mask
 from roadtorch.road.outlines import Outlines, guided
 from roadtorch.road.seed_area import SeedArea, remove_isolated, seed_rectangle
 from roadtorch.road.trust import Judgement
-from roadtorch.runtime.threads import one_thread, ordered_results
+from roadtorch.runtime.threads import one_thread
 from roadtorch.settings import Settings, build_settings, merge
-
-Cue = Tensor | Callable[[], Tensor]
-"""A map (H,W) or (C,H,W), or what makes it when it is asked for."""
 
 MIN_SIDE = 16  # pixels; below it, superpixels and the seed area have no meaning
 
@@ -63,8 +52,6 @@ TUNED = "road from this likelihood on; the default has the best F on CamVid's th
 
 class DetectorSettings(Settings):
     """What every detector can be told: how its likelihood becomes a mask."""
-
-    renamed: ClassVar[Mapping[str, str]] = {"seed": "seed_area", "random": "random_seed"}
 
     threshold: Threshold = 0.5
     isolated: Isolated = "keep"
@@ -91,13 +78,17 @@ class WorkingSettings(DetectorSettings):
 class Judge(Protocol):
     """An analysis that says how far a mask made of its likelihood can be trusted."""
 
-    def judge(self, mask: Tensor, found: Mapping[str, Tensor]) -> Judgement:
-        """mask: bool (H,W), at the size of what was found; ``ego`` is in it."""
+    def judge(self, mask: Tensor, cues: Mapping[str, Tensor]) -> Judgement:
+        """mask: bool (H,W), at the size of the cues, of which ``ego`` is one."""
         ...
 
 
-class Found(NamedTuple):
-    """What an analysis found, as it came, and at the size of the image without the ego car."""
+class Evidence(NamedTuple):
+    """What one picture shows by itself: all of a detection that needs no other frame.
+
+    analysed: likelihood and cues as the analysis gave them, at the size at which it thinks.
+    maps: the same at the picture's own size, without road on the ego car. image: (3,H,W) in [0,1].
+    """
 
     analysed: Mapping[str, Tensor]
     maps: Maps
@@ -156,9 +147,9 @@ class Entry:
     baseline: bool = False
     values: Mapping[str, Any] = field(default_factory=dict)
 
-    def configured(self, given: Mapping[str, Any]) -> DetectorSettings:
-        """Its settings with what is given, nested; ConfigError as ``build_settings``."""
-        return build_settings(self.settings, merge(self.values, given))
+    def configured(self, changes: Mapping[str, Any]) -> DetectorSettings:
+        """Its settings with changes, nested; ConfigError as ``build_settings``."""
+        return build_settings(self.settings, merge(self.values, changes))
 
 
 class Detector(nn.Module):
@@ -186,33 +177,30 @@ class Detector(nn.Module):
         self.analysis = analysis
 
     @overload
-    def __call__(self, pictures: Tensor) -> Any: ...
+    def __call__(self, pictures: Tensor, order: Order | None = None) -> Any: ...
 
     @overload
-    def __call__(self, pictures: Picture, order: Order | None = None) -> Detection: ...
+    def __call__(self, pictures: ImageLike, order: Order | None = None) -> Detection: ...
 
     @overload
     def __call__(
-        self, pictures: Iterable[Picture], order: Order | None = None, *, jobs: int = 1
+        self, pictures: Iterable[ImageLike], order: Order | None = None
     ) -> list[Detection]: ...
 
-    def __call__(self, pictures: Any, order: Order | None = None, *, jobs: int = 1) -> Any:
+    def __call__(self, pictures: Any, order: Order | None = None) -> Any:
         """A picture's Detection, as ``detect``; those of several as a list, as ``detect_many``.
 
-        Of a tensor (B,3,H,W) it is what networks give, the likelihoods (B,H,W) of ``forward``.
+        Several are a list, a stack of arrays and a tensor (B,3,H,W).
         """
-        if isinstance(pictures, Tensor) and pictures.ndim == 4:
-            return super().__call__(pictures)
-        if isinstance(pictures, np.ndarray):
+        if isinstance(pictures, (Tensor, np.ndarray)):
             several = pictures.ndim == 4
         else:
-            one = isinstance(pictures, (Tensor, str, bytes))
-            several = isinstance(pictures, Iterable) and not one
+            several = isinstance(pictures, Iterable) and not isinstance(pictures, (str, bytes))
         if several:
-            return list(self.detect_many(pictures, order, jobs=jobs))
-        return self.detect(cast("Picture", pictures), order)
+            return list(self.detect_many(pictures, order))
+        return self.detect(cast("ImageLike", pictures), order)
 
-    def detect(self, image: Picture, order: Order | None = None) -> Detection:
+    def detect(self, image: ImageLike, order: Order | None = None) -> Detection:
         """Find the road in one picture, from 16×16 up.
 
         image: a path or URL; a NumPy array (H,W,3) with the ``order`` of its colours, also with
@@ -222,83 +210,37 @@ class Detector(nn.Module):
         """
         if order == "bgr" and isinstance(image, Tensor):
             raise InputError("order", "is of NumPy arrays; tensors are RGB", "give image.flip(0)")
-        return self.conclude(self.find(as_image(image, order or self.order)))
+        evidence = self.find(as_image(image, order or self.order))
+        return self.conclude(evidence)
 
     def detect_many(
-        self, images: Iterable[Picture], order: Order | None = None, *, jobs: int = 1
+        self, images: Iterable[ImageLike], order: Order | None = None
     ) -> Generator[Detection]:
         """Find the road in picture after picture, each given as to ``detect``, in their order.
 
         images: a list, a generator, which is asked when it is needed, or a stack of arrays of one
-        size. jobs: pictures at a time; the results do not depend on it. Raises what ``detect``
-        raises, naming the picture ``images[3]``, and ends there.
+        size. Raises what ``detect`` raises, naming the picture ``images[3]``, and ends there.
 
             >>> import numpy
             >>> from roadtorch import load_detector
             >>> detector = load_detector("prior:rows", order="bgr")
             >>> frames = (numpy.zeros((60, 80 + n, 3), numpy.uint8) for n in range(2))
-            >>> [found.mask.shape[1] for found in detector.detect_many(frames, jobs=2)]
+            >>> [detection.mask.shape[1] for detection in detector.detect_many(frames)]
             [80, 81]
         """
         if isinstance(images, (str, os.PathLike, bytes)) or not isinstance(images, Iterable):
-            what = f"are {type(images).__name__}"
-            raise InputError("images", what, "give a list; detect takes one picture")
-        if jobs < 1:
-            raise ConfigError("jobs", f"is {jobs}", "give 1 or more")
+            remedy = "give a list; detect takes one picture"
+            raise InputError("images", f"are {type(images).__name__}", remedy)
+        return self._detected(images, order)
 
-        def one(numbered: tuple[int, Picture]) -> Detection:
-            number, image = numbered
+    def _detected(self, images: Iterable[ImageLike], order: Order | None) -> Generator[Detection]:
+        for number, image in enumerate(images):
             try:
-                return self.detect(image, order)
+                yield self.detect(image, order)
             except InputError as problem:
                 if problem.where != "image":
                     raise
                 raise InputError(f"images[{number}]", problem.what, problem.remedy) from None
-
-        return ordered_results(enumerate(images), one, jobs)
-
-    @one_thread()
-    @torch.no_grad()
-    def find(self, image: Tensor) -> Found:
-        """The first half of ``detect``: likelihood and cues of an image (3,H,W) in [0,1]."""
-        return self._find(checked_image(image))
-
-    @one_thread()
-    @torch.no_grad()
-    def conclude(
-        self, found: Found, likelihood: Tensor | None = None, ego: Tensor | None = None
-    ) -> Detection:
-        """The second half of ``detect``: the decision, and how far it can be trusted.
-
-        likelihood: float32 (H,W) in [0,1], and ego: the ego car bool (H,W), decided on in the place
-        of those found, as when frames of a video steady one another. Trust still rests on the
-        frame's own.
-        """
-        analysed, maps, image = found
-        if ego is not None:
-            maps = maps.but(ego=ego)
-        ego, seed = maps.get("ego"), analysed.get("seed_area")
-        if likelihood is None:
-            likelihood = maps["likelihood"]
-        elif ego is not None:
-            likelihood = likelihood.masked_fill(ego, 0)
-        if seed is not None:
-            seed = at_picture_size(seed, (likelihood.shape[0], likelihood.shape[1]))
-        mask = decide(likelihood, self.settings, seed, ego)
-        trust, doubt = self._judge(mask, ego, analysed)
-        cues = maps.without("likelihood")
-        return Detection(likelihood, mask, cues, trust, doubt, image=image)
-
-    def _judge(
-        self, mask: Tensor, ego: Tensor | None, analysed: Mapping[str, Tensor]
-    ) -> tuple[float | None, str]:
-        """Trust and doubt of a mask; None and nothing where the analysis does not judge."""
-        if not isinstance(self.analysis, Judge):
-            return None, ""
-        size = (analysed["likelihood"].shape[-2], analysed["likelihood"].shape[-1])
-        ego = torch.zeros_like(mask) if ego is None else ego
-        found = Maps(analysed).but(ego=at_picture_size(ego, size))
-        return self.analysis.judge(at_picture_size(mask, size), found)
 
     @one_thread()
     def forward(self, images: Tensor) -> Tensor:
@@ -308,20 +250,23 @@ class Detector(nn.Module):
             raise InputError("images", what, "give a batch (B, 3, height, width)")
         if not len(images):
             return images.new_empty((0, *images.shape[-2:]), dtype=torch.float32)
-        return torch.stack(
-            [self._find(checked_image(image)).maps["likelihood"] for image in images]
-        )
+        return torch.stack([self._find(image).maps["likelihood"] for image in images])
 
-    def _find(self, image: Tensor) -> Found:
-        """The likelihood and the cues, with the ego car where one is.
+    @one_thread()
+    @torch.no_grad()
+    def find(self, image: Tensor) -> Evidence:
+        """The first half of ``detect``: likelihood and cues of an image (3,H,W) in [0,1]."""
+        return self._find(image)
 
-        The ego car is what the settings say, and what the analysis itself finds as its cue ``ego``.
-        """
-        told = self.settings.ego
-        given = ego_car(image, told, self._ego_mask) if is_given(told) else None
-        seen = image if given is None else continued(image, given)
+    def _find(self, image: Tensor) -> Evidence:
+        """The ego car is what the settings say, and what the analysis finds as its cue ``ego``."""
+        image = checked_image(image)
         settings = self.settings if isinstance(self.settings, WorkingSettings) else None
-        small = at_work(seen, settings.working) if settings else seen
+        cars, ground = [], image
+        if is_given(self.settings.ego):
+            cars = [ego_car(image, self.settings.ego, self._ego_mask)]
+            ground = continued(image, cars[0])
+        small = at_work(ground, settings.working) if settings else ground
         analysed = self.analysis(small)
         if not isinstance(analysed, Mapping) or "likelihood" not in analysed:
             what = f"gives no likelihood: {type(self.analysis).__name__}.forward has to"
@@ -329,16 +274,53 @@ class Detector(nn.Module):
         if not analysed["likelihood"].sum().isfinite():  # one that is not makes the sum so
             what = f"gives {self.name} a likelihood that is not finite"
             raise InputError("image", what, "check the weights and the settings; else report it")
-        size = (image.shape[-2], image.shape[-1])
         maps = Maps(analysed)
-        if settings and settings.outlines == "guided":
-            found = guided(maps, small, seen, settings.working, settings.threshold)
-            maps = maps.but(likelihood=found)
-        maps = full_size(maps, size) if settings else maps
-        cars = [car for car in (given, maps.get("ego")) if car is not None]
-        if cars:
-            maps = without_ego(maps, reduce(torch.logical_or, cars))
-        return Found(analysed, maps, image)
+        if settings:
+            if settings.outlines == "guided":
+                fine = guided(maps, small, ground, settings.working, settings.threshold)
+                maps = maps.but(likelihood=fine)
+            maps = full_size(maps, size_of(image))
+        if "ego" in maps:
+            cars.append(maps["ego"])
+        if not cars:
+            return Evidence(analysed, maps, image)
+        ego = reduce(torch.logical_or, cars)
+        changed = {"likelihood", "seed_area"} & set(maps) if is_anywhere(ego) else ()
+        free = {
+            name: lambda name=name, maps=maps: maps[name].masked_fill(ego, 0) for name in changed
+        }
+        # The ego car is the last of the maps.
+        return Evidence(analysed, maps.but(**free).without("ego").but(ego=ego), image)
+
+    @one_thread()
+    @torch.no_grad()
+    def conclude(
+        self, evidence: Evidence, likelihood: Tensor | None = None, ego: Tensor | None = None
+    ) -> Detection:
+        """The second half of ``detect``: the decision, and how far it can be trusted.
+
+        likelihood: float32 (H,W) in [0,1], and ego: the ego car bool (H,W), decided on in the place
+        of those of the evidence, as when frames of a video steady one another. Trust still rests on
+        the frame's own.
+        """
+        analysed, maps, image = evidence
+        if ego is not None:
+            maps = maps.but(ego=ego)
+        ego, seed = maps.get("ego"), analysed.get("seed_area")
+        if likelihood is None:
+            likelihood = maps["likelihood"]
+        elif ego is not None:
+            likelihood = likelihood.masked_fill(ego, 0)
+        if seed is not None:
+            seed = at_picture_size(seed, size_of(likelihood))
+        mask = decide(likelihood, self.settings, seed, ego)
+        trust, doubt = None, ""
+        if isinstance(self.analysis, Judge):
+            size = size_of(analysed["likelihood"])
+            hidden = torch.zeros_like(mask) if ego is None else ego
+            cues = Maps(analysed).but(ego=at_picture_size(hidden, size))
+            trust, doubt = self.analysis.judge(at_picture_size(mask, size), cues)
+        return Detection(likelihood, mask, maps.without("likelihood"), trust, doubt, image=image)
 
     def extra_repr(self) -> str:
         """The name and settings, for ``print(detector)``."""
@@ -354,10 +336,10 @@ def lean(find: Callable[..., Mapping[str, Cue]]) -> Callable[..., Maps]:
     """
 
     @wraps(find)
-    def wrapped(*given: Any) -> Maps:
-        on_cpu = all(part.device.type == "cpu" for part in given if isinstance(part, Tensor))
+    def wrapped(*parts: Any) -> Maps:
+        on_cpu = all(part.device.type == "cpu" for part in parts if isinstance(part, Tensor))
         with torch.inference_mode() if on_cpu and not torch.is_grad_enabled() else nullcontext():
-            return Maps(find(*given))
+            return Maps(find(*parts))
 
     return wrapped
 
@@ -375,38 +357,23 @@ class Analysis(nn.Module):
         return self.find(image, self.settings)
 
 
-def without_ego(maps: Maps, ego: Tensor) -> Maps:
-    """Maps with neither road nor seed on the ego car bool (H,W), which is one of them, the last."""
-    changed = {"likelihood", "seed_area"} & set(maps) if is_anywhere(ego) else ()
-    free = {name: partial(_masked, maps, name, ego) for name in changed}
-    return maps.but(**free).without("ego").but(ego=ego)
-
-
-def _masked(maps: Maps, name: str, ego: Tensor) -> Tensor:
-    return maps[name].masked_fill(ego, 0)
-
-
 def checked_image(image: Tensor) -> Tensor:
     """The image as float32 (3,H,W), if it is one: floating point, ≥ 16×16, in [0,1].
 
     Raises InputError naming ``image``, what came and what to do.
     """
     if not isinstance(image, Tensor) or not image.is_floating_point():
-        given = image.dtype if isinstance(image, Tensor) else type(image).__name__
-        raise InputError("image", f"is {given}", "give float32 RGB in [0, 1], as read_image does")
+        kind = image.dtype if isinstance(image, Tensor) else type(image).__name__
+        raise InputError("image", f"is {kind}", "give float32 RGB in [0, 1], as read_image does")
     if image.layout != torch.strided:
         raise InputError("image", f"has the layout {image.layout}", "give image.to_dense()")
     if image.ndim != 3 or image.shape[0] != 3:
-        raise InputError(
-            "image", f"has the shape {tuple(image.shape)}", "give RGB as (3, height, width)"
-        )
+        what = f"has the shape {tuple(image.shape)}"
+        raise InputError("image", what, "give RGB as (3, height, width)")
     height, width = image.shape[1:]
     if min(height, width) < MIN_SIDE:
-        raise InputError(
-            "image",
-            f"is {width}×{height} pixels",
-            f"give at least {MIN_SIDE}×{MIN_SIDE}",
-        )
+        remedy = f"give at least {MIN_SIDE}×{MIN_SIDE}"
+        raise InputError("image", f"is {width}×{height} pixels", remedy)
     low, high = (float(bound) for bound in torch.aminmax(image))
     if not (low >= 0 and high <= 1):  # also true of NaN, which passes through aminmax
         raise InputError("image", f"has values from {low:g} to {high:g}", "scale it to [0, 1]")
@@ -425,12 +392,14 @@ def decide(
     car bool (H,W), no road. Road reaches the seed area through the ground that it hides. Where only
     hidden ground does, that says nothing about which region is the road, and none is dropped.
     """
-    if ego is not None and is_anywhere(ego):
-        mask = decide(continued(likelihood, ego), settings, seed) & ~ego
-        return mask if mask.any() else at_least(likelihood, settings.threshold) & ~ego
-    mask = at_least(likelihood, settings.threshold)
-    if settings.isolated == "keep":
+    if ego is not None and not is_anywhere(ego):
+        ego = None
+    shown = likelihood if ego is None else continued(likelihood, ego)
+    mask = at_least(shown, settings.threshold)
+    if settings.isolated == "drop":
+        area = seed_rectangle(mask.shape, settings.seed_area) if seed is None else seed
+        mask = remove_isolated(mask, area)
+    if ego is None:
         return mask
-    if seed is None:
-        seed = seed_rectangle(mask.shape, settings.seed_area)
-    return remove_isolated(mask, seed)
+    mask = mask & ~ego
+    return mask if mask.any() else at_least(likelihood, settings.threshold) & ~ego

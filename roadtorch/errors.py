@@ -111,6 +111,6 @@ def unknown_name(
     """
     known = sorted(known)
     near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
-    told = known if groups is None else sorted(groups)
-    remedy = f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(told)}"
+    every = known if groups is None else sorted(groups)
+    remedy = f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(every)}"
     return ConfigError(name, f"unknown {kind}", remedy)

@@ -1,14 +1,14 @@
 """Settings: frozen pydantic models whose mistakes read like sentences."""
 
-import json
 import math
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 import pydantic
+import tomli_w
 
 from roadtorch.errors import ConfigError, InputError, shortened, unknown_name
 from roadtorch.io.bounded import read_regular
@@ -27,12 +27,6 @@ _LONG_KEY = re.compile(
 
 class Settings(pydantic.BaseModel):
     """The base of every group of settings: frozen, and unknown keys are refused."""
-
-    renamed: ClassVar[Mapping[str, str]] = {}
-    """Keys of this group that had other names: old and new, for the refusal of the old ones."""
-
-    removed: ClassVar[Mapping[str, str]] = {}
-    """Keys of this group that are gone, with what to do instead, for the refusal of them."""
 
     model_config = pydantic.ConfigDict(
         frozen=True, extra="forbid", strict=True, validate_default=True, allow_inf_nan=False
@@ -55,40 +49,24 @@ def build_settings(kind: type[AnySettings], values: Mapping[str, Any]) -> AnySet
 
 
 def _first_mistake(kind: type[Settings], problem: pydantic.ValidationError) -> ConfigError:
-    errors = problem.errors()
-    unknown = [
-        [str(part) for part in one["loc"]] for one in errors if one["type"] == "extra_forbidden"
-    ]
-    gone = {".".join(path): group_at(kind, path[:-1]).removed.get(path[-1]) for path in unknown}
-    if remedies := [remedy for remedy in gone.values() if remedy]:  # all of a kept file at once
-        keys = ", ".join(key for key, remedy in gone.items() if remedy)
-        what = "is gone" if len(remedies) == 1 else "are gone"
-        return ConfigError(keys, what, "; ".join(dict.fromkeys(remedies)))
-    error = errors[0]
+    error = problem.errors()[0]
     path = [str(part) for part in error["loc"]]
     key = ".".join(path)
     if error["type"] == "extra_forbidden":
-        return _unknown_key(group_at(kind, path[:-1]), path)
+        known = group_at(kind, path[:-1]).model_fields
+        return unknown_name("setting", key, [".".join([*path[:-1], name]) for name in known])
     if error["type"] == "missing":
         return ConfigError(key, "is missing", "give it a value")
     given = f"{shortened(repr(error['input']), SHOWN)} was given"
     if error["type"] == "model_type":
         known = ", ".join(group_at(kind, path).model_fields)
         return ConfigError(key, f"{given} for a group of settings", f"set one of its keys: {known}")
-    told = getattr(error.get("ctx", {}).get("error"), "args", ())
-    if told and isinstance(told[0], ConfigError):  # a validator's own words
-        what = f"{told[0].what} {shortened(repr(error['input']), SHOWN)}"
-        return ConfigError(key, what, told[0].remedy)
+    reasons = getattr(error.get("ctx", {}).get("error"), "args", ())
+    if reasons and isinstance(reasons[0], ConfigError):  # a validator's own words
+        what = f"{reasons[0].what} {shortened(repr(error['input']), SHOWN)}"
+        return ConfigError(key, what, reasons[0].remedy)
     message = error["msg"].removeprefix("Value error, ")
     return ConfigError(key, given, message[0].lower() + message[1:])
-
-
-def _unknown_key(group: type[Settings], path: list[str]) -> ConfigError:
-    key, siblings = ".".join(path), path[:-1]
-    if new := group.renamed.get(path[-1]):
-        return ConfigError(key, "has another name now", f"write {'.'.join([*siblings, new])}")
-    known = [".".join([*siblings, name]) for name in group.model_fields]
-    return unknown_name("setting", key, known)
 
 
 def group_at(kind: type[Settings], path: Sequence[str]) -> type[Settings]:
@@ -196,19 +174,6 @@ def read_settings_file(path: Path) -> dict[str, Any]:
         raise ConfigError(path, f"is not TOML: {problem}", "mend that line") from None
 
 
-def toml_lines(values: Mapping[str, Any], path: str = "") -> list[str]:
-    """The lines of a TOML table: plain values first, groups as tables below. None is left out."""
-    groups = {key: value for key, value in values.items() if isinstance(value, Mapping)}
-    plain = {k: v for k, v in values.items() if k not in groups and v is not None}
-    lines = [f"{key} = {_toml_text(value)}" for key, value in plain.items()]
-    for key, group in groups.items():
-        name = f"{path}.{key}" if path else key
-        lines += ["", f"[{name}]", *toml_lines(group, name)]
-    return lines
-
-
-def _toml_text(value: Any) -> str:
-    if isinstance(value, (list, tuple)):
-        return f"[{', '.join(_toml_text(item) for item in value)}]"
-    # JSON's numbers, booleans and strings are TOML's as well.
-    return json.dumps(value, ensure_ascii=False)
+def to_toml(detector: str, settings: Settings) -> str:
+    """The text of a file for ``--config`` that gives this detector with these settings."""
+    return tomli_w.dumps({"detector": detector, **settings.model_dump(exclude_none=True)})

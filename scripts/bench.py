@@ -1,28 +1,34 @@
 """Time detectors beside their peers: LRASPP of torchvision, and superpixels of scikit-image.
 
     python scripts/bench.py                                      # every detector, one thread
-    python scripts/bench.py fusion ufl --size 960x720
+    python scripts/bench.py fusion ufl --size 960 720
+    python scripts/bench.py fusion ufl --against ../before       # another checkout's beside them
     python scripts/bench.py --write                              # and keep what documents show
+    python scripts/bench.py --suite -n 2                         # CPU seconds of the tests
 
-Each round runs every contestant once, in an order that moves on by one from round to round. Times
-are medians over the rounds; a ratio is the median of the rounds' ratios: what slows the whole
-machine for a while slows both sides of it. Other work on the same cores does not; measure on a
-quiet machine. ``--write`` keeps the figures in docs/figures/bench.json.
+Each round runs every contestant once, every other round in the reverse order. Times are medians
+over the rounds; a ratio is the median of the rounds' ratios: what slows the whole machine for a
+while slows both sides of it. Other work on the same cores does not; measure on a quiet machine, or
+count the process's own time (``--clock process``). ``--suite`` hands the words behind it to pytest.
 """
 
 import argparse
+import importlib
 import json
+import resource
+import subprocess
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from statistics import median
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.benchmark import Timer
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
 
@@ -39,7 +45,9 @@ SEGMENTS = 400
 SLIC, SKIMAGE = f"slic, {SEGMENTS} segments", f"slic, {SEGMENTS} segments (scikit-image)"
 PEERS = {LRASPP: "LRASPP", SLIC: "slic", SKIMAGE: "slic-skimage"}
 """Peers, and the names of their records."""
+BEFORE = ", before"
 WARM_UP = 2  # rounds that are not counted
+CLOCKS = {"wall": time.perf_counter, "process": time.process_time}
 
 Calls = Mapping[str, Callable[[], Any]]
 """What is timed once a round, by name."""
@@ -47,16 +55,16 @@ Times = dict[str, list[float]]
 """Milliseconds by name, a number a round."""
 
 
-def interleaved(calls: Calls, rounds: int) -> Times:
+def interleaved(calls: Calls, rounds: int, clock: Callable[[], float]) -> Times:
     """Milliseconds of every call in every counted round, on one thread of torch."""
-    timers = {name: Timer("call()", globals={"call": call}) for name, call in calls.items()}
+    torch.set_num_threads(1)
     times: Times = {name: [] for name in calls}
     for number in range(WARM_UP + rounds):
-        turn = number % len(timers)
-        for name in [*list(timers)[turn:], *list(timers)[:turn]]:
-            taken = timers[name].timeit(1).mean * 1000
+        for name in list(calls)[:: -1 if number % 2 else 1]:
+            start = clock()
+            calls[name]()
             if number >= WARM_UP:
-                times[name].append(taken)
+                times[name].append((clock() - start) * 1000)
     return times
 
 
@@ -80,26 +88,65 @@ def lraspp(image: Tensor) -> Callable[[], Any]:
     return run
 
 
-def contestants(names: Sequence[str], image: Tensor) -> Calls:
-    """``detect`` of the named detectors, and the peers."""
+def detects_of(checkout: Path, names: Sequence[str]) -> dict[str, Callable[[Tensor], Any]]:
+    """``detect`` of another checkout's detectors; modules that are loaded stay loaded."""
+
+    def loaded() -> dict[str, ModuleType]:
+        ours = [name for name in sys.modules if name.partition(".")[0] == "roadtorch"]
+        return {name: sys.modules[name] for name in ours}
+
+    others = loaded()
+    for name in others:
+        del sys.modules[name]
+    sys.path.insert(0, str(checkout))
+    try:
+        catalogue = importlib.import_module("roadtorch.detectors.catalogue")
+        detects = {name: catalogue.load_detector(name).detect for name in names}
+        image = render_scene(0).image
+        for detect in detects.values():
+            detect(image)  # what is imported late is that checkout's own, too
+        return detects
+    finally:
+        sys.path.remove(str(checkout))
+        for name in loaded():
+            del sys.modules[name]
+        sys.modules.update(others)
+
+
+def contestants(names: Sequence[str], image: Tensor, before: Path | None = None) -> Calls:
+    """``detect`` of the named detectors, that of another checkout, and the peers."""
     import skimage.segmentation
 
+    others = detects_of(before.resolve(), names) if before else {}
+    calls: dict[str, Callable[[], Any]] = {}
+    for name in names:
+        calls[name] = partial(load_detector(name).detect, image)
+        if before:
+            calls[f"{name}{BEFORE}"] = partial(others[name], image)
     rows = np.ascontiguousarray(image.permute(1, 2, 0).numpy())
     theirs = partial(skimage.segmentation.slic, rows, SEGMENTS, compactness=10)
-    return {
-        **{name: partial(load_detector(name).detect, image) for name in names},
-        LRASPP: lraspp(image),
-        SLIC: partial(slic, image, SEGMENTS),
-        SKIMAGE: theirs,
-    }
+    return {**calls, LRASPP: lraspp(image), SLIC: partial(slic, image, SEGMENTS), SKIMAGE: theirs}
 
 
 def table(times: Times) -> str:
-    """Markdown: a row a contestant."""
-    lines = ["| one thread | ms | of LRASPP |", "|---|---:|---:|"]
+    """Markdown: a row a contestant, its share of LRASPP, and of the other checkout's where told."""
+    lines = ["| one thread | ms | of LRASPP | of before |", "|---|---:|---:|---:|"]
     for name, values in times.items():
-        lines.append(f"| {name} | {median(values):.1f} | {ratio(values, times[LRASPP]):.2f} |")
+        shares = [f"{ratio(values, times[LRASPP]):.2f}"]
+        shares += [f"{ratio(values, times[name + BEFORE]):.2f}" if name + BEFORE in times else ""]
+        lines.append(f"| {name} | {median(values):.1f} | {' | '.join(shares)} |")
     return "\n".join(lines)
+
+
+def suite(words: Sequence[str]) -> str:
+    """CPU seconds of the tests for each millisecond of LRASPP, measured before and after them."""
+    calls = {LRASPP: lraspp(render_scene(0, 480, 640).image.contiguous())}
+    before = interleaved(calls, 20, time.perf_counter)[LRASPP]
+    subprocess.run([sys.executable, "-m", "pytest", "-q", *words], cwd=ROOT, check=False)
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    taken = median(before + interleaved(calls, 20, time.perf_counter)[LRASPP])
+    cpu = used.ru_utime + used.ru_stime
+    return f"tests: {cpu:.0f} s of CPU; {LRASPP}: {taken:.1f} ms; {cpu / taken:.2f} s per ms"
 
 
 def keep(times: Times) -> None:
@@ -109,18 +156,8 @@ def keep(times: Times) -> None:
         taken = times[name]
         values[f"bench.{PEERS.get(name, name)}.ms"] = median(taken)
         values[f"bench.{PEERS.get(name, name)}.of_lraspp"] = ratio(taken, times[LRASPP])
-    text = json.dumps(
-        {"command": COMMAND, "values": {key: values[key] for key in sorted(values)}}, indent=0
-    )
+    text = json.dumps({"command": COMMAND, "values": dict(sorted(values.items()))}, indent=0)
     KEPT.write_text(f"{text}\n", encoding="utf-8")
-
-
-def size(text: str) -> tuple[int, int]:
-    """``640x480`` → (640, 480): width and height, each at least 16."""
-    parts = [int(part) for part in text.split("x") if part.isdecimal()]
-    if len(parts) != 2 or min(parts) < 16:
-        raise argparse.ArgumentTypeError(f"{text}: give a size from 16x16 up, such as 640x480")
-    return parts[0], parts[1]
 
 
 def main() -> None:
@@ -128,16 +165,23 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("detectors", nargs="*", help="all but the grid of one-class detectors")
-    parser.add_argument("--size", type=size, default=(640, 480), help="of the rendered street")
+    parser.add_argument("--size", type=int, nargs=2, default=(640, 480), metavar=("W", "H"))
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--write", action="store_true", help="into docs/figures/bench.json")
-    given = parser.parse_args()
-    names = given.detectors or [name for name in list_detectors() if "<" not in name]
-    width, height = given.size
+    parser.add_argument("--against", type=Path, help="another checkout")
+    parser.add_argument("--clock", choices=CLOCKS, default="wall")
+    parser.add_argument("--suite", nargs=argparse.REMAINDER, help="the tests, with pytest's words")
+    options = parser.parse_args()
+    if options.suite is not None:
+        print(suite(options.suite))
+        return
+    names = options.detectors or [name for name in list_detectors() if "<" not in name]
+    width, height = options.size
     image = render_scene(0, height, width).image.contiguous()
-    times = interleaved(contestants(names, image), given.rounds)
+    calls = contestants(names, image, options.against)
+    times = interleaved(calls, options.rounds, CLOCKS[options.clock])
     print(table(times))
-    if given.write:
+    if options.write:
         keep(times)
 
 

@@ -40,12 +40,12 @@ class PageParser(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         """Note an opening tag."""
-        given = {name: value or "" for name, value in attrs}
-        self.places.add(given.get("id", ""))
-        loaded = tag in LOADING or (tag == "link" and bool(FETCHED & set(given["rel"].split())))
+        values = {name: value or "" for name, value in attrs}
+        self.places.add(values.get("id", ""))
+        loaded = tag in LOADING or (tag == "link" and bool(FETCHED & set(values["rel"].split())))
         names = ("src", "data", "poster") if tag in LOADING else ("href",)
         if tag in LOADING | {"a", "link"}:
-            self.links += [Link(given[name], loaded) for name in names if name in given]
+            self.links += [Link(values[name], loaded) for name in names if name in values]
 
 
 def build(out: Path) -> None:
@@ -56,8 +56,8 @@ def build(out: Path) -> None:
 
 def broken_links(site: Path) -> Iterator[str]:
     """``PAGE: ADDRESS: what is wrong`` for each address that leads nowhere or is fetched."""
-    found = [path for path in site.rglob("*.html") if "_static" not in path.parts]
-    pages = {path.resolve(): parsed(path) for path in found}
+    paths = [path for path in site.rglob("*.html") if "_static" not in path.parts]
+    pages = {path.resolve(): parsed(path) for path in paths}
     for path, page in sorted(pages.items()):
         for link in page.links:
             wrong = wrong_with(link, path, pages)

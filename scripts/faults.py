@@ -29,8 +29,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
 
 from roadtorch.cli import main
-from roadtorch.data.event_log import LogHead, append_event, log_path, read_logs
-from roadtorch.data.events import BrushStroke
+from roadtorch.data.events import BrushStroke, LogHead, append_event, log_path, read_logs
 from roadtorch.io.image import write_mask
 from roadtorch.scenes.street import render_scene, write_picture
 from scripts.torture import ASKED, OUT, TRAINING, become, differences, ended, load
@@ -55,7 +54,7 @@ IMAGES = "../work/image_2"
 
 def annotate() -> None:
     """Draw as the page does, three strokes on two pictures; each is noted once it is taken."""
-    from roadtorch.annotate.serving import opened_session
+    from roadtorch.annotate.session import opened_session
     from roadtorch.detectors.catalogue import load_detector
     from roadtorch.errors import RoadtorchError
 
@@ -92,7 +91,7 @@ COMMANDS: Mapping[str, Callable[[], None]] = {
         *("annotate", IMAGES, "--out", OUT, "--import", "labelme", "--from", "../work/drawn")
     ),
     "corrections": called(
-        *("annotate", IMAGES, "--out", "../work/corrections", "--export", "cvat", "--to", OUT)
+        *("annotate", IMAGES, "--out", "../work/corrections", "--export", "coco", "--to", OUT)
     ),
     "grid": called(
         *("grid", IMAGES, *DETECTOR, "--height", "1.5", "--pitch", "2", "--fov", "90", "--out", OUT)
@@ -104,7 +103,7 @@ COMMANDS: Mapping[str, Callable[[], None]] = {
         *("train", "--config", "../work/training.toml", "--images", IMAGES, "--resume"),
         *("--corrections", "../work/corrections", "--threads", "1", "--out", OUT),
     ),
-    "export": called("export", "layout:cnn-7", "--out", f"{OUT}/net.onnx"),
+    "export": called("export", "fusion", "--out", f"{OUT}/net.onnx"),
 }
 
 

@@ -15,16 +15,14 @@ import argparse
 import csv
 import difflib
 import hashlib
-import io
 import json
 import os
 import re
 import shutil
 import subprocess
 import sys
-import time
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby, product
 from pathlib import Path
 
@@ -95,7 +93,6 @@ OUTPUTS = {
 
 PARTS = ("detections", *dict.fromkeys(output.split("/")[0] for output in OUTPUTS))
 HASHES = "hashes.csv"
-MOST_FILES, MOST_LINES = 12, 8  # that compare shows of an output, and of a text
 
 
 def detectors() -> list[str]:
@@ -128,13 +125,13 @@ def make_inputs(data: Path, folder: Path) -> None:
     with zipfile.ZipFile(folder / "pictures.zip", "w") as archive:
         for file in sorted((folder / "pictures").iterdir()):
             archive.writestr(zipfile.ZipInfo(file.name), file.read_bytes())
-    write_bags(folder)
+    write_bags(folder, slice(0, 24, 4))
 
 
-def write_bags(folder: Path) -> None:
-    """Six frames of clip.mp4 and their lens: ``drive`` of ROS 2, ``drive.bag`` of ROS 1."""
+def write_bags(folder: Path, part: slice) -> None:
+    """Frames of clip.mp4 and their lens: ``drive`` of ROS 2, ``drive.bag`` of ROS 1."""
     with av.open(str(folder / "clip.mp4")) as container:
-        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)][:24:4]
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)][part]
     height, width = frames[0].shape[:2]
     matrix = np.array([400, 0, width / 2, 0, 400, height / 2, 0, 0, 1], float)
     lens = (height, width, "plumb_bob", np.zeros(5), matrix, np.eye(3).ravel(), np.zeros(12), 0, 0)
@@ -177,8 +174,8 @@ def detections(data: Path) -> Iterator[tuple[str, bytes]]:
 
 def outputs(part: str, data: Path, out: Path) -> Iterator[tuple[str, bytes]]:
     """The files of the part's command lines, made in ``out``; ``OUTPUT.txt`` is what one says."""
-    environment = {**os.environ, "PYTHONPATH": str(Path.cwd()), "COLUMNS": "100"}
-    environment |= {f"{library}_NUM_THREADS": "1" for library in ("OMP", "MKL", "OPENBLAS")}
+    env = {**os.environ, "PYTHONPATH": str(Path.cwd()), "COLUMNS": "100"}
+    env |= {f"{library}_NUM_THREADS": "1" for library in ("OMP", "MKL", "OPENBLAS")}
     every = " ".join(f"--detector {name}" for name in detectors())
     shutil.rmtree(out / part, ignore_errors=True)
     (out / part).mkdir()
@@ -187,8 +184,7 @@ def outputs(part: str, data: Path, out: Path) -> Iterator[tuple[str, bytes]]:
     for output in [output for output in OUTPUTS if output.startswith(f"{part}/")]:
         command = [sys.executable, "-m", "roadtorch", *OUTPUTS[output].format(all=every).split()]
         command += ["--out", f"../{output}"] if part != "commands" else []
-        folder = out / "inputs"
-        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+        done = subprocess.run(command, cwd=out / "inputs", env=env, capture_output=True, text=True)
         text = f"exit {done.returncode}\n--- stdout\n{done.stdout}--- stderr\n{done.stderr}"
         (out / f"{output}.txt").write_text(text)
     for file in sorted((out / part).rglob("*")):
@@ -204,14 +200,13 @@ def record(data: Path, out: Path, parts: Sequence[str]) -> None:
     out = out.resolve()
     table = hashes(out) if (out / HASHES).exists() else {}
     for part in ("inputs", *parts):
-        began = time.perf_counter()
         table = {key: value for key, value in table.items() if key[0] != part}
         contents = detections(data) if part == "detections" else outputs(part, data, out)
         for name, content in contents:
             table[part, name] = hashlib.sha256(content).hexdigest()[:16]
         with (out / HASHES).open("w", newline="") as file:
             csv.writer(file).writerows((*key, value) for key, value in sorted(table.items()))
-        print(f"{part}: {time.perf_counter() - began:.0f} s", file=sys.stderr)
+        print(f"{part} is recorded", file=sys.stderr)
 
 
 def hashes(out: Path) -> dict[tuple[str, str], str]:
@@ -234,6 +229,7 @@ UNSETTLED = (
     (r'data-v="[\d.]+">\d+\.\d<', 'data-v="TIME">TIME<'),  # reports tell ms alone so
     (r"(?m) +\d+\.\d(?=  [ \d.-]+$)", " TIME"),  # and so does the table on the screen
     (r"\bin \d+(\.\d+)? s\b", "in TIME"),
+    (r"(?m)^roadtorch: .*(, [\d:?]+ left| in [\d:]+)\n", ""),  # how far a long run is
 )
 """Versions, dates and times in text, and what stands there instead."""
 
@@ -248,7 +244,7 @@ def settled(file: Path) -> bytes:
         return content
     text = content.decode().replace(str(Path.cwd()), "REPO")
     if file.name in UNSETTLED_COLUMNS:
-        rows = list(csv.DictReader(io.StringIO(text)))
+        rows = list(csv.DictReader(text.splitlines()))
         for row, name in product(rows, UNSETTLED_COLUMNS[file.name]):
             row.pop(name, None)
         text = "\n".join(map(json.dumps, rows))
@@ -261,30 +257,40 @@ def differences(before: Path, after: Path) -> Iterator[str]:
     """What differs, by output and file; last, how many are equal."""
     old, new = hashes(before), hashes(after)
     parts, others = ({part for part, _ in table} for table in (old, new))
-    for part in sorted(parts ^ others):
-        yield f"{part}: recorded on one side alone, and left aside"
     keys = sorted(key for key in old.keys() | new.keys() if key[0] in parts & others)
     unequal = [key for key in keys if old.get(key) != new.get(key)]
     for output, group in groupby(unequal, lambda key: f"{key[0]}/{key[1].split('/')[0]}"):
         differing = list(group)
         yield f"{output}: {len(differing)} differ"
-        for key in differing[:MOST_FILES]:
+        for key in differing[:12]:
             state = "gone" if key not in new else "other bytes" if key in old else "new"
             yield f"  {'/'.join(key)}: {state}"
-            if state == "other bytes" and Path(key[1]).suffix in TEXT:
-                files = (before.joinpath(*key), after.joinpath(*key))
-                lines = [settled(file).decode().split("\n") for file in files]
-                changes = list(difflib.unified_diff(*lines, n=0, lineterm=""))[2:]
-                yield from (f"    {line[:200]}" for line in changes[:MOST_LINES])
-    yield f"equal: {len(keys) - len(unequal)} of {len(keys)}"
+            if state == "other bytes":
+                lines = changes(before.joinpath(*key), after.joinpath(*key))
+                yield from (f"    {line[:200]}" for line in lines[:8])
+    yield f"equal: {len(keys) - len(unequal)} of {len(keys)} in {', '.join(sorted(parts & others))}"
 
 
-def thumbnails() -> dict[str, list[list[int]]]:
+def changes(before: Path, after: Path) -> list[str]:
+    """The lines of a text that differ; of an array, how many numbers do and by how much."""
+    if before.suffix == ".npy":
+        old, new = np.load(before).astype(float), np.load(after).astype(float)
+        if old.shape != new.shape:
+            return [f"{old.shape} and {new.shape}"]
+        apart = np.abs(old - new)
+        return [f"{np.count_nonzero(apart)} of {apart.size} numbers, by {apart.max():.2g} at most"]
+    if before.suffix not in TEXT:
+        return []
+    old, new = (settled(file).decode().split("\n") for file in (before, after))
+    return list(difflib.unified_diff(old, new, n=0, lineterm=""))[2:]
+
+
+def thumbnails(names: Iterable[str]) -> dict[str, list[list[int]]]:
     """By detector its likelihoods in two rendered streets, 6×8 means of each, in 255ths."""
     scenes = ({"seed": 3}, {"seed": 5, "dusk": 0.6})
     images = [render_scene(height=96, width=128, **options).image for options in scenes]
     rows: dict[str, list[list[int]]] = {}
-    for name in detectors():
+    for name in names:
         detector = load_detector(name)
         maps = torch.stack([detector.detect(image).likelihood for image in images])
         means = torch.nn.functional.adaptive_avg_pool2d(maps, (6, 8))
@@ -294,24 +300,19 @@ def thumbnails() -> dict[str, list[list[int]]]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    commands = parser.add_subparsers(dest="command", required=True)
-    recording = commands.add_parser("record")
-    recording.add_argument("data", type=Path)
-    recording.add_argument("out", type=Path)
-    recording.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
-    comparing = commands.add_parser("compare")
-    comparing.add_argument("before", type=Path)
-    comparing.add_argument("after", type=Path)
-    commands.add_parser("thumbnails").add_argument("file", type=Path)
+    parser.add_argument("command", choices=("record", "compare", "thumbnails"))
+    parser.add_argument("paths", nargs="+", type=Path)
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
     options = parser.parse_args()
     if options.command == "record":
-        record(options.data, options.out, options.only)
+        record(*options.paths, parts=options.only)
     if options.command == "thumbnails":
-        rows = [f"{json.dumps(name)}: {json.dumps(maps)}" for name, maps in thumbnails().items()]
-        options.file.write_text("{\n" + ",\n".join(rows) + "\n}\n")
+        maps = thumbnails(detectors())
+        rows = [f"{json.dumps(name)}: {json.dumps(means)}" for name, means in maps.items()]
+        options.paths[0].write_text("{\n" + ",\n".join(rows) + "\n}\n")
     lines = []
     if options.command == "compare":
-        lines = list(differences(options.before, options.after))
+        lines = list(differences(*options.paths))
         print("\n".join(lines))
     return int(len(lines) > 1)
 

@@ -58,7 +58,7 @@ class Run(NamedTuple):
 
     def commands(self, name: str) -> list[str]:
         """What is run: ``evaluate`` is the last but ``compare``."""
-        named = " ".join(f"--detector {one}" for one in self.detectors)
+        named = " ".join(f"--detector {detector}" for detector in self.detectors)
         scored = f"{self.words} {named} --against fusion --montage 0 --out OUT/{name}"
         last = [f"roadtorch compare {self.compared} --out OUT/{name}"] if self.compared else []
         return [*self.before, f"roadtorch evaluate {scored}", *last]
@@ -70,11 +70,11 @@ EXPORTED = ("fusion", "fusion:large", "fusion:research", "fusion:scratch")
 def of_exported(words: str, root: str, detectors: Sequence[str], compared: str = "") -> Run:
     """Detectors beside their exported networks, which examples/infer.py runs on a set."""
     before, maps = [], ""
-    for one in detectors:
-        file, folder = f"OUT/{one}.onnx", f"OUT/maps/{one}"
-        before.append(f"roadtorch export {one} --out {file}")
+    for detector in detectors:
+        file, folder = f"OUT/{detector}.onnx", f"OUT/maps/{detector}"
+        before.append(f"roadtorch export {detector} --out {file}")
         before.append(f"python docs/examples/infer.py {file} {root} {folder}")
-        maps += f" --maps {one}={folder}"
+        maps += f" --maps {detector}={folder}"
     return Run(words + maps, detectors, before, compared)
 
 
@@ -110,8 +110,8 @@ def evaluate(data: Path, out: Path, names: Sequence[str], jobs: int) -> None:
             words += ["--jobs", str(jobs)] * (words[3:4] == ["evaluate"])
             subprocess.run(words, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
         metrics = json.loads((out / name / "metrics.json").read_text(encoding="utf-8"))
-        found = records_of(name, metrics) | records_of_masks(name, out / name)
-        kept = {key: found[key] for key in sorted(found) if key in asked}
+        values = records_of(name, metrics) | records_of_masks(name, out / name)
+        kept = {key: values[key] for key in sorted(values) if key in asked}
         text = json.dumps({"command": " && ".join(commands), "values": kept}, indent=0)
         (FIGURES / f"{name}.json").write_text(f"{text}\n", encoding="utf-8")
 
@@ -130,26 +130,26 @@ NOT_FIGURES = ("settings", "images_by_f", "ci95", "groups", "left_out", "pooled"
 
 def records_of(run: str, metrics: Mapping[str, Any]) -> dict[str, float | str]:
     """All numbers of a metrics.json, flat."""
-    found: dict[str, float | str] = {f"{run}.images": metrics["images"]}
+    values: dict[str, float | str] = {f"{run}.images": metrics["images"]}
     base = metrics["detectors"].get("lbp", {}).get("auc_pooled")
-    for detector, one in metrics["detectors"].items():
-        own, groups = f"{run}.{detector}", one.get("groups", {})
-        found |= {f"{own}.{key}": value for key, value in _flat(one)}
-        found |= _ends(own, one["ci95"])
-        for group, figures in {**groups, **one.get("conditions", {})}.items():
-            found |= {f"{own}.{key}@{group}": value for key, value in _flat(figures)}
+    for detector, scores in metrics["detectors"].items():
+        own, groups = f"{run}.{detector}", scores.get("groups", {})
+        values |= {f"{own}.{key}": value for key, value in _flat(scores)}
+        values |= _ends(own, scores["ci95"])
+        for group, figures in {**groups, **scores.get("conditions", {})}.items():
+            values |= {f"{own}.{key}@{group}": value for key, value in _flat(figures)}
         for key in ("f_mask", "maxf"):
-            values = {name: each[key] for name, each in groups.items() if each.get(key) is not None}
-            if values:
-                worst = min(values, key=lambda name: values[name])
-                found |= {f"{own}.{key}.worst": values[worst], f"{own}.{key}.worst.camera": worst}
-                found |= {f"{own}.{key}.iou@{name}": f / (2 - f) for name, f in values.items()}
+            f_of = {name: each[key] for name, each in groups.items() if each.get(key) is not None}
+            if f_of:
+                worst = min(f_of, key=lambda name: f_of[name])
+                values |= {f"{own}.{key}.worst": f_of[worst], f"{own}.{key}.worst.camera": worst}
+                values |= {f"{own}.{key}.iou@{name}": f / (2 - f) for name, f in f_of.items()}
         if base:  # P2's improvement
-            found[f"{own}.auc_pooled.over_lbp"] = one["auc_pooled"] / base - 1
+            values[f"{own}.auc_pooled.over_lbp"] = scores["auc_pooled"] / base - 1
         for key, change in metrics["paired"]["detectors"].get(detector, {}).items():
-            found[f"{own}.{key}.less"] = change["difference"]
-            found |= _ends(own, {f"{key}.less": change["ci95"]})
-    return found
+            values[f"{own}.{key}.less"] = change["difference"]
+            values |= _ends(own, {f"{key}.less": change["ci95"]})
+    return values
 
 
 def _flat(figures: Mapping[str, Any], under: str = "") -> Iterator[tuple[str, float]]:
@@ -174,15 +174,15 @@ def records() -> dict[str, float | str]:
     grid = {name.rpartition(":")[2] for name in list_detectors("oneclass:*")}
     pictures = (ROOT / "train" / "pictures.csv").read_text(encoding="utf-8").splitlines()
     weights = load_network(shipped_weights("layout")).parameters()
-    found: dict[str, float | str] = {
+    values: dict[str, float | str] = {
         "facts.classifiers": len(CLASSIFIERS),
         "facts.representations": len(grid),
-        "facts.network.weights": sum(each.numel() for each in weights),
+        "facts.network.weights": sum(weight.numel() for weight in weights),
         "facts.training_pictures": len(pictures) - 1,
     }
     for path in sorted(FIGURES.glob("*.json")):
-        found |= json.loads(path.read_text(encoding="utf-8"))["values"]
-    return found
+        values |= json.loads(path.read_text(encoding="utf-8"))["values"]
+    return values
 
 
 # --- documents -----------------------------------------------------------------------------
@@ -198,12 +198,12 @@ def rewritten(text: str, known: Records) -> str:
     A figure that agrees with its record stays as it is written.
     """
 
-    def figure(one: re.Match[str]) -> str:
-        now = restated(one["said"], known[one["key"]])
-        return one[0] if now == one["said"] else f"{now}<!-- figure: {one['key']} -->"
+    def figure(match: re.Match[str]) -> str:
+        now = restated(match["said"], known[match["key"]])
+        return match[0] if now == match["said"] else f"{now}<!-- figure: {match['key']} -->"
 
-    def table(one: re.Match[str]) -> str:
-        return f"<!-- table: {one['name']} -->\n{TABLES[one['name']](known)}<!-- end -->"
+    def table(match: re.Match[str]) -> str:
+        return f"<!-- table: {match['name']} -->\n{TABLES[match['name']](known)}<!-- end -->"
 
     return MARK.sub(figure, TABLE.sub(table, text))
 
@@ -253,20 +253,20 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("out/figures"), help="of the evaluations")
     parser.add_argument("--only", nargs="*", choices=RUNS, default=["many", "camvid", "idd"])
     parser.add_argument("--jobs", type=int, default=2)
-    given = parser.parse_args(words)
-    if given.task == "evaluate":
-        if given.data is None:
+    options = parser.parse_args(words)
+    if options.task == "evaluate":
+        if options.data is None:
             parser.error("evaluate DATA: give the folder of the data")
-        evaluate(given.data.resolve(), given.out.resolve(), given.only, given.jobs)
-    found = list(stale())
-    for path, before, after in found:
+        evaluate(options.data.resolve(), options.out.resolve(), options.only, options.jobs)
+    changed = list(stale())
+    for path, before, after in changed:
         lines = difflib.unified_diff(
             before.splitlines(), after.splitlines(), str(path), lineterm=""
         )
         print("\n".join(lines))
-        if given.task != "check":
+        if options.task != "check":
             path.write_text(after, encoding="utf-8")
-    return 1 if found and given.task == "check" else 0
+    return 1 if changed and options.task == "check" else 0
 
 
 if __name__ == "__main__":

@@ -36,20 +36,20 @@ def write_steps(folder: Path, path: Path) -> None:
 def steps(detector: Detector, path: Path) -> np.ndarray:
     """One row uint8 (h,w,3) RGB."""
     image = read_image(path)
-    found = detector.detect(image)
-    tiles = tiles_of(to_pixels(image), found)
+    detection = detector.detect(image)
+    tiles = tiles_of(to_pixels(image), detection)
     height = round(image.shape[1] * TILE_WIDTH / image.shape[2])
     return np.concatenate([captioned(tile, text, height) for text, tile in tiles.items()], axis=1)
 
 
-def tiles_of(pixels: np.ndarray, found: Detection) -> dict[str, np.ndarray]:
-    cues = cue_tiles(found)
+def tiles_of(pixels: np.ndarray, detection: Detection) -> dict[str, np.ndarray]:
+    cues = cue_tiles(detection)
     return {
         "input": pixels,
         "layout: sky, vertical, ground": cues["layout"],
         "texture: how even": cues["uniformity"],
-        "likelihood of road": heat(found.likelihood),
-        f"mask, {found.caption}": replace(found, trust=None).overlay(),
+        "likelihood of road": heat(detection.likelihood),
+        f"mask, {detection.caption}": replace(detection, trust=None).overlay(),
     }
 
 

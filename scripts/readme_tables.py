@@ -22,24 +22,24 @@ TIMED = (
 SLOW = ("fusion", "ufl:kitti", "kmeans-road", "vanishing-point")
 
 
-def restated(said: str, value: float | str) -> str:
+def restated(figure: str, value: float | str) -> str:
     """A value in the words of an old figure: its digits, its sign, its percent.
 
     ".827" and .8312 → ".831"; "1,318" and 55 → "55"; "470,000" and 474,373 → "474,000"; "18 %"
     and .2 → "20 %"; "`a`" and "b" → "`b`". A minus is a true one.
     """
-    if said.startswith("`"):
+    if figure.startswith("`"):
         return f"`{value}`"
-    percent = re.search(r"\s?%$", said)
-    digits = said.removesuffix(percent[0] if percent else "")
+    percent = re.search(r"\s?%$", figure)
+    digits = figure.removesuffix(percent[0] if percent else "")
     places = len(digits.partition(".")[2])
     if not places and (zeros := len(digits) - len(digits.rstrip("0,"))) >= 3:
         places = -3 * (zeros // 4) if "," in digits else -zeros
     number = round(float(value) * (100 if percent else 1), places)
-    text = f"{abs(number):{',' if ',' in said else ''}.{max(places, 0)}f}"
-    if places > 0 and re.match(rf"[+{MINUS}-]?\.", said):
+    text = f"{abs(number):{',' if ',' in figure else ''}.{max(places, 0)}f}"
+    if places > 0 and re.match(rf"[+{MINUS}-]?\.", figure):
         text = text.removeprefix("0")
-    signed = said[0] in f"+-{MINUS}"
+    signed = figure[0] in f"+-{MINUS}"
     sign = MINUS if number < 0 else "+" if signed else ""
     return sign + text + (percent[0] if percent else "")
 
@@ -66,7 +66,7 @@ class Table(NamedTuple):
                 return "–"
             if style != "ci":
                 return restated(style or ".000", known[key])
-            values = (restated(".000", known[one]) for one in (key, f"{key}.low", f"{key}.high"))
+            values = (restated(".000", known[name]) for name in (key, f"{key}.low", f"{key}.high"))
             return "{} ({}–{})".format(*values)
 
         rows = list(self.rows.items())
@@ -122,9 +122,9 @@ TABLES: Mapping[str, Table] = {
         "[[idd.{row}.maxf]]",
     ),
     "camvid-road": Table(
-        f"detector | {' | '.join(f'MaxF {one}' for one in DRIVES)} | mean (95 %) | {MEASURES}",
+        f"detector | {' | '.join(f'MaxF {name}' for name in DRIVES)} | mean (95 %) | {MEASURES}",
         _named(*ROAD, *BASELINES),
-        f"{_cells('camvid', *(f'maxf@{one}' for one in DRIVES))} | [[camvid.{{row}}.maxf|ci]] | "
+        f"{_cells('camvid', *(f'maxf@{name}' for name in DRIVES))} | [[camvid.{{row}}.maxf|ci]] | "
         f"{_cells('camvid', *KEYS)}",
         "camvid.{row}.maxf",
     ),
@@ -194,7 +194,7 @@ TABLES: Mapping[str, Table] = {
             for run, title in (("camvid", "CamVid"), ("idd", "IDD"))
         },
         " | ".join(
-            " / ".join(f"[[{{row}}.layout.confusion.{true}.{said}]]" for said in CLASSES)
+            " / ".join(f"[[{{row}}.layout.confusion.{true}.{decided}]]" for decided in CLASSES)
             for true in CLASSES
         ),
     ),

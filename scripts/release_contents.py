@@ -24,8 +24,8 @@ Files = Mapping[str, bytes]
 def package_files(root: Path = ROOT) -> dict[str, bytes]:
     """The files of the package in a checkout, links followed, by their names in a wheel."""
     folder = root / PACKAGE
-    found = [*folder.rglob("*"), *(folder / "configs").rglob("*")]
-    kept = (path for path in found if path.is_file() and "__pycache__" not in path.parts)
+    paths = [*folder.rglob("*"), *(folder / "configs").rglob("*")]
+    kept = (path for path in paths if path.is_file() and "__pycache__" not in path.parts)
     return {path.relative_to(root).as_posix(): path.read_bytes() for path in kept}
 
 
@@ -38,8 +38,8 @@ def wheel_files(path: Path) -> dict[str, bytes]:
 def sdist_files(path: Path) -> dict[str, bytes]:
     """The files of an sdist, without the folder that all are in."""
     with tarfile.open(path) as archive:
-        members = ((one.name.partition("/")[2], archive.extractfile(one)) for one in archive)
-        return {name: file.read() for name, file in members if file is not None}
+        files = ((each.name.partition("/")[2], archive.extractfile(each)) for each in archive)
+        return {name: file.read() for name, file in files if file is not None}
 
 
 def faults(shipped: Files, wanted: Files) -> Iterator[str]:
@@ -87,11 +87,11 @@ def main() -> None:
     ):
         (path,) = folder.glob(pattern)
         shipped = read(path)
-        found = list(check(shipped, wanted))
-        status |= bool(found)
+        problems = list(check(shipped, wanted))
+        status |= bool(problems)
         size = path.stat().st_size / 1e6
-        print(f"{path.name}: {len(shipped)} files, {size:.1f} MB, {len(found)} faults")
-        print("".join(f"  {fault}\n" for fault in found), end="")
+        print(f"{path.name}: {len(shipped)} files, {size:.1f} MB, {len(problems)} faults")
+        print("".join(f"  {fault}\n" for fault in problems), end="")
     sys.exit(status)
 
 

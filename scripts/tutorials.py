@@ -71,7 +71,7 @@ def same_line(expected: str, found: str) -> bool:
         return False
     units = parts[2::2]
     triples = zip(parts[1::2], others[1::2], units, strict=True)
-    return all(bool(TIMES.match(unit)) or near(one, other) for one, other, unit in triples)
+    return all(bool(TIMES.match(unit)) or near(number, other) for number, other, unit in triples)
 
 
 def near(expected: str, found: str) -> bool:
@@ -79,10 +79,10 @@ def near(expected: str, found: str) -> bool:
 
     Whole numbers have no decimals: below 34 they have to be equal.
     """
-    one, other = (float(text.replace(",", "").replace("\u2212", "-")) for text in (expected, found))
+    a, b = (float(text.replace(",", "").replace("\u2212", "-")) for text in (expected, found))
     decimals = len(expected.partition(".")[2])
     steps = STEPS * 10.0**-decimals if decimals else 0.0
-    return abs(one - other) <= max(SHARE * abs(one), steps) + 1e-12
+    return abs(a - b) <= max(SHARE * abs(a), steps) + 1e-12
 
 
 # --- executing ---------------------------------------------------------------------------
@@ -274,10 +274,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Execute the tutorials.")
     parser.add_argument("act", choices=("check", "write"))
     parser.add_argument("pages", nargs="+", type=Path)
-    given = parser.parse_args()
+    options = parser.parse_args()
     prepare()
     wrong = 0
-    for path in given.pages:
+    for path in options.pages:
         before, begin = path.read_text(encoding="utf-8"), sum(os.times()[:4])
         after = run_page(before, path.name)
         took = sum(os.times()[:4]) - begin  # of the processor, children's too
@@ -286,9 +286,9 @@ def main() -> int:
             wrong += 1
             lines = before.splitlines(), after.splitlines()
             print("\n".join(difflib.unified_diff(*lines, lineterm="")))
-            if given.act == "write":
+            if options.act == "write":
                 path.write_text(after, encoding="utf-8")
-    return 1 if wrong and given.act == "check" else 0
+    return 1 if wrong and options.act == "check" else 0
 
 
 if __name__ == "__main__":

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from roadtorch.data.dataset import Dataset, Item
+from roadtorch.data.dataset import Dataset, LabelledItem
 from roadtorch.data.folder import FolderLabels
 from roadtorch.evaluation.document import DetectorCurves, RunCurves
 from roadtorch.evaluation.measure import Figures
 from roadtorch.evaluation.measures import MEASURES
-from roadtorch.evaluation.methods import Look, Method
+from roadtorch.evaluation.methods import Contender, Look
 from roadtorch.evaluation.result import (
     Comparison,
     DetectorFigures,
@@ -89,21 +89,21 @@ def scored(scores: Mapping[str, float | None]) -> Evaluation:
     )
 
 
-def made_item(name: str, group: str | None) -> Item:
-    return Item(name, Path(f"{name}.png"), Path(f"{name}_label.png"), group)
+def made_item(name: str, group: str | None) -> LabelledItem:
+    return LabelledItem(name, Path(f"{name}.png"), Path(f"{name}_label.png"), group)
 
 
 def made_row(detector: str, group: str, f: float) -> PictureRow:
     return PictureRow("picture", group, detector, 0.9, f, 0.5, f, f, f, f, 12.0)
 
 
-def made_contender(name: str, settings: Mapping[str, Any] | None = None) -> Method:
+def made_contender(name: str, settings: Mapping[str, Any] | None = None) -> Contender:
     """One that nobody asks to look; a baseline by its name."""
 
     def prepare(_: Dataset) -> Look:
         raise AssertionError("nobody looks")
 
-    return Method(name, prepare, settings or {}, is_baseline=name.startswith("prior:"))
+    return Contender(name, prepare, settings or {}, is_baseline=name.startswith("prior:"))
 
 
 def made_figures(name: str, score: float, groups: Sequence[str]) -> DetectorFigures:
@@ -173,6 +173,15 @@ def changed(evaluation: Evaluation, name: str, **fields: Any) -> Evaluation:
     """The same run with other fields of one detector's figures."""
     other = replace(evaluation.detectors[name], **fields)
     return replace(evaluation, detectors={**evaluation.detectors, name: other})
+
+
+def without_group(evaluation: Evaluation, group: str) -> Evaluation:
+    """The same run with one group left out."""
+    for name, one in evaluation.detectors.items():
+        kept = {each: figures for each, figures in one.groups.items() if each != group}
+        left_out = {group: one.groups[group]}
+        evaluation = changed(evaluation, name, groups=kept, left_out=left_out)
+    return evaluation
 
 
 @dataclass

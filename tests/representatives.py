@@ -11,17 +11,34 @@ def representatives() -> list[str]:
     Of ``oneclass:nn:…`` the first stays, of the next classifier the second, and so on, so
     that few names see most of the options.
     """
-    found, grids = [], {}
+    names, grids = [], {}
     for entries in detector_groups().values():
         for entry in entries:
             if entry.grid is None:
-                found.append(entry.name)
+                names.append(entry.name)
             else:
                 grids.setdefault((entry.grid.name, entry.name.split(":")[1]), []).append(entry.name)
-    return found + [members[number % len(members)] for number, members in enumerate(grids.values())]
+    return names + [members[number % len(members)] for number, members in enumerate(grids.values())]
+
+
+def ways_of_working() -> list[str]:
+    """The same without presets, which differ from an earlier name in values or weights alone."""
+    ways: dict[object, str] = {}
+    for name in representatives():
+        entry = detector_entry(name)
+        ways.setdefault(name if entry.grid else (entry.settings, entry.build), name)
+    return list(ways.values())
+
+
+LITTLE: dict[str, dict[str, Any]] = {
+    "dictionary": {"dictionary": {"bases": 20, "rounds": 3}, "working": {"rows": 48}},
+    "gabor": {"gabor": {"orientations": 16, "scales": 2}, "working": {"pixels": 3200}},
+    "samples": {"working": {"pixels": 60 * 80}},
+}
+"""By a group of settings that they have: with what detectors that take their time have little."""
 
 
 def quick(name: str) -> dict[str, Any]:
-    """Settings by which a detector that learns a dictionary for each picture learns a small one."""
-    learns = "dictionary" in detector_entry(name).settings.model_fields
-    return {"dictionary": {"bases": 20, "rounds": 3}} if learns else {}
+    """Settings by which a detector works as always, on less."""
+    fields = detector_entry(name).settings.model_fields
+    return next((little for group, little in LITTLE.items() if group in fields), {})

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from roadtorch.cli.options import DetectorOptions
 from roadtorch.detectors.catalogue import detector_entry
 from roadtorch.layout.patch_network import Topology
-from roadtorch.runs.options import DetectorOptions
 from roadtorch.settings import read_settings_file
 from roadtorch.train.config import PatchTraining, build_training
 
@@ -30,11 +30,8 @@ def test_the_papers_config_is_to_the_letter_where_the_paper_says() -> None:
     assert paper.network.topology == Topology()
     assert paper.network.normalisation.kind == "fixed"
     assert paper.labeller.support == "maximum"
-    assert (paper.descent.method, paper.descent.momentum, paper.descent.weight_decay) == (
-        "sgd",
-        0,
-        0,
-    )
+    descent = paper.descent
+    assert (descent.method, descent.momentum, descent.weight_decay) == ("sgd", 0, 0)
     assert (paper.centres.around, paper.balance) == (4, "none")
     assert (paper.stopping.rule, paper.stopping.min_delta) == ("plateau", 0.001)
     assert 320 * 240 / paper.superpixels.pixels == 4.8e6 / 500 / 5

@@ -1,5 +1,8 @@
 """What a detector takes and gives, and how the maps of an analysis are made."""
 
+import io
+import pickle
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
@@ -17,7 +20,7 @@ from roadtorch import load_detector
 from roadtorch.detector import Detection, lean
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.imaging.resize import Maps, averaging_bands
-from roadtorch.io.image import read_image
+from roadtorch.io.image import overlay_pixels, read_image
 from roadtorch.oneclass import base
 from roadtorch.oneclass.axes import axes_of
 from roadtorch.oneclass.density import floor_of
@@ -65,22 +68,32 @@ def test_deferred_maps_are_made_anew_and_only_when_asked_for() -> None:
     assert calls == [1, 1]
     with pytest.raises(KeyError, match="missing"):
         maps["missing"]
-    assert dict(maps.without("waiting").but(other=torch.ones(1))).keys() == {"made", "other"}
+    assert list(maps.without("waiting").but(other=torch.ones(1))) == ["made", "other"]
+    assert list(maps.only("waiting", "missing")) == ["waiting"]
+    assert calls == [1, 1]  # still none but those two
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["fusion", "fusion:untrained", "layout", "labeller", "cpf", "cpf:v2", "lbp", "prior:rows"],
-)
+def test_deferred_maps_are_made_to_cross_the_border_of_a_process() -> None:
+    image = scene(1, 48, 64).image
+    evidence = load_detector("fusion:untrained").find(image)
+
+    sent = pickle.loads(pickle.dumps(evidence))
+
+    for maps, copies in ((evidence.analysed, sent.analysed), (evidence.maps, sent.maps)):
+        assert list(copies) == list(maps)
+        assert all(torch.equal(copies[name], maps[name]) for name in maps)
+
+
+@pytest.mark.parametrize("name", ["fusion", "layout", "labeller", "cpf", "lbp", "prior:rows"])
 def test_detections_hold_ordinary_tensors(name: str) -> None:
-    image = scene(1).image[:, ::2, ::2].contiguous()  # below the working size: nothing is resized
+    image = scene(1, 48, 64).image  # below the working size: nothing is resized
 
-    found = load_detector(name).detect(image)
+    detection = load_detector(name).detect(image)
 
-    for maps in (found.likelihood, found.mask, *found.cues.values()):
+    for maps in (detection.likelihood, detection.mask, *detection.cues.values()):
         assert not maps.is_inference()
-    found.likelihood.mul_(0.5)
-    assert float(found.likelihood.max()) <= 0.5
+    detection.likelihood.mul_(0.5)
+    assert float(detection.likelihood.max()) <= 0.5
 
 
 def test_what_is_kept_for_later_calls_is_no_tensor_of_inference_mode() -> None:
@@ -99,8 +112,11 @@ def test_what_is_kept_for_later_calls_is_no_tensor_of_inference_mode() -> None:
 
 # --- pictures in --------------------------------------------------------------------------
 
-BGR = [(255 * scene(seed).image[:, ::2, 8 * seed :: 2]).byte().numpy()[::-1] for seed in range(4)]
-BGR = [picture.transpose(1, 2, 0) for picture in BGR]  # of four sizes, as OpenCV has them
+BGR = [
+    (255 * scene(seed, 48, 64).image[:, :, 4 * seed :]).byte().numpy()[::-1].transpose(1, 2, 0)
+    for seed in range(4)
+]
+"""Pictures of four sizes, as OpenCV has them."""
 
 
 def same(one: Detection, other: Detection) -> bool:
@@ -109,20 +125,21 @@ def same(one: Detection, other: Detection) -> bool:
     )
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_several_pictures_give_what_each_gives_by_itself(jobs: int) -> None:
+def test_several_pictures_give_what_each_gives_by_itself() -> None:
     detector = load_detector("fusion:untrained", order="bgr")
     singles = [detector.detect(picture) for picture in BGR]
-    square = [picture[:96, :128] for picture in BGR[:2]]
+    square = [picture[:, :50] for picture in BGR[:2]]
+    alike = detector(square)
+    images = torch.stack([detection.image for detection in alike])  # type: ignore[misc]
 
-    assert all(map(same, detector(BGR, jobs=jobs), singles))
-    assert all(map(same, detector.detect_many(iter(BGR), jobs=jobs), singles))
-    assert all(map(same, detector.detect_many(np.stack(square)), detector(square)))
-    assert len(detector(np.stack(square))) == 2  # type: ignore[arg-type]
+    assert all(map(same, detector(BGR), singles))
+    assert all(map(same, detector.detect_many(iter(BGR)), singles))
+    for stack in (np.stack(square), images):
+        assert isinstance(detector(stack), list)  # type: ignore[arg-type]
+        assert all(map(same, detector(stack), alike))  # type: ignore[call-overload]
     assert same(detector(BGR[0]), load_detector("fusion:untrained").detect(BGR[0], "bgr"))
-    images = torch.stack([found.image for found in detector(square)])  # type: ignore[arg-type]
-    assert all(map(same, detector.detect_many(images), detector(square)))
-    assert torch.equal(detector(images)[1], detector(square)[1].likelihood)
+    likelihoods = torch.stack([detection.likelihood for detection in alike])
+    assert torch.equal(detector.forward(images), likelihoods)
     assert detector([]) == []
 
 
@@ -137,7 +154,7 @@ def test_a_generator_is_asked_when_a_picture_is_needed_and_left_where_one_is_wro
     found = load_detector("prior:rows", order="bgr").detect_many(pictures())
 
     assert asked == []
-    assert [next(found).mask.shape[1], next(found).mask.shape[1]] == [160, 156]
+    assert [next(found).mask.shape[1], next(found).mask.shape[1]] == [64, 60]
     assert asked == [0, 1]
     with pytest.raises(InputError, match=r"images\[2\]: is None"):
         next(found)
@@ -154,7 +171,6 @@ def test_a_generator_is_asked_when_a_picture_is_needed_and_left_where_one_is_wro
         ([torch.rand(3, 20, 20)], {"order": "bgr"}, "order: is of NumPy arrays"),
         ([np.full((20, 20, 3), 200.0)], {"order": "rgb"}, "images[0]: has values from 200 to 200"),
         ([BGR[0]], {"order": "gbr"}, "gbr: unknown order of colours"),
-        ([BGR[0]], {"jobs": 0}, "jobs: is 0"),
     ],
 )
 def test_what_cannot_be_looked_at_is_refused_in_the_words_of_the_caller(
@@ -171,6 +187,8 @@ def test_one_picture_is_no_list_and_an_order_is_checked_at_once() -> None:
         load_detector("prior:rows").detect_many("street.jpg")
     with pytest.raises(ConfigError, match="BGR: unknown order of colours"):
         load_detector("prior:rows", order="BGR")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"images: have the shape \(3, 32, 32\)"):
+        load_detector("prior:rows").forward(torch.zeros(3, 32, 32))
 
 
 # --- detections out -----------------------------------------------------------------------
@@ -178,8 +196,8 @@ def test_one_picture_is_no_list_and_an_order_is_checked_at_once() -> None:
 
 @pytest.fixture(scope="module")
 def found() -> Detection:
-    seen = load_detector("fusion:untrained").detect(scene(1).image[:, ::2, ::2])
-    return replace(seen, trust=0.75)
+    detection = load_detector("prior:rows", ego={"bottom": 0.1}).detect(scene(1, 48, 64).image)
+    return replace(detection, trust=0.75)
 
 
 def test_a_detection_is_saved_as_its_name_says(found: Detection, tmp_path: Path) -> None:
@@ -188,7 +206,7 @@ def test_a_detection_is_saved_as_its_name_says(found: Detection, tmp_path: Path)
 
     assert torch.equal(read_image(tmp_path / "street.mask.png")[0] == 1, found.mask)
     levels = read_image(tmp_path / "street.likelihood.png")[0]
-    torch.testing.assert_close(levels, found.likelihood, rtol=0, atol=0.5001 / 255)
+    np.testing.assert_allclose(levels, found.likelihood, rtol=0, atol=0.5001 / 255)
     with Image.open(tmp_path / "street.overlay.png") as overlay:
         assert np.array_equal(np.array(overlay), found.overlay())
     with Image.open(tmp_path / "street.overlay.jpg") as overlay:
@@ -218,3 +236,31 @@ def test_a_detection_shows_itself_in_a_notebook_or_a_window(
     monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=shown.append))
     found.show()
     assert shown == [found]
+
+
+def test_an_overlay_is_what_infer_draws(found: Detection) -> None:
+    assert found.image is not None
+    drawn = found.overlay()
+
+    assert (drawn.dtype, drawn.shape) == (np.uint8, (48, 64, 3))
+    wanted = overlay_pixels(found.image, found.mask, found.cues["ego"], "trust 0.75")
+    assert np.array_equal(drawn, wanted)
+
+
+def test_a_detection_without_its_image_has_no_overlay() -> None:
+    detection = Detection(torch.zeros(16, 16), torch.zeros(16, 16).bool(), {})
+
+    assert detection._repr_png_() is None
+    with pytest.raises(InputError, match="is not part of this detection"):
+        detection.overlay()
+
+
+def test_notebooks_show_a_line_and_the_overlay() -> None:
+    detection = load_detector("prior:rows").detect(torch.full((3, 40, 2000), 0.4))
+    shown = detection._repr_png_()
+
+    assert re.fullmatch(r"<Detection 2000×40, road \d+%>", repr(detection))
+    assert shown is not None
+    assert Image.open(io.BytesIO(shown)).size == (960, 19)
+    doubtful = replace(detection, trust=0.314, doubt="no road found")
+    assert repr(doubtful).endswith(", trust 0.31 (no road found)>")

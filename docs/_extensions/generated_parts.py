@@ -7,7 +7,7 @@ A line ``{{ KIND WORDS… }}`` alone in a page stands for Markdown that this mod
 - ``{{ classifiers }}``: of the one-class classifiers; ``{{ training }}``: of ``roadtorch train``.
 - ``{{ measures }}``: what evaluation measures.
 - ``{{ api MODULE… }}``: what the docstrings of modules say.
-- ``{{ public }}``: the names of ``roadtorch.__all__``, and the others by module.
+- ``{{ public }}``: the names of ``roadtorch.__all__``.
 - ``{{ file PATH }}``: a Markdown file of the repository, its heading included.
 - ``{{ contents NAME… }}``: a table of contents of pages right under docs/; a name that ends in
   ``?`` is of a page that may be missing.
@@ -22,12 +22,11 @@ import inspect
 import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import click
 from sphinx.application import Sphinx
 
-from roadtorch.cli.completion import setting_rows
+from roadtorch.cli.detectors import setting_rows
 from roadtorch.cli.group import COMMANDS
 from roadtorch.settings import Settings
 
@@ -165,28 +164,11 @@ def public(_: Sequence[str]) -> str:
     lines = ["| name | what it is |", "|---|---|"]
     for name in roadtorch.__all__:
         if not name.startswith("__"):
-            found = getattr(roadtorch, name)
-            first = (found.__doc__ or "").strip().split("\n\n")[0]
-            lines.append(f"| {link_to(name)} | {escaped(first)} |")
-    modules: dict[str, list[str]] = {}
-    for name, module in roadtorch._HOMES.items():
-        if name not in roadtorch.__all__:
-            modules.setdefault(module, []).append(link_to(name))
-    lines += ["", "Programs may rely on these as well:", "", "| module | names |", "|---|---|"]
-    lines += [f"| `{module}` | {', '.join(names)} |" for module, names in sorted(modules.items())]
+            member = getattr(roadtorch, name)
+            first = (member.__doc__ or "").strip().split("\n\n")[0]
+            link = f"{{py:obj}}`{name} <{member.__module__}.{member.__qualname__}>`"
+            lines.append(f"| {link} | {escaped(first)} |")
     return "\n".join(lines)
-
-
-def link_to(name: str) -> str:
-    """A link to where a public name is explained."""
-    import roadtorch
-
-    return f"{{py:obj}}`{name} <{home_of(getattr(roadtorch, name))}>`"
-
-
-def home_of(found: Any) -> str:
-    """The full name of a class or function, by the module that defines it."""
-    return f"{found.__module__}.{found.__qualname__}"
 
 
 # --- files ---------------------------------------------------------------------------------

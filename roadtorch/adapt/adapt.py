@@ -5,10 +5,10 @@ on the half that it has not seen. The network that comes out is the mean of both
 begin alike and learn a little lie in one valley (Wortsman et al., Model soups, ICML 2022).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import torch
 
@@ -17,6 +17,7 @@ from roadtorch.adapt.teacher import write_taught
 from roadtorch.adapt.verdict import Verdict, fitted_bias, judged_half, unknown, verdict_of
 from roadtorch.camera.footage import StillError, camera_of
 from roadtorch.errors import InputError
+from roadtorch.inputs.item import spread
 from roadtorch.io.atomic import write_text
 from roadtorch.layout.picture_network import ROAD
 from roadtorch.layout.weights import (
@@ -26,7 +27,6 @@ from roadtorch.layout.weights import (
     save_network,
     weights_path,
 )
-from roadtorch.sources.frame import spread
 from roadtorch.train.config import PictureTraining
 from roadtorch.train.corrections import card_of, corrections_behind
 from roadtorch.train.folder import CHECKPOINT, WEIGHTS, RunFolder
@@ -40,16 +40,16 @@ CALIBRATED = "calibrated.safetensors"
 
 @dataclass(frozen=True)
 class Adapted:
-    """What an adaptation came to.
+    """The result of an adaptation.
 
     outcome: the weights, or the signal that cut it short. camera: its file, None where there is
-    none. missing: what could not be had of the footage, and why, a line each.
+    none. missing: parts that the footage could not give, and why, a line each.
     """
 
-    outcome: Outcome
     frames: KeptFrames
     camera: Path | None
-    missing: tuple[str, ...]
+    missing: Sequence[str]
+    outcome: Outcome
     verdict: Verdict | None = None
 
     @property
@@ -63,69 +63,66 @@ def adapt(
 ) -> Adapted:
     """Adapt the network that ``training`` starts from to footage; results in the folder ``out``.
 
-    A run that was cut short goes on. Raises InputError for footage with fewer than two frames,
+    A run that was cut short is resumed. Raises InputError for footage with fewer than two frames,
     ConfigError where ``out`` holds another run.
     """
     with RunFolder(out).held():
-        return _adapt(inputs, out, training, most, quiet)
+        frames = keep_frames(inputs, out / FRAMES, most, quiet)
+        problem = _camera_problem(frames, out / CAMERA, inputs[0])
+        missing = [f"no {CAMERA}: {problem.where} {problem.what}"] if problem else []
+        if not frames.moving:
+            missing.append("pictures have no times: they are taken in the order of their names")
+        adapted = partial(Adapted, frames, None if problem else out / CAMERA, missing)
+        if stopped := write_taught(frames, out / LOOKS, out / PREPARED, training, quiet):
+            return adapted(Outcome(None, stopped, 0))
+        skipped = 0
+        for half in HALVES:
+            folder = out / half
+            resume = (folder / CHECKPOINT).exists()
+            request = Request(frames.glob(half), folder, resume, out / PREPARED, quiet)
+            outcome = train(training, request)
+            if outcome.interrupted:
+                return adapted(outcome)
+            skipped += outcome.skipped
+        halves = _write_mean(frames, out, training, quiet)
+        if isinstance(problem, StillError):
+            reason = "the footage stands still: both halves show the same"
+            verdict = unknown(reason, frames.count)
+        else:
+            before = weights_path(training.start)
+            judged = []
+            for half, other in zip(HALVES, reversed(halves), strict=True):
+                weights = (before, other, out / WEIGHTS)
+                pictures = frames.pictures(half)
+                judged.append(judged_half(pictures, weights, out / PREPARED, training, quiet))
+            verdict = verdict_of(judged)
+        return adapted(Outcome(out / WEIGHTS, None, skipped), verdict)
 
 
-def _adapt(
-    inputs: Sequence[str], out: Path, training: PictureTraining, most: int, quiet: bool
-) -> Adapted:
-    """The same in a folder that is held."""
-    frames = keep_frames(inputs, out / FRAMES, most, quiet)
-    problem = _camera_problem(frames, out / CAMERA, inputs[0])
-    camera = None if problem else out / CAMERA
-    missing = [f"no {CAMERA}: {problem.where} {problem.what}"] if problem else []
-    if not frames.moving:
-        missing.append("pictures have no times: they are taken in the order of their names")
-    if stopped := write_taught(frames, out / LOOKS, out / PREPARED, training, quiet):
-        return Adapted(Outcome(None, stopped, 0), frames, camera, tuple(missing))
-    outcomes = []
-    for half in HALVES:
-        folder = out / half
-        resume = (folder / CHECKPOINT).exists()
-        request = Request(frames.glob(half), folder, resume, out / PREPARED, quiet)
-        outcomes.append(train(training, request))
-        if outcomes[-1].interrupted:
-            return Adapted(outcomes[-1], frames, camera, tuple(missing))
-    files = [out / half / CALIBRATED for half in HALVES]
-    for half, file in zip(HALVES, files, strict=True):
+def _write_mean(
+    frames: KeptFrames, out: Path, training: PictureTraining, quiet: bool
+) -> list[Path]:
+    """Write the mean of the halves' calibrated networks, its card and its log.
+
+    Returns the files of the calibrated networks, in the order of the halves.
+    """
+    files, rows = [out / half / CALIBRATED for half in HALVES], []
+    for number, (half, file) in enumerate(zip(HALVES, files, strict=True), 1):
         learned = file.with_name(WEIGHTS)
         bias = fitted_bias(frames.pictures(half), learned, out / PREPARED, training, quiet)
         write_shifted(learned, file, bias)
-    mean_network(files, out / WEIGHTS, {**read_origin(files[0]), "pictures": frames.count})
-    if behind := corrections_behind(training):
-        write_text((out / WEIGHTS).with_suffix(".md"), card_of(behind))
-    rows = [
-        {**row, "round": at + 1}
-        for at, half in enumerate(HALVES)
-        for row in RunFolder(out / half).read_log()
-    ]
-    RunFolder(out).write_log(rows)
-    before = weights_path(training.start)
-    outcome = Outcome(out / WEIGHTS, None, sum(each.skipped for each in outcomes))
-    if isinstance(problem, StillError):
-        verdict = unknown("the footage stands still: both halves show the same", frames.count)
-        return Adapted(outcome, frames, camera, tuple(missing), verdict)
-    judged = []
-    for half, other in zip(HALVES, reversed(files), strict=True):
-        weights = (before, other, out / WEIGHTS)
-        pictures = frames.pictures(half)
-        judged.append(judged_half(pictures, weights, out / PREPARED, training, quiet))
-    return Adapted(outcome, frames, camera, tuple(missing), verdict_of(judged))
-
-
-def mean_network(files: Sequence[Path], path: Path, origin: Mapping[str, Any]) -> None:
-    """Write the network whose weights are the means of those of files of one kind."""
+        rows += [{**row, "round": number} for row in RunFolder(out / half).read_log()]
     networks = [load_network(file) for file in files]
     mean = {
-        name: torch.stack([one.state_dict()[name].float() for one in networks]).mean(0).to(value)
+        name: torch.stack([each.state_dict()[name].float() for each in networks]).mean(0).to(value)
         for name, value in networks[0].state_dict().items()
     }
     networks[0].load_state_dict(mean)
-    save_network(path, networks[0], origin)
+    save_network(out / WEIGHTS, networks[0], {**read_origin(files[0]), "pictures": frames.count})
+    if behind := corrections_behind(training):
+        write_text((out / WEIGHTS).with_suffix(".md"), card_of(behind))
+    RunFolder(out).write_log(rows)
+    return files
 
 
 def write_shifted(learned: Path, file: Path, bias: float) -> None:
@@ -143,7 +140,7 @@ def _camera_problem(frames: KeptFrames, file: Path, where: str) -> InputError | 
     """Write the file of the camera; why there is none, where there is none."""
     some = spread(frames.pictures(), MAX_FRAMES)
     try:
-        camera_of((one.read() for one in some), where).write(file)
+        camera_of((picture.read() for picture in some), where).write(file)
     except InputError as problem:
         return problem
     return None

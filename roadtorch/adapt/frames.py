@@ -15,13 +15,14 @@ from torch import Tensor
 
 from roadtorch.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.imaging.resize import at_work
+from roadtorch.inputs.find import Inputs, find_inputs
+from roadtorch.inputs.item import Item
+from roadtorch.inputs.pictures import find_pictures
 from roadtorch.io.atomic import make_folder, write_json
 from roadtorch.io.bounded import read_regular
 from roadtorch.io.image import write_jpeg
+from roadtorch.run.memo import key_of
 from roadtorch.runtime.progress import Progress
-from roadtorch.sources.frame import Frame
-from roadtorch.sources.open import find_inputs
-from roadtorch.sources.pictures import Picture, find_images
 from roadtorch.train.recordings import SEEN
 
 HALVES = ("first", "second")
@@ -37,10 +38,10 @@ LIST = "frames.json"
 
 
 class KeptFrames(NamedTuple):
-    """What was kept of the footage.
+    """The frames that were kept of footage.
 
     folder: holds HALF_NUMBER.jpg. halves: how many each has. moving: whether the frames have
-    times. skipped: what could not be read, a line each.
+    times. skipped: the inputs that could not be read, a line each.
     """
 
     folder: Path
@@ -50,12 +51,12 @@ class KeptFrames(NamedTuple):
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """The number of frames."""
         return sum(self.halves)
 
-    def pictures(self, half: str = "*") -> list[Picture]:
+    def pictures(self, half: str = "*") -> list[Item]:
         """The kept frames, or those of a half, in order."""
-        return find_images([self.glob(half)])
+        return find_pictures([self.glob(half)])
 
     def glob(self, half: str = "*") -> str:
         """The quoted glob that stands for a half; all frames have one name in any of them."""
@@ -69,29 +70,31 @@ def keep_frames(inputs: Sequence[str], folder: Path, most: int, quiet: bool = Fa
     does not grow with the footage. Raises ConfigError where the folder holds frames of other
     footage, InputError where the footage has fewer than two frames that can be read.
     """
-    known, asked = folder / LIST, {"footage": list(inputs), "most": most}
+    pictures, sources = find_inputs(inputs)
+    digests = [item.digest() if item.digest else "" for item in [*pictures, *sources]]
+    known, key = folder / LIST, key_of(digests, most)
     if not known.exists():
         if folder.exists() and any(folder.iterdir()):
             raise ConfigError(folder, "holds files that are not of a run", "give another --out")
         make_folder(folder)
-        write_json(known, {**asked, "halves": None})
-    kept = _read(known, folder, asked)
+        write_json(known, {"key": key, "halves": None})
+    kept = _read(known, folder, key)
     if kept is None:
         for file in folder.glob("*.jpg"):  # of a run that was cut short
             file.unlink()
-        kept = _keep(inputs, folder, most, quiet)
+        kept = _keep(Inputs(pictures, sources), folder, most, quiet)
         rest = {"halves": kept.halves, "moving": kept.moving, "skipped": kept.skipped}
-        write_json(known, {**asked, **rest})
+        write_json(known, {"key": key, **rest})
     if kept.count < 2:
         raise InputError(inputs[0], f"has {kept.count} frames", "give some minutes of a drive")
     return kept
 
 
-def _read(known: Path, folder: Path, asked: dict[str, object]) -> KeptFrames | None:
+def _read(known: Path, folder: Path, key: str) -> KeptFrames | None:
     """What the list in a folder says; None where the frames were not all kept."""
     try:
         values = json.loads(read_regular(known).decode())
-        if {key: values[key] for key in asked} != asked:
+        if values["key"] != key:
             raise ConfigError(folder, "holds frames of other footage", "give another --out")
         if values["halves"] is None:
             return None
@@ -102,59 +105,62 @@ def _read(known: Path, folder: Path, asked: dict[str, object]) -> KeptFrames | N
         raise InputError(known, "is damaged", "give another --out") from None
 
 
-def _keep(inputs: Sequence[str], folder: Path, most: int, quiet: bool) -> KeptFrames:
+def _keep(inputs: Inputs, folder: Path, most: int, quiet: bool) -> KeptFrames:
     """Write frames while they are read; when there are too many, every second stretch goes."""
     numbers: list[int] = []
     skipped: list[str] = []
     step, moving = 1, False
-    seen = Progress(_frames(inputs, skipped), desc="frames", unit="frame", quiet=quiet)
-    for number, (frame, image) in enumerate(seen):
-        moving = moving or (frame is not None and frame.seconds is not None)
+    frames = Progress(_frames(inputs, skipped), desc="frames", unit="frame", quiet=quiet)
+    for number, (seconds, image) in enumerate(frames):
+        moving = moving or seconds is not None
         if number // STRETCH % step:
             continue
         write_jpeg(folder / f"{number:08d}.jpg", at_work(image, SEEN))
         numbers.append(number)
         if len(numbers) >= 2 * most:
             step *= 2
-            for gone in (at for at in numbers if at // STRETCH % step):
-                (folder / f"{gone:08d}.jpg").unlink()
-            numbers = [at for at in numbers if not at // STRETCH % step]
-    chosen = numbers
+            numbers = _thinned(folder, numbers, range(0, number + 1, step))
     if len(numbers) > most:
-        stretches = sorted({at // STRETCH for at in numbers})
+        stretches = sorted({number // STRETCH for number in numbers})
         count = math.ceil(most / STRETCH)
-        some = {stretches[at * len(stretches) // count] for at in range(count)}
-        chosen = [at for at in numbers if at // STRETCH in some][:most]
-    for gone in set(numbers).difference(chosen):
-        (folder / f"{gone:08d}.jpg").unlink()
-    first = (len(chosen) + 1) // 2
-    for at, number in enumerate(chosen):
-        name = f"{HALVES[at >= first]}_{at:06d}.jpg"
+        some = [stretches[place * len(stretches) // count] for place in range(count)]
+        numbers = _thinned(folder, numbers, some, most)
+    first = (len(numbers) + 1) // 2
+    for place, number in enumerate(numbers):
+        name = f"{HALVES[place >= first]}_{place:06d}.jpg"
         (folder / f"{number:08d}.jpg").rename(folder / name)
-    counts = (first, len(chosen) - first)
+    counts = (first, len(numbers) - first)
     return KeptFrames(folder, counts, moving, tuple(skipped))
 
 
-def _frames(inputs: Sequence[str], skipped: list[str]) -> Iterator[tuple[Frame | None, Tensor]]:
-    """Every picture (its frame is None), and frames ``SECONDS`` apart of every video and bag."""
-    found = find_inputs(inputs)
-    for picture in found.pictures:
+def _thinned(
+    folder: Path, numbers: list[int], stretches: Sequence[int], most: int | None = None
+) -> list[int]:
+    """The numbers of the frames in some stretches, at most so many; the others' files go."""
+    kept = [number for number in numbers if number // STRETCH in stretches][:most]
+    for number in set(numbers).difference(kept):
+        (folder / f"{number:08d}.jpg").unlink()
+    return kept
+
+
+def _frames(inputs: Inputs, skipped: list[str]) -> Iterator[tuple[float | None, Tensor]]:
+    """Every picture, and frames ``SECONDS`` apart of every video and bag, with their seconds."""
+    for picture in inputs.pictures:
         try:
             yield None, picture.read()
         except RoadtorchError as problem:
             skipped.append(str(problem))
-    for source in found.sources:
+    for source in inputs.sources:
         if source.live:
             raise ConfigError(source.origin, "is live, and has no end", "record some minutes of it")
         due = 0.0
-        with closing(source.frames()) as frames:  # type: ignore[arg-type]
+        with closing(source.items()) as frames:  # type: ignore[arg-type]
             while True:
                 try:
                     if (frame := next(frames, None)) is None:
                         break
-                    seconds = float(frame.number) if frame.seconds is None else frame.seconds
-                    if seconds > due - 1e-3:  # times are rounded
-                        due = seconds + SECONDS
-                        yield frame, frame.read()
+                    if frame.clock > due - 1e-3:  # times are rounded
+                        due = frame.clock + SECONDS
+                        yield frame.seconds, frame.read()
                 except RoadtorchError as problem:  # behind it the frames go on, or end
                     skipped.append(str(problem))

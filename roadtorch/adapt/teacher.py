@@ -11,15 +11,14 @@ from signal import SIGTERM, Signals
 
 from roadtorch.adapt.frames import KeptFrames
 from roadtorch.imaging.motion import flow_picture
-from roadtorch.io.atomic import make_folder
 from roadtorch.layout.classes import CLASSES
 from roadtorch.road.fusion import log_odds
 from roadtorch.road.steady import SteadySettings, smoothed
+from roadtorch.run.memo import keep, kept, read_arrays
 from roadtorch.runtime.signals import stop_on_signals
 from roadtorch.train.config import PictureTraining
 from roadtorch.train.pictures import PictureRecipe
-from roadtorch.train.prepared import from_bytes, read_arrays, to_bytes, write_arrays
-from roadtorch.train.processes import join_processes
+from roadtorch.train.prepared import from_bytes, prepared_key, to_bytes
 from roadtorch.train.run import made_ready
 
 MOTION = SteadySettings(miss=2.0, slack=0.1, contrast=0.1)
@@ -31,27 +30,30 @@ def write_taught(
 ) -> Signals | None:
     """Write what training needs of all frames into the folder ``prepared``.
 
-    looks: the folder of the larger looks; what is in either is kept. Gives the signal that cut
+    looks: the folder of the larger looks; what is in either, of these
+    frames and settings, is kept. Gives the signal that cut
     it short. Memory is linear in the frames, 0.5 MB each.
     """
-    recipe, pictures = PictureRecipe(training), frames.pictures()
-    with stop_on_signals() as stop, join_processes(stop, quiet) as processes:
-        made = made_ready(recipe, pictures, looks, processes)
-        if processes.stopped():
+    pictures = frames.pictures()
+    with stop_on_signals() as stop:
+        recipe = PictureRecipe(training)
+        made = made_ready(recipe, pictures, looks, stop, quiet)
+        if stop.asked:
             return stop.signal or SIGTERM
-    seen = [
-        (picture, item.file, prepared / item.file.relative_to(looks))
+    files = {
+        item.file: picture
         for picture, item in zip(pictures, made, strict=True)
         if item.file is not None
-    ]
-    if all(file.exists() for _, _, file in seen):
+    }
+    taught = {look: prepared / look.relative_to(looks) for look in files}
+    keys = [prepared_key(recipe.preparation(), picture.path) for picture in files.values()]
+    if all(kept(file, key) for file, key in zip(taught.values(), keys, strict=True)):
         return None
-    greys = [flow_picture(picture.read(), MOTION.width) for picture, _, _ in seen]
-    roads = (from_bytes(read_arrays(look, "maps")["maps"][CLASSES]) for _, look, _ in seen)
-    said = smoothed(greys, [log_odds(road) for road in roads], MOTION)
-    for (_, look, file), odds in zip(seen, said, strict=True):
+    greys = [flow_picture(picture.read(), MOTION.width) for picture in files.values()]
+    roads = (from_bytes(read_arrays(look, "maps")["maps"][CLASSES]) for look in files)
+    smooth = smoothed(greys, [log_odds(road) for road in roads], MOTION)
+    for (look, file), key, odds in zip(taught.items(), keys, smooth, strict=True):
         arrays = read_arrays(look)
         arrays["maps"][CLASSES] = to_bytes(odds.sigmoid())
-        make_folder(file.parent)
-        write_arrays(file, arrays)
+        keep(file, key, arrays)
     return None

@@ -9,8 +9,7 @@ part in it, for agreement with what was learned raises it.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import astuple
+from collections.abc import Iterator, Sequence
 from functools import reduce
 from operator import add
 from pathlib import Path
@@ -33,11 +32,11 @@ from roadtorch.evaluation.metrics import (
 from roadtorch.evaluation.result import Interval
 from roadtorch.evaluation.uncertainty import bootstrap_weights, interval
 from roadtorch.imaging.resize import resized, size_of
+from roadtorch.inputs.item import Item, spread
+from roadtorch.run.memo import read_arrays
 from roadtorch.runtime.progress import Progress
-from roadtorch.sources.frame import spread
-from roadtorch.sources.pictures import Picture
 from roadtorch.train.config import PictureTraining
-from roadtorch.train.prepared import from_bytes, name_of, read_arrays
+from roadtorch.train.prepared import from_bytes, name_of
 from roadtorch.train.teachers import targets_of
 
 MAX_JUDGED = 150
@@ -64,10 +63,11 @@ class Judged(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What to do, by F before and after and the interval of their difference on unseen frames.
+    """Whether to adopt an adaptation, by F before and after and the interval of their difference.
 
-    both: F of the mean of both networks on the same frames, which it has seen. reason: why nothing
-    can be said, where it is not for the figures.
+    before, after: on frames that the network has not seen. both: of the mean of both networks on
+    the same frames, which it has seen. reason: why there is no judgement, where it is not for the
+    figures.
     """
 
     word: Literal["adopt", "do not adopt", "cannot tell"]
@@ -82,9 +82,7 @@ class Verdict(NamedTuple):
         """One sentence, with its reason."""
         if self.reason:
             return f"{self.word}: {self.reason}"
-        change = (
-            f"{self.after - self.before:+.3f} ({self.change.low:+.3f} to {self.change.high:+.3f})"
-        )
+        change = self.change
         outcome = {
             "adopt": "comes closer",
             "do not adopt": "does not come closer",
@@ -92,14 +90,14 @@ class Verdict(NamedTuple):
         }[self.word]
         text = (
             f"{self.word}: on {self.frames} frames that it had not seen, the mask {outcome} to "
-            f"what a larger look says: F {self.before:.3f} to {self.after:.3f}, {change}"
+            f"what a larger look says: F {self.before:.3f} to {self.after:.3f}, "
+            f"{self.after - self.before:+.3f} ({change.low:+.3f} to {change.high:+.3f})"
         )
-        together = f"; both halves together {self.both:.3f}"
-        return text + together if self.change.high < 0 else text
+        return text + (f"; both halves together {self.both:.3f}" if change.high < 0 else "")
 
 
 def judged_half(
-    pictures: Sequence[Picture],
+    pictures: Sequence[Item],
     weights: tuple[Path, Path, Path],
     prepared: Path,
     training: PictureTraining,
@@ -108,22 +106,21 @@ def judged_half(
     """How the masks with the weights of ``Judged`` fit the teacher's maps of prepared frames."""
     detectors = [load_detector("fusion", weights={"file": str(file)}) for file in weights]
     counts: list[list[Tensor]] = [[] for _ in weights]
-    seen = Progress(spread(pictures, MAX_JUDGED), desc="judging", unit="frame", quiet=quiet)
-    for image, road, sure in taught_frames(seen, prepared, training):
-        for known, detector in zip(counts, detectors, strict=True):
+    for image, road, sure in _taught_frames(pictures, prepared, training, "judging", quiet):
+        for rows, detector in zip(counts, detectors, strict=True):
             mask = resized(detector.detect(image).mask.float()[None], size_of(road))[0] >= 0.5
-            known.append(torch.stack(astuple(count_mask(mask, road, sure))))
-    return Judged(*(torch.stack(known) if known else torch.empty(0, 4) for known in counts))
+            rows.append(torch.stack(tuple(count_mask(mask, road, sure))))
+    return Judged(*(torch.stack(rows) if rows else torch.empty(0, 4) for rows in counts))
 
 
 def fitted_bias(
-    pictures: Sequence[Picture],
+    pictures: Sequence[Item],
     file: Path,
     prepared: Path,
     training: PictureTraining,
     quiet: bool = False,
 ) -> float:
-    """What a network's log odds of road lack for the mask to fit the teacher's best, by F. Ours.
+    """The log odds of road that a network lacks for its mask to fit the teacher's best, by F. Ours.
 
     A network that goes on learning from soft labels ranks pixels better, and is less bold or
     bolder than the one that `fusion` is calibrated for: one number of a whole footage mends that
@@ -133,8 +130,7 @@ def fitted_bias(
     settings = detector.settings
     assert isinstance(settings, FusionSettings)
     counts: list[RoadCounts] = []
-    seen = Progress(spread(pictures, MAX_JUDGED), desc="calibrating", unit="frame", quiet=quiet)
-    for image, road, sure in taught_frames(seen, prepared, training):
+    for image, road, sure in _taught_frames(pictures, prepared, training, "calibrating", quiet):
         likelihood = resized(detector.detect(image).likelihood[None], size_of(road))[0]
         counts.append(count_levels(likelihood.clamp(0, 1), road, sure, levels=256))
     if not counts:
@@ -147,18 +143,19 @@ def fitted_bias(
     return float(lacking * settings.calibration.temperature / max(pull, 1.0))
 
 
-def taught_frames(
-    pictures: Iterable[Picture], prepared: Path, training: PictureTraining
+def _taught_frames(
+    pictures: Sequence[Item], prepared: Path, training: PictureTraining, title: str, quiet: bool
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     """Frames (3,H,W), and of each the teacher's road and where it is sure of it, bool (h,w)."""
-    for picture in pictures:
+    some = spread(pictures, MAX_JUDGED)
+    for picture in Progress(some, desc=title, unit="frame", quiet=quiet):
         file = prepared / f"{name_of(picture)}.npz"
         if not file.exists():
-            continue  # it was skipped, and told
+            continue  # it was skipped, and reported
         arrays = read_arrays(file, "maps", "ego")
         maps, ego = (from_bytes(arrays[name])[None] for name in ("maps", "ego"))
-        said = targets_of(maps, ego[None], None, training.teacher, training.rounds)
-        yield picture.read(), said.road[0, 0] >= 0.5, said.road_weight[0, 0] > 0
+        targets = targets_of(maps, ego[None], None, training.teacher, training.rounds)
+        yield picture.read(), targets.road[0, 0] >= 0.5, targets.road_weight[0, 0] > 0
 
 
 def _f_measure(counts: Tensor) -> Tensor:
@@ -167,21 +164,21 @@ def _f_measure(counts: Tensor) -> Tensor:
 
 
 def unknown(reason: str, frames: int) -> Verdict:
-    """That nothing can be said, and why."""
+    """A verdict without a judgement, and why."""
     return Verdict("cannot tell", math.nan, math.nan, Interval(), math.nan, frames, reason)
 
 
 def verdict_of(judged: Sequence[Judged]) -> Verdict:
-    """What both halves say, their frames pooled; the interval draws stretches of them."""
-    counts = [torch.cat(each) for each in zip(*judged, strict=True)]
+    """The verdict on the frames of both halves, pooled; the interval draws stretches of them."""
+    counts = [torch.cat(halves) for halves in zip(*judged, strict=True)]
     frames = len(counts[0])
     if frames < MIN_FRAMES:
         return unknown(f"{frames} frames are too few to judge by", frames)
     generator = torch.Generator().manual_seed(SEED)
-    blocks = [torch.stack([part.sum(0) for part in each.split(STRETCH)]) for each in counts]
+    blocks = [torch.stack([part.sum(0) for part in rows.split(STRETCH)]) for rows in counts]
     weights = bootstrap_weights(len(blocks[0]), generator).to(torch.float64)
-    before, after, both = (float(_f_measure(each.sum(0))) for each in blocks)
-    draws = [_f_measure(weights @ each.to(weights)) for each in blocks]
+    before, after, both = (float(_f_measure(sums.sum(0))) for sums in blocks)
+    draws = [_f_measure(weights @ sums.to(weights)) for sums in blocks]
     change = interval(draws[1] - draws[0])
     word = "cannot tell"
     if change.low > 0 and after - before >= MIN_GAIN:

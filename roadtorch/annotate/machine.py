@@ -33,7 +33,6 @@ from roadtorch.superpixels.slic import Superpixels
 BARELY = 0.05
 """Log odds of what the threshold says road and the mask leaves out, so that it stays out."""
 
-
 COPIED = 2.0
 """Log odds of a mask taken over from another picture: a stroke still moves it. Ours."""
 
@@ -66,6 +65,11 @@ class PictureView:
     layout: Tensor
     trust: float | None
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(h,w) of the page's working size."""
+        return self.labels.shape[0], self.labels.shape[1]
+
 
 def look_at_picture(image: Tensor, detector: Detector, settings: AnnotationSettings) -> PictureView:
     """What a detector sees in an image (3,H,W), and the superpixels that a person clicks."""
@@ -91,8 +95,7 @@ def look_at_picture(image: Tensor, detector: Detector, settings: AnnotationSetti
 
 def seen_as(view: PictureView, road: np.ndarray) -> PictureView:
     """The view with a mask bool (H,W) in place of the machine's road."""
-    shape = (view.labels.shape[0], view.labels.shape[1])
-    odds = torch.where(torch.from_numpy(at_size(road, shape)), COPIED, -COPIED)
+    odds = torch.where(torch.from_numpy(at_size(road, view.shape)), COPIED, -COPIED)
     index, count = view.labels.reshape(-1), len(view.segment_odds)
     sums = torch.zeros(count).index_add_(0, index, odds.reshape(-1))
     return replace(view, odds=odds, segment_odds=sums / index.bincount(minlength=count))
@@ -113,7 +116,7 @@ def mended_layout(
     """The layout uint8 (h,w), 255 where the machine has none, inferred from labels (H,W)."""
     if not view.layout.shape[1]:
         return np.full(view.labels.shape, UNLABELLED, np.uint8)
-    layer = layout_layer(at_size(labels, (view.labels.shape[0], view.labels.shape[1])))
+    layer = layout_layer(at_size(labels, view.shape))
     odds = []
     for number, own in enumerate(view.layout.unbind(1)):
         said = _said(layer == number, (layer != number) & (layer != UNLABELLED), view, settings)
@@ -123,7 +126,7 @@ def mended_layout(
 
 def said_of_segments(labels: np.ndarray, view: PictureView, settings: AnnotationSettings) -> Tensor:
     """What people's labels uint8 (H,W) say of each superpixel: (n,), 1 road, -1 not, 0 nothing."""
-    road = road_layer(at_size(labels, (view.labels.shape[0], view.labels.shape[1])))
+    road = road_layer(at_size(labels, view.shape))
     return _said(road == ROAD_SAID, road == NOT_ROAD, view, settings)
 
 
@@ -133,9 +136,11 @@ def _said(
     """(n,): 1 or -1 where enough of a superpixel is in the masks (h,w), by which has more."""
     index, count = view.labels.reshape(-1).numpy(), len(view.segment_odds)
     size = np.bincount(index, minlength=count)
-    for_it, against = (np.bincount(index[mask.reshape(-1)], minlength=count) for mask in (yes, no))
-    known = for_it + against >= settings.spoken * size
-    return torch.from_numpy(np.where(known, np.where(for_it >= against, 1.0, -1.0), 0.0))
+    in_favour, against = (
+        np.bincount(index[mask.reshape(-1)], minlength=count) for mask in (yes, no)
+    )
+    known = in_favour + against >= settings.spoken * size
+    return torch.from_numpy(np.where(known, np.where(in_favour >= against, 1.0, -1.0), 0.0))
 
 
 def at_size(labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -37,12 +37,16 @@ class Candidates(NamedTuple):
     features: Tensor
 
 
-def picture_features(image: Tensor, maps: Tensor) -> Tensor:
-    """What a picture looks like, (d,): colours of an image (3,H,W) and maps (C,h,w), all in [0,1].
+def view_features(image: Tensor, view: PictureView) -> Tensor:
+    """What a picture looks like, (d,): colours of an image (3,H,W), and road and layout in it.
 
-    Means over the cells of a coarse grid, so that distance is about what stands where. Ours.
+    All in [0,1]: means over the cells of a coarse grid, so that distance is about what stands
+    where. Ours.
     """
-    return torch.cat([resized(part, GRID).flatten() for part in (image, maps)]).float()
+    parts = [image, view.odds.sigmoid()[None]]
+    if view.layout.shape[1] == CLASSES:
+        parts.append(paint(view.layout.sigmoid().T, view.labels).float())
+    return torch.cat([resized(part, GRID).flatten() for part in parts]).float()
 
 
 Rule = Callable[[Candidates, Collection[int], int], list[int]]
@@ -53,7 +57,7 @@ def random_pictures(candidates: Candidates, corrected: Collection[int], count: i
     """So many of those that are not corrected, at random; the rule that others have to beat."""
     generator = torch.Generator().manual_seed(0)
     order = torch.randperm(len(candidates.trust), generator=generator).tolist()
-    return [one for one in order if one not in corrected][:count]
+    return [place for place in order if place not in corrected][:count]
 
 
 def least_trust_first(candidates: Candidates, corrected: Collection[int], count: int) -> list[int]:
@@ -62,7 +66,7 @@ def least_trust_first(candidates: Candidates, corrected: Collection[int], count:
     Where scenes run out, the rest follows by trust alone; unknown trust comes last.
     """
     order = candidates.trust.nan_to_num(torch.inf).argsort(stable=True).tolist()
-    waiting = [one for one in order if one not in corrected]
+    waiting = [place for place in order if place not in corrected]
     return unlike(waiting, candidates.features, corrected, count)
 
 
@@ -102,14 +106,11 @@ def unlike(
     rows, columns = torch.triu_indices(len(features), len(features), 1)
     apart = APART * float(distance[rows, columns].median())
     known, chosen = list(corrected), []
-    for one in order:
-        if len(chosen) == count:
-            break
-        if not known or float(distance[one, known].min()) >= apart:
-            chosen.append(one)
-            known.append(one)
-    rest = [one for one in order if one not in set(chosen)]
-    return [*chosen, *rest][:count]
+    for place in order:
+        if len(chosen) < count and (not known or float(distance[place, known].min()) >= apart):
+            chosen.append(place)
+            known.append(place)
+    return [*chosen, *(place for place in order if place not in set(chosen))][:count]
 
 
 RULES: Mapping[str, Rule] = {
@@ -128,7 +129,7 @@ class PictureOrder:
 
     rule: str
     features: dict[str, Tensor] = field(default_factory=dict)
-    _known: tuple[object, dict[str, int]] | None = field(default=None, repr=False)
+    _turns: tuple[object, dict[str, int]] = field(default=(None, {}), repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     def learn(self, name: str, picture: Path, view: PictureView) -> None:
@@ -143,23 +144,13 @@ class PictureOrder:
         names: of the folder. trusts: NaN where there is none. corrected: on which somebody worked.
         Pictures that nobody looked at yet have no turn.
         """
-        seen = [one for one in names if one in self.features]
-        if not seen:
-            return {}
-        done = [place for place, one in enumerate(seen) if one in corrected]
+        known = [name for name in names if name in self.features]
+        done = [place for place, name in enumerate(known) if name in corrected]
+        key = (tuple(known), tuple(done))
         with self._lock:
-            key = (tuple(seen), tuple(done))
-            if self._known is None or self._known[0] != key:
-                trust = torch.tensor([trusts.get(one, np.nan) for one in seen])
-                candidates = Candidates(trust, torch.stack([self.features[one] for one in seen]))
+            if known and self._turns[0] != key:
+                trust = torch.tensor([trusts.get(name, np.nan) for name in known])
+                candidates = Candidates(trust, torch.stack([self.features[name] for name in known]))
                 places = RULES[self.rule](candidates, done, BATCH)
-                self._known = key, {seen[place]: turn for turn, place in enumerate(places)}
-            return self._known[1]
-
-
-def view_features(image: Tensor, view: PictureView) -> Tensor:
-    """Features (d,) of an image (3,H,W) and what the machine sees in it: colours, layout, road."""
-    maps = [resized(view.odds.sigmoid()[None], GRID)]
-    if view.layout.shape[1] == CLASSES:
-        maps.append(resized(paint(view.layout.sigmoid().T, view.labels).float(), GRID))
-    return picture_features(image, torch.cat(maps))
+                self._turns = key, {known[place]: turn for turn, place in enumerate(places)}
+            return self._turns[1]

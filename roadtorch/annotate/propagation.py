@@ -50,18 +50,18 @@ def segment_graph(segments: Segments, settings: PropagationSettings) -> Graph:
     ]
     look = torch.stack(parts, 1).to(torch.float32).numpy()  # (n,5), in units of what parts them
     count = len(look)
-    one, two = segments.pairs.numpy()
+    first, second = segments.pairs.numpy()
     contrast = segments.contrast_between.numpy() / settings.border
-    near = np.exp(-contrast - np.square(look[one] - look[two]).sum(1) / 2)
-    rows, columns, weights = [one], [two], [near]
+    near = np.exp(-contrast - np.square(look[first] - look[second]).sum(1) / 2)
+    rows, columns, weights = [first], [second], [near]
     if count > 1 and settings.alike:
         place = torch.stack([segments.row, segments.column], 1).numpy() / settings.place
         points = torch.from_numpy(np.concatenate([look, place], 1))
         distance = torch.cdist(points, points).fill_diagonal_(torch.inf)
-        found, partner = distance.topk(min(settings.alike, count - 1), largest=False)
+        nearest, partner = distance.topk(min(settings.alike, count - 1), largest=False)
         rows.append(np.repeat(np.arange(count), partner.shape[1]))
         columns.append(partner.reshape(-1).numpy())
-        weights.append(np.exp(-found.square().reshape(-1).numpy() / 2))
+        weights.append(np.exp(-nearest.square().reshape(-1).numpy() / 2))
     edges = (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns)))
     adjacent = sparse.csr_matrix(edges, shape=(count, count))
     return sparse.csr_matrix(sparse.csgraph.laplacian(adjacent.maximum(adjacent.T)))

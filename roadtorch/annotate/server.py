@@ -1,4 +1,4 @@
-"""The server of the page: its routes, who may speak to it, and how much they may say.
+"""The server of the page: its port and token, its routes, who may speak and how much.
 
 It listens on the loopback interface alone, but every page that a browser shows can send requests
 there, and a foreign name can be made to point there (DNS rebinding). So: the Host header must be
@@ -10,9 +10,13 @@ import asyncio
 import base64
 import hashlib
 import json
+import os
 import secrets
+import socket
+import threading
 from collections.abc import Callable
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import lru_cache, partial
 from importlib.resources import files
 from pathlib import Path, PurePath
 from typing import Any
@@ -20,6 +24,9 @@ from typing import Any
 import cv2
 import h11
 import numpy as np
+import pydantic
+import uvicorn
+from pydantic import Field
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import MutableHeaders
@@ -30,16 +37,26 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from roadtorch.annotate.session import Session
+from roadtorch.annotate.session import Session, look_at_all
 from roadtorch.data.events import parse_event
-from roadtorch.errors import RoadtorchError
+from roadtorch.errors import ConfigError, RoadtorchError
 from roadtorch.imaging.resize import WorkingSize, resized, size_of, working_size
+from roadtorch.io.atomic import atomic
 from roadtorch.io.image import read_image, to_pixels
+from roadtorch.settings import Settings
+
+HOST = "127.0.0.1"  # and never another one
+
+FIRST_PORT = 8765
+
+FILE = ".session.json"
+
 
 TYPES = {".css": "text/css", ".js": "text/javascript", ".html": "text/html"}
 
 PAGE = {
-    one.name: one.read_bytes() for one in files("roadtorch.annotate").joinpath("static").iterdir()
+    file.name: file.read_bytes()
+    for file in files("roadtorch.annotate").joinpath("static").iterdir()
 }
 """The page's files."""
 
@@ -117,11 +134,11 @@ class Guard:
             return refusal(403, origin[:100], "is another page", "use the page of this server")
         if request.url.path.startswith("/static/"):
             return None  # public code, the same for everybody
-        given = request.headers.get("x-token") or request.query_params.get("token", "")
-        if not secrets.compare_digest(given.encode(), self._token.encode()):
-            remedy = "open the address that roadtorch annotate printed"
-            return refusal(403, "token", "is missing or wrong", remedy)
-        return None
+        token = request.headers.get("x-token") or request.query_params.get("token", "")
+        if secrets.compare_digest(token.encode(), self._token.encode()):
+            return None
+        remedy = "open the address that roadtorch annotate printed"
+        return refusal(403, "token", "is missing or wrong", remedy)
 
 
 class Impatient(H11Protocol):
@@ -161,11 +178,11 @@ def annotation_app(session: Session, token: str, port: int) -> Starlette:
     """The page of a session, for those who have the token."""
     page = Page(session)
     routes = [
-        Route("/", page.start),
-        Route("/static/{name}", page.static),
+        Route("/", lambda _: Response(PAGE["annotate.html"], media_type=TYPES[".html"])),
+        Route("/static/{name}", static_file),
         Route("/api/pictures", page.pictures),
-        Route("/api/picture", page.picture),
-        Route("/api/thumbnail", page.thumbnail),
+        Route("/api/picture", partial(page.jpeg, shown_jpeg)),
+        Route("/api/thumbnail", partial(page.jpeg, thumbnail_jpeg)),
         Route("/api/superpixels", page.superpixels),
         Route("/api/state", page.state),
         Route("/api/event", page.event, methods=["POST"]),
@@ -175,6 +192,14 @@ def annotation_app(session: Session, token: str, port: int) -> Starlette:
     return Starlette(routes=routes, middleware=[guard], exception_handlers=handlers)
 
 
+def static_file(request: Request) -> Response:
+    """One of the page's files."""
+    name = request.path_params["name"]
+    if name not in PAGE:
+        return refusal(404, name, "is no file of the page", "load the page again")
+    return Response(PAGE[name], media_type=TYPES[PurePath(name).suffix])
+
+
 class Page:
     """What the page asks for, of a session; pictures and users by ``name`` and ``user``."""
 
@@ -182,71 +207,54 @@ class Page:
         self._session = session
         self._few = asyncio.Semaphore(DECODED)
 
-    async def start(self, _: Request) -> Response:
-        """The page itself."""
-        return Response(PAGE["annotate.html"], media_type=TYPES[".html"])
-
-    async def static(self, request: Request) -> Response:
-        """One of its files."""
-        name = request.path_params["name"]
-        if name not in PAGE:
-            return refusal(404, name, "is no file of the page", "load the page again")
-        return Response(PAGE[name], media_type=TYPES[PurePath(name).suffix])
-
-    async def pictures(self, request: Request) -> Response:
+    def pictures(self, request: Request) -> Response:
         """The list; 204 for who has this very list already."""
-        listing = await run_in_threadpool(self._session.listing)
-        hasty = await run_in_threadpool(self._session.hasty)
+        listing, hasty = self._session.listing(), self._session.hasty()
         stamp = hashlib.sha256(json.dumps([listing, hasty]).encode()).hexdigest()[:16]
         if request.query_params.get("stamp") == stamp:
             return Response(status_code=204)
         return JSONResponse({"stamp": stamp, "pictures": listing, "hasty": hasty})
 
-    async def picture(self, request: Request) -> Response:
-        """A picture as JPEG."""
-        return await self._jpeg(request, lambda path: picture_jpeg(path, SHOWN, 90))
+    async def jpeg(self, encode: Callable[[Path, int], bytes], request: Request) -> Response:
+        """A picture as JPEG; ``encode`` makes it of the file, which was changed at a time."""
 
-    async def thumbnail(self, request: Request) -> Response:
-        """The same, small."""
-        return await self._jpeg(request, lambda p: thumbnail_jpeg(p, p.stat().st_mtime_ns))
+        def encoded() -> bytes:
+            path = self._session.pictures.path(_given(request, "name"))
+            return encode(path, path.stat().st_mtime_ns)
 
-    async def _jpeg(self, request: Request, encoded: Callable[[Path], bytes]) -> Response:
-        async with self._few:
-            path = await run_in_threadpool(self._session.pictures.path, _given(request, "name"))
-            data = await run_in_threadpool(encoded, path)
-        return Response(data, media_type="image/jpeg")
+        async with self._few:  # who waits here takes no thread from those who draw
+            return Response(await run_in_threadpool(encoded), media_type="image/jpeg")
 
-    async def superpixels(self, request: Request) -> Response:
+    def superpixels(self, request: Request) -> Response:
         """The number of each pixel's superpixel, uint16 (h,w), little endian, row by row."""
-        view = await run_in_threadpool(self._session.view, _given(request, "name"))
-        data = view.labels.numpy().astype("<u2").tobytes()
+        labels = self._session.view(_given(request, "name")).labels
+        data = labels.numpy().astype("<u2").tobytes()
         return Response(data, media_type="application/octet-stream")
 
-    async def state(self, request: Request) -> Response:
+    def state(self, request: Request) -> Response:
         """A person's picture as it stands."""
-        name, user = _given(request, "name"), _given(request, "user")
-        return _told(await run_in_threadpool(self._session.state, name, user))
+        return _state(self._session.state(_given(request, "name"), _given(request, "user")))
 
     async def event(self, request: Request) -> Response:
         """Take what a person did, and tell how the picture stands then."""
         body = await bounded_body(request)
         if body is None:
-            what, remedy = f"has more than {MAX_BODY:,} bytes", "draw it in shorter strokes"
-            return refusal(413, "stroke", what, remedy)
+            message = f"has more than {MAX_BODY:,} bytes"
+            return refusal(413, "stroke", message, "draw it in shorter strokes")
         event = parse_event(body, "stroke")
         name, user = _given(request, "name"), _given(request, "user")
-        return _told(await run_in_threadpool(self._session.add, name, user, event))
+        return _state(await run_in_threadpool(self._session.add, name, user, event))
 
 
 def _given(request: Request, key: str) -> str:
     return request.query_params.get(key, "")
 
 
-def _told(state: dict[str, Any]) -> Response:
+def _state(state: dict[str, Any]) -> Response:
     return JSONResponse({**state, "layers": base64.b64encode(state["layers"]).decode()})
 
 
-def picture_jpeg(path: Path, most: WorkingSize, quality: int) -> bytes:
+def shown_jpeg(path: Path, changed: int, most: WorkingSize = SHOWN, quality: int = 90) -> bytes:
     """A picture at a size of at most so many pixels as JPEG; InputError if it cannot be read."""
     image = read_image(path)
     small = resized(image, working_size(*size_of(image), most)).clamp(0, 1)
@@ -254,20 +262,110 @@ def picture_jpeg(path: Path, most: WorkingSize, quality: int) -> bytes:
     return cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
-@lru_cache(maxsize=2000)
-def thumbnail_jpeg(path: Path, changed: int) -> bytes:
-    """A thumbnail; ``changed`` is the file's time, so that a new picture has a new one."""
-    return picture_jpeg(path, THUMBNAIL, 80)
+thumbnail_jpeg = lru_cache(maxsize=2000)(partial(shown_jpeg, most=THUMBNAIL, quality=80))
+"""The same, small; a file that changed has a new one."""
 
 
 async def _mistake(_: Request, problem: RoadtorchError) -> Response:
-    """What a person can mend, told as everywhere; 410 for what is gone."""
-    status = 410 if "no longer there" in problem.what else 400
-    if "cannot be written" in problem.what:
-        status = 507
+    """What a person can mend, told as everywhere; 410 for what is gone, 507 for a full disk."""
+    statuses = {"no longer there": 410, "cannot be written": 507}
+    status = next((statuses[words] for words in statuses if words in problem.what), 400)
     return refusal(status, problem.where, problem.what, problem.remedy)
 
 
 async def _disk(_: Request, problem: OSError) -> Response:
     where = str(problem.filename or "disk")
     return refusal(507, where, problem.strerror or str(problem), "look at the disk")
+
+
+# --- its life ---------------------------------------------------------------------------
+
+
+class Address(Settings):
+    """Where a page was last, so that one that is open finds a server that was started again."""
+
+    port: int = Field(ge=1, le=65535)
+    token: str = Field(min_length=20, max_length=100)
+
+    @property
+    def url(self) -> str:
+        """What to open in a browser."""
+        return f"http://{HOST}:{self.port}/?token={self.token}"
+
+
+def last_address(out: Path) -> Address | None:
+    """The address that was used for a folder of corrections before, if it is known."""
+    try:
+        return Address.model_validate_json((out / FILE).read_bytes())
+    except (OSError, pydantic.ValidationError):
+        return None
+
+
+def keep_address(out: Path, address: Address) -> None:
+    """Remember the address; the file is for its owner alone."""
+    with atomic(out / FILE) as temporary:
+        handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(handle, "w") as file:
+            json.dump(address.model_dump(), file)
+
+
+def bound_socket(port: int | None, last: int | None) -> socket.socket:
+    """A listening socket on the loopback interface.
+
+    port: the one that was asked for; ConfigError where it is taken. Else the last one, the first,
+    or any that is free.
+    """
+    for candidate in [last or FIRST_PORT, FIRST_PORT, 0] if port is None else [port]:
+        listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        if os.name == "posix":
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listening.bind((HOST, candidate))
+            listening.listen()
+        except OSError:
+            listening.close()
+        else:
+            return listening
+    raise ConfigError("--port", f"{port} is taken", "give another one, or leave it out")
+
+
+@dataclass
+class PageServer:
+    """A server that is ready to run. address: where its page is."""
+
+    address: Address
+    session: Session
+    _server: uvicorn.Server
+    _listening: socket.socket
+
+    def run(self) -> None:
+        """Serve, and look at the pictures meanwhile, until interrupted or told to stop."""
+        stop = threading.Event()
+        looking = threading.Thread(target=look_at_all, args=(self.session, stop), daemon=True)
+        looking.start()
+        try:
+            self._server.run(sockets=[self._listening])
+        finally:
+            stop.set()
+            looking.join(10)
+
+    def stop(self) -> None:
+        """End ``run``, from another thread."""
+        self._server.should_exit = True
+
+
+def page_server(session: Session, port: int | None = None) -> PageServer:
+    """The server of a session's page, its port taken and its address kept for a restart.
+
+    Raises ConfigError for a port that is taken.
+    """
+    last = last_address(session.out)
+    listening = bound_socket(port, last.port if last else None)
+    token = last.token if last else secrets.token_urlsafe(24)
+    address = Address(port=listening.getsockname()[1], token=token)
+    keep_address(session.out, address)
+    app = annotation_app(session, token, address.port)
+    config = uvicorn.Config(
+        app, http=Impatient, log_level="error", access_log=False, timeout_graceful_shutdown=2
+    )
+    return PageServer(address, session, uvicorn.Server(config), listening)

@@ -1,7 +1,12 @@
 """A session of corrections: a folder of pictures, the machine's views, and everybody's work."""
 
+import hashlib
+import os
+import re
 import threading
 import time
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,62 +25,208 @@ from roadtorch.annotate.machine import (
     shown_road,
 )
 from roadtorch.annotate.next_pictures import PictureOrder
-from roadtorch.annotate.review import RUN, check_reviewer, confirmation, hasty_runs
-from roadtorch.annotate.views import ViewStore
-from roadtorch.annotate.work import PictureFolder, open_work
+from roadtorch.annotate.views import VIEWS, ViewStore
+from roadtorch.data.correction_formats import FORMATS
 from roadtorch.data.correction_labels import LABELS
 from roadtorch.data.corrections import agreement_share
-from roadtorch.data.event_log import ENDING, EventLog, log_path, read_log
 from roadtorch.data.events import (
+    ENDING,
     AnyEvent,
     Confirm,
     Copy,
+    EventLog,
+    Import,
+    LogHead,
+    Redo,
+    Review,
     SuperpixelStroke,
+    Undo,
+    log_path,
     mask_of,
+    read_log,
+    read_logs,
     reviewers,
     runs_of,
     taken_back,
 )
+from roadtorch.data.labelme import picture_size
+from roadtorch.detector import Detector
 from roadtorch.errors import InputError
+from roadtorch.inputs.pictures import find_pictures
+from roadtorch.io.atomic import remove_leftovers
+from roadtorch.io.bounded import printable
 
 HELD = 2**26  # bytes of labels in memory, and one picture's in any case
+
+FRESH = 2.0  # seconds for which a listing holds
+
+USER = re.compile(r"[A-Za-z0-9_-]{1,32}")
+
+GLANCE = 1.0
+"""Seconds at work on a picture below which nobody has looked at it."""
+
+RUN = 10
+"""Confirmations in a row below ``GLANCE`` from which the person is told. Forbidden is nothing."""
+
+Confirmation = tuple[float, float]
+"""When a picture was called right that still is, seconds since 1970, and the seconds at it."""
+
+
+# --- what there is to correct -----------------------------------------------------------
+
+
+@dataclass
+class PictureFolder:
+    """The pictures below ``root``, by their relative name with ending; ``apart`` is left out."""
+
+    root: Path
+    apart: Path
+    _names: tuple[str, ...] = ()
+    _listed: float = field(default=-FRESH, repr=False)
+    _known: set[str] = field(default_factory=set, repr=False)
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    def __post_init__(self) -> None:
+        self.root, self.apart = self.root.resolve(), self.apart.resolve()
+
+    def names(self) -> tuple[str, ...]:
+        """What is there now, sorted; looked up anew after ``FRESH`` seconds."""
+        with self._lock:
+            if time.monotonic() - self._listed >= FRESH:
+                try:
+                    paths = [picture.path for picture in find_pictures([self.root], self.apart)]
+                except InputError:  # emptied while the page is open
+                    paths = []
+                inside = [path for path in paths if path.resolve().is_relative_to(self.root)]
+                names = [path.relative_to(self.root).as_posix() for path in inside]
+                self._names = tuple(name for name in names if name == printable(name))
+                self._known.update(self._names)
+                self._listed = time.monotonic()
+            return self._names
+
+    def path(self, name: str) -> Path:
+        """The file of a name that came from outside.
+
+        Raises InputError for one that was never in ``names``, letter by letter, one that leads out
+        of the folder by now, and one that is gone.
+        """
+        self.names()
+        path = self.root / name if name in self._known else None
+        if path is None or not path.resolve().is_relative_to(self.root):
+            raise InputError(name[:200], "is no picture of this folder", "choose one of the list")
+        if not path.is_file():
+            raise InputError(name, "is no longer there", "choose another picture")
+        return path
+
+
+def checked_user(user: str) -> str:
+    """The name of a user, which is part of file names; InputError where it cannot be."""
+    if not USER.fullmatch(user):
+        remedy = "use 1 to 32 letters, digits, _ or -"
+        raise InputError(user[:40] or "user", "is no name for a user", remedy)
+    return user
+
+
+def open_work(
+    pictures: PictureFolder, out: Path, name: str, user: str, size: tuple[int, int]
+) -> EventLog:
+    """A user's log for a picture of (height, width), or a new one.
+
+    Raises InputError for a name that is none for a user, DatasetError for a log that cannot be
+    read or does not fit its picture.
+    """
+    path = log_path(out, name, checked_user(user))
+    log = read_log(path) if path.exists() else None
+    if log is None:
+        picture = os.path.relpath(pictures.root / name, pictures.apart)
+        log = EventLog(path, LogHead(picture=picture, user=user, height=size[0], width=size[1]))
+    log.labels  # noqa: B018  # folded before other threads see it
+    return log
+
+
+# --- what is to be looked at again ------------------------------------------------------
+
+# Ours. A review is written to the log that it is about, with the name of who did it: ``Review``
+# says that a confirmation is right, ``Undo`` reopens the picture.
+
+
+def confirmation(log: EventLog) -> Confirmation | None:
+    """The last one of a log that holds, with all the work before it; None without any."""
+    verdicts = [event for event in log.standing if isinstance(event, Confirm)]
+    if not verdicts:
+        return None
+    last = verdicts[-1].time
+    return last, sum(event.seconds for event in log.events if event.time <= last)
+
+
+def hasty_runs(confirmations: Iterable[tuple[str, Confirmation | None]]) -> dict[str, list[int]]:
+    """At each confirmation of a person, how many up to it in a row took less than a glance.
+
+    confirmations: with the name of the person, in any order; so is the result, sorted.
+    """
+    by_user: dict[str, list[Confirmation]] = defaultdict(list)
+    for user, verdict in confirmations:
+        if verdict is not None:
+            by_user[user].append(verdict)
+    runs = {user: [0] for user in sorted(by_user)}
+    for user, counts in runs.items():
+        for _, seconds in sorted(by_user[user]):
+            counts.append(counts[-1] + 1 if seconds < GLANCE else 0)
+    return runs
+
+
+def check_reviewer(user: str, event: AnyEvent, events: Sequence[AnyEvent]) -> None:
+    """Whether a second person may do this to a user's log.
+
+    Raises InputError for one's own work, and for anything but calling a confirmation right,
+    taking it back, and doing either again.
+    """
+    if not isinstance(event, Review | Undo | Redo) or event.by is None:
+        return
+    if event.by == user:
+        raise InputError(user, "is who confirmed", "have a second person review it")
+    verdicts = Confirm if isinstance(event, Review) else (Confirm, Review)
+    if not any(each.id == event.of and isinstance(each, verdicts) for each in events):
+        raise InputError(event.of, f"is no verdict of {user}", "review what was called right")
+
+
+# --- the session ------------------------------------------------------------------------
+
+Summary = tuple[dict[str, Any], Confirmation | None]
+"""What the list shows of a person's work on a picture, and when it was called right."""
 
 
 @dataclass
 class Session:
     """What the page asks for. pictures: their folder; views: the machine's; out: the logs.
 
-    order: in which pictures are offered; None for the least trust first.
+    order: in which pictures are offered.
     """
 
     pictures: PictureFolder
     views: ViewStore
     out: Path
-    settings: AnnotationSettings
+    order: PictureOrder
     trusts: dict[str, float] = field(default_factory=dict)
-    order: PictureOrder | None = None
     _works: WeakValueDictionary[tuple[str, str], EventLog] = field(
         default_factory=WeakValueDictionary, repr=False
     )
     _held: list[EventLog] = field(default_factory=list, repr=False)
     _lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
-    _summaries: dict[Path, tuple[int, Any]] = field(default_factory=dict, repr=False)
+    _summaries: dict[Path, tuple[int, Summary | None]] = field(default_factory=dict, repr=False)
 
     # --- what there is ------------------------------------------------------------------
 
     def listing(self) -> list[dict[str, Any]]:
         """Every picture: its name, trust and turn if known, each person's events and verdict."""
         work, names = self._work_by_picture(), self.pictures.names()
-        turns = self.order.turns(names, self.trusts, work) if self.order else {}
+        turns = self.order.turns(names, self.trusts, work)
         return [
             {
                 "name": name,
                 "trust": self._trust(name),
                 "turn": turns.get(name),
-                "users": {
-                    user: {key: value for key, value in one.items() if key != "took"}
-                    for user, one in work.get(name, {}).items()
-                },
+                "users": {user: shown for user, (shown, _) in work.get(name, {}).items()},
             }
             for name in names
         ]
@@ -83,81 +234,77 @@ class Session:
     def hasty(self) -> dict[str, int]:
         """Who called so many pictures in a row right, up to now, that nobody looks so fast."""
         work = self._work_by_picture().values()
-        took = ((user, one["took"]) for users in work for user, one in users.items())
-        return {user: runs[-1] for user, runs in hasty_runs(took).items() if runs[-1] >= RUN}
+        verdicts = ((user, verdict) for users in work for user, (_, verdict) in users.items())
+        return {user: runs[-1] for user, runs in hasty_runs(verdicts).items() if runs[-1] >= RUN}
 
     def _trust(self, name: str) -> float | None:
         trust = self.trusts.get(name)
         return None if trust is None or np.isnan(trust) else round(trust, 3)
 
-    def _work_by_picture(self) -> dict[str, dict[str, dict[str, Any]]]:
+    def _work_by_picture(self) -> dict[str, dict[str, Summary]]:
         """What each person did on each picture; a log is read again when its length changed."""
-        found: dict[str, dict[str, dict[str, Any]]] = {}
+        work: dict[str, dict[str, Summary]] = {}
         for path in sorted(self.out.rglob(f"*{ENDING}")):
             stem = path.relative_to(self.out).as_posix().removesuffix(ENDING)
             name, _, user = stem.rpartition(".")
             length, (known, summary) = path.stat().st_size, self._summaries.get(path, (-1, None))
             if known != length:
                 log = read_log(path)
-                summary = log and {
-                    "events": len(log.standing),
-                    "confirmed": log.confirmed,
-                    "version": len(log.events),
-                    "reviewed": list(reviewers(log.standing)),
-                    "took": confirmation(log),
-                }
+                summary = None
+                if log and log.events:
+                    shown = {
+                        "events": len(log.standing),
+                        "confirmed": log.confirmed,
+                        "version": len(log.events),
+                        "reviewed": list(reviewers(log.standing)),
+                    }
+                    summary = shown, confirmation(log)
                 self._summaries[path] = length, summary
-            if summary and summary["version"]:
-                found.setdefault(name, {})[user] = summary
-        return found
+            if summary:
+                work.setdefault(name, {})[user] = summary
+        return work
 
     # --- one picture --------------------------------------------------------------------
 
     def view(self, name: str) -> PictureView:
-        """The machine's view of a picture; InputError where it is none, or gone."""
-        view = self.views.view(name, self.pictures.path(name))
-        self.trusts[name] = np.nan if view.trust is None else view.trust
-        return view
+        """The machine's view of a picture, the last one of a file that was deleted meanwhile.
 
-    def _view_or_last(self, name: str) -> PictureView:
-        """The view of a picture even if its file was deleted while it was being corrected."""
+        Raises InputError where it is no picture, or gone before anybody looked at it.
+        """
         try:
-            return self.view(name)
+            view = self.views.view(name, self.pictures.path(name))
         except InputError:
             if (view := self.views.last_view(name)) is None:
                 raise
-            return view
+        self.trusts[name] = np.nan if view.trust is None else view.trust
+        return view
 
     def _work(self, name: str, user: str, view: PictureView) -> EventLog:
         with self._lock:
             if (work := self._works.get((name, user))) is None:
                 work = open_work(self.pictures, self.out, name, user, view.size)
                 self._works[name, user] = work
-            self._held = [*(one for one in self._held if one is not work), work]
-            while len(self._held) > 1 and sum(one.labels.nbytes for one in self._held) > HELD:
+            self._held = [*(log for log in self._held if log is not work), work]
+            while len(self._held) > 1 and sum(log.labels.nbytes for log in self._held) > HELD:
                 del self._held[0]
         if work.size != view.size:
-            what = f"was corrected at {work.head.width} by {work.head.height} pixels"
+            message = f"was corrected at {work.head.width} by {work.head.height} pixels"
             remedy = f"it has another size now; move {work.path.name} away"
-            raise InputError(name, what, remedy)
+            raise InputError(name, message, remedy)
         return work
 
     def state(self, name: str, user: str) -> dict[str, Any]:
         """A person's picture as the page shows it; see docs/annotate.md for the fields."""
-        view = self._view_or_last(name)
+        view = self.view(name)
         return self._shown(name, self._work(name, user, view), view)
 
     def add(self, name: str, user: str, event: AnyEvent) -> dict[str, Any]:
         """Take an event, have it on disk, infer the rest anew, and tell the state."""
-        start = time.perf_counter()
-        view = self._view_or_last(name)
+        view = self.view(name)
         work = self._work(name, user, view)
         check_reviewer(user, event, work.events)
         work.add(self._completed(event, name, work, view))
-        return {
-            **self._shown(name, work, view),
-            "milliseconds": 1000 * (time.perf_counter() - start),
-        }
+        return self._shown(name, work, view)
 
     def _completed(self, event: AnyEvent, name: str, work: EventLog, view: PictureView) -> AnyEvent:
         """The event with its time and with the pixels that it is about."""
@@ -165,8 +312,8 @@ class Session:
         if isinstance(event, SuperpixelStroke):
             count = len(view.segment_odds)
             if any(number >= count for number in event.segments):
-                what = f"has {count} superpixels, and one of a higher number was clicked"
-                raise InputError(work.path.name, what, "load the page again")
+                message = f"has {count} superpixels, and one of a higher number was clicked"
+                raise InputError(work.path.name, message, "load the page again")
             chosen = np.isin(view.labels.numpy(), event.segments)
             changes["runs"] = runs_of(at_size(chosen, view.size))
         if isinstance(event, Copy):
@@ -180,53 +327,52 @@ class Session:
         """The last picture before this one that the person called right, and its road (H,W)."""
         user, done, names = work.head.user, self._work_by_picture(), self.pictures.names()
         for name in reversed(names[: names.index(own)] if own in names else ()):
-            if done.get(name, {}).get(user, {}).get("confirmed"):
+            shown, _ = done.get(name, {}).get(user, ({}, None))
+            if shown.get("confirmed"):
                 log = read_log(log_path(self.out, name, user))
                 if log is not None and log.size == work.size:
                     return name, log.labels == LABELS.index("road")
-        what = "has no picture of its size before it that you called right"
-        raise InputError(own, what, "call the frame before it right first")
+        message = "has no picture of its size before it that you called right"
+        raise InputError(own, message, "call the frame before it right first")
 
     def _odds(self, work: EventLog, view: PictureView) -> Any:
-        copied = [one for one in work.standing if isinstance(one, Copy)]
+        copied = [event for event in work.standing if isinstance(event, Copy)]
         if copied:
             view = seen_as(view, mask_of(copied[-1].runs, view.size))
-        said = said_of_segments(work.labels, view, self.settings)
-        return mended_odds(view, said, self.settings.propagation)
+        settings = self.views.settings
+        said = said_of_segments(work.labels, view, settings)
+        return mended_odds(view, said, settings.propagation)
 
     def _shown(self, name: str, work: EventLog, view: PictureView) -> dict[str, Any]:
-        shape = (view.labels.shape[0], view.labels.shape[1])
-        road = shown_road(self._odds(work, view), work.labels, shape)
-        layout = np.minimum(mended_layout(view, work.labels, self.settings), 3)
-        layers = at_size(work.labels, shape) | road.astype(np.uint8) << 3 | layout << 4
+        road = shown_road(self._odds(work, view), work.labels, view.shape)
+        layout = np.minimum(mended_layout(view, work.labels, self.views.settings), 3)
+        layers = at_size(work.labels, view.shape) | road.astype(np.uint8) << 3 | layout << 4
         return {
             "name": name,
             "size": [view.size[1], view.size[0]],
-            "shape": [shape[1], shape[0]],
+            "shape": [view.shape[1], view.shape[0]],
             "trust": self._trust(name),
             "version": len(work.events),
-            "events": [[one.id, one.kind, getattr(one, "saying", "")] for one in work.standing],
+            "events": [[each.id, each.kind, getattr(each, "saying", "")] for each in work.standing],
             "redo": taken_back(work.events),
             "confirmed": work.confirmed,
             "reviewed": list(reviewers(work.standing)),
             "seconds": round(sum(event.seconds for event in work.events), 1),
             "clicks": len(work.events),
-            "agreement": self.agreement(name),
+            "agreement": self._agreement(name),
             "layers": layers.astype(np.uint8).tobytes(),
         }
 
-    def agreement(self, name: str) -> float | None:
+    def _agreement(self, name: str) -> float | None:
         """Share of the pixels that two people spoke of on which they agree; None without two."""
         users = sorted(self._work_by_picture().get(name, {}))
         if len(users) < 2:
             return None
-        said = []
-        for user in users:
-            if (work := self._works.get((name, user))) is not None:
-                said.append(work.labels)
-            elif (log := read_log(log_path(self.out, name, user))) is not None:
-                said.append(log.labels)
-        return agreement_share(said)
+        logs = (
+            self._works.get((name, user)) or read_log(log_path(self.out, name, user))
+            for user in users
+        )
+        return agreement_share([log.labels for log in logs if log is not None])
 
 
 def look_at_all(session: Session, stop: threading.Event) -> None:
@@ -240,12 +386,51 @@ def look_at_all(session: Session, stop: threading.Event) -> None:
                 continue
             try:
                 path = session.pictures.path(name)
-                if session.order is not None:
-                    session.order.learn(name, path, session.view(name))
-                if (trust := session.views.trust(name, path)) is None:
-                    session.view(name)  # which keeps the trust
-                else:
-                    session.trusts[name] = trust
+                session.order.learn(name, path, session.view(name))
             except (InputError, OSError):
                 failed.add(name)
         stop.wait(2)
+
+
+def opened_session(
+    folder: Path,
+    out: Path,
+    detector: Detector,
+    order: PictureOrder | None = None,
+) -> Session:
+    """A session for a folder; DatasetError where a log in ``out`` cannot be read.
+
+    What killed ones left half-written is removed, so no other may be at work there.
+    """
+    read_logs(out)
+    remove_leftovers(Path(below) for below, _, _ in os.walk(out / VIEWS))
+    views = ViewStore(out / VIEWS, detector, AnnotationSettings())
+    order = order or PictureOrder("least-trust")
+    return Session(PictureFolder(folder, out), views, out, order)
+
+
+# --- labels of other programs -----------------------------------------------------------
+
+
+def import_labels(name: str, origin: Path, folder: Path, out: Path, user: str) -> int:
+    """Add the labels of a format in ``origin`` to a user's logs; how many pictures had some.
+
+    Raises InputError for a name that is none for a user, DatasetError for what cannot be read;
+    then nothing was added.
+    """
+    checked_user(user)
+    pictures = PictureFolder(folder, out)
+    sizes = {picture: picture_size(pictures.path(picture)) for picture in pictures.names()}
+    by_picture = FORMATS[name].read(origin, sizes)
+    for picture, labels in by_picture.items():
+        work = open_work(pictures, out, picture, user, sizes[picture])
+        if not work.events or (work.labels != labels).any():  # else they were brought in before
+            work.add(import_event(labels, len(work.events)))
+    return len(by_picture)
+
+
+def import_event(labels: np.ndarray, number: int = 0) -> Import:
+    """The event of a number that makes labels uint8 (H,W) what they are here."""
+    runs = {LABELS[label]: runs_of(labels == label) for label in np.unique(labels).tolist()}
+    identity = hashlib.sha256(f"{number} {runs}".encode()).hexdigest()[:32]
+    return Import(kind="brought", id=identity, time=round(time.time(), 3), labels=runs)

@@ -1,6 +1,5 @@
 """The machine's views of pictures, made once: in memory for a few, on disk for all."""
 
-import hashlib
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass, field
@@ -12,8 +11,8 @@ from scipy import sparse
 
 from roadtorch.annotate.machine import AnnotationSettings, PictureView, look_at_picture
 from roadtorch.detector import Detector
-from roadtorch.io.atomic import atomic, make_folder
 from roadtorch.io.image import read_image
+from roadtorch.run.memo import keep, kept, key_of
 from roadtorch.superpixels.segments import segment_mean, segment_size
 
 VIEWS = ".machine"
@@ -62,19 +61,12 @@ class ViewStore:
         held = self._held.get(name)
         return held[1] if held else None
 
-    def trust(self, name: str, picture: Path) -> float | None:
-        """The trust of a view that is on disk; NaN where a look gave none, None without a look."""
-        try:
-            with np.load(view_path(self.folder, name), allow_pickle=False) as found:
-                return float(found["trust"]) if str(found["key"]) == self._key(picture) else None
-        except (OSError, ValueError, KeyError):
-            return None
-
     def _key(self, picture: Path) -> str:
-        detector, found = self.detector, picture.stat()
-        said = f"{detector.name} {detector.settings!r} {self.settings!r}"
-        text = f"{said} {found.st_size} {found.st_mtime_ns}"
-        return hashlib.sha256(text.encode()).hexdigest()[:32]
+        """By size and date, not by bytes: a list of ten thousand pictures is asked at once."""
+        stat, detector = picture.stat(), self.detector
+        return key_of(
+            detector.name, detector.settings, self.settings, stat.st_size, stat.st_mtime_ns
+        )
 
 
 def view_path(folder: Path, name: str) -> Path:
@@ -84,37 +76,29 @@ def view_path(folder: Path, name: str) -> Path:
 
 def write_view(path: Path, view: PictureView, key: str) -> None:
     """Keep a view on disk under the key of what it was made of."""
-    make_folder(path.parent)
-    with atomic(path) as temporary, temporary.open("wb") as file:
-        np.savez(
-            file,
-            key=key,
-            size=np.array(view.size),
-            odds=view.odds.numpy().astype(np.float16),
-            labels=view.labels.numpy().astype(np.int32),
-            layout=view.layout.numpy().astype(np.float16),
-            trust=np.nan if view.trust is None else view.trust,
-            data=view.graph.data.astype(np.float32),
-            indices=view.graph.indices,
-            indptr=view.graph.indptr,
-        )
+    arrays = {
+        "size": torch.tensor(view.size),
+        "odds": view.odds.to(torch.float16),
+        "labels": view.labels.to(torch.int32),
+        "layout": view.layout.to(torch.float16),
+        "trust": torch.tensor(np.nan if view.trust is None else view.trust, dtype=torch.float64),
+        "data": torch.from_numpy(view.graph.data.astype(np.float32)),
+        "indices": torch.from_numpy(view.graph.indices),
+        "indptr": torch.from_numpy(view.graph.indptr),
+    }
+    keep(path, key, arrays)
 
 
 def read_view(path: Path, key: str | None = None) -> PictureView | None:
     """The view that was kept, under this key if one is given; None where there is none."""
-    try:
-        with np.load(path, allow_pickle=False) as found:
-            if key is not None and str(found["key"]) != key:
-                return None
-            count = len(found["indptr"]) - 1
-            parts = (found["data"].astype(np.float64), found["indices"], found["indptr"])
-            odds = torch.from_numpy(found["odds"].astype(np.float32))
-            labels = torch.from_numpy(found["labels"].astype(np.int64))
-            height, width = found["size"].tolist()
-            trust = float(found["trust"])
-            layout = torch.from_numpy(found["layout"].astype(np.float32))
-    except (OSError, ValueError, KeyError):
+    arrays = kept(path, key)
+    if arrays is None:
         return None
+    count = len(arrays["indptr"]) - 1
+    parts = (arrays["data"].double().numpy(), arrays["indices"].numpy(), arrays["indptr"].numpy())
+    odds, labels = arrays["odds"].to(torch.float32), arrays["labels"].to(torch.int64)
+    height, width = arrays["size"].tolist()
+    trust, layout = float(arrays["trust"]), arrays["layout"].to(torch.float32)
     mean = segment_mean(odds[None], labels, segment_size(labels, count))[0]
     graph = sparse.csr_matrix(parts, shape=(count, count))
     known = None if np.isnan(trust) else trust

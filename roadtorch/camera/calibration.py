@@ -41,10 +41,13 @@ def read_camera_info(path: str | os.PathLike[str]) -> Lens:
     if len(matrix) != 9 or matrix[0] <= 0:
         raise ConfigError(path, "holds no calibrated camera matrix (K)", REMEDY)
     bent = _numbers(path, values, ("distortion_coefficients", "d", "D"))
-    width = _size(path, values, ("image_width", "width"))
-    height = _size(path, values, ("image_height", "height"))
+    sides = []
+    for names in (("image_width", "width"), ("image_height", "height")):
+        sides.append(next((values[name] for name in names if name in values), None))
+        if not isinstance(sides[-1], int) or sides[-1] < 1:
+            raise ConfigError(path, f"{names[0]} is missing, or no number of pixels", REMEDY)
     model = str(values.get("distortion_model", ""))
-    return lens_of_info(path, (width, height), matrix, bent, model)
+    return lens_of_info(path, (sides[0], sides[1]), matrix, bent, model)
 
 
 def lens_of_info(
@@ -63,16 +66,11 @@ def lens_of_info(
         known = ", ".join(name for name in COEFFICIENTS if name != "pinhole")
         raise ConfigError(path, f"distortion_model {model!r} is not known", f"known: {known}")
     straight = not any(bent) or model == "pinhole"
-    found = {
-        "width": size[0],
-        "height": size[1],
-        **{"focal_x": matrix[0], "focal_y": matrix[4]},
-        **{"centre_x": matrix[2], "centre_y": matrix[5]},
-        "model": "pinhole" if straight else model,
-        "coefficients": () if straight else tuple(bent),
-    }
+    names = ("width", "height", "focal_x", "centre_x", "focal_y", "centre_y")
+    values = dict(zip(names, (*size, matrix[0], matrix[2], matrix[4], matrix[5]), strict=True))
+    bend = {} if straight else {"model": model, "coefficients": tuple(bent)}
     try:
-        return build_settings(Lens, found)
+        return build_settings(Lens, {**values, **bend})
     except ConfigError as problem:
         what = f"is no lens: {problem.where}: {problem.what}"
         raise ConfigError(path, what, problem.remedy) from None
@@ -92,30 +90,23 @@ def _first_document(path: Path) -> Any:
     except UnicodeDecodeError:
         raise ConfigError(path, "is not UTF-8 text", REMEDY) from None
     except (yaml.YAMLError, RecursionError, ValueError) as problem:
-        told = getattr(problem, "problem", None) or "nested too deep, or no such value"
+        message = getattr(problem, "problem", None) or "nested too deep, or no such value"
         mark = getattr(problem, "problem_mark", None)
-        where = f"line {mark.line + 1}: " if mark else ""
-        raise ConfigError(path, f"is not YAML: {where}{told}", REMEDY) from None
+        line = f"line {mark.line + 1}: " if mark else ""
+        raise ConfigError(path, f"is not YAML: {line}{message}", REMEDY) from None
 
 
 def _numbers(path: Path, values: Mapping[str, Any], names: tuple[str, ...]) -> list[float]:
     """The numbers under the first of the names, as a list or in ``data`` of a matrix."""
-    found = next((values[name] for name in names if values.get(name) is not None), [])
-    found = found.get("data", []) if isinstance(found, Mapping) else found
+    entry = next((values[name] for name in names if values.get(name) is not None), [])
+    entry = entry.get("data", []) if isinstance(entry, Mapping) else entry
     try:
-        numbers = [float(number) for number in found]
+        numbers = [float(number) for number in entry]
     except (TypeError, ValueError):
         raise ConfigError(path, f"{names[0]} holds what is no number", REMEDY) from None
     if not np.isfinite(numbers).all():
         raise ConfigError(path, f"{names[0]} holds what is not finite", REMEDY)
     return numbers
-
-
-def _size(path: Path, values: Mapping[str, Any], names: tuple[str, ...]) -> int:
-    found = next((values[name] for name in names if name in values), None)
-    if not isinstance(found, int) or found < 1:
-        raise ConfigError(path, f"{names[0]} is missing, or no number of pixels", REMEDY)
-    return found
 
 
 # --- KITTI ------------------------------------------------------------------------------
@@ -196,10 +187,7 @@ def _to_four(values: tuple[float, ...], columns: int) -> Tensor:
 
 
 def kitti_ground_camera(
-    calibration: Calibration,
-    width: int,
-    height: int,
-    mount: tuple[float, float] = (0.0, 0.0),
+    calibration: Calibration, width: int, height: int, mount: tuple[float, float] = (0.0, 0.0)
 ) -> GroundCamera:
     """The left colour camera of a KITTI calibration over its road plane, for pictures of a size.
 
@@ -209,9 +197,9 @@ def kitti_ground_camera(
     """
     projection = np.array(calibration.projection).reshape(3, 4)
     inner = projection[:, :3]
-    if not (1 <= inner[0, 2] <= width and 1 <= inner[1, 2] <= height):
-        what = f"is {width}×{height} pixels, the calibration's middle {inner[0, 2]:.0f}, "
-        what += f"{inner[1, 2]:.0f}"
+    across, down = float(inner[0, 2]), float(inner[1, 2])  # where the optical axis is, from one
+    if not (1 <= across <= width and 1 <= down <= height):
+        what = f"is {width}×{height} pixels, the calibration's middle {across:.0f}, {down:.0f}"
         raise InputError("image", what, "give pictures of that camera at their own size")
     camera_to_road = np.array(calibration.camera_to_road).reshape(3, 4)
     rectification = np.array(calibration.rectification).reshape(3, 3)
@@ -223,8 +211,8 @@ def kitti_ground_camera(
         height=height,
         focal_x=float(inner[0, 0]),
         focal_y=float(inner[1, 1]),
-        centre_x=float(inner[0, 2]) - 1,
-        centre_y=float(inner[1, 2]) - 1,
+        centre_x=across - 1,
+        centre_y=down - 1,
     )
     # The file's rotations are rounded: their inverse, not their transpose, gives its own points.
     axes = np.linalg.inv(robot @ turned)

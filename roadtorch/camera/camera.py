@@ -6,6 +6,7 @@ from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
+import tomli_w
 import torch
 from pydantic import Field, model_validator
 from torch import Tensor
@@ -17,19 +18,14 @@ from roadtorch.imaging.resize import resized
 from roadtorch.io.atomic import write_text
 from roadtorch.io.image import ORANGE, SKY_BLUE, tint_mask, to_pixels
 from roadtorch.road.ego import Ego, ego_car, is_given
-from roadtorch.settings import Settings, build_settings, group_at, read_settings_file, toml_lines
+from roadtorch.settings import Settings, build_settings, group_at, read_settings_file
 
 # --- the look of the ego car ----------------------------------------------------------
 
 
-POINTS = 160
-"""Points of a look: enough for a sure answer, few enough for a file that people read."""
-
-EDGE_ROWS = 2
-"""Rows above the ego car that its edge is spread over, of a picture 320 pixels wide."""
-
-SHIFT = 1
-"""Pixels by which a picture may be displaced, as rounding does when pictures are scaled."""
+POINTS = 160  # points of a look: enough for a sure answer, few enough for a file that people read
+EDGE_ROWS = 2  # rows above the ego car that its edge is spread over, of a picture 320 pixels wide
+SHIFT = 1  # pixels by which a picture may be displaced, as rounding does when pictures are scaled
 
 MAX_LIKENESS, MIN_LIKENESS = 0.5, 0.2
 """The likeness that is asked for lies between: other cameras have about .1, and .5 hardly ever."""
@@ -70,47 +66,37 @@ def ego_look(still: Stillness, rows: Tensor) -> EgoLook:
     best = best[peaks[best] > 0].sort().values
     across, down = still.mean.flatten(1)[:, best]
     return EgoLook(
-        rows=_rounded((best // width + 0.5) / height, 4),
-        columns=_rounded((best % width + 0.5) / width, 4),
-        across=_rounded(across, 3),
-        down=_rounded(down, 3),
+        rows=rounded((best // width + 0.5) / height, 4),
+        columns=rounded((best % width + 0.5) / width, 4),
+        across=rounded(across, 3),
+        down=rounded(down, 3),
     )
 
 
-def _rounded(values: Tensor, digits: int) -> tuple[float, ...]:
+def rounded(values: Tensor, digits: int) -> tuple[float, ...]:
+    """Values (n,) as numbers of a file, with so many digits behind the point."""
     return tuple(round(value, digits) for value in values.tolist())
 
 
-def sure_look(look: EgoLook, found: list[Tensor]) -> EgoLook:
-    """The look with the likeness that most of its own pictures have, gradients (2,h,w).
-
-    Three fifths of what four pictures of five exceed: those to come differ more than these do.
-    """
-    own = likenesses(look, found)
-    least = min(MAX_LIKENESS, max(MIN_LIKENESS, 0.6 * float(own.quantile(0.2))))
-    return look.model_copy(update={"least": round(least, 3)})
-
-
-def image_likeness(look: EgoLook, image: Tensor) -> float:
-    """How alike an image (3,H,W) in [0,1] is to a look, from -1 to 1; .1 for other cameras."""
-    return gradient_likeness(look, gradient_of(small_grey(image, small_size([image]))))
-
-
-def likenesses(look: EgoLook, found: Sequence[Tensor]) -> Tensor:
+def likenesses(look: EgoLook, gradients: Sequence[Tensor]) -> Tensor:
     """The likeness (n,) of each of the gradients (2,h,w) of n small pictures."""
-    return torch.tensor([gradient_likeness(look, gradient) for gradient in found])
+    return torch.tensor([gradient_likeness(look, gradient) for gradient in gradients])
 
 
 def gradient_likeness(look: EgoLook, gradient: Tensor) -> float:
-    """The same for the gradient (2,h,w) of a small grey picture: a cosine, the best of shifts."""
+    """How alike the gradient (2,h,w) of a small grey picture is to a look, from -1 to 1.
+
+    A cosine, the best of shifts; .1 for other cameras.
+    """
     height, width = gradient.shape[1:]
     rows = (torch.tensor(look.rows) * height).long()
     columns = (torch.tensor(look.columns) * width).long()
     expected = torch.tensor([look.across, look.down]).reshape(-1)
     unit, best = softened(gradient), -1.0
     for down, right in product(range(-SHIFT, SHIFT + 1), repeat=2):
-        seen = unit[:, (rows + down).clamp(0, height - 1), (columns + right).clamp(0, width - 1)]
-        best = max(best, float(F.cosine_similarity(seen.reshape(-1), expected, 0)))
+        shifted = (rows + down).clamp(0, height - 1), (columns + right).clamp(0, width - 1)
+        points = unit[:, *shifted].reshape(-1)
+        best = max(best, float(F.cosine_similarity(points, expected, 0)))
     return best
 
 
@@ -147,8 +133,7 @@ class Camera(Settings):
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the file that ``read`` reads."""
-        values = self.model_dump(exclude_defaults=True)
-        write_text(path, "\n".join([*toml_lines(values), ""]))
+        write_text(path, tomli_w.dumps(self.model_dump(exclude_defaults=True)))
 
     def check(self, image: Tensor) -> None:
         """Raise InputError when an image (3,H,W) in [0,1] cannot be of this camera: shape, look.
@@ -160,8 +145,10 @@ class Camera(Settings):
         if not 1 / SAME_SHAPE <= ratio <= SAME_SHAPE:
             what = f"is {width}×{height} pixels, the camera's footage {self.width}×{self.height}"
             raise InputError("image", what, REMEDY)
-        if self.look.rows and image_likeness(self.look, image) < self.look.least:
-            raise InputError("image", "does not show this camera's ego car", REMEDY)
+        if self.look.rows:
+            gradient = gradient_of(small_grey(image, small_size([image])))
+            if gradient_likeness(self.look, gradient) < self.look.least:
+                raise InputError("image", "does not show this camera's ego car", REMEDY)
 
     def settings_for(self, kind: type[Settings]) -> dict[str, Any]:
         """Values for a detector's settings of that kind, nested: what of the camera it can use.
@@ -180,11 +167,8 @@ class Camera(Settings):
 # --- the picture beside the file ------------------------------------------------------
 
 
-CHECK_WIDTH = 640
-"""Pixels of each half."""
-
-SEED_SIDES = (3 / 8, 5 / 8)
-"""Shares of the width between which the seed row is drawn."""
+CHECK_WIDTH = 640  # pixels of each half
+SEED_SIDES = (3 / 8, 5 / 8)  # shares of the width between which the seed row is drawn
 
 
 def check_picture(camera: Camera, frames: Sequence[Tensor]) -> Tensor:

@@ -9,12 +9,14 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from roadtorch.camera.camera import (
+    MAX_LIKENESS,
+    MIN_LIKENESS,
     SAME_SHAPE,
     Camera,
     EgoLook,
     ego_look,
     likenesses,
-    sure_look,
+    rounded,
 )
 from roadtorch.camera.gradients import (
     Stillness,
@@ -29,29 +31,24 @@ from roadtorch.camera.gradients import (
     vanishing_point,
 )
 from roadtorch.errors import InputError
-from roadtorch.imaging.resize import at_picture_size
+from roadtorch.imaging.resize import at_picture_size, size_of
 from roadtorch.road.ego import Ego
 
 # --- the ego car below an edge that never moves ---------------------------------------
 
 
-NEUTRAL_EVIDENCE = 0.35
-"""Evidence of an edge at which a column neither gains nor loses."""
+NEUTRAL_EVIDENCE = 0.35  # evidence of an edge at which a column neither gains nor loses
 
 MIN_EVIDENCE = 0.08
 """Evidence above NEUTRAL_EVIDENCE, mean over all columns, from which there is an ego car."""
 
-MAX_CLIMB, CLIMB_COST = 3, 0.15
-"""Rows by which a path may climb in a column, and what each costs."""
+MAX_CLIMB, CLIMB_COST = 3, 0.15  # rows by which a path may climb in a column, and what each costs
 
 NEXT_EDGE = 0.6
 """Share of the best path's evidence that an edge above must have to be the ego car's as well."""
 
-MAX_EDGE_DISTANCE = 0.15
-"""Share of the height within which an edge above belongs to the same car."""
-
-MIN_APART = 3
-"""Rows between two edges: less is the same edge, blurred."""
+MAX_EDGE_DISTANCE = 0.15  # share of the height within which an edge above belongs to the same car
+MIN_APART = 3  # rows between two edges: less is the same edge, blurred
 
 MIN_EGO_ROW, BELOW_HORIZON = 0.6, 0.12
 """An ego car begins below this share of the height, and this far below the vanishing point."""
@@ -89,13 +86,13 @@ def still_ego(frames: Sequence[Tensor]) -> Tensor | None:
     if rows is None:
         return None
     below = torch.arange(size[0])[:, None] >= rows
-    return at_picture_size(below, (frames[0].shape[-2], frames[0].shape[-1]))
+    return at_picture_size(below, size_of(frames[0]))
 
 
-def look_through(found: Sequence[Tensor]) -> Footage:
+def look_through(gradients: Sequence[Tensor]) -> Footage:
     """What the gradients (2,h,w) of two or more frames say together."""
-    point = vanishing_point(found)
-    return Footage(stillness(found), point, road_lines(found, point))
+    point = vanishing_point(gradients)
+    return Footage(stillness(gradients), point, road_lines(gradients, point))
 
 
 def ego_rows(footage: Footage) -> Tensor | None:
@@ -168,11 +165,8 @@ def best_path(evidence: Tensor) -> tuple[Tensor, float]:
 
 # --- the camera ------------------------------------------------------------------------
 
-MIN_FRAMES = 5
-"""Frames; fewer have edges in common by chance."""
-
-OUTLINE_COLUMNS = 64
-"""Columns of the outline in a camera's file."""
+MIN_FRAMES = 5  # frames; fewer have edges in common by chance
+OUTLINE_COLUMNS = 64  # columns of the outline in a camera's file
 
 STILL_SHARE = 0.85
 """Share of common gradients from which nothing moves. Straight motorways have up to .7."""
@@ -198,7 +192,7 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
     """
     sizes, greys = [], []
     for frame in frames:
-        sizes.append((frame.shape[-2], frame.shape[-1]))
+        sizes.append(size_of(frame))
         greys.append(small_grey(frame, small_size([frame])))
     if len(sizes) < MIN_FRAMES:
         number = "one frame" if len(sizes) == 1 else f"{len(sizes)} frames"
@@ -209,19 +203,23 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
         what = f"is of several cameras: {low_width}×{low_height} and {width}×{height} pixels"
         raise InputError(where, what, "give the footage of one")
     size = small_size(greys)
-    found = [
+    gradients = [
         gradient_of(F.interpolate(grey[None, None], size, mode="bilinear")[0, 0]) for grey in greys
     ]
-    footage = look_through(found)
+    footage = look_through(gradients)
     if footage.still.share >= STILL_SHARE:
         raise StillError(where, "stands still: nothing moves", "give footage of a drive")
-    _check_looks(footage, found, where)
+    _check_looks(footage, gradients, where)
     rows = ego_rows(footage)
-    look = EgoLook() if rows is None else sure_look(ego_look(footage.still, rows), found)
-    outline = ()
+    look, outline = EgoLook(), ()
     if rows is not None:
+        look = ego_look(footage.still, rows)
+        # Three fifths of what four pictures of five exceed: those to come differ more than these.
+        usual = float(likenesses(look, gradients).quantile(0.2))
+        least = min(MAX_LIKENESS, max(MIN_LIKENESS, 0.6 * usual))
+        look = look.model_copy(update={"least": round(least, 3)})
         shares = F.adaptive_avg_pool1d(rows[None].to(torch.float64) / size[0], OUTLINE_COLUMNS)[0]
-        outline = tuple(round(share, 4) for share in shares.tolist())
+        outline = rounded(shares, 4)
     height, width = Counter(sizes).most_common(1)[0][0]
     return Camera(
         width=width,
@@ -237,16 +235,15 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
 # --- what forbids it --------------------------------------------------------------------
 
 
-def _check_looks(footage: Footage, found: list[Tensor], where: str) -> None:
+def _check_looks(footage: Footage, gradients: list[Tensor], where: str) -> None:
     """InputError when one half of the frames shows an ego car that the other lacks."""
-    halves = halved(footage, found)
+    halves = halved(footage, gradients)
     for shown, lacking in (halves, halves[::-1]):
-        if _is_foreign(footage.point, *([found[at] for at in half] for half in (shown, lacking))):
-            some = ", ".join(str(at + 1) for at in lacking[:5])
-            what = (
-                f"is of several cameras: {len(lacking)} of {len(found)} frames do not show "
-                f"the ego car of the others, such as number {some}"
-            )
+        some, other = ([gradients[at] for at in half] for half in (shown, lacking))
+        if _is_foreign(footage.point, some, other):
+            what = f"is of several cameras: {len(lacking)} of {len(gradients)} frames do not show "
+            what += "the ego car of the others, such as number "
+            what += ", ".join(str(at + 1) for at in lacking[:5])
             raise InputError(where, what, "give the footage of one")
 
 
@@ -266,15 +263,15 @@ def _is_foreign(point: VanishingPoint, half: list[Tensor], other: list[Tensor]) 
     return is_sure and float(strange.quantile(0.8)) <= FOREIGN_LIKENESS
 
 
-def halved(footage: Footage, found: Sequence[Tensor]) -> tuple[list[int], list[int]]:
+def halved(footage: Footage, gradients: Sequence[Tensor]) -> tuple[list[int], list[int]]:
     """The frames' numbers in two groups, each alike at the bottom: what two cameras would be.
 
     The sign of the first principal component of the softened gradients that are no road lines.
     """
-    top = round(MIN_EGO_ROW * found[0].shape[1])
+    top = round(MIN_EGO_ROW * gradients[0].shape[1])
     weight = crossing(footage.still.direction, footage.point)
-    low = torch.stack([(softened(one) * weight)[:, top:].reshape(-1) for one in found])
+    low = torch.stack([(softened(each) * weight)[:, top:].reshape(-1) for each in gradients])
     centred = low - low.mean(0)
     first = torch.linalg.eigh(centred @ centred.T)[1][:, -1]
-    numbers = range(len(found))
+    numbers = range(len(gradients))
     return [n for n in numbers if first[n] > 0], [n for n in numbers if first[n] <= 0]

@@ -19,14 +19,9 @@ from torch import Tensor
 from roadtorch.errors import InputError
 from roadtorch.layout.classes import HORIZONTAL
 
-SMALL_WIDTH = 320
-"""Pixels in a row of a small frame."""
-
-SOFTNESS = 8.0
-"""Grey levels of 255: gradients far below it are noise and count little."""
-
-BLUR = 0.8
-"""Pixels; standard deviation of the Gaussian that takes the noise of a small frame away."""
+SMALL_WIDTH = 320  # pixels in a row of a small frame
+SOFTNESS = 8.0  # grey levels of 255: gradients far below it are noise and count little
+BLUR = 0.8  # pixels; standard deviation of the Gaussian that takes the noise of a small frame away
 
 FAINT_LENGTH = 0.12
 """Mean length of a unit gradient at which coherence is halved: the even slope of light on a
@@ -96,23 +91,22 @@ def softened(gradient: Tensor) -> Tensor:
     return gradient / (gradient.square().sum(0).sqrt() + SOFTNESS)
 
 
-def stillness(found: Sequence[Tensor]) -> Stillness:
+def stillness(gradients: Sequence[Tensor]) -> Stillness:
     """How alike the gradients (2,h,w) of two or more frames are."""
-    mean, squares = torch.zeros_like(found[0]), torch.zeros_like(found[0])
-    length = torch.zeros_like(found[0][0])
-    for unit in map(softened, found):
+    mean, squares = torch.zeros_like(gradients[0]), torch.zeros_like(gradients[0])
+    length = torch.zeros_like(gradients[0][0])
+    for unit in map(softened, gradients):
         mean += unit
         squares += unit.square()
         length += unit.square().sum(0).sqrt()
-    n = len(found)
+    n = len(gradients)
     return Stillness(mean / n, squares / n, length / n, n)
 
 
 # --- the vanishing point --------------------------------------------------------------
 
 
-FAINT_EDGE = 4.0
-"""Grey levels over two pixels below which an edge has no sure direction."""
+FAINT_EDGE = 4.0  # grey levels over two pixels below which an edge has no sure direction
 
 CANDIDATE_ROWS = tuple(0.2 + 0.025 * step for step in range(22))
 """Candidates, as shares of the height."""
@@ -120,11 +114,8 @@ CANDIDATE_ROWS = tuple(0.2 + 0.025 * step for step in range(22))
 CANDIDATE_COLUMNS = tuple(0.2 + 0.025 * step for step in range(25))
 """Candidates, as shares of the width."""
 
-MAX_VOTERS = 1500
-"""The strongest edges of a frame that may vote."""
-
-AIM = 0.05
-"""By how much an edge may miss (sine of the angle) until its vote has fallen to 1/e."""
+MAX_VOTERS = 1500  # the strongest edges of a frame that may vote
+AIM = 0.05  # by how much an edge may miss (sine of the angle) until its vote has fallen to 1/e
 
 DOUBT = 15
 """Votes a frame that a candidate must have beyond the others' share, so that few say little."""
@@ -194,9 +185,19 @@ def road_lines(gradients: Sequence[Tensor], point: VanishingPoint) -> Tensor:
 
 
 def _votes(gradient: Tensor, rows: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
-    """Votes (2,k) for k candidates from the left and the right of each, and how many could vote."""
+    """Votes (2,k) for k candidates from the left and the right of each, and how many could vote.
+
+    Strong slanting edges below the sky vote.
+    """
     height, width = gradient.shape[1:]
-    y, x, normal = _voters(gradient)
+    strength = gradient.square().sum(0).sqrt()
+    slanting = (gradient[0].abs() > 0.2 * strength) & (gradient[1].abs() > 0.25 * strength)
+    slanting[: round(0.3 * height)] = False
+    able = torch.where(slanting & (strength > 8), strength, 0).reshape(-1)
+    chosen = able.sort(descending=True, stable=True).indices[:MAX_VOTERS]
+    chosen = chosen[able[chosen] > 0]
+    y, x = chosen // width, chosen % width
+    normal = gradient[:, y, x] / strength[y, x]
     right = x - columns[:, None] * width
     down = y - rows[:, None] * height
     away = (right.square() + down.square()).sqrt().clamp_min(1e-6)
@@ -205,18 +206,6 @@ def _votes(gradient: Tensor, rows: Tensor, columns: Tensor) -> tuple[Tensor, Ten
     may = (down > 0.04 * height) & (away > 0.1 * width)
     sides = torch.stack([may & (right < 0), may & (right > 0)]).to(vote)
     return (vote * sides).sum(2), sides.sum(2)
-
-
-def _voters(gradient: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Rows, columns (m,) and normals (2,m) of strong slanting edges below the sky."""
-    strength = gradient.square().sum(0).sqrt()
-    slanting = (gradient[0].abs() > 0.2 * strength) & (gradient[1].abs() > 0.25 * strength)
-    slanting[: round(0.3 * len(strength))] = False
-    able = torch.where(slanting & (strength > 8), strength, 0).reshape(-1)
-    chosen = able.sort(descending=True, stable=True).indices[:MAX_VOTERS]
-    chosen = chosen[able[chosen] > 0]
-    y, x = chosen // strength.shape[1], chosen % strength.shape[1]
-    return y, x, gradient[:, y, x] / strength[y, x]
 
 
 # --- the horizon of one picture -------------------------------------------------------
@@ -229,11 +218,8 @@ GROUND_BELOW_HORIZON = 0.025
 """By which share of the height the farthest ground ends below the horizon: the median of 16
 rendered streets and four pictures of KITTI's."""
 
-MIN_GROUND = 0.25
-"""Share of the columns that have to end in ground."""
-
-MAX_APART = 0.15
-"""Share of the height by which both may differ."""
+MIN_GROUND = 0.25  # share of the columns that have to end in ground
+MAX_APART = 0.15  # share of the height by which both may differ
 
 MIN_SPREAD = 0.025
 """Share of the height by which both were wrong where they agreed, root mean square."""

@@ -21,11 +21,8 @@ MIN_PITCH, MAX_PITCH = -30.0, 89.0
 
 MAX_ROLL = 45.0
 
-SAME_ASPECT = 0.01
-"""Share by which two aspect ratios may differ: a picture scaled to whole pixels."""
-
-MIN_DISTANCE = 1e-6
-"""Metres ahead of the lens from which a point has a picture."""
+SAME_ASPECT = 0.01  # share by which two aspect ratios may differ: a picture scaled to whole pixels
+MIN_DISTANCE = 1e-6  # metres ahead of the lens from which a point has a picture
 
 MAX_MISS = 0.5
 """Pixels by which a point may miss itself when its distortion is undone and done again."""
@@ -57,12 +54,12 @@ class Lens(Settings):
 
     @field_validator("coefficients")
     @classmethod
-    def _fit_the_model(cls, given: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+    def _fit_the_model(cls, values: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
         model = info.data.get("model", "pinhole")
-        allowed = COEFFICIENTS[model]
-        if len(given) not in allowed:
-            raise ValueError(f"{model} has {' or '.join(map(str, allowed))} coefficients")
-        return given
+        if len(values) not in COEFFICIENTS[model]:
+            allowed = " or ".join(map(str, COEFFICIENTS[model]))
+            raise ValueError(f"{model} has {allowed} coefficients")
+        return values
 
     @property
     def matrix(self) -> np.ndarray:
@@ -94,16 +91,12 @@ def lens_of_view(width: int, height: int, degrees: float) -> Lens:
     Raises ConfigError for an angle that no pinhole has.
     """
     if not 1 <= degrees <= 170:
-        what = f"{degrees:g} degrees were given"
-        raise ConfigError("--fov", what, "give 1 to 170 degrees from side to side")
+        remedy = "give 1 to 170 degrees from side to side"
+        raise ConfigError("--fov", f"{degrees:g} degrees were given", remedy)
     focal = width / 2 / math.tan(math.radians(degrees) / 2)
+    across, down = (width - 1) / 2, (height - 1) / 2
     return Lens(
-        width=width,
-        height=height,
-        focal_x=focal,
-        focal_y=focal,
-        centre_x=(width - 1) / 2,
-        centre_y=(height - 1) / 2,
+        width=width, height=height, focal_x=focal, focal_y=focal, centre_x=across, centre_y=down
     )
 
 
@@ -133,14 +126,14 @@ def mounted(
     has the camera's right side lower (REP 103). mount: x, y of the camera on the robot, metres.
     Raises ConfigError for what is beyond the limits.
     """
-    if not 0.01 <= height <= 1000:
-        raise ConfigError("--height", f"{height:g} was given", "give 0.01 to 1000 metres")
-    if not MIN_PITCH <= pitch <= MAX_PITCH:
-        remedy = f"give {MIN_PITCH:g} to {MAX_PITCH:g} degrees; positive looks down"
-        raise ConfigError("--pitch", f"{pitch:g} was given", remedy)
-    if not -MAX_ROLL <= roll <= MAX_ROLL:
-        remedy = f"give -{MAX_ROLL:g} to {MAX_ROLL:g} degrees"
-        raise ConfigError("--roll", f"{roll:g} was given", remedy)
+    for option, value, low, high, unit in (
+        ("--height", height, 0.01, 1000, "metres"),
+        ("--pitch", pitch, MIN_PITCH, MAX_PITCH, "degrees; positive looks down"),
+        ("--roll", roll, -MAX_ROLL, MAX_ROLL, "degrees"),
+    ):
+        if not low <= value <= high:
+            remedy = f"give {low:g} to {high:g} {unit}"
+            raise ConfigError(option, f"{value:g} was given", remedy)
     sine, cosine = math.sin(math.radians(pitch)), math.cos(math.radians(pitch))
     right, down = np.array([0.0, -1.0, 0.0]), np.array([-sine, 0.0, -cosine])
     turn, level = math.sin(math.radians(roll)), math.cos(math.radians(roll))
@@ -167,15 +160,15 @@ class GroundCamera:
         The second, bool (n,), is False behind the camera, outside the picture, and where the
         distortion turns back on itself.
         """
-        seen = (points - self.pose.position) @ np.array(self.pose.axes).T
-        ahead = seen[:, 2] > MIN_DISTANCE
-        seen = np.where(ahead[:, None], seen, (0.0, 0.0, 1.0))
-        pixels = distorted(self.lens, seen[:, :2] / seen[:, 2:])
+        rays = (points - self.pose.position) @ np.array(self.pose.axes).T
+        ahead = rays[:, 2] > MIN_DISTANCE
+        rays = np.where(ahead[:, None], rays, (0.0, 0.0, 1.0))
+        pixels = distorted(self.lens, rays[:, :2] / rays[:, 2:])
         inside = (pixels >= -0.5).all(1) & (pixels[:, 0] < self.lens.width - 0.5)
         inside &= (pixels[:, 1] < self.lens.height - 0.5) & ahead
         if self.lens.coefficients and inside.any():
             again = undistorted(self.lens, pixels[inside])
-            missed = np.abs(again - seen[inside, :2] / seen[inside, 2:]).max(1)
+            missed = np.abs(again - rays[inside, :2] / rays[inside, 2:]).max(1)
             inside[inside] = missed * self.lens.focal_x < MAX_MISS
         return pixels, inside
 

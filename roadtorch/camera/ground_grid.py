@@ -20,20 +20,11 @@ from roadtorch.camera.ground import GroundCamera
 from roadtorch.errors import InputError
 from roadtorch.settings import Settings
 
-FREE, OCCUPIED, UNKNOWN = 0, 100, -1
-"""Values of cells, those of nav_msgs/OccupancyGrid."""
-
-ALONG, ACROSS = 2, 4
-"""Samples per cell, along a ray and, at the farthest, from ray to ray."""
-
-MIN_CELLS, MAX_CELLS = 4, 2000
-"""Cells ahead of the camera."""
-
-MAX_SAMPLES = 2**24
-"""Of all rays: some seconds, and a gigabyte."""
-
-MIN_SEEN = 0.5
-"""Share of a cell's samples that a picture must show."""
+FREE, OCCUPIED, UNKNOWN = 0, 100, -1  # values of cells, those of nav_msgs/OccupancyGrid
+ALONG, ACROSS = 2, 4  # samples per cell, along a ray and, at the farthest, from ray to ray
+MIN_CELLS, MAX_CELLS = 4, 2000  # cells ahead of the camera
+MAX_SAMPLES = 2**24  # of all rays: some seconds, and a gigabyte
+MIN_SEEN = 0.5  # share of a cell's samples that a picture must show
 
 JOINED, BETWEEN = 4, 8
 """Cells that the ends of neighbouring rays may lie apart and still be one edge, and the points
@@ -101,10 +92,12 @@ def ground_grid(
         raise InputError("road", what, "give a map of the lens's size, or lens.at(width, height)")
     places = ray_places(camera, settings)  # type: ignore[arg-type]  # frozen: it has a hash
     likelihood = _looked_up(road.float(), places)
-    seen = places.inside if ego is None else places.inside & (_looked_up(ego.float(), places) < 0.5)
-    likelihood, seen = _cell_means(likelihood, seen, places, settings)
+    visible = places.inside
+    if ego is not None:
+        visible = visible & (_looked_up(ego.float(), places) < 0.5)
+    likelihood, visible = _cell_means(likelihood, visible, places, settings)
     distance = (places.distance[1:] + places.distance[:-1]) / 2
-    ends = seen & (likelihood < settings.threshold)
+    ends = visible & (likelihood < settings.threshold)
     free = distance[ends.int().argmax(0)] - size / (2 * ALONG)
     free = torch.where(ends.any(0), free, math.inf)  # where a ray's first cell of no road begins
     # The cells' middles, seen from the camera's foot.
@@ -117,7 +110,7 @@ def ground_grid(
     ray = ((azimuth - places.azimuth[0]) / turn).round().long()
     inside = (index >= 0) & (index < len(distance)) & (ray >= 0) & (ray < len(places.azimuth))
     index, ray = index.clamp(0, len(distance) - 1), ray.clamp(0, len(places.azimuth) - 1)
-    known = inside & seen[index, ray] & (away < free[ray])
+    known = inside & visible[index, ray] & (away < free[ray])
     cells = torch.where(known, FREE, UNKNOWN).to(torch.int8)
     edge = _edge_cells(free, places.azimuth, size, cells.shape)
     cells[edge] = OCCUPIED
@@ -207,7 +200,7 @@ def _looked_up(values: Tensor, places: RayPlaces) -> Tensor:
     """Values (H,W) at the samples (K+1,B), bilinear; near the camera means of many pixels."""
     source = values.detach().cpu().contiguous().numpy()
     height, width = source.shape
-    found = np.empty(places.columns.shape, np.float32)
+    samples = np.empty(places.columns.shape, np.float32)
     for halvings in range(int(places.halvings.max()) + 1):
         if halvings:
             size = (math.ceil(source.shape[1] / 2), math.ceil(source.shape[0] / 2))
@@ -217,18 +210,18 @@ def _looked_up(values: Tensor, places: RayPlaces) -> Tensor:
             columns = (places.columns[at] + 0.5) * (source.shape[1] / width) - 0.5
             rows = (places.rows[at] + 0.5) * (source.shape[0] / height) - 0.5
             border = cv2.BORDER_REPLICATE
-            found[at] = cv2.remap(source, columns, rows, cv2.INTER_LINEAR, borderMode=border)
-    return torch.from_numpy(found)
+            samples[at] = cv2.remap(source, columns, rows, cv2.INTER_LINEAR, borderMode=border)
+    return torch.from_numpy(samples)
 
 
 def _cell_means(
-    values: Tensor, seen: Tensor, places: RayPlaces, settings: GridSettings
+    values: Tensor, visible: Tensor, places: RayPlaces, settings: GridSettings
 ) -> tuple[Tensor, Tensor]:
     """Means of samples (K+1,B) over a cell's length and width: (K,B), and which are seen.
 
     Near the camera a cell is wide for the rays, far off narrower than a pixel.
     """
-    weight = seen.double()
+    weight = visible.double()
     sums = torch.stack([values * weight, weight]).cumsum(2)
     sums = torch.nn.functional.pad(sums, (1, 0))
     turn = float(places.azimuth[1] - places.azimuth[0])

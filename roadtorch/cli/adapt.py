@@ -59,10 +59,9 @@ def adapt(
     from roadtorch.adapt.adapt import adapt as run
     from roadtorch.data.catalogue import open_named
     from roadtorch.errors import ConfigError
-    from roadtorch.report.adaptation import score_line, write_adaptation
     from roadtorch.runtime.shipped_configs import config_file
     from roadtorch.settings import merge, parse_assignments, read_settings_file
-    from roadtorch.train.before_after import adaptation_of
+    from roadtorch.train.before_after import write_page
     from roadtorch.train.config import PictureTraining, build_training
     from roadtorch.train.folder import PAGE
     from roadtorch.train.run import Request
@@ -72,26 +71,23 @@ def adapt(
     values = merge(read_settings_file(config_file(CONFIG)), parse_assignments(assignments))
     training = build_training(values)
     if not isinstance(training, PictureTraining) or not training.start:
-        what = "adaptation goes on with a network for whole pictures"
-        raise ConfigError("kind, start", what, "leave kind as it is, and give start=WEIGHTS")
+        message = "adaptation goes on with a network for whole pictures"
+        raise ConfigError("kind, start", message, "leave kind as it is, and give start=WEIGHTS")
     scored = None if labelled is None else open_named(labelled)
     done = run(footage, out, training, most, quiet)
-    if done.outcome.interrupted:
-        text = f"roadtorch: stopped by {done.outcome.interrupted.name}; the same command goes on"
+    outcome, verdict, frames = done.outcome, str(done.verdict), done.frames
+    if outcome.interrupted:
+        text = f"roadtorch: stopped by {outcome.interrupted.name}; the same command goes on"
         click.echo(text, err=True)
-        context.exit(128 + done.outcome.interrupted)
-    verdict = str(done.verdict)
-    request = Request(done.frames.glob(), out, prepared=done.prepared, quiet=quiet)
-    change = adaptation_of(training, request, done.outcome, SHOWN, scored, verdict)
-    files = [done.outcome.weights, done.camera]
-    lines = [*done.frames.skipped, *done.missing]
-    if change is not None:
-        write_adaptation(out / PAGE, change, command_line(context))
-        files.append(out / PAGE)
-        lines += [score_line(change)] if scored else []
+        context.exit(128 + outcome.interrupted)
+    request = Request(frames.glob(), out, prepared=done.prepared, quiet=quiet)
+    command = command_line(context)
+    score = write_page(training, request, outcome, SHOWN, scored, verdict, command)
+    files = [outcome.weights, done.camera, None if score is None else out / PAGE]
+    lines = [*frames.skipped, *done.missing, *([score] if score else [])]
+    if not quiet:
+        lines += [f"wrote {file}" for file in files if file]
     for line in lines:
         click.echo(f"roadtorch: {line}", err=True)
-    for file in filter(None, [] if quiet else files):
-        click.echo(f"roadtorch: wrote {file}", err=True)
     click.echo(verdict)
-    context.exit(1 if done.frames.skipped or done.outcome.skipped else 0)
+    context.exit(1 if frames.skipped or outcome.skipped else 0)

@@ -4,12 +4,11 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import PATH, Sectioned, with_detector
-from roadtorch.runs.options import DetectorOptions
+from roadtorch.cli.options import PATH, DetectorOptions, Sectioned, with_detector
 
 ORDERS = ("least-trust", "random", "different")
 
-FORMATS = ("labelme", "xml", "png", "cvat", "label-studio")
+FORMATS = ("labelme", "png", "coco")
 
 
 @click.command(cls=Sectioned)
@@ -27,7 +26,7 @@ FORMATS = ("labelme", "xml", "png", "cvat", "label-studio")
 @click.option("--export", "exported", type=click.Choice(FORMATS), help="Write corrections to --to.")
 @click.option("--to", type=PATH, help="Folder for --export.")
 @click.option("--import", "imported", type=click.Choice(FORMATS), help="Read labels from --from.")
-@click.option("--from", "origin", type=PATH, help="Folder of --import.")
+@click.option("--from", "origin", type=PATH, help="Folder of --import, or a COCO file.")
 @click.option("--user", default="imported", help="Name of the person whose labels --import reads.")
 @click.pass_context
 def annotate(
@@ -66,8 +65,8 @@ def annotate(
         KNOWN[exported].write(corrected, to)
         click.echo(f"{len(corrected)} pictures written to {to}")
     elif imported:
-        from roadtorch.annotate.work import import_labels
-        from roadtorch.runs.folder import output_lock
+        from roadtorch.annotate.session import import_labels
+        from roadtorch.run.folder import output_lock
 
         if origin is None:
             raise click.UsageError("Missing option '--from'")
@@ -75,27 +74,21 @@ def annotate(
         count = import_labels(imported, origin, folder, out, user)
         click.echo(f"{count} pictures brought in as {user}")
     else:
-        _serve(context, folder, out, port, order, choice)
+        from roadtorch.annotate.next_pictures import PictureOrder
+        from roadtorch.annotate.session import opened_session
+        from roadtorch.errors import ConfigError
+        from roadtorch.inputs.pictures import find_pictures
+        from roadtorch.run.folder import output_lock
 
-
-def _serve(
-    context: click.Context,
-    folder: Path,
-    out: Path,
-    port: int | None,
-    order: str,
-    choice: DetectorOptions,
-) -> None:
-    from roadtorch.annotate.next_pictures import PictureOrder
-    from roadtorch.annotate.serving import opened_session, page_server
-    from roadtorch.runs.folder import output_lock
-    from roadtorch.sources.pictures import find_images
-
-    count = len(find_images([folder], out))
-    detector, _ = choice.loaded()
-    context.with_resource(output_lock(out))
-    session = opened_session(folder, out, detector, order=PictureOrder(order))
-    server = page_server(session, port)
-    click.echo(f"{count} pictures; corrections are kept in {out}")
-    click.echo(f"Open {server.address.url}  (Ctrl-C ends it)")
-    server.run()
+        try:
+            from roadtorch.annotate.server import page_server
+        except ImportError:
+            remedy = "pip install 'roadtorch[annotate]'"
+            raise ConfigError("annotate", "needs Starlette and uvicorn", remedy) from None
+        count = len(find_pictures([folder], out))
+        detector, _ = choice.loaded()
+        context.with_resource(output_lock(out))
+        server = page_server(opened_session(folder, out, detector, order=PictureOrder(order)), port)
+        click.echo(f"{count} pictures; corrections are kept in {out}")
+        click.echo(f"Open {server.address.url}  (Ctrl-C ends it)")
+        server.run()

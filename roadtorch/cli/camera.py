@@ -28,27 +28,27 @@ def camera(footage: tuple[str, ...], out: Path, most: int) -> None:
     """
     from roadtorch.camera.camera import check_picture
     from roadtorch.camera.footage import camera_of
+    from roadtorch.inputs.find import frame_places, read_frames
     from roadtorch.io.image import write_jpeg
     from roadtorch.road.ego import is_given, outline_rows
     from roadtorch.runtime.progress import Progress
-    from roadtorch.sources.open import frame_places, read_frames
 
     picture = out.with_suffix(".jpg")
     places = frame_places(footage, most)
     _refuse_replacing(out, picture, {place.path.resolve() for place in places})
-    seen = Progress(read_frames(places), total=len(places), unit="frame")
-    found = camera_of(seen, footage[0])
+    frames = Progress(read_frames(places), total=len(places), unit="frame")
+    camera = camera_of(frames, footage[0])
+    camera.write(out)
     shown = places[:: max(1, len(places) // SHOWN)]
-    found.write(out)
-    write_jpeg(picture, check_picture(found, list(read_frames(shown))))
+    write_jpeg(picture, check_picture(camera, list(read_frames(shown))))
     ego = "none seen"
-    if is_given(found.ego):
-        rows = outline_rows(found.ego.outline, found.width)
+    if is_given(camera.ego):
+        rows = outline_rows(camera.ego.outline, camera.width)
         share, top = float((1 - rows).double().mean()), float(rows.min())
         ego = f"{share:.1%} of the picture, from row {top:.2f} of the height"
     click.echo(f"ego car: {ego}")
-    click.echo(f"horizon: row {found.horizon:.2f}; seed row: {found.seed_row:.2f}")
-    size = f"{found.frames} frames of {found.width}×{found.height} pixels"
+    click.echo(f"horizon: row {camera.horizon:.2f}; seed row: {camera.seed_row:.2f}")
+    size = f"{camera.frames} frames of {camera.width}×{camera.height} pixels"
     click.echo(f"{size}; written: {out}, and {picture} to check")
 
 

@@ -6,22 +6,18 @@ from typing import TYPE_CHECKING
 
 import click
 
-from roadtorch.cli.completion import suggest_candidates, suggest_files, suggest_rooted_datasets
+from roadtorch.cli.completion import suggest_candidates, suggest_files
 from roadtorch.cli.options import JOBS, PATH, QUIET, command_line
 
 if TYPE_CHECKING:
     from roadtorch.data.dataset import Dataset
-    from roadtorch.evaluation.methods import Method
+    from roadtorch.evaluation.methods import Contender
 
 
 @click.command()
 @click.argument("first", metavar="A", shell_complete=suggest_candidates)
 @click.argument("second", metavar="B", shell_complete=suggest_candidates)
-@click.option(
-    "--labelled",
-    shell_complete=suggest_rooted_datasets,
-    help="A labelled set: NAME:ROOT, as roadtorch evaluate has them.",
-)
+@click.option("--labelled", help="A labelled set: NAME:ROOT, as roadtorch evaluate has them.")
 @click.option("--corrections", type=PATH, help="What roadtorch annotate kept; it counts as truth.")
 @click.option("--pictures", type=PATH, help="Folder of the corrected pictures, if it moved.")
 @click.option(
@@ -61,19 +57,21 @@ def compare(
     from roadtorch.data.corrections import open_corrections
     from roadtorch.evaluation.methods import candidate
     from roadtorch.layout.weights import corrected_pictures
-    from roadtorch.runs.folder import output_lock
+    from roadtorch.run.folder import output_lock
+    from roadtorch.run.workers import settle
 
     if sum((labelled is not None, corrections is not None, bool(images))) != 1:
         raise click.UsageError("give one of --labelled, --corrections and --images")
+    settle(threads=1)
     methods = candidate(first, "A"), candidate(second, "B")
     if out is not None:
         context.with_resource(output_lock(out))
-    for one in methods:
-        if count := corrected_pictures(one.settings):
-            text = f"{one.name} was trained with {count} pictures that people corrected: not "
+    for contender in methods:
+        if count := corrected_pictures(contender.settings):
+            text = f"{contender.name} was trained with {count} pictures that people corrected: not "
             click.echo(f"roadtorch: {text}label-free, and no news on those pictures", err=True)
     if images:
-        code = _disagree(context, methods, images, limit, worst, quiet)
+        code = _disagree(context, methods, images, limit, jobs, quiet)
     elif corrections is not None:
         code = _score(context, methods, open_corrections(corrections, pictures), limit, jobs)
     else:
@@ -83,10 +81,10 @@ def compare(
 
 def _score(
     context: click.Context,
-    methods: "Sequence[Method]",
+    methods: "Sequence[Contender]",
     dataset: "Dataset",
     limit: int | None,
-    jobs: int,
+    jobs: int | None,
 ) -> int:
     from roadtorch.cli.evaluate import tell_failures
     from roadtorch.evaluation.evaluate import evaluated
@@ -94,9 +92,7 @@ def _score(
     from roadtorch.runtime.progress import watched
 
     against = methods[0].name
-    evaluation = evaluated(
-        dataset, methods, {}, limit=limit, against=against, jobs=jobs, watch=watched
-    )
+    evaluation = evaluated(dataset, methods, limit=limit, against=against, jobs=jobs, watch=watched)
     click.echo(screen(evaluation))
     tell_failures(evaluation)
     if (out := context.params["out"]) is not None:
@@ -108,26 +104,26 @@ def _score(
 
 def _disagree(
     context: click.Context,
-    methods: "tuple[Method, Method]",
+    methods: "tuple[Contender, Contender]",
     images: Sequence[str],
     limit: int | None,
-    worst: int,
+    jobs: int | None,
     quiet: bool,
 ) -> int:
     from roadtorch.data.dataset import every_kth
     from roadtorch.errors import InputError
     from roadtorch.evaluation.disagreement import disagreements, unlabelled_set
+    from roadtorch.inputs.pictures import find_pictures
     from roadtorch.report.disagreement import disagreement_text, write_disagreement
-    from roadtorch.sources.pictures import find_images
 
     out = context.params["out"]
-    dataset = every_kth(unlabelled_set(find_images(images, out)), limit)
-    both = disagreements(dataset, methods, quiet)
-    for one in both.failures:
-        click.echo(f"failed: {one.image}: {one.reason}", err=True)
-    if not both.pictures:
+    dataset = every_kth(unlabelled_set(find_pictures(images, out)), limit)
+    seen = disagreements(dataset, methods, jobs, quiet)
+    for failure in seen.failures:
+        click.echo(f"failed: {failure.image}: {failure.reason}", err=True)
+    if not seen.pictures:
         raise InputError(images[0], "has no picture that both could look at", "see above")
-    click.echo(disagreement_text(both))
+    click.echo(disagreement_text(seen))
     if out is not None:
-        write_disagreement(out, both, worst, command_line(context))
-    return 1 if both.failures else 0
+        write_disagreement(out, seen, context.params["worst"], command_line(context))
+    return 1 if seen.failures else 0

@@ -1,13 +1,14 @@
 """roadtorch detectors, roadtorch planes: what there is, and what can be set."""
 
+import json
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain, zip_longest
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from roadtorch.cli.completion import setting_rows, suggest_detectors
+from roadtorch.cli.completion import suggest_detectors
 
 if TYPE_CHECKING:
     from roadtorch.detector import Entry
@@ -93,3 +94,53 @@ def columns(rows: list[tuple[str, ...]]) -> Iterator[str]:
 
 def _wrapped(text: str, width: int) -> Sequence[str]:
     return textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False) or [""]
+
+
+# --- what can be set --------------------------------------------------------------------
+
+
+def setting_rows(
+    schema: Mapping[str, Any],
+    shared: Mapping[str, Any] | None = None,
+    defaults: Mapping[str, Any] | None = None,
+    path: str = "",
+) -> Iterator[tuple[str, str, str, str, str]]:
+    """Key, type, default, allowed and meaning of each setting in a JSON schema, depth first.
+
+    shared: definitions that the schema refers to. defaults: those that the owner of a group of
+    settings gives it, which go before the group's own. path: what stands before its keys.
+    """
+    definitions = schema.get("$defs", {}) if shared is None else shared
+    defaults = defaults or {}
+    for key, field in schema.get("properties", {}).items():
+        meaning = field.get("description", "")
+        target = definitions.get(str(field.get("$ref", "")).rpartition("/")[2], field)
+        given = defaults.get(key, field.get("default"))
+        if "properties" in target:
+            yield from setting_rows(target, definitions, given, f"{path}{key}.")
+        else:
+            default = _text(given) if "default" in field or key in defaults else ""
+            yield f"{path}{key}", _kind(target), default, _allowed(target), meaning
+
+
+def _kind(field: Mapping[str, Any]) -> str:
+    if "anyOf" in field:
+        return " or ".join(_kind(option) for option in field["anyOf"])
+    values = field.get("enum", [field["const"]] if "const" in field else None)
+    return "choice" if values else str(field.get("type", "any"))
+
+
+def _allowed(field: Mapping[str, Any]) -> str:
+    if "anyOf" in field:
+        return ", ".join(filter(None, (_allowed(option) for option in field["anyOf"])))
+    if "enum" in field or "const" in field:
+        return " | ".join(map(_text, field.get("enum", [field.get("const")])))
+    signs = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
+    return ", ".join(f"{sign} {field[key]:g}" for key, sign in signs.items() if key in field)
+
+
+def _text(value: Any) -> str:
+    """A value as ``--set`` takes it; strings without their quotes, 30.0 as 30."""
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)

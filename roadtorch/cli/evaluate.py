@@ -6,9 +6,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from roadtorch.cli.completion import suggest_detectors, suggest_rooted_datasets
-from roadtorch.cli.options import CAMERA, PATH, LabelledOptions, command_line, with_labelled
-from roadtorch.runs.options import as_toml
+from roadtorch.cli.completion import suggest_detectors
+from roadtorch.cli.options import (
+    CAMERA,
+    PATH,
+    LabelledOptions,
+    as_toml,
+    command_line,
+    with_labelled,
+)
 
 if TYPE_CHECKING:
     from roadtorch.evaluation.result import Evaluation
@@ -21,11 +27,7 @@ if TYPE_CHECKING:
 @click.option("--bev", is_flag=True, help="Score in bird's-eye view (kitti-road).")
 @click.option("--conditions", type=PATH, help="CSV with each picture's conditions, for ROOT's own.")
 @click.option("--out", type=PATH, help="Folder for metrics.json, report.html, curves and rows.")
-@click.option(
-    "--mean-from",
-    shell_complete=suggest_rooted_datasets,
-    help="Learn prior:mean on another set: NAME:ROOT.",
-)
+@click.option("--mean-from", help="Learn prior:mean on another set: NAME:ROOT.")
 @click.option("--threshold-from", type=PATH, help="Thresholds that an earlier metrics.json chose.")
 @click.option(
     "--against",
@@ -60,16 +62,17 @@ def evaluate(
     A run that is interrupted goes on where it was when it is started again.
     """
     from roadtorch.data.catalogue import open_named
-    from roadtorch.data.conditions import with_conditions
+    from roadtorch.data.folder import with_conditions
     from roadtorch.data.kitti import birds_eye
     from roadtorch.data.maps import parse_maps
     from roadtorch.evaluation.evaluate import evaluate as score
     from roadtorch.report.screen import screen
-    from roadtorch.report.table3 import table_text
-    from roadtorch.runs.folder import output_lock
+    from roadtorch.run.folder import output_lock
+    from roadtorch.run.workers import settle
     from roadtorch.runtime.progress import watched
     from roadtorch.settings import merge, parse_assignments
 
+    settle(threads=1)
     if out is not None:
         context.with_resource(output_lock(out))  # now rather than after the long run
     dataset, names = labelled.opened(), labelled.names
@@ -92,7 +95,7 @@ def evaluate(
         keep_in=out,
         watch=watched,
     )
-    click.echo("\n\n".join(filter(None, (screen(evaluation), table_text(evaluation)))))
+    click.echo(screen(evaluation))
     tell_failures(evaluation)
     if out is not None:
         from roadtorch.evaluation.evaluate import forget
@@ -123,10 +126,12 @@ def tune(
     from roadtorch.evaluation.evaluate import evaluate as score
     from roadtorch.io.atomic import write_text
     from roadtorch.report.screen import choice_text, provenance
-    from roadtorch.runs.folder import output_lock
+    from roadtorch.run.folder import output_lock
+    from roadtorch.run.workers import settle
     from roadtorch.runtime.progress import watched
     from roadtorch.settings import parse_assignments
 
+    settle(threads=1)
     context.with_resource(output_lock(out))
     settings = parse_assignments(labelled.assignments)
     evaluation = score(
@@ -140,8 +145,8 @@ def tune(
     )
     choices = [
         choose_threshold(evaluation, name, settings)
-        for name, one in evaluation.detectors.items()
-        if not one.is_baseline
+        for name, figures in evaluation.detectors.items()
+        if not figures.is_baseline
     ]
     for choice in choices:
         path = out / f"{choice.detector.replace(':', '-')}.toml"
@@ -174,5 +179,5 @@ def camera_settings(path: Path | None, names: Sequence[str]) -> dict[str, Any]:
 
 def tell_failures(evaluation: "Evaluation") -> None:
     """One line on stderr for each picture that could not be scored."""
-    for one in evaluation.failures:
-        click.echo(f"failed: {one.image}: {one.reason}", err=True)
+    for failure in evaluation.failures:
+        click.echo(f"failed: {failure.image}: {failure.reason}", err=True)

@@ -28,7 +28,7 @@ def export(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> Non
     """
     from roadtorch.detectors.catalogue import load_detector
     from roadtorch.export.export import BOUND, export_detector
-    from roadtorch.runs.folder import output_lock
+    from roadtorch.run.folder import output_lock
     from roadtorch.settings import parse_assignments
 
     detector = load_detector(name, **parse_assignments(assignments))
@@ -40,10 +40,10 @@ def export(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> Non
     for key, text in exported.notes.items():
         if key not in ("roadtorch", "detector", "part", "lacks"):
             click.echo(f"  {key:<18} {text}")
-    found = exported.parity
+    parity = exported.parity
     click.echo(
-        f"parity with Python on {found.pictures} rendered pictures: at most {found.most:.1e} off "
-        f"({found.where}), {found.mean:.1e} in the mean; allowed {BOUND:g}"
+        f"parity with Python on {parity.pictures} rendered pictures: at most {parity.most:.1e} off "
+        f"({parity.where}), {parity.mean:.1e} in the mean; allowed {BOUND:g}"
     )
     click.echo(
         f"The file is the network alone. It lacks: {exported.notes['lacks']}. "

@@ -9,12 +9,15 @@ from roadtorch.cli.completion import suggest_files
 from roadtorch.cli.options import (
     CAMERA,
     PATH,
+    DetectorOptions,
+    FrameSelection,
+    RunChoice,
     Sectioned,
+    as_toml,
     with_detector,
     with_frames,
     with_run,
 )
-from roadtorch.runs.options import DetectorOptions, FrameSelection, RunOptions, as_toml
 
 
 def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, float]:
@@ -80,7 +83,7 @@ def grid(
     picture: bool,
     frames: FrameSelection,
     frame_id: str,
-    options: RunOptions,
+    run: RunChoice,
     **mounting: Any,
 ) -> None:
     """Map the road in pictures and footage onto flat ground: x forward, y left (REP 103).
@@ -97,25 +100,31 @@ def grid(
     What lies behind the first cell that is no road is unknown.
     """
     from roadtorch.camera.ground_grid import GridSettings
-    from roadtorch.runs import footage, grids, pictures, results
-    from roadtorch.runs.folder import result_folder
+    from roadtorch.camera.mounting import Mounting, placing_of
+    from roadtorch.run.loop import Look, Task, method_of_detector
+    from roadtorch.run.plan import plan
+    from roadtorch.run.run import open_run
+    from roadtorch.run.workers import settle, workers_for
     from roadtorch.settings import build_settings
+    from roadtorch.writers.choice import GridOutput, is_from_bag
+    from roadtorch.writers.grid import Grids
 
-    found = footage.opened(inputs, out, frames)
+    settle(threads=1)
+    found = frames.inputs(inputs, out)
     cells = {name: mounting.pop(name) for name in ("resolution", "range", "side", "coarsest")}
-    placing = grids.placing_of(grids.Mounting(camera=camera, **mounting), found)
-    loaded, known = choice.loaded(camera, threshold)
-    settings = build_settings(GridSettings, {**cells, "threshold": loaded.settings.threshold})
+    of_bags = not found.pictures and all(map(is_from_bag, found.sources))
+    placing = placing_of(Mounting(camera=camera, **mounting), of_bags)
+    detector, known = choice.loaded(camera, threshold)
+    settings = build_settings(GridSettings, {**cells, "threshold": detector.settings.threshold})
     kinds = ("pgm", "yaml", "npy", *["likelihood"] * likelihood, *["picture"] * picture)
-    work = grids.Gridding(loaded, placing, settings, kinds, known)
-    written = grids.FootageGrids(work, frames.topic, frame_id)
-    planned = footage.plan_run(found, out, work.ends, written)
-    effective = as_toml(loaded.name, loaded.settings)
+    look = Look(detector, known)
+    grids = Grids(out, placing, settings, kinds, frame_id=frame_id)
+    todo = plan(found, out, grids.suffixes, GridOutput(grids, look, frames.topic))
+    effective = as_toml(detector.name, detector.settings)
     effective = "\n".join([effective, f"# {settings.model_dump_json()}", placing.words])
-    folder = context.with_resource(result_folder(out, effective, options.overwrite))
-    method = results.detector_method(loaded, effective, kinds)
-    failed = pictures.run_pictures(planned.jobs, work, method, folder, options)
+    workers = workers_for(run.jobs, todo.count)
+    own = context.with_resource(open_run(out, effective, workers, run.options))
+    method = method_of_detector(detector, effective, kinds)
     parts = repr((frames, frame_id)).encode()
-    method = results.detector_method(loaded, effective, (), parts)
-    seen = footage.FootageWork(loaded, known)
-    context.exit(max(failed, footage.run_footage(planned, seen, method, options)))
+    of_footage = method_of_detector(detector, effective, (), parts)
+    context.exit(own.all(todo, Task(look, grids, own.folder, method), of_footage))

@@ -24,7 +24,6 @@ COMMANDS = {
     "annotate": ("roadtorch.cli.annotate:annotate", "Correct machine labels in a page."),
     "camera": ("roadtorch.cli.camera:camera", "Find what stays the same in one camera's footage."),
     "compare": ("roadtorch.cli.compare:compare", "Compare two weights, configs or map folders."),
-    "completion": ("roadtorch.cli.completion:completion", "Make a shell complete what is typed."),
     "detectors": ("roadtorch.cli.detectors:detectors", "List the detectors, or explain one."),
     "doctor": ("roadtorch.cli.doctor:doctor", "Look at this installation, and try it."),
     "evaluate": ("roadtorch.cli.evaluate:evaluate", "Score detectors on labelled pictures."),
@@ -47,8 +46,11 @@ ELSEWHERE = {
 """What other programs call our commands."""
 
 ALLOCATIONS = 50_000
-"""New objects after which Python looks for circles, of its own 700; ours: ten pictures' worth."""
+"""New objects after which Python looks for circles, of its own 700; ours: ten pictures' worth.
 
+What a command loads (torch alone: 166 thousand objects) stays until its end. To look through it
+again and again while it is loaded, and once more at the end, takes a third of the time of a command
+on one picture."""
 
 BRIEF_WAITS = {"OMP_WAIT_POLICY": "passive", "GOMP_SPINCOUNT": "20000"}
 """Threads of OpenMP that wait spin for about a millisecond, then sleep, unless somebody has said
@@ -115,8 +117,6 @@ class CommandGroup(click.Group):
         try:
             with terminated_in_words(), interruption_first():
                 _settle_process()
-                if "_ROADTORCH_COMPLETE" in os.environ:  # a shell asks what could come next
-                    importlib.import_module("roadtorch.cli.completion")  # knows our bash
                 code = super().main(args, **extra)
         except (click.Abort, KeyboardInterrupt) as problem:
             click.echo("roadtorch: interrupted; what was finished is kept", err=True)
@@ -176,7 +176,7 @@ def _debug_option() -> click.Option:
 
 
 def _settle_process() -> None:
-    """Warnings in our words, any name tellable, streams that are open, brief waits."""
+    """Warnings in our words, any name tellable, streams that are open, brief waits, seldom gc."""
 
     def show_warning(message: Warning | str, *_: Any) -> None:
         click.echo(f"roadtorch: warning: {message}", err=True)
@@ -189,19 +189,9 @@ def _settle_process() -> None:
         sys.stdin.reconfigure(errors="surrogateescape")
     if not any(name in os.environ for name in (*BRIEF_WAITS, "KMP_BLOCKTIME")):
         os.environ.update(BRIEF_WAITS)  # read by OpenMP when torch is loaded
-    _spare_collector()
-    open_streams()
-
-
-def _spare_collector() -> None:
-    """Let Python look for circles of objects seldom, and not among all there are at the end.
-
-    What a command loads (torch alone: 166 thousand objects) stays until its end. To look
-    through it again and again while it is loaded, and once more at the end, takes a third of the
-    time of a command on one picture.
-    """
     gc.set_threshold(ALLOCATIONS)
     atexit.register(gc.freeze)
+    open_streams()
 
 
 def open_streams() -> None:

@@ -10,17 +10,14 @@ from roadtorch.cli.options import (
     CAMERA,
     OVERWRITE,
     QUIET,
-    Sectioned,
-    with_compute,
-    with_detector,
-    with_frames,
-)
-from roadtorch.runs.options import (
     ComputeOptions,
     DetectorOptions,
     FrameSelection,
-    RunOptions,
+    Sectioned,
     as_toml,
+    with_compute,
+    with_detector,
+    with_frames,
 )
 
 KINDS = ("likelihood", "mask", "overlay", "cues", "npy", "polygons", "json")
@@ -48,7 +45,7 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
     if value is None:
         return None
     from roadtorch.errors import ConfigError
-    from roadtorch.sinks.video import GIF_SECONDS
+    from roadtorch.writers.video import GIF_SECONDS
 
     try:
         start, end = map(float, value.split(":"))
@@ -124,42 +121,52 @@ def infer(
     if not inputs and not print_config:
         raise click.UsageError("Missing argument 'INPUT...'", context)
 
-    from roadtorch.io.addresses import is_url
-    from roadtorch.runs import engines, footage, pictures, results
-    from roadtorch.runs.folder import RunRecord, result_folder
-    from roadtorch.sinks.remote_folder import RemoteFolder
-    from roadtorch.sources.pictures import label_and_picture
+    from roadtorch.inputs.pictures import label_and_picture
+    from roadtorch.io.urls import is_url
+    from roadtorch.run.folder import result_folder
+    from roadtorch.run.ledger import INDEX, open_ledger
+    from roadtorch.run.loop import Look, Task, method_of_detector
+    from roadtorch.run.plan import plan
+    from roadtorch.run.record import RunRecord
+    from roadtorch.run.run import Run, RunOptions
+    from roadtorch.run.workers import settle
+    from roadtorch.writers.choice import OF_PICTURES, MapOutput
+    from roadtorch.writers.coco import write_coco
+    from roadtorch.writers.maps import Maps
 
-    engines.prepare(compute)
-    loaded, known = choice.loaded(camera, threshold)
-    effective = as_toml(loaded.name, loaded.settings)
+    settle(compute.threads, compute.device)
+    detector, known = choice.loaded(camera, threshold)
+    effective = as_toml(detector.name, detector.settings)
     if print_config:
         click.echo(effective)
         return
-    place = RemoteFolder(out) if is_url(out) else Path(out)
-    opened = footage.opened(inputs, place, frames)
-    kinds = footage.USUAL_OF_PICTURES if save is None else save
+    place = out if is_url(out) else Path(out)
+    found = frames.inputs(inputs, place)
+    kinds = OF_PICTURES if save is None else save
     bits = 16 if depth == "16" else 8
-    work = results.Inference(loaded, frozenset(kinds), bits, known, compute.device)
-    written = footage.FootageResults(work, save, gif, frames.topic)
-    planned = footage.plan_run(opened, place, work.ends, written)
-    if found := label_and_picture(opened.pictures):
-        label, picture = found
+    stage = place if isinstance(place, Path) else Path()
+    maps = Maps(stage, frozenset(kinds), detector.name, detector.settings.threshold, bits)
+    todo = plan(found, place, maps.suffixes, MapOutput(maps, save, gif, frames.topic))
+    if pair := label_and_picture(found.pictures):
+        label, picture = pair
         what = f"{label.origin} looks like a label of {picture.origin}"
         click.echo(f"roadtorch: {what}; give the folder of the pictures alone", err=True)
-    folder = context.with_resource(result_folder(place, effective, overwrite))
+    workers = context.with_resource(compute.started(todo.count))
+    folder = context.with_resource(result_folder(out, effective, overwrite))
     of_frames = {**asdict(frames), "gif": gif, "steady": steady}
+    look = Look(detector, known, compute.device)
+    method = method_of_detector(detector, effective, kinds, depth.encode())
+    of_footage = method_of_detector(detector, effective, (), repr((depth, of_frames)).encode())
 
     def run() -> int:
-        options = RunOptions(compute.jobs or 1, overwrite, quiet, compute.fail_fast)
-        method = results.detector_method(loaded, effective, kinds, depth.encode())
-        with engines.started_engine(compute, len(planned.jobs)) as engine:
-            failed = pictures.run_pictures(planned.jobs, work, method, folder, options, engine)
-        parts = repr((depth, of_frames)).encode()
-        method = results.detector_method(loaded, effective, (), parts)
-        seen = footage.FootageWork(loaded, known, steady)
-        return max(failed, footage.run_footage(planned, seen, method, options))
+        options = RunOptions(overwrite, quiet, compute.fail_fast)
+        try:
+            with open_ledger(folder.path / INDEX, folder.publish) as ledger:
+                task = Task(look, maps, folder, method)
+                return Run(folder, ledger, workers, options).all(todo, task, of_footage, steady)
+        finally:
+            if "polygons" in kinds:
+                write_coco(folder)
 
-    files = [job.file for job in [*planned.jobs, *(one.job for one in planned.footage)]]
     given = {**asdict(compute), **of_frames, "save": kinds, "depth": bits}
-    context.exit(RunRecord(folder, loaded, files, given).around(run, "polygons" in kinds))
+    context.exit(RunRecord(folder, detector, todo.row_names, given).around(run))

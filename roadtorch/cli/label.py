@@ -5,8 +5,7 @@ from pathlib import Path
 import click
 
 from roadtorch.cli.completion import suggest_files
-from roadtorch.cli.options import PATH, SETTING, with_run
-from roadtorch.runs.options import RunOptions, as_toml
+from roadtorch.cli.options import PATH, SETTING, RunChoice, as_toml, with_run
 
 
 @click.command()
@@ -29,25 +28,30 @@ def label(
     support: str,
     assignments: tuple[str, ...],
     overlay: bool,
-    options: RunOptions,
+    run: RunChoice,
 ) -> None:
     """Label every pixel as sky (0), vertical (1), horizontal (2) or unlabelled (255).
 
     Each picture gives NAME.png in the folder --out. No weights and no labels are needed.
     """
+    from roadtorch.inputs.find import Inputs
+    from roadtorch.inputs.pictures import find_pictures
     from roadtorch.layout.labeller import LabellerSettings
-    from roadtorch.runs import pictures, results
-    from roadtorch.runs.folder import result_folder
+    from roadtorch.run.ledger import method_of
+    from roadtorch.run.loop import Task
+    from roadtorch.run.plan import plan
+    from roadtorch.run.run import open_run
+    from roadtorch.run.workers import settle, workers_for
     from roadtorch.settings import build_settings, parse_assignments
-    from roadtorch.sources.pictures import find_images
+    from roadtorch.writers.labels import Labelling, Labels
 
+    settle(threads=1)
     values = {"support": support} | parse_assignments(assignments)
     settings = build_settings(LabellerSettings, values)
-    kinds = ["labels", *["overlay"] * overlay]
-    ends = [results.LABEL_SUFFIXES[kind] for kind in kinds]
-    planned = pictures.plan(find_images(inputs, out), out, ends)
+    labels = Labels(out, ["labels", *["overlay"] * overlay])
+    todo = plan(Inputs(find_pictures(inputs, out), []), out, labels.suffixes)
     effective = as_toml("labeller", settings)
-    folder = context.with_resource(result_folder(out, effective, options.overwrite))
-    method = pictures.method_of(kinds, effective)
-    work = results.Labelling(settings, overlay)
-    context.exit(pictures.run_pictures(planned, work, method, folder, options))
+    workers = workers_for(run.jobs, todo.count)
+    own = context.with_resource(open_run(out, effective, workers, run.options))
+    task = Task(Labelling(settings), labels, own.folder, method_of(labels.kinds, effective))
+    context.exit(own.pictures(todo.pictures, task))

@@ -2,28 +2,170 @@
 
 import functools
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from roadtorch.cli.completion import (
-    suggest_datasets,
-    suggest_detector_configs,
-    suggest_detectors,
-    suggest_files,
-    suggest_settings,
-    suggest_splits,
-)
-from roadtorch.runs.options import ComputeOptions, DetectorOptions, FrameSelection, RunOptions
+from roadtorch.cli.completion import suggest_datasets, suggest_detectors, suggest_files
 
 if TYPE_CHECKING:
+    from roadtorch.camera.camera import Camera
     from roadtorch.data.dataset import Dataset
+    from roadtorch.detector import Detector
+    from roadtorch.inputs.find import Inputs
+    from roadtorch.run.run import RunOptions
+    from roadtorch.run.workers import Workers
+    from roadtorch.settings import Settings
 
 PATH = click.Path(path_type=Path)
 Command = Callable[..., Any]
+
+# --- what a user may say ------------------------------------------------------------------
+
+DEFAULT_DETECTOR = "fusion"
+
+
+@dataclass(frozen=True)
+class DetectorOptions:
+    """Which detector, and its settings.
+
+    detector: its name. assignments: KEY=VALUE each. config: a TOML file.
+    """
+
+    detector: str | None = None
+    assignments: tuple[str, ...] = ()
+    config: Path | None = None
+
+    def named(self, threshold: float | None = None) -> tuple[str, dict[str, Any]]:
+        """The detector's name and the values of its settings.
+
+        The file's values yield to the assignments, and those to ``threshold``. The file may name
+        the detector under ``detector``. Raises ConfigError for what is no setting or no file.
+        """
+        from roadtorch.errors import ConfigError
+        from roadtorch.settings import merge, parse_assignments, read_settings_file
+
+        values = read_settings_file(self.config) if self.config else {}
+        named = values.pop("detector", DEFAULT_DETECTOR)
+        if not isinstance(named, str):
+            raise ConfigError("detector", f"{named!r} was given", "give a name in quotes")
+        values = merge(values, parse_assignments(self.assignments))
+        if threshold is not None:
+            values["threshold"] = threshold
+        return self.detector or named, values
+
+    def loaded(
+        self, camera: Path | None = None, threshold: float | None = None
+    ) -> "tuple[Detector, Camera | None]":
+        """The detector, and the camera that a file describes, which its settings then know.
+
+        Raises what ``named``, ``Camera.read`` and ``load_detector`` raise.
+        """
+        from roadtorch.camera.camera import Camera
+        from roadtorch.detectors.catalogue import load_detector
+
+        name, values = self.named(threshold)
+        known = None if camera is None else Camera.read(camera)
+        return load_detector(name, camera=known, **values), known
+
+
+def as_toml(detector: str, settings: "Settings") -> str:
+    """A file for ``--config`` that gives this detector with these settings."""
+    from roadtorch.settings import to_toml
+
+    return to_toml(detector, settings).removesuffix("\n")
+
+
+@dataclass(frozen=True)
+class FrameSelection:
+    """Which frames and pictures of the inputs are looked at.
+
+    every, start, end, limit: see ``roadtorch.inputs.item.Selection``. topic: of bags. patience:
+    seconds within which a stream has to answer.
+    """
+
+    every: int
+    start: float
+    end: float | None
+    limit: int | None
+    topic: str | None
+    patience: float
+
+    def inputs(self, inputs: tuple[str, ...], out: str | Path) -> "Inputs":
+        """The pictures and sources that inputs and options choose, but those of ``out``.
+
+        Raises as ``find_inputs`` and ``Selection.of_pictures`` do.
+        """
+        from roadtorch.inputs.find import SourceOptions, find_inputs
+        from roadtorch.inputs.item import Selection
+        from roadtorch.inputs.live import Patience
+
+        chosen = Selection(self.every, self.start, self.end, self.limit)
+        apart = out if isinstance(out, Path) else None
+        options = SourceOptions(apart, Patience(answer=self.patience), self.topic)
+        found = find_inputs(inputs, chosen, options)
+        return found._replace(pictures=chosen.of_pictures(found.pictures))
+
+
+@dataclass(frozen=True)
+class ComputeOptions:
+    """With what the pictures of a run are worked on.
+
+    jobs: pictures at a time on this machine; None for one a processor. engine: ``local`` or
+    ``ray``. address: of a Ray cluster; None for one of this machine. workers: actors. threads: of
+    torch and OpenCV within a picture. device: of torch. fail_fast: end at the first failure.
+    """
+
+    jobs: int | None
+    engine: str
+    address: str | None
+    workers: int
+    threads: int
+    device: str
+    fail_fast: bool
+
+    @contextmanager
+    def started(self, count: int | None) -> "Iterator[Workers]":
+        """Who works on so many pictures (None: nobody knows), for the block.
+
+        Raises ConfigError where Ray is not there, or ``--address`` is given without it.
+        """
+        from roadtorch.errors import ConfigError
+        from roadtorch.run.workers import workers_for
+
+        if self.engine == "local":
+            if self.address is not None:
+                remedy = "add --engine ray, or leave it out"
+                raise ConfigError("--address", "is for Ray alone", remedy)
+            yield workers_for(self.jobs, count, self.device)
+            return
+        from roadtorch.run.ray_workers import ray_workers
+
+        with ray_workers(self.workers, self.address, self.device) as workers:
+            yield workers
+
+
+@dataclass(frozen=True)
+class RunChoice:
+    """How a run goes: processes (None for one a processor), redo what is done, no progress."""
+
+    jobs: int | None = None
+    overwrite: bool = False
+    quiet: bool = False
+
+    @property
+    def options(self) -> "RunOptions":
+        """The same for the run."""
+        from roadtorch.run.run import RunOptions
+
+        return RunOptions(self.overwrite, self.quiet)
+
+
+# --- options ------------------------------------------------------------------------------
 
 SECTIONS = {
     **dict.fromkeys((*DetectorOptions.__dataclass_fields__, "camera", "threshold"), "Detector"),
@@ -53,7 +195,6 @@ SETTING = click.option(
     "assignments",
     multiple=True,
     metavar="KEY=VALUE",
-    shell_complete=suggest_settings,
     help="One setting.",
 )
 FOOTAGE = click.argument(
@@ -65,8 +206,7 @@ CAMERA = click.option(
 JOBS = click.option(
     "--jobs",
     type=click.IntRange(min=1),
-    default=1,
-    help="Pictures at a time; the results do not depend on it.",
+    help="Processes side by side; the results do not depend on it. [one a processor]",
 )
 OVERWRITE = click.option("--overwrite", is_flag=True, help="Redo pictures that are done.")
 QUIET = click.option("--quiet", is_flag=True, help="No progress, only failures.")
@@ -99,8 +239,8 @@ def _gathered(
         @functools.wraps(command)
         def gathered(*arguments: Any, **given: Any) -> Any:
             fields = kind.__dataclass_fields__.keys() & given.keys()
-            one = kind(**{field: given.pop(field) for field in fields})
-            return command(*arguments, **{name: one}, **given)
+            options = kind(**{field: given.pop(field) for field in fields})
+            return command(*arguments, **{name: options}, **given)
 
         for option in reversed(options):
             gathered = option(gathered)
@@ -121,23 +261,19 @@ with_detector = _gathered(
     click.option(
         "--config",
         type=ConfigFile(),
-        shell_complete=suggest_detector_configs,
+        shell_complete=suggest_files,
         help="TOML file with the detector and its settings, or a shipped one's name.",
     ),
 )
 """A command gets the options of ``DetectorOptions`` as ``choice``."""
 
-with_run = _gathered(RunOptions, "options", JOBS, OVERWRITE, QUIET)
-"""A command gets these as ``options``."""
+with_run = _gathered(RunChoice, "run", JOBS, OVERWRITE, QUIET)
+"""A command gets these as ``run``."""
 
 with_compute = _gathered(
     ComputeOptions,
     "compute",
-    click.option(
-        "--jobs",
-        type=click.IntRange(min=1),
-        help="Pictures at a time; the results do not depend on it. [one a processor]",
-    ),
+    JOBS,
     click.option(
         "--engine",
         type=click.Choice(["local", "ray"]),
@@ -209,7 +345,7 @@ class LabelledOptions:
     assignments: tuple[str, ...]
     left_out: tuple[str, ...]
     limit: int | None
-    jobs: int
+    jobs: int | None
 
     def opened(self) -> "Dataset":
         """The labelled set; DatasetError for one that is not there."""
@@ -226,7 +362,6 @@ with_labelled = _gathered(
     click.argument("root", type=PATH),
     click.option(
         "--split",
-        shell_complete=suggest_splits,
         help="Part of the data set; camvid: dev (default), train, val, test.",
     ),
     click.option(
@@ -241,7 +376,6 @@ with_labelled = _gathered(
         "--set",
         "assignments",
         multiple=True,
-        shell_complete=suggest_settings,
         help="Setting of the detectors: key=value.",
     ),
     click.option(

@@ -4,8 +4,14 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import PATH, with_detector, with_run
-from roadtorch.runs.options import DetectorOptions, RunOptions, as_toml
+from roadtorch.cli.options import (
+    PATH,
+    DetectorOptions,
+    RunChoice,
+    as_toml,
+    with_detector,
+    with_run,
+)
 
 
 @click.command()
@@ -19,7 +25,7 @@ def submit(
     root: Path,
     choice: DetectorOptions,
     out: Path,
-    options: RunOptions,
+    run: RunChoice,
 ) -> None:
     """Write a submission to the KITTI road benchmark.
 
@@ -29,20 +35,26 @@ def submit(
     pictures. A second run goes on where the first one stopped.
     """
     from roadtorch.data.kitti import base_folder, calib_folder
-    from roadtorch.runs import pictures, results
-    from roadtorch.runs.folder import result_folder
+    from roadtorch.inputs.find import Inputs
+    from roadtorch.run.loop import Look, Task, method_of_detector
+    from roadtorch.run.plan import plan
+    from roadtorch.run.run import open_run
+    from roadtorch.run.workers import settle, workers_for
+    from roadtorch.writers.kitti import ARCHIVE, BirdsEyeMaps, pack, pictures_to_submit
 
-    loaded, _ = choice.loaded()
+    settle(threads=1)
+    detector, _ = choice.loaded()
     base = base_folder(root, "testing")
-    planned = results.plan_maps(base / "image_2", calib_folder(base), out)
-    effective = as_toml(loaded.name, loaded.settings)
-    folder = context.with_resource(result_folder(out, effective, options.overwrite))
-    method = results.detector_method(loaded, effective, ["map"])
-    failed = pictures.run_pictures(planned, results.Submission(loaded), method, folder, options)
-    archive = out / results.ARCHIVE
-    if failed:
-        click.echo(f"roadtorch: {archive} not written, as maps are missing", err=True)
+    maps = BirdsEyeMaps(out, calib_folder(base))
+    pictures = pictures_to_submit(base / "image_2", maps.calib, out)
+    todo = plan(Inputs(pictures, []), out, maps.suffixes)
+    effective = as_toml(detector.name, detector.settings)
+    workers = workers_for(run.jobs, todo.count)
+    own = context.with_resource(open_run(out, effective, workers, run.options))
+    method = method_of_detector(detector, effective, ["map"])
+    if failed := own.pictures(pictures, Task(Look(detector), maps, own.folder, method)):
+        click.echo(f"roadtorch: {out / ARCHIVE} not written, as maps are missing", err=True)
         context.exit(failed)
-    results.pack(planned, archive)
-    if not options.quiet:
-        click.echo(f"roadtorch: {len(planned)} maps in {archive}", err=True)
+    archive = pack(pictures, out)
+    if not run.quiet:
+        click.echo(f"roadtorch: {len(pictures)} maps in {archive}", err=True)

@@ -1,11 +1,10 @@
 """roadtorch train: a layout network from unlabelled footage."""
 
-import os
 from pathlib import Path
 
 import click
 
-from roadtorch.cli.completion import suggest_files, suggest_training_configs
+from roadtorch.cli.completion import suggest_files
 from roadtorch.cli.options import PATH, SETTING, ConfigFile, command_line
 
 
@@ -14,7 +13,7 @@ from roadtorch.cli.options import PATH, SETTING, ConfigFile, command_line
     "--config",
     type=ConfigFile(),
     required=True,
-    shell_complete=suggest_training_configs,
+    shell_complete=suggest_files,
     help="What is trained, and how: a TOML file, or a shipped one's name, such as adapt.",
 )
 @click.option(
@@ -80,9 +79,8 @@ def train(
     from roadtorch.data.catalogue import open_named
     from roadtorch.data.corrections import read_corrections
     from roadtorch.errors import ConfigError
-    from roadtorch.report.adaptation import score_line, write_adaptation
     from roadtorch.settings import merge, parse_assignments, read_settings_file
-    from roadtorch.train.before_after import adaptation_of
+    from roadtorch.train.before_after import write_page
     from roadtorch.train.config import build_training
     from roadtorch.train.folder import PAGE
     from roadtorch.train.run import Request
@@ -90,30 +88,26 @@ def train(
 
     if threads:
         torch.set_num_threads(threads)
-    leads = os.environ.get("RANK", "0") == "0"  # torchrun numbers its processes
-    values = merge(read_settings_file(config), parse_assignments(assignments))
-    training = build_training(values)
-    said = read_corrections(corrections, pictures) if corrections else []
+    training = build_training(merge(read_settings_file(config), parse_assignments(assignments)))
+    people = read_corrections(corrections, pictures) if corrections else []
     if labelled is not None and not training.start:
-        what = "is for runs that start from weights: there is no before"
-        raise ConfigError("--labelled", what, "give --set start=WEIGHTS, or leave it out")
+        message = "is for runs that start from weights: there is no before"
+        raise ConfigError("--labelled", message, "give --set start=WEIGHTS, or leave it out")
     scored = None if labelled is None else open_named(labelled)
-    request = Request(images, out, resume, prepared, quiet, said)
+    request = Request(images, out, resume, prepared, quiet, people)
     outcome = run(training, request)
     if outcome.interrupted:
-        if leads:
-            text = f"roadtorch: stopped by {outcome.interrupted.name}; go on with --resume"
-            click.echo(text, err=True)
+        text = f"roadtorch: stopped by {outcome.interrupted.name}; go on with --resume"
+        click.echo(text, err=True)
         context.exit(128 + outcome.interrupted)
-    if leads and not quiet:
+    if not quiet:
         skipped = f"; {outcome.skipped} skipped, see pictures.csv" if outcome.skipped else ""
         click.echo(f"roadtorch: weights in {outcome.weights}{skipped}", err=True)
-    if leads and training.start:
-        change = adaptation_of(training, request, outcome, compared, scored)
-        if change is not None:
-            write_adaptation(out / PAGE, change, command_line(context))
-            what = "not scored, and it may have lost; --labelled SET:ROOT would tell"
-            for line in (f"before and after in {out / PAGE}", score_line(change) or what):
-                if not quiet:
-                    click.echo(f"roadtorch: {line}", err=True)
+    if training.start:
+        command = command_line(context)
+        score = write_page(training, request, outcome, compared, scored, command=command)
+        if score is not None and not quiet:
+            score = score or "not scored, and it may have lost; --labelled SET:ROOT would tell"
+            click.echo(f"roadtorch: before and after in {out / PAGE}", err=True)
+            click.echo(f"roadtorch: {score}", err=True)
     context.exit(1 if outcome.skipped else 0)

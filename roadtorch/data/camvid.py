@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
-from roadtorch.data.dataset import Dataset, Item, Kind
+from roadtorch.data.dataset import Dataset, Kind, LabelledItem
 from roadtorch.data.labels import ColourLabels, NumberLabels, pairs
 from roadtorch.errors import DatasetError
 from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
@@ -56,8 +56,8 @@ def open_camvid(root: Path, split: str) -> Dataset:
     return Dataset("camvid", root, split, items, CAMVID_LABELS)
 
 
-def _item(image: Path, label: Path) -> Item:
-    return Item(image.stem, image, label, group=image.stem[:DRIVE_LETTERS])
+def _item(image: Path, label: Path) -> LabelledItem:
+    return LabelledItem(image.stem, image, label, group=image.stem[:DRIVE_LETTERS])
 
 
 # --- 32 colours -------------------------------------------------------------------------
@@ -152,12 +152,11 @@ def split_of(name: str) -> str:
 
     Raises DatasetError for a name that is not CamVid's.
     """
-    found = re.fullmatch(r"(0001TP|0006R0|0016E5|Seq05VD)_f?(\d+)", name)
-    if found is None:
-        raise DatasetError(
-            name, "is not the name of a CamVid frame", "name frames like 0016E5_07959"
-        )
-    drive, frame = found[1], int(found[2])
+    parts = re.fullmatch(r"(0001TP|0006R0|0016E5|Seq05VD)_f?(\d+)", name)
+    if parts is None:
+        remedy = "name frames like 0016E5_07959"
+        raise DatasetError(name, "is not the name of a CamVid frame", remedy)
+    drive, frame = parts[1], int(parts[2])
     if drive == "Seq05VD" or (drive == "0001TP" and frame >= 8550):
         return "test"
     return "val" if drive == "0016E5" and 7959 <= frame <= 8159 else "train"
@@ -177,20 +176,20 @@ def open_camvid32(root: Path, split: str, name: str = "camvid32") -> Dataset:
     )
 
 
-def _items32(root: Path) -> Iterator[Item]:
-    found = [
+def _items32(root: Path) -> Iterator[LabelledItem]:
+    present = [
         (root / images, root / labels)
         for images, labels in FOLDERS32
         if (root / images).is_dir() and (root / labels).is_dir()
     ]
-    # A folder that holds the published one is not a folder of pictures itself.
-    nested = {images.parent for images, _ in found}
-    kept = [(images, labels) for images, labels in found if images not in nested]
-    if not kept:
+    if not present:
         known = ", ".join(f"{images} + {labels}" for images, labels in FOLDERS32)
         raise DatasetError(root, "holds no CamVid in 32 colours", f"known folders: {known}")
-    for images, labels in kept:
-        yield from (_item(image, label) for image, label in pairs(images, labels, "_L.png"))
+    # A folder that holds the published one is not a folder of pictures itself.
+    nested = {images.parent for images, _ in present}
+    for images, labels in present:
+        if images not in nested:
+            yield from (_item(image, label) for image, label in pairs(images, labels, "_L.png"))
 
 
 KINDS = {

@@ -56,8 +56,8 @@ def open_named(text: str) -> Dataset:
     known = sorted(list_datasets(), key=len, reverse=True)
     name = next((name for name in known if text.startswith(f"{name}:")), None)
     if name is None:
-        what = "does not begin with a data set and a colon"
-        raise ConfigError(text, what, "write NAME:ROOT, for example camvid:data/camvid")
+        message = "does not begin with a data set and a colon"
+        raise ConfigError(text, message, "write NAME:ROOT, for example camvid:data/camvid")
     return open_dataset(name, Path(text.removeprefix(f"{name}:")))
 
 

@@ -1,30 +1,29 @@
 """Corrections out to other programs and in again, by the name of the format.
 
-In LabelMe's XML and labelme's JSON untouched pixels are an object called ``ignore``: they are void
-to whoever reads the files as truth, and untouched again when they come back.
+In labelme's JSON untouched pixels are an object called ``ignore``: they are void to whoever reads
+the files as truth, and untouched again when they come back.
 """
 
 import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
-from xml.etree.ElementTree import Element, SubElement, indent, tostring
+import math
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from pathlib import Path, PurePath, PurePosixPath
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import torch
+from pydantic import Discriminator, Field, Tag
 
-from roadtorch.data.annotations import read_annotation
-from roadtorch.data.correction_labels import LABELS, check_stems
+from roadtorch.data.correction_labels import LABELS
 from roadtorch.data.corrections import Correction
-from roadtorch.data.cvat import read_cvat_mask, read_labelmap, write_cvat
-from roadtorch.data.label_studio import read_label_studio, write_label_studio
+from roadtorch.data.imported import Coordinate, Imported, Side, imported
+from roadtorch.data.labelme import labelme_document, read_annotation
 from roadtorch.data.labels import read_labels
-from roadtorch.data.polygons import filled_shapes
+from roadtorch.data.polygons import coco_region, filled_shapes
 from roadtorch.errors import DatasetError
 from roadtorch.io.atomic import make_folder, write_text
 from roadtorch.io.image import write_labels
-from roadtorch.sinks.polygons import labelme_document, outlines
 
 DRAWN = ("ignore", *LABELS[1:])
 """What labels are called in files of polygons, by their number."""
@@ -35,127 +34,270 @@ Sizes = Mapping[str, tuple[int, int]]
 """(height, width) of pictures by their relative name with ending."""
 
 
-@dataclass(frozen=True)
-class CorrectionFormat:
+class CorrectionFormat(NamedTuple):
     """How another program keeps labels.
 
-    write: corrections to a folder. read: labels uint8 (H,W) by picture, from a folder and for the
-    pictures in ``Sizes``; those that the folder does not speak of are left out.
+    write: corrections to a folder. read: labels uint8 (H,W) by picture, of a path and the sizes of
+    pictures; those of which nothing is said are left out. Raises DatasetError for what cannot be
+    read, or does not fit the pictures.
     """
 
     write: Callable[[Sequence[Correction], Path], None]
     read: Callable[[Path, Sizes], dict[str, np.ndarray]]
 
 
-# --- PNG --------------------------------------------------------------------------------
+def file_per_picture(
+    ending: str,
+    write_one: Callable[[Correction, Path], None],
+    read_one: Callable[[Path, tuple[int, int]], np.ndarray],
+    below: str = "",
+) -> CorrectionFormat:
+    """A format of one file a picture: its name with another ending, in the folder ``below``.
+
+    write_one: a correction to a path. read_one: labels uint8 (H,W) of a path and a picture's size.
+    DatasetError where two pictures would have one file, or none has any.
+    """
+
+    def write(corrections: Sequence[Correction], folder: Path) -> None:
+        _check_stems(correction.name for correction in corrections)
+        for correction in corrections:
+            path = (folder / below / correction.name).with_suffix(ending)
+            make_folder(path.parent)
+            write_one(correction, path)
+
+    def read(path: Path, sizes: Sizes) -> dict[str, np.ndarray]:
+        files = {name: (path / below / name).with_suffix(ending) for name in sizes}
+        present = {name: file for name, file in files.items() if file.is_file()}
+        if not present:
+            remedy = "give the folder that holds the labels"
+            raise DatasetError(path / below, "has no file for any of the pictures", remedy)
+        _check_stems(present)
+        return {name: read_one(file, sizes[name]) for name, file in present.items()}
+
+    return CorrectionFormat(write, read)
 
 
-def write_png(corrections: Sequence[Correction], folder: Path) -> None:
-    """FOLDER/labels, numbers of ``LABELS``; FOLDER/road and FOLDER/layout as sets have them.
+def _check_stems(names: Iterable[str]) -> None:
+    """DatasetError for two pictures of one name without ending."""
+    owners: dict[str, str] = {}
+    for name in names:
+        stem = PurePath(name).with_suffix("").as_posix()
+        if (other := owners.setdefault(stem, name)) != name:
+            message = f"have one file, {stem}, in this format"
+            raise DatasetError(f"{other} and {name}", message, "rename one of the pictures")
+
+
+# --- label pictures ---------------------------------------------------------------------
+
+
+def write_layers(correction: Correction, path: Path) -> None:
+    """FOLDER/labels/NAME.png, numbers of ``LABELS``; FOLDER/road and FOLDER/layout as sets have it.
 
     In road 0 is not road, 1 road, 255 void or untouched; in layout 255 is unknown.
     """
-    check_stems(one.name for one in corrections)
-    for one in corrections:
-        road = np.where(one.road > 1, 255, one.road)
-        layers = {"labels": one.labels, "road": road, "layout": one.layout}
-        for name, values in layers.items():
-            path = (folder / name / one.name).with_suffix(".png")
-            make_folder(path.parent)
-            write_labels(path, torch.from_numpy(values))
+    write_labels(path, torch.from_numpy(correction.labels))
+    folder = path.parents[len(PurePath(correction.name).parts)]
+    road = np.where(correction.road > 1, 255, correction.road)
+    for layer, values in (("road", road), ("layout", correction.layout)):
+        beside = (folder / layer / correction.name).with_suffix(path.suffix)
+        make_folder(beside.parent)
+        write_labels(beside, torch.from_numpy(values))
 
 
-def read_png(folder: Path, sizes: Sizes) -> dict[str, np.ndarray]:
-    """What ``write_png`` wrote to FOLDER/labels; DatasetError for other numbers and sizes."""
-    found = {}
-    for name, path in _present(folder / "labels", sizes, ".png"):
-        labels = read_labels(path, sizes[name])
-        if not np.isin(labels, range(len(LABELS))).all():
-            what = f"has other values than 0 to {len(LABELS) - 1}"
-            raise DatasetError(path, what, f"0 is {LABELS[0]}, 1 {LABELS[1]}, …")
-        found[name] = labels.astype(np.uint8)
-    return found
+def read_numbers(path: Path, size: tuple[int, int]) -> np.ndarray:
+    """The numbers of ``LABELS`` uint8 (H,W); DatasetError for other numbers and sizes."""
+    labels = read_labels(path, size)
+    if not np.isin(labels, range(len(LABELS))).all():
+        message = f"has other values than 0 to {len(LABELS) - 1}"
+        raise DatasetError(path, message, f"0 is {LABELS[0]}, 1 {LABELS[1]}, …")
+    return labels.astype(np.uint8)
 
 
-def _present(folder: Path, sizes: Sizes, ending: str) -> list[tuple[str, Path]]:
-    """The pictures whose file is there, with it; DatasetError where there is none at all."""
-    paths = {name: (folder / name).with_suffix(ending) for name in sizes}
-    if not any(path.is_file() for path in paths.values()):
-        what = "has no file for any of the pictures"
-        raise DatasetError(folder, what, "give the folder that holds the labels")
-    present = {name: path for name, path in paths.items() if path.is_file()}
-    check_stems(present)
-    return list(present.items())
+# --- drawn shapes -----------------------------------------------------------------------
 
 
-# --- LabelMe (XML) and labelme (JSON) ---------------------------------------------------
+def write_labelme(correction: Correction, path: Path) -> None:
+    """Labels as the program labelme has them."""
+    file = Path(correction.name).name
+    document = labelme_document(correction.labels, file, DRAWN, NOTHING)
+    write_text(path, json.dumps(document) + "\n")
 
 
-def write_xml(corrections: Sequence[Correction], folder: Path) -> None:
-    """Write FOLDER/NAME.xml for each picture, as P3's tool has it."""
-    check_stems(one.name for one in corrections)
-    for one in corrections:
-        root = Element("annotation")
-        SubElement(root, "filename").text = Path(one.name).name
-        size = SubElement(root, "imagesize")
-        SubElement(size, "nrows").text, SubElement(size, "ncols").text = map(str, one.labels.shape)
-        for number, outline in enumerate(outlines(one.labels, NOTHING)):
-            thing = SubElement(root, "object")
-            SubElement(thing, "name").text = DRAWN[outline.label]
-            SubElement(thing, "deleted").text = "0"
-            SubElement(thing, "id").text = str(number)
-            polygon = SubElement(thing, "polygon")
-            for x, y in outline.points.tolist():
-                point = SubElement(polygon, "pt")
-                SubElement(point, "x").text, SubElement(point, "y").text = str(x), str(y)
-        indent(root)
-        _write(folder, one.name, ".xml", tostring(root, encoding="unicode"))
+def read_drawn(path: Path, size: tuple[int, int]) -> np.ndarray:
+    """Labels uint8 (H,W); objects of other names than ours are not road, as everywhere."""
+    other = LABELS.index("not_road")
+    shapes = [
+        (shape.fill, DRAWN.index(shape.name) if shape.name in DRAWN else other)
+        for shape in read_annotation(path, size)
+    ]
+    return filled_shapes(shapes, size)
 
 
-def write_labelme(corrections: Sequence[Correction], folder: Path) -> None:
-    """Write FOLDER/NAME.json for each picture, as the program labelme has it."""
-    check_stems(one.name for one in corrections)
-    for one in corrections:
-        document = labelme_document(one.labels, Path(one.name).name, DRAWN, NOTHING)
-        _write(folder, one.name, ".json", json.dumps(document))
+# --- COCO -------------------------------------------------------------------------------
+
+# Labels are regions of eight categories, which CVAT and Label Studio read and write. A region is a
+# list of polygons, of pixel edges: column x reaches from x to x + 1. Or it is a list of counts,
+# pixels outside and inside in turn, column by column. Pixels of no region are untouched.
+
+COCO_FILE = "coco.json"
+
+_UPLOAD = re.compile(r"[0-9a-f]{8}-(.+)")
+"""What Label Studio calls a picture that was uploaded; its sub-folders are lost there."""
 
 
-def _write(folder: Path, name: str, ending: str, text: str) -> None:
-    path = (folder / name).with_suffix(ending)
-    make_folder(path.parent)
-    write_text(path, text + "\n")
+def write_coco(corrections: Sequence[Correction], folder: Path) -> None:
+    """Write FOLDER/coco.json, with a region for each label that occurs in a picture."""
+    images, regions = [], []
+    for image, correction in enumerate(corrections, 1):
+        height, width = correction.labels.shape
+        images.append({"id": image, "file_name": correction.name, "width": width, "height": height})
+        for category in filter(None, np.unique(correction.labels).tolist()):
+            mask = correction.labels == category
+            regions.append(coco_region(mask, len(regions) + 1, image, category))
+    categories = [
+        {"id": number, "name": LABELS[number], "supercategory": ""}
+        for number in range(1, len(LABELS))
+    ]
+    document = {
+        "info": {"description": "corrections made with roadtorch"},
+        "licenses": [],
+        "categories": categories,
+        "images": images,
+        "annotations": regions,
+    }
+    make_folder(folder)
+    write_text(folder / COCO_FILE, json.dumps(document) + "\n")
 
 
-def read_drawn(ending: str, folder: Path, sizes: Sizes) -> dict[str, np.ndarray]:
-    """FOLDER/NAME.xml or .json of every picture that has one.
+class _CocoImage(Imported):
+    id: int
+    file_name: str
+    height: Side
+    width: Side
 
-    Objects of other names than ours are not road, as everywhere. Raises DatasetError naming the
-    file when it cannot be read, or is for another picture size.
+
+class _CocoCategory(Imported):
+    id: int
+    name: str
+
+
+class _Counts(Imported):
+    counts: tuple[Annotated[int, Field(ge=0, lt=2**31)], ...]
+
+
+_Polygons = tuple[Annotated[tuple[Coordinate, ...], Field(min_length=6)], ...]
+
+
+class _CocoRegion(Imported):
+    image_id: int
+    category_id: int
+    segmentation: Annotated[
+        Annotated[_Counts, Tag("counts")] | Annotated[_Polygons, Tag("polygons")],
+        Discriminator(lambda value: "counts" if isinstance(value, dict) else "polygons"),
+    ]
+
+
+class _CocoFile(Imported):
+    images: tuple[_CocoImage, ...]
+    categories: tuple[_CocoCategory, ...]
+    annotations: tuple[_CocoRegion, ...]
+
+
+def read_coco(path: Path, sizes: Sizes) -> dict[str, np.ndarray]:
+    """Labels uint8 (H,W) by the name of the picture, for those that are in ``sizes``.
+
+    path: of a folder with coco.json, or of a file of any name. Later regions cover earlier ones.
+    Raises DatasetError for what is no such file, without an image for any of the pictures, for two
+    images of one picture, an image of another size, a region that does not fit its picture, and a
+    category that is none of ours.
     """
-    found = {}
-    for name, path in _present(folder, sizes, ending):
-        shapes = [
-            (part.fill, DRAWN.index(part.name) if part.name in DRAWN else LABELS.index("not_road"))
-            for part in read_annotation(path, sizes[name])
-        ]
-        found[name] = filled_shapes(shapes, sizes[name])
-    return found
+    path = path / COCO_FILE if path.is_dir() else path
+    with imported(path, "export it anew, as COCO") as data:
+        document = _CocoFile.model_validate_json(data)
+        names: dict[int, str] = {}
+        for image in document.images:
+            if (name := picture_of(image.file_name, sizes)) is None:
+                continue
+            if name in names.values():
+                raise ValueError(f"two images are {name}")
+            if (image.height, image.width) != sizes[name]:
+                raise ValueError(
+                    f"{name} is for {image.width} by {image.height} pixels, "
+                    f"its picture has {sizes[name][1]} by {sizes[name][0]}"
+                )
+            names[image.id] = name
+        if not names:
+            raise ValueError("it has no image for any of the pictures")
+        labels = {name: np.zeros(sizes[name], np.uint8) for name in names.values()}
+        categories = {category.id: category.name for category in document.categories}
+        for region in document.annotations:
+            if (name := names.get(region.image_id)) is not None:
+                category = categories.get(region.category_id, "")
+                if category not in LABELS[1:]:
+                    raise ValueError(
+                        f"the category {category!r} on {name} says nothing about the road: "
+                        f"use {', '.join(LABELS[1:])}"
+                    )
+                if not region.segmentation:
+                    raise ValueError(f"a region on {name} has no area: draw it as a polygon")
+                _paint(labels[name], region.segmentation, LABELS.index(category))
+    return labels
 
 
-# --- the others -------------------------------------------------------------------------
+def picture_of(file: str, names: Collection[str]) -> str | None:
+    """The picture that a file name ends with, whole parts of its path; None without one.
+
+    ValueError for an upload to Label Studio that could be either of two pictures.
+    """
+    parts = re.split(r"[/\\]", file)
+    endings = ("/".join(parts[start:]) for start in range(len(parts)))
+    if (name := next((ending for ending in endings if ending in names), None)) is not None:
+        return name
+    if (upload := _UPLOAD.fullmatch(parts[-1])) is None:
+        return None
+    fitting = sorted(name for name in names if PurePosixPath(name).name == upload[1])
+    if len(fitting) > 1:
+        raise ValueError(f"the upload {upload[1]} could be {' or '.join(fitting[:2])}")
+    return fitting[0] if fitting else None
 
 
-def read_cvat(folder: Path, sizes: Sizes) -> dict[str, np.ndarray]:
-    """FOLDER/SegmentationClass of an export that was unzipped."""
-    classes = read_labelmap(folder / "labelmap.txt")
-    present = _present(folder / "SegmentationClass", sizes, ".png")
-    return {name: read_cvat_mask(path, classes, sizes[name]) for name, path in present}
+def _paint(labels: np.ndarray, segmentation: _Counts | _Polygons, number: int) -> None:
+    height, width = labels.shape
+    if isinstance(segmentation, _Counts):
+        counts = segmentation.counts
+        if sum(counts) != height * width:
+            raise ValueError(f"{sum(counts)} pixels are counted, not {width} by {height}")
+        inside = np.repeat(np.arange(len(counts)) % 2 == 1, counts)
+        labels[inside.reshape(width, height).T] = number
+        return
+    for polygon in segmentation:
+        if len(polygon) % 2:
+            raise ValueError(f"a polygon has {len(polygon)} coordinates, an odd number")
+        fill_area(np.array(polygon).reshape(-1, 2), labels, number)
+
+
+def fill_area(points: np.ndarray, canvas: np.ndarray, value: int) -> None:
+    """Fill the pixels of a canvas (H,W) whose centre is inside a polygon, by the even-odd rule.
+
+    points: (N,2) as (x, y), in pixel edges. The polygon may reach beyond the canvas.
+    """
+    limits = [canvas.shape[1], canvas.shape[0]]
+    left, top = points.min(0).clip(0, limits).astype(int).tolist()
+    right, bottom = np.ceil(points.max(0)).clip(0, limits).astype(int).tolist()
+    crossed = np.zeros((bottom - top, right - left + 1), np.bool_)
+    corners = (points - [left + 0.5, top + 0.5]).tolist()  # to pixel centres
+    for (x1, y1), (x2, y2) in zip(corners, [*corners[1:], corners[0]], strict=True):
+        first, last = sorted((math.ceil(y1), math.ceil(y2)))
+        rows = np.arange(max(first, 0), min(last, bottom - top))
+        if len(rows):
+            across = x1 + (rows - y1) * ((x2 - x1) / (y2 - y1))
+            crossed[rows, np.ceil(across).clip(0, right - left).astype(int)] ^= True
+    inside = np.logical_xor.accumulate(crossed, axis=1)[:, :-1]
+    canvas[top:bottom, left:right][inside] = value
 
 
 FORMATS: Mapping[str, CorrectionFormat] = {
-    "labelme": CorrectionFormat(write_labelme, partial(read_drawn, ".json")),
-    "xml": CorrectionFormat(write_xml, partial(read_drawn, ".xml")),
-    "png": CorrectionFormat(write_png, read_png),
-    "cvat": CorrectionFormat(write_cvat, read_cvat),
-    "label-studio": CorrectionFormat(write_label_studio, read_label_studio),
+    "labelme": file_per_picture(".json", write_labelme, read_drawn),
+    "png": file_per_picture(".png", write_layers, read_numbers, "labels"),
+    "coco": CorrectionFormat(write_coco, read_coco),
 }

@@ -6,42 +6,31 @@ asked with one set of keys, and what follows is drawn: road is horizontal, sky a
 are not road.
 """
 
-from collections.abc import Iterable
-from pathlib import PurePath
-
 import numpy as np
 
-from roadtorch.errors import DatasetError
 from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 
-LABELS = (
-    "untouched",
-    "road",
-    "not_road",
-    "void",
-    "sky",
-    "vertical",
-    "horizontal",
-    "not_road_horizontal",
-)
+NOT_ROAD, ROAD_SAID, VOID_SAID, OPEN = 0, 1, 254, 255
+"""The values of ``road_layer``; ``OPEN`` is where nobody said anything."""
+
+_MEANING = {
+    "untouched": (OPEN, UNLABELLED),
+    "road": (ROAD_SAID, HORIZONTAL),
+    "not_road": (NOT_ROAD, UNLABELLED),
+    "void": (VOID_SAID, UNLABELLED),
+    "sky": (NOT_ROAD, SKY),
+    "vertical": (NOT_ROAD, VERTICAL),
+    "horizontal": (OPEN, HORIZONTAL),
+    "not_road_horizontal": (NOT_ROAD, HORIZONTAL),
+}
+
+LABELS = tuple(_MEANING)
 """The names of the labels; a label's number is its place."""
 
 SAYINGS = LABELS[1:7]
 """What a person says; the last label is what two sayings come to: a pavement, a verge."""
 
-NOT_ROAD, ROAD_SAID, VOID_SAID, OPEN = 0, 1, 254, 255
-"""The values of ``road_layer``; ``OPEN`` is where nobody said anything."""
-
-_ROAD = np.array(
-    [OPEN, ROAD_SAID, NOT_ROAD, VOID_SAID, NOT_ROAD, NOT_ROAD, OPEN, NOT_ROAD], np.uint8
-)
-_LAYOUT = np.array(
-    [
-        *(UNLABELLED, HORIZONTAL, UNLABELLED, UNLABELLED),
-        *(SKY, VERTICAL, HORIZONTAL, HORIZONTAL),
-    ],
-    np.uint8,
-)
+_ROAD, _LAYOUT = np.array(list(_MEANING.values()), np.uint8).T
 
 # The label after a saying, by the label before. Road, void, sky and vertical replace what was
 # there; "not road" leaves a layout that agrees with it, "horizontal" a road or a "not road".
@@ -79,13 +68,3 @@ def labels_of(road: np.ndarray, layout: np.ndarray) -> np.ndarray:
     for number in reversed(range(len(LABELS))):
         table[_ROAD[number], _LAYOUT[number]] = number
     return table[road, layout]
-
-
-def check_stems(names: Iterable[str]) -> None:
-    """DatasetError for two pictures of one name without ending, of which a format has one file."""
-    owners: dict[str, str] = {}
-    for name in names:
-        stem = PurePath(name).with_suffix("").as_posix()
-        if (other := owners.setdefault(stem, name)) != name:
-            what = f"have one file, {stem}, in this format"
-            raise DatasetError(f"{other} and {name}", what, "rename one of the pictures")

@@ -22,9 +22,8 @@ from roadtorch.data.correction_labels import (
     layout_layer,
     road_layer,
 )
-from roadtorch.data.dataset import Dataset, Item, Truth
-from roadtorch.data.event_log import ENDING, EventLog, read_log, read_logs
-from roadtorch.data.events import reviewers
+from roadtorch.data.dataset import Dataset, LabelledItem, Truth
+from roadtorch.data.events import ENDING, EventLog, read_log, read_logs, reviewers
 from roadtorch.errors import DatasetError
 from roadtorch.layout.classes import UNLABELLED
 
@@ -62,6 +61,11 @@ class Correction:
         """uint8 (H,W): 0 sky, 1 vertical, 2 horizontal, 255 untouched."""
         return layout_layer(self.labels)
 
+    @property
+    def says_road(self) -> np.ndarray:
+        """bool (H,W): where it is said whether there is road."""
+        return (self.road == ROAD_SAID) | (self.road == NOT_ROAD)
+
 
 def read_corrections(folder: Path, pictures: Path | None = None) -> list[Correction]:
     """What is known of each picture that was worked on, sorted by name.
@@ -76,14 +80,11 @@ def read_corrections(folder: Path, pictures: Path | None = None) -> list[Correct
         by_picture[log.path.relative_to(folder).as_posix().removesuffix(ending)].append(log)
     if not by_picture:
         raise DatasetError(folder, "holds no corrections", "make some with roadtorch annotate")
-    found = []
+    corrections = []
     for name, logs in sorted(by_picture.items()):
-        known = folder / logs[0].head.picture
-        picture = pictures / name if pictures else Path(os.path.normpath(known))
-        correction = corrected(picture, name, logs)
-        if (correction.labels > 0).any():
-            found.append(correction)
-    return found
+        logged = Path(os.path.normpath(folder / logs[0].head.picture))
+        corrections.append(corrected(pictures / name if pictures else logged, name, logs))
+    return [correction for correction in corrections if (correction.labels > 0).any()]
 
 
 def corrected(picture: Path, name: str, logs: Sequence[EventLog]) -> Correction:
@@ -91,21 +92,21 @@ def corrected(picture: Path, name: str, logs: Sequence[EventLog]) -> Correction:
 
     Raises DatasetError where two are for pictures of different sizes or events do not fit theirs.
     """
-    if len({one.size for one in logs}) > 1:
-        what = f"is for another picture size than {logs[0].path.name}"
-        raise DatasetError(logs[-1].path, what, "correct one version of the picture")
-    said = [log.labels for log in logs]
+    if len({log.size for log in logs}) > 1:
+        message = f"is for another picture size than {logs[0].path.name}"
+        raise DatasetError(logs[-1].path, message, "correct one version of the picture")
+    labels = [log.labels for log in logs]
     events = [event for log in logs for event in log.events]
     return Correction(
         picture,
         name,
-        agreed_labels(said),
-        any(one.confirmed for one in logs),
-        tuple(sorted(one.head.user for one in logs)),
+        agreed_labels(labels),
+        any(log.confirmed for log in logs),
+        tuple(sorted(log.head.user for log in logs)),
         sum(event.seconds for event in events),
         len({event.id for event in events}),
-        agreement_share(said),
-        tuple(sorted({who for log in logs for who in reviewers(log.standing)})),
+        agreement_share(labels),
+        tuple(sorted({person for log in logs for person in reviewers(log.standing)})),
         tuple(log.path for log in logs),
     )
 
@@ -113,30 +114,30 @@ def corrected(picture: Path, name: str, logs: Sequence[EventLog]) -> Correction:
 # --- several people ---------------------------------------------------------------------
 
 
-def agreed_labels(said: Sequence[np.ndarray]) -> np.ndarray:
+def agreed_labels(people: Sequence[np.ndarray]) -> np.ndarray:
     """Labels uint8 (H,W) of several people's: void where those who spoke contradict each other.
 
     Ours: training is better without a pixel than with a wrong one.
     """
-    if len(said) == 1:
-        return said[0]
-    road = _agreed([road_layer(each) for each in said], VOID_SAID)
-    layout = _agreed([layout_layer(each) for each in said], UNLABELLED)
+    if len(people) == 1:
+        return people[0]
+    road = _agreed([road_layer(labels) for labels in people], VOID_SAID)
+    layout = _agreed([layout_layer(labels) for labels in people], UNLABELLED)
     return labels_of(road, layout)
 
 
 def _agreed(layers: Sequence[np.ndarray], contradiction: int) -> np.ndarray:
     """What all say who say anything, uint8 (H,W); in layers and where nobody does it is 255."""
-    every = np.stack(layers)
-    low, high = every.min(0), np.where(every == OPEN, 0, every).max(0)
+    stack = np.stack(layers)
+    low, high = stack.min(0), np.where(stack == OPEN, 0, stack).max(0)
     return np.where((low == high) | (low == OPEN), low, contradiction)
 
 
-def agreement_share(said: Sequence[np.ndarray]) -> float | None:
+def agreement_share(people: Sequence[np.ndarray]) -> float | None:
     """Share of the pixels that two or more spoke of on which all say the same of the road."""
-    road = [road_layer(each) for each in said]
-    several = sum(layer != OPEN for layer in road) > np.uint8(1)
-    return float((_agreed(road, OPEN) != OPEN)[several].mean()) if several.any() else None
+    layers = [road_layer(labels) for labels in people]
+    several = sum(layer != OPEN for layer in layers) > np.uint8(1)
+    return float((_agreed(layers, OPEN) != OPEN)[several].mean()) if several.any() else None
 
 
 # --- as a labelled set ------------------------------------------------------------------
@@ -146,13 +147,16 @@ def agreement_share(said: Sequence[np.ndarray]) -> float | None:
 class CorrectionLabels:
     """The truth in the logs of a picture: the item's label, and those of further people."""
 
-    def truth(self, item: Item) -> Truth:
+    def truth(self, item: LabelledItem) -> Truth:
         """What people said; DatasetError for a log that cannot be read."""
         logs = [log for path in (item.label, *item.extra) if (log := read_log(path)) is not None]
-        found = corrected(item.image, item.name, logs)
-        road, layout = torch.from_numpy(found.road), torch.from_numpy(found.layout)
-        valid = (road == ROAD_SAID) | (road == NOT_ROAD)
-        return Truth(road == ROAD_SAID, valid, layout if (layout != UNLABELLED).any() else None)
+        correction = corrected(item.image, item.name, logs)
+        layout = torch.from_numpy(correction.layout)
+        return Truth(
+            torch.from_numpy(correction.road == ROAD_SAID),
+            torch.from_numpy(correction.says_road),
+            layout if (layout != UNLABELLED).any() else None,
+        )
 
 
 def open_corrections(folder: Path, pictures: Path | None = None) -> Dataset:
@@ -162,10 +166,10 @@ def open_corrections(folder: Path, pictures: Path | None = None) -> Dataset:
     nobody said anything of the road.
     """
     items = []
-    for one in read_corrections(folder, pictures):
-        if ((one.road == ROAD_SAID) | (one.road == NOT_ROAD)).any():
-            name = PurePosixPath(one.name).with_suffix("").as_posix()
-            items.append(Item(name, one.picture, one.logs[0], None, one.logs[1:]))
+    for correction in read_corrections(folder, pictures):
+        if correction.says_road.any():
+            name, logs = PurePosixPath(correction.name).with_suffix("").as_posix(), correction.logs
+            items.append(LabelledItem(name, correction.picture, logs[0], None, logs[1:]))
     if not items:
         raise DatasetError(folder, "says nothing of the road", "correct some pictures")
     return Dataset("corrections", folder, "all", tuple(items), CorrectionLabels())

@@ -30,7 +30,7 @@ class Truth:
 
 
 @dataclass(frozen=True)
-class Item:
+class LabelledItem:
     """One picture with its label file.
 
     group: the camera, drive or city it is from, if known. extra: further files that its
@@ -49,7 +49,7 @@ class Item:
 class TruthReader(Protocol):
     """Reads the truth of an item; a small frozen dataclass, for it travels to processes."""
 
-    def truth(self, item: Item) -> Truth:
+    def truth(self, item: LabelledItem) -> Truth:
         """Read and check the item's label files; DatasetError naming the file."""
         ...
 
@@ -62,7 +62,7 @@ class View(Protocol):
         """What the space is called in results."""
         ...
 
-    def __call__(self, item: Item, values: Tensor) -> Tensor:
+    def __call__(self, item: LabelledItem, values: Tensor) -> Tensor:
         """Turn maps (...,H,W) of any type into (...,h,w); what is unseen becomes 0 (False)."""
         ...
 
@@ -79,7 +79,7 @@ class Dataset:
     name: str
     root: Path
     split: str
-    items: tuple[Item, ...]
+    items: tuple[LabelledItem, ...]
     reader: TruthReader = field(repr=False)
     levels: int = 65_536
     view: View | None = field(default=None, repr=False)
@@ -89,23 +89,23 @@ class Dataset:
         """The groups, sorted; empty for a set that does not know them."""
         return sorted({item.group for item in self.items if item.group is not None})
 
-    def by_condition(self) -> dict[str, list[Item]]:
+    def by_condition(self) -> dict[str, list[LabelledItem]]:
         """The pictures of each condition, sorted by its name; without groups left out."""
         counting = [item for item in self.items if item.group not in self.left_out]
         names = sorted({name for item in counting for name in item.conditions})
         return {name: [item for item in counting if name in item.conditions] for name in names}
 
-    def truth(self, item: Item) -> Truth:
+    def truth(self, item: LabelledItem) -> Truth:
         """Read the truth of one item, in the picture's own space."""
         return self.reader.truth(item)
 
-    def read(self, item: Item) -> tuple[Tensor, Truth]:
+    def read(self, item: LabelledItem) -> tuple[Tensor, Truth]:
         """Read image (3,H,W) and truth; DatasetError when their sizes differ."""
         image, truth = read_image(item.image), self.truth(item)
         if image.shape[1:] != truth.road.shape:
             (height, width), (rows, columns) = image.shape[1:], truth.road.shape
-            what = f"is {columns} by {rows} pixels, its picture {width} by {height}"
-            raise DatasetError(item.label, what, "labels must have the size of the picture")
+            message = f"is {columns} by {rows} pixels, its picture {width} by {height}"
+            raise DatasetError(item.label, message, "labels must have the size of the picture")
         return image, truth
 
 
@@ -124,8 +124,8 @@ def leave_out(dataset: Dataset, groups: Iterable[str]) -> Dataset:
     """
     left_out, known = frozenset(groups), dataset.groups()
     if left_out and not known:
-        what = f"is not for {dataset.name} at {dataset.root}, which has no groups"
-        raise ConfigError("--leave-out", what, "leave it out")
+        message = f"is not for {dataset.name} at {dataset.root}, which has no groups"
+        raise ConfigError("--leave-out", message, "leave it out")
     for name in sorted(left_out - set(known)):
         raise unknown_name(f"group of {dataset.name}", name, known)
     if left_out and left_out == set(known):

@@ -1,22 +1,38 @@
-"""What a person did to the labels of a picture, one event at a time, as it is kept on disk.
+"""What a person did to the labels of a picture, one event at a time, and the logs of it on disk.
+
+A log is DIR/PICTURE.USER.strokes.jsonl, PICTURE with its ending and its sub-folders. Its first
+line says which picture and who; then comes a line for each event, only ever appended. A line is on
+disk (fsync) before anybody is told that it is. What has no whole first line, after a crash or on a
+full disk, is no log: the next event begins it anew.
 
 Positions are in pixels of the picture, x to the right, y down, pixel centres at whole numbers.
 Regions are runs: start, length, start, length, … of pixels counted row by row.
 """
 
+import os
+import threading
 from collections.abc import Iterable, Sequence
-from typing import Annotated, Literal
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property
+from io import FileIO
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Literal, Self
 
 import cv2
 import numpy as np
 import pydantic
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from roadtorch.data.correction_labels import LABELS, after_saying
-from roadtorch.data.imported import first_mistake
+from roadtorch.data.imported import Side, first_mistake, imported
 from roadtorch.data.polygons import fill_polygon
-from roadtorch.errors import InputError
+from roadtorch.errors import DatasetError, InputError
+from roadtorch.io.atomic import make_folder
+from roadtorch.io.decoding import check_pixels
 from roadtorch.settings import Settings
+
+ENDING = ".strokes.jsonl"
 
 MAX_POINTS = 20_000  # of one stroke; ours: a hand draws some hundreds
 
@@ -24,10 +40,8 @@ MAX_RADIUS = 2000  # pixels of a brush
 
 MAX_SECONDS = 600.0  # seconds that one event may have taken; the page counts no idle minute
 
-Point = tuple[
-    Annotated[float, Field(ge=-1e5, le=1e5)],
-    Annotated[float, Field(ge=-1e5, le=1e5)],
-]
+Place = Annotated[float, Field(ge=-1e5, le=1e5)]
+Point = tuple[Place, Place]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 Saying = Literal["road", "not_road", "void", "sky", "vertical", "horizontal"]
 Number = Annotated[int, Field(ge=0, lt=2**31)]  # of a pixel or a superpixel
@@ -137,8 +151,8 @@ def parse_event(text: str | bytes, where: object) -> AnyEvent:
     try:
         return _ADAPTER.validate_json(text)
     except pydantic.ValidationError as problem:
-        what = f"is no event of a correction: {first_mistake(problem)}"
-        raise InputError(where, what, "give one as docs/annotate.md has it") from None
+        message = f"is no event of a correction: {first_mistake(problem)}"
+        raise InputError(where, message, "give one as docs/annotate.md has it") from None
 
 
 # --- regions ----------------------------------------------------------------------------
@@ -146,8 +160,7 @@ def parse_event(text: str | bytes, where: object) -> AnyEvent:
 
 def runs_of(mask: np.ndarray) -> tuple[int, ...]:
     """The runs of a mask bool (H,W)."""
-    flat = np.concatenate([[False], mask.reshape(-1), [False]])
-    edges = np.flatnonzero(flat[1:] != flat[:-1])
+    edges = np.flatnonzero(np.diff(mask.reshape(-1), prepend=False, append=False))
     starts, ends = edges[::2], edges[1::2]
     return tuple(np.stack([starts, ends - starts], 1).reshape(-1).tolist())
 
@@ -159,8 +172,8 @@ def mask_of(runs: Sequence[int], size: tuple[int, int]) -> np.ndarray:
     borders = np.array(runs, np.int64).reshape(-1, 2).cumsum(1).reshape(-1)
     lengths = np.diff(borders, prepend=0, append=size[0] * size[1])
     if (lengths < 0).any():
-        what = f"overlap, or reach beyond {size[0] * size[1]} pixels"
-        raise InputError("runs", what, "give those of this picture, in order")
+        message = f"overlap, or reach beyond {size[0] * size[1]} pixels"
+        raise InputError("runs", message, "give those of this picture, in order")
     return np.repeat(np.arange(len(lengths)) % 2 == 1, lengths).reshape(size)
 
 
@@ -187,7 +200,7 @@ def stroke_mask(stroke: Stroke, size: tuple[int, int]) -> np.ndarray:
 
 def standing(events: Iterable[AnyEvent]) -> list[LastingEvent]:
     """The events that hold, in their order: each once, without those taken back."""
-    kept: dict[str, LastingEvent] = {}
+    lasting: dict[str, LastingEvent] = {}
     undone: set[str] = set()
     for event in events:
         if isinstance(event, Undo):
@@ -195,15 +208,16 @@ def standing(events: Iterable[AnyEvent]) -> list[LastingEvent]:
         elif isinstance(event, Redo):
             undone.discard(event.of)
         else:
-            kept.setdefault(event.id, event)
-    return [event for event in kept.values() if event.id not in undone]
+            lasting.setdefault(event.id, event)
+    return [event for event in lasting.values() if event.id not in undone]
 
 
 def taken_back(events: Iterable[AnyEvent]) -> list[str]:
     """The events that can be done again: taken back last comes last, none after a new one."""
     stack: list[str] = []
     for event in events:
-        stack = [one for one in stack if one != event.of] if isinstance(event, Undo | Redo) else []
+        of = event.of if isinstance(event, Undo | Redo) else None
+        stack = [identity for identity in stack if identity != of] if of else []
         if isinstance(event, Undo):
             stack.append(event.of)
     return stack
@@ -211,29 +225,30 @@ def taken_back(events: Iterable[AnyEvent]) -> list[str]:
 
 def reviewers(events: Iterable[LastingEvent]) -> tuple[str, ...]:
     """Who called the work right since it was changed last, of the events that hold; sorted."""
-    found: set[str] = set()
+    people: set[str] = set()
     for event in events:
-        found = {*found, event.by} if isinstance(event, Review) else set()
-    return tuple(sorted(found))
+        people = {*people, event.by} if isinstance(event, Review) else set()
+    return tuple(sorted(people))
 
 
 def apply_event(labels: np.ndarray, event: LastingEvent) -> None:
     """Change labels uint8 (H,W) in place as one event says; InputError for what does not fit."""
     size = (labels.shape[0], labels.shape[1])
-    if isinstance(event, Confirm):
-        road = mask_of(event.runs, size)
-        for silent, other in (("untouched", "not_road"), ("horizontal", "not_road_horizontal")):
-            where = labels == LABELS.index(silent)
-            labels[where & road] = LABELS.index("road")
-            labels[where & ~road] = LABELS.index(other)
-    elif isinstance(event, Import):
-        for name, runs in event.labels.items():
-            labels[mask_of(runs, size)] = LABELS.index(name)
-    elif isinstance(event, Copy):
-        mask_of(event.runs, size)  # it has to fit, and says nothing
-    elif not isinstance(event, Review):
-        where = stroke_mask(event, size)
-        labels[where] = after_saying(labels[where], event.saying)
+    match event:
+        case Confirm():
+            road = mask_of(event.runs, size)
+            for silent, other in (("untouched", "not_road"), ("horizontal", "not_road_horizontal")):
+                is_silent = labels == LABELS.index(silent)
+                labels[is_silent & road] = LABELS.index("road")
+                labels[is_silent & ~road] = LABELS.index(other)
+        case Import():
+            for name, runs in event.labels.items():
+                labels[mask_of(runs, size)] = LABELS.index(name)
+        case Copy():
+            mask_of(event.runs, size)  # it has to fit, and says nothing
+        case SuperpixelStroke() | PolygonStroke() | BrushStroke():
+            mask = stroke_mask(event, size)
+            labels[mask] = after_saying(labels[mask], event.saying)
 
 
 def folded(events: Iterable[AnyEvent], size: tuple[int, int]) -> np.ndarray:
@@ -242,3 +257,158 @@ def folded(events: Iterable[AnyEvent], size: tuple[int, int]) -> np.ndarray:
     for event in standing(events):
         apply_event(labels, event)
     return labels
+
+
+# --- logs -------------------------------------------------------------------------------
+
+
+class LogHead(Settings):
+    """The first line of a log.
+
+    picture: its path as it is written from the folder of all logs. height, width: its pixels.
+    """
+
+    roadtorch: int = Field(default=1, ge=1, le=1, description="version of the format")
+    picture: Annotated[str, Field(pattern=r"^[^\x00]+$")]
+    user: Name
+    height: Side
+    width: Side
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Self:
+        check_pixels(self.width, self.height)
+        return self
+
+
+@dataclass(eq=False)
+class EventLog:
+    """One person's work on one picture, as its log has it.
+
+    head: the first line, written with the first event. events: all of them.
+    """
+
+    path: Path
+    head: LogHead
+    events: list[AnyEvent] = field(default_factory=list)
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width) of the picture."""
+        return self.head.height, self.head.width
+
+    @property
+    def standing(self) -> list[LastingEvent]:
+        """The events that hold."""
+        return standing(self.events)
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether the person said that it is right as it is."""
+        return any(isinstance(event, Confirm) for event in self.standing)
+
+    @cached_property
+    def labels(self) -> np.ndarray:
+        """What the events come to, uint8 (H,W); DatasetError where one does not fit the picture."""
+        try:
+            return folded(self.events, self.size)
+        except InputError as problem:
+            message = f"has an event that does not fit: {problem.where} {problem.what}"
+            raise DatasetError(self.path, message, "give the picture that was corrected") from None
+
+    def add(self, event: AnyEvent) -> None:
+        """Take an event and have it on disk; nothing is done for one that is there.
+
+        Raises InputError for one that does not fit the picture, or cannot be written.
+        """
+        with self._lock:
+            if any(event.id == known.id for known in self.events):
+                return
+            if isinstance(event, Undo | Redo):
+                labels = folded([*self.events, event], self.size)
+            else:
+                labels = self.labels.copy()
+                apply_event(labels, event)
+            append_event(self.path, self.head, event)
+            self.events.append(event)
+            self.labels = labels
+
+
+def log_path(folder: Path, picture: str, user: str) -> Path:
+    """The log of a user for a picture, by its relative name with ending."""
+    return folder / f"{PurePosixPath(picture)}.{user}{ENDING}"
+
+
+def read_log(path: Path) -> EventLog | None:
+    """Read a log; a last line that was cut off is passed over, None where the first one was.
+
+    Raises DatasetError naming file and line for anything else that is wrong.
+    """
+    with imported(path, "give logs that roadtorch wrote") as data:
+        lines = data[: data.rfind(b"\n") + 1].splitlines()
+        if not lines:
+            return None
+        head = LogHead.model_validate_json(lines[0])
+        if not path.name.endswith(f".{head.user}{ENDING}"):
+            raise ValueError(f"it is of {head.user}, which its name does not say")
+    try:
+        events = [parse_event(line, f"{path}:{at}") for at, line in enumerate(lines[1:], 2)]
+    except InputError as problem:
+        raise DatasetError(problem.where, problem.what, "mend or remove that line") from None
+    return EventLog(path, head, events)
+
+
+def append_event(path: Path, head: LogHead, event: AnyEvent) -> None:
+    """Add an event at the end, of a new log behind its head; on disk when this returns.
+
+    InputError when it cannot be written; then what was there stands, and no more of this event.
+    """
+    make_folder(path.parent, "give a folder that you may write to with --out")
+    try:
+        with path.open("ab+", buffering=0) as file:
+            size = _whole_size(file)
+            lines = [*([] if size else [head.model_dump_json()]), event.model_dump_json(), ""]
+            try:
+                left = memoryview("\n".join(lines).encode())
+                while left:
+                    left = left[file.write(left) :]
+                os.fsync(file.fileno())
+                if not size:
+                    _sync_folder(path.parent)
+            except OSError:
+                with suppress(OSError):
+                    file.truncate(size)
+                raise
+    except OSError as problem:
+        message = f"cannot be written: {problem.strerror or problem}"
+        raise InputError(path, message, "make room, or give another folder with --out") from None
+
+
+def _whole_size(file: FileIO) -> int:
+    """The bytes of a file after half a line of a crash is dropped, if it ends in one."""
+    size = file.seek(0, os.SEEK_END)
+    if size:
+        file.seek(size - 1)
+        if file.read(1) != b"\n":
+            file.seek(0)
+            size = file.readall().rfind(b"\n") + 1
+            file.truncate(size)
+    return size
+
+
+def _sync_folder(folder: Path) -> None:
+    """Have a new file's name on disk as well, where the system can."""
+    if hasattr(os, "O_DIRECTORY"):
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def read_logs(folder: Path) -> list[EventLog]:
+    """All logs below a folder, sorted; DatasetError where it is no folder, or as ``read_log``."""
+    if not folder.is_dir():
+        raise DatasetError(folder, "is no folder", "give the folder with corrections")
+    paths = sorted(path for path in folder.rglob(f"*{ENDING}") if path.is_file())
+    return [log for path in paths if (log := read_log(path)) is not None]

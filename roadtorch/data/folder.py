@@ -1,13 +1,23 @@
-"""Sets of label pictures in folders: any of your own, IDD Lite and Cityscapes."""
+"""Sets of label pictures in folders: any of your own with its conditions, IDD Lite, Cityscapes."""
 
-from collections.abc import Iterator
+import csv
+import difflib
+import io
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from roadtorch.data import conditions
-from roadtorch.data.dataset import Dataset, Item, Truth
-from roadtorch.data.labels import NumberLabels, decode_labels, is_picture, pairs, read_labels
+from roadtorch.data.dataset import Dataset, LabelledItem, Truth
+from roadtorch.data.labels import (
+    NumberLabels,
+    decode_labels,
+    is_picture,
+    pairs,
+    read_labels,
+    require_labels,
+)
 from roadtorch.errors import DatasetError
+from roadtorch.io.bounded import read_regular, reason
 from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 
 # --- folder -----------------------------------------------------------------------------
@@ -36,14 +46,15 @@ class FolderLabels:
     either of them and only for some pictures: 0 sky, 1 vertical, 2 horizontal, 255 void.
     """
 
-    def truth(self, item: Item) -> Truth:
+    def truth(self, item: LabelledItem) -> Truth:
         """Read the item's labels; DatasetError naming and counting unknown numbers."""
         truth = (ROAD if item.label.parent.name == "road" else MASKS).truth(item)
         for path in item.extra:
             labels = read_labels(path)
             if labels.shape != truth.road.shape:
-                what = f"is {labels.shape[1]} by {labels.shape[0]} pixels, unlike {item.label.name}"
-                raise DatasetError(path, what, "labels must have the size of the picture")
+                size = f"{labels.shape[1]} by {labels.shape[0]} pixels"
+                remedy = "labels must have the size of the picture"
+                raise DatasetError(path, f"is {size}, unlike {item.label.name}", remedy)
             truth = replace(truth, layout=decode_labels(labels, LAYOUT, path).layout)
         return truth
 
@@ -60,19 +71,77 @@ def open_folder(root: Path, split: str) -> Dataset:
         groups = [path.parent for path in sorted(root.glob("*/images")) if path.is_dir()]
         items = tuple(item for group in groups for item in _labelled(group, group.name))
     if not items:
-        what = "has no folder images, nor folders that have one"
-        raise DatasetError(root, what, "check the folder's layout")
-    found = Dataset("folder", root, split, items, FolderLabels())
-    table = root / conditions.FILE
-    return conditions.with_conditions(found, table) if table.is_file() else found
+        message = "has no folder images, nor folders that have one"
+        raise DatasetError(root, message, "check the folder's layout")
+    dataset = Dataset("folder", root, split, items, FolderLabels())
+    table = root / CONDITIONS
+    return with_conditions(dataset, table) if table.is_file() else dataset
 
 
-def _labelled(folder: Path, group: str | None) -> Iterator[Item]:
+def _labelled(folder: Path, group: str | None) -> Iterator[LabelledItem]:
     labels = "road" if not (folder / "masks").is_dir() and (folder / "road").is_dir() else "masks"
     for image, label in pairs(folder / "images", folder / labels):
         name = f"{group}/{image.stem}" if group else image.stem
         layout = folder / "layout" / label.name
-        yield Item(name, image, label, group, (layout,) if layout.is_file() else ())
+        yield LabelledItem(name, image, label, group, (layout,) if layout.is_file() else ())
+
+
+# --- conditions -------------------------------------------------------------------------
+
+# A table beside a set is CSV with the columns ``file`` (the picture's file name), ``condition``
+# (words, any number of them: "night rain") and, for a set with groups, ``name`` (the group). Other
+# columns are passed over; pictures that it does not list have no condition.
+
+CONDITIONS = "pictures.csv"  # in the folder of a set
+
+Key = tuple[str, str]
+"""The group of a picture ("" in a set without groups) and the name of its file."""
+
+
+def with_conditions(dataset: Dataset, path: Path) -> Dataset:
+    """The set with the conditions that a table gives to its pictures.
+
+    Raises DatasetError naming the table, and the line where there is one, for a file that
+    cannot be read, lacks a column, names a picture that the set does not have, or one twice.
+    """
+    pictures = {_key_of(item): item for item in dataset.items}
+    columns = ["name", "file", "condition"] if dataset.groups() else ["file", "condition"]
+    conditions: dict[Key, tuple[str, ...]] = {}
+    for line, row in _rows(path, columns):
+        key = (row["name"] if dataset.groups() else "", row["file"])
+        where, name = f"{path}, line {line}", _shown(key)
+        if key not in pictures:
+            near = difflib.get_close_matches(name, map(_shown, pictures), n=3, cutoff=0.5)
+            remedy = f"did you mean {', '.join(near)}?" if near else "mend the line or remove it"
+            raise DatasetError(where, f"there is no picture {name}", remedy)
+        if key in conditions:
+            raise DatasetError(where, f"names {name} a second time", "keep one of the two lines")
+        conditions[key] = tuple(dict.fromkeys(row["condition"].split()))
+    items = (replace(item, conditions=conditions.get(_key_of(item), ())) for item in dataset.items)
+    return replace(dataset, items=tuple(items))
+
+
+def _key_of(item: LabelledItem) -> Key:
+    return item.group or "", item.image.name
+
+
+def _shown(key: Key) -> str:
+    return "/".join(filter(None, key))
+
+
+def _rows(path: Path, columns: list[str]) -> Iterator[tuple[int, Mapping[str, str]]]:
+    """Number of the line, and what it says, of every line below the names of the columns."""
+    try:
+        text = read_regular(path).decode("utf-8-sig")
+        table = csv.DictReader(io.StringIO(text, newline=""), restval="")
+        missing = [name for name in columns if name not in (table.fieldnames or ())]
+        if missing:
+            message = f"has no column {' and none '.join(missing)}"
+            raise DatasetError(path, message, f"its first line has to name {', '.join(columns)}")
+        for row in table:
+            yield table.line_num, row
+    except (OSError, UnicodeDecodeError, csv.Error) as problem:
+        raise DatasetError(path, f"cannot be read: {reason(problem)}", "give a CSV file") from None
 
 
 # --- IDD Lite ---------------------------------------------------------------------------
@@ -89,7 +158,8 @@ IDD_LABELS = NumberLabels(
 def open_idd_lite(root: Path, split: str) -> Dataset:
     """IDD Lite, seven classes: ROOT/images, ROOT/labels. Road is "drivable"."""
     items = tuple(
-        Item(image.stem, image, label) for image, label in pairs(root / "images", root / "labels")
+        LabelledItem(image.stem, image, label)
+        for image, label in pairs(root / "images", root / "labels")
     )
     return Dataset("idd-lite", root, split, items, IDD_LABELS)
 
@@ -131,12 +201,9 @@ def open_cityscapes(root: Path, split: str) -> Dataset:
     items = []
     for image in filter(is_picture, sorted(images.glob(f"*/*{PICTURE_ENDING}.*"))):
         name, city = image.stem.removesuffix(PICTURE_ENDING), image.parent.name
-        items.append(Item(name, image, labels / city / f"{name}{LABEL_ENDING}", group=city))
+        items.append(LabelledItem(name, image, labels / city / f"{name}{LABEL_ENDING}", group=city))
     if not items:
-        what = f"holds no pictures CITY/*{PICTURE_ENDING}.png"
-        raise DatasetError(images, what, "check the folder's layout")
-    missing = [item.label for item in items if not item.label.is_file()]
-    if missing:
-        what = f"is missing, {len(missing)} of {len(items)} label files in all"
-        raise DatasetError(missing[0], what, "every picture needs its label file")
+        message = f"holds no pictures CITY/*{PICTURE_ENDING}.png"
+        raise DatasetError(images, message, "check the folder's layout")
+    require_labels([item.label for item in items])
     return Dataset("cityscapes", root, split, tuple(items), CITYSCAPES_LABELS)

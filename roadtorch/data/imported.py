@@ -17,7 +17,7 @@ from pydantic import Field
 from roadtorch.errors import DatasetError, RoadtorchError, shortened
 from roadtorch.io.bounded import read_regular, reason
 
-MAX_BYTES = 2**28  # of one file; ours: Label Studio's tasks of a thousand pictures have as many
+MAX_BYTES = 2**28  # of one file; ours: a COCO file of a thousand pictures has as many
 
 MAX_SIDE = 2**20  # pixels, as of a picture that is read
 
@@ -25,7 +25,6 @@ SHOWN = 60  # letters of a wrong value that a refusal repeats
 
 Side = Annotated[int, Field(ge=1, le=MAX_SIDE)]
 Coordinate = Annotated[float, Field(ge=-4 * MAX_SIDE, le=4 * MAX_SIDE)]
-Byte = Annotated[int, Field(ge=0, le=255)]
 
 
 class Imported(pydantic.BaseModel):
@@ -43,8 +42,8 @@ def first_mistake(problem: pydantic.ValidationError) -> str:
     if error["type"] == "missing":
         return f"{place} is missing"
     message = error["msg"].removeprefix("Value error, ")
-    given = shortened(repr(error["input"]), SHOWN)
-    return f"{place}: {message[0].lower()}{message[1:]}, {given} was given"
+    value = shortened(repr(error["input"]), SHOWN)
+    return f"{place}: {message[0].lower()}{message[1:]}, {value} was given"
 
 
 @contextmanager
@@ -58,11 +57,11 @@ def imported(path: Path, remedy: str) -> Iterator[bytes]:
         yield read_regular(path, MAX_BYTES)
     except RoadtorchError:
         raise
+    except DefusedXmlException as problem:
+        message = f"declares entities, which can be a bomb: {type(problem).__name__}"
+        raise DatasetError(path, message, "remove the declarations") from None
     except pydantic.ValidationError as problem:
         raise DatasetError(path, f"cannot be read: {first_mistake(problem)}", remedy) from None
-    except DefusedXmlException as problem:
-        what = f"declares entities, which can be a bomb: {type(problem).__name__}"
-        raise DatasetError(path, what, "remove the declarations") from None
     except ParseError as problem:
         raise DatasetError(path, f"is not XML: {problem}", remedy) from None
     except MemoryError:

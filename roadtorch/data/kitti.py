@@ -6,7 +6,6 @@ view; scores in the picture itself are something else, as far pixels weigh much 
 """
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
@@ -15,10 +14,9 @@ from torch import Tensor
 
 from roadtorch.camera.birds_eye import to_birds_eye
 from roadtorch.camera.calibration import read_calibration
-from roadtorch.data.dataset import Dataset, Item
-from roadtorch.data.labels import ColourLabels, NumberLabels
+from roadtorch.data.dataset import Dataset, LabelledItem
+from roadtorch.data.labels import ColourLabels, NumberLabels, is_picture, require_labels
 from roadtorch.errors import ConfigError, DatasetError
-from roadtorch.io.image import SUFFIXES
 
 NAME = "kitti-road"
 
@@ -45,11 +43,11 @@ def result_name(name: str, kind: str = "road") -> str:
 
 def name_parts(name: str) -> tuple[str, str]:
     """Category and number in a picture's name, as um_000012; DatasetError for another one."""
-    found = re.fullmatch(r"([a-z]+)_(\d+)", name)
-    if found is None:
+    parts = re.fullmatch(r"([a-z]+)_(\d+)", name)
+    if parts is None:
         remedy = "name pictures CATEGORY_NUMBER, as um_000012"
         raise DatasetError(name, "is not the name of a KITTI road picture", remedy)
-    return found[1], found[2]
+    return parts[1], parts[2]
 
 
 def base_folder(root: Path, part: str) -> Path:
@@ -74,21 +72,14 @@ def open_kitti_road(root: Path, split: str) -> Dataset:
     groups are the categories. Scored in the picture itself (see ``birds_eye``), with the
     benchmark's 256 levels. Raises DatasetError for a missing folder or label file.
     """
-    folder = base_folder(root, "training")
-    return Dataset(NAME, root, split, tuple(_items(folder, split)), KITTI_COLOURS, LEVELS)
-
-
-def _items(folder: Path, split: str) -> Iterator[Item]:
-    images = sorted(
-        path for path in (folder / "image_2").iterdir() if path.suffix.lower() in SUFFIXES
-    )
-    for image in images:
+    folder, items = base_folder(root, "training"), []
+    for image in filter(is_picture, sorted((folder / "image_2").iterdir())):
         category, _ = name_parts(image.stem)
         if split == "road" or category in LANE_CATEGORIES:
             label = folder / "gt_image_2" / f"{result_name(image.stem, split)}.png"
-            if not label.is_file():
-                raise DatasetError(label, "is missing", "every picture needs its label file")
-            yield Item(image.stem, image, label, group=category)
+            items.append(LabelledItem(image.stem, image, label, group=category))
+    require_labels([item.label for item in items])
+    return Dataset(NAME, root, split, tuple(items), KITTI_COLOURS, LEVELS)
 
 
 @dataclass(frozen=True)
@@ -98,7 +89,7 @@ class BirdsEye:
     calib: Path
     name: ClassVar[str] = "bird's-eye view"
 
-    def __call__(self, item: Item, values: Tensor) -> Tensor:
+    def __call__(self, item: LabelledItem, values: Tensor) -> Tensor:
         """Maps (…,H,W) of the item's picture as (…,800,400), type kept; 0 where unseen.
 
         Raises DatasetError naming a calibration file that is missing or broken.

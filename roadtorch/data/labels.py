@@ -1,6 +1,6 @@
 """Truth from label pictures: finding them; one number a pixel, or one colour a pixel."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from roadtorch.data.dataset import Item, Truth
+from roadtorch.data.dataset import LabelledItem, Truth
 from roadtorch.errors import ConfigError, DatasetError
 from roadtorch.io.bounded import read_regular, reason
 from roadtorch.io.decoding import open_picture, without_warnings
@@ -38,15 +38,15 @@ class NumberLabels:
 
     def __post_init__(self) -> None:
         if not {*self.road, *self.void, *self.exclusive} <= set(self.values) <= set(range(CODES)):
-            what = "has numbers of road or void that are not among its values, or none of 0…255"
-            raise ConfigError("NumberLabels", what, "list every number in values")
+            message = "has numbers of road or void that are not among its values, or none of 0…255"
+            raise ConfigError("NumberLabels", message, "list every number in values")
         if set(self.road) & set(self.void):
             raise ConfigError("NumberLabels", "has a number that is road and void", "choose one")
         if self.layout and len(self.layout) != len(self.values):
-            what = f"has {len(self.layout)} layout classes for {len(self.values)} values"
-            raise ConfigError("NumberLabels", what, "give one for each")
+            message = f"has {len(self.layout)} layout classes for {len(self.values)} values"
+            raise ConfigError("NumberLabels", message, "give one for each")
 
-    def truth(self, item: Item) -> Truth:
+    def truth(self, item: LabelledItem) -> Truth:
         """Read the item's label picture; DatasetError naming and counting unknown numbers."""
         return decode_labels(read_labels(item.label), self, item.label)
 
@@ -62,10 +62,25 @@ class ColourLabels:
     colours: tuple[tuple[int, int, int], ...]
     numbers: NumberLabels
 
-    def truth(self, item: Item) -> Truth:
+    def truth(self, item: LabelledItem) -> Truth:
         """Read the item's label picture; DatasetError naming and counting unknown colours."""
-        indices = colour_indices(read_colours(item.label), self.colours, item.label)
-        return decode_labels(indices, self.numbers, item.label)
+        return decode_labels(
+            self.places(_read(item.label, "RGB"), item.label), self.numbers, item.label
+        )
+
+    def places(self, pixels: np.ndarray, path: Path) -> np.ndarray:
+        """The place of each pixel's colour in ``colours``: uint8 (H,W) from uint8 (H,W,3).
+
+        Raises DatasetError naming unknown colours as "r g b" and counting their pixels.
+        """
+        codes = _codes(pixels)
+        places = _colour_table(self.colours)[codes]
+        if (is_unknown := places == len(self.colours)).any():
+            values, counts = np.unique(codes[is_unknown], return_counts=True)
+            names = [f"{code >> 16} {code >> 8 & 255} {code & 255}" for code in values.tolist()]
+            remedy = f"the set has {len(self.colours)} colours, given as red green blue"
+            raise DatasetError(path, f"has unknown colours {_counted(names, counts)}", remedy)
+        return places
 
 
 # --- finding ----------------------------------------------------------------------------
@@ -80,18 +95,23 @@ def pairs(images: Path, labels: Path, ending: str = ".png") -> Iterator[tuple[Pa
     for folder in (images, labels):
         if not folder.is_dir():
             raise DatasetError(folder, "does not exist", "check the folder's layout")
-    found = [path for path in sorted(images.iterdir()) if is_picture(path)]
-    if not found:
-        raise DatasetError(images, "holds no pictures", f"known endings: {' '.join(SUFFIXES)}")
-    by_label = {labels / f"{path.stem}{ending}": path for path in reversed(found)}
-    for path in found:
-        if (first := by_label[labels / f"{path.stem}{ending}"]) != path:
+    by_label: dict[Path, Path] = {}
+    for path in filter(is_picture, sorted(images.iterdir())):
+        first = by_label.setdefault(labels / f"{path.stem}{ending}", path)
+        if first != path:
             raise DatasetError(path, f"has the name of {first.name}", "one picture a name")
-    missing = [label for label in by_label if not label.is_file()]
+    if not by_label:
+        raise DatasetError(images, "holds no pictures", f"known endings: {' '.join(SUFFIXES)}")
+    require_labels(list(by_label))
+    yield from ((picture, label) for label, picture in by_label.items())
+
+
+def require_labels(paths: Sequence[Path]) -> None:
+    """DatasetError naming the first label file that is missing, and how many are."""
+    missing = [path for path in paths if not path.is_file()]
     if missing:
-        what = f"is missing, {len(missing)} of {len(found)} label files in all"
-        raise DatasetError(missing[-1], what, "every picture needs its label file")
-    yield from ((by_label[label], label) for label in reversed(by_label))
+        message = f"is missing, {len(missing)} of {len(paths)} label files in all"
+        raise DatasetError(missing[0], message, "every picture needs its label file")
 
 
 def is_picture(path: Path) -> bool:
@@ -119,25 +139,20 @@ def read_labels(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
     return labels.astype(np.uint8) if labels.dtype == np.bool_ else labels
 
 
-def read_colours(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
-    """The colours uint8 (H,W,3) of a label picture; size and errors as for ``read_labels``."""
-    return _read(path, "RGB", size)
-
-
-def _read(path: Path, mode: str | None, size: tuple[int, int] | None) -> np.ndarray:
+def _read(path: Path, mode: str | None, size: tuple[int, int] | None = None) -> np.ndarray:
     try:
         with open_picture(read_regular(path)) as picture, without_warnings():
             if size not in (None, (picture.height, picture.width)):
-                what = f"has {picture.width} by {picture.height} pixels"
-                raise DatasetError(path, what, f"its picture has {size[1]} by {size[0]}")
+                remedy = f"its picture has {size[1]} by {size[0]}"
+                raise DatasetError(path, f"has {picture.width} by {picture.height} pixels", remedy)
             return np.asarray(picture.convert(mode) if mode else picture)
     except FileNotFoundError:
         raise DatasetError(path, "is missing", "every picture needs its label file") from None
     except DatasetError:
         raise
     except Exception as problem:
-        what = f"cannot be decoded: {reason(problem)}"
-        raise DatasetError(path, what, "replace the file") from None
+        message = f"cannot be decoded: {reason(problem)}"
+        raise DatasetError(path, message, "replace the file") from None
 
 
 # --- meaning ----------------------------------------------------------------------------
@@ -145,59 +160,45 @@ def _read(path: Path, mode: str | None, size: tuple[int, int] | None) -> np.ndar
 
 def decode_labels(labels: np.ndarray, coding: NumberLabels, path: Path) -> Truth:
     """Turn label numbers (H,W) into truth; DatasetError naming and counting unknown ones."""
-    values, counts = _count(labels)
-    strange = ~np.isin(values, coding.values)
-    if strange.any():
-        named = _counted([str(value) for value in values[strange]], counts[strange])
+    if labels.dtype == np.uint8:  # without sorting
+        counts = np.bincount(labels.ravel(), minlength=CODES)
+        values = counts.nonzero()[0]
+        counts = counts[values]
+    else:
+        values, counts = np.unique(labels, return_counts=True)
+    is_unknown = ~np.isin(values, coding.values)
+    if is_unknown.any():
+        names = _counted([str(value) for value in values[is_unknown]], counts[is_unknown])
         known = ", ".join(map(str, coding.values))
-        raise DatasetError(path, f"has unknown values {named}", f"known: {known}")
+        raise DatasetError(path, f"has unknown values {names}", f"known: {known}")
     mixed = [value for value in coding.exclusive if value in values]
     if len(mixed) > 1:
-        what = f"has both {mixed[0]} and {mixed[1]}, each of which means road"
         void = " or ".join(map(str, coding.void)) or "not known"
-        raise DatasetError(path, what, f"use one of them; void is {void}")
-    found = [torch.from_numpy(table.take(labels)) for table in _tables(coding)]
-    return Truth(found[0], found[1], found[2] if coding.layout else None)
-
-
-def colour_indices(
-    colours: np.ndarray, known: tuple[tuple[int, int, int], ...], path: Path
-) -> np.ndarray:
-    """The place of each pixel's colour in ``known``: uint8 (H,W) from uint8 (H,W,3).
-
-    Raises DatasetError naming unknown colours as "r g b" and counting their pixels.
-    """
-    codes = _codes(colours)
-    table = _codes(np.array(known, np.uint8))
-    order = np.argsort(table)
-    near = order[np.searchsorted(table[order], codes).clip(max=len(table) - 1)]
-    if (strange := table[near] != codes).any():
-        values, counts = np.unique(codes[strange], return_counts=True)
-        named = [f"{v >> 16} {v >> 8 & 255} {v & 255}" for v in values.tolist()]
-        what = f"has unknown colours {_counted(named, counts)}"
-        raise DatasetError(path, what, f"the set has {len(known)} colours, given as red green blue")
-    return near.astype(np.uint8)
-
-
-def _codes(colours: np.ndarray) -> np.ndarray:
-    wide = colours.astype(np.int32)
-    return wide[..., 0] << 16 | wide[..., 1] << 8 | wide[..., 2]
-
-
-def _count(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The values that occur and how often; without sorting where they fit one byte."""
-    if labels.dtype != np.uint8:
-        return np.unique(labels, return_counts=True)
-    counts = np.bincount(labels.ravel(), minlength=CODES)
-    values = counts.nonzero()[0]
-    return values, counts[values]
+        message = f"has both {mixed[0]} and {mixed[1]}, each of which means road"
+        raise DatasetError(path, message, f"use one of them; void is {void}")
+    road, valid, layout = (torch.from_numpy(table.take(labels)) for table in _tables(coding))
+    return Truth(road, valid, layout if coding.layout else None)
 
 
 def _counted(names: list[str], counts: np.ndarray) -> str:
     """The most frequent names first, each with its pixels."""
     order = np.argsort(-counts, kind="stable")[:SHOWN]
-    named = ", ".join(f"{names[i]} ({counts[i]} pixels)" for i in order)
-    return named + (f" and {len(names) - SHOWN} others" if len(names) > SHOWN else "")
+    text = ", ".join(f"{names[place]} ({counts[place]} pixels)" for place in order)
+    return text + (f" and {len(names) - SHOWN} others" if len(names) > SHOWN else "")
+
+
+def _codes(colours: np.ndarray) -> np.ndarray:
+    """One number for each colour uint8 (…,3): int32 (…)."""
+    red, green, blue = np.moveaxis(colours.astype(np.int32), -1, 0)
+    return red << 16 | green << 8 | blue
+
+
+@lru_cache(maxsize=4)
+def _colour_table(colours: tuple[tuple[int, int, int], ...]) -> np.ndarray:
+    """Look-up table uint8 over all 2²⁴ colours: the place, ``len(colours)`` where it has none."""
+    table = np.full(2**24, len(colours), np.uint8)
+    table[_codes(np.array(colours, np.uint8))] = np.arange(len(colours))
+    return table
 
 
 @lru_cache

@@ -29,7 +29,7 @@ def parse_maps(texts: Sequence[str]) -> dict[str, Path]:
     Raises ConfigError for a folder that does not exist, for two of one name, and for a name
     that could not be that of a file in one folder.
     """
-    found: dict[str, Path] = {}
+    folders: dict[str, Path] = {}
     for text in texts:
         name, equals, folder = text.rpartition("=")
         path = Path(folder)
@@ -37,12 +37,12 @@ def parse_maps(texts: Sequence[str]) -> dict[str, Path]:
             raise ConfigError(folder, "is not a folder", "give the folder that holds the maps")
         name = name if equals else printable(path.resolve().name)
         if not name.isprintable() or set(name) & set("/\\") or name in ("", ".", ".."):
-            what = f"the name {name!r} cannot be that of a file"
-            raise ConfigError("--maps", what, "write NAME=DIR, the name without / and \\")
-        if name in found:
+            message = f"the name {name!r} cannot be that of a file"
+            raise ConfigError("--maps", message, "write NAME=DIR, the name without / and \\")
+        if name in folders:
             raise ConfigError("--maps", "gives two folders one name", "write NAME=DIR")
-        found[name] = path
-    return found
+        folders[name] = path
+    return folders
 
 
 def read_map(path: Path) -> Tensor:
@@ -62,9 +62,9 @@ def read_map(path: Path) -> Tensor:
     if not isinstance(values, np.ndarray):
         raise InputError(path, "is an archive of arrays", "give a single one")
     if values.ndim != 2 or values.dtype.kind != "f":
-        what = f"holds {values.dtype} of shape {values.shape}"
-        raise InputError(path, what, "give floating-point numbers (height, width)")
-    with np.errstate(over="ignore"):  # told as a value out of [0,1]
+        message = f"holds {values.dtype} of shape {values.shape}"
+        raise InputError(path, message, "give floating-point numbers (height, width)")
+    with np.errstate(over="ignore"):  # refused later, as a value out of [0,1]
         return torch.from_numpy(values.astype(np.float32))
 
 
@@ -82,11 +82,11 @@ def deciding_settings(folder: Path) -> DetectorSettings:
         return DetectorSettings()
     values = read_settings_file(folder / CONFIG)
     try:
-        told = {key: values[key] for key in DECIDING if key in values}
-        return build_settings(DetectorSettings, told)
+        own = {key: values[key] for key in DECIDING if key in values}
+        return build_settings(DetectorSettings, own)
     except ConfigError as problem:
-        what = f"{problem.where}: {problem.what}"
-        raise ConfigError(folder / CONFIG, what, problem.remedy) from None
+        message = f"{problem.where}: {problem.what}"
+        raise ConfigError(folder / CONFIG, message, problem.remedy) from None
 
 
 def map_mask(

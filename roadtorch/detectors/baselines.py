@@ -1,4 +1,4 @@
-"""The two detectors with which P1 compares its own: baselines worth having."""
+"""Baselines: the two detectors with which P1 compares its own, and priors that never look."""
 
 from functools import partial
 
@@ -8,6 +8,7 @@ from torch import Tensor
 from roadtorch.detector import Analysis, DetectorSettings, Entry, Isolated, WorkingSettings
 from roadtorch.imaging.color import plane
 from roadtorch.imaging.resize import WorkingSize, full_size
+from roadtorch.road.fusion import PRIORS, Prior
 from roadtorch.road.seed_area import seed_rectangle
 from roadtorch.ufl.features import DictionarySettings, assign
 from roadtorch.ufl.maps import MapSettings, learn_features
@@ -20,9 +21,16 @@ from roadtorch.ufl.region_cut import (
     cut_road,
 )
 from roadtorch.ufl.road import map_to_image, mask_to_image
-from roadtorch.vanishing.borders import BorderSettings, find_borders, road_between
-from roadtorch.vanishing.orientation import GaborBank, dominant_orientation, gabor_responses
-from roadtorch.vanishing.voting import VotingSettings, vote_vanishing_point
+from roadtorch.vanishing import (
+    BorderSettings,
+    GaborBank,
+    VotingSettings,
+    dominant_orientation,
+    find_borders,
+    gabor_responses,
+    road_between,
+    vote_vanishing_point,
+)
 
 KONG_PIXELS = 240 * 180
 """Kong et al. look at pictures of 240x180 pixels."""
@@ -50,11 +58,7 @@ def vanishing_point_road(image: Tensor, settings: VanishingPointSettings) -> dic
     if point is not None:
         borders = find_borders(image, orientation, point, settings.borders)
         likelihood = road_between(borders, (image.shape[1], image.shape[2])).to(image)
-    return {
-        "likelihood": likelihood,
-        "orientation": orientation / 180,
-        "confidence": confidence,
-    }
+    return {"likelihood": likelihood, "orientation": orientation / 180, "confidence": confidence}
 
 
 class KmeansRoadSettings(DetectorSettings):
@@ -90,6 +94,13 @@ def kmeans_road(image: Tensor, settings: KmeansRoadSettings) -> dict[str, Tensor
     return {"likelihood": full["road"].to(image), "clusters": full["clusters"]}
 
 
+def located(image: Tensor, settings: DetectorSettings, prior: Prior) -> dict[str, Tensor]:
+    """A location prior as an answer: ``prior(height, width)``, whatever the image (3,H,W) shows."""
+    return {"likelihood": prior(*image.shape[-2:]).to(image)}
+
+
+SUMMARIES = ("0.5 everywhere", "row / height", "a triangle ahead of the car")
+
 ENTRIES = (
     Entry(
         "kmeans-road",
@@ -102,5 +113,10 @@ ENTRIES = (
         "between borders from a voted vanishing point (Kong et al.)",
         VanishingPointSettings,
         partial(Analysis, vanishing_point_road),
+    ),
+    *(
+        Entry(f"prior:{name}", summary, DetectorSettings, build, baseline=True)
+        for (name, prior), summary in zip(PRIORS.items(), SUMMARIES, strict=True)
+        for build in [partial(Analysis, partial(located, prior=prior))]
     ),
 )

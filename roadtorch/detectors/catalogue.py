@@ -11,15 +11,7 @@ from typing import Any
 
 from roadtorch.camera.camera import Camera
 from roadtorch.detector import Detector, DetectorSettings, Entry
-from roadtorch.detectors import (
-    baselines,
-    fusion,
-    layout,
-    oneclass,
-    priors,
-    texture,
-    ufl,
-)
+from roadtorch.detectors import baselines, fusion, layout, oneclass, texture, ufl
 from roadtorch.errors import ConfigError, unknown_name
 from roadtorch.io.image import Order
 from roadtorch.runtime.plugins import load_plugins
@@ -34,7 +26,6 @@ ENTRIES: tuple[Entry, ...] = (
     *ufl.ENTRIES,
     *baselines.ENTRIES,
     *oneclass.ENTRIES,
-    *priors.ENTRIES,
 )
 """All detectors of this package."""
 
@@ -76,14 +67,14 @@ def list_detectors(pattern: str | None = None) -> list[str]:
     if pattern is None:
         return list(detector_groups())
     fitting = [detector_entry(name) for name in fnmatch.filter(sorted(_catalogue()), pattern)]
-    found = [one for one in fitting if not one.grid or one.grid.fits(pattern)]
     if not fitting:
         raise unknown_detector(pattern)
-    if not found:
-        grids = sorted({one.grid.name for one in fitting if one.grid})
+    names = [entry.name for entry in fitting if not entry.grid or entry.grid.fits(pattern)]
+    if not names:
+        grids = sorted({entry.grid.name for entry in fitting if entry.grid})
         what = f"fits only detectors of {', '.join(grids)}"
         raise ConfigError(pattern, what, "begin it with the name of the family")
-    return [one.name for one in found]
+    return names
 
 
 def detector_entry(name: str) -> Entry:
@@ -119,12 +110,11 @@ def unknown_detector(name: str) -> ConfigError:
     return unknown_name("detector", name, _catalogue(), detector_groups())
 
 
-def register(entry: Entry) -> None:
-    """Add a detector for this process; ConfigError when its name is taken."""
-    _add(_catalogue(), entry)
-
-
-def _add(entries: dict[str, Entry], entry: Entry) -> None:
+def register(entry: object, entries: dict[str, Entry] | None = None) -> None:
+    """Add a detector to the entries of this process; ConfigError when its name is taken."""
+    entries = _catalogue() if entries is None else entries
+    if not isinstance(entry, Entry):
+        raise ConfigError(repr(entry), "is no Entry", "name an Entry or a sequence of them")
     if entry.name in entries:
         raise ConfigError(entry.name, "is the name of another detector", "choose a new name")
     if not issubclass(entry.settings, DetectorSettings):
@@ -136,17 +126,13 @@ def _add(entries: dict[str, Entry], entry: Entry) -> None:
 @cache
 def _catalogue() -> dict[str, Entry]:
     entries: dict[str, Entry] = {}
+
     for entry in ENTRIES:
-        _add(entries, entry)
-    load_plugins(ENTRY_POINT_GROUP, "detectors", lambda _, offered: _add_all(entries, offered))
+        register(entry, entries)
+
+    def add(_: str, offered: object) -> None:
+        for entry in offered if isinstance(offered, Iterable) else (offered,):
+            register(entry, entries)
+
+    load_plugins(ENTRY_POINT_GROUP, "detectors", add)
     return entries
-
-
-def _add_all(entries: dict[str, Entry], offered: object) -> None:
-    """Add what an entry point names: an entry, or a sequence of them."""
-    if not isinstance(offered, Iterable):
-        offered = (offered,)
-    for entry in offered:
-        if not isinstance(entry, Entry):
-            raise ConfigError(repr(entry), "is no Entry", "name an Entry or a sequence of them")
-        _add(entries, entry)

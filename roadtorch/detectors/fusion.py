@@ -1,8 +1,8 @@
 """The fused detectors: naive Bayes over layout, texture and, in ours, more (P2 section 5)."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
-from typing import ClassVar, Literal
+from typing import Literal
 
 import torch
 from pydantic import Field
@@ -26,13 +26,11 @@ from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of, picture_network_of
 from roadtorch.road.ego import continued, ego_found, is_anywhere
 from roadtorch.road.fusion import (
+    PRIORS,
     RULES,
     fused_log_odds,
     likelihood_product,
     log_odds,
-    prior_rows,
-    prior_triangle,
-    prior_uniform,
     road_place,
     seed_log_odds,
     segment_road,
@@ -70,10 +68,6 @@ class RoadCalibration(Settings):
     Platt scaling: what is found depends on evidence that is not independent, and says too much.
     """
 
-    removed: ClassVar[Mapping[str, str]] = {
-        "own": "leave it out: what parts the very picture (Otsu) has no part any more"
-    }
-
     centre: float = Field(
         default=-0.5, ge=-20, le=20, description="log odds that part road in most pictures"
     )
@@ -84,12 +78,6 @@ class RoadCalibration(Settings):
 
 class UntrainedFusionSettings(WorkingSettings):
     """The fused detector without a network."""
-
-    removed: ClassVar[Mapping[str, str]] = {
-        "road": "leave it out: its numbers are constants of roadtorch.road.fusion now",
-        "saturation": "leave it out: its numbers are constants now; cpf:v2 can be told them",
-        "texture": "leave it out: fusion has the defaults of cpf, which can be told it",
-    }
 
     threshold: Threshold = Field(default=0.39, description=TUNED)
     superpixels: Superpixels = Superpixels()
@@ -138,15 +126,6 @@ class PaperFusionSettings(WorkingSettings):
     prior: Literal["uniform", "rows", "triangle"] = Field(
         default="uniform", description="where road is likely before the picture is seen (eq. 4)"
     )
-
-
-SATURATION = Saturation()
-
-PRIORS: Mapping[str, Callable[[int, int], Tensor]] = {
-    "uniform": prior_uniform,
-    "rows": prior_rows,
-    "triangle": prior_triangle,
-}
 
 
 @lean
@@ -217,9 +196,9 @@ class Fusion(nn.Module):
         """What is known from other streets of an image (3,H,W): ``layout``, ``road``, ``ego``."""
         return self.network.cues(image)
 
-    def judge(self, mask: Tensor, found: Mapping[str, Tensor]) -> Judgement:
-        """How far a mask bool (H,W) of what was found can be trusted."""
-        signs = signs_of(found["likelihood"], mask, found)
+    def judge(self, mask: Tensor, cues: Mapping[str, Tensor]) -> Judgement:
+        """How far a mask bool (H,W) can be trusted; the likelihood is one of the cues."""
+        signs = signs_of(cues["likelihood"], mask, cues)
         return judgement(signs, bool(mask.any()), self.settings.trust)
 
 
@@ -231,7 +210,7 @@ def seen_from(
     image: (3,H,W) as it was measured; seed: bool (H,W); sources: numbers (k,) of its segments.
     """
     labels, settings = segments.labels, TextureSettings()
-    fused, uniformity, clipped = unsaturated_uniformity(image, labels, seed, settings, SATURATION)
+    fused, uniformity, clipped = unsaturated_uniformity(image, labels, seed, settings, Saturation())
     even = uniformity_likelihood(uniformity, settings.even)
     near = distance_likelihood(seed_distance(segments, sources), RULES.reach)
     cues: dict[str, Cue] = {
@@ -263,8 +242,9 @@ class PaperFusion(nn.Module):
         if settings.descriptor == "cpf":
             fused, values = fused_uniformity(image, labels, labels >= 0, seed, texture)
         else:
-            saturation = settings.saturation
-            fused, values, _ = unsaturated_uniformity(image, labels, seed, texture, saturation)
+            fused, values, _ = unsaturated_uniformity(
+                image, labels, seed, texture, settings.saturation
+            )
         uniformity = paint(values, labels)
         prior = PRIORS[settings.prior](*labels.shape).to(image)
         return {

@@ -41,11 +41,11 @@ class LayoutSettings(WorkingSettings):
 @lean
 def labeller(image: Tensor, settings: LabellerDetectorSettings) -> dict[str, Tensor]:
     """The ground that the labeller finds in the picture itself; no weights."""
-    found = label_whole(image, settings.labeller, settings.superpixels)
+    layout = label_whole(image, settings.labeller, settings.superpixels)
     return {
-        "likelihood": found.potentials[HORIZONTAL],
-        "layout": found.potentials,
-        "layout_labels": found.labels,
+        "likelihood": layout.potentials[HORIZONTAL],
+        "layout": layout.potentials,
+        "layout_labels": layout.labels,
     }
 
 
@@ -86,10 +86,7 @@ class Layout(nn.Module):
 
 ENTRIES = (
     Entry(
-        "layout",
-        "layout by a network and the labeller: the best we know",
-        LayoutSettings,
-        Layout,
+        "layout", "layout by a network and the labeller: the best we know", LayoutSettings, Layout
     ),
     Entry(
         "layout:research",

@@ -2,20 +2,14 @@
 
 from collections.abc import Callable, Iterator
 from functools import cache, partial
+from itertools import product
 from typing import Any, ClassVar
 
 import torch
 from pydantic import Field, create_model
 from torch import Tensor
 
-from roadtorch.detector import (
-    Analysis,
-    DetectorGrid,
-    Entry,
-    Isolated,
-    Threshold,
-    WorkingSettings,
-)
+from roadtorch.detector import Analysis, DetectorGrid, Entry, Isolated, Threshold, WorkingSettings
 from roadtorch.imaging.color import REPRESENTATIONS
 from roadtorch.imaging.resize import WorkingSize
 from roadtorch.oneclass import CLASSIFIERS
@@ -52,14 +46,12 @@ PAPER = DetectorGrid(
     "those of which the default is ours, as P3 has them to the letter",
     {
         f"{_name(classifier, planes)}:paper": "is P3's to the letter without that"
-        for classifier in CLASSIFIERS.values()
-        for planes in REPRESENTATIONS
+        for classifier, planes in product(CLASSIFIERS.values(), REPRESENTATIONS)
         if not classifier.paper
     },
 )
 
-PIXELS = 640 * 480
-"""Of P3's pictures, as far as is known."""
+PIXELS = 640 * 480  # of P3's pictures, as far as is known
 
 MAX_DISTANCE = 1000.0
 """Thresholds beyond which the cue ``distance`` is cut off: empty bins are infinitely far."""
@@ -88,11 +80,12 @@ class OneClassSettings(WorkingSettings):
 
     def __reduce__(self) -> tuple[Callable[..., "OneClassSettings"], tuple[str, dict[str, Any]]]:
         """Pickled by the classifier's name: its model is made by a function, not a statement."""
-        return _settings_again, (self.taught.name, self.model_dump())
+        return self.again, (self.taught.name, self.model_dump())
 
-
-def _settings_again(name: str, values: dict[str, Any]) -> OneClassSettings:
-    return settings_of(CLASSIFIERS[name]).model_validate(values)
+    @staticmethod
+    def again(name: str, values: dict[str, Any]) -> "OneClassSettings":
+        """The settings of the classifier of that name with these values."""
+        return settings_of(CLASSIFIERS[name]).model_validate(values)
 
 
 @cache
@@ -106,13 +99,8 @@ def settings_of(classifier: Classifier) -> type[OneClassSettings]:
     every = issubclass(own, HistogramSettings)
     samples = AllSampleSettings if every else SampleSettings
     fields: dict[str, Any] = {"classifier": (own, own()), "samples": (samples, samples())}
-    made = create_model(
-        f"{classifier.name}_settings",
-        __base__=OneClassSettings,
-        __doc__=own.__doc__,
-        __module__=__name__,
-        **fields,
-    )
+    name, doc = f"{classifier.name}_settings", own.__doc__
+    made = create_model(name, __base__=OneClassSettings, __doc__=doc, __module__=__name__, **fields)
     made.taught = classifier
     return made
 
@@ -142,20 +130,15 @@ def judged(
 
 
 def _entries() -> Iterator[Entry]:
-    for classifier in CLASSIFIERS.values():
-        for planes in REPRESENTATIONS:
-            name = _name(classifier, planes)
-            summary = f"{classifier.summary}, in {planes} (Álvarez 2014)"
-            find = partial(judged, classifier=classifier, planes=planes)
-            build = partial(Analysis, find)
-            if name not in GRID.refused:
-                yield Entry(name, summary, settings_of(classifier), build, GRID)
-            if classifier.paper:
-                letter = f"{summary}, to the letter"
-                values = {"classifier": classifier.paper}
-                yield Entry(
-                    f"{name}:paper", letter, settings_of(classifier), build, PAPER, values=values
-                )
+    for classifier, planes in product(CLASSIFIERS.values(), REPRESENTATIONS):
+        name, kind = _name(classifier, planes), settings_of(classifier)
+        summary = f"{classifier.summary}, in {planes} (Álvarez 2014)"
+        build = partial(Analysis, partial(judged, classifier=classifier, planes=planes))
+        if name not in GRID.refused:
+            yield Entry(name, summary, kind, build, GRID)
+        if classifier.paper:
+            letter, values = f"{summary}, to the letter", {"classifier": classifier.paper}
+            yield Entry(f"{name}:paper", letter, kind, build, PAPER, values=values)
 
 
 ENTRIES = tuple(_entries())

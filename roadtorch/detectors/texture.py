@@ -1,7 +1,6 @@
 """Detectors that rest on texture alone: colour plane fusion, grey uniformity, LBP (P2)."""
 
 from functools import partial
-from typing import Literal
 
 import torch
 from pydantic import Field
@@ -16,13 +15,13 @@ from roadtorch.road.texture import (
     TextureSettings,
     fused_uniformity,
     quantise,
-    segment_histograms,
     similarity,
+    uniform_patterns,
     uniformity,
     uniformity_likelihood,
     unsaturated_uniformity,
 )
-from roadtorch.superpixels.segments import paint
+from roadtorch.superpixels.segments import paint, segment_histogram
 from roadtorch.superpixels.slic import Superpixels, squares
 
 
@@ -34,12 +33,10 @@ class CpfSettings(WorkingSettings):
     texture: TextureSettings = TextureSettings()
 
 
-class CpfV2Settings(WorkingSettings):
+class CpfV2Settings(CpfSettings):
     """Colour plane fusion over superpixels, without saturated pixels."""
 
     threshold: Threshold = Field(default=0.52, description=TUNED)
-    superpixels: Superpixels = Superpixels()
-    texture: TextureSettings = TextureSettings()
     saturation: Saturation = Saturation()
 
 
@@ -69,51 +66,33 @@ class LbpSettings(WorkingSettings):
 
     threshold: Threshold = Field(default=0.97, description=TUNED)
     superpixels: Superpixels = Superpixels()
-    patterns: Literal["uniform", "smallest"] = Field(
-        default="uniform", description="runs of brighter neighbours, or smallest rotation"
-    )
 
 
 @lean
-def cpf(image: Tensor, settings: CpfSettings) -> dict[str, Tensor]:
-    """Colour plane fusion: U of the fused plane over superpixels (P2, section 4)."""
-    return _cues_over(settings.superpixels.cut(image), image, settings)
+def cpf(image: Tensor, settings: CpfSettings | CpfSquaresSettings) -> dict[str, Tensor]:
+    """Colour plane fusion: U of the fused plane over segments (P2, section 4).
 
-
-@lean
-def cpf_squares(image: Tensor, settings: CpfSquaresSettings) -> dict[str, Tensor]:
-    """Colour plane fusion over squares, which P2 compares superpixels with."""
-    labels = squares(image.shape[-2], image.shape[-1], settings.square)
-    return _cues_over(labels.to(image.device), image, settings)
-
-
-def _cues_over(
-    labels: Tensor, image: Tensor, settings: CpfSettings | CpfSquaresSettings
-) -> dict[str, Tensor]:
-    everywhere = torch.ones_like(labels, dtype=torch.bool)
+    Over superpixels or over squares, which P2 compares them with, and without saturated pixels
+    (section 6.2) where the settings have them.
+    """
+    if isinstance(settings, CpfSquaresSettings):
+        labels = squares(image.shape[-2], image.shape[-1], settings.square).to(image.device)
+    else:
+        labels = settings.superpixels.cut(image)
     seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
-    fused, values = fused_uniformity(image, labels, everywhere, seed, settings.texture)
-    return _texture_cues(labels, fused, values, settings.texture.even)
-
-
-@lean
-def cpf_v2(image: Tensor, settings: CpfV2Settings) -> dict[str, Tensor]:
-    """Colour plane fusion without saturated pixels (P2, section 6.2)."""
-    labels = settings.superpixels.cut(image)
-    seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
-    fused, values, clipped = unsaturated_uniformity(
-        image, labels, seed, settings.texture, settings.saturation
-    )
-    cues = _texture_cues(labels, fused, values, settings.texture.even)
-    return {**cues, "saturated": clipped}
-
-
-def _texture_cues(labels: Tensor, fused: Tensor, values: Tensor, even: float) -> dict[str, Tensor]:
+    clipped = {}
+    if isinstance(settings, CpfV2Settings):
+        fused, values, clipped["saturated"] = unsaturated_uniformity(
+            image, labels, seed, settings.texture, settings.saturation
+        )
+    else:
+        fused, values = fused_uniformity(image, labels, labels >= 0, seed, settings.texture)
     return {
-        "likelihood": paint(uniformity_likelihood(values, even), labels),
+        "likelihood": paint(uniformity_likelihood(values, settings.texture.even), labels),
         "uniformity": paint(values, labels),
         "fused_plane": fused,
         "segments": labels,
+        **clipped,
     }
 
 
@@ -122,7 +101,8 @@ def grey_uniformity(image: Tensor, settings: GreyUniformitySettings) -> dict[str
     """U of the grey image over superpixels, P2's baseline without fusion."""
     labels = settings.superpixels.cut(image)
     levels = quantise(plane(image, "grey"), settings.bins, 0, 1)
-    painted = paint(uniformity(segment_histograms(levels, labels, settings.bins)), labels)
+    counts = segment_histogram(levels, labels, int(labels.max()) + 1, settings.bins)
+    painted = paint(uniformity(counts), labels)
     likelihood = uniformity_likelihood(painted, settings.even)
     return {"likelihood": likelihood, "uniformity": painted, "segments": labels}
 
@@ -130,35 +110,23 @@ def grey_uniformity(image: Tensor, settings: GreyUniformitySettings) -> dict[str
 @lean
 def lbp(image: Tensor, settings: LbpSettings) -> dict[str, Tensor]:
     """Local binary patterns like those of the seed area, P2's texture baseline."""
-    patterns_of, codes = PATTERNS[settings.patterns]
     labels = settings.superpixels.cut(image)
-    patterns = patterns_of(plane(image, "grey"))
-    counts = segment_histograms(patterns, labels, codes)
+    patterns = uniform_patterns(plane(image, "grey"))
+    counts = segment_histogram(patterns, labels, int(labels.max()) + 1, PATTERNS)
     area = seed_area(labels.shape[-2], labels.shape[-1], settings.seed_area)
-    reference = torch.bincount(patterns[area].flatten(), minlength=codes).to(counts)
+    reference = torch.bincount(patterns[area].flatten(), minlength=PATTERNS).to(counts)
     likelihood = paint(similarity(counts, reference), labels)
     return {"likelihood": likelihood, "patterns": patterns, "segments": labels}
 
 
+CPF = partial(Analysis, cpf)
+
 ENTRIES = (
     Entry(
-        "cpf",
-        "uniformity of fused colour planes over superpixels (Álvarez 2012)",
-        CpfSettings,
-        partial(Analysis, cpf),
+        "cpf", "uniformity of fused colour planes over superpixels (Álvarez 2012)", CpfSettings, CPF
     ),
-    Entry(
-        "cpf:v2",
-        "the same without saturated pixels (Álvarez 2012)",
-        CpfV2Settings,
-        partial(Analysis, cpf_v2),
-    ),
-    Entry(
-        "cpf:squares",
-        "the same as cpf over squares (Álvarez 2012)",
-        CpfSquaresSettings,
-        partial(Analysis, cpf_squares),
-    ),
+    Entry("cpf:v2", "the same without saturated pixels (Álvarez 2012)", CpfV2Settings, CPF),
+    Entry("cpf:squares", "the same as cpf over squares (Álvarez 2012)", CpfSquaresSettings, CPF),
     Entry(
         "grey-uniformity",
         "uniformity of the grey image (Álvarez 2012)",

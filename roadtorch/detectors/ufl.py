@@ -11,20 +11,8 @@ from roadtorch.detector import Analysis, DetectorSettings, Entry, Threshold
 from roadtorch.imaging.resize import full_size
 from roadtorch.road.seed_area import remove_isolated, seed_rectangle
 from roadtorch.ufl.features import DictionarySettings
-from roadtorch.ufl.hierarchy import (
-    RegionTreeSettings,
-    build_tree,
-    threshold_regions,
-    thresholds,
-)
-from roadtorch.ufl.maps import (
-    LearnedFeatures,
-    MapSettings,
-    dictionary_picture,
-    learn_features,
-    mean_map,
-    mosaic,
-)
+from roadtorch.ufl.hierarchy import RegionTreeSettings, build_tree, threshold_regions, thresholds
+from roadtorch.ufl.maps import MapSettings, dictionary_picture, learn_features, mean_map, mosaic
 from roadtorch.ufl.preprocess import Smoothing, WorkingShape, bicubic
 from roadtorch.ufl.road import (
     SHARPNESS,
@@ -61,33 +49,30 @@ def ufl(image: Tensor, settings: UflSettings) -> Mapping[str, Tensor]:
     height, width = image.shape[-2:]
     small = bicubic(image, settings.working.size(height, width))
     learned = learn_features(small, settings.smoothing, settings.dictionary, settings.maps)
-    cues = road_cues(learned, settings)
-    likelihood = enlarged_likelihood(cues["likelihood"], (height, width))
-    return full_size(cues, (height, width)).but(likelihood=likelihood)
-
-
-def road_cues(learned: LearnedFeatures, settings: UflSettings) -> dict[str, Tensor]:
-    """The likelihood (H,W) and the cues, from what was learned (P1, section II.C)."""
-    side = settings.dictionary.side
-    found = learned.maps
-    mean = mean_map(found.maps, settings.maps.scale)
+    features, side = learned.maps, settings.dictionary.side
+    # The road among them: P1, section II.C.
+    mean = mean_map(features.maps, settings.maps.scale)
     regions = threshold_regions(mean, thresholds(settings.tree.levels, settings.tree.top))
     tree = build_tree(regions, settings.tree.least, settings.tree.nodes)
-    rounds = find_road(found.maps, mean, tree, settings.road)
+    rounds = find_road(features.maps, mean, tree, settings.road)
     masks = [mask_to_image(widened(step.road, settings.road.dilation), side) for step in rounds]
     if settings.isolated == "drop":
         seed = seed_rectangle(masks[0].shape, settings.seed_area)
         masks = [remove_isolated(mask, seed) for mask in masks]
+    size = (mean.shape[0], mean.shape[1])
     stable = torch.sigmoid(SHARPNESS * rounds[-1].pixels).to(mean)
     pixels = map_to_image(stable.where(mean > 0, 0), side)  # 0 where no selected base responds
-    return {
-        "likelihood": road_likelihood(masks[-1], pixels),
+    likelihood = road_likelihood(masks[-1], pixels)
+    cues = {
+        "likelihood": likelihood,
         "equalised": learned.even,
-        "dictionary": dictionary_picture(learned.dictionary, found.order, side, tuple(mean.shape)),
-        "selected_maps": mosaic(found.maps[:, None], tuple(mean.shape))[0],
-        **map_pictures(found, mean, tree, rounds[-1], side),
+        "dictionary": dictionary_picture(learned.dictionary, features.order, side, size),
+        "selected_maps": mosaic(features.maps[:, None], size)[0],
+        **map_pictures(features, mean, tree, rounds[-1], side),
         **{f"iteration_{number}": mask for number, mask in enumerate(masks, 1)},
     }
+    enlarged = enlarged_likelihood(likelihood, (height, width))
+    return full_size(cues, (height, width)).but(likelihood=enlarged)
 
 
 TEXT = {

@@ -2,20 +2,23 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 from torch import Tensor
 
-from roadtorch.data.dataset import Dataset, Item, Truth
-from roadtorch.errors import DatasetError, RoadtorchError
-from roadtorch.evaluation.methods import Method
+from roadtorch.data.dataset import Dataset, LabelledItem, Truth
+from roadtorch.errors import DatasetError, InputError, RoadtorchError
+from roadtorch.evaluation.methods import Contender
 from roadtorch.evaluation.result import Failure
+from roadtorch.evaluation.scoring import Looks
+from roadtorch.inputs.item import Item
 from roadtorch.io.image import read_image
+from roadtorch.run.workers import DIED, workers_for
 from roadtorch.runtime.image_cache import image_cache
 from roadtorch.runtime.progress import Progress
-from roadtorch.sources.pictures import Picture
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,7 @@ class Disagreement:
     second_trust: NaN where the detector has none.
     """
 
-    item: Item
+    item: LabelledItem
     differs: float
     first: float
     second: float
@@ -52,14 +55,14 @@ class Disagreement:
 class Unlabelled:
     """The reader of a set without labels."""
 
-    def truth(self, item: Item) -> Truth:
+    def truth(self, item: LabelledItem) -> Truth:
         """Always raises DatasetError."""
         raise DatasetError(item.image, "has no label", "give a labelled set")
 
 
-def unlabelled_set(pictures: Iterable[Picture]) -> Dataset:
+def unlabelled_set(pictures: Iterable[Item]) -> Dataset:
     """Pictures as a set whose truth nobody knows."""
-    items = tuple(Item(one.name, one.path, one.path) for one in pictures)
+    items = tuple(LabelledItem(picture.name, picture.path, picture.path) for picture in pictures)
     return Dataset("pictures", Path(), "", items, Unlabelled())
 
 
@@ -68,35 +71,61 @@ class Disagreements:
     """Two methods on a set without labels. pictures: those that differ most first, then by name."""
 
     dataset: Dataset
-    methods: tuple[Method, Method]
+    methods: tuple[Contender, Contender]
     pictures: Sequence[Disagreement]
     failures: Sequence[Failure]
 
 
-def disagreements(
-    dataset: Dataset, methods: tuple[Method, Method], quiet: bool = False, **bar: str
-) -> Disagreements:
-    """Every picture as two methods decide on it, each at its own threshold.
+@dataclass(frozen=True)
+class Comparing:
+    """The task of workers: two contenders decide on one picture."""
 
-    bar: what else ``Progress`` is told.
-    """
-    looks = [one.prepare(dataset) for one in methods]
-    pictures, failures = list[Disagreement](), list[Failure]()
-    for item in Progress(dataset.items, unit="image", quiet=quiet, **bar):
+    looks: Looks
+
+    def __call__(self, item: LabelledItem) -> Disagreement | Failure:
+        """How they differ, or why one of them says nothing."""
         try:
             image = read_image(item.image)
             with image_cache():
-                one, other = (look(image, item) for look in looks)
+                first, second = (look(image, item) for look in self.looks.by_name.values())
         except RoadtorchError as problem:
-            failures.append(Failure(item.name, None, str(problem)))
-            continue
-        trusts = [math.nan if each.trust is None else each.trust for each in (one, other)]
-        pictures.append(disagreement(item, one.mask, other.mask, *trusts))
-    pictures.sort(key=lambda one: (-one.differs, one.item.name))
+            return Failure(item.name, None, str(problem))
+        trusts = [
+            math.nan if detection.trust is None else detection.trust
+            for detection in (first, second)
+        ]
+        return disagreement(item, first.mask, second.mask, *trusts)
+
+
+def disagreements(
+    dataset: Dataset,
+    methods: tuple[Contender, Contender],
+    jobs: int | None = None,
+    quiet: bool = False,
+    **bar: str,
+) -> Disagreements:
+    """Every picture as two methods decide on it, each at its own threshold.
+
+    jobs: processes, None for what pays. bar: what else ``Progress`` is told.
+    """
+    task, items = Comparing(Looks(dataset, methods)), dataset.items
+    results = workers_for(jobs, len(items)).map(task, items, _died)
+    pictures, failures = list[Disagreement](), list[Failure]()
+    with closing(results):
+        for result in Progress(results, total=len(items), unit="image", quiet=quiet, **bar):
+            if isinstance(result, Failure):
+                failures.append(result)
+            else:
+                pictures.append(result)
+    pictures.sort(key=lambda pair: (-pair.differs, pair.item.name))
     return Disagreements(dataset, methods, pictures, failures)
 
 
-def disagreement(item: Item, first: Tensor, second: Tensor, *trusts: float) -> Disagreement:
+def _died(item: LabelledItem) -> Failure:
+    return Failure(item.name, None, str(InputError(item.image, *DIED)))
+
+
+def disagreement(item: LabelledItem, first: Tensor, second: Tensor, *trusts: float) -> Disagreement:
     """What two masks bool (H,W) of one picture differ in; trusts: of both, if they are known."""
     shares = [
         float(mask.double().mean()) for mask in (first, second, first & ~second, second & ~first)

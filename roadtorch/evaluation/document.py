@@ -1,19 +1,15 @@
-"""An evaluation as metrics.json and curves.json have it, and what a later run reads back."""
+"""An evaluation as metrics.json and curves.json have it."""
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, TypedDict
 
 import torch
-from pydantic import BaseModel, Field, ValidationError
 from torch import Tensor
 
-from roadtorch.errors import ConfigError, InputError
 from roadtorch.evaluation import curves
 from roadtorch.evaluation.curves import Curve
-from roadtorch.evaluation.measure import Figures, Measure, Trusted
-from roadtorch.evaluation.methods import Method
+from roadtorch.evaluation.measure import Figures, Measure
 from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.result import (
     DetectorFigures,
@@ -21,9 +17,8 @@ from roadtorch.evaluation.result import (
     best_median_worst,
     pictures_by_f,
 )
-from roadtorch.evaluation.tally import WHOLE, Tally, trusted, vertical_roc
-from roadtorch.evaluation.trust import ideal_risk_coverage, risk_coverage
-from roadtorch.io.bounded import read_regular, reason
+from roadtorch.evaluation.tally import WHOLE, Tally, mean_rates
+from roadtorch.evaluation.trust import Trusted, risk_coverage, trusted
 from roadtorch.version import __version__
 
 SHOWN = 10  # best, median and worst pictures in metrics.json
@@ -44,10 +39,12 @@ def document(evaluation: Evaluation, command: str) -> dict[str, Any]:
         "levels": dataset.levels,
         "view": "the picture" if dataset.view is None else dataset.view.name,
         "left_out": evaluation.left_out,
-        "failed": [{"image": one.image, "reason": one.reason} for one in evaluation.failures],
+        "failed": [
+            {"image": failure.image, "reason": failure.reason} for failure in evaluation.failures
+        ],
         "detectors": {
-            name: _detector(one, evaluation.tallies[name], measures)
-            for name, one in evaluation.detectors.items()
+            name: _detector(figures, evaluation.tallies[name], measures)
+            for name, figures in evaluation.detectors.items()
         },
         "paired": {
             "against": evaluation.comparison.against,
@@ -92,8 +89,8 @@ def _detector(one: DetectorFigures, tally: Tally, measures: Sequence[Measure]) -
     }
     return {
         **content,
-        "threshold_default": one.method.threshold,
-        "settings": one.method.settings,
+        "threshold_default": one.contender.threshold,
+        "settings": one.contender.settings,
         "baseline": one.is_baseline,
     }
 
@@ -154,7 +151,8 @@ def group_curves(tally: Tally, counting: Sequence[str]) -> DetectorCurves:
     if list(groups) == [WHOLE]:
         return {"mean": {**groups[WHOLE], **risk}, "groups": {}}
     counts = [tally.road[group] for group in counting]
-    bins = torch.tensor([one["reliability"] for one in groups.values()], dtype=torch.float64)
+    reliabilities = [own["reliability"] for own in groups.values()]
+    bins = torch.tensor(reliabilities, dtype=torch.float64)
     mean: Curves = {
         "roc": _lists(mean_roc(counts)),
         "pr": _lists(mean_precision(counts)),
@@ -165,13 +163,13 @@ def group_curves(tally: Tally, counting: Sequence[str]) -> DetectorCurves:
 
 
 def _curves_of(tally: Tally, group: str) -> Curves:
-    counts, vertical = tally.road[group], vertical_roc(tally, [group])
+    counts, rates = tally.road[group], mean_rates(tally, [group])
     bins = curves.reliability(counts)
     return {
         "roc": _thinned(curves.roc(counts)),
         "pr": _thinned(curves.precision_recall(counts)),
         "reliability": [_rounded(each) for each in (bins.predicted, bins.observed, bins.share)],
-        "roc_vertical": None if vertical is None else _lists(vertical),
+        "roc_vertical": None if rates is None else _lists(curves.vertical_average(rates)),
         "roc_threshold": _thinned(curves.threshold_average(tally.kept([group]).road)),
     }
 
@@ -182,7 +180,7 @@ def risk_curves(pictures: Trusted | None) -> Curves:
         return {}
     return {
         "risk": _thinned(risk_coverage(pictures.trust, pictures.f)),
-        "risk_ideal": _thinned(ideal_risk_coverage(pictures.f)),
+        "risk_ideal": _thinned(risk_coverage(pictures.f, pictures.f)),
     }
 
 
@@ -212,41 +210,3 @@ def _lists(curve: Curve) -> list[list[float]]:
 
 def _rounded(values: Tensor) -> Any:
     return values.to(torch.float64).mul(10**DIGITS).round().div(10**DIGITS).tolist()
-
-
-# --- thresholds of an earlier run -------------------------------------------------------
-
-
-class _EarlierFigures(BaseModel):
-    maxf_threshold: float | None = Field(ge=0, le=1, allow_inf_nan=False)
-    settings: dict[str, Any] = {}
-
-
-class _EarlierRun(BaseModel):
-    detectors: dict[str, _EarlierFigures]
-
-
-def earlier_thresholds(path: Path, methods: Sequence[Method]) -> dict[str, float]:
-    """For every method the threshold that an earlier run chose on all its groups.
-
-    path: its metrics.json. Raises InputError for another file; ConfigError when the run has
-    no such detector, or it had other settings: a threshold means nothing for another detector.
-    """
-    try:
-        earlier = _EarlierRun.model_validate_json(read_regular(path)).detectors
-    except OSError as problem:
-        what = f"cannot be read: {reason(problem)}"
-        raise InputError(path, what, "give a metrics.json") from None
-    except ValidationError:
-        raise InputError(path, "is not a metrics.json", "give one that evaluate wrote") from None
-    chosen: dict[str, float] = {}
-    for name, settings in ((one.name, one.settings) for one in methods):
-        threshold = earlier[name].maxf_threshold if name in earlier else None
-        if threshold is None:
-            known = sorted(key for key, one in earlier.items() if one.maxf_threshold is not None)
-            raise ConfigError(path, f"has no threshold for {name}", f"it has {', '.join(known)}")
-        if earlier[name].settings != settings:
-            what = f"chose the threshold of {name} with other settings"
-            raise ConfigError(path, what, "run both with the same --set")
-        chosen[name] = threshold
-    return chosen

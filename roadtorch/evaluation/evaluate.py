@@ -3,9 +3,7 @@
 A run that is interrupted goes on where it was: its counts so far are in one file.
 """
 
-import hashlib
 import io
-import json
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -16,20 +14,18 @@ from typing import Any
 import torch
 
 from roadtorch.data.dataset import Dataset, every_kth
+from roadtorch.detector import DetectorSettings
 from roadtorch.detectors.catalogue import detector_entry
-from roadtorch.errors import ConfigError, DatasetError, UnscorableError, unknown_name
-from roadtorch.evaluation import metrics
-from roadtorch.evaluation.document import earlier_thresholds
-from roadtorch.evaluation.measure import Measure
-from roadtorch.evaluation.measures import MAXF, MEASURES
-from roadtorch.evaluation.methods import Method, methods_for
-from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.result import Evaluation, Failure, held_out_thresholds, summarise
+from roadtorch.errors import DatasetError, UnscorableError, unknown_name
+from roadtorch.evaluation.measure import Figures, Measure
+from roadtorch.evaluation.measures import IOU, MEASURES, F
+from roadtorch.evaluation.methods import Contender, contenders
+from roadtorch.evaluation.result import Evaluation, Failure, summarise
 from roadtorch.evaluation.scoring import score
 from roadtorch.evaluation.tally import Scored, Tally
 from roadtorch.evaluation.uncertainty import compare, intervals, resample
-from roadtorch.io.atomic import atomic
-from roadtorch.settings import Settings
+from roadtorch.io.atomic import digest_of
+from roadtorch.run.memo import keep, kept, key_of
 
 Watch = Callable[[Iterator[Scored], int, int], Iterable[Scored]]
 """Results as they come, how many pictures were done before, of how many → the same results."""
@@ -51,7 +47,7 @@ def evaluate(
     threshold_from: Path | None = None,
     against: str | None = None,
     measures: Sequence[Measure] = MEASURES,
-    jobs: int = 1,
+    jobs: int | None = 1,
     keep_in: Path | None = None,
     watch: Watch = unwatched,
 ) -> Evaluation:
@@ -62,8 +58,8 @@ def evaluate(
     limit: look at so many pictures only, evenly spread. mean_from: the set that teaches
     ``prior:mean`` where the groups of this one cannot. threshold_from: the metrics.json of
     an earlier run whose thresholds are taken. against: the detector that all are compared
-    with, the best one if not given. measures: what is measured. jobs: processes; the figures
-    do not depend on it.
+    with, the best one if not given. measures: what is measured. jobs: processes, None for what
+    pays; the figures do not depend on it.
     keep_in: a folder that keeps what is counted, so that an interrupted run goes on when it
     is started again; ``forget`` it when the result is safe. watch: sees the results pass,
     and may raise to interrupt.
@@ -71,39 +67,33 @@ def evaluate(
     Raises ConfigError for what can be refused before the run, DatasetError when no picture
     could be scored, UnscorableError when no label has any road.
     """
-    methods = methods_for(dataset, detectors, settings or {}, maps or {}, mean_from)
-    given = earlier_thresholds(threshold_from, methods) if threshold_from else {}
-    return evaluated(dataset, methods, given, limit, against, measures, jobs, keep_in, watch)
+    entries = contenders(dataset, detectors, settings or {}, maps or {}, mean_from, threshold_from)
+    return evaluated(dataset, entries, limit, against, measures, jobs, keep_in, watch)
 
 
 def evaluated(
     dataset: Dataset,
-    methods: Sequence[Method],
-    given: Mapping[str, float],
+    entries: Sequence[Contender],
     limit: int | None = None,
     against: str | None = None,
     measures: Sequence[Measure] = MEASURES,
-    jobs: int = 1,
+    jobs: int | None = 1,
     keep_in: Path | None = None,
     watch: Watch = unwatched,
 ) -> Evaluation:
-    """Score methods as they are; given: thresholds of earlier runs by method.
-
-    The rest, and what it raises, as for ``evaluate``.
-    """
-    names = [one.name for one in methods]
+    """Score contenders as they are; the rest, and what it raises, as for ``evaluate``."""
+    names = [entry.name for entry in entries]
     if against is not None and against not in names:
         raise unknown_name("detector of this run", against, names)
     pictures = every_kth(dataset, limit)
-    left_out, conditions = pictures.left_out, pictures.by_condition()
-    tallies, failures = count_all(pictures, methods, jobs, keep_in, watch)
+    conditions = pictures.by_condition()
+    tallies, failures = count_all(pictures, entries, jobs, keep_in, watch)
     figures = {
-        name: summarise(one, tallies[name], given.get(name), measures, left_out, conditions)
-        for name, one in zip(names, methods, strict=True)
+        entry.name: summarise(entry, tallies[entry.name], measures, pictures.left_out, conditions)
+        for entry in entries
     }
     draws = {name: resample(tallies[name], figures[name], measures) for name in names}
-    scores = MAXF.known({name: one.headline for name, one in figures.items()})
-    best = max(scores, key=scores.__getitem__, default=names[0])
+    best = max(names, key=lambda name: figures[name].rank)
     return Evaluation(
         pictures,
         {name: replace(figures[name], intervals=intervals(draws[name])) for name in names},
@@ -115,28 +105,32 @@ def evaluated(
 
 
 def count_all(
-    dataset: Dataset, methods: Sequence[Method], jobs: int, keep_in: Path | None, watch: Watch
+    dataset: Dataset,
+    entries: Sequence[Contender],
+    jobs: int | None,
+    keep_in: Path | None,
+    watch: Watch,
 ) -> tuple[Mapping[str, Tally], list[Failure]]:
     """Run what is left of the pass; the tallies are saved whatever ends it."""
     file = keep_in / FILE if keep_in else None
-    run, failures = fingerprint(dataset, methods), list[Failure]()
-    tallies = read_progress(file, run) if file and file.is_file() else {}
-    done = {name for one in tallies.values() for name, _ in one.pictures}
+    key, failures = key_of_run(dataset, entries) if file else "", list[Failure]()
+    tallies = read_progress(file, key) if file else {}
+    done = {name for tally in tallies.values() for name, _ in tally.pictures}
     saved, pause = time.monotonic(), SAVE_EVERY
     try:
-        for result in watch(score(dataset, methods, jobs, done), len(done), len(dataset.items)):
+        for result in watch(score(dataset, entries, jobs, done), len(done), len(dataset.items)):
             if result.failure:
                 failures.append(Failure(result.item.name, result.item.group, result.failure))
             for name, counts in result.scores.items():
                 tallies.setdefault(name, Tally()).add(result.item, counts)
             if file and tallies and time.monotonic() - saved > pause:
                 start = time.monotonic()
-                write_progress(file, run, tallies)
+                write_progress(file, key, tallies)
                 saved = time.monotonic()
                 pause = max(SAVE_EVERY, (saved - start) / SAVING)
     except BaseException:
         if file and tallies:
-            write_progress(file, run, tallies)
+            write_progress(file, key, tallies)
         raise
     order = [item.name for item in dataset.items]
     for tally in tallies.values():
@@ -156,56 +150,36 @@ def count_all(
 # --- a run that is interrupted ----------------------------------------------------------
 
 
-FILE = "progress.pt"
+FILE = "progress.npz"
 SAVE_EVERY = 20.0  # seconds of work that a power cut may cost, at least
 SAVING = 0.05  # the share of the time that saving may take: hundreds of detectors are a gigabyte
-REMEDY = "run it as before, or give another --out, or remove that file"
 
 
-def fingerprint(dataset: Dataset, methods: Sequence[Method]) -> str:
-    """What makes two runs the same: pictures, labels, detectors with settings, and our code."""
-    files = [
-        (item.name, item.group, *(_stamp(path) for path in (item.image, item.label)))
+def key_of_run(dataset: Dataset, entries: Sequence[Contender]) -> str:
+    """A key of all that the counts depend on: pictures, labels, contenders, by their bytes."""
+    items = [
+        (item.name, item.group, digest_of(item.image), digest_of(item.label))
         for item in dataset.items
     ]
-    code = sorted(Path(__file__).parents[1].rglob("*.py"))
-    about = [(one.name, one.settings, one.threshold) for one in methods]
     groups = sorted(dataset.left_out)  # they teach prior:mean nothing
-    parts = [dataset.name, dataset.split, files, groups, about, [_stamp(path) for path in code]]
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+    made_of = [(entry.name, entry.settings, entry.threshold, entry.digest()) for entry in entries]
+    return key_of(dataset.name, dataset.split, items, groups, made_of)
 
 
-def _stamp(path: Path) -> tuple[str, int, int]:
-    stat = path.stat() if path.exists() else None
-    return str(path), stat.st_size if stat else -1, stat.st_mtime_ns if stat else -1
+def read_progress(path: Path, key: str) -> dict[str, Tally]:
+    """The tallies that ``write_progress`` saved under that key; none of another run."""
+    arrays = kept(path, key)
+    if arrays is None:
+        return {}
+    saved = torch.load(io.BytesIO(arrays["tallies"].numpy().tobytes()), weights_only=True)
+    return {name: Tally(**parts) for name, parts in saved.items()}
 
 
-def read_progress(path: Path, run: str) -> dict[str, Tally]:
-    """The tallies that ``write_progress`` saved.
-
-    Raises ConfigError for a file that another run left there, or that is not the one that was
-    saved: before its bytes stands their SHA-256.
-    """
-    try:
-        content = path.read_bytes()
-        if hashlib.sha256(content[32:]).digest() != content[:32]:
-            raise ValueError("damaged")
-    except (OSError, ValueError):
-        raise ConfigError(path, "is not the progress of a run, or damaged", REMEDY) from None
-    saved = torch.load(io.BytesIO(content[32:]), weights_only=True)
-    if saved["run"] != run:
-        what = "holds the beginning of another run (other pictures, settings or code)"
-        raise ConfigError(path, what, REMEDY)
-    return {name: Tally(**parts) for name, parts in saved["tallies"].items()}
-
-
-def write_progress(path: Path, run: str, tallies: Mapping[str, Tally]) -> None:
-    """Write everything counted so far, whole or not at all; run: its fingerprint."""
+def write_progress(path: Path, key: str, tallies: Mapping[str, Tally]) -> None:
+    """Write everything counted so far, whole or not at all."""
     file = io.BytesIO()
-    parts = {name: vars(tally) for name, tally in tallies.items()}
-    torch.save({"run": run, "tallies": parts}, file)
-    with atomic(path) as temporary:
-        temporary.write_bytes(hashlib.sha256(file.getvalue()).digest() + file.getvalue())
+    torch.save({name: vars(tally) for name, tally in tallies.items()}, file)
+    keep(path, key, {"tallies": torch.frombuffer(file.getbuffer(), dtype=torch.uint8)})
 
 
 def forget(folder: Path) -> None:
@@ -223,21 +197,18 @@ DIGITS = 3  # of a threshold in a config
 class ThresholdChoice:
     """What was chosen for one detector, and how it does.
 
-    default: the threshold until now. f_default: mean over the groups there.
-    f, iou: mean over the groups at the chosen threshold, which these very pictures chose.
-    f_held_out, iou_held_out: each group at the threshold of the others, NaN without groups.
+    settings: with the chosen threshold; default: the threshold until now. at_default, chosen:
+    F and IoU at both, on the very pictures that chose; held_out: each group at the threshold of
+    the others, nothing without groups.
     """
 
     detector: str
-    settings: Settings
-    threshold: float
+    settings: DetectorSettings
     default: float
-    f_default: float
-    images: int
-    f: float
-    iou: float
-    f_held_out: float
-    iou_held_out: float
+    images: float
+    at_default: Figures
+    chosen: Figures
+    held_out: Figures
 
 
 def choose_threshold(
@@ -248,37 +219,18 @@ def choose_threshold(
     settings: those that the run gave to the detector. Raises DatasetError when no picture
     shows road.
     """
-    tally = evaluation.tallies[name]
-    groups = {group: tally.road[group] for group in evaluation.detectors[name].counting}
-    best = evaluation.detectors[name].best_threshold
-    if math.isnan(best):
+    figures = evaluation.detectors[name]
+    if math.isnan(figures.best_threshold):
         raise DatasetError(evaluation.dataset.root, "shows no road", "give pictures with road")
-    threshold = round(best, DIGITS)
-    entry = detector_entry(name)
+    entry, tally = detector_entry(name), evaluation.tallies[name]
+    tuned = entry.configured({**settings, "threshold": round(figures.best_threshold, DIGITS)})
     default = entry.configured({}).threshold
-    held_out = held_out_thresholds(groups) if len(groups) > 1 else {}
-    return ThresholdChoice(
-        name,
-        entry.configured({**settings, "threshold": threshold}),
-        threshold,
-        default,
-        _mean_figures(groups, dict.fromkeys(groups, default))[0],
-        sum(group in groups for _, group in tally.pictures),
-        *_mean_figures(groups, dict.fromkeys(groups, threshold)),
-        *_mean_figures(groups, held_out),
+    at_default, chosen = (
+        summarise(
+            replace(figures.contender, chosen=threshold), tally, (F, IOU), evaluation.left_out
+        ).headline
+        for threshold in (default, tuned.threshold)
     )
-
-
-def _mean_figures(
-    groups: Mapping[str, RoadCounts], thresholds: Mapping[str, float]
-) -> tuple[float, float]:
-    """F and IoU at each group's threshold, averaged over the groups with road; NaN without any."""
-    outcomes = [
-        metrics.decisions_at(groups[group], threshold)
-        for group, threshold in thresholds.items()
-        if not math.isnan(threshold) and groups[group].road.sum() > 0
-    ]
-    if not outcomes:
-        return math.nan, math.nan
-    f, iou = ([float(of(one)) for one in outcomes] for of in (metrics.f_measure, metrics.iou))
-    return sum(f) / len(f), sum(iou) / len(iou)
+    held_out = figures.headline if len(figures.groups) > 1 else {}
+    images = figures.headline["images"]
+    return ThresholdChoice(name, tuned, default, images, at_default, chosen, held_out)

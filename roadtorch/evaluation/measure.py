@@ -1,58 +1,13 @@
 """What a measure is: a formula over counts, with a name, words, a direction, and its tables."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal
 
 from torch import Tensor
 
-from roadtorch.evaluation import metrics
-from roadtorch.evaluation.curves import Curve
-from roadtorch.evaluation.metrics import Decisions, RoadCounts
-
-
-@dataclass(frozen=True)
-class Trusted:
-    """Pictures with a trust and an F of the own mask, float64 (n,) each; groups: whose they are."""
-
-    trust: Tensor
-    f: Tensor
-    groups: Sequence[str]
-
-
-@dataclass(frozen=True)
-class Part:
-    """Counts of some pictures together, or of many draws of them: then all have (draws,…).
-
-    chosen: the outcome at the threshold of each group; None where there is none.
-    image_auc: the mean of the single pictures' AUC, float64 (…).
-    What follows in the list is not known of draws: labels, a confusion as ``layout``, of
-    labels that may abstain; roc, the vertical average of the single pictures' curves;
-    threshold, where there is one for all; skipped, the pictures without AUC; trusted, the
-    single pictures that have a trust, None where no picture has.
-    """
-
-    road: RoadCounts
-    mask: Decisions
-    boundary: Tensor
-    layout: Tensor | None
-    chosen: Decisions | None
-    image_auc: Tensor
-    labels: Tensor | None = None
-    roc: Curve | None = None
-    threshold: float | None = None
-    images: int = 0
-    skipped: int = 0
-    milliseconds: float = math.nan
-    trusted: Trusted | None = None
-
-    @cached_property
-    def working_point(self) -> Mapping[str, Tensor]:
-        """KITTI's figures where F is highest, see ``metrics.working_point``."""
-        return metrics.working_point(self.road)
-
+from roadtorch.evaluation.tally import Part
 
 Figures = Mapping[str, float]
 """Numbers by the key of their measure: NaN where undefined, without those that are not there."""

@@ -6,6 +6,7 @@ one entry of it, or is given to `evaluate` beside it.
 """
 
 import math
+import statistics
 from collections.abc import Callable
 from typing import Any
 
@@ -13,8 +14,9 @@ import torch
 from torch import Tensor
 
 from roadtorch.evaluation import boundary, curves, metrics
-from roadtorch.evaluation.measure import Formula, Measure, Part
+from roadtorch.evaluation.measure import Formula, Measure
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
+from roadtorch.evaluation.tally import Part, Pictures
 from roadtorch.evaluation.trust import TRUST
 from roadtorch.layout.classes import CLASSES, NAMES
 
@@ -42,7 +44,16 @@ def _of_mask(figure: Callable[[Decisions], Tensor]) -> Formula:
 
 def _of_roc(figure: Callable[[curves.Curve], Tensor]) -> Formula:
     """Of the average curve of the pictures; NaN without a picture that has one."""
-    return lambda part: math.nan if part.roc is None else figure(part.roc)
+
+    def formula(part: Part) -> Tensor | float:
+        return math.nan if part.rates is None else figure(curves.vertical_average(part.rates))
+
+    return formula
+
+
+def _of_pictures(figure: Callable[[Pictures], float]) -> Formula:
+    """Of the single pictures, which are not known of draws."""
+    return lambda part: None if part.pictures is None else figure(part.pictures)
 
 
 # --- the road ---------------------------------------------------------------------------
@@ -52,7 +63,7 @@ MAXF = Measure(
     "MaxF",
     "Highest F of all thresholds, on pooled pixels. F is the harmonic mean of precision and "
     "recall. The threshold is picked on the labels that score it.",
-    _of_road(lambda counts: metrics.max_f(counts)[0]),
+    lambda part: part.max_f[0],
     interval=True,
     shown=("headline", "parts", "screen pairs", "pairs"),
 )
@@ -107,7 +118,7 @@ SCORES = (
         "images",
         "pictures",
         "Pictures that were scored.",
-        lambda part: part.images,
+        _of_pictures(lambda pictures: len(pictures.names)),
         better=None,
         digits=0,
         over_groups="whole",
@@ -120,7 +131,7 @@ SCORES = (
         "maxf_threshold",
         "threshold\nof MaxF",
         "Lowest threshold that reaches MaxF.",
-        _of_road(lambda counts: metrics.max_f(counts)[1]),
+        lambda part: part.max_f[1],
         better=None,
         over_groups="nothing",
     ),
@@ -137,7 +148,7 @@ SCORES = (
         "auc_images_skipped",
         "skipped",
         "Pictures without road or without background, which have no AUC.",
-        lambda part: part.skipped,
+        _of_pictures(lambda pictures: int(pictures.auc.isnan().sum())),
         better=None,
         digits=0,
         over_groups="whole",
@@ -186,7 +197,7 @@ SCORES = (
         "ms_per_image",
         "ms\n/image",
         "Median time of one picture, detector alone.",
-        lambda part: part.milliseconds,
+        _of_pictures(lambda pictures: 1000 * statistics.median(pictures.seconds.tolist())),
         better=None,
         digits=1,
         over_groups="whole",
@@ -316,11 +327,11 @@ def _mean_recall(under: str, name: str, words: str, **more: Any) -> Measure:
 
 
 def _confusion(truth: int, decided: int) -> Measure:
-    one, other = NAMES[truth], NAMES[decided]
+    true, other = NAMES[truth], NAMES[decided]
     return _layout(
-        f"confusion/{one}/{other}",
-        f"{one} as\n{other}",
-        f"Share of {one} that is decided to be {other}.",
+        f"confusion/{true}/{other}",
+        f"{true} as\n{other}",
+        f"Share of {true} that is decided to be {other}.",
         lambda confusion: metrics.normalised_confusion(confusion)[..., truth, decided],
         better=None,
     )

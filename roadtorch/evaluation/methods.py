@@ -1,17 +1,18 @@
 """Who is scored: detectors by name, weights, configs, maps made elsewhere, and baselines."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path, PurePath
 from typing import Any
 
 import torch
+from pydantic import BaseModel, Field, ValidationError
 from torch import Tensor
 from torch.nn import functional
 
 from roadtorch.data import maps
-from roadtorch.data.dataset import Dataset, Item
+from roadtorch.data.dataset import Dataset, LabelledItem
 from roadtorch.detector import Detection, DetectorSettings
 from roadtorch.detectors.catalogue import (
     detector_entry,
@@ -19,13 +20,15 @@ from roadtorch.detectors.catalogue import (
     list_detectors,
     load_detector,
 )
-from roadtorch.errors import ConfigError
+from roadtorch.errors import ConfigError, InputError
 from roadtorch.imaging.resize import size_of
-from roadtorch.io.bounded import printable
+from roadtorch.io.bounded import printable, read_regular, reason
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
-from roadtorch.layout.weights import load_network
+from roadtorch.layout.weights import load_network, weights_path
+from roadtorch.run.loop import texts_in
+from roadtorch.run.memo import key_of
 from roadtorch.runtime.shipped_configs import SUFFIX, THRESHOLDS, config_file
 from roadtorch.settings import read_settings_file
 
@@ -42,16 +45,17 @@ BY_NETWORK = {
 }
 """The detector that weights alone stand for, by the kind of their network."""
 
-Look = Callable[[Tensor, Item], Detection]
+Look = Callable[[Tensor, LabelledItem], Detection]
 
 
 @dataclass(frozen=True)
-class Method:
+class Contender:
     """One detector of a run.
 
-    prepare: makes it ready to look at a set's pictures; it travels to processes. settings:
-    all of them but the threshold, as JSON can hold them. threshold: its default one.
-    is_baseline: whether it never looks at the picture.
+    prepare: makes it ready for a set's pictures; it travels to processes. settings:
+    all of them but the threshold, as JSON can hold them. threshold: its default one; chosen:
+    the one that an earlier run chose. is_baseline: whether it never looks at the picture. masks:
+    those of prior:mean.
     """
 
     name: str
@@ -59,27 +63,43 @@ class Method:
     settings: Mapping[str, Any] = field(default_factory=dict)
     threshold: float = 0.5
     is_baseline: bool = False
+    chosen: float | None = None
+    masks: Mapping[str, Tensor] = field(default_factory=dict, repr=False)
+
+    def digest(self) -> str:
+        """Of the bytes of all files that its settings name, and of its masks."""
+        files = [weights_path(text) for text in texts_in(self.settings) if text]
+        masks = [(group, mask.numpy().tobytes()) for group, mask in self.masks.items()]
+        return key_of(masks, *(file for file in files if file.exists()))
 
 
-def methods_for(
+def contenders(
     dataset: Dataset,
     detectors: Sequence[str],
     settings: Mapping[str, Any],
     folders: Mapping[str, Path],
-    mean_from: Dataset | None,
-) -> list[Method]:
+    mean_from: Dataset | None = None,
+    threshold_from: Path | None = None,
+) -> list[Contender]:
     """The detectors, those that give maps from folders, and the baselines, in this order.
 
     detectors: names, with wildcards. settings: values for all that are named. folders: by
-    name, maps made elsewhere. mean_from: the set that teaches ``prior:mean``.
+    name, maps made elsewhere. mean_from: the set that teaches ``prior:mean``. threshold_from:
+    the metrics.json of an earlier run whose thresholds are taken.
     Raises ConfigError for whatever can be refused before the run.
     """
-    chosen = expand_names(detectors)
-    methods = [named_detector(name, settings) for name in chosen]
-    methods += [named_detector(name, {}) for name in BASELINES if name not in chosen]
-    methods += [maps_from(name, folder) for name, folder in folders.items()]
-    masks = mean_masks(dataset, mean_from)
-    return [*methods, mean_baseline(masks)] if masks else methods
+    names = expand_names(detectors)
+    entries = [named_detector(name, settings) for name in names]
+    entries += [named_detector(name, {}) for name in BASELINES if name not in names]
+    entries += [maps_from(name, folder) for name, folder in folders.items()]
+    if masks := mean_masks(dataset, mean_from):
+        prepare = partial(_mean_look, masks)
+        mean = Contender(MEAN, prepare, {}, MEAN_THRESHOLD, is_baseline=True, masks=masks)
+        entries.append(mean)
+    if threshold_from is None:
+        return entries
+    earlier = earlier_thresholds(threshold_from, entries)
+    return [replace(entry, chosen=earlier[entry.name]) for entry in entries]
 
 
 def expand_names(names: Sequence[str]) -> list[str]:
@@ -96,8 +116,8 @@ def expand_names(names: Sequence[str]) -> list[str]:
     return list(known)
 
 
-def candidate(text: str, letter: str) -> Method:
-    """The method that a text stands for, called ``LETTER:NAME``.
+def candidate(text: str, letter: str) -> Contender:
+    """The contender that a text stands for, called ``LETTER:NAME``.
 
     text: a weight file, what ``--config`` takes, a folder of likelihood maps, or the name of
     a detector. Raises ConfigError for anything else; WeightsError and InputError for a file that
@@ -113,23 +133,24 @@ def candidate(text: str, letter: str) -> Method:
         values = read_settings_file(config_file(text))
         detector = str(values.pop("detector", "fusion"))
     elif text not in list_detectors() and ("/" in text or path.suffix):
-        what = "is no weight file, config, folder of maps or detector"
-        raise ConfigError(text, what, "check the name")
+        raise ConfigError(
+            text, "is no weight file, config, folder of maps or detector", "check the name"
+        )
     else:
         called = text
-    method = maps_from("", path) if path.is_dir() else named_detector(detector, values)
-    return replace(method, name=f"{letter}:{printable(called)}")
+    contender = maps_from("", path) if path.is_dir() else named_detector(detector, values)
+    return replace(contender, name=f"{letter}:{printable(called)}")
 
 
 # --- detectors --------------------------------------------------------------------------
 
 
-def named_detector(name: str, values: Mapping[str, Any]) -> Method:
+def named_detector(name: str, values: Mapping[str, Any]) -> Contender:
     """A detector of the catalogue; ConfigError for settings that it does not have."""
     entry = detector_entry(name)
     settings = entry.configured(values).model_dump(mode="json")
     threshold = settings.pop("threshold")
-    return Method(name, partial(_load, name, values), settings, threshold, entry.baseline)
+    return Contender(name, partial(_load, name, values), settings, threshold, entry.baseline)
 
 
 def _load(name: str, values: Mapping[str, Any], _: Dataset) -> Look:
@@ -140,7 +161,7 @@ def _load(name: str, values: Mapping[str, Any], _: Dataset) -> Look:
 # --- maps -------------------------------------------------------------------------------
 
 
-def maps_from(name: str, folder: Path) -> Method:
+def maps_from(name: str, folder: Path) -> Contender:
     """Likelihood maps in a folder, as ``maps:NAME``, judged as config.toml beside them says.
 
     Raises ConfigError or InputError for a config.toml that cannot be used.
@@ -150,11 +171,11 @@ def maps_from(name: str, folder: Path) -> Method:
     if maps.is_of_infer(folder):
         settings["isolated"] = deciding.isolated
     prepare = partial(_read_maps, folder, deciding)
-    return Method(f"maps:{name}", prepare, settings, deciding.threshold)
+    return Contender(f"maps:{name}", prepare, settings, deciding.threshold)
 
 
 def _read_maps(folder: Path, deciding: DetectorSettings, dataset: Dataset) -> Look:
-    def look(image: Tensor, item: Item) -> Detection:
+    def look(image: Tensor, item: LabelledItem) -> Detection:
         sizes = [size_of(image)]
         if dataset.view is not None:
             height, width = dataset.view(item, torch.zeros(sizes[0])).shape
@@ -174,19 +195,27 @@ def _read_maps(folder: Path, deciding: DetectorSettings, dataset: Dataset) -> Lo
 # --- the baseline that data sets teach: the mean road mask of other groups ----------------
 
 
-def mean_masks(dataset: Dataset, mean_from: Dataset | None) -> dict[str, Tensor]:
-    """The mean masks for prior:mean, by group; empty where there is nothing to learn from.
+def mean_masks(dataset: Dataset, mean_from: Dataset | None = None) -> dict[str, Tensor]:
+    """The mean masks (H,W) for prior:mean, by group ("" without groups).
 
+    For a group the mean of the other ones, but those left out, which teach nobody; empty
+    where there is nothing to learn from.
     Raises ConfigError for a second set where the groups of the first teach each other.
     """
     groups = dataset.groups()
-    if mean_from is None:
-        taught = len(groups) - len(dataset.left_out) > 1
-        return means_of_others(road_shares(dataset), dataset.left_out) if taught else {}
-    if len(groups) > 1:
-        what = f"is not for {dataset.name}, whose groups teach each other"
-        raise ConfigError("--mean-from", what, "leave it out")
-    return dict.fromkeys(groups or [""], mean_of(road_shares(mean_from)))
+    if mean_from is not None:
+        if len(groups) > 1:
+            message = f"is not for {dataset.name}, whose groups teach each other"
+            raise ConfigError("--mean-from", message, "leave it out")
+        return dict.fromkeys(groups or [""], _mean(road_shares(mean_from).values()))
+    if len(groups) - len(dataset.left_out) < 2:
+        return {}
+    shares = road_shares(dataset)
+    teachers = shares.keys() - dataset.left_out
+    return {
+        group: _mean(share for name, share in shares.items() if name in teachers - {group})
+        for group in shares
+    }
 
 
 def road_shares(dataset: Dataset) -> dict[str, Tensor]:
@@ -206,34 +235,13 @@ def road_shares(dataset: Dataset) -> dict[str, Tensor]:
     return {group: road[group] / valid[group].clamp(min=1e-9) for group in road}
 
 
-def mean_of(shares: Mapping[str, Tensor]) -> Tensor:
+def _mean(shares: Iterable[Tensor]) -> Tensor:
     """The mean over groups, each with the same weight as in the headline figures."""
-    return torch.stack(list(shares.values())).mean(0).clamp(0, 1)
-
-
-def means_of_others(
-    shares: Mapping[str, Tensor], left_out: Collection[str] = ()
-) -> dict[str, Tensor]:
-    """For every group the mean of the other ones; empty when there is no other one.
-
-    left_out: groups that teach nobody.
-    """
-    teachers = {name: share for name, share in shares.items() if name not in left_out}
-    if len(teachers) < 2:
-        return {}
-    return {
-        group: mean_of({name: share for name, share in teachers.items() if name != group})
-        for group in shares
-    }
-
-
-def mean_baseline(masks: Mapping[str, Tensor]) -> Method:
-    """The baseline ``prior:mean``; masks: (h,w) by group ("" without)."""
-    return Method(MEAN, partial(_mean_look, masks), {}, MEAN_THRESHOLD, is_baseline=True)
+    return torch.stack(list(shares)).mean(0).clamp(0, 1)
 
 
 def _mean_look(masks: Mapping[str, Tensor], _: Dataset) -> Look:
-    def look(image: Tensor, item: Item) -> Detection:
+    def look(image: Tensor, item: LabelledItem) -> Detection:
         likelihood = resize(masks[item.group or ""], image.shape[1:]).to(torch.float32)
         likelihood = likelihood.clamp(0, 1)
         return Detection(likelihood, likelihood >= MEAN_THRESHOLD, {})
@@ -246,3 +254,42 @@ def resize(values: Tensor, size: tuple[int, int] | torch.Size) -> Tensor:
     if values.shape == tuple(size):
         return values
     return functional.interpolate(values[None, None], size=tuple(size), mode="bilinear")[0, 0]
+
+
+# --- thresholds of an earlier run -------------------------------------------------------
+
+
+class _EarlierFigures(BaseModel):
+    maxf_threshold: float | None = Field(ge=0, le=1, allow_inf_nan=False)
+    settings: dict[str, Any] = {}
+
+
+class _EarlierRun(BaseModel):
+    detectors: dict[str, _EarlierFigures]
+
+
+def earlier_thresholds(path: Path, entries: Sequence[Contender]) -> dict[str, float]:
+    """For every contender the threshold that an earlier run chose on all its groups.
+
+    path: its metrics.json. Raises InputError for another file; ConfigError when the run has
+    no such detector, or it had other settings: a threshold means nothing for another detector.
+    """
+    try:
+        earlier = _EarlierRun.model_validate_json(read_regular(path)).detectors
+    except OSError as problem:
+        message = f"cannot be read: {reason(problem)}"
+        raise InputError(path, message, "give a metrics.json") from None
+    except ValidationError:
+        raise InputError(path, "is not a metrics.json", "give one that evaluate wrote") from None
+    chosen: dict[str, float] = {}
+    for entry in entries:
+        figures = earlier.get(entry.name)
+        if figures is None or figures.maxf_threshold is None:
+            known = sorted(name for name in earlier if earlier[name].maxf_threshold is not None)
+            message = f"has no threshold for {entry.name}"
+            raise ConfigError(path, message, f"it has {', '.join(known)}")
+        if figures.settings != entry.settings:
+            message = f"chose the threshold of {entry.name} with other settings"
+            raise ConfigError(path, message, "run both with the same --set")
+        chosen[entry.name] = figures.maxf_threshold
+    return chosen

@@ -13,8 +13,10 @@ Sources: "KITTI" is the road benchmark's development kit (Fritsch, Kühnl, Geige
 """
 
 import math
+import operator
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -60,8 +62,7 @@ def _from_sparse(shape: np.ndarray, places: np.ndarray, counts: np.ndarray) -> R
     return RoadCounts(*torch.from_numpy(both))
 
 
-@dataclass(frozen=True)
-class Decisions:
+class Decisions(NamedTuple):
     """Pixels by decision and truth: int64 tensors of one shape, often no dimension at all."""
 
     true_positive: Tensor
@@ -69,14 +70,9 @@ class Decisions:
     false_negative: Tensor
     true_negative: Tensor
 
-    def __add__(self, more: "Decisions") -> "Decisions":
+    def __add__(self, more: "Decisions") -> "Decisions":  # type: ignore[override]
         """The counts of both sets of masks together."""
-        return Decisions(
-            self.true_positive + more.true_positive,
-            self.false_positive + more.false_positive,
-            self.false_negative + more.false_negative,
-            self.true_negative + more.true_negative,
-        )
+        return Decisions(*map(operator.add, self, more))
 
 
 def level_of(likelihood: Tensor, levels: int = LEVELS) -> Tensor:
@@ -130,15 +126,6 @@ def coarsen(counts: RoadCounts, levels: int = 256) -> RoadCounts:
     shape = (*counts.road.shape[:-1], levels)
     road, other = (
         torch.zeros(shape, dtype=part.dtype).index_add_(-1, index, part)
-        for part in (counts.road, counts.other)
-    )
-    return RoadCounts(road, other)
-
-
-def pool(counts: RoadCounts, weights: Tensor) -> RoadCounts:
-    """Weighted sums of images' counts (n,levels): weights (B,n) of whole numbers → (B,levels)."""
-    road, other = (
-        (weights.to(torch.float64) @ part.to(torch.float64)).round().to(torch.int64)
         for part in (counts.road, counts.other)
     )
     return RoadCounts(road, other)
@@ -262,11 +249,7 @@ def working_point(counts: RoadCounts) -> dict[str, Tensor]:
     """
     curve = f_curve(counts)
     level = curve.argmax(-1)  # the first one of several
-    outcomes = decisions(counts)
-    parts = ("true_positive", "false_positive", "false_negative", "true_negative")
-    chosen = Decisions(
-        *(getattr(outcomes, part).gather(-1, level[..., None])[..., 0] for part in parts)
-    )
+    chosen = Decisions(*(part.gather(-1, level[..., None])[..., 0] for part in decisions(counts)))
     figures = {
         "level": level.to(torch.float64),
         "precision": precision(chosen),

@@ -8,13 +8,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from roadtorch.data.dataset import Dataset, Item
+from roadtorch.data.dataset import Dataset, LabelledItem
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.measure import Figures, Measure, Part, Place
+from roadtorch.evaluation.measure import Figures, Measure, Place
 from roadtorch.evaluation.measures import MAXF, MEASURES
-from roadtorch.evaluation.methods import Method
+from roadtorch.evaluation.methods import Contender
 from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.tally import WHOLE, Pictures, Tally, of_groups, of_pictures
+from roadtorch.evaluation.tally import WHOLE, Part, Pictures, Tally, of_groups, of_pictures
 
 
 class Interval(NamedTuple):
@@ -42,7 +42,7 @@ class DetectorFigures:
     groups. intervals: by the key of the measure.
     """
 
-    method: Method
+    contender: Contender
     headline: Figures
     groups: Mapping[str, Figures] = field(default_factory=dict)
     pooled: Figures = field(default_factory=dict)
@@ -59,6 +59,11 @@ class DetectorFigures:
         return self.intervals.get(MAXF.key, Interval())
 
     @property
+    def rank(self) -> float:
+        """MaxF, to compare detectors by; below any other where it is undefined."""
+        return -math.inf if math.isnan(maxf := MAXF.of(self.headline)) else maxf
+
+    @property
     def counting(self) -> list[str]:
         """The groups of the tally that count: all groups but those left out."""
         return list(self.groups) or [WHOLE]
@@ -66,7 +71,7 @@ class DetectorFigures:
     @property
     def is_baseline(self) -> bool:
         """Whether the detector never looks at the picture."""
-        return self.method.is_baseline
+        return self.contender.is_baseline
 
     def group(self, name: str) -> Figures:
         """The figures of one group, left out or not; none where it is not known."""
@@ -116,11 +121,11 @@ class Evaluation:
     @property
     def headlines(self) -> dict[str, Figures]:
         """The headline figures by detector."""
-        return {name: one.headline for name, one in self.detectors.items()}
+        return {name: figures.headline for name, figures in self.detectors.items()}
 
     def of_group(self, group: str) -> dict[str, Figures]:
         """The figures of one group by detector."""
-        return {name: one.group(group) for name, one in self.detectors.items()}
+        return {name: figures.group(group) for name, figures in self.detectors.items()}
 
     @property
     def images(self) -> int:
@@ -130,27 +135,25 @@ class Evaluation:
     @property
     def groups(self) -> list[str]:
         """The groups that count and that any detector has figures of, sorted."""
-        return sorted({group for one in self.detectors.values() for group in one.groups})
+        return sorted({group for figures in self.detectors.values() for group in figures.groups})
 
     @property
     def conditions(self) -> list[str]:
         """The conditions that any detector has figures of, sorted."""
-        return sorted({name for one in self.detectors.values() for name in one.conditions})
+        return sorted({name for figures in self.detectors.values() for name in figures.conditions})
 
     @property
     def left_out(self) -> list[str]:
         """The groups that have figures but count in no mean, sorted."""
-        return sorted({group for one in self.detectors.values() for group in one.left_out})
+        return sorted({group for figures in self.detectors.values() for group in figures.left_out})
 
     def ranked(self) -> list[str]:
         """The detectors by MaxF, highest first; those without one last, then by name."""
-
-        scores = MAXF.known(self.headlines)
-        return sorted(self.detectors, key=lambda name: (-scores.get(name, -math.inf), name))
+        return sorted(self.detectors, key=lambda name: (-self.detectors[name].rank, name))
 
     def shown_in(self, *tables: Place) -> list[Measure]:
         """The measures that are columns of one of these tables."""
-        return [one for one in self.measures if set(tables) & set(one.shown)]
+        return [measure for measure in self.measures if set(tables) & set(measure.shown)]
 
 
 # --- thresholds that labels choose ------------------------------------------------------
@@ -174,67 +177,63 @@ def held_out_thresholds(groups: Mapping[str, RoadCounts]) -> dict[str, float]:
 
 
 def choose_thresholds(
-    groups: Mapping[str, RoadCounts],
-    default: float,
-    given: float | None,
-    left_out: Collection[str] = (),
+    contender: Contender, groups: Mapping[str, RoadCounts], left_out: Collection[str] = ()
 ) -> tuple[str, Mapping[str, float], float]:
     """Where thresholds come from, in words; one for every group; the best of those that choose.
 
-    They are given, or those of the other groups, or the detector's default. left_out: groups that
-    choose for nobody.
+    They are of an earlier run, or of the other groups, or the detector's default. left_out: groups
+    that choose for nobody.
     """
     choosing = {group: counts for group, counts in groups.items() if group not in left_out}
     best = shared_threshold(choosing)
-    if given is not None:
-        return "an earlier run", dict.fromkeys(groups, given), best
+    if contender.chosen is not None:
+        return "an earlier run", dict.fromkeys(groups, contender.chosen), best
     if len(choosing) > 1:
         held_out = held_out_thresholds(choosing)
-        return "the other groups", {one: held_out.get(one, best) for one in groups}, best
-    return "the detector's default", dict.fromkeys(groups, default), best
+        return "the other groups", {group: held_out.get(group, best) for group in groups}, best
+    return "the detector's default", dict.fromkeys(groups, contender.threshold), best
 
 
 # --- from counts to figures -------------------------------------------------------------
 
 
 def summarise(
-    method: Method,
+    contender: Contender,
     tally: Tally,
-    given: float | None = None,
     measures: Sequence[Measure] = MEASURES,
     left_out: Collection[str] = (),
-    conditions: Mapping[str, Sequence[Item]] | None = None,
+    conditions: Mapping[str, Sequence[LabelledItem]] | None = None,
 ) -> DetectorFigures:
     """All figures of one detector but its intervals.
 
-    given: a threshold chosen elsewhere. left_out: groups that count in nothing but their own.
-    conditions: pictures by condition, which have figures together, whatever groups they are of.
+    left_out: groups that count in nothing but their own. conditions: pictures by condition,
+    which have figures together, whatever groups they are of.
     """
-    source, thresholds, best = choose_thresholds(tally.road, method.threshold, given, left_out)
-    counting = {group: one for group, one in thresholds.items() if group not in left_out}
+    source, thresholds, best = choose_thresholds(contender, tally.road, left_out)
+    counting = {
+        group: threshold for group, threshold in thresholds.items() if group not in left_out
+    }
     parts = {
-        group: replace(of_groups(tally, {group: one}), threshold=one)
-        for group, one in thresholds.items()
+        group: replace(of_groups(tally, {group: threshold}), threshold=threshold)
+        for group, threshold in thresholds.items()
     }
     of_condition = {
-        name: tally.named({item.name for item in items})
+        name: of_pictures(pictures, thresholds)
         for name, items in (conditions or {}).items()
+        if (pictures := tally.named({item.name for item in items})).names
     }
     is_whole = list(parts) == [WHOLE]
-    pooled = {} if is_whole else figures_of(of_groups(tally, counting), measures)
+    whole = parts[WHOLE] if is_whole else of_groups(tally, counting)
     figures = {group: figures_of(part, measures) for group, part in parts.items()}
     groups = {} if is_whole else {group: figures[group] for group in counting}
+    pooled = {} if is_whole else figures_of(whole, measures)
     return DetectorFigures(
-        method,
+        contender,
         figures[WHOLE] if is_whole else over_groups(groups, pooled, measures),
         groups=groups,
         pooled=pooled,
-        left_out={group: one for group, one in figures.items() if group not in counting},
-        conditions={
-            name: figures_of(of_pictures(pictures, thresholds), measures)
-            for name, pictures in of_condition.items()
-            if pictures.names
-        },
+        left_out={group: own for group, own in figures.items() if group not in counting},
+        conditions={name: figures_of(part, measures) for name, part in of_condition.items()},
         thresholds=thresholds,
         threshold_from=source,
         best_threshold=best,
@@ -243,7 +242,7 @@ def summarise(
 
 def figures_of(part: Part, measures: Sequence[Measure]) -> Figures:
     """The measures of a part, without those that it does not have."""
-    values = {one.key: one.formula(part) for one in measures}
+    values = {measure.key: measure.formula(part) for measure in measures}
     return {
         key: value.item() if isinstance(value, Tensor) else value
         for key, value in values.items()
@@ -256,11 +255,11 @@ def over_groups(
 ) -> Figures:
     """What stands above the figures of the groups: means, or those of all pictures together."""
     figures = {}
-    for one in measures:
-        if one.key in pooled and one.over_groups == "whole":
-            figures[one.key] = pooled[one.key]
-        elif one.key in pooled and one.over_groups == "mean":
-            figures[one.key] = mean([one.of(group) for group in groups.values()])
+    for measure in measures:
+        if measure.key in pooled and measure.over_groups == "whole":
+            figures[measure.key] = pooled[measure.key]
+        elif measure.key in pooled and measure.over_groups == "mean":
+            figures[measure.key] = mean([measure.of(group) for group in groups.values()])
     return figures
 
 
@@ -333,8 +332,10 @@ def pictures_by_f(tally: Tally, figures: DetectorFigures) -> list[tuple[float, s
     """(F, name) of the pictures with road that count, the best first."""
     pictures = tally.kept(figures.counting)
     values = image_f(pictures, figures.thresholds).tolist()
-    known = [pair for pair in zip(values, pictures.names, strict=True) if not math.isnan(pair[0])]
-    return sorted(known, key=lambda pair: (-pair[0], pair[1]))
+    with_road = [
+        pair for pair in zip(values, pictures.names, strict=True) if not math.isnan(pair[0])
+    ]
+    return sorted(with_road, key=lambda pair: (-pair[0], pair[1]))
 
 
 def best_median_worst(

@@ -1,24 +1,20 @@
 """The pass: every detector over every picture once, picture by picture."""
 
 import math
-import multiprocessing
-import pickle
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Collection, Generator, Sequence
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
-from roadtorch.data.dataset import Dataset, Item, Truth
-from roadtorch.errors import RoadtorchError
+from roadtorch.data.dataset import Dataset, LabelledItem, Truth
+from roadtorch.errors import InputError, RoadtorchError
 from roadtorch.evaluation.boundary import count_boundary
-from roadtorch.evaluation.methods import Look, Method
+from roadtorch.evaluation.methods import Contender, Look
 from roadtorch.evaluation.metrics import count_layout, count_levels, count_mask
 from roadtorch.evaluation.tally import Score, Scored
+from roadtorch.run.workers import DIED, workers_for
 from roadtorch.runtime.image_cache import ImageCache, image_cache
-from roadtorch.runtime.signals import end_with_parent, interrupting_none_started
 
 # --- one picture ------------------------------------------------------------------------
 
@@ -28,7 +24,7 @@ class LabelledPicture:
     """One item that has been read: its picture, and the truth in the picture's own space."""
 
     dataset: Dataset
-    item: Item
+    item: LabelledItem
     image: Tensor
     truth: Truth
 
@@ -73,66 +69,63 @@ def score_look(look: Look, scene: LabelledPicture, truth: Truth, shared: ImageCa
     )
 
 
-def score_item(dataset: Dataset, looks: Mapping[str, Look], item: Item) -> Scored:
-    """Read one item once and score every detector on it.
+class Looks:
+    """Contenders by name, ready to look; another process makes them ready itself."""
 
-    Whatever goes wrong becomes the result's failure, and the picture then counts for no
-    detector, so that all are scored on the same pictures.
-    """
-    who = ""
-    try:
-        scene = LabelledPicture(dataset, item, *dataset.read(item))
-        truth, scores = scene.seen_truth(), {}
-        with image_cache() as shared:
-            for who, look in looks.items():
-                scores[who] = score_look(look, scene, truth, shared)
-        return Scored(item, scores)
-    except RoadtorchError as problem:
-        return Scored(item, {}, f"{who}: {problem}" if who else str(problem))
-    except Exception as problem:  # a detector's own mistake must not end a long run
-        return Scored(item, {}, f"{who or item.name}: {type(problem).__name__}: {problem}")
+    def __init__(self, dataset: Dataset, contenders: Sequence[Contender]) -> None:
+        self.dataset, self.contenders = dataset, contenders
+        self.by_name: dict[str, Look] = {}
+        self.__setstate__({})  # mistakes show here, before processes start
+
+    def __getstate__(self) -> dict[str, object]:
+        return {"dataset": self.dataset, "contenders": self.contenders}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        vars(self).update(state)
+        self.by_name = {entry.name: entry.prepare(self.dataset) for entry in self.contenders}
 
 
-# --- one process or several -------------------------------------------------------------
+@dataclass(frozen=True)
+class Scoring:
+    """The task of workers: one item is read once, and every contender is scored on it."""
 
+    looks: Looks
 
-def prepared(dataset: Dataset, methods: Sequence[Method]) -> dict[str, Look]:
-    """The methods by name, ready to look."""
-    return {one.name: one.prepare(dataset) for one in methods}
+    def __call__(self, item: LabelledItem) -> Scored:
+        """The scores of one item.
+
+        Whatever goes wrong becomes the result's failure, and the picture then counts for no
+        detector, so that all are scored on the same pictures.
+        """
+        name = ""
+        try:
+            scene = LabelledPicture(self.looks.dataset, item, *self.looks.dataset.read(item))
+            truth, scores = scene.seen_truth(), {}
+            with image_cache() as shared:
+                for name, look in self.looks.by_name.items():
+                    scores[name] = score_look(look, scene, truth, shared)
+            return Scored(item, scores)
+        except RoadtorchError as problem:
+            return Scored(item, {}, f"{name}: {problem}" if name else str(problem))
+        except Exception as problem:  # a detector's own mistake must not end a long run
+            what = f"{type(problem).__name__}: {problem}"
+            return Scored(item, {}, f"{name or item.name}: {what}")
 
 
 def score(
-    dataset: Dataset, methods: Sequence[Method], jobs: int = 1, done: Collection[str] = ()
-) -> Iterator[Scored]:
-    """Yield a result for every item that is not done, in the set's order, whatever ``jobs`` is.
+    dataset: Dataset,
+    contenders: Sequence[Contender],
+    jobs: int | None = 1,
+    done: Collection[str] = (),
+) -> Generator[Scored]:
+    """A result for every item that is not done, in the set's order, whatever ``jobs`` is.
 
-    done: names of items. With several processes each runs with this process's number of
-    threads, so that the results are the same to the bit.
+    done: names of items. jobs: processes, None for what pays.
     """
     items = [item for item in dataset.items if item.name not in done]
-    looks = prepared(dataset, methods)  # mistakes show here, before processes start
-    if jobs == 1:
-        yield from (score_item(dataset, looks, item) for item in items)
-        return
-    context = multiprocessing.get_context("spawn")
-    # Bytes, because torch would share tensors between processes through sockets.
-    message = pickle.dumps((dataset, methods, torch.get_num_threads()))
-    with ProcessPoolExecutor(jobs, context, _prepare, (message,)) as pool:
-        with interrupting_none_started():
-            results = pool.map(_score_one, items)
-        yield from map(pickle.loads, results)
+    task = Scoring(Looks(dataset, contenders))
+    return workers_for(jobs, len(items)).map(task, items, _died)
 
 
-_prepared: list[Callable[[Item], Scored]] = []  # a worker process's own pass, set once
-
-
-def _prepare(message: bytes) -> None:
-    end_with_parent()
-    dataset, methods, threads = pickle.loads(message)
-    torch.set_num_threads(threads)
-    looks = prepared(dataset, methods)
-    _prepared.append(lambda item: score_item(dataset, looks, item))
-
-
-def _score_one(item: Item) -> bytes:
-    return pickle.dumps(_prepared[0](item))
+def _died(item: LabelledItem) -> Scored:
+    return Scored(item, {}, str(InputError(item.image, *DIED)))

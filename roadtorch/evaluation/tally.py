@@ -5,19 +5,16 @@ stay (2 kB), for distributions, intervals and comparisons.
 """
 
 import math
-import statistics
-from collections.abc import Collection, Container, Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import reduce
+from functools import cached_property, reduce
 from operator import add
 
 import torch
 from torch import Tensor
 
-from roadtorch.data.dataset import Item
+from roadtorch.data.dataset import LabelledItem
 from roadtorch.evaluation import curves, metrics
-from roadtorch.evaluation.curves import Curve
-from roadtorch.evaluation.measure import Part, Trusted
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
 
 WHOLE = "all"  # the one group of a set that knows no groups
@@ -42,7 +39,7 @@ class Score:
 class Scored:
     """What came of one picture: a score for every detector, or why there is none."""
 
-    item: Item
+    item: LabelledItem
     scores: Mapping[str, Score]
     failure: str = ""
 
@@ -86,9 +83,9 @@ class Tally:
     pictures: list[tuple[str, str]] = field(default_factory=list)  # name and group of each row
     columns: dict[str, Tensor] = field(default_factory=dict, repr=False)
 
-    def add(self, item: Item, score: Score) -> None:
+    def add(self, item: LabelledItem, score: Score) -> None:
         """Count one more picture."""
-        group, mask = item.group or WHOLE, score.mask
+        group = item.group or WHOLE
         area, best = float(metrics.auc(score.road)), float(metrics.max_f(score.road)[0])
         summed = {
             "road": torch.stack([score.road.road, score.road.other]),
@@ -100,10 +97,9 @@ class Tally:
                 sums = self.sums.setdefault(kind, {})
                 sums[group] = sums[group] + part if group in sums else part
         coarse = metrics.coarsen(score.road, COARSE)
-        outcome = (mask.true_positive, mask.false_positive, mask.false_negative, mask.true_negative)
         known = {
             "road": torch.stack([coarse.road, coarse.other]).to(torch.int32),
-            "mask": torch.stack(outcome),
+            "mask": torch.stack(score.mask),
             "boundary": score.boundary,
             "numbers": torch.tensor([area, best, score.seconds, score.trust], dtype=torch.float64),
         }
@@ -128,8 +124,8 @@ class Tally:
     def total(self, kind: str, groups: Iterable[str]) -> Tensor | None:
         """The sum of one kind over some groups; None where none of them has any."""
         of_kind = self.sums.get(kind, {})
-        parts = [of_kind[group] for group in groups if group in of_kind]
-        return sum(parts[1:], start=parts[0]) if parts else None
+        sums = [of_kind[group] for group in groups if group in of_kind]
+        return sum(sums[1:], start=sums[0]) if sums else None
 
     def kept(self, groups: Iterable[str] | None = None) -> Pictures:
         """What is kept of some groups' pictures, group by group, or of all in their order."""
@@ -166,11 +162,46 @@ class Tally:
 # --- what measures are taken of ---------------------------------------------------------
 
 
+@dataclass(frozen=True)
+class Part:
+    """Counts of some pictures together, or of many draws of them: then all have (draws,…).
+
+    chosen: the outcome at the threshold of each group; None where there is none.
+    image_auc: the mean of the single pictures' AUC, float64 (…).
+    What follows in the list is not known of draws: labels, a confusion as ``layout``, of
+    labels that may abstain; rates, the single pictures' mean TPR at equal FPRs; threshold,
+    where there is one for all; the single pictures.
+    """
+
+    road: RoadCounts
+    mask: Decisions
+    boundary: Tensor
+    layout: Tensor | None
+    chosen: Decisions | None
+    image_auc: Tensor
+    labels: Tensor | None = None
+    rates: Tensor | None = None
+    threshold: float | None = None
+    pictures: Pictures | None = None
+
+    @cached_property
+    def max_f(self) -> tuple[Tensor, Tensor]:
+        """KITTI's MaxF and its threshold, see ``metrics.max_f``."""
+        return metrics.max_f(self.road)
+
+    @cached_property
+    def working_point(self) -> Mapping[str, Tensor]:
+        """KITTI's figures where F is highest, see ``metrics.working_point``."""
+        return metrics.working_point(self.road)
+
+
 def of_groups(tally: Tally, thresholds: Mapping[str, float]) -> Part:
     """The groups that have thresholds, their counts added up."""
     counts = {group: tally.road[group] for group in thresholds}
-    roc, labels = vertical_roc(tally, thresholds), tally.total("labels", thresholds)
-    return replace(_together(tally.kept(thresholds), counts, thresholds), roc=roc, labels=labels)
+    part = _together(tally.kept(thresholds), counts, thresholds)
+    return replace(
+        part, labels=tally.total("labels", thresholds), rates=mean_rates(tally, thresholds)
+    )
 
 
 def of_pictures(pictures: Pictures, thresholds: Mapping[str, float]) -> Part:
@@ -187,8 +218,8 @@ def of_pictures(pictures: Pictures, thresholds: Mapping[str, float]) -> Part:
     rates = curves.vertical_sample(
         RoadCounts(pictures.road.road[known], pictures.road.other[known])
     )
-    roc = curves.vertical_average(rates.mean(0)) if known.any() else None
-    return replace(_together(pictures, counts, thresholds), roc=roc)
+    part = _together(pictures, counts, thresholds)
+    return replace(part, rates=rates.mean(0) if known.any() else None)
 
 
 def _together(
@@ -196,7 +227,6 @@ def _together(
 ) -> Part:
     """Pictures added up; counts: of their likelihoods, by group."""
     areas = [area for area in pictures.auc.tolist() if not math.isnan(area)]
-    mean_area = sum(areas) / len(areas) if areas else math.nan
     layout = pictures.layout
     outcomes = [
         metrics.decisions_at(counts[group], thresholds[group])
@@ -209,46 +239,13 @@ def _together(
         pictures.boundary.sum(0),
         layout.sum(0) if layout is not None and layout.any() else None,
         reduce(add, outcomes) if outcomes else None,
-        torch.tensor(mean_area, dtype=torch.float64),
-        images=len(pictures.names),
-        skipped=len(pictures.names) - len(areas),
-        milliseconds=1000 * statistics.median(pictures.seconds.tolist()),
-        trusted=trusted(pictures),
+        torch.tensor(sum(areas) / len(areas) if areas else math.nan, dtype=torch.float64),
+        pictures=pictures,
     )
 
 
-def vertical_roc(tally: Tally, groups: Collection[str]) -> Curve | None:
-    """The vertical average of the single pictures' ROC; None where none has any."""
+def mean_rates(tally: Tally, groups: Iterable[str]) -> Tensor | None:
+    """The single pictures' mean TPR at equal FPRs; None where none has any."""
+    groups = list(groups)
     summed, known = tally.total("curve", groups), ~tally.kept(groups).auc.isnan()
-    return None if summed is None else curves.vertical_average(summed / int(known.sum()))
-
-
-def trusted(pictures: Pictures) -> Trusted | None:
-    """The pictures that have a trust and an F of the mask; None where no picture has a trust."""
-    if pictures.trust.isnan().all():
-        return None
-    f = metrics.f_measure(pictures.mask)
-    known = ~(pictures.trust.isnan() | f.isnan())
-    groups = [group for group, kept in zip(pictures.groups, known.tolist(), strict=True) if kept]
-    return Trusted(pictures.trust[known], f[known], groups)
-
-
-def drawn(pictures: Pictures, threshold: float, weights: Tensor) -> Part:
-    """The pictures of one group, each as often as weights (draws,n) say, on 8-bit maps."""
-    road = metrics.pool(pictures.road, weights)
-    known = ~pictures.auc.isnan()
-    areas, of_known = pictures.auc[known], weights[:, known].to(torch.float64)
-    return Part(
-        road,
-        Decisions(*_weighted(pictures.outcomes, weights).unbind(1)),
-        _weighted(pictures.boundary, weights),
-        None if pictures.layout is None else _weighted(pictures.layout, weights),
-        None if math.isnan(threshold) else metrics.decisions_at(road, threshold),
-        (of_known @ areas) / of_known.sum(1),
-    )
-
-
-def _weighted(counts: Tensor, weights: Tensor) -> Tensor:
-    """Sums of counts (n,…) over the pictures, as often as each is drawn: float64 (draws,…)."""
-    flat = weights.to(torch.float64) @ counts.flatten(1).to(torch.float64)
-    return flat.reshape(-1, *counts.shape[1:])
+    return None if summed is None else summed / int(known.sum())

@@ -8,23 +8,45 @@ analysis, 2006; Geifman, Uziel, El-Yaniv, ICLR 2019 (the risk-coverage curve, it
 the ideal one beside it).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
 from torch import Tensor
 
 from roadtorch.evaluation.curves import Curve
-from roadtorch.evaluation.measure import Measure, Place, Trusted
+from roadtorch.evaluation.measure import Measure, Place
+from roadtorch.evaluation.metrics import f_measure
+from roadtorch.evaluation.tally import Part, Pictures
 
 BAD = 0.6  # F below which a mask is a failure; ours: where one looks wrong at first sight
 
 MIN_PICTURES = 4  # pictures of a group that has a correlation of its own; ours
 
 
-def rank_correlation(one: Tensor, other: Tensor) -> float:
+@dataclass(frozen=True)
+class Trusted:
+    """Pictures with a trust and an F of the own mask, float64 (n,) each; groups: whose they are."""
+
+    trust: Tensor
+    f: Tensor
+    groups: Sequence[str]
+
+
+def trusted(pictures: Pictures | None) -> Trusted | None:
+    """The pictures that have a trust and an F of the mask; None where no picture has a trust."""
+    if pictures is None or pictures.trust.isnan().all():
+        return None
+    f = f_measure(pictures.mask)
+    known = ~(pictures.trust.isnan() | f.isnan())
+    groups = [group for group, kept in zip(pictures.groups, known.tolist(), strict=True) if kept]
+    return Trusted(pictures.trust[known], f[known], groups)
+
+
+def rank_correlation(first: Tensor, second: Tensor) -> float:
     """Spearman's: the correlation of the ranks of two (n,); NaN where either is constant."""
-    ranks = torch.stack([average_ranks(one), average_ranks(other)])
+    ranks = torch.stack([average_ranks(first), average_ranks(second)])
     centred = ranks - ranks.mean(1, keepdim=True)
     lengths = centred.norm(dim=1)
     return float((centred[0] * centred[1]).sum() / lengths.prod())
@@ -62,18 +84,16 @@ def failure_auc(trust: Tensor, f: Tensor, bad: float = BAD) -> float:
 
 
 def risk_coverage(trust: Tensor, f: Tensor) -> Curve:
-    """Mean 1 - F (y) of the 1, 2, … n most trusted pictures, by their share of all (x): (n,)."""
+    """Mean 1 - F (y) of the 1, 2, … n most trusted pictures, by their share of all (x): (n,).
+
+    Ideal is the curve of a trust that orders the pictures as their F does: none is below it.
+    """
     _, places, counts = trust.unique(return_inverse=True, return_counts=True)
     loss = 1 - f.to(torch.float64)
     of_equals = torch.zeros(len(counts), dtype=torch.float64).index_add_(0, places, loss) / counts
     kept = torch.arange(1, len(trust) + 1, dtype=torch.float64)
     risk = of_equals.flip(0).repeat_interleave(counts.flip(0)).cumsum(0) / kept
     return Curve(kept / len(trust), risk)
-
-
-def ideal_risk_coverage(f: Tensor) -> Curve:
-    """The same for a trust that orders the pictures as their F does: no curve is below it."""
-    return risk_coverage(f, f)
 
 
 def risk_area(curve: Curve) -> float:
@@ -93,15 +113,13 @@ def _measure(
     shown: tuple[Place, ...] = ("trust",),
 ) -> Measure:
     """A figure of the pictures that have a trust; none where no picture has."""
-    return Measure(
-        f"trust/{key}",
-        name,
-        meaning,
-        lambda part: None if part.trusted is None else figure(part.trusted),
-        better,
-        over_groups="whole",
-        shown=shown,
-    )
+
+    def formula(part: Part) -> float | None:
+        pictures = trusted(part.pictures)
+        return None if pictures is None else figure(pictures)
+
+    key = f"trust/{key}"
+    return Measure(key, name, meaning, formula, better, over_groups="whole", shown=shown)
 
 
 TRUST = (
@@ -144,7 +162,7 @@ TRUST = (
         "aurc_ideal",
         "AURC,\nideal",
         "The same if trust had the order of F.",
-        lambda pictures: risk_area(ideal_risk_coverage(pictures.f)),
+        lambda pictures: risk_area(risk_coverage(pictures.f, pictures.f)),
         None,
     ),
     _measure(

@@ -8,15 +8,18 @@ of two detectors cancels in their difference.
 Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 13 (percentiles).
 """
 
+import math
 from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
 
+from roadtorch.evaluation import metrics
 from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import MEASURES
+from roadtorch.evaluation.metrics import Decisions, RoadCounts
 from roadtorch.evaluation.result import Comparison, DetectorFigures, Difference, Interval
-from roadtorch.evaluation.tally import Pictures, Tally, drawn
+from roadtorch.evaluation.tally import Part, Pictures, Tally
 
 REPLICATES = 1000
 
@@ -61,13 +64,14 @@ def resample(
     groups = [tally.kept([group]) for group in figures.counting]
     thresholds = [figures.thresholds[group] for group in figures.counting]
     generator = torch.Generator().manual_seed(SEED)
-    weights = [bootstrap_weights(len(group.names), generator) for group in groups]
+    weights = [bootstrap_weights(len(group.names), generator, REPLICATES) for group in groups]
     once = [torch.ones_like(drawing[:1]) for drawing in weights]
-    kept = [one for one in measures if one.interval and one.key in figures.headline]
+    kept = [measure for measure in measures if measure.interval and measure.key in figures.headline]
     coarse, draws = (_mean_over_groups(groups, thresholds, each, kept) for each in (once, weights))
     return {
-        one.key: draws[one.key] + (one.of(figures.headline) - float(coarse[one.key]))
-        for one in kept
+        measure.key: draws[measure.key]
+        + (measure.of(figures.headline) - float(coarse[measure.key]))
+        for measure in kept
     }
 
 
@@ -78,15 +82,38 @@ def _mean_over_groups(
     measures: Sequence[Measure],
 ) -> dict[str, Tensor]:
     """The figures (draws,) by key, of the pictures of each group as often as weights say."""
-    figures: dict[str, list[Tensor]] = {one.key: [] for one in measures}
+    figures: dict[str, list[Tensor]] = {measure.key: [] for measure in measures}
     for group, threshold, drawing in zip(groups, thresholds, weights, strict=True):
         part = drawn(group, threshold, drawing)
-        for one in measures:
-            values = one.formula(part)
+        for measure in measures:
+            values = measure.formula(part)
             if not isinstance(values, Tensor):
-                raise TypeError(f"the formula of {one.key} needs what draws do not have")
-            figures[one.key].append(values)
+                raise TypeError(f"the formula of {measure.key} needs what draws do not have")
+            figures[measure.key].append(values)
     return {key: torch.stack(values).nanmean(0) for key, values in figures.items()}
+
+
+def drawn(pictures: Pictures, threshold: float, weights: Tensor) -> Part:
+    """The pictures of one group, each as often as weights (draws,n) say, on 8-bit maps."""
+
+    def summed(counts: Tensor) -> Tensor:
+        flat = weights.to(torch.float64) @ counts.flatten(1).to(torch.float64)
+        return flat.reshape(-1, *counts.shape[1:])
+
+    road, other = (
+        summed(part).round().to(torch.int64) for part in (pictures.road.road, pictures.road.other)
+    )
+    counts = RoadCounts(road, other)
+    known = ~pictures.auc.isnan()
+    areas, of_known = pictures.auc[known], weights[:, known].to(torch.float64)
+    return Part(
+        counts,
+        Decisions(*summed(pictures.outcomes).unbind(1)),
+        summed(pictures.boundary),
+        None if pictures.layout is None else summed(pictures.layout),
+        None if math.isnan(threshold) else metrics.decisions_at(counts, threshold),
+        (of_known @ areas) / of_known.sum(1),
+    )
 
 
 def intervals(draws: Draws) -> dict[str, Interval]:
@@ -102,18 +129,22 @@ def compare(
     measures: Sequence[Measure] = MEASURES,
 ) -> Comparison:
     """Every detector less the one called ``against``, in the measures that both have."""
-    shared = [one for one in measures if "pairs" in one.shown and one.key in draws[against]]
+    shared = [
+        measure
+        for measure in measures
+        if "pairs" in measure.shown and measure.key in draws[against]
+    ]
     other = detectors[against].headline
     return Comparison(
         against,
         {
             name: {
-                one.key: Difference(
-                    one.of(detectors[name].headline) - one.of(other),
-                    interval(own[one.key] - draws[against][one.key]),
+                measure.key: Difference(
+                    measure.of(detectors[name].headline) - measure.of(other),
+                    interval(own[measure.key] - draws[against][measure.key]),
                 )
-                for one in shared
-                if one.key in own
+                for measure in shared
+                if measure.key in own
             }
             for name, own in draws.items()
             if name != against

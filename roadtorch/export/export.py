@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,13 +23,7 @@ from roadtorch.io.atomic import atomic, digest_of, make_folder
 from roadtorch.io.image import from_pixels, to_pixels
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.picture_network import ROAD
-from roadtorch.layout.weights import (
-    FOR_PICTURES,
-    WeightsFile,
-    WholePictureNetwork,
-    terms_of,
-    weights_path,
-)
+from roadtorch.layout.weights import FOR_PICTURES, WholePictureNetwork, terms_of, weights_path
 from roadtorch.scenes.street import render_scene
 from roadtorch.version import __version__
 
@@ -52,7 +47,7 @@ class Exportable:
     what: which part, in words. lacks: what Python does beside it.
     module: pictures uint8 (N,H,W,3) RGB → its ``outputs``.
     reference: what each of these has to equal. settings: those that have a part in it.
-    shipped, weights: the name of the weights that are used unless others are given.
+    weights: the file of the network's weights.
     """
 
     what: str
@@ -60,8 +55,7 @@ class Exportable:
     module: WholePictures | EveryPixel
     reference: Reference
     settings: tuple[str, ...]
-    shipped: str
-    weights: WeightsFile
+    weights: Path
 
 
 def exportable(detector: Detector) -> Exportable:
@@ -71,24 +65,34 @@ def exportable(detector: Detector) -> Exportable:
     """
     analysis, settings = detector.analysis, detector.settings
     if isinstance(analysis, Fusion) and isinstance(settings, FusionSettings):
-        what = "its learned road, layout and ego car"
-        lacks = f"superpixels, outlines that follow the picture, {ISOLATED}, trust"
-        learned, calibration = settings.learned, settings.calibration
-        weight = learned.weight + learned.detail
-        platt = Platt(weight, calibration.centre, calibration.temperature)
-        part = _whole_pictures(what, lacks, analysis.network, ROAD, settings.weights, platt)
+        weight = settings.learned.weight + settings.learned.detail
+        platt = Platt(weight, settings.calibration.centre, settings.calibration.temperature)
+        part = Exportable(
+            "its learned road, layout and ego car",
+            f"superpixels, outlines that follow the picture, {ISOLATED}, trust",
+            WholePictures(analysis.network, ROAD, platt),
+            partial(learned_maps, analysis.network, ROAD, platt),
+            ("weights", "threshold", "learned", "calibration", "network_scale"),
+            weights_path(settings.weights.file or FOR_PICTURES),
+        )
     elif isinstance(analysis, Layout) and isinstance(settings, LayoutSettings):
-        what, lacks = "its learned layout and ego car", f"the labeller, {ISOLATED}"
-        part = _whole_pictures(what, lacks, analysis.network, HORIZONTAL, settings.weights, None)
+        part = Exportable(
+            "its learned layout and ego car",
+            f"the labeller, {ISOLATED}",
+            WholePictures(analysis.network, HORIZONTAL, None),
+            partial(learned_maps, analysis.network, HORIZONTAL, None),
+            ("weights", "threshold"),
+            weights_path(settings.weights.file or FOR_PICTURES),
+        )
     elif isinstance(analysis, Cnn7) and isinstance(settings, Cnn7Settings):
-
-        def detected(image: Tensor) -> Mapping[str, Tensor]:
-            detection = detector.detect(image)
-            return {"likelihood": detection.likelihood, "layout": detection.cues["layout"]}
-
-        module = EveryPixel(analysis.network, settings.working)
-        kept, what = ("weights", "threshold", "working"), "its likelihood and layout"
-        part = Exportable(what, ISOLATED, module, detected, kept, "cnn-7", settings.weights)
+        part = Exportable(
+            "its likelihood and layout",
+            ISOLATED,
+            EveryPixel(analysis.network, settings.working),
+            partial(detected_maps, detector),
+            ("weights", "threshold", "working"),
+            weights_path(settings.weights.file or "cnn-7"),
+        )
     else:
         raise ConfigError(detector.name, "cannot be exported", f"those that can: {', '.join(CAN)}")
     usual = detector_entry(detector.name).configured({}).model_dump()
@@ -98,33 +102,27 @@ def exportable(detector: Detector) -> Exportable:
     return part
 
 
-def _whole_pictures(
-    what: str,
-    lacks: str,
-    network: WholePictureNetwork,
-    place: int,
-    weights: WeightsFile,
-    platt: Platt | None,
-) -> Exportable:
-    def learned(image: Tensor) -> Mapping[str, Tensor]:
-        found = network.cues(image)
-        likelihood = found["road"] if place == ROAD else found["layout"][place]
-        if platt is not None:
-            likelihood = calibrated(likelihood, found["ego"], platt)
-        return {"likelihood": likelihood, "layout": found["layout"], "ego": found["ego"]}
-
-    kept = ("weights", "threshold")
+def learned_maps(
+    network: WholePictureNetwork, place: int, platt: Platt | None, image: Tensor
+) -> dict[str, Tensor]:
+    """What ``WholePictures`` has to give of an image (3,H,W) in [0,1]: likelihood, layout, ego."""
+    cues = network.cues(image)
+    likelihood = cues["road"] if place == ROAD else cues["layout"][place]
     if platt is not None:
-        kept += ("learned", "calibration", "network_scale")
-    module = WholePictures(network, place, platt)
-    return Exportable(what, lacks, module, learned, kept, FOR_PICTURES, weights)
+        likelihood = calibrated(likelihood, cues["ego"], platt)
+    return {"likelihood": likelihood, "layout": cues["layout"], "ego": cues["ego"]}
+
+
+def detected_maps(detector: Detector, image: Tensor) -> dict[str, Tensor]:
+    """What ``EveryPixel`` has to give of an image (3,H,W) in [0,1]: likelihood, layout."""
+    detection = detector.detect(image)
+    return {"likelihood": detection.likelihood, "layout": detection.cues["layout"]}
 
 
 def notes_of(detector: Detector, part: Exportable) -> dict[str, str]:
     """What the file says about itself, by name."""
-    path = weights_path(part.weights.file or part.shipped)
-    stated = terms_of(path)
-    terms = f"{stated} (see {path.stem}.md beside the weights)" if stated else OWN_TERMS
+    stated = terms_of(part.weights)
+    terms = f"{stated} (see {part.weights.stem}.md beside the weights)" if stated else OWN_TERMS
     return {
         "roadtorch": __version__,
         "detector": detector.name,
@@ -136,8 +134,8 @@ def notes_of(detector: Detector, part: Exportable) -> dict[str, str]:
         "smallest_side": str(MIN_SIDE),
         **{f"output.{name}": OUTPUTS[name] for name in part.module.outputs},
         "threshold": f"{detector.settings.threshold:g}",
-        "weights": path.name,
-        "weights_sha256": digest_of(path),
+        "weights": part.weights.name,
+        "weights_sha256": digest_of(part.weights),
         "terms": f"{terms}; the code is Apache-2.0",
     }
 
@@ -161,8 +159,8 @@ class Parity:
     """
 
     most: float
-    mean: float
     where: str
+    mean: float
     pictures: int
 
 
@@ -174,25 +172,25 @@ def rendered_batches() -> Iterator[np.ndarray]:
 
 
 def parity(run: Run, reference: Reference, batches: Iterable[np.ndarray]) -> Parity:
-    """How far ``run`` is off the reference on batches of pictures uint8 (N,H,W,3), at least one."""
-    seen = [one for batch in batches for one in _differences(run(batch), reference, batch)]
-    most, where = max((float(apart.max()), where) for where, apart in seen)
-    pixels = sum(apart.numel() for _, apart in seen)
-    mean = sum(float(apart.double().sum()) for _, apart in seen) / pixels
-    outputs = len({where.split()[0] for where, _ in seen})
-    return Parity(most, mean, where, len(seen) // outputs)
+    """How far ``run`` is off the reference on batches of pictures uint8 (N,H,W,3), at least one.
 
-
-def _differences(
-    found: Mapping[str, np.ndarray], reference: Reference, batch: np.ndarray
-) -> Iterator[tuple[str, Tensor]]:
-    """For each picture and output: name and size, and how far it is off; NaN is endless."""
-    for at, pixels in enumerate(batch):
-        wanted = reference(from_pixels(pixels))
-        height, width = pixels.shape[:2]
-        for name, maps in found.items():
-            apart = (torch.from_numpy(maps[at]) - wanted[name]).abs()
-            yield f"{name} at {width}×{height}", apart.nan_to_num(torch.inf)
+    What is no number is endlessly far.
+    """
+    pictures, pixels, total = 0, 0, 0.0
+    extremes: list[tuple[float, str]] = []
+    for batch in batches:
+        maps = run(batch)
+        for at, picture in enumerate(batch):
+            expected = reference(from_pixels(picture))
+            height, width = picture.shape[:2]
+            pictures += 1
+            for name, values in maps.items():
+                difference = (torch.from_numpy(values[at]) - expected[name]).abs()
+                difference = difference.nan_to_num(torch.inf)
+                extremes.append((float(difference.max()), f"{name} at {width}×{height}"))
+                pixels += difference.numel()
+                total += float(difference.double().sum())
+    return Parity(*max(extremes), total / pixels, pictures)
 
 
 # --- writing it -------------------------------------------------------------------------
@@ -235,26 +233,26 @@ def export_detector(detector: Detector, out: Path, kind: str) -> Exported:
     format has, and a missing extra; InputError when the file would be more than ``BOUND`` off
     (then nothing is written), and when it cannot be written.
     """
-    made = format_named(kind)
-    if out.suffix != made.suffixes[0]:
+    form = format_named(kind)
+    if out.suffix != form.suffixes[0]:
         what = f"does not end as {kind} files do"
-        raise ConfigError(out, what, f"name it {out.stem or 'road'}{made.suffixes[0]}")
+        raise ConfigError(out, what, f"name it {out.stem or 'road'}{form.suffixes[0]}")
     part = exportable(detector)
     make_folder(out.parent)
     notes = notes_of(detector, part)
     with TemporaryDirectory(prefix="roadtorch.") as folder:
         path = Path(folder) / out.name
-        made.write(part.module, notes, path)
-        run = made.open(path, torch.get_num_threads())
-        found = parity(run, part.reference, rendered_batches())
-        if not found.most <= BOUND:
-            what = f"would be {found.most:.2g} off in its {found.where}, more than {BOUND:g}"
+        form.write(part.module, notes, path)
+        run = form.open(path, torch.get_num_threads())
+        apart = parity(run, part.reference, rendered_batches())
+        if not apart.most <= BOUND:
+            what = f"would be {apart.most:.2g} off in its {apart.where}, more than {BOUND:g}"
             raise InputError(out, what, "nothing was written; try other versions of the extra")
-        files = tuple(out.with_suffix(suffix) for suffix in made.suffixes)
+        files = tuple(out.with_suffix(suffix) for suffix in form.suffixes)
         for file in reversed(files):
             with atomic(file) as temporary:
                 shutil.copyfile(path.with_suffix(file.suffix), temporary)
-    return Exported(files, notes, found)
+    return Exported(files, notes, apart)
 
 
 def format_named(kind: str) -> Format:

@@ -21,8 +21,6 @@ Run = Callable[[np.ndarray], Mapping[str, np.ndarray]]
 EXAMPLE = (2, 240, 320, 3)
 """The shape of the pictures that the graph is traced with; no number of it stays but the 3."""
 
-LOGGERS = ("torch.onnx", "onnxscript", "onnx_ir", "torch.export")
-
 
 def write_onnx(module: WholePictures | EveryPixel, notes: Mapping[str, str], path: Path) -> None:
     """Write a module of ``graph`` with notes about it; needs onnx and onnxscript.
@@ -59,8 +57,8 @@ def open_onnx(path: Path, threads: int) -> Run:
     names = [output.name for output in session.get_outputs()]
 
     def run(pictures: np.ndarray) -> dict[str, np.ndarray]:
-        found: list[Any] = list(session.run(names, {"image": pictures}))
-        return dict(zip(names, found, strict=True))
+        maps: list[Any] = list(session.run(names, {"image": pictures}))
+        return dict(zip(names, maps, strict=True))
 
     return run
 
@@ -68,16 +66,13 @@ def open_onnx(path: Path, threads: int) -> Run:
 @contextmanager
 def quiet_exporter() -> Iterator[None]:
     """torch's exporter without its remarks on itself."""
-    before = {name: logging.getLogger(name).level for name in LOGGERS}
-    for name in before:
-        logging.getLogger(name).setLevel(logging.ERROR)
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             yield
     finally:
-        for name, level in before.items():
-            logging.getLogger(name).setLevel(level)
+        logging.disable(before)
 
 
 # --- OpenVINO -------------------------------------------------------------------------
@@ -111,7 +106,7 @@ def open_openvino(path: Path, threads: int) -> Run:
     names = [output.any_name for output in model.outputs]
 
     def run(pictures: np.ndarray) -> dict[str, np.ndarray]:
-        found = model(np.ascontiguousarray(pictures))
-        return {name: np.array(found[name]) for name in names}
+        maps = model(np.ascontiguousarray(pictures))
+        return {name: np.array(maps[name]) for name in names}
 
     return run

@@ -10,7 +10,7 @@ torch does, OpenVINO's reads the same file and does not (up to 0.45 off in a tri
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -99,7 +99,7 @@ class EveryPixel(nn.Module):
         """Maps (N,H,W) and (N,3,H,W) of pictures uint8 (N,H,W,3) RGB."""
         planes = planes_of(image)
         small = averaged(planes, *size_at_work(planes, self.working)).clamp(0, 1)
-        found = self.network.everywhere(normalised(small, self.network.settings.normalisation))
+        found = self.network.dense(normalised(small, self.network.settings.normalisation))
         layout = averaged(found, planes.shape[-2], planes.shape[-1])
         return layout[:, HORIZONTAL], layout
 
@@ -132,22 +132,19 @@ def averaging(before: int, after: int) -> Tensor:
     return triangle / triangle.sum(1, keepdim=True)
 
 
-class _Size(NamedTuple):
-    height: int
-    width: int
-
-
-def size_at_work(planes: Tensor, working: WorkingSize) -> _Size:
+def size_at_work(planes: Tensor, working: WorkingSize) -> tuple[int, int]:
     """``working_size.working_size`` of pictures (N,3,H,W) whose size is known only at run time."""
-    sides = [torch.scalar_tensor(side, dtype=torch.float64) for side in planes.shape[-2:]]
-    scale = (working.pixels / (sides[0] * sides[1])).sqrt().clamp(max=1.0)
-    found = []
-    for side in sides:
-        length = (side * scale).round().clamp(min=SHORTEST).to(torch.int64).item()
-        torch._check(length >= SHORTEST)
-        torch._check(length <= MAX_SIDE)
-        found.append(length)
-    return _Size(*found)
+    height, width = (torch.scalar_tensor(side, dtype=torch.float64) for side in planes.shape[-2:])
+    scale = (working.pixels / (height * width)).sqrt().clamp(max=1.0)
+    return _length(height * scale), _length(width * scale)
+
+
+def _length(side: Tensor) -> int:
+    """A side, a scalar, in whole pixels, whose bounds a graph knows."""
+    length: Any = side.round().clamp(min=SHORTEST).to(torch.int64).item()
+    torch._check(length >= SHORTEST)
+    torch._check(length <= MAX_SIDE)
+    return length
 
 
 def normalised(images: Tensor, normalisation: Normalisation) -> Tensor:

@@ -208,8 +208,7 @@ def plane(image: Tensor, name: str) -> Tensor:
 # --- exposure -------------------------------------------------------------------------
 
 
-STRONGEST = 0.3
-"""The exponent of the strongest brightening: 0.01 becomes 0.25."""
+STRONGEST = 0.3  # the exponent of the strongest brightening: 0.01 becomes 0.25
 
 DARKEST = 1e-4
 """Pixels count as at least this bright, so that black stays nearly black under any gamma."""

@@ -28,8 +28,7 @@ def order_statistic(values: Tensor, k: int) -> float:
     return float(np.partition(values.detach().cpu().numpy(), k)[k])
 
 
-BINS = 128
-"""Of the histogram: the threshold is known to a part in 128 of the range."""
+BINS = 128  # of the histogram: the threshold is known to a part in 128 of the range
 
 
 def otsu_threshold(values: Tensor) -> Tensor:

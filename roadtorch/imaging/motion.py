@@ -79,6 +79,7 @@ def forward_backward_error(flow: Tensor, back: Tensor) -> Tensor:
     columns, rows = _pointed(flow, height, width)
     outside = (columns < 0) | (columns > width - 1) | (rows < 0) | (rows > height - 1)
     right, down = cv2.split((flow + warp(back, flow)).numpy())
-    missed = cv2.magnitude(right, down)
+    # Not cv2.magnitude, whose last digit depends on where in memory an array happens to lie.
+    missed = np.sqrt(right * right + down * down)
     missed[outside] = np.inf
     return torch.from_numpy(missed)

@@ -15,8 +15,7 @@ from roadtorch.runtime.image_cache import cached_per_image
 from roadtorch.runtime.threads import one_thread
 from roadtorch.settings import Settings
 
-SHORTEST = 16
-"""Pixels that a long, thin picture keeps on its short side."""
+SHORTEST = 16  # pixels that a long, thin picture keeps on its short side
 
 ROWS, COLUMNS = 32, 64
 """Old rows and columns that one matrix product averages, about: narrow, and not too small."""
@@ -59,8 +58,8 @@ def resized(maps: Tensor, size: tuple[int, int]) -> Tensor:
         # Faster than by torch.
         larger = size[0] >= before[0] and size[1] >= before[1]
         flat = maps.reshape(-1, *before)
-        found = _enlarged(flat, size) if larger else _averaged(flat, size)
-        return found.reshape(*maps.shape[:-2], *size)
+        resampled = _enlarged(flat, size) if larger else _averaged(flat, size)
+        return resampled.reshape(*maps.shape[:-2], *size)
     batch = maps.reshape(1, -1, *maps.shape[-2:])
     batch = F.interpolate(batch, size=size, mode="bilinear", antialias=True)
     return batch.reshape(*maps.shape[:-2], *size)
@@ -123,8 +122,8 @@ def at_picture_size(cue: Tensor, size: tuple[int, int]) -> Tensor:
     """A cue (…,H,W) at the picture's own size: values smoothly, labels and masks by pixels."""
     if cue.is_floating_point():
         return resized(cue, size)
-    found = cue.cpu().numpy()
-    if not found.any():
+    pixels = cue.cpu().numpy()
+    if not pixels.any():
         return cue.new_zeros((*cue.shape[:-2], *size))
     rows, columns = (
         np.arange(after) * before // after
@@ -133,8 +132,12 @@ def at_picture_size(cue: Tensor, size: tuple[int, int]) -> Tensor:
     # NumPy picks from labels and masks faster than torch; the fewer pixels go first.
     steps = [(rows, -2), (columns, -1)]
     for places, axis in steps if size[0] < cue.shape[-2] else reversed(steps):
-        found = found.take(places, axis)
-    return torch.from_numpy(found).to(cue.device)
+        pixels = pixels.take(places, axis)
+    return torch.from_numpy(pixels).to(cue.device)
+
+
+Cue = Tensor | Callable[[], Tensor]
+"""A map (H,W) or (C,H,W), or what makes it when it is asked for."""
 
 
 class Maps(Mapping[str, Tensor]):
@@ -144,15 +147,15 @@ class Maps(Mapping[str, Tensor]):
     inference mode comes out as a copy, with which can be done what can be done with any tensor.
     """
 
-    def __init__(self, made: Mapping[str, Tensor | Callable[[], Tensor]]) -> None:
+    def __init__(self, made: Mapping[str, Cue]) -> None:
         self._made = dict(made._made if isinstance(made, Maps) else made)
 
     @one_thread()
     def __getitem__(self, name: str) -> Tensor:
         """The map of that name; KeyError where there is none."""
         made = self._made[name]
-        found = made if isinstance(made, Tensor) else made()
-        return found.clone() if found.is_inference() else found
+        tensor = made if isinstance(made, Tensor) else made()
+        return tensor.clone() if tensor.is_inference() else tensor
 
     def __iter__(self) -> Iterator[str]:
         """The names of all maps."""
@@ -162,9 +165,17 @@ class Maps(Mapping[str, Tensor]):
         """How many maps there are."""
         return len(self._made)
 
-    def but(self, **others: Tensor | Callable[[], Tensor]) -> "Maps":
+    def but(self, **others: Cue) -> "Maps":
         """The same with others, in the place of those of their names or behind all."""
         return Maps({**self._made, **others})
+
+    def only(self, *names: str) -> "Maps":
+        """The same with those names alone, as far as there are such maps."""
+        return Maps({name: made for name, made in self._made.items() if name in names})
+
+    def __reduce__(self) -> tuple[type["Maps"], tuple[dict[str, Tensor]]]:
+        """All maps as they are, so that they survive a process boundary."""
+        return Maps, (dict(self),)
 
     def without(self, name: str) -> "Maps":
         """The same without the one of that name."""

@@ -9,11 +9,9 @@ import os
 import re
 import secrets
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from tempfile import TemporaryFile
 from time import monotonic, sleep
-from typing import Literal
 
 from roadtorch.errors import InputError
 from roadtorch.io.bounded import printable
@@ -180,60 +178,6 @@ def _lock_of(folder: Path) -> Iterator[Callable[..., None]]:
         yield lock
     finally:
         os.close(handle)
-
-
-@contextmanager
-def reserved(folder: Path, size: int) -> Iterator[Callable[[], None]]:
-    """Hold room for so many bytes on the disk of a folder; what is yielded lets go of it.
-
-    The file that holds it has no name, so that none stays when the process is killed.
-    Raises InputError when there is no such room.
-    """
-    with TemporaryFile(dir=folder) as file:
-        try:
-            file.write(bytes(size))
-            file.flush()
-        except OSError as problem:
-            what = f"has no room for {size} bytes: {problem.strerror}"
-            raise InputError(folder, what, "make room, or choose a folder with room") from None
-        yield file.close
-
-
-class RoomyFile:
-    """A file that is written bit by bit, and whose end finds room although the disk is full.
-
-    ``write``, ``seek`` and ``tell`` are those of a binary file, but never raise: libraries that
-    write to it may not survive that. ``problem`` is what went wrong once the held room was let go
-    of: whoever writes ought to come to an end then. ``lost`` is what went wrong when that was not
-    enough, and bytes are missing. Raises InputError when there is no such room to begin with.
-    """
-
-    def __init__(self, path: Path, mode: Literal["wb", "ab"], room: int) -> None:
-        self.problem: OSError | None = None
-        self.lost: OSError | None = None
-        with ExitStack() as stack:
-            self._let_go = stack.enter_context(reserved(path.parent, room))
-            self._file = stack.enter_context(path.open(mode, buffering=0))
-            self._stack = stack.pop_all()
-        self.seek, self.tell = self._file.seek, self._file.tell
-
-    def write(self, data: bytes | bytearray | memoryview) -> int:
-        """Write all of the bytes, or note why not."""
-        left = memoryview(data)
-        while left and self.lost is None:
-            try:
-                left = left[self._file.write(left) or 0 :]
-            except OSError as problem:
-                if self.problem is None:
-                    self.problem = problem
-                    self._let_go()
-                else:
-                    self.lost = problem
-        return memoryview(data).nbytes
-
-    def close(self) -> None:
-        """Close the file, and let go of the room."""
-        self._stack.close()
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

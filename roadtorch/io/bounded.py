@@ -27,14 +27,14 @@ def regular_size(path: str | os.PathLike[str], most: int = MAX_BYTES) -> int:
     reason as its ``strerror``: for what is missing or may not be read, a folder, a pipe, a
     device, a socket, and a file that is larger.
     """
-    found = Path(path).stat()
-    if stat.S_ISDIR(found.st_mode):
+    status = Path(path).stat()
+    if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(0, "it is a folder")
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         raise OSError(0, "it is a pipe or a device, not a file")
-    if found.st_size > most:
+    if status.st_size > most:
         raise _too_large(most)
-    return found.st_size
+    return status.st_size
 
 
 def _too_large(most: int) -> OSError:
@@ -46,8 +46,8 @@ def reason(problem: Exception) -> str:
 
     Foreign bytes make decoders raise anything: IndexError, struct.error, cv2.error, …
     """
-    told = problem.strerror if isinstance(problem, OSError) else None
-    lines = (told or str(problem)).strip().splitlines()
+    words = problem.strerror if isinstance(problem, OSError) else None
+    lines = (words or str(problem)).strip().splitlines()
     return lines[0] if lines else "it is damaged"
 
 

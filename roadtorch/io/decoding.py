@@ -166,16 +166,16 @@ def _jpeg(data: bytes, mode: str) -> np.ndarray:
     return _opencv(data, cv2.IMREAD_COLOR) if mode == "CMYK" else pixels  # which knows inks
 
 
-def _is_whole(data: bytes, told: str) -> bool:
-    """Whether a JPEG has all of its pixels whatever libjpeg tells of it; Pillow raises as well."""
-    if told.startswith("Premature end of JPEG"):
+def _is_whole(data: bytes, message: str) -> bool:
+    """Whether a JPEG has all of its pixels whatever libjpeg says of it; Pillow raises as well."""
+    if message.startswith("Premature end of JPEG"):
         with open_picture(data) as picture:
             picture.load()
         return True
-    if left_over := _LEFT_OVER.search(told):
+    if left_over := _LEFT_OVER.search(message):
         end = data.rfind(b"\xff\xd9")
         return len(set(data[end - int(left_over[1]) : end])) == 1
-    return _STRANGE_METADATA.match(told) is not None
+    return _STRANGE_METADATA.match(message) is not None
 
 
 # --- the other formats ------------------------------------------------------------------
@@ -290,8 +290,8 @@ def _is_deep_tiff(header: Image.Image) -> bool:
     if FLOATING_POINT in kinds:
         raise ValueError("floating-point TIFF has no agreed white")
     if kinds != {UNSIGNED} or (is_deep and set(bits) != {16}):
-        told = "×".join(map(str, sorted(set(bits))))
-        raise ValueError(f"TIFF of {told} bits a sample is not read, only 8 and 16 without sign")
+        depth = "×".join(map(str, sorted(set(bits))))
+        raise ValueError(f"TIFF of {depth} bits a sample is not read, only 8 and 16 without sign")
     if is_deep and _tiff_tag(header, PHOTOMETRIC)[0] not in (BLACK_IS_ZERO, RGB):
         raise ValueError("TIFF of 16 bits is read as grey, black being 0, or as RGB")
     return is_deep

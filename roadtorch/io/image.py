@@ -1,12 +1,11 @@
 """Pictures in and out: decoding to RGB tensors, encoding maps, masks and overlays."""
 
+import io
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import cv2
 import numpy as np
@@ -15,7 +14,6 @@ from PIL import Image, ImageDraw, ImageFont, UnidentifiedImageError
 from torch import Tensor
 
 from roadtorch.errors import InputError, fault, lacks_memory, unknown_name
-from roadtorch.io.addresses import is_url, url_bytes, without_password
 from roadtorch.io.atomic import atomic
 from roadtorch.io.bounded import read_regular, reason, regular_size
 from roadtorch.io.decoding import (
@@ -26,6 +24,7 @@ from roadtorch.io.decoding import (
     decode,
     pillow_pixels,
 )
+from roadtorch.io.urls import is_url, url_bytes, without_password
 
 READABLE = "JPEG, PNG, TIFF, WebP or BMP"
 
@@ -54,7 +53,7 @@ MAP_OPTIONS = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
 Order = Literal["rgb", "bgr"]
 """The order of colours in an array: OpenCV's is ``bgr``, nearly everybody else's ``rgb``."""
 
-Picture = Tensor | np.ndarray | Image.Image | str | os.PathLike[str]
+ImageLike = Tensor | np.ndarray | Image.Image | str | os.PathLike[str]
 """What programs have of a picture, see ``as_image``."""
 
 # --- in ---------------------------------------------------------------------------------
@@ -136,7 +135,7 @@ def from_pixels(pixels: np.ndarray) -> Tensor:
     return image if len(planes) == 3 else image.mul_(planes[3].to(torch.float32).div_(levels))
 
 
-def as_image(picture: Picture, order: Order | None = None) -> Tensor:
+def as_image(picture: ImageLike, order: Order | None = None) -> Tensor:
     """What a program has of a picture, as image (3,H,W) in [0,1].
 
     A tensor (3,H,W) is RGB: floating point stays as it is, uint8 is divided by 255. A NumPy array
@@ -271,10 +270,10 @@ def write_pixels(path: str | os.PathLike[str], pixels: np.ndarray) -> None:
 
 def write_npy(path: str | os.PathLike[str], values: Tensor) -> None:
     """Write a tensor as NumPy file, type and shape unchanged."""
-    with atomic(path) as temporary, temporary.open("wb") as file:
-        # To a file that it knows NumPy writes past Python, and a full disk has no number then.
-        plain: Any = SimpleNamespace(write=file.write)
-        np.lib.format.write_array(plain, values.detach().cpu().numpy(), allow_pickle=False)
+    data = io.BytesIO()
+    np.save(data, values.detach().cpu().numpy(), allow_pickle=False)
+    with atomic(path) as temporary:
+        temporary.write_bytes(data.getbuffer())
 
 
 def tint_mask(pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:
@@ -299,15 +298,15 @@ def with_caption(pixels: np.ndarray, caption: str) -> np.ndarray:
         return pixels
     size = max(LETTERS, round(min(pixels.shape[:2]) / 22))
     band = Image.fromarray(pixels[: 2 * size])
-    rim = {"stroke_width": max(1, size // 12), "stroke_fill": "black"}
-    ImageDraw.Draw(band).text((size // 2, size // 2), caption, "white", _font(size), **rim)
+    ImageDraw.Draw(band).text(
+        (size // 2, size // 2),
+        caption,
+        "white",
+        ImageFont.load_default(size),
+        stroke_width=max(1, size // 12),
+        stroke_fill="black",
+    )
     return np.concatenate([np.asarray(band), pixels[2 * size :]])
-
-
-@cache
-def _font(size: int) -> Any:
-    """The font that Pillow brings, of a height in pixels."""
-    return ImageFont.load_default(size)
 
 
 def to_pixels(image: Tensor) -> np.ndarray:

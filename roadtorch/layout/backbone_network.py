@@ -161,10 +161,11 @@ class Head(nn.Module):
     def forward(self, features: list[Tensor]) -> Tensor:
         """Scores (B,5,H/4,W/4): three classes, road, ego car."""
         levels = [self.drop(norm(maps)) for norm, maps in zip(self.levels, features, strict=True)]
-        seen = [narrow(maps) for narrow, maps in zip(self.middle, levels[1:], strict=True)]
-        size = size_of(seen[0])
-        maps = seen[0] + self.place(place_planes(seen[0]))
-        maps = F.relu(maps + _sized(seen[1], size) + _sized(seen[2], size))
+        eighth, *coarser = (f(maps) for f, maps in zip(self.middle, levels[1:], strict=True))
+        maps = eighth + self.place(place_planes(eighth))
+        for level in coarser:
+            maps = maps + _sized(level, size_of(eighth))
+        maps = F.relu(maps)
         for change in self.around:
             maps = maps + F.relu(change(maps))
         fine = self.fine(levels[0])

@@ -35,11 +35,11 @@ Share = Annotated[
 """A setting: the ``share`` of ``pooled`` where the other opinion is a network's."""
 
 
-def pooled(one: Tensor, other: Tensor, share: float) -> Tensor:
+def pooled(first: Tensor, second: Tensor, share: float) -> Tensor:
     """Logarithmic opinion pool of potentials (3,…) in [0,1]; sums to 1 over the classes.
 
-    share: weight of the other opinion, from 0 (the one alone) to 1. Genest and Zidek,
+    share: weight of the second opinion, from 0 (the first alone) to 1. Genest and Zidek,
     "Combining Probability Distributions", Statistical Science 1986.
     """
-    logs, others = (opinion.clamp_min(MIN_POTENTIAL).log() for opinion in (one, other))
+    logs, others = (opinion.clamp_min(MIN_POTENTIAL).log() for opinion in (first, second))
     return ((1 - share) * logs + share * others).softmax(0)

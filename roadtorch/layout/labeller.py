@@ -6,9 +6,8 @@ in a street picture, learns from the picture itself what each of them looks like
 each column of the picture read sky, vertical, horizontal from top to bottom.
 """
 
-from collections.abc import Mapping
 from functools import lru_cache
-from typing import ClassVar, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -107,16 +106,6 @@ MARGIN = 0.5
 
 class HorizonSettings(Settings):
     """What a detector can tell the layout labeller: what differs from camera to camera."""
-
-    removed: ClassVar[Mapping[str, str]] = {
-        "place": "write horizon for place.horizon; the rest is constant now",
-        "margin": "leave it out: roadtorch label and roadtorch train have it",
-        "support": "leave it out: roadtorch label and roadtorch train have it",
-        **dict.fromkeys(
-            ("exposure", "sky", "bandwidths", "order", "sharpness", "rounds"),
-            "leave it out: it is a constant of roadtorch.layout.labeller now",
-        ),
-    }
 
     horizon: float = Field(
         default=RULES.place.horizon, ge=0, le=1, description="its row, a share of the height"

@@ -19,7 +19,6 @@ from roadtorch.errors import ConfigError
 from roadtorch.imaging.color import Exposure, brightened, plane
 from roadtorch.imaging.resize import WorkingSize, at_working_size
 from roadtorch.layout.classes import CLASSES
-from roadtorch.layout.fragments import Layer, Layers, reflected
 from roadtorch.settings import Settings
 
 MIN_KERNEL, MAX_KERNEL = 5, 13
@@ -77,16 +76,17 @@ class Topology(Settings):
             if stage <= self.subsamplings:
                 side = side // 2 if side % 2 == 0 else 0
             if side < 1:
-                what = f"has a map behind size{stage} that is empty, or that 2×2 cannot halve"
-                raise ConfigError("topology", what, "the usual sizes are 7, 7, 7 for a patch of 32")
+                message = f"has a map behind size{stage} that is empty, or that 2×2 cannot halve"
+                remedy = "the usual sizes are 7, 7, 7 for a patch of 32"
+                raise ConfigError("topology", message, remedy)
         if side != 1:
-            fits, what = self.size3 + side - 1, f"ends in {side}×{side}, not in 1×1"
+            fits = self.size3 + side - 1
             remedy = "give a smaller patch, larger kernels or one more subsampling"
             remedy = f"size3={fits} would end in it" if fits <= MAX_KERNEL else remedy
-            raise ConfigError("topology", what, remedy)
+            raise ConfigError("topology", f"ends in {side}×{side}, not in 1×1", remedy)
         if self.connections > self.k1:
-            what = f"is {self.connections}, and the first layer has {self.k1} kernels"
-            raise ConfigError("topology.connections", what, f"give 0 to {self.k1}")
+            message = f"is {self.connections}, and the first layer has {self.k1} kernels"
+            raise ConfigError("topology.connections", message, f"give 0 to {self.k1}")
         return self
 
     @property
@@ -170,69 +170,52 @@ class PatchNetwork(nn.Module):
 
     def forward(self, patches: Tensor) -> Tensor:
         """Potentials (n,3) in [0,1] of normalised patches (n,3,P,P)."""
-        return self.strided(patches).flatten(1)
-
-    def strided(self, pixels: Tensor) -> Tensor:
-        """Potentials (B,3,h,w) at every ``stride``-th place of pictures (B,3,H,W), unpadded."""
         shape = self.settings.topology
         pool = F.avg_pool2d if shape.pooling == "mean" else F.max_pool2d
-        maps = pool(self.first(self._seen(pixels)).tanh(), 2)
+        maps = pool(self.first(self._seen(patches)).tanh(), 2)
         maps = F.conv2d(maps, self.second.weight * self.table, self.second.bias).tanh()
         if shape.subsamplings == 2:
             maps = pool(maps, 2)
-        return self._squashed(self.last(maps))
+        return self._squashed(self.last(maps)).flatten(1)
 
-    @torch.no_grad()
     def dense(self, pixels: Tensor) -> Tensor:
-        """Potentials (3,H,W) for each pixel of a normalised picture (3,H,W); no gradient.
+        """Potentials (…,3,H,W) for each pixel of normalised pictures (…,3,H,W).
 
-        Equal to ``forward`` on the patch around each pixel, computed once for all, fragment by
-        fragment (see ``fragments``). Past the border the picture is reflected.
-        """
-        shape = self.settings.topology
-        weights = (self.first.weight, self.second.weight * self.table, self.last.weight)
-        biases = (self.first.bias, self.second.bias, self.last.bias)
-        first, second, last = (Layer(*pair) for pair in zip(weights, biases, strict=True))  # type: ignore[arg-type]  # all have a bias
-        layers = Layers(first, second, last, shape.patch, shape.pooling, shape.subsamplings)
-        return self._squashed(layers.scores(self._seen(pixels))[None])[0]
-
-    def everywhere(self, pixels: Tensor) -> Tensor:
-        """``dense`` for pictures (B,3,H,W), as a graph can hold it: potentials (B,3,H,W).
-
-        Instead of dropping three of four places, every later step takes neighbours twice as far
-        apart (Giusti et al., ICIP 2013, in its dilated form).
+        Equal to ``forward`` on the patch around each pixel, computed once for all: subsampling
+        keeps every place, and later steps take neighbours twice as far apart instead (Giusti et
+        al., "Fast Image Scanning with Deep Max-Pooling Convolutional Neural Networks", ICIP 2013,
+        in its dilated form). Past the border the picture is reflected.
         """
         shape = self.settings.topology
         maps = self._seen(reflected(pixels, shape.patch))
         maps = _pooled_everywhere(self.first(maps).tanh(), 1, shape.pooling)
-        weight = self.second.weight * self.table
-        maps = F.conv2d(maps, weight, self.second.bias, dilation=2).tanh_()
+        maps = F.conv2d(maps, self.second.weight * self.table, self.second.bias, dilation=2).tanh()
         if shape.subsamplings == 2:
             maps = _pooled_everywhere(maps, 2, shape.pooling)
         maps = F.conv2d(maps, self.last.weight, self.last.bias, dilation=shape.stride)
         return self._squashed(maps)
 
-    @torch.no_grad()
     def cues(self, image: Tensor) -> Mapping[str, Tensor]:
         """``layout``: potentials (3,H,W) of an image (3,H,W) in [0,1], found at working size."""
         return at_working_size(
             lambda small: {"layout": self.potentials(small)}, image, self.settings.working
         )
 
+    @torch.no_grad()
     def potentials(self, image: Tensor) -> Tensor:
         """Potentials (3,H,W) for each pixel of an image (3,H,W) in [0,1], at its own size."""
         pixels = normalise(image, self.settings.normalisation).pixels
         return self.dense(pixels.to(self.first.weight)).to(image)
 
     def _seen(self, pixels: Tensor) -> Tensor:
-        """What the first layer is given of pixels (B,3,H,W): (B,3,H,W) or (B,1,H,W)."""
+        """The first layer's input of pixels (…,3,H,W): the same, or (…,1,H,W) of their luma."""
         if self.settings.topology.input == "colour":
             return pixels
         return plane(pixels, "grey").unsqueeze(-3)
 
     def _squashed(self, scores: Tensor) -> Tensor:
         if self.settings.topology.potentials == "softmax":
-            return scores.softmax(1)
+            return scores.softmax(-3)
         return scores.sigmoid()
 
 
@@ -247,10 +230,27 @@ def connection_table(k1: int, k2: int, connections: int) -> Tensor:
     return apart < (connections or k1)
 
 
+def reflected(pixels: Tensor, patch: int) -> Tensor:
+    """Pixels (…,H,W) with a frame, so that each has its patch: patch/2 before, one less behind.
+
+    They are reflected at the outermost pixels, as often as it takes; a single row is repeated.
+    """
+    for axis in (-2, -1):
+        length = pixels.shape[axis]
+        place = torch.arange(-(patch // 2), length + patch - patch // 2 - 1, device=pixels.device)
+        last = torch.full_like(place, length - 1)  # a tensor, as is the length in an exported graph
+        period = (2 * last).clamp_min(1)
+        place = place.remainder(period)
+        pixels = pixels.index_select(
+            axis, torch.minimum(torch.minimum(place, period - place), last)
+        )
+    return pixels
+
+
 def _pooled_everywhere(maps: Tensor, apart: int, pooling: str) -> Tensor:
     """2×2 subsampling (B,C,H,W) begun at every place, of values that are ``apart`` pixels apart."""
     for axis in (-2, -1):
         length = maps.shape[axis] - apart
-        one, two = maps.narrow(axis, 0, length), maps.narrow(axis, apart, length)
-        maps = (one + two) / 2 if pooling == "mean" else torch.maximum(one, two)
+        first, second = maps.narrow(axis, 0, length), maps.narrow(axis, apart, length)
+        maps = (first + second) / 2 if pooling == "mean" else torch.maximum(first, second)
     return maps

@@ -5,6 +5,7 @@ import json
 import os
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, TypeVar
@@ -102,8 +103,8 @@ def load_network(path: str | os.PathLike[str]) -> LayoutNetwork:
     try:
         network = network_class(build_settings(settings_class, header.settings))
     except ConfigError as problem:
-        what = f"was made for other settings: {problem.where} {problem.what}"
-        raise WeightsError(path, what, "use the roadtorch that made it") from None
+        message = f"was made for other settings: {problem.where} {problem.what}"
+        raise WeightsError(path, message, "use the roadtorch that made it") from None
     fill(network, tensors, path)
     return network.eval()
 
@@ -154,7 +155,7 @@ def people_behind(path: str | os.PathLike[str]) -> list[Mapping[str, Any]]:
     ``load_network``.
     """
     runs = read_origin(path).get("corrections")
-    return [one for one in runs if isinstance(one, dict)] if isinstance(runs, list) else []
+    return [run for run in runs if isinstance(run, dict)] if isinstance(runs, list) else []
 
 
 def corrected_pictures(settings: Mapping[str, Any]) -> int:
@@ -163,7 +164,7 @@ def corrected_pictures(settings: Mapping[str, Any]) -> int:
     file = weights.get("file") if isinstance(weights, Mapping) else None
     if not file:
         return 0
-    return sum(int(one.get("pictures", 0)) for one in people_behind(weights_path(file)))
+    return sum(int(run.get("pictures", 0)) for run in people_behind(weights_path(file)))
 
 
 def fill(network: nn.Module, tensors: Mapping[str, Tensor], path: str | os.PathLike[str]) -> None:
@@ -172,20 +173,22 @@ def fill(network: nn.Module, tensors: Mapping[str, Tensor], path: str | os.PathL
     Raises WeightsError when a name, a shape or a type differs, and for values that are not
     finite or beyond ``MAX_WEIGHT``.
     """
-    wanted = {name: tuple(value.shape) for name, value in network.state_dict().items()}
-    given = {name: tuple(value.shape) for name, value in tensors.items()}
-    if wanted != given:
-        name = min(key for key in wanted | given if wanted.get(key) != given.get(key))
-        what = f"holds another network: {name} is {_shape(given, name)}, not {_shape(wanted, name)}"
-        raise WeightsError(path, what, "use weights of this network")
-    for name, own in network.state_dict().items():
-        values = tensors[name]
-        if values.dtype not in (own.dtype, _stored_type(network, own)):
-            what = f"holds {values.dtype} in {name}, not {own.dtype}".replace("torch.", "")
-            raise WeightsError(path, what, "use weights of this network")
+    own = network.state_dict()
+    for name in sorted({*own, *tensors}):
+        shapes = [
+            "×".join(map(str, values[name].shape)) or "a number" if name in values else "missing"
+            for values in (tensors, own)
+        ]
+        if shapes[0] != shapes[1]:
+            message = f"holds another network: {name} is {shapes[0]}, not {shapes[1]}"
+            raise WeightsError(path, message, "use weights of this network")
+        values, dtype = tensors[name], own[name].dtype
+        if values.dtype not in (dtype, _stored_type(network, own[name])):
+            message = f"holds {values.dtype} in {name}, not {dtype}".replace("torch.", "")
+            raise WeightsError(path, message, "use weights of this network")
         if values.is_floating_point() and not (values.abs() <= MAX_WEIGHT).all():  # or NaN
-            what = f"holds weights in {name} that are not finite, or beyond {MAX_WEIGHT:g}"
-            raise WeightsError(path, what, "fetch or train it again")
+            message = f"holds weights in {name} that are not finite, or beyond {MAX_WEIGHT:g}"
+            raise WeightsError(path, message, "fetch or train it again")
     network.load_state_dict(dict(tensors))
 
 
@@ -198,11 +201,17 @@ def tensors_hash(tensors: Mapping[str, Tensor]) -> str:
     return digest.hexdigest()
 
 
-def _shape(shapes: Mapping[str, tuple[int, ...]], name: str) -> str:
-    return "×".join(map(str, shapes[name])) or "a number" if name in shapes else "missing"
+class _Header(BaseModel):
+    """The header of a weight file; files of earlier versions state no hash."""
+
+    format: int
+    kind: str
+    settings: dict[str, Any]
+    origin: dict[str, Any]
+    sha256: str | None = None
 
 
-def _read(path: Path) -> tuple["_Header", dict[str, Tensor]]:
+def _read(path: Path) -> tuple[_Header, dict[str, Tensor]]:
     """The header and the tensors of a weight file of ours, as it and its card state them."""
     if not path.is_file():
         raise WeightsError(path, "is not a file", "give a .safetensors file")
@@ -212,19 +221,33 @@ def _read(path: Path) -> tuple["_Header", dict[str, Tensor]]:
             header = _header(path, (file.metadata() or {}).get(HEADER))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except SafetensorError as problem:
-        what = f"is damaged or no weight file: {problem}"
-        raise WeightsError(path, what, "fetch or train it again") from None
+        message = f"is damaged or no weight file: {problem}"
+        raise WeightsError(path, message, "fetch or train it again") from None
     except OSError as problem:
-        what = f"cannot be read: {problem.strerror}"
-        raise WeightsError(path, what, "check the file") from None
+        message = f"cannot be read: {problem.strerror}"
+        raise WeightsError(path, message, "check the file") from None
     if header.sha256 is not None and header.sha256 != tensors_hash(tensors):
-        what = "is damaged: its weights are not those that its header states"
-        raise WeightsError(path, what, "fetch or train it again")
+        message = "is damaged: its weights are not those that its header states"
+        raise WeightsError(path, message, "fetch or train it again")
     row = STATED.search(_card_of(path))
     if row is not None and row[1] != digest_of(path):
-        what = f"is not the file whose SHA-256 {path.stem}.md states"
-        raise WeightsError(path, what, "fetch it again, or remove the card")
+        message = f"is not the file whose SHA-256 {path.stem}.md states"
+        raise WeightsError(path, message, "fetch it again, or remove the card")
     return header, tensors
+
+
+def _header(path: Path, text: str | None) -> _Header:
+    """The header of a weight file, if this code can use it."""
+    if text is None:
+        raise WeightsError(path, "holds weights that are not roadtorch's", "give weights of ours")
+    with suppress(ValidationError):
+        header = _Header.model_validate_json(text)
+        if header.format > FORMAT:
+            message = f"has the format {header.format}; this roadtorch reads up to {FORMAT}"
+            raise WeightsError(path, message, "install a newer roadtorch")
+        if header.kind in NETWORKS:
+            return header
+    raise WeightsError(path, "has a header that makes no sense", "fetch or train it again")
 
 
 def _card_of(path: Path) -> str:
@@ -235,38 +258,14 @@ def _card_of(path: Path) -> str:
     try:
         return read_regular(card, MAX_CARD_BYTES).decode(errors="replace")
     except OSError as problem:
-        what = f"cannot be read: {problem.strerror}"
-        raise WeightsError(card, what, "check the file, or remove it") from None
+        message = f"cannot be read: {problem.strerror}"
+        raise WeightsError(card, message, "check the file, or remove it") from None
 
 
-class _Header(BaseModel):
-    """What a weight file says of itself; files of earlier versions state no hash."""
-
-    format: int
-    kind: str
-    settings: dict[str, Any]
-    origin: dict[str, Any]
-    sha256: str | None = None
-
-
-def _header(path: Path, text: str | None) -> _Header:
-    """The header of a weight file, if this code can use it."""
-    if text is None:
-        raise WeightsError(path, "holds weights that are not roadtorch's", "give weights of ours")
-    try:
-        header = _Header.model_validate_json(text)
-    except ValidationError:
-        header = None
-    if header and header.format > FORMAT:
-        what = f"has the format {header.format}; this roadtorch reads up to {FORMAT}"
-        raise WeightsError(path, what, "install a newer roadtorch")
-    if not header or header.kind not in NETWORKS:
-        raise WeightsError(path, "has a header that makes no sense", "fetch or train it again")
-    return header
+# --- the network of a detector ----------------------------------------------------------
 
 
 Network = TypeVar("Network", bound=LayoutNetwork)
-
 
 FOR_PICTURES = "backbone-free"
 """The shipped weights that `fusion` and `layout` take unless told otherwise."""
@@ -290,9 +289,9 @@ def network_of(weights: WeightsFile, shipped: str, *kinds: type[Network]) -> Net
     path = weights_path(weights.file or shipped)
     network = load_network(path)
     if not isinstance(network, kinds):
-        wanted = " or ".join(one.kind for one in kinds)
-        what = f"holds a network for {network.kind}, not for {wanted}"
-        raise WeightsError(path, what, "use weights of that kind of training")
+        wanted = " or ".join(kind.kind for kind in kinds)
+        message = f"holds a network for {network.kind}, not for {wanted}"
+        raise WeightsError(path, message, "use weights of that kind of training")
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # stubs lack it
     return network
 

@@ -1,8 +1,8 @@
 """What the columns of samples and pixels are, and hue as a circle.
 
 P3 mentions circular distances as a possibility and does not say what it did. Here hue
-becomes an ordinary number (or two) before any classifier sees it, so that all of them can
-have it as a circle.
+becomes an ordinary number before any classifier sees it, so that all of them can have it as a
+circle.
 """
 
 import math
@@ -17,10 +17,10 @@ from torch import Tensor
 from roadtorch.errors import unknown_name
 from roadtorch.imaging.color import PLANES
 
-Hue = Literal["unrolled", "linear", "chord"]
+Hue = Literal["unrolled", "linear"]
 """``unrolled``: distance along the circle from the mean hue of the samples, exact for
 everything within half a turn of it. ``linear``: the number as it is, cut at red, which is
-what P3's column H suggests. ``chord``: a point on a circle of circumference 1, two axes."""
+what P3's column H suggests."""
 
 MIN_MEAN_LENGTH = 1e-6
 """Below this length of their mean vector hues have no mean, and 0 is taken."""
@@ -106,40 +106,28 @@ def unrolled(hues: Tensor, mean: Tensor | float) -> Tensor:
 
 
 def arranged(planes: Tensor, axes: Axes, hue: Hue, means: Tensor) -> Tensor:
-    """Planes (d,n) as the classifiers see them: (d',n), hue by one of three readings.
+    """Planes (d,n) as the classifiers see them, hue by one of two readings: (d,n).
 
-    means: (d,), those of ``mean_hues``. d' = d + 1 for the chord of one hue, else d.
+    means: (d,), those of ``mean_hues``.
     """
     if hue == "linear" or not any(axes.circular):
         return planes
-    if hue == "unrolled":
-        seen = planes - means[:, None]  # the one copy; means of what is not circular are 0
-        for row, circular in zip(seen, axes.circular, strict=True):
-            if circular:
-                row.sub_(row.round())
-        return seen
-    rows: list[Tensor] = []
-    for row, circular in zip(planes, axes.circular, strict=True):
-        angle = 2 * math.pi * row
-        points = [angle.cos() / (2 * math.pi), angle.sin() / (2 * math.pi)]
-        rows += points if circular else [row]
-    return torch.stack(rows)
+    turned = planes - means[:, None]  # the one copy; means of what is not circular are 0
+    for row, circular in zip(turned, axes.circular, strict=True):
+        if circular:
+            row.sub_(row.round())
+    return turned
 
 
 @cache
 def arranged_axes(axes: Axes, hue: Hue) -> Axes:
     """The axes of arranged planes."""
-    radius = 1 / (2 * math.pi)
-    columns: list[tuple[str, float, float, bool]] = []
-    for name, low, high, circular in zip(
-        axes.names, axes.low, axes.high, axes.circular, strict=True
-    ):
-        if not circular or hue == "linear":
-            columns.append((name, low, high, circular))
-        elif hue == "unrolled":
-            columns.append((name, -0.5, 0.5, True))
-        else:
-            columns += [(f"cos {name}", -radius, radius, False)]
-            columns += [(f"sin {name}", -radius, radius, False)]
-    names, low, high, circular = zip(*columns, strict=True)
-    return Axes(names, low, high, circular)
+    if hue == "linear":
+        return axes
+    low, high = (
+        tuple(
+            half if circular else bound for bound, circular in zip(ends, axes.circular, strict=True)
+        )
+        for ends, half in ((axes.low, -0.5), (axes.high, 0.5))
+    )
+    return Axes(axes.names, low, high, axes.circular)

@@ -6,8 +6,8 @@ once: checks, chunks, thresholds, likelihoods.
 
 Every classifier answers with a distance ≥ 0: lower is more road-like, infinite is allowed.
 A density p answers with √(2 ln(peak/p)), where peak is no less than its largest value; for
-one Gaussian that is the Mahalanobis distance. The score is minus the distance. P3 asks for
-a likelihood in [0,1] but writes down distances for most classifiers; here all of them have
+one Gaussian that is the Mahalanobis distance. P3 asks for a likelihood in [0,1] but writes
+down distances for most classifiers; here all of them have
 
     likelihood = 1 / (1 + √(distance / t))
 
@@ -54,8 +54,8 @@ class ClassifierSettings(Settings):
     )
     hue: Hue = Field(
         default="unrolled",
-        description="hue along the circle from the mean hue, as a plain number (as the paper's "
-        "results suggest), or as a point on a circle",
+        description="hue along the circle from the mean hue, or as a plain number (as the paper's "
+        "results suggest)",
     )
 
 
@@ -146,14 +146,11 @@ class Fitted:
             # A sum is finite where all its parts are (values near 1e38 do not occur).
             broken = None if math.isfinite(float(part.sum())) else ~part.sum(0).isfinite()
             finite = part if broken is None else torch.where(broken, 0, part)
-            seen = arranged(finite, self.axes, self.hue, self.hues)
-            distance = self.learned.chunked_distance(seen)
+            distance = self.learned.chunked_distance(
+                arranged(finite, self.axes, self.hue, self.hues)
+            )
             distances.append(distance if broken is None else distance.masked_fill(broken, math.inf))
         return _joined(distances)
-
-    def score(self, pixels: Tensor) -> Tensor:
-        """Minus the distance of pixels (n,d): higher is more road-like, ≤ 0, float32 (n,)."""
-        return self.distance(pixels).neg_()
 
     def likelihood(self, pixels: Tensor) -> Tensor:
         """1 / (1 + √(distance/t)) of pixels (n,d): float32 (n,) in [0,1], 0.5 at the threshold."""
@@ -166,9 +163,6 @@ class Fitted:
 
 def _joined(parts: list[Tensor]) -> Tensor:
     return parts[0] if len(parts) == 1 else torch.cat(parts)
-
-
-# --- fitting ----------------------------------------------------------------------------
 
 
 def fit(
@@ -196,16 +190,15 @@ def fit(
         raise InputError("samples", "none has finite values", "give at least one sample of road")
     hues = mean_hues(samples.T, axes)
     inner = arranged_axes(axes, settings.hue)
-    seen = arranged(samples.T, axes, settings.hue, hues)
-    learned = classifier.fit(Road(seen.T.double(), inner, generator), settings)
-    threshold = _threshold(learned, seen, inner, settings.rejected)
+    planes = arranged(samples.T, axes, settings.hue, hues)
+    learned = classifier.fit(Road(planes.T.double(), inner, generator), settings)
+    threshold = _threshold(learned, planes, inner, settings.rejected)
     return Fitted(axes, settings.hue, hues, learned, torch.tensor(threshold, dtype=torch.float32))
 
 
 def _check_table(where: str, values: Tensor, dimensions: int) -> None:
-    if not isinstance(values, Tensor) or not values.is_floating_point():
-        given = values.dtype if isinstance(values, Tensor) else type(values).__name__
-        raise InputError(where, f"are {given}", "give a floating point tensor")
+    if not values.is_floating_point():
+        raise InputError(where, f"are {values.dtype}", "give a floating point tensor")
     if values.ndim != 2 or values.shape[1] != dimensions:
         what = f"have the shape {tuple(values.shape)}"
         raise InputError(where, what, f"give (number, {dimensions}), one column per plane")
@@ -219,21 +212,20 @@ def rejecting_distance(distances: np.ndarray, rejected: float) -> float:
     """
     ordered, count = np.sort(distances), len(distances)
     kept = math.floor((1 - rejected) * count + 0.5)
-    beside = ordered[max(0, kept - 1) : kept + 1]
-    return float(beside.mean(dtype=np.float64))
+    return float(ordered[max(0, kept - 1) : kept + 1].mean(dtype=np.float64))
 
 
-def _threshold(learned: Learned, seen: Tensor, axes: Axes, rejected: float) -> float:
+def _threshold(learned: Learned, samples: Tensor, axes: Axes, rejected: float) -> float:
     """The boundary of the training samples; one quantum's distance where that says nothing.
 
     Samples of one colour are all at distance 0. Then everything within about one quantum
-    of that colour is accepted. seen: samples (d,m) on the axes as the classifier sees them.
+    of that colour is accepted. samples: (d,m) on the axes as the classifier sees them.
     """
-    probes = seen[:, :: math.ceil(seen.shape[1] / PROBES)]
+    probes = samples[:, :: math.ceil(samples.shape[1] / PROBES)]
     near = (probes[..., None] + _moves(axes)).flatten(1)
     known = learned.threshold is not None or learned.training is not None
     # In one go: for few samples a call costs more than what it computes.
-    asked = near if known else torch.cat([seen, near], 1)
+    asked = near if known else torch.cat([samples, near], 1)
     distances = learned.chunked_distance(asked).numpy()
     training, steps = np.split(distances, [-near.shape[1]])
     threshold = learned.threshold

@@ -5,7 +5,6 @@ even where thousands of pixels share a few hundred values.
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import Annotated, Literal
 
 import numpy as np
@@ -22,9 +21,6 @@ Width = Annotated[float, Field(ge=1e-6, le=1e6)]
 
 VIOLATION = 1e-7
 """Share of the kernel's range by which the smallest ball may miss its optimum."""
-
-
-# --- support vector data description ----------------------------------------------------
 
 
 class SvddSettings(ClassifierSettings):
@@ -96,46 +92,35 @@ def _median_distance(points: Tensor, counts: Tensor) -> float:
 
 
 def fit_svdd(road: Road, settings: SvddSettings) -> Learned:
-    """The smallest soft ball around the samples."""
-    points, counts = few_distinct("svdd", road.samples)
-    width = settings.sigma if settings.sigma != "median" else _median_distance(points, counts)
-    # Less one, as the kernel is 1 - 1e-5 where the width is much larger than the distances.
-    gram = torch.expm1(-squared_distances(points.T, points) / width**2).numpy()
-    # A cap above 1 binds no weight, and one sample alone is then on the sphere.
-    caps = np.minimum(counts.numpy() / max(settings.rejected * len(road.samples), 1e-9), 2.0)
-    weights = smallest_ball(gram, caps)
-    centre = float(weights @ gram @ weights)
-    kept = torch.from_numpy(weights > 0)
-    distance = partial(
-        ball_distance,
-        points=points[kept].float(),
-        weights=torch.from_numpy(weights)[kept].float(),
-        scale=torch.tensor(-1 / width**2, dtype=torch.float32),
-        centre=torch.tensor(centre, dtype=torch.float32),
-    )
-    squared = np.maximum(centre - 2 * gram @ weights, 0)
-    radius = ball_radius(squared, weights, caps) ** 0.5 if settings.threshold == "radius" else None
-    return Learned(distance, max(int(kept.sum()), 4), threshold=radius)
+    """P3: the distance of a pixel to the centre of the smallest soft ball, in the kernel's space.
 
-
-def ball_distance(
-    planes: Tensor, points: Tensor, weights: Tensor, scale: Tensor, centre: Tensor
-) -> Tensor:
-    """P3: the distance of a pixel to the centre of the ball, in the space of the kernel.
-
-    |φ(x) - Σ a_i φ(y_i)|² = 1 + aᵀKa - 2 Σ a_i K(x, y_i), written with K - 1 as Σ a = 1.
-    points: (s,d); weights: (s,); scale: -1/σ²; centre: aᵀ(K-1)a. Planes (d,n) to (n,).
+    |φ(x) - Σ a_i φ(y_i)|² = 1 + aᵀKa - 2 Σ a_i K(x, y_i), written with K - 1 as Σ a = 1, for
+    K is 1 - 1e-5 where the width is much larger than the distances.
 
     With σ = 5 on planes of order 1, the toolbox's width, the kernel is all but linear and
     the distance is that to the centre of the smallest soft ball in colour space: so it is in
     P3's results, where SVDD, dLP and MPM agree within 0.2 in every combination.
     """
-    exponent = squared_distances(planes, points).mul_(scale)
-    near = weights @ torch.expm1(exponent, out=exponent)
-    return (centre - 2 * near).clamp_(min=0).sqrt_()
+    samples, counts = few_distinct("svdd", road.samples)
+    width = settings.sigma if settings.sigma != "median" else _median_distance(samples, counts)
+    gram = torch.expm1(-squared_distances(samples.T, samples) / width**2).numpy()
+    # A cap above 1 binds no weight, and one sample alone is then on the sphere.
+    caps = np.minimum(counts.numpy() / max(settings.rejected * len(road.samples), 1e-9), 2.0)
+    solution = smallest_ball(gram, caps)
+    centre = float(solution @ gram @ solution)
+    squared = np.maximum(centre - 2 * gram @ solution, 0)
+    radius = ball_radius(squared, solution, caps) ** 0.5 if settings.threshold == "radius" else None
+    kept = torch.from_numpy(solution > 0)
+    points, weights = samples[kept].float(), torch.from_numpy(solution)[kept].float()
+    scale = torch.tensor(-1 / width**2, dtype=torch.float32)
+    norm = torch.tensor(centre, dtype=torch.float32)
 
+    def distance(planes: Tensor) -> Tensor:
+        exponent = squared_distances(planes, points).mul_(scale)
+        near = weights @ torch.expm1(exponent, out=exponent)
+        return (norm - 2 * near).clamp_(min=0).sqrt_()
 
-# --- distances from scores without a zero -----------------------------------------------
+    return Learned(distance, max(len(points), 4), threshold=radius)
 
 
 Measure = Callable[[Tensor], Tensor]
@@ -164,59 +149,46 @@ def excess_over(measure: Measure, points: Tensor, counts: Tensor, kind: torch.dt
     return excess
 
 
-# --- minimax probability machine --------------------------------------------------------
-
-
 class MinimaxSettings(ClassifierSettings):
     """Minimax probability machine."""
 
-    kernel: Literal["rbf", "linear"] = Field(
-        default="rbf", description="exp(-|x-y|²/σ²) (the toolbox), or the planes as they are"
+    sigma: Width = Field(
+        default=1.0, description="width of the kernel exp(-|x-y|²/σ²) in units of the planes"
     )
-    sigma: Width = Field(default=1.0, description="width of the kernel in units of the planes")
     ridge: float = Field(
         default=1e-6, gt=0, le=1e3, description="λ, added to the covariance's diagonal"
     )
 
 
-def minimax_direction(
-    features: np.ndarray, counts: np.ndarray, twins: np.ndarray, ridge: float
-) -> np.ndarray:
+def minimax_direction(features: np.ndarray, counts: np.ndarray, ridge: float) -> np.ndarray:
     """Lanckriet et al.: g with least √(gᵀMg) where gᵀf̄ = 1, that is M⁻¹f̄ / ξ², ξ² = f̄ᵀM⁻¹f̄.
 
-    features: (k,p), a row for each of the different samples, which occur counts (k,) times;
-    f̄: their mean, M: their covariance (divisor m) + ridge·I. twins (p,): how many equal
-    features each column stands for. Returns g (p,), summed over twins.
+    features: (k,k), a row and a column for each of the different samples, which occur counts (k,)
+    times; f̄: their mean, M: their covariance (divisor m) + ridge·I, of a feature for every sample.
+    Returns g (k,), summed over twins.
 
     The half-space gᵀf ≥ b keeps at least the share α of every distribution with this mean
     and covariance, for b = 1 - κ/ξ and as long as ξ > κ = √(α/(1-α)). P3 fixes α = 1 - f;
     the toolbox has κ upside down. Neither b nor κ changes a rank.
     """
     mean = counts @ features / counts.sum()
-    rows = (features - mean) * np.sqrt(counts / counts.sum())[:, None] * np.sqrt(twins)
-    mean = mean * np.sqrt(twins)
+    rows = (features - mean) * np.sqrt(counts / counts.sum())[:, None] * np.sqrt(counts)
+    mean = mean * np.sqrt(counts)
     solved = np.linalg.solve(rows.T @ rows + ridge * np.eye(len(mean)), mean)
-    strength = float(mean @ solved)
-    if strength == 0:  # black, to the linear kernel: no half-space is better than another
-        return np.zeros_like(mean)
-    return np.sqrt(twins) * solved / strength
+    return np.sqrt(counts) * solved / float(mean @ solved)
 
 
 def minimax_score(points: Tensor, counts: Tensor, settings: MinimaxSettings) -> Measure:
-    """gᵀf(x), higher is more road-like: with the kernel Σ g_i K(x, y_i), else gᵀx; float64 (n,).
+    """gᵀf(x) = Σ g_i K(x, y_i), higher is more road-like: float64 (n,).
 
     points: the different samples (k,d), which occur counts (k,) times. In double precision: the
     terms have both signs and cancel, and in the interior of the samples what remains differs by
     less than single precision can tell.
     """
     numbers = counts.double().numpy()
-    if settings.kernel == "linear":
-        ones = np.ones(points.shape[1])
-        slope = torch.from_numpy(minimax_direction(points.numpy(), numbers, ones, settings.ridge))
-        return lambda planes: slope @ planes.double()
     scale = torch.tensor(-1 / settings.sigma**2, dtype=torch.float64)
     gram = torch.exp(squared_distances(points.T, points) * scale).numpy()
-    weights = torch.from_numpy(minimax_direction(gram, numbers, numbers, settings.ridge))
+    weights = torch.from_numpy(minimax_direction(gram, numbers, settings.ridge))
     return lambda planes: weights @ squared_distances(planes, points).mul_(scale).exp_()
 
 
@@ -228,11 +200,7 @@ def fit_minimax(road: Road, settings: MinimaxSettings) -> Learned:
     points, counts = few_distinct("mpm", road.samples)
     score = minimax_score(points, counts, settings)
     excess = excess_over(lambda planes: -score(planes), points, counts.double(), torch.float64)
-    floats = 2 * (points.shape[1] if settings.kernel == "linear" else len(points))
-    return Learned(lambda planes: excess(-score(planes)).sqrt_().float(), floats)
-
-
-# --- linear programming on distances ----------------------------------------------------
+    return Learned(lambda planes: excess(-score(planes)).sqrt_().float(), 2 * len(points))
 
 
 def _sigmoid(distances: Tensor) -> Tensor:
@@ -241,10 +209,9 @@ def _sigmoid(distances: Tensor) -> Tensor:
     return fallen.div_(fallen + 2).mul_(-2)
 
 
-DISSIMILARITIES: dict[str, Callable[[Tensor], Tensor]] = {
+DISSIMILARITIES: dict[str, Measure] = {
     "toolbox": _sigmoid,
     "euclid": lambda squared: squared.sqrt_(),
-    "euclid_sigmoid": lambda squared: _sigmoid(squared.sqrt_()),
 }
 """From squared distances, in place."""
 
@@ -255,10 +222,10 @@ MAX_CONSTRAINTS = 1024
 class LinearSettings(ClassifierSettings):
     """Linear programming distance description."""
 
-    dissimilarity: Literal["toolbox", "euclid", "euclid_sigmoid"] = Field(
+    dissimilarity: Literal["toolbox", "euclid"] = Field(
         default="toolbox",
         description="sigmoid of the squared distance (dd_tools; the paper's results ask for it), "
-        "the distance (the paper's words), or the sigmoid of the distance",
+        "or the distance (the paper's words)",
     )
     threshold: Literal["margin", "quantile"] = Field(
         default="margin",
@@ -312,10 +279,10 @@ def fit_linear(road: Road, settings: LinearSettings) -> Learned:
     scale = float(between.mean()) or 1.0
     weights, margin = least_margin(between.numpy() / scale, counts.numpy(), settings.rejected)
     kept = torch.from_numpy(weights > 0)
-    few = {"points": points[kept], "weights": torch.from_numpy(weights)[kept]}
-    mixed = partial(weighted_sum, dissimilarity=dissimilarity, **few)
-    excess = excess_over(mixed, points, counts.double(), torch.float32)
-    mixed = partial(mixed, **{name: tensor.float() for name, tensor in few.items()})
+    few, shares = points[kept], torch.from_numpy(weights)[kept]
+    exact = weighted_sum(few, shares, dissimilarity)
+    excess = excess_over(exact, points, counts.double(), torch.float32)
+    mixed = weighted_sum(few.float(), shares.float(), dissimilarity)
 
     def as_distance(values: Tensor) -> Tensor:
         above = excess(values)
@@ -324,15 +291,12 @@ def fit_linear(road: Road, settings: LinearSettings) -> Learned:
     threshold = None
     if settings.threshold == "margin":
         threshold = float(as_distance(torch.tensor(margin * scale).float()))
-    floats = max(int(kept.sum()), 4)
-    return Learned(lambda planes: as_distance(mixed(planes)), floats, threshold=threshold)
+    return Learned(lambda planes: as_distance(mixed(planes)), max(len(few), 4), threshold=threshold)
 
 
-def weighted_sum(
-    planes: Tensor, points: Tensor, weights: Tensor, dissimilarity: Callable[[Tensor], Tensor]
-) -> Tensor:
-    """Σ_j w_j d(x, y_j) of planes (d,n) with points (s,d) and weights (s,): (n,)."""
-    return weights @ dissimilarity(squared_distances(planes, points))
+def weighted_sum(points: Tensor, weights: Tensor, dissimilarity: Measure) -> Measure:
+    """Σ_j w_j d(x, y_j) of planes, with points (s,d) and weights (s,)."""
+    return lambda planes: weights @ dissimilarity(squared_distances(planes, points))
 
 
 SVDD = Classifier(

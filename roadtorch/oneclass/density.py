@@ -3,8 +3,7 @@
 Fits are in float64, whatever the samples; pixels are scored in float32.
 """
 
-import math
-from functools import cache, partial
+from functools import cache
 from typing import Literal
 
 import torch
@@ -17,15 +16,9 @@ from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, Roa
 MAX_STEPS = 50
 """Rounds of reweighting at most."""
 
-STARTS = 30
-"""Random starts of the least determinant."""
-
 TOLERANCE = 1e-5
 """Reweighting ends when the mean moves by less than this share of a plane's span, a quarter
 of a hundredth of a level."""
-
-
-# --- one Gaussian -----------------------------------------------------------------------
 
 
 class GaussianSettings(ClassifierSettings):
@@ -91,23 +84,6 @@ def mahalanobis(samples: Tensor, mean: Tensor, covariance: Tensor) -> Tensor:
     return ((samples - mean) @ whitening(covariance).T).norm(dim=1)
 
 
-def _gaussian(mean: Tensor, inverse_root: Tensor, settings: GaussianSettings) -> Learned:
-    offset = (-inverse_root @ mean)[:, None].float()
-    threshold = None
-    if settings.threshold == "chi2" and settings.rejected > 0:
-        threshold = chi_quantile(1 - settings.rejected, len(mean))
-    root = inverse_root.float().contiguous()
-    distance = partial(gaussian_distance, whitening=root, offset=offset.contiguous())
-    return Learned(distance, len(mean) + 1, threshold=threshold)
-
-
-def fit_gaussian(road: Road, settings: GaussianSettings) -> Learned:
-    """Mean and covariance of the samples."""
-    mean, covariance = moments(road.samples)
-    covariance = regularised(covariance, settings.ridge, floor_of(road.axes))
-    return _gaussian(mean, whitening(covariance), settings)
-
-
 def length_of(planes: Tensor) -> Tensor:
     """The Euclidean length of each column of planes (d,n): (n,). Overwrites the planes.
 
@@ -119,28 +95,40 @@ def length_of(planes: Tensor) -> Tensor:
     return total.sqrt_()
 
 
-def gaussian_distance(pixels: Tensor, whitening: Tensor, offset: Tensor) -> Tensor:
-    """The Mahalanobis distance |Wx + o| of pixels (d,n): (n,), float32; o = -W mean, (d,1).
+def gaussian(mean: Tensor, covariance: Tensor, settings: GaussianSettings) -> Learned:
+    """The Mahalanobis distance |W(x-mean)|, of a mean (d,) and a covariance (d,d).
 
     P3 announces the density G(x, μ, σ) and writes down (x-μ)ᵀΣ⁻¹(x-μ); both rank alike.
     """
-    if len(pixels) == 1:
-        slope = float(whitening)  # a factor of the sum, which takes no pass of its own
-        return torch.add(offset[0], pixels[0], alpha=slope).abs_()
-    return length_of(torch.addmm(offset, whitening, pixels))
+    exact = whitening(covariance)
+    root, offset = exact.float().contiguous(), (-exact @ mean)[:, None].float().contiguous()
+    threshold = None
+    if settings.threshold == "chi2" and settings.rejected > 0:
+        threshold = chi_quantile(1 - settings.rejected, len(mean))
+
+    def distance(pixels: Tensor) -> Tensor:
+        if len(pixels) == 1:
+            slope = float(root)  # a factor of the sum, which takes no pass of its own
+            return torch.add(offset[0], pixels[0], alpha=slope).abs_()
+        return length_of(torch.addmm(offset, root, pixels))
+
+    return Learned(distance, len(mean) + 1, threshold=threshold)
 
 
-# --- robust Gaussian --------------------------------------------------------------------
+def fit_gaussian(road: Road, settings: GaussianSettings) -> Learned:
+    """Mean and covariance of the samples."""
+    mean, covariance = moments(road.samples)
+    covariance = regularised(covariance, settings.ridge, floor_of(road.axes))
+    return gaussian(mean, covariance, settings)
 
 
 class RobustSettings(GaussianSettings):
     """A Gaussian that outliers among the samples move little."""
 
-    method: Literal["reweighted", "huber", "trim", "mcd", "tyler", "tyler-vtv"] = Field(
+    method: Literal["reweighted", "huber"] = Field(
         default="reweighted",
         description="how far samples lose weight: by their distance to the power of 1.5 (ours), or "
-        "of 1 (huber, the reading of P3's text); trim and mcd leave the farthest out; tyler is "
-        "what the toolbox dd_tools has, tyler-vtv with its mistake in more than one plane",
+        "of 1 (huber, the reading of P3's text)",
     )
 
 
@@ -173,85 +161,10 @@ def reweighted(
     return mean, covariance
 
 
-def concentrated(
-    samples: Tensor, axes: Axes, settings: GaussianSettings, start: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Mean and covariance of the nearest (1-rejected) of the samples, until they stay the same.
-
-    start: int64 (k,), the samples of the first estimate. The C-steps of Rousseeuw and Van
-    Driessen 1999: each lowers the determinant.
-    """
-    count = max(1, len(samples) - math.floor(settings.rejected * len(samples) + 0.5))
-    kept, floor = start, floor_of(axes)
-    for _ in range(MAX_STEPS):
-        mean, covariance = moments(samples[kept])
-        covariance = regularised(covariance, settings.ridge, floor)
-        nearest = mahalanobis(samples, mean, covariance).argsort(stable=True)[:count].sort().values
-        if torch.equal(nearest, kept):
-            break
-        kept = nearest
-    mean, covariance = moments(samples[kept])
-    return mean, regularised(covariance, settings.ridge, floor)
-
-
-def least_determinant(
-    samples: Tensor, axes: Axes, settings: GaussianSettings, generator: torch.Generator
-) -> tuple[Tensor, Tensor]:
-    """FAST-MCD: the best of ``STARTS`` concentrations from d+1 samples each, and the plain one."""
-    count = min(len(samples), len(axes) + 1)
-    everything = torch.arange(len(samples))
-    draws = [torch.randperm(len(samples), generator=generator)[:count] for _ in range(STARTS)]
-    moments_of = [concentrated(samples, axes, settings, start) for start in (everything, *draws)]
-    return min(moments_of, key=lambda pair: float(torch.logdet(pair[1])))
-
-
-def tyler(samples: Tensor, axes: Axes, settings: GaussianSettings) -> tuple[Tensor, Tensor]:
-    """The mean t and a matrix V of the toolbox dd_tools, after Huber 1981, p. 238.
-
-    z = (y-t)V has Σ zzᵀ/|z|² = I·Σ 1/|z|², and Σ (y-t)/√|z| = 0; so V Vᵀ is the inverse
-    covariance. Samples at t would weigh infinitely; here |z|² ≥ 10⁻⁹. The variance of
-    rounding is part of the scatter, without which a constant plane has no V.
-    """
-    mean, covariance = moments(samples)
-    floor = torch.diag(floor_of(axes))
-    factor = whitening(regularised(covariance, settings.ridge, floor_of(axes))).T
-    for _ in range(10 * MAX_STEPS):
-        seen = (samples - mean) @ factor
-        weights = 1 / seen.square().sum(1).clamp_min(1e-9)
-        scatter = seen.T @ (weights[:, None] * seen) / weights.sum()
-        root = whitening(scatter + factor.T @ floor @ factor).T
-        nearness = weights.sqrt().sqrt()
-        shift = nearness @ (samples - mean) / nearness.sum()
-        change = (root - torch.eye(len(mean)).to(root)).abs().max()
-        moved = (shift @ factor).abs().max()
-        mean, factor = mean + shift, factor @ root
-        if float(change) < 1e-3 and float(moved) < 1e-3:
-            break
-    return mean, factor
-
-
 def fit_robust(road: Road, settings: RobustSettings) -> Learned:
-    """Mean and covariance by one of the methods."""
-    samples, axes = road.samples, road.axes
-    match settings.method:
-        case "reweighted":
-            mean, covariance = reweighted(samples, axes, settings, power=1.5)
-        case "huber":
-            mean, covariance = reweighted(samples, axes, settings, power=1)
-        case "trim":
-            everything = torch.arange(len(samples))
-            mean, covariance = concentrated(samples, axes, settings, everything)
-        case "mcd":
-            mean, covariance = least_determinant(samples, axes, settings, road.generator)
-        case "tyler":
-            mean, factor = tyler(samples, axes, settings)
-            covariance = torch.linalg.inv(factor @ factor.T)
-        case "tyler-vtv":
-            # VᵀV, as dd_tools has it, is a mistake in more than one plane, which may be why P3's
-            # robust Gaussian has 79.1 in HSV where the plain one has 91.6.
-            mean, factor = tyler(samples, axes, settings)
-            covariance = torch.linalg.inv(factor.T @ factor)
-    return _gaussian(mean, whitening(covariance), settings)
+    """Mean and covariance of the weighted samples."""
+    power = 1.5 if settings.method == "reweighted" else 1.0
+    return gaussian(*reweighted(road.samples, road.axes, settings, power), settings)
 
 
 CLASSIFIERS = (

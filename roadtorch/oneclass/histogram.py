@@ -4,9 +4,7 @@ With 64 or 100 bins per plane, from the samples (S) or from samples and a noisy 
 """
 
 import math
-from collections.abc import Callable
-from functools import partial
-from typing import Literal
+from typing import Annotated, Literal
 
 import torch
 from pydantic import Field
@@ -23,10 +21,13 @@ NOISE = 30 / 256
 """P3, section V: standard deviation of the noise, in spans of the plane."""
 
 
+Bins = Annotated[int, Field(ge=2, le=4096, description="bins per plane over its whole range")]
+
+
 class HistogramSettings(ClassifierSettings):
     """Model-based classifier: the normalised histogram of the samples."""
 
-    bins: int = Field(default=64, ge=2, le=4096, description="bins per plane over its whole range")
+    bins: Bins = 64
     planes: Literal["joint", "product"] = Field(
         default="joint",
         description="one histogram over all planes, or the product of one for each (which the "
@@ -52,13 +53,13 @@ class NoisyHistogramSettings(HistogramSettings):
 class FineHistogramSettings(HistogramSettings):
     """The same with 100 bins."""
 
-    bins: int = Field(default=100, ge=2, le=4096, description="bins per plane over its range")
+    bins: Bins = 100
 
 
 class FineNoisyHistogramSettings(NoisyHistogramSettings):
     """The same with 100 bins from the samples and a noisy copy (S&N)."""
 
-    bins: int = Field(default=100, ge=2, le=4096, description="bins per plane over its range")
+    bins: Bins = 100
 
 
 def with_noisy_copy(
@@ -93,16 +94,11 @@ def bin_of(planes: Tensor, low: Tensor, scale: Tensor, bins: int) -> Tensor:
     return places.clamp_(0, bins - 1).to(torch.int32)
 
 
-def _flat(bin_numbers: Tensor, bins: int) -> Tensor:
-    """One number for bins (d,n) of a joint histogram: int64 (n,), the first plane slowest."""
-    index = bin_numbers[0].long()
-    for row in bin_numbers[1:]:
-        index = index.mul_(bins).add_(row)
-    return index
-
-
 def fit_histogram(road: Road, settings: HistogramSettings) -> Learned:
-    """The histogram of the samples, joint or one for each plane."""
+    """√(2 ln(peak/p)) with p the histogram's share of the pixel's bin: L = p(x) in P3.
+
+    The histogram of the samples, joint or one for each plane; infinite in empty bins.
+    """
     samples, axes, bins = road.samples, road.axes, settings.bins
     dimensions, joint = len(axes), settings.planes == "joint"
     if isinstance(settings, NoisyHistogramSettings) and settings.noise > 0:
@@ -110,32 +106,30 @@ def fit_histogram(road: Road, settings: HistogramSettings) -> Learned:
     if joint and bins**dimensions > MAX_BINS:
         what = f"{bins} bins in {dimensions} dimensions are too many"
         raise ConfigError("bins", what, 'use fewer, or planes="product"')
-    places = partial(
-        bin_of, low=torch.tensor(axes.low), scale=(bins / axes.span).float(), bins=bins
-    )
-    numbers = places(samples.T.float())
-    numbers = _flat(numbers, bins)[None] if joint else numbers
-    tables = torch.full((len(numbers), bins**dimensions if joint else bins), math.inf)
-    for table, row in zip(tables, numbers, strict=True):
-        filled, counts = row.long().unique(return_counts=True)
+    low, scale = torch.tensor(axes.low), (bins / axes.span).float()
+
+    def places(planes: Tensor) -> list[Tensor]:
+        """For each histogram the bins int64 (n,) of planes (d,n), the first plane slowest."""
+        numbers = bin_of(planes, low, scale, bins)
+        if not joint:
+            return [row.long() for row in numbers]
+        index = numbers[0].long()
+        for row in numbers[1:]:
+            index = index.mul_(bins).add_(row)
+        return [index]
+
+    tables = []
+    for index in places(samples.T.float()):
+        table = torch.full((bins ** (dimensions if joint else 1),), math.inf)
+        filled, counts = index.unique(return_counts=True)
         table[filled] = (2 * (counts.max() / counts).double().log()).float()
-    distance = partial(histogram_distance, tables=tables, places=places, bins=bins)
+        tables.append(table)
+
+    def distance(pixels: Tensor) -> Tensor:
+        squares = [table[index] for table, index in zip(tables, places(pixels), strict=True)]
+        return (squares[0] if joint else torch.stack(squares).sum(0)).sqrt_()
+
     return Learned(distance, 4 * dimensions + 4)
-
-
-def histogram_distance(
-    pixels: Tensor, tables: Tensor, places: Callable[[Tensor], Tensor], bins: int
-) -> Tensor:
-    """√(2 ln(peak/p)) with p the histogram's share of the pixel's bin: L = p(x) in P3.
-
-    Infinite in empty bins. tables: float32 (1, bins^d) of the joint histogram, or (d, bins) of
-    one for each plane; places: the bins of pixels (d,n). Pixels (d,n) to (n,).
-    """
-    numbers = places(pixels)
-    if len(tables) == 1:
-        return tables[0][_flat(numbers, bins)].sqrt_()
-    pairs = zip(tables, numbers, strict=True)
-    return torch.stack([table[row.long()] for table, row in pairs]).sum(0).sqrt_()
 
 
 CLASSIFIERS = tuple(

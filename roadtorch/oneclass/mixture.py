@@ -5,20 +5,13 @@ expectation maximisation in float64. Weights tell the samples that a run may see
 """
 
 import math
-from functools import partial
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.oneclass.base import (
-    Classifier,
-    ClassifierSettings,
-    Learned,
-    Road,
-    rejecting_distance,
-)
+from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, Road
 from roadtorch.oneclass.density import floor_of, whitening
 
 MAX_ROUNDS = 100
@@ -41,10 +34,13 @@ MIN_WEIGHT = 1e-300
 """Stands for no weight at all where a logarithm is taken."""
 
 
+Components = Annotated[int, Field(ge=1, le=64, description="number of Gaussians")]
+
+
 class MixtureSettings(ClassifierSettings):
     """A mixture of Gaussians."""
 
-    components: int = Field(default=2, ge=1, le=64, description="number of Gaussians")
+    components: Components = 2
     restarts: int = Field(default=5, ge=1, le=100, description="starts, of which the best is kept")
     formula: Literal["density", "paper"] = Field(
         default="density",
@@ -56,19 +52,13 @@ class MixtureSettings(ClassifierSettings):
 class LargerMixtureSettings(MixtureSettings):
     """A mixture of four Gaussians."""
 
-    components: int = Field(default=4, ge=1, le=64, description="number of Gaussians")
+    components: Components = 4
 
 
 class BestMixtureSettings(MixtureSettings):
-    """A mixture whose number of Gaussians is chosen for the samples."""
+    """A mixture whose number of Gaussians is chosen by BIC; the paper does not say how."""
 
     components: int = Field(default=6, ge=1, le=64, description="the largest number tried")
-    select: Literal["bic", "aic", "cv", "consistent"] = Field(
-        default="bic",
-        description="how the number is chosen (the paper does not say): by an information "
-        "criterion, by the likelihood of held-out tenths, or the largest that rejects as few of "
-        "these as asked",
-    )
 
 
 class Mixtures(NamedTuple):
@@ -81,9 +71,6 @@ class Mixtures(NamedTuple):
     log_shares: Tensor
     means: Tensor
     whitening: Tensor
-
-
-# --- expectation maximisation -----------------------------------------------------------
 
 
 def _powers(samples: Tensor) -> Tensor:
@@ -105,11 +92,6 @@ def log_parts(powers: Tensor, mixtures: Mixtures) -> Tensor:
     constant = constant - (slope * mixtures.means).sum(-1) / 2
     factors = torch.cat([constant[..., None], slope, inverse.flatten(-2) / -2], -1)
     return factors @ powers.T
-
-
-def log_density(samples: Tensor, mixtures: Mixtures) -> Tensor:
-    """ln p of samples (m,d) under each mixture: (R,m)."""
-    return log_parts(_powers(samples), mixtures).logsumexp(1)
 
 
 def _maximised(powers: Tensor, shares: Tensor, widening: Tensor) -> Mixtures:
@@ -181,78 +163,10 @@ def spread_starts(
     return torch.nn.functional.one_hot(owner, most).mT.to(samples.dtype)
 
 
-# --- how many -----------------------------------------------------------------------------
-
-
 def parameters(components: Tensor, dimensions: int) -> Tensor:
     """Free numbers of mixtures of N Gaussians: N-1 shares, N·d means, N·d(d+1)/2 variances."""
     each = dimensions + dimensions * (dimensions + 1) // 2
     return components - 1 + components * each
-
-
-def held_out(
-    samples: Tensor, most: int, widening: Tensor, generator: torch.Generator
-) -> tuple[Tensor, Tensor]:
-    """Mixtures of 1…most Gaussians learned without one tenth of the samples each.
-
-    Returns ln p (most,folds,m) of all samples under them, and the tenth int64 (m,) of each.
-    """
-    count = len(samples)
-    folds = min(10, count)
-    fold = torch.randperm(count, generator=generator).remainder(folds)
-    seen = (fold != torch.arange(folds)[:, None]).to(samples)
-    numbers = torch.arange(1, most + 1).repeat_interleave(folds)
-    weights = seen.repeat(most, 1)
-    start = spread_starts(samples, weights, numbers, generator)
-    shares, _ = maximise(samples, weights, start, widening)
-    mixtures = mixtures_of(samples, shares * weights[:, None], widening)
-    return log_density(samples, mixtures).reshape(most, folds, count), fold
-
-
-def by_consistency(densities: Tensor, fold: Tensor, rejected: float) -> int:
-    """The last number before clearly more held-out samples than f are rejected (Tax).
-
-    Clearly: by two standard deviations, f + 2√(f(1-f)/m). The toolbox dd_tools returns the
-    first number after that.
-    """
-    count = len(fold)
-    limit = rejected + 2 * (rejected * (1 - rejected) / count) ** 0.5
-    number = 1
-    for tried, of_number in enumerate(-densities, start=1):
-        edges = [
-            rejecting_distance(row[fold != tenth].numpy(), rejected)
-            for tenth, row in enumerate(of_number)
-        ]
-        outside = of_number[fold, torch.arange(count)] > torch.tensor(edges).to(of_number)[fold]
-        if float(outside.double().mean()) > limit:
-            break
-        number = tried
-    return number
-
-
-def chosen_number(
-    samples: Tensor,
-    likelihoods: Tensor,
-    widening: Tensor,
-    settings: BestMixtureSettings,
-    generator: torch.Generator,
-) -> int:
-    """How many Gaussians samples (m,d) call for; likelihoods (most,): the best ln p of 1…most."""
-    count, dimensions = samples.shape
-    most = len(likelihoods)
-    penalty = {"bic": math.log(count), "aic": 2.0}.get(settings.select)
-    if penalty is not None:
-        paid = penalty * parameters(torch.arange(1, most + 1), dimensions)
-        return 1 + int((paid - 2 * likelihoods).argmin())
-    if count == 1:
-        return 1
-    densities, fold = held_out(samples, most, widening, generator)
-    if settings.select == "cv":
-        return 1 + int(densities[:, fold, torch.arange(count)].sum(1).argmax())
-    return by_consistency(densities, fold, settings.rejected)
-
-
-# --- the classifiers ------------------------------------------------------------------------
 
 
 def _best_runs(
@@ -274,7 +188,13 @@ def _best_runs(
 
 
 def fit_mixture(road: Road, settings: MixtureSettings) -> Learned:
-    """The likeliest mixture of all starts, of the number of components that is chosen."""
+    """√(2 ln(peak/p)), p = Σ_n P_n N(x; μ_n, Σ_n) of P3, ``peak`` the sum of the components' peaks.
+
+    The likeliest mixture of all starts; of several numbers of components that of the least
+    Bayesian information criterion, numbers · ln m - 2 ln p. One
+    component gives its Mahalanobis distance. P3's formula has no 1/2 in the exponent and no
+    determinant; for that there are W·√2 and the bare shares.
+    """
     centre, generator = road.samples.mean(0), road.generator
     samples = road.samples - centre
     most = min(settings.components, len(samples.unique(dim=0)))
@@ -282,7 +202,8 @@ def fit_mixture(road: Road, settings: MixtureSettings) -> Learned:
     if isinstance(settings, BestMixtureSettings):
         numbers = list(range(1, most + 1))
         runs, likelihoods = _best_runs(samples, numbers, widening, settings.restarts, generator)
-        run = chosen_number(samples, likelihoods, widening, settings, generator) - 1
+        paid = math.log(len(samples)) * parameters(torch.arange(1, most + 1), samples.shape[1])
+        run = int((paid - 2 * likelihoods).argmin())
     else:
         runs, _ = _best_runs(samples, [most], widening, settings.restarts, generator)
         run = 0
@@ -295,38 +216,26 @@ def fit_mixture(road: Road, settings: MixtureSettings) -> Learned:
     else:
         whiten = whiten * 2**0.5
     # Of the sum of all peaks, which no density exceeds: then near the top little is lost.
-    log_weights = log_weights - log_weights.logsumexp(0)
-    means = means + centre
-    distance = partial(
-        mixture_distance,
-        log_weights=log_weights.float(),
-        whiten=whiten.float().contiguous(),
-        offsets=-(whiten @ means[..., None]).flatten(0, 1).float(),
-    )
+    log_weights = (log_weights - log_weights.logsumexp(0)).float()
+    offsets = -(whiten @ (means + centre)[..., None]).flatten(0, 1).float()
+    whiten = whiten.float().contiguous()
+
+    def distance(pixels: Tensor) -> Tensor:
+        parts = torch.addmm(offsets, whiten.flatten(0, 1), pixels).unflatten(0, whiten.shape[:2])
+        squared = parts[:, 0].square_()
+        for axis in range(1, whiten.shape[1]):
+            squared.addcmul_(parts[:, axis], parts[:, axis])
+        if len(squared) == 1:
+            return squared[0].sqrt_()
+        exponents = torch.add(log_weights[:, None], squared, alpha=-0.5)
+        # Nothing is exponentiated before the largest term is taken out: in float32 a density
+        # underflows at a distance of 14.
+        top = exponents.clamp_min_(MIN_EXPONENT).amax(0)
+        # Below that they are lost in the sum, and subnormal numbers are slow.
+        total = exponents.sub_(top).clamp_min_(-80).exp_().sum(0).log_()
+        return total.add_(top).mul_(-2).clamp_min_(0).sqrt_()
+
     return Learned(distance, 2 * means.numel() + 2 * len(means))
-
-
-def mixture_distance(
-    pixels: Tensor, log_weights: Tensor, whiten: Tensor, offsets: Tensor
-) -> Tensor:
-    """√(2 ln(peak/p)) of pixels (d,n): (n,), with p = Σ_n P_n N(x; μ_n, Σ_n) of P3.
-
-    ``peak`` is the sum of the components' peaks. One component gives its Mahalanobis
-    distance. Nothing is exponentiated before the largest term is taken out: in float32 a
-    density underflows at a distance of 14. P3's formula has no 1/2 in the exponent and no
-    determinant; for that there are W·√2 and the bare shares. whiten: W (N,d,d); offsets: -Wμ.
-    """
-    parts = torch.addmm(offsets, whiten.flatten(0, 1), pixels).unflatten(0, whiten.shape[:2])
-    squared = parts[:, 0].square_()
-    for axis in range(1, whiten.shape[1]):
-        squared.addcmul_(parts[:, axis], parts[:, axis])
-    if len(squared) == 1:
-        return squared[0].sqrt_()
-    exponents = torch.add(log_weights[:, None], squared, alpha=-0.5)
-    top = exponents.clamp_min_(MIN_EXPONENT).amax(0)
-    # Below that they are lost in the sum, and subnormal numbers are slow.
-    total = exponents.sub_(top).clamp_min_(-80).exp_().sum(0).log_()
-    return total.add_(top).mul_(-2).clamp_min_(0).sqrt_()
 
 
 CLASSIFIERS = tuple(

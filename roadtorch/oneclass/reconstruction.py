@@ -4,7 +4,6 @@ They tell how much of a pixel is lost when it is replaced by its projection or b
 nearest of a few centres. k-centres differs from k-means in how the centres are found alone.
 """
 
-from functools import partial
 from typing import Literal
 
 import torch
@@ -23,9 +22,6 @@ TOLERANCE = 1e-5
 """Moving means ends when the inertia falls by less than this share (dd_tools)."""
 
 
-# --- principal components -----------------------------------------------------------------
-
-
 class ComponentSettings(ClassifierSettings):
     """Principal components."""
 
@@ -39,10 +35,6 @@ class ComponentSettings(ClassifierSettings):
     )
 
 
-SINGLE = "one plane has a single principal component, and without it nothing is left"
-"""Why principal components refuse a single plane."""
-
-
 def kept_components(variances: Tensor, share: float) -> int:
     """The least number of the largest variances (d,) that has a share of all; 0 if all are 0."""
     total = float(variances.sum())
@@ -53,7 +45,10 @@ def kept_components(variances: Tensor, share: float) -> int:
 
 
 def fit_components(road: Road, settings: ComponentSettings) -> Learned:
-    """The principal components of the samples."""
+    """P3: |(x-μ) - P(x-μ)|, P the projection on the eigenvectors with 95 % of the variance.
+
+    The square that P3 writes changes no rank.
+    """
     mean, covariance = moments(road.samples)
     variances, directions = torch.linalg.eigh(covariance)
     # What rounding to float32 makes of a constant plane is no variance.
@@ -62,21 +57,14 @@ def fit_components(road: Road, settings: ComponentSettings) -> Learned:
     kept = kept_components(variances[order], settings.variance)
     if kept == len(mean):
         kept = {"cap": kept - 1, "strict": kept, "mean": 0}[settings.full]
-    lost = directions[:, order[kept:]].T.float().contiguous()
-    return Learned(partial(residual_distance, mean=mean.float(), lost=lost), 4 * len(mean))
+    # The residual lies in the directions that are not kept.
+    centre, lost = mean.float(), directions[:, order[kept:]].T.float().contiguous()
 
+    def distance(pixels: Tensor) -> Tensor:
+        centred = pixels - centre[:, None]
+        return length_of(lost @ centred) if len(lost) else torch.zeros_like(centred[0])
 
-def residual_distance(pixels: Tensor, mean: Tensor, lost: Tensor) -> Tensor:
-    """|(x-μ) - P(x-μ)|, P the projection on the kept components: pixels (d,n) to (n,).
-
-    mean: (d,); lost: (k,d), the directions that are not kept. P3: eigenvectors with
-    95 % of the variance; the square it writes changes no rank.
-    """
-    centred = pixels - mean[:, None]
-    return length_of(lost @ centred) if len(lost) else torch.zeros_like(centred[0])
-
-
-# --- centres ------------------------------------------------------------------------------
+    return Learned(distance, 4 * len(mean))
 
 
 class CentreSettings(ClassifierSettings):
@@ -125,7 +113,7 @@ def fit_means(road: Road, settings: CentreSettings) -> Learned:
     member = spread_starts(samples, weights, numbers, road.generator)
     start = member @ samples / member.sum(2, keepdim=True).clamp_min(1)
     centres, inertia = k_means(samples, start)
-    return _learned_centres(centres[int(inertia.argmin())])
+    return to_nearest(centres[int(inertia.argmin())])
 
 
 def farthest_first(apart: Tensor, count: int, first: int = 0) -> Tensor:
@@ -172,20 +160,23 @@ def fit_centres(road: Road, settings: SampleCentreSettings) -> Learned:
     together = max(1, MAX_DISTINCT**2 // len(points) ** 2)  # each takes as much room as ``apart``
     runs = [k_centres(apart, part) for part in start.split(together)]
     centres, radii = (torch.cat(parts) for parts in zip(*runs, strict=True))
-    return _learned_centres(points[centres[int(radii.argmin())]])
+    return to_nearest(points[centres[int(radii.argmin())]])
 
 
-def _learned_centres(centres: Tensor) -> Learned:
-    return Learned(partial(centre_distance, centres=centres.float()), 2 * len(centres))
-
-
-def centre_distance(pixels: Tensor, centres: Tensor) -> Tensor:
-    """min_j |x - c_j| of pixels (d,n): (n,). P3 has the square, which changes no rank."""
-    return squared_distances(pixels, centres).amin(0).sqrt_()
+def to_nearest(centres: Tensor) -> Learned:
+    """min_j |x - c_j| of centres (k,d). P3 has the square, which changes no rank."""
+    points = centres.float()
+    return Learned(
+        lambda pixels: squared_distances(pixels, points).amin(0).sqrt_(), 2 * len(points)
+    )
 
 
 PCA = Classifier(
-    "pca", "distance to the principal components", ComponentSettings, fit_components, SINGLE
+    "pca",
+    "distance to the principal components",
+    ComponentSettings,
+    fit_components,
+    single="one plane has a single principal component, and without it nothing is left",
 )
 K_MEANS = Classifier("kmeans", "distance to the nearest of a few means", CentreSettings, fit_means)
 K_CENTRES = Classifier(

@@ -6,7 +6,7 @@ pixel of one colour have the same values to the bit.
 """
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import torch
 from pydantic import Field
@@ -56,33 +56,30 @@ def sample_area(shape: Sequence[int], seed: SeedArea = SEED) -> tuple[slice, sli
     return seed_area(shape[-2], shape[-1], seed, MIN_SIDE)
 
 
+Reduction = Annotated[
+    Literal["superpixels", "grid", "none"],
+    Field(
+        description="one sample per superpixel of the seed area, per cell of a grid, or each pixel"
+    ),
+]
+
+
 class SampleSettings(Settings):
     """How many samples are made of the seed area."""
 
-    reduction: Literal["superpixels", "grid", "none"] = Field(
-        default="superpixels",
-        description="one sample per superpixel of the seed area, per cell of a grid, or each pixel",
-    )
+    reduction: Reduction = "superpixels"
     segments: int = Field(
         default=90,
         ge=1,
         le=10**5,
         description="superpixels or cells to aim at; the paper: about 90",
     )
-    central: Literal["median", "medoid"] = Field(
-        default="median",
-        description="the sample of a superpixel: its median in each plane, or the pixel nearest "
-        "to that; P3: the central value",
-    )
 
 
 class AllSampleSettings(SampleSettings):
     """The same with every pixel of the seed area, as P3 has it for its histograms."""
 
-    reduction: Literal["superpixels", "grid", "none"] = Field(
-        default="none",
-        description="one sample per superpixel of the seed area, per cell of a grid, or each pixel",
-    )
+    reduction: Reduction = "none"
 
 
 class Palette(NamedTuple):
@@ -171,26 +168,10 @@ def road_samples(
     """The samples of road of an image (3,H,W) in the named planes: (m,d).
 
     P3, section V: 13,266 pixels, or about 90 values, "the central value of the distribution
-    within each superpixel". P3 does not name its superpixels; SLIC stands for them.
+    within each superpixel", which is its median in each plane here. P3 does not name its
+    superpixels; SLIC stands for them.
     """
     if settings.reduction == "none":
         planes = [area_values(image, name, seed).flatten() for name in names]
         return torch.stack(planes, 1)
-    medians = torch.stack([segment_medians(image, name, settings, seed) for name in names], 1)
-    if settings.central == "median":
-        return medians
-    labels = area_segments(image, settings, seed).flatten()
-    pixels = road_samples(image, names, AllSampleSettings(), seed)
-    return _medoids(pixels, names, labels, medians)
-
-
-def _medoids(pixels: Tensor, names: tuple[str, ...], label: Tensor, medians: Tensor) -> Tensor:
-    """Of pixels (p,d), labels (p,), those nearest to the medians (m,d) of their segments: (m,d)."""
-    difference = pixels - medians[label]
-    circular = [place for place, name in enumerate(names) if PLANES[name].circular]
-    difference[:, circular] = unrolled(difference[:, circular], 0)
-    squared = difference.square().sum(1)
-    order = squared.argsort(stable=True)
-    order = order[label[order].argsort(stable=True)]
-    size = torch.bincount(label, minlength=len(medians))
-    return pixels[order[size.cumsum(0) - size]]
+    return torch.stack([segment_medians(image, name, settings, seed) for name in names], 1)

@@ -50,13 +50,13 @@ class Adaptation:
 
 def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> None:
     """Write the page: one file that asks for no other."""
-    items = [one.item for one in adaptation.shown]
+    items = [picture.item for picture in adaptation.shown]
     caption = "only before blue, only after orange"
     sheets = both_sheets(adaptation.seen, items, caption)
     is_part = len(items) < len(adaptation.seen.pictures)
     draw = partial(draw_losses, rows=adaptation.rows)
     loss_chart = to_svg("loss", "Mean loss of the epochs", 260, draw)
-    differs = [each.differs for each in adaptation.seen.pictures]
+    differs = [picture.differs for picture in adaptation.seen.pictures]
     values = {
         "one": adaptation,
         "mean": statistics.fmean(differs),
@@ -71,19 +71,21 @@ def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> N
     write_text(path, page_text("adaptation.html", command, values))
 
 
-def summary_table(one: Adaptation) -> Table:
+def summary_table(adaptation: Adaptation) -> Table:
     """What can be said without a label: road, trust and agreement before and after."""
-    pictures, rows = one.seen.pictures, {}
-    road = [(each.first, each.second) for each in pictures]
+    pictures, rows = adaptation.seen.pictures, {}
+    road = [(picture.first, picture.second) for picture in pictures]
     rows["share of road"] = _row(*map(statistics.fmean, zip(*road, strict=True)))
-    if trusts := [(each.first_trust, each.second_trust) for each in pictures if each.has_trust]:
+    if trusts := [
+        (picture.first_trust, picture.second_trust) for picture in pictures if picture.has_trust
+    ]:
         before, after = map(statistics.fmean, zip(*trusts, strict=True))
         rose = sum(second > first for first, second in trusts)
         fell = sum(second < first for first, second in trusts)
         change = Cell(signed(after - before), note=f"rose on {rose}, fell on {fell} pictures")
         rows["trust"] = (Cell(share(before)), Cell(share(after)), change)
-    if one.taught is not None:
-        before, after = one.taught.before, one.taught.after
+    if adaptation.taught is not None:
+        before, after = adaptation.taught.before, adaptation.taught.after
         rows["agrees with the teacher on road"] = _row(before.road, after.road)
         rows["agrees with the teacher on layout"] = _row(before.layout, after.layout)
     return _table(rows)
@@ -107,8 +109,8 @@ def score_table(evaluation: Evaluation) -> Table:
             )
             change = differences[measure.key]
             under = measure.key.rpartition("/")[0].replace("/", ", ")
-            what = f"{under}, {measure.line}" if under else measure.line
-            rows[what] = (before, after, _score(change.value, change.interval, signed))
+            title = f"{under}, {measure.line}" if under else measure.line
+            rows[title] = (before, after, _score(change.value, change.interval, signed))
     return _table(rows)
 
 
@@ -116,7 +118,7 @@ def score_line(adaptation: Adaptation) -> str:
     """F of the mask on labels before and after, with the interval of the change, in a line."""
     if adaptation.labelled is None:
         return ""
-    before, after = (one.headline for one in adaptation.labelled.detectors.values())
+    before, after = (figures.headline for figures in adaptation.labelled.detectors.values())
     change = adaptation.labelled.comparison.differences["after"][F_MASK.key]
     ends = f"{signed(change.interval.low)} to {signed(change.interval.high)}"
     scores = f"F {share(F_MASK.of(before))} to {share(F_MASK.of(after))}"
@@ -155,8 +157,8 @@ def draw_losses(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> None:
     rounds = sorted({row["round"] for row in rows})
     for place, number in enumerate(rounds):
         own = [row for row in rows if row["round"] == number]
-        look = place % len(COLOURS)
-        series = Series(f"round {number}", COLOURS[look], DASHES[look])
+        line = place % len(COLOURS)
+        series = Series(f"round {number}", COLOURS[line], DASHES[line])
         epochs, losses = ([row[key] for row in own] for key in ("epoch", "loss"))
         axes.plot(epochs, losses, marker=".", label=series.name, **series.line(1.5))
     axes.set(xlabel="epoch", ylabel="mean loss of the epoch")
@@ -164,9 +166,13 @@ def draw_losses(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> None:
         axes.legend()
 
 
-def trust_chart(one: Adaptation) -> str:
+def trust_chart(adaptation: Adaptation) -> str:
     """Trust after over trust before, a mark a picture, as SVG text; empty without trust."""
-    pairs = [(each.first_trust, each.second_trust) for each in one.seen.pictures if each.has_trust]
+    pairs = [
+        (picture.first_trust, picture.second_trust)
+        for picture in adaptation.seen.pictures
+        if picture.has_trust
+    ]
     if not pairs:
         return ""
 

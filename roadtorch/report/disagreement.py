@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roadtorch.data.dataset import Item
+from roadtorch.data.dataset import LabelledItem
 from roadtorch.evaluation.disagreement import Disagreements
 from roadtorch.io.atomic import csv_text, write_text
 from roadtorch.io.image import read_image, tint_mask, to_pixels
@@ -32,19 +32,19 @@ def disagreement_text(seen: Disagreements) -> str:
 def _table(seen: Disagreements, most: int | None = None) -> Table:
     """The shares of each picture, or of the ``most`` first."""
     pictures = seen.pictures[:most]
-    table = Table([one.item.name for one in pictures])
-    first, second = (f"road {one.name}" for one in seen.methods)
+    table = Table([picture.item.name for picture in pictures])
+    first, second = (f"road {contender.name}" for contender in seen.methods)
     headers = ("differs", first, second, "only A", "only B")
     for header, key in zip(headers, SHARES, strict=True):
-        shares = [getattr(one, key) for one in pictures]
+        shares = [getattr(picture, key) for picture in pictures]
         table.add(header, "", [number_cell(percent(share), share) for share in shares])
     return table
 
 
 def _summary(seen: Disagreements) -> str:
-    differs = [one.differs for one in seen.pictures]
-    only_first = statistics.mean(one.only_first for one in seen.pictures)
-    only_second = statistics.mean(one.only_second for one in seen.pictures)
+    differs = [picture.differs for picture in seen.pictures]
+    only_first = statistics.mean(picture.only_first for picture in seen.pictures)
+    only_second = statistics.mean(picture.only_second for picture in seen.pictures)
     return (
         f"{len(differs)} pictures: {percent(statistics.mean(differs))} of the pixels differ, "
         f"median {percent(statistics.median(differs))}\n"
@@ -55,12 +55,12 @@ def _summary(seen: Disagreements) -> str:
 def write_disagreement(out: Path, seen: Disagreements, worst: int, command: str = "") -> None:
     """Write disagreement.html with the ``worst`` first pictures, and disagreement.csv with all."""
     rows: list[dict[str, str]] = []
-    for one in seen.pictures:
-        shares = [f"{getattr(one, key):.6f}" for key in (*SHARES, "iou")]
-        rows.append(dict(zip(COLUMNS, [one.item.name, *shares, "ok"], strict=True)))
-    rows += [{"image": one.image, "status": one.reason} for one in seen.failures]
+    for picture in seen.pictures:
+        shares = [f"{getattr(picture, key):.6f}" for key in (*SHARES, "iou")]
+        rows.append(dict(zip(COLUMNS, [picture.item.name, *shares, "ok"], strict=True)))
+    rows += [{"image": failure.image, "status": failure.reason} for failure in seen.failures]
     write_text(out / "disagreement.csv", csv_text(COLUMNS, rows))
-    items = [one.item for one in seen.pictures[:worst]]
+    items = [picture.item for picture in seen.pictures[:worst]]
     caption = "only A blue, only B orange"
     sheets = both_sheets(seen, items, caption)
     values = {
@@ -72,9 +72,9 @@ def write_disagreement(out: Path, seen: Disagreements, worst: int, command: str 
     write_text(out / "disagreement.html", page_text("disagreement.html", command, values))
 
 
-def both_sheets(seen: Disagreements, items: Iterable[Item], caption: str) -> list[str]:
+def both_sheets(seen: Disagreements, items: Iterable[LabelledItem], caption: str) -> list[str]:
     """For each item a JPEG for the page: the overlays of both, and what differs, so captioned."""
-    looks = {one.name: one.prepare(seen.dataset) for one in seen.methods}
+    looks = {contender.name: contender.prepare(seen.dataset) for contender in seen.methods}
     sheets = []
     for item in items:
         image = read_image(item.image)

@@ -17,20 +17,11 @@ from markupsafe import Markup
 from roadtorch.evaluation.document import RunCurves, defined, document, group_curves
 from roadtorch.evaluation.result import Evaluation, Failure, PictureRow, picture_rows
 from roadtorch.io.atomic import csv_text, write_json, write_text
-from roadtorch.oneclass import CLASSIFIERS
 from roadtorch.report import charts
 from roadtorch.report.montage import write_montages
-from roadtorch.report.roc_families import roc_families
 from roadtorch.report.screen import outcome
 from roadtorch.report.svg import MAX_SERIES, choose_series
 from roadtorch.report.table import page_text
-from roadtorch.report.table3 import (
-    FAMILY,
-    HALVES,
-    table_csv,
-    table_html,
-    table_text,
-)
 from roadtorch.report.tables import baselines, measures_shown, page_tables
 
 SHEETS = 4  # pictures of a sheet, if nobody says
@@ -63,27 +54,8 @@ def write(evaluation: Evaluation, out: Path, command: str = "", pictures: int = 
     write_json(out / "metrics.json", defined(document(evaluation, command)))
     write_json(out / "curves.json", defined(curves))
     write_text(out / "images.csv", rows_csv(rows, evaluation.failures, evaluation.left_out))
-    write_table3(out, evaluation, curves)
     sheets = write_montages(out, evaluation, pictures) if pictures else {}
     write_text(out / "report.html", render_page(evaluation, curves, rows, sheets, command))
-
-
-def write_table3(out: Path, evaluation: Evaluation, curves: RunCurves) -> None:
-    """Write table3.txt, .csv and .html, and the ROC curves as P3's Figs. 8 and 9 have them.
-
-    Nothing is written where no one-class detector ran.
-    """
-    text = table_text(evaluation)
-    if not text:
-        return
-    write_text(out / "table3.txt", text + "\n")
-    write_text(out / "table3.csv", table_csv(evaluation))
-    write_text(out / "table3.html", table_html(evaluation))
-    histograms = [name for name in CLASSIFIERS if name.startswith("hist")]
-    others = [name for name in CLASSIFIERS if name not in histograms]
-    for file, names in {"fig8.svg": histograms, "fig9.svg": others}.items():
-        if svg := roc_families(curves, FAMILY, names, HALVES):
-            write_text(out / file, svg)
 
 
 def rows_csv(
@@ -105,7 +77,8 @@ def rows_csv(
         for row in rows
     )
     failed = (
-        {"image": one.image, "group": one.group or "", "status": one.reason} for one in failures
+        {"image": failure.image, "group": failure.group or "", "status": failure.reason}
+        for failure in failures
     )
     return csv_text(COLUMNS, chain(scored, failed))
 
@@ -128,12 +101,12 @@ def render_page(
     """
     detectors, dataset = evaluation.detectors, evaluation.dataset
     series = choose_series(evaluation)
-    in_charts = [one.name for one in series]
+    in_charts = [detector.name for detector in series]
     drawn = charts.all_charts(evaluation, series, curves, rows)
-    settings = {name: detectors[name].method.settings for name in in_charts}
+    settings = {name: detectors[name].contender.settings for name in in_charts}
     groups = [*evaluation.groups, *evaluation.left_out]
     scored = Counter(item.group for item in dataset.items)
-    scored.subtract(one.group for one in evaluation.failures)
+    scored.subtract(failure.group for failure in evaluation.failures)
     values: dict[str, Any] = {
         "evaluation": evaluation,
         "dataset": dataset,
@@ -148,16 +121,16 @@ def render_page(
         "charts": {name: Markup(svg) for name, svg in drawn.items()},
         "sheets": {
             name: {PARTS[part]: sheets[name][part] for part in PARTS if part in sheets[name]}
-            for name in [one for one in evaluation.ranked() if sheets.get(one)][:MAX_SERIES]
+            for name in [name for name in evaluation.ranked() if sheets.get(name)][:MAX_SERIES]
         },
         "sheets_left_out": max(len(sheets) - MAX_SERIES, 0),
         "failures": evaluation.failures[:MAX_FAILURES],
         "failures_left_out": max(len(evaluation.failures) - MAX_FAILURES, 0),
         "settings": {
-            name: json.dumps(given, indent=2, ensure_ascii=False)
-            for name, given in settings.items()
-            if given
+            name: json.dumps(own, indent=2, ensure_ascii=False)
+            for name, own in settings.items()
+            if own
         },
-        "sources": sorted({one.threshold_from for one in detectors.values()} - {""}),
+        "sources": sorted({figures.threshold_from for figures in detectors.values()} - {""}),
     }
     return page_text("report.html", command, values)

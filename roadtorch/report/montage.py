@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.data.dataset import Dataset, Item, Truth
+from roadtorch.data.dataset import Dataset, LabelledItem, Truth
 from roadtorch.detection import Detection
 from roadtorch.evaluation.methods import Look
 from roadtorch.evaluation.result import Evaluation, best_median_worst, pictures_by_f
@@ -45,7 +45,7 @@ def write_montages(
     sheets: dict[str, dict[str, dict[str, str]]] = {}
     for name in shown[:MAX_DETECTORS]:
         thresholds = detectors[name].thresholds
-        look = detectors[name].method.prepare(evaluation.dataset)
+        look = detectors[name].contender.prepare(evaluation.dataset)
         order = pictures_by_f(evaluation.tallies[name], detectors[name])
         for part, pictures in best_median_worst(order, count).items():
             if pictures:
@@ -74,7 +74,7 @@ def sheet(
 
 
 def sheet_row(
-    dataset: Dataset, look: Look, item: Item, threshold: float, value: float
+    dataset: Dataset, look: Look, item: LabelledItem, threshold: float, value: float
 ) -> np.ndarray:
     """Image, layout, uniformity, likelihood and decision of one item, side by side.
 

@@ -3,7 +3,8 @@
 import math
 from collections.abc import Sequence
 
-from roadtorch.evaluation.evaluate import DIGITS, ThresholdChoice
+from roadtorch.evaluation.evaluate import ThresholdChoice
+from roadtorch.evaluation.measure import Figures
 from roadtorch.evaluation.measures import F_MASK, IOU, IOU_MASK, MAXF, F
 from roadtorch.evaluation.result import DetectorFigures, Evaluation, Interval
 from roadtorch.report.table import Cell, Table, share, signed, table_text
@@ -11,10 +12,10 @@ from roadtorch.report.tables import (
     MAX_COLUMNS,
     MAX_SHOWN,
     Kind,
+    add_recalls,
     best_baseline,
     differences,
     part_table,
-    recalls,
     scores,
     trust,
 )
@@ -30,13 +31,13 @@ def screen(evaluation: Evaluation) -> str:
     """The tables of a run: road, then what there is of groups, conditions, trust, layout, pairs."""
     shown = shortlist(evaluation)
     best_first = [name for name in evaluation.ranked() if name in shown]
-    told = [name for name in best_first if not evaluation.detectors[name].is_baseline][:MAX_TOLD]
+    best = [name for name in best_first if not evaluation.detectors[name].is_baseline][:MAX_TOLD]
     by_group = len(evaluation.groups) > MAX_COLUMNS["screen"] or evaluation.left_out
     against = evaluation.comparison.against
     tables = [
         table_text(scores(evaluation, best_first, "screen"), "detector"),
-        *(_part_text(evaluation, name, "group") for name in told if by_group),
-        *(_part_text(evaluation, name, "condition") for name in told if evaluation.conditions),
+        *(_part_text(evaluation, name, "group") for name in best if by_group),
+        *(_part_text(evaluation, name, "condition") for name in best if evaluation.conditions),
         table_text(trust(evaluation, best_first), "trust"),
         _layout_text(evaluation, shown),
         table_text(differences(evaluation, shown, "screen pairs"), f"minus {against}"),
@@ -50,7 +51,7 @@ def shortlist(evaluation: Evaluation) -> list[str]:
     """The baselines and the best of the others by MaxF, in the order in which they stand."""
     detectors = evaluation.detectors
     best = [name for name in evaluation.ranked() if not detectors[name].is_baseline][:MAX_SHOWN]
-    return [name for name, one in detectors.items() if one.is_baseline or name in best]
+    return [name for name, figures in detectors.items() if figures.is_baseline or name in best]
 
 
 def _part_text(evaluation: Evaluation, name: str, kind: Kind) -> str:
@@ -62,17 +63,18 @@ def _part_text(evaluation: Evaluation, name: str, kind: Kind) -> str:
 
 def _layout_text(evaluation: Evaluation, names: Sequence[str]) -> str:
     """Class recalls of the detectors that label the layout, by group; empty if none does."""
-    rows = [
-        (name, group, figures)
+    keys = {measure.key for measure in evaluation.shown_in("layout")}
+    rows = {
+        (name, group): figures
         for name in names
-        for one in [evaluation.detectors[name]]
-        for group, figures in (*sorted(one.groups.items()), ("mean", one.headline))
-        if any(measure.key in figures for measure in evaluation.shown_in("layout"))
-    ]
-    wide, narrow = (max(map(len, [title, *(row[i] for row in rows)]))
-                    for i, title in enumerate(("layout", "group")))  # fmt: skip
-    parts = {f"{name:{wide}}  {group:>{narrow}}": figures for name, group, figures in rows}
-    return table_text(recalls(evaluation, parts), f"{'layout':{wide}}  {'group':>{narrow}}")
+        for detector in [evaluation.detectors[name]]
+        for group, figures in (*sorted(detector.groups.items()), ("mean", detector.headline))
+        if keys & figures.keys()
+    }
+    table = Table([name for name, _ in rows])
+    table.add("group", "", [Cell(group) for _, group in rows])
+    add_recalls(table, evaluation, rows.values())
+    return table_text(table, "layout")
 
 
 # --- thresholds that were chosen --------------------------------------------------------
@@ -80,33 +82,36 @@ def _layout_text(evaluation: Evaluation, names: Sequence[str]) -> str:
 
 def choice_text(choices: Sequence[ThresholdChoice]) -> str:
     """Detector, chosen threshold, F and IoU there and held out; before them the default's F."""
-    table = Table([one.detector for one in choices])
+    table = Table([choice.detector for choice in choices])
     for header, values in {
-        "default": [f"{one.default:.{DIGITS}f}" for one in choices],
-        "F at default": [share(one.f_default) for one in choices],
-        "threshold": [f"{one.threshold:.{DIGITS}f}" for one in choices],
-        "F": [share(one.f) for one in choices],
-        "IoU": [share(one.iou) for one in choices],
-        "F held out": [share(one.f_held_out) for one in choices],
-        "IoU held out": [share(one.iou_held_out) for one in choices],
+        "default": [choice.default for choice in choices],
+        "F at default": [F.of(choice.at_default) for choice in choices],
+        "threshold": [choice.settings.threshold for choice in choices],
+        "F": [F.of(choice.chosen) for choice in choices],
+        "IoU": [IOU.of(choice.chosen) for choice in choices],
+        "F held out": [F.of(choice.held_out) for choice in choices],
+        "IoU held out": [IOU.of(choice.held_out) for choice in choices],
     }.items():
-        table.add(header, "", map(Cell, values))
+        table.add(header, "", [Cell(share(value)) for value in values])
     return table_text(table, "detector")
 
 
 def provenance(choice: ThresholdChoice, evaluation: Evaluation, command: str) -> list[str]:
     """Where a threshold comes from and what it is worth, as lines for its config."""
+
+    def both(figures: Figures) -> str:
+        return f"F {F.of(figures):.3f}, IoU {IOU.of(figures):.3f}"
+
     dataset = evaluation.dataset
     lines = [
         f"The threshold is chosen on {dataset.name} {dataset.split}, {choice.images} pictures, by",
         f"  {command}",
-        f"At the default threshold {choice.default:.{DIGITS}f}: F {choice.f_default:.3f}.",
-        f"On these pictures: F {choice.f:.3f}, IoU {choice.iou:.3f} (mean over the groups).",
+        f"At the default threshold {choice.default:.3f}: F {F.of(choice.at_default):.3f}.",
+        f"On these pictures: {both(choice.chosen)} (mean over the groups).",
     ]
-    if math.isnan(choice.f_held_out):
-        return lines
-    held_out = f"F {choice.f_held_out:.3f}, IoU {choice.iou_held_out:.3f}"
-    return [*lines, f"Each group at the threshold of the others: {held_out}."]
+    if choice.held_out:
+        lines.append(f"Each group at the threshold of the others: {both(choice.held_out)}.")
+    return lines
 
 
 def outcome(evaluation: Evaluation) -> list[str]:
@@ -177,10 +182,10 @@ def _groups(name: str, evaluation: Evaluation) -> list[str]:
     return [f"{text}; above every blind baseline on {above} of {len(compared)} groups."]
 
 
-def paired_interval(evaluation: Evaluation, one: str, other: str) -> Interval | None:
+def paired_interval(evaluation: Evaluation, first: str, second: str) -> Interval | None:
     """The interval of one detector's MaxF less that of another, if the run compared them."""
     comparison = evaluation.comparison
-    for name, against, sign in ((one, other, 1), (other, one, -1)):
+    for name, against, sign in ((first, second, 1), (second, first, -1)):
         change = comparison.differences.get(name, {}).get(MAXF.key)
         if comparison.against == against and change and change.interval.is_known:
             return Interval(*sorted(sign * end for end in change.interval))

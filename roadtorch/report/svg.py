@@ -109,7 +109,7 @@ def choose_series(evaluation: Evaluation) -> list[Series]:
         Series(name, BASELINE, dash, is_baseline=True)
         for name, dash in zip(baselines, BASELINE_DASHES, strict=False)
     ]
-    return sorted(series, key=lambda one: ranked.index(one.name))
+    return sorted(series, key=lambda detector: ranked.index(detector.name))
 
 
 # --- to text ----------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import jinja2
+from tabulate import tabulate
 
 from roadtorch.evaluation.measure import Figures, Measure
 from roadtorch.version import __version__
@@ -66,7 +67,7 @@ class Table:
 
     def measure(
         self,
-        one: Measure,
+        measure: Measure,
         parts: Iterable[Figures],
         header: str = "",
         strong: Callable[[Sequence[float]], float | None] | None = None,
@@ -76,12 +77,14 @@ class Table:
         strong: which of the values stands out, the best if not given.
         """
         rows = list(parts)
-        if any(one.key in figures for figures in rows):
-            values = [one.of(figures) for figures in rows]
+        if any(measure.key in figures for figures in rows):
+            values = [measure.of(figures) for figures in rows]
             alone = sum(not math.isnan(value) for value in values) < 2
-            chosen = None if alone else (strong or one.best)(values)
-            cells = (number_cell(one.text(value, NONE), value, value == chosen) for value in values)
-            self.add(header or one.name, one.meaning, cells)
+            chosen = None if alone else (strong or measure.best)(values)
+            cells = (
+                number_cell(measure.text(value, NONE), value, value == chosen) for value in values
+            )
+            self.add(header or measure.name, measure.meaning, cells)
 
     def rows(self) -> list[tuple[str, list[Cell]]]:
         """Name and cells of each row."""
@@ -99,30 +102,25 @@ def table_text(table: Table, title: str) -> str:
     """
     if not table.names:
         return ""
-    noted = [any(cell.note for cell in column) for column in table.columns]
-    lines = [[title]]
-    for (header, _), has_notes in zip(table.headers, noted, strict=True):
-        lines[0] += [header.replace("\n/", "/").replace("\n", " "), *["95 %"] * has_notes]
-    for name, cells in table.rows():
-        lines.append([name])
-        for cell, has_notes in zip(cells, noted, strict=True):
-            lines[-1] += [_plain(cell.text), *[_plain(cell.note)] * has_notes]
-    return align(lines)
+    headers, columns = [title], [list(table.names)]
+    for (header, _), cells in zip(table.headers, table.columns, strict=True):
+        headers.append(header.replace("\n/", "/").replace("\n", " "))
+        columns.append([_plain(cell.text) for cell in cells])
+        if any(cell.note for cell in cells):
+            headers.append("95 %")
+            columns.append([_plain(cell.note) for cell in cells])
+    return aligned([headers, *zip(*columns, strict=True)])
 
 
 def _plain(text: str) -> str:
-    """What can be searched for and copied from a screen."""
+    """A cell that can be searched for and copied from a screen."""
     return "-" if text == NONE else text.replace(MINUS, "-")
 
 
-def align(rows: Sequence[Sequence[str]]) -> str:
+def aligned(rows: Sequence[Sequence[str]]) -> str:
     """Rows of text in columns: the first to the left, the others to the right."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = []
-    for first, *rest in rows:
-        cells = [cell.rjust(width) for cell, width in zip(rest, widths[1:], strict=True)]
-        lines.append("  ".join([first.ljust(widths[0]), *cells]).rstrip())
-    return "\n".join(lines)
+    sides = ("left", *["right"] * (len(rows[0]) - 1))
+    return tabulate(rows, tablefmt="plain", disable_numparse=True, colalign=sides)
 
 
 # --- pages ------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 """The tables of a run: of detectors, of one detector's groups and conditions, of differences."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, get_args
 
 from roadtorch.evaluation.measure import Figures, Measure, Place
@@ -48,8 +48,8 @@ def scores(evaluation: Evaluation, names: Sequence[str], place: Place) -> Table:
     parts = {name: detectors[name].headline for name in names}
     for group in [] if many else groups:
         table.measure(MAXF, [detectors[name].group(group) for name in names], f"MaxF\n{group}")
-    for one in evaluation.shown_in("headline"):
-        table.measure(one, parts.values())
+    for measure in evaluation.shown_in("headline"):
+        table.measure(measure, parts.values())
     intervals = (detectors[name].interval for name in names)
     table.add("95 %", "Bootstrap interval of MaxF over pictures.", (
         Cell(f"{share(ends.low)}–{share(ends.high)}", ends.low) if ends.is_known else Cell(NONE)
@@ -57,18 +57,18 @@ def scores(evaluation: Evaluation, names: Sequence[str], place: Place) -> Table:
     ))  # fmt: skip
     if place == "scores":
         table.add(*_above_baseline(evaluation, parts))
-    for one in WORST if many and place == "screen" else ():
+    for measure in WORST if many and place == "screen" else ():
         cells = []
-        for known in (one.known(detectors[name].groups) for name in names):
+        for known in (measure.known(detectors[name].groups) for name in names):
             group = min(known, key=known.__getitem__, default=None)
-            text = NONE if group is None else f"{one.text(known[group], NONE)} {group}"
+            text = NONE if group is None else f"{measure.text(known[group], NONE)} {group}"
             cells.append(Cell(text, None if group is None else known[group]))
-        table.add(f"worst\n{one.name}", "The lowest of the groups, and whose it is.", cells)
+        table.add(f"worst\n{measure.name}", "The lowest of the groups, and whose it is.", cells)
     if place == "screen" and groups:
         pooled = [detectors[name].pooled for name in names]
         table.measure(MAXF, pooled, "pooled")
-    for one in evaluation.shown_in(place):
-        table.measure(one, parts.values())
+    for measure in evaluation.shown_in(place):
+        table.measure(measure, parts.values())
     return table
 
 
@@ -84,7 +84,7 @@ def _above_baseline(
 
 def baselines(evaluation: Evaluation) -> set[str]:
     """The detectors that never look at the picture."""
-    return {name for name, one in evaluation.detectors.items() if one.is_baseline}
+    return {name for name, figures in evaluation.detectors.items() if figures.is_baseline}
 
 
 def best_baseline(evaluation: Evaluation, parts: Mapping[str, Figures]) -> tuple[str, float]:
@@ -99,18 +99,18 @@ def measured(
 ) -> Table:
     """The measures of some places; parts: figures by detector. above: MaxF over the baselines'."""
     table = Table(list(parts), baselines(evaluation))
-    for one in evaluation.shown_in("headline") if above else ():
-        table.measure(one, parts.values())
+    for measure in evaluation.shown_in("headline") if above else ():
+        table.measure(measure, parts.values())
     if above:
         table.add(*_above_baseline(evaluation, parts))
-    for one in evaluation.shown_in(*places):
-        table.measure(one, parts.values())
+    for measure in evaluation.shown_in(*places):
+        table.measure(measure, parts.values())
     return table
 
 
 def trust(evaluation: Evaluation, names: Sequence[str]) -> Table:
     """How well trust tells good masks from bad ones, of the detectors that have it."""
-    keys = {one.key for one in evaluation.shown_in("trust")}
+    keys = {measure.key for measure in evaluation.shown_in("trust")}
     figures = {name: evaluation.detectors[name].headline for name in names}
     with_trust = {name: part for name, part in figures.items() if keys & part.keys()}
     return measured(evaluation, with_trust, "trust")
@@ -121,11 +121,11 @@ def differences(evaluation: Evaluation, names: Sequence[str], place: Place) -> T
     changes = evaluation.comparison.differences
     table = Table([name for name in names if name in changes], baselines(evaluation))
     hint = "Difference on the same pictures, 95 % interval; bold where that leaves out 0."
-    for one in evaluation.shown_in(place):
-        of_measure = [changes[name].get(one.key) for name in table.names]
+    for measure in evaluation.shown_in(place):
+        of_measure = [changes[name].get(measure.key) for name in table.names]
         if any(of_measure):
-            under = one.key.rpartition("/")[0].replace("/", ", ") if place == "pairs" else ""
-            header = f"{under},\n{one.name}" if under else one.name
+            under = measure.key.rpartition("/")[0].replace("/", ", ") if place == "pairs" else ""
+            header = f"{under},\n{measure.name}" if under else measure.name
             table.add(header, hint, [_change(change) for change in of_measure])
     return table
 
@@ -157,13 +157,13 @@ def part_table(evaluation: Evaluation, name: str, kind: Kind, most: int | None =
     worst_first = sorted(parts, key=lambda label: known.get(label, math.inf))[:most]
     rows = {**{label: parts[label] for label in worst_first}, **beside} if parts else {}
     table = Table(list(rows))
-    for one in evaluation.shown_in("parts"):
-        if any(one.key in figures[name] for figures in rows.values()):
-            values = [one.of(figures[name]) for figures in rows.values()]
-            worst = one.worst(values[: len(worst_first)]) if len(worst_first) > 1 else None
-            table.add(one.name, one.meaning, (
+    for measure in evaluation.shown_in("parts"):
+        if any(measure.key in figures[name] for figures in rows.values()):
+            values = [measure.of(figures[name]) for figures in rows.values()]
+            worst = measure.worst(values[: len(worst_first)]) if len(worst_first) > 1 else None
+            table.add(measure.name, measure.meaning, (
                 number_cell(
-                    one.text(value, NONE), value, row < len(worst_first) and value == worst
+                    measure.text(value, NONE), value, row < len(worst_first) and value == worst
                 )
                 for row, value in enumerate(values)
             ))  # fmt: skip
@@ -175,21 +175,22 @@ def part_table(evaluation: Evaluation, name: str, kind: Kind, most: int | None =
 
 def _groups(evaluation: Evaluation) -> tuple[Parts, Parts]:
     """The groups that count; what stands below them."""
-    left_out = {f"{one} (left out)": evaluation.of_group(one) for one in evaluation.left_out}
+    left_out = {f"{group} (left out)": evaluation.of_group(group) for group in evaluation.left_out}
     counting = {group: evaluation.of_group(group) for group in evaluation.groups}
     return counting, {"mean": evaluation.headlines, **left_out}
 
 
 def _conditions(evaluation: Evaluation) -> tuple[Parts, Parts]:
     """The conditions with the number of their groups, and nothing below them."""
-    items, found = evaluation.dataset.by_condition(), {}
+    items, parts = evaluation.dataset.by_condition(), {}
     for condition in evaluation.conditions:
         groups = len({item.group for item in items[condition]} - {None})
         of = f" ({groups} group{'' if groups == 1 else 's'})" if groups else ""
-        found[condition + of] = {
-            each: one.conditions.get(condition, {}) for each, one in evaluation.detectors.items()
+        parts[condition + of] = {
+            name: figures.conditions.get(condition, {})
+            for name, figures in evaluation.detectors.items()
         }
-    return found, {}
+    return parts, {}
 
 
 # --- layout -----------------------------------------------------------------------------
@@ -205,25 +206,26 @@ class LayoutTables(NamedTuple):
 
 def layouts(evaluation: Evaluation, names: Sequence[str]) -> list[LayoutTables]:
     """Confusion and recalls of the detectors that label the layout; they may share one."""
-    found: list[LayoutTables] = []
+    layouts_so_far: list[LayoutTables] = []
     for name in names:
-        one = evaluation.detectors[name]
-        table = recalls(evaluation, {**one.groups, "mean" if one.groups else "all": one.headline})
-        tables = (_confusion(one.headline), table)
-        twins = [old.names for old in found if old[1:] == tables]
+        figures = evaluation.detectors[name]
+        parts = {**figures.groups, "mean" if figures.groups else "all": figures.headline}
+        table = Table(list(parts))
+        add_recalls(table, evaluation, parts.values())
+        tables = (_confusion(figures.headline), table)
+        twins = [old.names for old in layouts_so_far if old[1:] == tables]
         if twins:
             twins[0].append(name)
         elif table.headers:
-            found.append(LayoutTables([name], *tables))
-    return found
+            layouts_so_far.append(LayoutTables([name], *tables))
+    return layouts_so_far
 
 
-def recalls(evaluation: Evaluation, parts: Mapping[str, Figures]) -> Table:
-    """Recalls of some parts, none of them better; without columns if there are none."""
-    table = Table(list(parts))
+def add_recalls(table: Table, evaluation: Evaluation, parts: Iterable[Figures]) -> None:
+    """Columns of the recalls of some parts, none of them better; no column where none has any."""
+    rows = list(parts)
     for measure in evaluation.shown_in("layout"):
-        table.measure(measure, parts.values(), strong=lambda _: None)
-    return table
+        table.measure(measure, rows, strong=lambda _: None)
 
 
 def _confusion(figures: Figures) -> list[tuple[str, list[Cell]]]:
@@ -253,9 +255,11 @@ def page_tables(evaluation: Evaluation, in_charts: Sequence[str]) -> dict[str, A
     }
     if any(detectors[name].pooled for name in shown):
         of_groups["all groups, pixels pooled"] = {name: detectors[name].pooled for name in shown}
-    told = [name for name in in_charts if not detectors[name].is_baseline]
+    looked_at = [name for name in in_charts if not detectors[name].is_baseline]
     by = {
-        kind: {name: table for name in told if (table := part_table(evaluation, name, kind)).names}
+        kind: {
+            name: table for name in looked_at if (table := part_table(evaluation, name, kind)).names
+        }
         for kind in get_args(Kind)
     }
     return {
@@ -279,11 +283,11 @@ def measures_shown(evaluation: Evaluation) -> list[Measure]:
     """The measures that the tables have, for the key to them; of equal meanings the first."""
     every = [
         figures
-        for one in evaluation.detectors.values()
-        for figures in (one.headline, one.pooled, *one.groups.values())
+        for detector in evaluation.detectors.values()
+        for figures in (detector.headline, detector.pooled, *detector.groups.values())
     ]
     by_meaning: dict[str, Measure] = {}
-    for one in evaluation.shown_in("headline", "scores", "further", "parts", "trust"):
-        if any(one.key in figures for figures in every):
-            by_meaning.setdefault(one.meaning, one)
+    for measure in evaluation.shown_in("headline", "scores", "further", "parts", "trust"):
+        if any(measure.key in figures for figures in every):
+            by_meaning.setdefault(measure.meaning, measure)
     return list(by_meaning.values())

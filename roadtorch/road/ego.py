@@ -19,8 +19,7 @@ from roadtorch.io.image import read_image
 from roadtorch.runtime.image_cache import cached_per_image
 from roadtorch.settings import Settings
 
-MIN_FREE = 0.1
-"""Share of the picture that an ego car must leave free."""
+MIN_FREE = 0.1  # share of the picture that an ego car must leave free
 
 STRIP = 0.08
 """Share of the picture's side that is mirrored at most: near ground, never the sky above it."""
@@ -30,8 +29,7 @@ MIN_MEAN, PER_SHARE = 0.6, 0.8
 lines near the lower edge are half believed, bonnets mostly not, and more ground lost by mistake
 needs more certainty."""
 
-SOLID = 0.6
-"""Share of the pixels below that must be ego car."""
+SOLID = 0.6  # share of the pixels below that must be ego car
 
 REMEDY = f"leave at least {MIN_FREE:.0%} of the picture free"
 
@@ -93,8 +91,8 @@ def ego_car(image: Tensor, ego: Ego, mask: Tensor | None = None) -> Tensor:
     if ego.mask:
         mask = read_ego_mask(ego.mask) if mask is None else mask
         if mask.shape != car.shape:
-            given = f"{mask.shape[1]}×{mask.shape[0]}"
-            what = f"is {width}×{height} pixels, the ego mask {ego.mask} {given}"
+            size = f"{mask.shape[1]}×{mask.shape[0]}"
+            what = f"is {width}×{height} pixels, the ego mask {ego.mask} {size}"
             raise InputError("image", what, "give a mask of the pictures' size")
         car = car | mask.to(image.device)
     if float((~car).double().mean()) < MIN_FREE:
@@ -151,16 +149,16 @@ def continued(maps: Tensor, ego: Tensor) -> Tensor:
     What has nothing above (a mirror hung at the top) is continued from below, and columns
     that are all ego car from beside. At least one pixel must be free.
     """
-    found, left = maps.reshape(-1, *ego.shape), ego
+    ground, left = maps.reshape(-1, *ego.shape), ego
     for flipped, turned in ((False, False), (True, False), (False, True), (True, True)):
         if not is_anywhere(left):
             break
-        found, left = (part.mT if turned else part for part in (found, left))
-        found, left = (part.flip(-2) if flipped else part for part in (found, left))
-        found, left = _continued_down(found, left)
-        found, left = (part.flip(-2) if flipped else part for part in (found, left))
-        found, left = (part.mT if turned else part for part in (found, left))
-    return found.reshape(maps.shape).contiguous()
+        ground, left = (part.mT if turned else part for part in (ground, left))
+        ground, left = (part.flip(-2) if flipped else part for part in (ground, left))
+        ground, left = _continued_down(ground, left)
+        ground, left = (part.flip(-2) if flipped else part for part in (ground, left))
+        ground, left = (part.mT if turned else part for part in (ground, left))
+    return ground.reshape(maps.shape).contiguous()
 
 
 def _continued_down(maps: Tensor, ego: Tensor) -> tuple[Tensor, Tensor]:
@@ -180,7 +178,7 @@ def _continued_down(maps: Tensor, ego: Tensor) -> tuple[Tensor, Tensor]:
     step = (rows - above - 1).clip(0) % (2 * run)
     source = np.where(car & (free >= 0), above - np.minimum(step, 2 * run - 1 - step), rows)
     place = torch.from_numpy((source * width + np.arange(width)).reshape(-1)).to(maps.device)
-    found, hidden = maps.clone(), torch.zeros_like(ego)
-    found[:, first:] = maps.flatten(1).index_select(1, place).view(len(maps), -1, width)
+    ground, hidden = maps.clone(), torch.zeros_like(ego)
+    ground[:, first:] = maps.flatten(1).index_select(1, place).view(len(maps), -1, width)
     hidden[first:] = torch.from_numpy(car & (free < 0)).to(ego.device)
-    return found, hidden
+    return ground, hidden

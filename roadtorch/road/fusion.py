@@ -8,7 +8,7 @@ two can rank pixels the other way round: 0.9 and 0.3 have the product 0.27 and t
 others: what the road of this very picture looks like (ours).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -80,10 +80,10 @@ def likelihood_product(prior: Tensor, likelihoods: Sequence[Tensor]) -> Tensor:
     said of the background, so the result is no probability, and is compared with a threshold.
     A prior counts relative to its largest value: a uniform one changes nothing.
     """
-    found = prior / prior.max()
+    product = prior / prior.max()
     for likelihood in likelihoods:
-        found = found * likelihood
-    return found
+        product = product * likelihood
+    return product
 
 
 def log_odds(likelihood: Tensor) -> Tensor:
@@ -156,10 +156,10 @@ def segment_road(
 def neighbour_mean(segments: Segments) -> Tensor:
     """(n,n) matrix that averages a value over the segments that share a border with each."""
     count = len(segments.size)
-    one, two = segments.pairs
+    first, second = segments.pairs
     touching = segments.size.new_zeros(count, count)
-    touching[one, two] = 1
-    touching[two, one] = 1
+    touching[first, second] = 1
+    touching[second, first] = 1
     return touching / touching.sum(1, keepdim=True).clamp_min(1)
 
 
@@ -207,3 +207,13 @@ def prior_triangle(height: int, width: int) -> Tensor:
     columns = (torch.arange(width, dtype=torch.float32) + 0.5) / width
     reach = TRIANGLE_BASE / 2 * (rows - TRIANGLE_APEX) / (1 - TRIANGLE_APEX)
     return ((columns - 0.5).abs() <= reach).to(torch.float32)
+
+
+Prior = Callable[[int, int], Tensor]
+"""A prior p(road) float32 (H,W) in [0,1] by height and width."""
+
+PRIORS: dict[str, Prior] = {
+    "uniform": prior_uniform,
+    "rows": prior_rows,
+    "triangle": prior_triangle,
+}

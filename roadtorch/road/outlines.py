@@ -18,14 +18,12 @@ Outlines = Annotated[
     Field(description="guided by the picture, without thin holes; or smooth, as they were found"),
 ]
 
-MAX_ENLARGEMENT = 8
-"""Times the pixels of the working size: 640x480, of 240x180."""
+MAX_ENLARGEMENT = 8  # times the pixels of the working size: 640x480, of 240x180
 
 SUBSAMPLING = 2
 """Pixels of the analysed picture, along a side, to one of that from which windows are made."""
 
-CELL = 6
-"""Such pixels between the centres of two windows: with the above, the side of a superpixel."""
+CELL = 6  # such pixels between the centres of two windows: with the above, the side of a superpixel
 
 RIDGE = 1e-3
 """Variance of a colour, in [0,1], below which it is grain that a likelihood does not follow."""
@@ -33,17 +31,16 @@ RIDGE = 1e-3
 PASSES = 2
 """The first brings the likelihood to the nearest edge, the second parts the sides of the edge."""
 
-THIN = 11 / 640
-"""Share of the picture's width up to which a hole is thin: a line near the camera."""
+THIN = 11 / 640  # share of the picture's width up to which a hole is thin: a line near the camera
 
 BARELY = 1 / 255
 """By which a hole is above the threshold: the least that a picture of 8 bits can say."""
 
 
 def guided(
-    found: Maps, small: Tensor, image: Tensor, working: WorkingSize, threshold: float
+    maps: Maps, small: Tensor, image: Tensor, working: WorkingSize, threshold: float
 ) -> Tensor:
-    """The likelihood of what was found in a small image (3,h,w), as large as it is worth.
+    """The likelihood of the maps of a small image (3,h,w), as large as it is worth.
 
     image: the same (3,H,W) at the picture's own size. working: the size of the small one.
     threshold: road from this likelihood on.
@@ -55,10 +52,10 @@ def guided(
     """
     more = working.model_copy(update={"pixels": MAX_ENLARGEMENT * working.pixels})
     larger = image if image[0].numel() <= more.pixels else at_work(image, more)
-    if "ego" in found and is_anywhere(found["ego"]):
-        small = continued(small, found["ego"])
-    likelihood = followed(found["likelihood"], small, larger)
-    before = resized(found["likelihood"], size_of(larger))
+    if "ego" in maps and is_anywhere(maps["ego"]):
+        small = continued(small, maps["ego"])
+    likelihood = followed(maps["likelihood"], small, larger)
+    before = resized(maps["likelihood"], size_of(larger))
     same = at_least(likelihood, threshold) == at_least(before, threshold)
     return filled(torch.where(same, before, likelihood), threshold)
 
@@ -75,20 +72,20 @@ def followed(likelihood: Tensor, image: Tensor, larger: Tensor) -> Tensor:
     both = resized(torch.cat([likelihood[None], image]), _size(likelihood, SUBSAMPLING))
     likelihood, small = both[0], both[1:]
     cells = _size(likelihood, CELL)
-    one, two = torch.triu_indices(3, 3)
-    mean, square = resized(torch.cat([small, small[one] * small[two]]), cells).split([3, 6])
+    first, second = torch.triu_indices(3, 3)
+    mean, square = resized(torch.cat([small, small[first] * small[second]]), cells).split([3, 6])
     spread = mean.new_empty(3, 3, *cells)
-    spread[one, two] = spread[two, one] = square - mean[one] * mean[two]
+    spread[first, second] = spread[second, first] = square - mean[first] * mean[second]
     ridge = RIDGE * torch.eye(3, dtype=mean.dtype, device=mean.device)
     inverse = torch.linalg.inv(spread.permute(2, 3, 0, 1) + ridge)
-    for seen in [*[small] * (PASSES - 1), larger]:
+    for picture in [*[small] * (PASSES - 1), larger]:
         road, *joint = resized(torch.cat([likelihood[None], small * likelihood]), cells)
         shared = torch.stack(joint, -1) - (mean * road).permute(1, 2, 0)
         slope = (inverse @ shared[..., None])[..., 0].permute(2, 0, 1)
         offset = road - (slope * mean).sum(0)
-        shape = size_of(seen)
+        shape = size_of(picture)
         *slopes, likelihood = resized(torch.cat([slope, offset[None]]), shape)
-        for weight, plane in zip(slopes, seen, strict=True):
+        for weight, plane in zip(slopes, picture, strict=True):
             likelihood.addcmul_(weight, plane)
         likelihood.clamp_(0, 1)
     return likelihood
@@ -121,7 +118,7 @@ def filled(likelihood: Tensor, threshold: float) -> Tensor:
     left = remove_isolated(before, torch.from_numpy(wide))
     if left is before:
         return likelihood
-    found = likelihood.clone()
+    closed = likelihood.clone()
     holes = (before & ~left).to(likelihood.device)
-    found[below].masked_fill_(holes, min(1.0, threshold + BARELY))
-    return found
+    closed[below].masked_fill_(holes, min(1.0, threshold + BARELY))
+    return closed

@@ -13,17 +13,13 @@ from torch import Tensor
 from roadtorch.settings import Settings
 from roadtorch.superpixels.segments import Segments
 
-FRAME = (240, 320)
-"""Height and width in pixels of the frame in which a seed area is described."""
+FRAME = (240, 320)  # height and width in pixels of the frame in which a seed area is described
 
 NEARNESS = 4.0
 """Log odds that a place at the bottom of the picture has before one at the top, as a seed."""
 
-UPPER_HALF = 100.0
-"""Log odds that keep the upper half out, unless there is nothing else."""
-
-STRIP = 256
-"""Rows in which regions are looked up at a time; ours: a megabyte or so of a photograph."""
+UPPER_HALF = 100.0  # log odds that keep the upper half out, unless there is nothing else
+STRIP = 256  # rows in which regions are looked up at a time; ours: a megabyte or so of a photograph
 
 
 class SeedArea(Settings):
@@ -98,8 +94,8 @@ def remove_isolated(mask: Tensor, seed: Tensor) -> Tensor:
         return mask
     filled = slice(int(rows[0]), int(rows[-1]) + 1)  # above is sky: what it costs is left out
     pixels = pixels[filled].view(np.uint8)
-    count, found = cv2.connectedComponents(pixels, connectivity=4)
-    regions, within = np.asarray(found, dtype=np.int32), seed[filled].cpu().numpy()
+    count, numbers = cv2.connectedComponents(pixels, connectivity=4)
+    regions, within = np.asarray(numbers, dtype=np.int32), seed[filled].cpu().numpy()
     kept = np.zeros(count, dtype=bool)
     strips = [slice(at, at + STRIP) for at in range(0, len(regions), STRIP)]
     for strip in strips:
@@ -156,10 +152,10 @@ def distances(pairs: Tensor, steps: Tensor, sources: Tensor, count: int) -> Tens
     pairs: int64 (2,E), each edge once; steps: (E,), ≥ 0. Dijkstra's algorithm; nodes out of
     reach are infinitely far.
     """
-    one, two = pairs.cpu().numpy()
+    first, second = pairs.cpu().numpy()
     # SciPy takes a stored 0 for a missing edge.
     cost = steps.cpu().numpy().astype(np.float64) + np.finfo(np.float32).tiny
-    graph = coo_array((cost, (one, two)), shape=(count, count)).tocsr()
+    graph = coo_array((cost, (first, second)), shape=(count, count)).tocsr()
     least = dijkstra(graph, directed=False, indices=sources.cpu().numpy(), min_only=True)
     return torch.from_numpy(least).to(steps)
 

@@ -176,11 +176,11 @@ def _filtered(
     greys: Sequence[Tensor], odds: Sequence[Tensor], settings: SteadySettings
 ) -> list[Past]:
     """What is known after each frame, its ``frames`` at the size of the odds."""
-    past, found = None, list[Past]()
+    past, known = None, list[Past]()
     for grey, own in zip(greys, odds, strict=True):
         past = recalled(past, grey, own, torch.zeros_like(own, dtype=torch.bool), settings)
-        found.append(past._replace(frames=resized(past.frames[None], size_of(own))[0]))
-    return found
+        known.append(past._replace(frames=resized(past.frames[None], size_of(own))[0]))
+    return known
 
 
 def flow_confidence(before: Tensor, grey: Tensor, flow: Tensor, settings: SteadySettings) -> Tensor:

@@ -153,13 +153,6 @@ class Saturation(Settings):
     )
 
 
-def segment_histograms(
-    levels: Tensor, labels: Tensor, bins: int, usable: Tensor | None = None
-) -> Tensor:
-    """Histograms (n,bins) of levels (H,W) over the usable pixels of the n segments of labels."""
-    return segment_histogram(levels, labels, int(labels.max()) + 1, bins, usable)
-
-
 def fused_uniformity(
     image: Tensor, labels: Tensor, usable: Tensor, seed: Tensor, settings: TextureSettings
 ) -> tuple[Tensor, Tensor]:
@@ -177,7 +170,8 @@ def fused_uniformity(
     fused = fused_plane(each_plane(image, settings.planes), weights)
     low, high = value_range(fused, usable, settings.tail)
     levels = quantise(fused, settings.bins, low, high)
-    return fused, uniformity(segment_histograms(levels, labels, settings.bins, usable))
+    count = int(labels.max()) + 1
+    return fused, uniformity(segment_histogram(levels, labels, count, settings.bins, usable))
 
 
 def samples_of(image: Tensor, area: Tensor) -> Tensor:
@@ -186,11 +180,7 @@ def samples_of(image: Tensor, area: Tensor) -> Tensor:
 
 
 def unsaturated_uniformity(
-    image: Tensor,
-    labels: Tensor,
-    seed: Tensor,
-    settings: TextureSettings,
-    saturation: Saturation,
+    image: Tensor, labels: Tensor, seed: Tensor, settings: TextureSettings, saturation: Saturation
 ) -> tuple[Tensor, Tensor, Tensor]:
     """CPFv2: the same without saturated pixels; U = 0 where a segment has few others.
 
@@ -207,13 +197,9 @@ def unsaturated_uniformity(
 # --- local binary patterns ------------------------------------------------------------
 
 
-CORNER = 0.5**0.5
-"""Row and column of the diagonal neighbours on the circle of radius 1."""
+CORNER = 0.5**0.5  # row and column of the diagonal neighbours on the circle of radius 1
 
-SMALLEST_ROTATION = tuple(
-    min((code >> turn | code << (8 - turn)) & 255 for turn in range(8)) for code in range(256)
-)
-"""For each pattern of eight bits in a circle, the smallest number that a rotation gives."""
+PATTERNS = 10  # different ones
 
 
 def uniform_patterns(grey: Tensor) -> Tensor:
@@ -223,41 +209,19 @@ def uniform_patterns(grey: Tensor) -> Tensor:
     runs. LBP^riu2 of Ojala et al., PAMI 2002; "uniform" in scikit-image. The picture is
     continued beyond its edge by its outermost pixels.
     """
-    bits = _brighter(grey)
-    changes = (bits != bits.roll(1, 0)).sum(0)
-    return torch.where(changes <= 2, bits.sum(0), 9)
-
-
-def smallest_patterns(grey: Tensor) -> Tensor:
-    """Rotation-invariant local binary patterns (8 neighbours, radius 1): int64 (H,W), 0…255.
-
-    The smallest number among the rotations of the eight bits, 36 different ones. LBP^ri of
-    Ojala et al., PAMI 2002; "ror" in scikit-image. Edges as in ``uniform_patterns``.
-    """
-    code = torch.zeros_like(grey, dtype=torch.int64)
-    for place, bit in enumerate(_brighter(grey)):
-        code |= bit.to(torch.int64) << place
-    return torch.tensor(SMALLEST_ROTATION, device=grey.device)[code]
-
-
-def _brighter(grey: Tensor) -> Tensor:
-    """Whether each of 8 neighbours on the unit circle is at least as bright: bool (8,H,W).
-
-    From the right, anticlockwise. Differences to the centre are interpolated, not values:
-    flat areas then give exactly 0.
-    """
     height, width = grey.shape
     padded = functional.pad(grey[None, None], (1, 1, 1, 1), mode="replicate")[0, 0]
-
-    def difference(row: int, column: int) -> Tensor:
-        return padded[1 + row : 1 + row + height, 1 + column : 1 + column + width] - grey
-
+    # From the right, anticlockwise; differences to the centre, so that flat areas give exactly 0.
     ring = [(0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1), (1, 0), (1, 1)]
-    around = torch.stack([difference(*place) for place in ring])
+    around = torch.stack(
+        [padded[1 + row :, 1 + column :][:height, :width] - grey for row, column in ring]
+    )
     straight, diagonal = around[0::2], around[1::2]
     sides = straight + straight.roll(-1, 0)
     between = CORNER * CORNER * diagonal + CORNER * (1 - CORNER) * sides
-    return torch.stack([straight, between], 1).flatten(0, 1) >= 0
+    bits = torch.stack([straight, between], 1).flatten(0, 1) >= 0
+    changes = (bits != bits.roll(1, 0)).sum(0)
+    return torch.where(changes <= 2, bits.sum(0), 9)
 
 
 def similarity(histogram: Tensor, reference: Tensor) -> Tensor:
@@ -268,11 +232,7 @@ def similarity(histogram: Tensor, reference: Tensor) -> Tensor:
     intersection and the Kullback-Leibler divergence came out within 0.01 of one another.
     0 where a histogram is empty.
     """
-    one, two = shares(histogram), shares(reference)
-    total = one + two
-    squares = (one - two).square() / total.clamp_min(torch.finfo(total.dtype).tiny)
+    first, second = shares(histogram), shares(reference)
+    total = first + second
+    squares = (first - second).square() / total.clamp_min(torch.finfo(total.dtype).tiny)
     return ((total - squares).sum(-1) / 2).clamp(0, 1)
-
-
-PATTERNS = {"uniform": (uniform_patterns, 10), "smallest": (smallest_patterns, 256)}
-"""By name: the function and how many codes it has."""

@@ -36,8 +36,7 @@ class Signs(NamedTuple):
 
 LOW_AND_HIGH = (0.2, 0.8)
 
-WEIGHTS = Signs(0.4, 0.02, 0.06, -0.1, -0.1)
-"""Of the signs; ``CONSTANT`` is added."""
+WEIGHTS = Signs(0.4, 0.02, 0.06, -0.1, -0.1)  # of the signs; ``CONSTANT`` is added
 
 CONSTANT = 0.628
 
@@ -69,12 +68,12 @@ class Judgement(NamedTuple):
     doubt: str
 
 
-def signs_of(likelihood: Tensor, mask: Tensor, found: Mapping[str, Tensor]) -> Signs:
+def signs_of(likelihood: Tensor, mask: Tensor, cues: Mapping[str, Tensor]) -> Signs:
     """The signs of a mask bool (H,W) made of a likelihood (H,W) in [0,1].
 
-    found: the cues ``learned_road``, ``distance``, ``seed_area`` and ``ego``, all (H,W).
+    cues: ``learned_road``, ``distance``, ``seed_area`` and ``ego``, all (H,W).
     """
-    free, learned = ~found["ego"], found["learned_road"]
+    free, learned = ~cues["ego"], cues["learned_road"]
     inside = weights_of(mask & free)
     low, high = (
         np.count_nonzero((above(likelihood, level) & free).cpu().numpy()) for level in LOW_AND_HIGH
@@ -83,9 +82,9 @@ def signs_of(likelihood: Tensor, mask: Tensor, found: Mapping[str, Tensor]) -> S
     return Signs(
         high / max(low, 1),
         2 * mean_over((learned - mean).square(), inside, 0.25) ** 0.5,
-        mean_over(learned, weights_of(found["seed_area"]), 0.0),
+        mean_over(learned, weights_of(cues["seed_area"]), 0.0),
         mean_over(entropy(likelihood), weights_of(free), math.nan),
-        mean_over(found["distance"], inside, 1.0),
+        mean_over(cues["distance"], inside, 1.0),
     )
 
 

@@ -22,10 +22,14 @@ def raise_terminated(*_: object) -> NoReturn:
 
 
 class Stop:
-    """Whether somebody asked to stop, and by which signal."""
+    """Whether somebody asked to stop, and by which signal.
+
+    at_once: whether asking raises, as while a live source is waited for.
+    """
 
     def __init__(self) -> None:
         self.signal: signal.Signals | None = None
+        self.at_once = False
 
     @property
     def asked(self) -> bool:
@@ -43,6 +47,8 @@ class Stop:
         """Remember the request; the second one no longer waits."""
         self.interrupt()
         self.signal = signal.Signals(number)
+        if self.at_once:
+            self.interrupt()
 
 
 @contextmanager

@@ -1,15 +1,10 @@
-"""Threads: one of torch's for a picture, pictures side by side, those of a command's process."""
+"""Threads: one of torch's for a picture, those of a command's process."""
 
-from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import Lock
-from typing import TypeVar
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 
 _SETTING = Lock()
 
@@ -48,31 +43,6 @@ def _set_own(number: int) -> None:
         new.submit(torch.set_num_threads, common).result()
 
 
-def ordered_results(
-    items: Iterable[Item], work: Callable[[Item], Result], threads: int
-) -> Generator[Result]:
-    """The results of all items in their order, a few items ahead at most.
-
-    Threads, not processes: torch and OpenCV release Python's lock, nothing has to be
-    loaded twice, and the thread count inside torch, hence every byte, stays the same.
-    """
-    if threads == 1:
-        yield from map(work, items)
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        waiting: deque[Future[Result]] = deque()
-        try:
-            for item in items:
-                waiting.append(pool.submit(work, item))
-                if len(waiting) > threads:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
-        finally:
-            for future in waiting:
-                future.cancel()
-
-
 @dataclass(frozen=True)
 class Threads:
     """The threads of torch and of OpenCV within one picture."""
@@ -95,3 +65,14 @@ class Threads:
 
         torch.set_num_threads(self.torch)
         cv2.setNumThreads(self.opencv)
+
+
+@contextmanager
+def single_threaded() -> Iterator[None]:
+    """Inside the block this process computes on one thread, and so do copies of it."""
+    before = Threads.of_now()
+    Threads(1, 1).set()
+    try:
+        yield
+    finally:
+        before.set()

@@ -9,38 +9,154 @@ truth is exact to half a pixel. Class numbers are CamVid's.
 """
 
 import argparse
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 import torch
+from torch import Tensor
 
-from roadtorch.scenes.canvas import (
-    BUILDING,
-    CAR,
-    PAVEMENT,
-    ROAD,
-    TREE,
-    VOID,
-    Canvas,
-    RenderedScene,
-    RenderedStreet,
-    cloth,
-    developed,
-    draw_street,
-    seen_ground,
-)
+from roadtorch.layout import classes as layout
 
+SKY, BUILDING, ROAD, PAVEMENT, TREE, CAR, VOID = 0, 1, 3, 4, 5, 8, 11
+
+LAYOUT_OF_CLASS = np.full(12, layout.VERTICAL, np.uint8)
+LAYOUT_OF_CLASS[[SKY, ROAD, PAVEMENT]] = layout.SKY, layout.HORIZONTAL, layout.HORIZONTAL
+CAMERA_HEIGHT = 1.35  # metres above the road
 MAX_DISTANCE = 90.0  # metres: nothing upright stands farther away
+
+
+@dataclass(frozen=True)
+class RenderedScene:
+    """A picture and everything that is true about it."""
+
+    image: Tensor  # float32 (3,H,W) in [0,1], sRGB
+    road: Tensor  # bool (H,W)
+    layout: Tensor  # uint8 (H,W): 0 sky, 1 vertical, 2 horizontal
+    void: Tensor  # bool (H,W): the unknown object
+    classes: Tensor  # uint8 (H,W): CamVid's class numbers
+
+
+@dataclass(frozen=True)
+class RenderedStreet:
+    """What is being looked at; lengths in metres, light in [0, 1]."""
+
+    horizon: float  # share of the height above the horizon
+    curvature: float  # lateral metres per squared metre ahead
+    heading: float  # lateral metres per metre ahead
+    road_width: float
+    pavement: float  # width of each pavement
+    offset: float  # of the camera from the road's middle
+    shadows: float  # how many bands
+    cars: float  # how many
+    dusk: float  # 0 noon, 1 late dusk
+    noise: float  # standard deviation of the sensor's noise
+
+    def middle(self, ahead: np.ndarray | float) -> np.ndarray | float:
+        """Lateral place of the road's middle, metres to the right of the camera."""
+        return self.heading * ahead + self.curvature * ahead**2 - self.offset
+
+
+def draw_street(generator: np.random.Generator, **options: float) -> RenderedStreet:
+    """A random street; any field of RenderedStreet can be fixed by name."""
+    chosen: dict[str, float] = {
+        "horizon": generator.uniform(0.36, 0.56),
+        "curvature": generator.uniform(-0.005, 0.005),
+        "heading": generator.uniform(-0.03, 0.03),
+        "road_width": generator.uniform(6.0, 9.5),
+        "pavement": generator.uniform(1.6, 3.2),
+        "offset": generator.uniform(-1.8, 0.6),
+        "shadows": int(generator.integers(0, 4)),
+        "cars": int(generator.integers(0, 4)),
+        "dusk": float(generator.choice([0.0, 0.15, 0.3, 0.8])),
+        "noise": generator.uniform(0.004, 0.02),
+    }
+    return RenderedStreet(**{**chosen, **options})  # an unknown option is a TypeError
+
+
+class Canvas:
+    """A picture and its class map, painted together."""
+
+    def __init__(self, height: int, width: int, street: RenderedStreet) -> None:
+        self.height, self.width = height, width
+        self.street = street
+        self.focal = 0.95 * max(width, height * 4 / 3)  # pixels
+        self.horizon = street.horizon * height
+        self.rgb = np.zeros((height, width, 3), np.float32)
+        self.classes = np.full((height, width), SKY, np.uint8)
+
+    def project(self, right: float, up: float, ahead: float) -> tuple[float, float]:
+        """The pixel (x, y) of a point in metres from the camera's foot on the road."""
+        x = self.width / 2 + self.focal * right / ahead
+        return x, self.horizon + self.focal * (CAMERA_HEIGHT - up) / ahead
+
+    def polygon(self, points: Iterable[tuple[float, float]], colour: np.ndarray, kind: int) -> None:
+        """Fill a polygon of pixel points with a colour (3,) or a picture (H,W,3)."""
+        mask = np.zeros((self.height, self.width), np.uint8)
+        corners = np.clip(np.array(list(points)) * 16, -3e5, 3e5)  # 4 fractional bits
+        cv2.fillPoly(mask, [np.round(corners).astype(np.int32)], 1, shift=4)
+        inside = around(corners / 16)
+        chosen = mask[inside].astype(bool)
+        self.rgb[inside][chosen] = colour[inside][chosen] if np.ndim(colour) == 3 else colour
+        self.classes[inside][chosen] = kind
+
+    def fill(self, mask: np.ndarray, colour: np.ndarray, kind: int) -> None:
+        """Give the pixels of a mask a colour and a class."""
+        self.rgb[mask] = colour[mask] if np.ndim(colour) == 3 else colour
+        self.classes[mask] = kind
+
+
+def around(corners: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns of a picture that hold a polygon of pixel points (n,2), and some more."""
+    first = np.maximum(np.floor(corners.min(0)).astype(int) - 1, 0)
+    last = np.maximum(np.ceil(corners.max(0)).astype(int) + 2, 0)
+    return slice(first[1], last[1]), slice(first[0], last[0])
+
+
+def cloth(generator: np.random.Generator, size: int = 256, octaves: int = 5) -> np.ndarray:
+    """Tileable fractal noise (size, size) with mean 0 and standard deviation 1."""
+    total = np.zeros((size, size), np.float32)
+    for octave in range(octaves):
+        cells = 2 ** (octave + 3)
+        coarse = generator.standard_normal((cells, cells)).astype(np.float32)
+        tiled = np.pad(coarse, 2, mode="wrap")
+        scale = size // cells
+        smooth = cv2.resize(tiled, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+        total += 0.75**octave * smooth[2 * scale : -2 * scale, 2 * scale : -2 * scale]
+    return (total - total.mean()) / total.std()
+
+
+def developed(canvas: Canvas, generator: np.random.Generator) -> RenderedScene:
+    """A canvas as the camera sees it, at half its size, with light, lens, noise and eight bits."""
+    dusk = canvas.street.dusk
+    light = np.array([1.0, 1 - 0.08 * dusk, 1 - 0.05 * dusk]) * (1 - 0.5 * dusk)
+    rgb = canvas.rgb * light
+    if dusk:  # the sky stays brighter than the street
+        rgb = np.where((canvas.classes == SKY)[..., None], canvas.rgb * (1 - 0.25 * dusk), rgb)
+    rgb = cv2.GaussianBlur(rgb, (0, 0), 1.1)
+    rgb = rgb.reshape(canvas.height // 2, 2, canvas.width // 2, 2, 3).mean((1, 3))
+    rgb = rgb + generator.normal(0, canvas.street.noise, rgb.shape) * (0.4 + np.sqrt(np.abs(rgb)))
+    levels = np.round(np.clip(rgb, 0, 1) * 255).astype(np.uint8)
+    classes = canvas.classes[::2, ::2].copy()
+    return RenderedScene(
+        image=torch.from_numpy(levels.transpose(2, 0, 1).astype(np.float32) / 255),
+        road=torch.from_numpy(classes == ROAD),
+        layout=torch.from_numpy(LAYOUT_OF_CLASS[classes]),
+        void=torch.from_numpy(classes == VOID),
+        classes=torch.from_numpy(classes),
+    )
+
+
+# --- what is painted -----------------------------------------------------------------------
 
 
 def paint_sky(canvas: Canvas, generator: np.random.Generator) -> None:
     """A gradient, pale at the horizon, with soft clouds."""
-    zenith = np.array([0.36, 0.55, 0.86]) * (
-        1 - canvas.street.dusk
-    ) + canvas.street.dusk * np.array([0.34, 0.38, 0.52])
-    pale = np.array([0.86, 0.88, 0.92]) - canvas.street.dusk * np.array([0.1, 0.2, 0.22])
+    dusk = canvas.street.dusk
+    zenith = np.array([0.36, 0.55, 0.86]) * (1 - dusk) + dusk * np.array([0.34, 0.38, 0.52])
+    pale = np.array([0.86, 0.88, 0.92]) - dusk * np.array([0.1, 0.2, 0.22])
     depth = np.clip(np.arange(canvas.height) / canvas.horizon, 0, 1)[:, None, None]
     canvas.rgb[:] = zenith + (pale - zenith) * depth**0.8
     clouds = cv2.resize(cloth(generator, octaves=3), (canvas.width, canvas.height))
@@ -48,28 +164,22 @@ def paint_sky(canvas: Canvas, generator: np.random.Generator) -> None:
     canvas.rgb[:] = canvas.rgb * (1 - cover) + cover * (pale * 1.04)
 
 
-class Ground(NamedTuple):
-    """Where every pixel lies on the road plane, in metres: arrays (H,W).
+def paint_ground(canvas: Canvas, generator: np.random.Generator) -> None:
+    """Road with lane marks, kerbs, pavements, verges and shadows, on the road plane.
 
-    ahead: of the camera. along, across: along the road, and to the right of its middle.
-    right, forward: coordinates in which the surface stays where it is.
+    Every pixel below the horizon has its place there: metres to the right of the camera and ahead
+    of it, and across the road, to the right of its middle.
     """
-
-    ahead: np.ndarray
-    along: np.ndarray
-    across: np.ndarray
-    right: np.ndarray
-    forward: np.ndarray
-
-
-def paint_ground(canvas: Canvas, place: Ground, generator: np.random.Generator) -> None:
-    """Road with lane marks, kerbs, pavements, verges and shadows, on the road plane."""
-    street, ahead, along, across = canvas.street, place.ahead, place.along, place.across
+    street = canvas.street
     rows = np.arange(canvas.height)[:, None] + 0.5
+    columns = np.arange(canvas.width)[None, :] + 0.5
     ground = np.broadcast_to(rows > canvas.horizon, canvas.classes.shape)
-    right, forward = place.right, place.forward
-    grain = sample(cloth(generator), right * 23, forward * 23) * np.clip(8 / ahead, 0.15, 1)
-    patches = sample(cloth(generator, octaves=3), right * 5, forward * 5)
+    below = np.maximum(rows - canvas.horizon, 1e-3)
+    ahead = np.broadcast_to(canvas.focal * CAMERA_HEIGHT / below, canvas.classes.shape)
+    right = (columns - canvas.width / 2) * ahead / canvas.focal
+    across = right - street.middle(ahead)
+    grain = sample(cloth(generator), right * 23, ahead * 23) * np.clip(8 / ahead, 0.15, 1)
+    patches = sample(cloth(generator, octaves=3), right * 5, ahead * 5)
     beside = np.abs(across) - street.road_width / 2
     colours = ground_colours(generator)
     for colour, kind, where in (
@@ -80,14 +190,14 @@ def paint_ground(canvas: Canvas, place: Ground, generator: np.random.Generator) 
     ):
         canvas.fill(where, colour, kind)
     slabs = ground & (beside > 0.22) & (beside < street.pavement)
-    joints = ((across / 0.75) % 1 < 0.05) | ((along / 0.75) % 1 < 0.07)
+    joints = ((across / 0.75) % 1 < 0.05) | ((ahead / 0.75) % 1 < 0.07)
     canvas.rgb[slabs & joints & (ahead < 25)] *= 0.86
     canvas.rgb[ground] *= (1 + 0.05 * grain + 0.04 * patches)[ground][:, None]
     marks = np.abs(across) < 0.07 + ahead / 700
-    marks &= (along + generator.uniform(0, 7)) % 7 < 3.2
+    marks &= (ahead + generator.uniform(0, 7)) % 7 < 3.2
     marks |= np.abs(beside + 0.35) < 0.06
     canvas.rgb[ground & marks] = colours["mark"] * (1 + 0.05 * patches[ground & marks][:, None])
-    shade = shadow(generator, street, across, along)
+    shade = shadow(generator, street, across, ahead)
     canvas.rgb[ground] *= shade[ground][:, None] ** np.array([1.08, 1.0, 0.88])  # bluish
 
 
@@ -153,7 +263,7 @@ def paint_house(
     span: tuple[float, float],
     generator: np.random.Generator,
 ) -> None:
-    """One house: the wall along the street and, where it sticks out, its front wall."""
+    """One house: the wall along the street, with dark panes, and its front wall."""
     near, far = span
     height = generator.uniform(4, 12)
     palette = [(0.62, 0.42, 0.34), (0.78, 0.74, 0.66), (0.55, 0.5, 0.45), (0.7, 0.66, 0.62)]
@@ -165,29 +275,18 @@ def paint_house(
     wall = [(here, 0, near), (there, 0, far), (there, height, far), (here, height, near)]
     for points, light in ((front, 0.8), (wall, 1.0 if side > 0 else 0.72)):
         canvas.polygon((canvas.project(*p) for p in points), colour * light, BUILDING)
+    pane = np.array([0.2, 0.24, 0.3])
+    lamp = (0.25 if canvas.street.dusk > 0.5 else 0.0) * np.array([1.0, 0.8, 0.3])
     for floor in np.arange(1.0, height - 1.6, 2.7):
         for ahead in np.arange(near + 0.8, far - 1.2, 2.2):
-            paint_window(canvas, side, distance, (near, far), (here, there), float(ahead), floor)
-
-
-def paint_window(
-    canvas: Canvas,
-    side: float,
-    distance: float,
-    span: tuple[float, float],
-    ends: tuple[float, float],
-    ahead: float,
-    floor: float,
-) -> None:
-    """A dark pane in the wall along the street."""
-    steps = [(a - span[0]) / (span[1] - span[0]) for a in (ahead, ahead + 1.1)]
-    place = [ends[0] + (ends[1] - ends[0]) * step for step in steps]
-    points = [(place[0], floor, ahead), (place[1], floor, ahead + 1.1)]
-    points += [(place[1], floor + 1.4, ahead + 1.1), (place[0], floor + 1.4, ahead)]
-    glass = np.array([0.2, 0.24, 0.3]) + (0.25 if canvas.street.dusk > 0.5 else 0.0) * np.array(
-        [1.0, 0.8, 0.3]
-    ) * (int(ahead * 7 + floor) % 3 == 0)
-    canvas.polygon((canvas.project(*p) for p in points), glass, BUILDING)
+            left, right = (
+                here + (there - here) * ((end - near) / (far - near))
+                for end in (float(ahead), float(ahead) + 1.1)
+            )
+            corners = [(left, floor, ahead), (right, floor, ahead + 1.1)]
+            corners += [(right, floor + 1.4, ahead + 1.1), (left, floor + 1.4, ahead)]
+            glass = pane + lamp * (int(ahead * 7 + floor) % 3 == 0)
+            canvas.polygon((canvas.project(*p) for p in corners), glass, BUILDING)
 
 
 def paint_tree(canvas: Canvas, across: float, ahead: float, generator: np.random.Generator) -> None:
@@ -204,18 +303,16 @@ def paint_tree(canvas: Canvas, across: float, ahead: float, generator: np.random
     for _ in range(7):
         middle = right + generator.normal(0, 0.9), 4 + generator.normal(0, 0.8)
         radius = generator.uniform(0.8, 1.5) * (1 + 0.15 * generator.standard_normal(turn.size))
-        ring = zip(
-            middle[0] + radius * np.cos(turn), middle[1] + radius * np.sin(turn), strict=True
-        )
-        canvas.polygon([canvas.project(x, y, ahead) for x, y in ring], picture, TREE)
+        x, y = middle[0] + radius * np.cos(turn), middle[1] + radius * np.sin(turn)
+        ring = [canvas.project(*point, ahead) for point in zip(x, y, strict=True)]
+        canvas.polygon(ring, picture, TREE)
 
 
 def paint_cars(canvas: Canvas, generator: np.random.Generator) -> None:
     """Cars ahead and parked cars, the farthest first, each with its shadow on the road."""
     half = canvas.street.road_width / 2
     lanes = [-half / 2, half / 2, half - 1.0, -half + 1.0]
-    places = sorted(generator.uniform(9, 32, int(canvas.street.cars)), reverse=True)
-    for ahead in places:
+    for ahead in sorted(generator.uniform(9, 32, int(canvas.street.cars)), reverse=True):
         across = lanes[generator.integers(len(lanes))]
         paint_car(canvas, float(canvas.street.middle(ahead)) + across, ahead, generator)
 
@@ -224,10 +321,9 @@ def paint_car(canvas: Canvas, right: float, ahead: float, generator: np.random.G
     """The back of a car: wheels, body, cabin, rear window, lamps; its long side behind."""
     palette = [(0.7, 0.12, 0.1), (0.12, 0.2, 0.45), (0.82, 0.82, 0.84), (0.1, 0.1, 0.11)]
     colour = np.array(palette[generator.integers(len(palette))])
-    lift = (-0.95, 0.95)
-    shade = [(x, 0.0, z) for x, z in zip((*lift, *lift[::-1]), (-0.35, -0.35, 4, 4), strict=True)]
+    shade = [(-0.95, -0.35), (0.95, -0.35), (0.95, 4), (-0.95, 4)]
     mask = np.zeros(canvas.classes.shape, np.uint8)
-    corners = [canvas.project(right + x, 0, ahead + z) for x, _, z in shade]
+    corners = [canvas.project(right + x, 0, ahead + z) for x, z in shade]
     cv2.fillPoly(mask, [np.round(corners).astype(np.int32)], 1)
     canvas.rgb[(mask > 0) & (canvas.classes == ROAD)] *= 0.35  # a shadow: still road
     boxes: list[tuple[tuple[float, ...], tuple[float, float], float, np.ndarray]] = [
@@ -240,11 +336,10 @@ def paint_car(canvas: Canvas, right: float, ahead: float, generator: np.random.G
         ((0.66, 0.86, 0.86, 0.66), (0.7, 0.85), 0.0, np.array([0.8, 0.1, 0.08])),
     ]
     for xs, (low, high), behind, tone in boxes:
-        ups = (low, low, high, high)
-        points = [
-            canvas.project(right + x, u, ahead + behind) for x, u in zip(xs, ups, strict=True)
-        ]
-        canvas.polygon(points, tone, CAR)
+        corners = zip(xs, (low, low, high, high), strict=True)
+        canvas.polygon(
+            [canvas.project(right + x, u, ahead + behind) for x, u in corners], tone, CAR
+        )
 
 
 def paint_unknown(canvas: Canvas, generator: np.random.Generator) -> None:
@@ -266,8 +361,7 @@ def render_scene(seed: int, height: int = 240, width: int = 320, **options: floa
     # A generator for each part: fixing one part leaves the others as they were.
     sky, ground, *sides, cars, unknown, camera = generator.spawn(7)
     paint_sky(canvas, sky)
-    right, ahead = seen_ground(canvas)
-    paint_ground(canvas, Ground(ahead, ahead, right - street.middle(ahead), right, ahead), ground)
+    paint_ground(canvas, ground)
     for side, drawn in zip((-1.0, 1.0), sides, strict=True):
         paint_side(canvas, side, drawn)
     paint_unknown(canvas, unknown)
@@ -290,10 +384,10 @@ def write_scenes() -> None:
     parser.add_argument("--count", type=int, default=6)
     parser.add_argument("--height", type=int, default=240)
     parser.add_argument("--width", type=int, default=320)
-    given = parser.parse_args()
-    for seed in range(given.count):
-        scene = render_scene(seed, given.height, given.width)
-        write_picture(given.out / f"scene_{seed:02d}.png", scene)
+    options = parser.parse_args()
+    for seed in range(options.count):
+        scene = render_scene(seed, options.height, options.width)
+        write_picture(options.out / f"scene_{seed:02d}.png", scene)
 
 
 if __name__ == "__main__":

@@ -58,10 +58,11 @@ def _runs(pictures: np.ndarray) -> Runs:
     # first row of a picture has no labels in common with the last one of the picture before.
     rows, begins = pictures.reshape(-1, pictures.shape[2]), begins.reshape(-1, pictures.shape[2])
     above = np.flatnonzero((rows[1:] == rows[:-1]) & (begins[1:] | begins[:-1]))
-    one, two = run[above], run[above + pictures.shape[2]]
+    upper, lower = run[above], run[above + pictures.shape[2]]
     first = np.zeros(len(start) + 1, dtype=np.int32)
-    np.cumsum(np.bincount(one, minlength=len(start)), out=first[1:])
-    touching = csr_array((np.ones(len(one), dtype=np.int8), two, first), shape=(len(start),) * 2)
+    np.cumsum(np.bincount(upper, minlength=len(start)), out=first[1:])
+    touch = np.ones(len(upper), dtype=np.int8)
+    touching = csr_array((touch, lower, first), shape=(len(start),) * 2)
     return Runs(start, length, connected_components(touching, directed=False)[1])
 
 

@@ -28,8 +28,8 @@ def segment_mean(planes: Sequence[Tensor] | Tensor, labels: Tensor, size: Tensor
         np.bincount(segment, plane.reshape(-1).cpu().numpy(), minlength=len(size))
         for plane in planes
     ]
-    found = torch.from_numpy(np.stack(sums)).to(planes[0])
-    return found / size.to(found.dtype).clamp_min_(1)
+    total = torch.from_numpy(np.stack(sums)).to(planes[0])
+    return total / size.to(total.dtype).clamp_min_(1)
 
 
 def segment_size(labels: Tensor, count: int) -> Tensor:
@@ -93,9 +93,6 @@ def borders(labels: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
     mean = np.add.reduceat(value, start) / np.diff(start, append=len(pair)) if len(pair) else value
     pairs = np.stack(np.divmod(pair[start], count))
     return torch.from_numpy(pairs).to(labels.device), torch.from_numpy(mean).to(plane)
-
-
-# --- what is measured of them ---------------------------------------------------------
 
 
 LIGHTNESS_SHARE = 0.3

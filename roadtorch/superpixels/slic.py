@@ -8,9 +8,8 @@ the TurboPixels of P2 and P3: both give compact segments of about equal size tha
 follow edges.
 """
 
-from collections.abc import Mapping
 from functools import lru_cache
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -18,7 +17,6 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn import functional as F
 
-from roadtorch.errors import ConfigError
 from roadtorch.runtime.image_cache import cached_per_image
 from roadtorch.settings import Settings
 from roadtorch.superpixels.connectivity import connect
@@ -48,19 +46,17 @@ NOWHERE = 1e3
 """Every coordinate of a centre beyond the grid, or of no pixels: never the nearest."""
 
 MAX_LAB_SQUARE = 4.0
-"""No colour is as far from black, squared: see ``_tables``."""
-
+"""No colour is as far from black, squared: see ``_moves``."""
 
 COMPACTNESS = 0.07
-"""Weight of distance against colour; high is square."""
+"""Weight of the distance in the picture, in units of Lab/100 for one grid step; high is square."""
+
+ITERATIONS = 5
+"""Of k-means on the grid."""
 
 
 class Superpixels(Settings):
     """Regions that follow the edges in the picture."""
-
-    removed: ClassVar[Mapping[str, str]] = {
-        "compactness": f"leave it out: it is {COMPACTNESS} everywhere"
-    }
 
     pixels: int = Field(default=256, ge=4, le=10**6, description="pixels of one superpixel, about")
 
@@ -79,10 +75,8 @@ def squares(height: int, width: int, size: int) -> Tensor:
     """Cut a picture into squares of ``size`` pixels: int64 labels (H,W), 0…n-1 by rows.
 
     The squares at the right and the bottom edge are cut off there. P2, section 4 ("fixed
-    square regions"). Raises ConfigError for a size below 1.
+    square regions").
     """
-    if size < 1:
-        raise ConfigError("size", f"{size} was given", "give squares of 1 pixel or more")
     across = -(-width // size)
     rows = torch.arange(height) // size
     return rows[:, None] * across + torch.arange(width) // size
@@ -101,26 +95,19 @@ class CellGrid(NamedTuple):
     stride: int
 
 
-def slic(
-    image: Tensor, segments: int = 300, compactness: float = COMPACTNESS, iterations: int = 5
-) -> Tensor:
+def slic(image: Tensor, segments: int = 300) -> Tensor:
     """Cut an image, or each image of a batch, into connected segments of similar colour.
 
-    image: (3,H,W) or (B,3,H,W) in [0,1]. segments: how many to aim at (a few more or
-    fewer come out). compactness: weight of the distance in the picture, in units of
-    Lab/100 for one grid step; higher is more square. Returns int64 labels (H,W) or
-    (B,H,W), 0…n-1 in each image, every segment 4-connected; the same input gives the
-    same labels. Raises ConfigError when a setting is out of range.
+    image: (3,H,W) or (B,3,H,W) in [0,1]. segments: how many to aim at, 1 or more (a few more or
+    fewer come out). Returns int64 labels (H,W) or (B,H,W), 0…n-1 in each image, every segment
+    4-connected; the same input gives the same labels.
     """
-    if segments < 1 or compactness <= 0 or iterations < 1:
-        given = f"segments={segments}, compactness={compactness}, iterations={iterations}"
-        raise ConfigError("superpixels", given, "segments and iterations ≥ 1, compactness > 0")
     batch = image if image.ndim == 4 else image[None]
     height, width = batch.shape[-2:]
     grid = _grid(height, width, segments)
-    step = compactness * (segments / (height * width)) ** 0.5
+    step = COMPACTNESS * (segments / (height * width)) ** 0.5
     moves = _moves(grid, step, len(batch)).beside(batch)
-    tables = _tables(_move_centres(batch, grid, moves, iterations), moves)
+    tables = _tables(_move_centres(batch, grid, moves), moves)
     labels = connect(_assign(batch, tables, grid), MIN_SEGMENT * height * width / segments)
     labels = labels.to(image.device)
     return labels if image.ndim == 4 else labels[0]
@@ -236,23 +223,21 @@ def _tables(sums: Tensor, moves: Moves) -> Tensor:
     return each.reshape(-1, 6).index_select(0, moves.around).reshape(-1, NEIGHBOURS, 6)
 
 
-def _move_centres(images: Tensor, grid: CellGrid, moves: Moves, iterations: int) -> Tensor:
+def _move_centres(images: Tensor, grid: CellGrid, moves: Moves) -> Tensor:
     """(B·cells+1, 6): sums of the points over each segment after k-means on the grid.
 
     Rows and columns are those from the middle of the segment's own cell; the last sums are 0.
     """
     ones = images.new_ones(1, 1, *images.shape[-2:])
     places = _cells(ones, grid, grid.stride) * _places(grid, grid.stride).to(images)
-    points = torch.cat(
-        [_cells(images, grid, grid.stride), places.expand(len(images), *places.shape[1:])], 3
-    )
-    points = points.flatten(0, 2).flatten(2)
+    places = places.expand(len(images), *places.shape[1:])
+    points = torch.cat([_cells(images, grid, grid.stride), places], 3).flatten(0, 2).flatten(2)
     turned = points.transpose(1, 2).contiguous()
     parts = points.new_zeros(len(points) + 1, NEIGHBOURS, 6)  # the last are beyond the grid
     most = max(1, CHUNK // (NEIGHBOURS * points.shape[2]))
     chunks = [slice(at, at + most) for at in range(0, len(points), most)]
     sums = F.pad(points.sum(2), (0, 0, 0, 1))
-    for _ in range(iterations):
+    for _ in range(ITERATIONS):
         tables = _tables(sums, moves)
         for chunk in chunks:
             distances = torch.bmm(tables[chunk], points[chunk])

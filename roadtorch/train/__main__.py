@@ -1,4 +1,4 @@
-"""``python -m roadtorch.train`` is ``roadtorch train``; ``torchrun -m`` needs a module."""
+"""``python -m roadtorch.train`` is ``roadtorch train``."""
 
 import sys
 

@@ -12,7 +12,7 @@ seen few bonnets learns what one is from many streets with one of them below.
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import torch
 from pydantic import Field
@@ -20,9 +20,10 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from roadtorch.layout.classes import CLASSES
+from roadtorch.run.memo import read_arrays
 from roadtorch.runtime.vision import import_torchvision
 from roadtorch.settings import Settings
-from roadtorch.train.prepared import from_bytes, read_arrays
+from roadtorch.train.prepared import from_bytes
 
 GRAIN_CELLS = (4, 12, 40)
 """Cells across the picture, of which grain is made: stones and ruts, near and far."""
@@ -42,18 +43,21 @@ EGO_TINT = 0.2
 
 # --- settings ---------------------------------------------------------------------------
 
+Fraction = Annotated[float, Field(ge=0, le=1)]
+GreyLevels = Annotated[float, Field(ge=0, le=255)]
+Exponent = Annotated[float, Field(ge=0, le=3)]
+"""Of e: a factor between its inverse and itself is drawn, every exponent as likely."""
+
 
 class LightAugmentation(Settings):
     """How the light of whole pictures is varied."""
 
-    gamma: float = Field(default=0.7, ge=0, le=3, description="exponents from 1/e^gamma to e^gamma")
-    gain: float = Field(default=0.4, ge=0, le=3, description="brightness by e^-gain to e^gain")
-    tint: float = Field(default=0.15, ge=0, le=3, description="the same for each colour alone")
-    saturation: float = Field(
-        default=0.6, ge=0, le=1, description="by which colour may fade or grow"
-    )
-    noise: float = Field(
-        default=6.0, ge=0, le=255, description="deviation of the noise at most, grey levels of 255"
+    gamma: Exponent = Field(default=0.7, description="exponents from 1/e^gamma to e^gamma")
+    gain: Exponent = Field(default=0.4, description="brightness by e^-gain to e^gain")
+    tint: Exponent = Field(default=0.15, description="the same for each colour alone")
+    saturation: Fraction = Field(default=0.6, description="by which colour may fade or grow")
+    noise: GreyLevels = Field(
+        default=6.0, description="deviation of the noise at most, grey levels of 255"
     )
 
 
@@ -65,13 +69,9 @@ class GeometryAugmentation(Settings):
     )
     stretch: float = Field(default=0.1, ge=0, le=2, description="the same for the width alone")
     rotation: float = Field(default=4.0, ge=0, le=90, description="degrees to either side")
-    move: float = Field(
-        default=0.1, ge=0, le=1, description="by this share of the size to either side"
-    )
-    lower: float = Field(
+    move: Fraction = Field(default=0.1, description="by this share of the size to either side")
+    lower: Fraction = Field(
         default=0.0,
-        ge=0,
-        le=1,
         description="share of the pictures of which only a lower part is seen: a road uphill",
     )
     cut: float = Field(
@@ -85,18 +85,18 @@ class SurfaceAugmentation(Settings):
     On the road that the teacher sees, and on the rest of its ground.
     """
 
-    share: float = Field(default=0.0, ge=0, le=1, description="of the pictures")
-    gain: float = Field(default=0.45, ge=0, le=3, description="brightness by e^-gain to e^gain")
-    tint: float = Field(default=0.2, ge=0, le=3, description="the same for each colour alone")
-    grain: float = Field(
-        default=0.15, ge=0, le=1, description="deviation of the grain at most, share of the level"
+    share: Fraction = Field(default=0.0, description="of the pictures")
+    gain: Exponent = Field(default=0.45, description="brightness by e^-gain to e^gain")
+    tint: Exponent = Field(default=0.2, description="the same for each colour alone")
+    grain: Fraction = Field(
+        default=0.15, description="deviation of the grain at most, share of the level"
     )
 
 
 class ShadowAugmentation(Settings):
     """How hard shadows fall across pictures: bands with straight edges, below the horizon."""
 
-    share: float = Field(default=0.0, ge=0, le=1, description="of the pictures")
+    share: Fraction = Field(default=0.0, description="of the pictures")
     darkest: float = Field(
         default=0.25, gt=0, le=0.7, description="levels in the shadow, of those in the light"
     )
@@ -108,7 +108,7 @@ class ShadowAugmentation(Settings):
 class NightAugmentation(Settings):
     """How day becomes night: dark but for what headlights reach, a few lamps, warmer light."""
 
-    share: float = Field(default=0.0, ge=0, le=1, description="of the pictures")
+    share: Fraction = Field(default=0.0, description="of the pictures")
     darkest: float = Field(
         default=0.03, gt=0, le=1, description="levels where no headlight reaches, of those by day"
     )
@@ -118,13 +118,11 @@ class NightAugmentation(Settings):
 class EgoCarAugmentation(Settings):
     """Ego cars that footage shows, cut out and laid over the lower edge of other pictures."""
 
-    share: float = Field(default=0.0, ge=0, le=1, description="of the pictures that get one")
-    tallest: float = Field(
-        default=0.7, ge=0, le=3, description="grown in height by at most e to this"
-    )
-    flattest: float = Field(default=0.3, ge=0, le=3, description="or shrunk by e to this")
-    widest: float = Field(default=0.25, ge=0, le=3, description="grown in width likewise")
-    light: float = Field(default=0.5, ge=0, le=3, description="gamma and gain by e to this")
+    share: Fraction = Field(default=0.0, description="of the pictures that get one")
+    tallest: Exponent = Field(default=0.7, description="grown in height by at most e to this")
+    flattest: Exponent = Field(default=0.3, description="or shrunk by e to this")
+    widest: Exponent = Field(default=0.25, description="grown in width likewise")
+    light: Exponent = Field(default=0.5, description="gamma and gain by e to this")
 
 
 class Augmentation(Settings):

@@ -1,8 +1,6 @@
-"""What a run that started from weights has changed, measured."""
+"""The page of a run that started from weights: before and after, measured."""
 
-from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from roadtorch.data.dataset import Dataset, every_kth
 from roadtorch.evaluation.disagreement import (
@@ -13,12 +11,12 @@ from roadtorch.evaluation.disagreement import (
 )
 from roadtorch.evaluation.evaluate import evaluated
 from roadtorch.evaluation.methods import candidate
+from roadtorch.inputs.item import spread
+from roadtorch.inputs.pictures import find_pictures
 from roadtorch.layout.weights import WholePictureNetwork, load_network, weights_path
-from roadtorch.report.adaptation import Adaptation
-from roadtorch.sources.frame import spread
-from roadtorch.sources.pictures import find_images
+from roadtorch.report.adaptation import Adaptation, score_line, write_adaptation
 from roadtorch.train.config import PictureTraining, Training
-from roadtorch.train.folder import RunFolder
+from roadtorch.train.folder import PAGE, RunFolder
 from roadtorch.train.prepared import name_of
 from roadtorch.train.run import FUSION, PREPARED, Outcome, Request
 from roadtorch.train.teachers import teacher_agreement
@@ -27,56 +25,52 @@ SHOWN = 10
 """Pictures on the page, half of them those that changed most."""
 
 
-def adaptation_of(
+def write_page(
     training: Training,
     request: Request,
     outcome: Outcome,
     compared: int,
     labelled: Dataset | None = None,
     verdict: str = "",
-) -> Adaptation | None:
-    """What a finished run has changed; None where nothing could be seen.
+    command: str = "",
+) -> str | None:
+    """Write the page of a finished run; its line on labels, None where nothing could be seen.
 
     The run has to have a ``start``. compared: pictures that are looked at, evenly spread.
     labelled: a set that scores both; nothing is learned from it. verdict: a sentence on top.
+    command: the command line at its end.
     """
     if outcome.weights is None:
         return None
-    calibrated = outcome.weights.with_name(FUSION)
-    files = (
-        weights_path(training.start),
-        calibrated if calibrated.exists() else outcome.weights,
-    )
-    before, after = (candidate(str(file), "") for file in files)
+    weights, calibrated = outcome.weights, outcome.weights.with_name(FUSION)
+    start = weights_path(training.start)
+    before = candidate(str(start), "")
+    after = candidate(str(calibrated if calibrated.exists() else weights), "")
     methods = (replace(before, name="before"), replace(after, name="after"))
-    found = find_images([request.images], request.out)
-    dataset = every_kth(unlabelled_set(found), compared)
-    seen = disagreements(dataset, methods, request.quiet, desc="before and after")
+    pictures = find_pictures([request.images], request.out)
+    dataset = every_kth(unlabelled_set(pictures), compared)
+    seen = disagreements(dataset, methods, quiet=request.quiet, desc="before and after")
     if not seen.pictures:
         return None
-    folder = request.prepared or request.out / PREPARED
-    made = [folder / f"{name_of(picture)}.npz" for picture in found]
-    made = [file for file in made if file.exists()]  # the others were skipped
-    made = spread(made, compared)
-    return Adaptation(
+    taught = None
+    if isinstance(training, PictureTraining):
+        folder = request.prepared or request.out / PREPARED
+        made = [folder / f"{name_of(picture)}.npz" for picture in pictures]
+        made = spread([file for file in made if file.exists()], compared)  # skipped ones have none
+        agreements = [
+            teacher_agreement(network.eval(), made, training)
+            for network in map(load_network, (start, weights))
+            if isinstance(network, WholePictureNetwork)
+        ]
+        taught = Taught(training.teacher.detector, *agreements)
+    change = Adaptation(
         seen=seen,
-        files=(files[0], outcome.weights),
+        files=(start, weights),
         shown=most_and_spread(seen.pictures, SHOWN),
-        taught=_taught(training, made, files[0], outcome.weights),
+        taught=taught,
         rows=RunFolder(request.out).read_log(),
-        labelled=evaluated(labelled, methods, {}, against="before") if labelled else None,
+        labelled=evaluated(labelled, methods, against="before") if labelled else None,
         verdict=verdict,
     )
-
-
-def _taught(training: Training, prepared: Sequence[Path], *files: Path) -> Taught | None:
-    """The agreement with the teacher before and after; None for networks without its maps."""
-    if not isinstance(training, PictureTraining):
-        return None
-    agreements = []
-    for file in files:
-        network = load_network(file)
-        if not isinstance(network, WholePictureNetwork):
-            return None
-        agreements.append(teacher_agreement(network.eval(), prepared, training))
-    return Taught(training.teacher.detector, *agreements)
+    write_adaptation(request.out / PAGE, change, command)
+    return score_line(change)

@@ -12,26 +12,20 @@ from roadtorch.layout.backbone_network import BackboneNetworkSettings
 from roadtorch.layout.labeller import LabellerSettings
 from roadtorch.layout.patch_network import PatchNetworkSettings
 from roadtorch.layout.picture_network import PictureNetworkSettings
-from roadtorch.settings import Settings, build_settings, group_at
+from roadtorch.settings import Settings, build_settings
 from roadtorch.superpixels.slic import Superpixels
-from roadtorch.train.augmentation import Augmentation
+from roadtorch.train.augmentation import Augmentation, Fraction, GreyLevels
 
 
 class Descent(Settings):
     """How the weights move."""
-
-    renamed: ClassVar[Mapping[str, str]] = {
-        "rate": "learning_rate",
-        "decay": "weight_decay",
-        "average": "ema",
-    }
 
     method: Literal["sgd", "adam"] = Field(
         default="sgd", description="plain gradient descent as in Álvarez 2012, or Adam"
     )
     learning_rate: float = Field(default=0.1, gt=0, le=100, description="at the start")
     momentum: float = Field(default=0.0, ge=0, lt=1, description="of plain gradient descent")
-    weight_decay: float = Field(default=0.0, ge=0, le=1, description="of all weights")
+    weight_decay: Fraction = Field(default=0.0, description="of all weights")
     schedule: Literal["constant", "cosine"] = Field(
         default="constant", description="of the learning rate: the same throughout, or down to 0"
     )
@@ -58,8 +52,6 @@ class Descent(Settings):
 class Stopping(Settings):
     """When training ends."""
 
-    renamed: ClassVar[Mapping[str, str]] = {"fall": "min_delta"}
-
     epochs: int = Field(default=60, ge=1, le=10**5, description="epochs at most, in each round")
     rule: Literal["plateau", "epochs"] = Field(
         default="plateau",
@@ -77,21 +69,14 @@ class PatchAugmentation(Settings):
     deviation would drown the picture.
     """
 
-    renamed: ClassVar[Mapping[str, str]] = {
-        "smallest": "min_scale",
-        "largest": "max_scale",
-        "faintest": "min_noise",
-        "noisiest": "max_noise",
-    }
-
     min_scale: float = Field(default=0.6, gt=0, le=10, description="magnification at least")
     max_scale: float = Field(default=1.4, gt=0, le=10, description="magnification at most")
     rotation: float = Field(default=17.0, ge=0, le=180, description="degrees to either side")
-    min_noise: float = Field(
-        default=0.3, ge=0, le=255, description="deviation of the noise at least, grey levels of 255"
+    min_noise: GreyLevels = Field(
+        default=0.3, description="deviation of the noise at least, grey levels of 255"
     )
-    max_noise: float = Field(
-        default=1.2, ge=0, le=255, description="deviation of the noise at most, grey levels of 255"
+    max_noise: GreyLevels = Field(
+        default=1.2, description="deviation of the noise at most, grey levels of 255"
     )
 
 
@@ -120,15 +105,13 @@ class PeoplesShare(Settings):
         default=0.0,
         ge=0,
         le=10**6,
-        description="corrected pictures that bring half of ``descent.learning_rate``; "
-        "0: the whole of it, however few they are",
+        description="corrected pictures that bring half of ``descent.learning_rate``; 0: the "
+        "whole of it, however few they are",
     )
 
 
 class Beginning(Settings):
     """Where every training begins."""
-
-    renamed: ClassVar[Mapping[str, str]] = {"seed": "random_seed"}
 
     random_seed: int = Field(default=0, ge=0, le=2**31, description="of everything that is drawn")
     start: str = Field(
@@ -143,12 +126,6 @@ class PatchTraining(Beginning):
     """A patch network, trained as P2 trains CNN-7."""
 
     name: ClassVar[str] = "patches"
-    renamed: ClassVar[Mapping[str, str]] = {
-        **Beginning.renamed,
-        "sites": "centres",
-        "jitter": "augmentation",
-    }
-
     network: PatchNetworkSettings = PatchNetworkSettings()
     superpixels: Superpixels = Superpixels()
     labeller: LabellerSettings = LabellerSettings()
@@ -187,10 +164,8 @@ class Teacher(Settings):
     margin: float = Field(
         default=0.5, ge=0, lt=1, description="lead of the best class from which a pixel counts"
     )
-    centre: float = Field(
+    centre: Fraction = Field(
         default=0.0,
-        ge=0,
-        le=1,
         description="what means as likely road as not, in log odds: from ``road_threshold`` "
         "everywhere (0) to what parts each picture best by Otsu (1)",
     )
@@ -216,10 +191,8 @@ class Recordings(Settings):
         default="", description="before a frame's number in its name; empty: no recordings"
     )
     least: int = Field(default=8, ge=2, le=10**4, description="frames that show what never moves")
-    evenness: float = Field(
+    evenness: Fraction = Field(
         default=0.0,
-        ge=0,
-        le=1,
         description="0 visits every picture as often, 1 every recording; between, by a power",
     )
 
@@ -243,8 +216,8 @@ class Rounds(Settings):
     count: int = Field(default=1, ge=1, le=20, description="rounds; 1 is the teacher alone")
     combine: Literal["agreement", "mean", "network", "teacher"] = Field(
         default="agreement",
-        description="pixels on which the last network and the teacher agree, the mean of both, "
-        "or one of them alone",
+        description="pixels on which the last network and the teacher agree, the mean of both, or "
+        "one of them alone",
     )
     start: Literal["fresh", "continued"] = Field(
         default="fresh", description="new weights in each round, or those of the last"
@@ -255,18 +228,6 @@ class PictureTraining(Beginning):
     """A network for whole pictures with heads for layout, road and ego car. Ours."""
 
     name: ClassVar[str] = "pictures"
-    renamed: ClassVar[Mapping[str, str]] = {
-        **Beginning.renamed,
-        "road_weight": "heads.road",
-        "visits": "samples_per_epoch",
-        "light": "augmentation.light",
-        "shift": "augmentation.geometry",
-        "surfaces": "augmentation.surface",
-        "shadows": "augmentation.shadow",
-        "nights": "augmentation.night",
-        "ego_cars": "augmentation.ego_car",
-    }
-
     network: PictureNetworkSettings | BackboneNetworkSettings = PictureNetworkSettings()
     teacher: Teacher = Teacher()
     rounds: Rounds = Rounds()
@@ -300,70 +261,36 @@ def build_training(values: dict[str, Any]) -> Training:
     Raises ConfigError for an unknown kind, and for keys and values as every setting does.
     """
     rest = dict(values)
-    kind = str(rest.pop("kind", PatchTraining.name))  # whatever was given: a list has no hash
+    kind = str(rest.pop("kind", PatchTraining.name))  # whatever it is: a list has no hash
     if kind not in KINDS:
         raise unknown_name("kind of training", kind, KINDS)
     try:
         settings = build_settings(KINDS[kind], rest)
     except ConfigError:
         if kind == PictureTraining.name and isinstance(network := rest.get("network"), Mapping):
-            _check_picture_network(network)
+            # Of two kinds pydantic reports the mistakes of both; it is a backbone's that has heads.
+            own = BackboneNetworkSettings if "heads" in network else PictureNetworkSettings
+            alone = create_model("PictureTraining", __base__=Settings, network=(own, own()))
+            build_settings(alone, {"network": network})
         raise
     if isinstance(settings, PatchTraining):
         for name in ("scale", "noise"):
             low, high = (getattr(settings.augmentation, f"{end}_{name}") for end in ("min", "max"))
             if low > high:
-                what = f"{low:g} was given, and augmentation.max_{name} is {high:g}"
-                raise ConfigError(f"augmentation.min_{name}", what, "give the lower bound first")
+                message = f"{low:g} was given, and augmentation.max_{name} is {high:g}"
+                key = f"augmentation.min_{name}"
+                raise ConfigError(key, message, "give the lower bound first")
     elif isinstance(settings.network, BackboneNetworkSettings) and not settings.start:
-        what = "is empty, and a backbone does not learn from new weights"
-        raise ConfigError("start", what, "give weights of such a network, such as backbone-free")
+        message = "is empty, and a backbone does not learn from new weights"
+        remedy = "give weights of such a network, such as backbone-free"
+        raise ConfigError("start", message, remedy)
     elif (share := settings.augmentation.ego_car.share) and not settings.recordings.separator:
-        what = f"is {share:g}, and without recordings no ego car is known"
+        message = f"is {share:g}, and without recordings no ego car is known"
         remedy = 'set recordings.separator, such as "_"'
-        raise ConfigError("augmentation.ego_car.share", what, remedy)
+        raise ConfigError("augmentation.ego_car.share", message, remedy)
     return settings
-
-
-def _check_picture_network(values: Mapping[str, Any]) -> None:
-    """ConfigError for the first mistake in the settings of a network for whole pictures.
-
-    Of two kinds pydantic tells the mistakes of both; it is a backbone's that has heads.
-    """
-    kind = BackboneNetworkSettings if "heads" in values else PictureNetworkSettings
-    alone = create_model("PictureTraining", __base__=Settings, network=(kind, kind()))
-    build_settings(alone, {"network": values})
-
-
-def with_current_names(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings of a run that an older version wrote down, under their present names.
-
-    For records of runs alone, where a new name means what the old one did; a config that
-    somebody gives is refused with the new name.
-    """
-    kind = KINDS.get(str(values.get("kind", PatchTraining.name)), PatchTraining)
-    current = _with_current_names(kind, values)
-    stopping = current.get("stopping")
-    if isinstance(stopping, dict) and stopping.get("rule") == "fall":
-        stopping["rule"] = "plateau"
-    return current
-
-
-def _with_current_names(kind: type[Settings], values: Mapping[str, Any]) -> dict[str, Any]:
-    current: dict[str, Any] = {}
-    for key, value in values.items():
-        path = kind.renamed.get(key, key).split(".")
-        field = group_at(kind, path[:-1]).model_fields.get(path[-1])
-        group = field.annotation if field else None
-        if isinstance(value, Mapping) and isinstance(group, type) and issubclass(group, Settings):
-            value = _with_current_names(group, value)
-        branch = current
-        for name in path[:-1]:
-            branch = branch.setdefault(name, {})
-        branch[path[-1]] = value
-    return current
 
 
 def as_values(settings: Training) -> dict[str, Any]:
     """Nested values from which ``build_training`` makes the same settings."""
-    return {"kind": settings.name, **settings.model_dump()}
+    return {"kind": settings.name, **settings.model_dump(mode="json")}

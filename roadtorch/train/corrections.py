@@ -1,64 +1,70 @@
 """Corrections of people in training: which a run uses, and what its weights say of them."""
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomli_w
 
 from roadtorch.data.correction_labels import NOT_ROAD, ROAD_SAID
 from roadtorch.data.corrections import Correction
 from roadtorch.data.labelme import picture_size
 from roadtorch.errors import InputError
+from roadtorch.inputs.item import Item
 from roadtorch.io.atomic import make_folder, write_text
 from roadtorch.layout.weights import people_behind, weights_path
-from roadtorch.settings import toml_lines
-from roadtorch.sources.pictures import Picture
+from roadtorch.run.memo import Arrays, write_arrays
 from roadtorch.train.config import Descent, PictureTraining, Training
-from roadtorch.train.prepared import Arrays, name_of, write_arrays
+from roadtorch.train.prepared import name_of
 
 # --- which ------------------------------------------------------------------------------
 
+OTHERS = "give the pictures that were corrected"
+
 
 def corrections_by_picture(
-    pictures: Sequence[Picture], corrections: Iterable[Correction]
+    pictures: Sequence[Item], corrections: Sequence[Correction]
 ) -> dict[str, Correction]:
     """The correction of each picture that has one, by the picture's name with ending.
 
     Raises InputError where none of them is of these pictures, or one has another size by now.
     """
-    given = list(corrections)
-    by_path = {one.picture.resolve(): one for one in given}
-    found = {}
+    by_path = {correction.picture.resolve(): correction for correction in corrections}
+    by_name = {}
     for picture in pictures:
-        if (one := by_path.get(picture.path.resolve())) is not None:
-            if picture_size(picture.path) != one.labels.shape:
-                what = "has another size than when it was corrected"
-                raise InputError(picture.path, what, "give the pictures that were corrected")
-            found[name_of(picture)] = one
-    if given and not found:
-        what = f"and {len(given) - 1} others are corrected, and none of them is among --images"
-        raise InputError(given[0].picture, what, "give the pictures that were corrected")
-    return found
+        correction = by_path.get(picture.path.resolve())
+        if correction is None:
+            continue
+        if picture_size(picture.path) != correction.labels.shape:
+            message = "has another size than when it was corrected"
+            raise InputError(picture.path, message, OTHERS)
+        by_name[name_of(picture)] = correction
+    if corrections and not by_name:
+        count = len(corrections) - 1
+        message = f"and {count} others are corrected, and none of them is among --images"
+        raise InputError(corrections[0].picture, message, OTHERS)
+    return by_name
 
 
 def corrections_summary(corrections: Mapping[str, Correction]) -> dict[str, Any] | None:
-    """What is kept of the corrections that a run uses; None without any.
+    """The record of the corrections that a run uses; None without any.
 
-    pictures, people and pixels: how many. sha256: of all that was said.
+    pictures, people and pixels: how many. sha256: of all labels by people.
     """
     if not corrections:
         return None
     digest = sha256()
-    for name, one in sorted(corrections.items()):
-        digest.update(json.dumps([name, one.labels.shape]).encode())
-        digest.update(np.ascontiguousarray(one.labels).tobytes())
+    for name, correction in sorted(corrections.items()):
+        digest.update(json.dumps([name, correction.labels.shape]).encode())
+        digest.update(np.ascontiguousarray(correction.labels).tobytes())
+    labels = [correction.labels for correction in corrections.values()]
     return {
         "pictures": len(corrections),
-        "people": len({user for one in corrections.values() for user in one.users}),
-        "pixels": sum(int((one.labels > 0).sum()) for one in corrections.values()),
+        "people": len({user for each in corrections.values() for user in each.users}),
+        "pixels": sum(int((each > 0).sum()) for each in labels),
         "sha256": digest.hexdigest(),
     }
 
@@ -98,15 +104,16 @@ def write_corrected(path: Path, weights: Path, corrections: Sequence[Correction]
     By true labels 0 are the log odds that part road from background, not the usual centre.
     False, and nothing written, where people called no pixel road or not road.
     """
-    roads = [one.road for one in corrections]
+    roads = [correction.road for correction in corrections]
     if not any(((road == ROAD_SAID) | (road == NOT_ROAD)).any() for road in roads):
         return False
-    lines = [
-        f"# From {len(corrections)} pictures that people corrected: not label-free.",
-        'detector = "fusion"',
-        *toml_lines({"weights": {"file": str(weights.resolve())}, "calibration": {"centre": 0.0}}),
-    ]
-    write_text(path, "\n".join([*lines, ""]))
+    comment = f"# From {len(corrections)} pictures that people corrected: not label-free."
+    values = {
+        "detector": "fusion",
+        "weights": {"file": str(weights.resolve())},
+        "calibration": {"centre": 0.0},
+    }
+    write_text(path, f"{comment}\n{tomli_w.dumps(values)}")
     return True
 
 
@@ -121,8 +128,8 @@ def corrections_behind(training: Training) -> list[Mapping[str, Any]]:
     names = [training.start]
     if isinstance(training, PictureTraining):
         names.append(training.teacher.weights)
-    found = [one for name in names if name for one in people_behind(weights_path(name))]
-    return [one for number, one in enumerate(found) if one not in found[:number]]
+    runs = [run for name in names if name for run in people_behind(weights_path(name))]
+    return [run for number, run in enumerate(runs) if run not in runs[:number]]
 
 
 def card_of(behind: Sequence[Mapping[str, Any]]) -> str:
@@ -137,5 +144,5 @@ def card_of(behind: Sequence[Mapping[str, Any]]) -> str:
         "|---|---|---|---|",
     ]
     keys = ("pictures", "people", "pixels", "sha256")
-    lines += ["| " + " | ".join(str(one.get(key, "")) for key in keys) + " |" for one in behind]
+    lines += ["| " + " | ".join(str(run.get(key, "")) for key in keys) + " |" for run in behind]
     return "\n".join([*lines, ""])

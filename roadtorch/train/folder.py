@@ -3,7 +3,7 @@
 import csv
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -12,29 +12,30 @@ from typing import Any
 import torch
 
 from roadtorch.errors import ConfigError, InputError, WeightsError
-from roadtorch.io.atomic import atomic, csv_text, locked, make_folder, remove_leftovers, write_text
+from roadtorch.inputs.item import Item
+from roadtorch.io.atomic import (
+    atomic,
+    csv_text,
+    digest_of,
+    locked,
+    make_folder,
+    remove_leftovers,
+    write_text,
+)
 from roadtorch.io.bounded import printable, read_regular, regular_size
 from roadtorch.io.decoding import without_warnings
-from roadtorch.sources.pictures import Picture
-from roadtorch.train.config import as_values, build_training, with_current_names
-from roadtorch.train.prepared import PreparedPicture, bytes_of, name_of
+from roadtorch.train.prepared import PreparedPicture, name_of
 from roadtorch.version import __version__
 
 FORMAT = 2
 """Of checkpoints; raised when older code could not go on with them."""
 
-RUN, CHECKPOINT, LOG, CURVE, PICTURES, PAGE = (
-    "run.json",
-    "checkpoint.pt",
-    "log.csv",
-    "curve.png",
-    "pictures.csv",
-    "adaptation.html",
-)
-WEIGHTS, LABELS = "weights.safetensors", "labels-"
+RUN, CHECKPOINT, LOG, CURVE = "run.json", "checkpoint.pt", "log.csv", "curve.png"
+PICTURES, WEIGHTS, PAGE = "pictures.csv", "weights.safetensors", "adaptation.html"
+OURS = (RUN, CHECKPOINT, LOG, CURVE, PICTURES, WEIGHTS, PAGE)
+LABELS = "labels-"
 ELSEWHERE = "give another --out"
 NO_CHECKPOINT = ("is damaged or no checkpoint", "start again in another --out")
-OURS = (RUN, CHECKPOINT, LOG, CURVE, PICTURES, WEIGHTS, PAGE)
 
 
 def config_hash(values: Mapping[str, Any]) -> str:
@@ -42,18 +43,18 @@ def config_hash(values: Mapping[str, Any]) -> str:
     return sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
-def pictures_hash(pictures: Iterable[Picture]) -> str:
-    """SHA-256 of the names and sizes of pictures: whether they are still the same."""
-    lines = (f"{name_of(picture)} {bytes_of(picture)}\n" for picture in pictures)
+def pictures_hash(pictures: Iterable[Item]) -> str:
+    """SHA-256 of the names and bytes of pictures: whether they are still the same."""
+    lines = (f"{name_of(picture)} {digest_of(picture.path)}\n" for picture in pictures)
     return sha256(printable("".join(lines)).encode()).hexdigest()
 
 
 def record_of(
     config: Mapping[str, Any],
-    pictures: Sequence[Picture],
+    pictures: Sequence[Item],
     corrections: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
-    """What run.json says of a run: version, settings, pictures, corrections."""
+    """The content of run.json: version, settings, pictures, corrections."""
     return {
         "roadtorch": __version__,
         "config": config,
@@ -78,8 +79,12 @@ class RunFolder:
             yield
 
     def labels_of(self, number: int) -> Path:
-        """The folder of what the network of the round before says, for round ``number``."""
+        """The folder of the labels by the network of the round before round ``number``."""
         return self.path / f"{LABELS}{number + 1}"
+
+    def weights_of(self, number: int) -> Path:
+        """The file of the weights at the end of round ``number`` (from 0)."""
+        return self.path / f"round-{number + 1}.safetensors"
 
     def check(self, record: Mapping[str, Any], resume: bool) -> None:
         """Check that the run of a record (``record_of``) may write here; nothing is written yet.
@@ -89,21 +94,28 @@ class RunFolder:
         """
         before = self._record()
         if before is None:
-            taken = [name for name in OURS if (self.path / name).exists()]
-            if taken:
-                what = f"holds {taken[0]}, which is not of a run"
-                raise ConfigError(self.path, what, ELSEWHERE)
+            for name in OURS:
+                if (self.path / name).exists():
+                    message = f"holds {name}, which is not of a run"
+                    raise ConfigError(self.path, message, ELSEWHERE)
             return
         if not resume:
-            what = "holds a run already"
-            raise ConfigError(self.path, what, "go on with --resume, or give another --out")
-        _refuse_other(self.path, before["config"], record["config"])
-        if before["pictures"] != record["pictures"]:
-            what = "holds a run on other pictures"
-            raise ConfigError(self.path, what, "give the same --images, or another --out")
-        if before.get("corrections") != record["corrections"]:
-            what = "holds a run with other corrections"
-            raise ConfigError(self.path, what, "give the same --corrections, or another --out")
+            remedy = "go on with --resume, or give another --out"
+            raise ConfigError(self.path, "holds a run already", remedy)
+        then, now = flat(before["config"]), flat(record["config"])
+        for key in {**now, **then}:
+            old, new = (repr(v[key]) if key in v else "not there" for v in (then, now))
+            if old != new:
+                message = f"is {new}, and {old} in the run in {self.path}"
+                remedy = "use the run's own config, or give another --out"
+                raise ConfigError(key, message, remedy)
+        for key, kind, option in (
+            ("pictures", "on other pictures", "--images"),
+            ("corrections", "with other corrections", "--corrections"),
+        ):
+            if before.get(key) != record[key]:
+                remedy = f"give the same {option}, or another --out"
+                raise ConfigError(self.path, f"holds a run {kind}", remedy)
 
     def begin(self, record: Mapping[str, Any]) -> None:
         """Remove what killed runs left half-written, and write the record of this one."""
@@ -133,7 +145,7 @@ class RunFolder:
     def read_checkpoint(self) -> dict[str, Any] | None:
         """The state of the run; None before the first checkpoint.
 
-        Raises WeightsError for a file that is damaged or of a newer format.
+        Raises WeightsError for a file that is damaged or of another format.
         """
         path = self.path / CHECKPOINT
         if not path.exists():
@@ -145,9 +157,9 @@ class RunFolder:
             number = int(state["format"])
         except Exception:  # zipfile, pickle and torch raise anything for foreign bytes
             raise WeightsError(path, *NO_CHECKPOINT) from None
-        if number > FORMAT:
-            what = f"has the format {number}; this roadtorch reads up to {FORMAT}"
-            raise WeightsError(path, what, "install a newer roadtorch")
+        if number != FORMAT:
+            message = f"has the format {number}; this roadtorch reads {FORMAT}"
+            raise WeightsError(path, message, "use the roadtorch that made it")
         return state
 
     # --- what came out ----------------------------------------------------------------------
@@ -162,17 +174,12 @@ class RunFolder:
         write_text(self.path / LOG, csv_text(list(rows[0]), rows))
 
     def read_log(self) -> list[dict[str, Any]]:
-        """Round, epoch and loss of each epoch; those of older versions were called errors."""
+        """Round, epoch and loss of each epoch."""
+        kinds = {"round": int, "epoch": int, "loss": float}
         with (self.path / LOG).open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-        return [
-            {
-                "round": int(row["round"]),
-                "epoch": int(row["epoch"]),
-                "loss": float(row.get("loss") or row["error"]),
-            }
-            for row in rows
-        ]
+            return [
+                {key: kind(row[key]) for key, kind in kinds.items()} for row in csv.DictReader(file)
+            ]
 
     def write_curve(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Draw the loss of the epochs, one line a round."""
@@ -186,28 +193,12 @@ class RunFolder:
             figure.savefig(temporary, format="png", dpi=120)
 
 
-def _refuse_other(path: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """ConfigError naming the first setting that differs from those of the run.
-
-    Settings of a run that older code began get the names of today, and new ones their defaults.
-    """
-    before = with_current_names(before)
-    with suppress(ConfigError):  # it had some that are gone
-        before = as_values(build_training(dict(before)))
-    one, two = flat(before), flat(now)
-    for key in [*two, *(key for key in one if key not in two)]:
-        then, given = (repr(v[key]) if key in v else "not there" for v in (one, two))
-        if then != given:
-            what = f"is {given}, and {then} in the run in {path}"
-            raise ConfigError(key, what, "use the run's own config, or give another --out")
-
-
 def flat(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:
     """Nested values as one level: ``{"a": {"b": 1}}`` → ``{"a.b": 1}``."""
-    found: dict[str, Any] = {}
+    level: dict[str, Any] = {}
     for key, value in values.items():
         if isinstance(value, Mapping):
-            found |= flat(value, f"{path}{key}.")
+            level |= flat(value, f"{path}{key}.")
         else:
-            found[path + key] = value
-    return found
+            level[path + key] = value
+    return level

@@ -13,14 +13,13 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
-from roadtorch.errors import ConfigError
-from roadtorch.layout.weights import LayoutNetwork
+from roadtorch.errors import ConfigError, WeightsError
+from roadtorch.layout.weights import LayoutNetwork, fill
 from roadtorch.runtime.progress import Progress
+from roadtorch.runtime.signals import Stop
 from roadtorch.train.config import Descent, Stopping
-from roadtorch.train.folder import RunFolder
-from roadtorch.train.processes import Processes
+from roadtorch.train.folder import CHECKPOINT, NO_CHECKPOINT, RunFolder
 
 # --- randomness -------------------------------------------------------------------------
 
@@ -81,10 +80,10 @@ SAVE_EVERY = 60.0  # seconds of work that a power cut may cost
 
 
 class RoundStart(NamedTuple):
-    """What a round begins with.
+    """The beginning of a round, by its number.
 
-    files: prepared pictures. corrected: by prepared picture, what people said of it. last: the
-    network of the round before, or the one that the run starts from.
+    files: prepared pictures. corrected: the file of the correction of a prepared picture, if it
+    has one. last: the network of the round before, or the one that the run starts from.
     """
 
     number: int
@@ -94,21 +93,14 @@ class RoundStart(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """This process's part of one step.
+    """The samples of one step.
 
     inputs: what the network takes, first dimension n. targets and weights: what the loss takes.
-    count: samples of the step in all processes together; the loss of a step is the sum over all
-    of them divided by it.
     """
 
     inputs: Tensor
     targets: Tensor
     weights: Tensor
-    count: int
-
-
-Loss = Callable[[nn.Module, Batch], Tensor]
-"""The summed loss of a network over one process's part of a batch: a scalar."""
 
 
 @dataclass
@@ -129,34 +121,50 @@ class TrainingProgress:
     rows: list[dict[str, Any]] = field(default_factory=list)
 
 
-def make_optimiser(network: nn.Module, descent: Descent) -> torch.optim.Optimizer:
-    """The optimiser that the settings name."""
-    weights, rate, decay = network.parameters(), descent.learning_rate, descent.weight_decay
-    if descent.method == "adam":
-        return torch.optim.AdamW(weights, rate, weight_decay=decay)
-    return torch.optim.SGD(weights, rate, momentum=descent.momentum, weight_decay=decay)
+@dataclass
+class Loop:
+    """The epochs of one round: a network that learns, its average, and how far they are.
 
-
-@dataclass(frozen=True)
-class Round:
-    """A round of training: what is trained, on what, how, how far it is and who keeps it.
-
-    average: what becomes of the weights over the steps. chunks: of an epoch, each what is in
-    memory together, and where a run can be cut and go on. batches: those of an epoch and a chunk,
-    the same whenever they are asked for.
+    batches: those of an epoch and a chunk, the same whenever they are asked for. chunks: of an
+    epoch; each is in memory as a whole, and between them a run can be cut and resumed. loss: of a
+    network, summed over a batch, a scalar.
     """
 
-    network: nn.Module
-    average: MovingAverage
-    optimiser: torch.optim.Optimizer
+    network: LayoutNetwork
     chunks: int
     batches: Callable[[int, int], Iterator[Batch]]
-    loss: Loss
+    loss: Callable[[nn.Module, Batch], Tensor]
     descent: Descent
     stopping: Stopping
     progress: TrainingProgress
     folder: RunFolder
-    processes: Processes
+    stop: Stop
+    quiet: bool = False
+
+    def __post_init__(self) -> None:
+        """The average of the weights, and the optimiser that the settings name."""
+        descent = self.descent
+        self.average = MovingAverage(self.network, descent.ema)
+        weights, rate, decay = (
+            self.network.parameters(),
+            descent.learning_rate,
+            descent.weight_decay,
+        )
+        self._optimiser: torch.optim.Optimizer = (
+            torch.optim.AdamW(weights, rate, weight_decay=decay)
+            if descent.method == "adam"
+            else torch.optim.SGD(weights, rate, descent.momentum, weight_decay=decay)
+        )
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take weights and optimiser from a checkpoint; WeightsError for one that lacks them."""
+        path = self.folder.path / CHECKPOINT
+        try:
+            fill(self.network, state["network"], path)
+            fill(self.average.network, state["average"], path)
+            self._optimiser.load_state_dict(state["optimiser"])
+        except (KeyError, TypeError, ValueError, AttributeError):
+            raise WeightsError(path, *NO_CHECKPOINT) from None
 
     def train(self) -> None:
         """Train from where ``progress`` is until the round's end, or until asked to stop.
@@ -165,23 +173,22 @@ class Round:
         Raises ConfigError when the loss is no longer a number.
         """
         self.network.train()
-        while not self.progress.finished and not self.processes.stopped():
+        while not self.progress.finished and not self.stop.asked:
             self._train_epoch()
             if self.progress.chunk == self.chunks:
                 self._end_epoch()
             self.save()
 
     def save(self) -> None:
-        """Write the checkpoint, once for all processes."""
-        if self.processes.leads:
-            self.folder.write_checkpoint(
-                {
-                    "network": self.network.state_dict(),
-                    "average": self.average.network.state_dict(),
-                    "optimiser": self.optimiser.state_dict(),
-                    "progress": asdict(self.progress),
-                }
-            )
+        """Write the checkpoint."""
+        self.folder.write_checkpoint(
+            {
+                "network": self.network.state_dict(),
+                "average": self.average.network.state_dict(),
+                "optimiser": self._optimiser.state_dict(),
+                "progress": asdict(self.progress),
+            }
+        )
 
     def _train_epoch(self) -> None:
         """Work through the rest of an epoch, at least a chunk of it, or until asked to stop."""
@@ -191,7 +198,7 @@ class Round:
             total=self.chunks,
             initial=progress.chunk,
             unit="chunk",
-            quiet=self.processes.silent,
+            quiet=self.quiet,
         )
         saved = time.monotonic()
         with bar:
@@ -204,69 +211,55 @@ class Round:
                 if time.monotonic() - saved > SAVE_EVERY:
                     self.save()
                     saved = time.monotonic()
-                if self.processes.stopped():
+                if self.stop.asked:
                     return
 
     def _train_chunk(self) -> None:
         progress, loss = self.progress, 0.0
         epochs = progress.epoch + progress.chunk / self.chunks
-        for group in self.optimiser.param_groups:
+        for group in self._optimiser.param_groups:
             group["lr"] = self.descent.learning_rate_at(epochs / self.stopping.epochs)
         for batch in self.batches(progress.epoch, progress.chunk):
             loss += self.step(batch)
-            progress.count += batch.count
+            progress.count += len(batch.inputs)
             progress.steps += 1
             self.average.add(self.network, progress.steps)
         if not math.isfinite(loss):
-            what = "the loss is no longer a number"
-            raise ConfigError("descent.learning_rate", what, "give a lower one")
+            message = "the loss is no longer a number"
+            raise ConfigError("descent.learning_rate", message, "give a lower one")
         progress.loss += loss
         progress.chunk += 1
 
     def step(self, batch: Batch) -> float:
-        """One step on one batch; returns the loss summed over the batch of all processes.
-
-        Gradients are summed over the processes, so that any number of them makes the same step up
-        to rounding.
-        """
-        self.optimiser.zero_grad(set_to_none=False)
-        loss = torch.zeros(())
-        if len(batch.inputs):
-            with torch.autocast("cpu", torch.bfloat16, self.descent.precision == "bfloat16"):
-                loss = self.loss(self.network, batch)
-            (loss / batch.count).backward()
-        weights = list(self.network.parameters())
-        for weight in weights:
-            if weight.grad is None:  # this process had no sample yet
-                weight.grad = torch.zeros_like(weight)
-        sums = [loss.detach(), *(weight.grad for weight in weights if weight.grad is not None)]
-        if self.processes.size > 1:  # the gradients and the loss in one exchange
-            vector_to_parameters(self.processes.add(parameters_to_vector(sums)), sums)
-        self.optimiser.step()
-        return float(sums[0])
+        """One step down the mean loss of a batch; returns the loss summed over the batch."""
+        self._optimiser.zero_grad(set_to_none=False)
+        with torch.autocast("cpu", torch.bfloat16, self.descent.precision == "bfloat16"):
+            loss = self.loss(self.network, batch)
+        (loss / len(batch.inputs)).backward()
+        self._optimiser.step()
+        return float(loss.detach())
 
     def _end_epoch(self) -> None:
-        """Close the books of an epoch and decide whether it was the last."""
+        """Log an epoch and decide whether it was the last."""
         progress = self.progress
         row = {
             "round": progress.round + 1,
             "epoch": progress.epoch + 1,
             "loss": progress.loss / max(1, progress.count),
             "samples": progress.count,
-            "learning_rate": self.optimiser.param_groups[0]["lr"],
+            "learning_rate": self._optimiser.param_groups[0]["lr"],
             "seconds": round(progress.seconds, 1),
         }
-        before = [one["loss"] for one in progress.rows if one["round"] == row["round"]]
-        fall = before[-1] - row["loss"] if before else math.inf
+        losses = [before["loss"] for before in progress.rows if before["round"] == row["round"]]
+        fall = losses[-1] - row["loss"] if losses else math.inf
         progress.rows.append(row)
         progress.epoch += 1
         progress.chunk, progress.loss, progress.count, progress.seconds = 0, 0.0, 0, 0.0
         plateau = self.stopping.rule == "plateau" and fall <= self.stopping.min_delta
         progress.finished = plateau or progress.epoch >= self.stopping.epochs
-        if self.processes.leads:
-            self.folder.write_log(progress.rows)
-        if not self.processes.silent:
-            change = f" ({-fall:+.4f})" if before else ""
+        self.folder.write_log(progress.rows)
+        if not self.quiet:
+            change = f" ({-fall:+.4f})" if losses else ""
             text = (
                 f"roadtorch: round {row['round']} epoch {row['epoch']}: "
                 f"loss {row['loss']:.4f}{change}, {row['samples']} samples in "

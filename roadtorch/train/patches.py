@@ -18,11 +18,13 @@ from roadtorch.data.correction_labels import VOID_SAID
 from roadtorch.data.corrections import Correction
 from roadtorch.errors import InputError
 from roadtorch.imaging.resize import at_picture_size, at_work, working_size
+from roadtorch.inputs.item import Item
 from roadtorch.layout.classes import CLASSES, UNLABELLED
 from roadtorch.layout.labeller import label_layout
 from roadtorch.layout.patch_network import PatchNetwork, normalise
 from roadtorch.layout.weights import LayoutNetwork
-from roadtorch.sources.pictures import Picture
+from roadtorch.run.memo import Arrays, cached_arrays, read_arrays
+from roadtorch.runtime.signals import Stop
 from roadtorch.superpixels.segments import segment_mean, segment_size
 from roadtorch.train.augmentation import uniform
 from roadtorch.train.config import PatchAugmentation, PatchCentres, PatchTraining
@@ -36,29 +38,9 @@ from roadtorch.train.loop import (
     generator_at,
     seeded,
 )
-from roadtorch.train.prepared import Arrays, from_bytes, kept_arrays, read_arrays, to_bytes
-from roadtorch.train.processes import Processes
+from roadtorch.train.prepared import from_bytes, to_bytes
 
 # --- where ------------------------------------------------------------------------------
-
-
-def prepare_patches(image: Tensor, training: PatchTraining) -> Arrays:
-    """What patches need of an image (3,H,W): it at working size, their centres and classes.
-
-    image: uint8 (3,h,w); centres: int16 (n,2), row and column; classes: uint8 (n,), 0, 1, 2.
-    Centres that the labeller leaves in doubt are not there.
-    """
-    working = training.network.working
-    small = at_work(image, working)
-    labels = label_layout(small, training.labeller, working, training.superpixels).labels
-    centres = find_centres(training.superpixels.cut(small), training.centres)
-    classes = labels[centres[:, 0], centres[:, 1]]
-    known = classes != UNLABELLED
-    return {
-        "image": to_bytes(small),
-        "centres": centres[known].to(torch.int16),
-        "classes": classes[known].to(torch.uint8),
-    }
 
 
 def find_centres(segments: Tensor, settings: PatchCentres) -> Tensor:
@@ -88,8 +70,9 @@ def class_weights(files: Sequence[Path], training: PatchTraining) -> Tensor:
         classes = read_arrays(file, "classes")["classes"]
         counts += torch.bincount(classes.long(), minlength=CLASSES)
     if not counts.sum():
-        what = "have no superpixel whose label is certain"
-        raise InputError("the pictures", what, "lower labeller.margin, or give street pictures")
+        message = "have no superpixel whose label is certain"
+        remedy = "lower labeller.margin, or give street pictures"
+        raise InputError("the pictures", message, remedy)
     if training.balance == "none":
         return torch.ones(CLASSES)
     return counts.sum() / (CLASSES * counts.clamp_min(1))
@@ -111,20 +94,13 @@ class LabelledCentres(NamedTuple):
     weights: Tensor
 
 
-def correction_layout(correction: Correction, size: tuple[int, int]) -> Arrays:
-    """``layout``, uint8 (h,w): 0, 1, 2, 255 not said; ``known``: 1 where no machine label counts.
-
-    Who says void, or "not road", says nothing of the layout; void counts as known all the same.
-    """
-    layout = at_picture_size(torch.from_numpy(correction.layout), size)
-    void = at_picture_size(torch.from_numpy(correction.road == VOID_SAID), size)
-    return {"layout": layout, "known": ((layout != UNLABELLED) | void).to(torch.uint8)}
-
-
 def corrected_centres(
     labelled: LabelledCentres, correction: Arrays, weight: float
 ) -> LabelledCentres:
-    """The machine's where nobody spoke, and a grid of places where somebody named a class."""
+    """The machine's where nobody spoke, and a grid of places where somebody named a class.
+
+    correction: of ``PatchRecipe.shrink``.
+    """
     layout, known = correction["layout"], correction["known"].bool()
     rows, columns = labelled.centres.long().unbind(1)
     kept = ~known[rows, columns]
@@ -237,7 +213,7 @@ class PatchSamples:
     """The patches of prepared pictures, shuffled over ``mix`` pictures at a time.
 
     One chunk holds the patches of ``mix`` pictures, at each visit another part of them: about
-    ``mix`` / ``passes`` pictures' worth of memory, and what ``kept_arrays`` keeps, however many
+    ``mix`` / ``passes`` pictures' worth of memory, and what ``cached_arrays`` keeps, however many
     pictures there are.
     """
 
@@ -245,13 +221,11 @@ class PatchSamples:
         self,
         files: Sequence[Path],
         training: PatchTraining,
-        processes: Processes,
         corrected: Mapping[Path, Path] = MappingProxyType({}),
     ) -> None:
         self._files, self._corrected = files, corrected
         self._training = training
-        self._processes = processes
-        self._read = kept_arrays()
+        self._read = cached_arrays()
         self._weights = class_weights(files, training)
         self._groups = -(-len(files) // training.mix)
         patch = training.network.topology.patch
@@ -263,7 +237,7 @@ class PatchSamples:
         return self._groups * self._training.passes
 
     def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
-        """This process's patches of a chunk, in batches that are nearly the same size."""
+        """Patches of a chunk, in batches that are nearly the same size."""
         training = self._training
         visit, group = divmod(chunk, self._groups)
         order = self._shuffled(len(self._files), PATCH_ORDER, epoch, visit)
@@ -278,17 +252,15 @@ class PatchSamples:
         picture = torch.arange(len(members)).repeat_interleave(
             torch.tensor([len(part.classes) for part in labelled])
         )
-        shares = [step[self._processes.rank :: self._processes.size] for step in steps]
-        mine = torch.cat(shares)
-        by_picture = picture[mine].argsort(stable=True)
-        self._cut(members, picture[mine[by_picture]], draw.at(mine[by_picture]), noises)
-        place, at = by_picture.argsort(), 0
-        for step, own in zip(steps, shares, strict=True):
-            targets = classes[own].long()
-            part = self._room.index_select(0, place[at : at + len(own)])
+        by_picture = picture[shuffled].argsort(stable=True)
+        cut = shuffled[by_picture]
+        self._cut(members, picture[cut], draw.at(cut), noises)
+        places = by_picture.argsort().tensor_split(len(steps))
+        for step, place in zip(steps, places, strict=True):
             if len(step):
-                yield Batch(part, targets, self._weights[targets] * counts[own], len(step))
-            at += len(own)
+                targets = classes[step].long()
+                patches = self._room.index_select(0, place)
+                yield Batch(patches, targets, self._weights[targets] * counts[step])
 
     def _cut(self, members: list[int], picture: Tensor, draw: Draw, noises: Tensor) -> None:
         """Fill the first n rooms with the patches of ``draw``; picture: (n,), ascending."""
@@ -340,26 +312,41 @@ class PatchRecipe:
 
     def preparation(self) -> dict[str, Any]:
         """Working size, superpixels, labeller and centres."""
-        training = self._training
-        return {
-            "working": training.network.working.model_dump(),
-            "superpixels": training.superpixels.model_dump(),
-            "labeller": training.labeller.model_dump(),
-            "centres": training.centres.model_dump(),
-        }
+        parts = self._training.model_dump(include={"superpixels", "labeller", "centres"})
+        return {**parts, "working": self._training.network.working.model_dump()}
 
-    def survey(self, pictures: Sequence[Picture], folder: Path, processes: Processes) -> None:
+    def survey(self, pictures: Sequence[Item], folder: Path, stop: Stop, quiet: bool) -> None:
         """Nothing: patches are taken from single pictures."""
 
     def make(self, image: Tensor, name: str) -> Arrays:
-        """The picture at working size, the centres of its patches and their classes."""
-        return prepare_patches(image, self._training)
+        """An image (3,H,W) at working size with the centres of its patches and their classes.
+
+        image: uint8 (3,h,w); centres: int16 (n,2), row and column; classes: uint8 (n,), 0, 1, 2.
+        Centres that the labeller leaves in doubt are not there.
+        """
+        training, working = self._training, self._training.network.working
+        small = at_work(image, working)
+        labels = label_layout(small, training.labeller, working, training.superpixels).labels
+        centres = find_centres(training.superpixels.cut(small), training.centres)
+        classes = labels[centres[:, 0], centres[:, 1]]
+        known = classes != UNLABELLED
+        return {
+            "image": to_bytes(small),
+            "centres": centres[known].to(torch.int16),
+            "classes": classes[known].to(torch.uint8),
+        }
 
     def shrink(self, correction: Correction) -> Arrays:
-        """The layout that people named, at working size."""
+        """The layout that people named, at working size.
+
+        ``layout``, uint8 (h,w): 0, 1, 2, 255 not named; ``known``: 1 where no machine label counts.
+        Void, or "not road", says nothing of the layout; void counts as known all the same.
+        """
         height, width = correction.labels.shape
         size = working_size(height, width, self._training.network.working)
-        return correction_layout(correction, size)
+        layout = at_picture_size(torch.from_numpy(correction.layout), size)
+        void = at_picture_size(torch.from_numpy(correction.road == VOID_SAID), size)
+        return {"layout": layout, "known": ((layout != UNLABELLED) | void).to(torch.uint8)}
 
     def network(self, begun: RoundStart) -> LayoutNetwork:
         """A new patch network, or the one to start from."""
@@ -368,7 +355,9 @@ class PatchRecipe:
         with seeded(self._training.random_seed, begun.number):
             return PatchNetwork(self._training.network)
 
-    def samples(self, begun: RoundStart, folder: RunFolder, processes: Processes) -> PatchSamples:
+    def samples(
+        self, begun: RoundStart, folder: RunFolder, stop: Stop, quiet: bool
+    ) -> PatchSamples:
         """The varied patches of prepared pictures; corrected ones come more often."""
         often = repeated(begun.files, begun.corrected, self._training.corrections.share)
-        return PatchSamples(often, self._training, processes, begun.corrected)
+        return PatchSamples(often, self._training, begun.corrected)

@@ -14,18 +14,19 @@ from torch.nn import functional as F
 from roadtorch.data.correction_labels import NOT_ROAD, ROAD_SAID, VOID_SAID
 from roadtorch.data.corrections import Correction
 from roadtorch.imaging.resize import resized
+from roadtorch.inputs.item import Item
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, SKY
 from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.picture_network import EGO, ROAD, PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import STEP, WholePictureNetwork
-from roadtorch.sources.pictures import Picture
+from roadtorch.run.memo import Arrays, cached_arrays
+from roadtorch.runtime.signals import Stop
 from roadtorch.train import augmentation
 from roadtorch.train.config import HeadWeights, PictureTraining
 from roadtorch.train.folder import RunFolder
 from roadtorch.train.loop import PICTURE_ORDER, VARIATION, Batch, RoundStart, generator_at, seeded
-from roadtorch.train.prepared import Arrays, from_bytes, kept_arrays, to_bytes
-from roadtorch.train.processes import Processes
+from roadtorch.train.prepared import from_bytes, to_bytes
 from roadtorch.train.recordings import ego_of, find_ego_cars, recording_of
 from roadtorch.train.teachers import (
     PLANES,
@@ -51,18 +52,17 @@ class PictureSamples:
 
     files: image, teacher's maps and ego car of each. labels: the last network's maps, in the
     same order; none in the first round. shares: how often each is visited, against the others.
-    ego_cars: the files that show an ego car, by recording. corrected: by file, what people said.
+    ego_cars: the files that show an ego car, by recording. corrected: the corrections, by file.
     """
 
     training: PictureTraining
-    processes: Processes
     number: int
     files: Sequence[Path]
     labels: Sequence[Path]
     shares: Tensor
     ego_cars: Mapping[str, Sequence[Path]]
     corrected: Mapping[Path, Path]
-    read: Callable[..., Arrays] = field(default_factory=kept_arrays)
+    read: Callable[..., Arrays] = field(default_factory=cached_arrays)
 
     @property
     def count(self) -> int:
@@ -75,10 +75,7 @@ class PictureSamples:
         return max(1, round(self.count / self.training.descent.batch))
 
     def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
-        """This process's pictures of one batch. Targets are the ``Targets``, eight planes.
-
-        All processes draw the variation of all pictures, and each takes its own.
-        """
+        """The varied pictures of one batch. Targets are the ``Targets``, eight planes."""
         training, place = self.training, (self.number, epoch)
         generator = generator_at(training.random_seed, PICTURE_ORDER, *place)
         order = draw_members(self.shares, self.count, generator)
@@ -88,17 +85,14 @@ class PictureSamples:
         geometry = training.augmentation.geometry
         frames = augmentation.draw_frames(len(members), size, geometry, generator)
         seeds = torch.randint(2**62, (len(members),), generator=generator).tolist()
-        mine = self.processes.share(range(len(members)))
-        parts = [self._one(members[i], frames[i : i + 1], seeds[i]) for i in mine]
-        images, targets = torch.empty(0, 3, *size), torch.empty(0, sum(PLANES), *size)
+        draws = zip(members, frames.split(1), seeds, strict=True)
+        images, targets = map(torch.cat, zip(*(self._one(*draw) for draw in draws), strict=True))
         scales = training.scales
         scale = scales[int(torch.randint(len(scales), (), generator=generator))]
-        if parts:
-            images, targets = (torch.cat(maps) for maps in zip(*parts, strict=True))
-            if scale != 1:
-                height, width = (max(1, round(scale * side / STEP)) * STEP for side in size)
-                images, targets = (resized(maps, (height, width)) for maps in (images, targets))
-        yield Batch(images, targets, torch.ones(len(images)), len(members))
+        if scale != 1:
+            height, width = (max(1, round(scale * side / STEP)) * STEP for side in size)
+            images, targets = (resized(maps, (height, width)) for maps in (images, targets))
+        yield Batch(images, targets, torch.ones(len(images)))
 
     def _one(self, member: int, frame: Tensor, seed: int) -> tuple[Tensor, Tensor]:
         """One varied picture (1,3,H,W), normalised, and its targets (1,8,H,W)."""
@@ -106,26 +100,26 @@ class PictureSamples:
         vary = training.augmentation
         image, targets = self._unvaried(member)
         image = augmentation.reframed(image, frame, "border")
-        seen = augmentation.reframed(torch.cat(targets, 1), frame, "zeros")
+        planes = augmentation.reframed(torch.cat(targets, 1), frame, "zeros")
 
         def chosen(share: float) -> bool:
             return float(torch.rand((), generator=at)) < share
 
         if chosen(vary.surface.share):
-            known = Targets(*seen.split(PLANES, 1))
+            known = Targets(*planes.split(PLANES, 1))
             ground = known.layout[:, HORIZONTAL : HORIZONTAL + 1] * (1 - known.road)
             image = augmentation.resurfaced(image, known.road, ground, vary.surface, at)
         if chosen(vary.shadow.share):
             image = augmentation.shaded(image, vary.shadow, at)
         if self.ego_cars and chosen(vary.ego_car.share):
             car = augmentation.draw_ego_car(self.ego_cars, vary.ego_car, at)
-            image, seen = augmentation.laid_over(image, seen, car)
+            image, planes = augmentation.laid_over(image, planes, car)
         if chosen(vary.night.share):
-            known = Targets(*seen.split(PLANES, 1))
+            known = Targets(*planes.split(PLANES, 1))
             unlit = (known.layout[:, SKY : SKY + 1] + known.ego).clamp_max(1)
             image = augmentation.at_night(image, unlit, vary.night, at)
         image = augmentation.relit(image, vary.light, at)
-        return normalise(image[0], training.network.normalisation).pixels[None], seen
+        return normalise(image[0], training.network.normalisation).pixels[None], planes
 
     def _unvaried(self, member: int) -> tuple[Tensor, Targets]:
         """A prepared picture (1,3,H,W) in [0,1], and its targets."""
@@ -161,22 +155,11 @@ HALF = 0.5
 """Share of a cell's pixels that have to be said before the cell counts as said."""
 
 
-def correction_planes(correction: Correction, size: tuple[int, int]) -> Arrays:
-    """``planes``, uint8 (6,h,w) as 255ths: shares of a cell's pixels that people called so.
-
-    Road, not road, void; sky, vertical, horizontal.
-    """
-    road, layout = torch.from_numpy(correction.road), torch.from_numpy(correction.layout)
-    planes = [road == value for value in (ROAD_SAID, NOT_ROAD, VOID_SAID)]
-    planes += [layout == number for number in range(CLASSES)]
-    return {"planes": to_bytes(F.adaptive_avg_pool2d(torch.stack(planes).to(torch.float32), size))}
-
-
 def corrected_targets(targets: Targets, planes: Tensor, weight: float) -> Targets:
     """Targets in which what people said replaces the machine's.
 
-    planes: (B,6,H,W) of ``correction_planes``. Where they are void, neither counts; where they
-    are road there is no ego car.
+    planes: (B,6,H,W) in [0,1], of ``PictureRecipe.shrink``. Where they are void, neither counts;
+    where they are road there is no ego car.
     """
     road, other, void, layout = planes.split((1, 1, 1, CLASSES), 1)
     known, left_out = road + other >= HALF, void > HALF
@@ -252,20 +235,18 @@ class PictureRecipe:
 
     def preparation(self) -> dict[str, Any]:
         """Size, and what the teacher's maps depend on."""
-        network, teacher = self._training.network, self._training.teacher
+        training, network = self._training, self._training.network
+        parts = {"detector", "weights", "views", "working"}
         return {
+            **training.teacher.model_dump(include=parts),
             "size": [network.height, network.width],
-            "detector": teacher.detector,
-            "weights": teacher.weights,
-            "views": teacher.views,
-            "working": teacher.working.model_dump(),
-            "recordings": self._training.recordings.model_dump(include={"separator", "least"}),
+            "recordings": training.recordings.model_dump(include={"separator", "least"}),
         }
 
-    def survey(self, pictures: Sequence[Picture], folder: Path, processes: Processes) -> None:
+    def survey(self, pictures: Sequence[Item], folder: Path, stop: Stop, quiet: bool) -> None:
         """Find the ego cars that recordings show; ``folder`` keeps what is found."""
         self._prepared, settings = folder, self._training.recordings
-        self._recordings = find_ego_cars(pictures, folder / EGO_CARS, settings, processes)
+        self._recordings = find_ego_cars(pictures, folder / EGO_CARS, settings, stop, quiet)
 
     def make(self, image: Tensor, name: str) -> Arrays:
         """The picture at the network's size, with the teacher's maps and the ego car."""
@@ -273,9 +254,17 @@ class PictureRecipe:
         return prepare_picture(image, ego, self._teachers, self._training)
 
     def shrink(self, correction: Correction) -> Arrays:
-        """What people said, at the network's size."""
+        """Corrections at the network's size.
+
+        ``planes``, uint8 (6,h,w) as 255ths: shares of a cell's pixels that people called so. Road,
+        not road, void; sky, vertical, horizontal.
+        """
         network = self._training.network
-        return correction_planes(correction, (network.height, network.width))
+        road, layout = torch.from_numpy(correction.road), torch.from_numpy(correction.layout)
+        planes = [road == value for value in (ROAD_SAID, NOT_ROAD, VOID_SAID)]
+        planes += [layout == number for number in range(CLASSES)]
+        stacked = torch.stack(planes).to(torch.float32)
+        return {"planes": to_bytes(F.adaptive_avg_pool2d(stacked, (network.height, network.width)))}
 
     def network(self, begun: RoundStart) -> WholePictureNetwork:
         """The network with which a round starts: a new one, or the last one."""
@@ -288,15 +277,18 @@ class PictureRecipe:
         with seeded(self._training.random_seed, begun.number):
             return PictureNetwork(settings)
 
-    def samples(self, begun: RoundStart, folder: RunFolder, processes: Processes) -> PictureSamples:
+    def samples(
+        self, begun: RoundStart, folder: RunFolder, stop: Stop, quiet: bool
+    ) -> PictureSamples:
         """Varied pictures of a round; with what the last network says of them, if any."""
         training, files, labels = self._training, begun.files, list[Path]()
         if isinstance(begun.last, WholePictureNetwork):
-            labels_folder = folder.labels_of(begun.number)
-            labels = label_with_network(files, labels_folder, begun.last.eval(), processes)
-        pictures = [file.relative_to(self._prepared).with_suffix("") for file in files]
-        stems = [each.with_suffix("").as_posix() for each in pictures]
-        names = [recording_of(stem, training.recordings.separator) for stem in stems]
+            kept = folder.labels_of(begun.number)
+            labels = label_with_network(files, kept, begun.last.eval(), stop, quiet)
+        names = []
+        for file in files:
+            stem = file.relative_to(self._prepared).with_suffix("").with_suffix("").as_posix()
+            names.append(recording_of(stem, training.recordings.separator))
         sizes, cars = Counter(names), dict[str, list[Path]]()
         for name, file in zip(names, files, strict=True):
             if lends_ego(file):
@@ -304,5 +296,5 @@ class PictureRecipe:
         shares = torch.tensor([sizes[name] ** -training.recordings.evenness for name in names])
         corrected = torch.tensor([file in begun.corrected for file in files])
         shares = corrected_shares(shares, corrected, training.corrections.share)
-        said = (labels, shares, cars, begun.corrected)
-        return PictureSamples(training, processes, begun.number, files, *said)
+        rest = (files, labels, shares, cars, begun.corrected)
+        return PictureSamples(training, begun.number, *rest)

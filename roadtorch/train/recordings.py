@@ -1,6 +1,7 @@
 """Recordings among the pictures of a run, and the ego car that each of them shows. Ours."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import torch
@@ -9,16 +10,13 @@ from torch import Tensor
 from roadtorch.camera.footage import still_ego
 from roadtorch.errors import InputError
 from roadtorch.imaging.resize import WorkingSize, at_picture_size, at_work, size_of
-from roadtorch.io.atomic import make_folder, write_text
+from roadtorch.inputs.item import Item, spread
 from roadtorch.io.image import read_image
-from roadtorch.sources.frame import spread
-from roadtorch.sources.pictures import Picture
+from roadtorch.run.loop import until_asked
+from roadtorch.run.memo import Arrays, keep, kept, key_of
+from roadtorch.runtime.progress import Progress
+from roadtorch.runtime.signals import Stop
 from roadtorch.train.config import Recordings
-from roadtorch.train.prepared import read_arrays, write_arrays
-from roadtorch.train.processes import Processes
-
-DONE = "done"
-"""The file that says that a recording has been looked at."""
 
 MAX_FRAMES = 120
 """Frames of one recording that are looked at, evenly spread: more show nothing new."""
@@ -40,40 +38,40 @@ def recording_of(name: str, separator: str) -> str:
 
 
 def find_ego_cars(
-    pictures: Sequence[Picture], folder: Path, settings: Recordings, processes: Processes
+    pictures: Sequence[Item], folder: Path, settings: Recordings, stop: Stop, quiet: bool
 ) -> Mapping[str, Path]:
-    """Look in each recording for the ego car; the folder of what was found, by picture name.
+    """Look in each recording for the ego car; the file of the result, by picture name.
 
-    Pictures of small recordings are left out. What was found before is not looked for again.
+    Pictures of small recordings are left out. Results of the same pictures are kept. Stops early
+    when asked to.
     """
     if not settings.separator:
         return {}
-    recordings: dict[str, list[Picture]] = {}
+    recordings: dict[str, list[Item]] = {}
     for picture in pictures:
         recordings.setdefault(recording_of(picture.name, settings.separator), []).append(picture)
     long = {name: each for name, each in recordings.items() if len(each) >= settings.least}
-    for name in processes.each(list(long), "ego cars"):
-        if not (folder / name / DONE).exists():
-            _write_ego_car(long[name], folder / name, settings.least)
-    processes.gather(None)  # nobody reads before all have written
-    return {picture.name: folder / name for name, each in long.items() for picture in each}
+    files = {name: folder / f"{name}.npz" for name in long}
+    bar = Progress(files.items(), desc="ego cars", unit="image", quiet=quiet)
+    for name, file in until_asked(bar, stop):
+        frames = spread(long[name], MAX_FRAMES)
+        key = key_of(settings.least, *(picture.path for picture in frames))
+        if kept(file, key) is None:
+            keep(file, key, ego_cars(frames, settings.least))
+    return {picture.name: files[name] for name, each in long.items() for picture in each}
 
 
-def _write_ego_car(recording: Sequence[Picture], folder: Path, least: int) -> None:
-    """Write the ego car of each shape of a recording."""
+def ego_cars(pictures: Sequence[Item], least: int) -> Arrays:
+    """The ego car bool (H,W) in pictures of one camera, by shape; none of a shape with fewer."""
     shapes: dict[int, list[Tensor]] = {}
-    for picture in spread(recording, MAX_FRAMES):
-        try:
+    for picture in pictures:
+        with suppress(InputError):  # reported when it is made ready
             image = at_work(read_image(picture.path), SEEN)
-        except InputError:
-            continue  # told when it is made ready
-        shapes.setdefault(shape_of(image), []).append(image)
-    make_folder(folder)
-    for shape, frames in shapes.items():
-        ego = still_ego(frames) if len(frames) >= least else None
-        if ego is not None and is_line(ego):
-            write_arrays(folder / f"{shape}.npz", {"ego": ego})
-    write_text(folder / DONE, "")
+            shapes.setdefault(shape_of(image), []).append(image)
+    cars = {
+        str(shape): still_ego(frames) for shape, frames in shapes.items() if len(frames) >= least
+    }
+    return {shape: ego for shape, ego in cars.items() if ego is not None and is_line(ego)}
 
 
 def is_line(ego: Tensor) -> bool:
@@ -93,9 +91,8 @@ def shape_of(image: Tensor) -> int:
     return round(SHAPES * image.shape[-1] / image.shape[-2])
 
 
-def ego_of(folder: Path | None, image: Tensor) -> Tensor | None:
+def ego_of(file: Path | None, image: Tensor) -> Tensor | None:
     """The ego car of an image's recording, bool (H,W) of its size; None where none is known."""
-    path = folder / f"{shape_of(image)}.npz" if folder else None
-    if path is None or not path.exists():
-        return None
-    return at_picture_size(read_arrays(path, "ego")["ego"], size_of(image))
+    shape = str(shape_of(image))
+    cars = kept(file, None, shape) if file else None
+    return at_picture_size(cars[shape], size_of(image)) if cars else None

@@ -1,4 +1,4 @@
-"""A whole run: pictures made ready, rounds trained, weights written; cut short, gone on with."""
+"""A whole run: pictures made ready, rounds trained, weights written; interrupted and resumed."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -11,19 +11,19 @@ from pydantic import TypeAdapter, ValidationError
 
 from roadtorch.data.corrections import Correction
 from roadtorch.errors import InputError, WeightsError
+from roadtorch.inputs.item import Item
+from roadtorch.inputs.pictures import find_pictures
 from roadtorch.io.atomic import shared, write_text
 from roadtorch.layout.weights import (
     LayoutNetwork,
     WholePictureNetwork,
-    fill,
     load_network,
     network_at,
     save_network,
     weights_path,
 )
 from roadtorch.runtime.progress import Progress
-from roadtorch.runtime.signals import stop_on_signals
-from roadtorch.sources.pictures import Picture, find_images
+from roadtorch.runtime.signals import Stop, stop_on_signals
 from roadtorch.train.config import PictureTraining, Training, as_values
 from roadtorch.train.corrections import (
     card_of,
@@ -42,11 +42,10 @@ from roadtorch.train.folder import (
     config_hash,
     record_of,
 )
-from roadtorch.train.loop import MovingAverage, Round, RoundStart, TrainingProgress, make_optimiser
+from roadtorch.train.loop import Loop, RoundStart, TrainingProgress
 from roadtorch.train.patches import PatchRecipe
 from roadtorch.train.pictures import PictureRecipe
-from roadtorch.train.prepared import PreparedFolder, PreparedPicture
-from roadtorch.train.processes import Processes, join_processes
+from roadtorch.train.prepared import Preparation, PreparedPicture, prepare
 from roadtorch.version import __version__
 
 Recipe = PatchRecipe | PictureRecipe
@@ -59,10 +58,10 @@ FUSION = "fusion.toml"
 
 @dataclass(frozen=True)
 class Request:
-    """What a run is asked for.
+    """The inputs of a run.
 
     images: a folder, a file or a quoted glob. prepared: where pictures made ready are kept;
-    None for a folder inside ``out``. corrections: what people said of some of the pictures.
+    None for a folder inside ``out``. corrections: of people, for some of the pictures.
     """
 
     images: str
@@ -75,7 +74,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a run: the weights, or the signal that cut it short."""
+    """The result of a run: the weights, or the signal that cut it short."""
 
     weights: Path | None
     interrupted: Signals | None
@@ -83,31 +82,23 @@ class Outcome:
 
 
 def train(training: Training, request: Request) -> Outcome:
-    """Train a network on machine labels of pictures, or go on with it.
+    """Train a network on machine labels of pictures, or resume such a run.
 
     Raises InputError when there is no picture to learn from, ConfigError and WeightsError
     when the folder holds something else than this run, InputError when another one is in it.
     """
-    pictures = find_images([request.images], apart=request.out)
-    with stop_on_signals() as stop, join_processes(stop, request.quiet) as processes:
+    pictures = find_pictures([request.images], apart=request.out)
+    with stop_on_signals() as stop:
         folder = RunFolder(request.out)
         start, recipe = load_start(training), recipe_of(training)
-        with processes.led(folder.held()):
+        with folder.held():
             corrections = corrections_by_picture(pictures, request.corrections)
-            summary = corrections_summary(corrections)
-            record = record_of(as_values(training), pictures, summary)
-            folder.check(record, request.resume)
-            state = folder.read_checkpoint()
-            processes.gather(None)  # all have looked before the first one writes
-            if processes.leads:
-                folder.begin(record)
-            behind = [*corrections_behind(training), *([summary] if summary else [])]
-            run = _Run(training, recipe, start, request, folder, processes, corrections, behind)
-            return run.go(pictures, state)
+            run = TrainingRun(training, recipe, start, request, folder, stop, corrections)
+            return run.go(pictures)
 
 
 def recipe_of(training: Training) -> Recipe:
-    """What the kind of network that the settings describe brings to its training."""
+    """The parts of a training that depend on the kind of network in its settings."""
     if isinstance(training, PictureTraining):
         return PictureRecipe(training)
     return PatchRecipe(training)
@@ -116,124 +107,129 @@ def recipe_of(training: Training) -> Recipe:
 def load_start(training: Training) -> LayoutNetwork | None:
     """The network of the weights that a run starts from; None where it starts from none.
 
-    One for whole pictures may have learned at another size; it goes on at that of the settings.
+    One for whole pictures may have learned at another size; it continues at that of the settings.
     WeightsError when it is not one of these settings otherwise.
     """
     if not training.start:
         return None
-    network, settings = load_network(weights_path(training.start)), training.network
+    network = load_network(weights_path(training.start))
     if isinstance(network, WholePictureNetwork) and isinstance(training, PictureTraining):
-        settings = training.network
-        network = network_at(network, settings.height, settings.width)
-    if network.settings != settings:
-        what = "holds a network with other settings than this training"
+        network = network_at(network, training.network.height, training.network.width)
+    if network.settings != training.network:
+        message = "holds a network with other settings than this training"
         remedy = "give the same [network] settings, or leave start out"
-        raise WeightsError(training.start, what, remedy)
+        raise WeightsError(training.start, message, remedy)
     return network
 
 
 def made_ready(
-    recipe: Recipe, pictures: Sequence[Picture], folder: Path, processes: Processes
+    recipe: Recipe, pictures: Sequence[Item], folder: Path, stop: Stop, quiet: bool
 ) -> list[PreparedPicture]:
-    """The pictures made ready in a folder; fewer where somebody asked to stop."""
-    small = PreparedFolder(folder, processes)
-    with processes.led(shared(folder)):
-        small.claim(recipe.preparation())
-        recipe.survey(pictures, folder, processes)
-        if processes.stopped():  # nothing is made ready by half a survey
+    """The pictures made ready in a folder; fewer where the run was asked to stop."""
+    with shared(folder):
+        recipe.survey(pictures, folder, stop, quiet)
+        if stop.asked:  # nothing is made ready by half a survey
             return []
-        return small.prepare(pictures, recipe.make, "labels")
+        preparation = Preparation(folder, recipe.preparation(), recipe.make)
+        return prepare(pictures, preparation, stop, quiet)
 
 
 @dataclass(frozen=True)
-class _Run:
+class TrainingRun:
+    """One run of a training in its folder.
+
+    start: the network that it starts from, if any. corrections: by the name of their picture.
+    """
+
     training: Training
     recipe: Recipe
     start: LayoutNetwork | None
     request: Request
     folder: RunFolder
-    processes: Processes
+    stop: Stop
     corrections: Mapping[str, Correction]
-    behind: Sequence[Mapping[str, Any]]
 
-    def go(self, pictures: Sequence[Picture], state: dict[str, Any] | None) -> Outcome:
+    def go(self, pictures: Sequence[Item]) -> Outcome:
         """Make the pictures ready and train the rounds that are left, from a checkpoint if any."""
-        processes, path = self.processes, self.folder.path
-        folder = self.request.prepared or path / PREPARED
-        prepared = made_ready(self.recipe, pictures, folder, processes)
+        stop, folder = self.stop, self.folder
+        summary = corrections_summary(self.corrections)
+        record = record_of(as_values(self.training), pictures, summary)
+        folder.check(record, self.request.resume)
+        state = folder.read_checkpoint()
+        folder.begin(record)
+        behind = [*corrections_behind(self.training), *([summary] if summary else [])]
+        kept = self.request.prepared or folder.path / PREPARED
+        prepared = made_ready(self.recipe, pictures, kept, stop, self.request.quiet)
         skipped = sum(item.file is None for item in prepared)
-        if processes.stopped():
-            return Outcome(None, processes.stop.signal or SIGTERM, skipped)
-        files = self._usable(prepared)
-        people = {
-            item.file: self.corrections[item.name]
-            for item in prepared
-            if item.file is not None and item.name in self.corrections
-        }
-        own = path / CORRECTIONS / f"process-{processes.rank}"  # each has its own copy
-        corrected = write_corrections(own, people, self.recipe.shrink) if people else {}
-        progress = _progress_of(state, path / CHECKPOINT) if state else TrainingProgress()
-        while True:
-            self._round(files, corrected, progress, state)
-            state = None
-            if not progress.finished:
-                return Outcome(None, processes.stop.signal or SIGTERM, skipped)
-            if progress.round + 1 == self.recipe.rounds:
-                break
-            progress = TrainingProgress(progress.round + 1, rows=progress.rows)
-        if people and isinstance(self.training, PictureTraining) and processes.leads:
-            write_corrected(path / FUSION, path / WEIGHTS, list(people.values()))
-        return Outcome(path / WEIGHTS, None, skipped)
+        if stop.asked or not self._train(prepared, state, behind):
+            return Outcome(None, stop.signal or SIGTERM, skipped)
+        return Outcome(folder.path / WEIGHTS, None, skipped)
 
-    def _usable(self, prepared: Sequence[PreparedPicture]) -> list[Path]:
-        """The files of the pictures that were not skipped; the list of all is written."""
-        if self.processes.leads:
-            self.folder.write_pictures(prepared)
-        files = [item.file for item in prepared if item.file is not None]
+    def _train(
+        self,
+        prepared: Sequence[PreparedPicture],
+        state: dict[str, Any] | None,
+        behind: Sequence[Mapping[str, Any]],
+    ) -> bool:
+        """Train the rounds that are left; whether it came to their end."""
+        path = self.folder.path
+        self.folder.write_pictures(prepared)
+        files = {item.file: item.name for item in prepared if item.file is not None}
         if not files:
             raise InputError(self.request.images, "holds no picture that can be used", "see above")
-        if len(files) == 1 and not self.processes.silent:
+        if len(files) == 1 and not self.request.quiet:
             text = "roadtorch: one picture only: the network will know that one and no other"
             Progress.write(text, file=sys.stderr)
-        return files
+        people = {
+            file: self.corrections[name] for file, name in files.items() if name in self.corrections
+        }
+        shrink = self.recipe.shrink
+        corrected = write_corrections(path / CORRECTIONS, people, shrink) if people else {}
+        progress = _progress_of(state, path / CHECKPOINT) if state else TrainingProgress()
+        while True:
+            number = progress.round
+            last = load_network(self.folder.weights_of(number - 1)) if number else self.start
+            begun = RoundStart(number, list(files), corrected, last)
+            loop = self._train_round(begun, progress, state)
+            if progress.finished or not number:
+                self._write(loop.average.network.eval(), progress, len(files), behind)
+            if not progress.finished:
+                return False
+            if number + 1 == self.recipe.rounds:
+                break
+            state, progress = None, TrainingProgress(number + 1, rows=progress.rows)
+        if people and isinstance(self.training, PictureTraining):
+            write_corrected(path / FUSION, path / WEIGHTS, list(people.values()))
+        return True
 
-    def _round(
-        self,
-        files: Sequence[Path],
-        corrected: Mapping[Path, Path],
-        progress: TrainingProgress,
-        state: dict[str, Any] | None,
-    ) -> None:
-        """Train one round, or what is left of it, and write its weights."""
-        training, number, folder = self.training, progress.round, self.folder
-        last = load_network(folder.path / _weights_of(number - 1)) if number else self.start
-        begun = RoundStart(number, files, corrected, last)
-        samples = self.recipe.samples(begun, folder, self.processes)
+    def _train_round(
+        self, begun: RoundStart, progress: TrainingProgress, state: dict[str, Any] | None
+    ) -> Loop:
+        """Train one round, or the rest of it from a checkpoint."""
+        training = self.training
+        stop, quiet = self.stop, self.request.quiet
+        samples = self.recipe.samples(begun, self.folder, stop, quiet)
         network = self.recipe.network(begun)
         descent = paced(training.descent, training.corrections.halfway, len(self.corrections))
-        average = MovingAverage(network, descent.ema)
-        optimiser = make_optimiser(network, descent)
-        if state:
-            path = folder.path / CHECKPOINT
-            try:
-                fill(network, state["network"], path)
-                fill(average.network, state.get("average", state["network"]), path)  # in older code
-                optimiser.load_state_dict(state["optimiser"])
-            except (KeyError, TypeError, ValueError, AttributeError):
-                raise WeightsError(path, *NO_CHECKPOINT) from None
-        parts = (network, average, optimiser, samples.chunks, samples.batches, self.recipe.loss)
+        parts = (network, samples.chunks, samples.batches, self.recipe.loss)
         rules = (descent, training.stopping)
-        this = Round(*parts, *rules, progress, folder, self.processes)
-        if not state:
-            this.save()
-        this.train()
-        if self.processes.leads and (progress.finished or not progress.round):
-            self._write(average.network.eval(), progress, len(files))
-        self.processes.gather(None)  # the next round reads what the first one writes
+        loop = Loop(*parts, *rules, progress, self.folder, stop, quiet)
+        if state:
+            loop.restore(state)
+        else:
+            loop.save()
+        loop.train()
+        return loop
 
-    def _write(self, network: LayoutNetwork, progress: TrainingProgress, used: int) -> None:
+    def _write(
+        self,
+        network: LayoutNetwork,
+        progress: TrainingProgress,
+        used: int,
+        behind: Sequence[Mapping[str, Any]],
+    ) -> None:
         """The weights as they are, and the curve so far; half of a later round is not worth it."""
-        folder, config = self.folder, as_values(self.training)
+        path, config = self.folder.path / WEIGHTS, as_values(self.training)
         origin = {
             "roadtorch": __version__,
             "config": config,
@@ -242,32 +238,20 @@ class _Run:
             "round": progress.round + 1,
             "epochs": progress.epoch,
             "finished": progress.finished,
-            "corrections": list(self.behind),
+            "corrections": list(behind),
         }
-        if self.behind:
-            write_text((folder.path / WEIGHTS).with_suffix(".md"), card_of(self.behind))
-        save_network(folder.path / WEIGHTS, network, origin)
+        if behind:
+            write_text(path.with_suffix(".md"), card_of(behind))
+        save_network(path, network, origin)
         if progress.finished:
-            save_network(folder.path / _weights_of(progress.round), network, origin)
+            save_network(self.folder.weights_of(progress.round), network, origin)
         if progress.rows:
-            folder.write_curve(progress.rows)
+            self.folder.write_curve(progress.rows)
 
 
-def _progress_of(state: dict[str, Any], path: Path) -> TrainingProgress:
-    """How far a checkpoint of format 1 or 2 says the run is; WeightsError where it does not say."""
-
-    def renamed(values: Mapping[str, Any]) -> dict[str, Any]:
-        names = {"error": "loss", "rate": "learning_rate"}  # of format 1
-        return {names.get(key, key): value for key, value in values.items()}
-
+def _progress_of(state: Mapping[str, Any], path: Path) -> TrainingProgress:
+    """The progress in a checkpoint; WeightsError where it makes no sense."""
     try:
-        values = renamed(state["progress"])
-        rows = [renamed(row) for row in values.pop("rows", [])]
-        return TypeAdapter(TrainingProgress).validate_python({**values, "rows": rows})
-    except (KeyError, TypeError, AttributeError, ValidationError):
+        return TypeAdapter(TrainingProgress).validate_python(state["progress"])
+    except (KeyError, ValidationError):
         raise WeightsError(path, *NO_CHECKPOINT) from None
-
-
-def _weights_of(number: int) -> str:
-    """The file of the weights at the end of round ``number`` (from 0)."""
-    return f"round-{number + 1}.safetensors"

@@ -16,16 +16,18 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError
 from roadtorch.evaluation.disagreement import Agreement
 from roadtorch.imaging.resize import resized, size_of
-from roadtorch.io.atomic import make_folder
 from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.picture_network import EGO, ROAD, potentials_of
 from roadtorch.layout.weights import WholePictureNetwork
 from roadtorch.road.ego import continued
 from roadtorch.road.fusion import centred_odds, log_odds
+from roadtorch.run.loop import until_asked
+from roadtorch.run.memo import Arrays, keep, kept, key_of, read_arrays
+from roadtorch.runtime.progress import Progress
+from roadtorch.runtime.signals import Stop
 from roadtorch.train.config import PictureTraining, Rounds, Teacher
-from roadtorch.train.prepared import Arrays, from_bytes, read_arrays, to_bytes, write_arrays
-from roadtorch.train.processes import Processes
+from roadtorch.train.prepared import from_bytes, to_bytes
 
 # --- targets ----------------------------------------------------------------------------
 
@@ -76,8 +78,8 @@ def targets_of(
             agree_road = ((road >= 0.5) == (other_road >= 0.5)).to(road)
         own = {"network": 0.0, "teacher": 1.0}.get(rounds.combine, 0.5)
         layout, road = torch.lerp(other, layout, own), torch.lerp(other_road, road, own)
-    said = torch.zeros_like(ego) if network is None else (network[:, EGO:] >= CERTAIN).to(ego)
-    ego = torch.where((ego - 0.5).abs() < KNOWN, said, ego)
+    guess = torch.zeros_like(ego) if network is None else (network[:, EGO:] >= CERTAIN).to(ego)
+    ego = torch.where((ego - 0.5).abs() < KNOWN, guess, ego)
     best = layout.topk(2, dim=1).values
     sure = (best[:, :1] - best[:, 1:] >= settings.margin).to(road)
     sure_road = ((2 * road - 1).abs() >= settings.road_margin).to(road)
@@ -120,8 +122,8 @@ def prepare_picture(
     Raises ConfigError for a teacher without a layout.
     """
     size = (training.network.height, training.network.width)
-    seen = image if ego is None else continued(image, ego)
-    maps = teacher_maps(seen, teachers, training.teacher.views)
+    street = image if ego is None else continued(image, ego)
+    maps = teacher_maps(street, teachers, training.teacher.views)
     return shrunk(image, maps, torch.full(size, 0.5) if ego is None else ego.float(), size)
 
 
@@ -166,32 +168,34 @@ def teacher_maps(image: Tensor, teachers: Sequence[Detector], views: str = "one"
     """
     maps = []
     for mirrored in (False,) if views == "one" else (False, True):
-        seen = image.flip(-1) if mirrored else image
+        view = image.flip(-1) if mirrored else image
         for teacher in teachers:
-            detection = teacher.detect(seen)
+            detection = teacher.detect(view)
             if "layout" not in detection.cues:
-                what = f"{teacher.name} has no layout among its cues"
-                raise ConfigError("teacher.detector", what, "use fusion or labeller")
-            one = torch.cat([detection.cues["layout"], detection.likelihood[None]])
-            maps.append(one.flip(-1) if mirrored else one)
+                message = f"{teacher.name} has no layout among its cues"
+                raise ConfigError("teacher.detector", message, "use fusion or labeller")
+            planes = torch.cat([detection.cues["layout"], detection.likelihood[None]])
+            maps.append(planes.flip(-1) if mirrored else planes)
     return torch.stack(maps).mean(0)
 
 
 def label_with_network(
-    files: Sequence[Path], folder: Path, network: WholePictureNetwork, processes: Processes
+    files: Sequence[Path], folder: Path, network: WholePictureNetwork, stop: Stop, quiet: bool
 ) -> list[Path]:
     """What a network says of prepared pictures, the mean with their mirror images, on disk.
 
-    One file a picture, in the order of ``files``; those that exist are kept. Stops early
-    when asked to.
+    One file a picture, in the order of ``files``; those of the same picture and network are kept.
+    Stops early when asked to.
     """
+    weights = key_of([value.numpy().tobytes() for value in network.state_dict().values()])
     names = [folder / f"{number:06d}.npz" for number in range(len(files))]
-    make_folder(folder)
-    for file, name in processes.each(list(zip(files, names, strict=True)), "labels again"):
-        if not name.exists():
+    pairs = list(zip(files, names, strict=True))
+    bar = Progress(pairs, desc="labels again", unit="image", quiet=quiet)
+    for file, name in until_asked(bar, stop):
+        key = key_of(weights, file)
+        if kept(name, key) is None:
             image = from_bytes(read_arrays(file, "image")["image"])
-            write_arrays(name, {"maps": to_bytes(network_maps(network, image))})
-    processes.gather(None)  # nobody reads before all have written
+            keep(name, key, {"maps": to_bytes(network_maps(network, image))})
     return names
 
 
@@ -219,9 +223,9 @@ def teacher_agreement(
         arrays = read_arrays(file, "image", "maps", "ego")
         image, maps, ego = (from_bytes(arrays[name]) for name in ("image", "maps", "ego"))
         targets = targets_of(maps[None], ego[None, None], None, training.teacher, training.rounds)
-        said = network_maps(network, image)[None]
-        layout = said[:, :CLASSES].argmax(1) == targets.layout.argmax(1)
-        road = (said[:, ROAD] >= 0.5) == (targets.road[:, 0] >= 0.5)
+        potentials = network_maps(network, image)[None]
+        layout = potentials[:, :CLASSES].argmax(1) == targets.layout.argmax(1)
+        road = (potentials[:, ROAD] >= 0.5) == (targets.road[:, 0] >= 0.5)
         where = torch.stack([targets.layout_weight[:, 0], targets.road_weight[:, 0]]) > 0
         same += (torch.stack([layout, road]) & where).flatten(1).sum(1)
         known += where.flatten(1).sum(1)

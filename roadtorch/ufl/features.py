@@ -99,9 +99,9 @@ def assign(patches: Tensor, dictionary: Tensor) -> Tensor:
     products = patches.new_empty(min(BLOCK, len(patches)), len(dictionary))  # the same for all
     blocks = []
     for block in patches.split(BLOCK):
-        seen = torch.mm(block, dictionary.T, out=products[: len(block)])
-        seen.add_(half)  # addmm would first write half everywhere
-        blocks.append(torch.from_numpy(seen.cpu().numpy().argmax(1)))  # seven times as fast
+        likeness = torch.mm(block, dictionary.T, out=products[: len(block)])
+        likeness.add_(half)  # addmm would first write half everywhere
+        blocks.append(torch.from_numpy(likeness.cpu().numpy().argmax(1)))  # seven times as fast
     return torch.cat(blocks).to(patches.device)
 
 

@@ -19,9 +19,6 @@ from roadtorch.settings import Settings
 TopLevel = Literal["included", "left_out"]
 Nodes = Literal["runs", "regions"]
 
-NODES = "what a node is: a region and all that follow until it splits (P1), or a single region"
-MIN_SIZE = "minPts, pixels of the map that a region needs"
-
 
 class RegionTreeSettings(Settings):
     """Thresholds and the least size of a region."""
@@ -30,8 +27,14 @@ class RegionTreeSettings(Settings):
     top: TopLevel = Field(
         default="included", description="the threshold 1, which only closes nodes (program)"
     )
-    least: int = Field(default=50, ge=1, le=10**6, description=MIN_SIZE)
-    nodes: Nodes = Field(default="runs", description=NODES)
+    least: int = Field(
+        default=50, ge=1, le=10**6, description="minPts, pixels of the map that a region needs"
+    )
+    nodes: Nodes = Field(
+        default="runs",
+        description="what a node is: a region and all that follow until it splits (P1), or a "
+        "single region",
+    )
 
 
 @dataclass(frozen=True)

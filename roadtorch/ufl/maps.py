@@ -130,9 +130,6 @@ def mean_map(maps: Tensor, scale: Literal["maximum", "none"]) -> Tensor:
     return mean / top if top > 0 else mean
 
 
-# --- all that is learned from one picture ------------------------------------------------
-
-
 @dataclass(frozen=True)
 class LearnedFeatures:
     """What is learned from one picture, before any road is looked for.

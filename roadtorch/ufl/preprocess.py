@@ -1,8 +1,6 @@
 """What is done to a picture before its features are learned (P1, section II.A)."""
 
 import math
-from collections.abc import Mapping
-from typing import ClassVar
 
 import torch
 from pydantic import Field
@@ -16,10 +14,6 @@ GREY_WEIGHTS = (0.298936021, 0.587043074, 0.114020904)
 
 MIN_BRIGHTNESS = 1e-6
 """The least brightness, of 1: where it is 0, eq. 2 has no value. Below what 8 bits can tell."""
-
-SIGMA = "blur of the picture, pixels; 2.5 for KITTI road"
-
-TARGET = "brightness after equalisation; 1 in the text"
 
 STRETCH = 255
 """Levels of the 8-bit pictures that the authors' program reads."""
@@ -44,9 +38,9 @@ class WorkingShape(Settings):
 class Smoothing(Settings):
     """Blurring and brightness equalisation (eqs. 1 and 2)."""
 
-    renamed: ClassVar[Mapping[str, str]] = {"reach": "window"}
-
-    sigma: float = Field(default=1.5, gt=0, le=50, description=SIGMA)
+    sigma: float = Field(
+        default=1.5, gt=0, le=50, description="blur of the picture, pixels; 2.5 for KITTI road"
+    )
     window: float = Field(
         default=2.0,
         ge=0,
@@ -57,7 +51,9 @@ class Smoothing(Settings):
         default=0.5, gt=0, le=50, description="blur of the brightness map, pixels"
     )
     light_reach: int = Field(default=2, ge=0, le=50, description="its window on each side, pixels")
-    target: float = Field(default=0.5, gt=0, le=10, description=TARGET)
+    target: float = Field(
+        default=0.5, gt=0, le=10, description="brightness after equalisation; 1 in the text"
+    )
 
     @property
     def reach(self) -> int:

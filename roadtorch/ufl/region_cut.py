@@ -14,6 +14,7 @@ from torch import Tensor
 
 from roadtorch.road.texture import similarity
 from roadtorch.settings import Settings
+from roadtorch.superpixels.segments import segment_histogram
 
 CAPACITY = 1000
 """Steps of a capacity for each pixel: the maximum flow is one of whole numbers."""
@@ -40,9 +41,6 @@ class CutSettings(Settings):
         le=1000,
         description="cost of parting two regions that are alike, for each pixel of their border",
     )
-
-
-# --- clusters ---------------------------------------------------------------------------
 
 
 def density_peaks(points: Tensor, clusters: int, neighbours: float) -> Tensor:
@@ -76,25 +74,12 @@ def cluster_pixels(features: Tensor, settings: PeakSettings) -> Tensor:
     return torch.cdist(pixels, peaks).argmin(1).view(features.shape[1:])
 
 
-# --- regions and their cut --------------------------------------------------------------
-
-
 def connected_regions(clusters: Tensor) -> Tensor:
     """The 4-connected pieces of clusters int64 (H,W): int64 (H,W), numbered from 0."""
     from skimage.measure import label  # late: slow to import
 
     pieces = np.asarray(label(clusters.cpu().numpy(), background=-1, connectivity=1), np.int64)
     return torch.from_numpy(pieces) - 1
-
-
-def bags_of_words(regions: Tensor, words: Tensor, count: int) -> Tensor:
-    """How often each of ``count`` words occurs in each region, float32 (n,count).
-
-    regions, words: int64 (H,W).
-    """
-    number = int(regions.max()) + 1
-    flat = (regions * count + words).reshape(-1)
-    return torch.bincount(flat, minlength=number * count).view(number, count).float()
 
 
 def shared_borders(regions: Tensor) -> tuple[Tensor, Tensor]:
@@ -116,7 +101,7 @@ def cut_road(
     likeness to the top row to call it road; to part two neighbours their border times their
     likeness.
     """
-    bags = bags_of_words(regions, words, count)
+    bags = segment_histogram(words, regions, int(regions.max()) + 1, count)
     top = torch.zeros_like(seed)
     top[0] = True
     like_road, like_rest = (
@@ -138,9 +123,9 @@ def source_side(source: Tensor, sink: Tensor, pairs: Tensor, between: Tensor) ->
 
     count = len(source)
     nodes = np.arange(count)
-    one, two = pairs.numpy().T
-    rows = np.concatenate([np.full(count, count), nodes, one, two])
-    columns = np.concatenate([nodes, np.full(count, count + 1), two, one])
+    here, there = pairs.numpy().T
+    rows = np.concatenate([np.full(count, count), nodes, here, there])
+    columns = np.concatenate([nodes, np.full(count, count + 1), there, here])
     capacity = torch.cat([source, sink, between, between]).mul(CAPACITY).round().int().numpy()
     graph = coo_array((capacity, (rows, columns)), (count + 2, count + 2)).tocsr()
     rest = graph - maximum_flow(graph, count, count + 1).flow

@@ -23,14 +23,6 @@ from roadtorch.ufl.hierarchy import (
 from roadtorch.ufl.maps import FeatureMaps
 
 Centring = Literal["road", "none", "basis"]
-Place = Literal["symmetric", "from_one", "ahead"]
-
-WEIGHT = "lambda, the error's weight against place (eq. 6)"
-PLACE = (
-    "eq. 6: rows and columns about the middle (program), or less H/2 from 1 (text), "
-    "or how far inside a triangle ahead"
-)
-DILATION = "pixels by which the road is widened at the end"
 
 SHARPNESS = 2.0
 """How fast the likelihood rises with the stability of a pixel, around 0."""
@@ -45,9 +37,15 @@ MIN_WIDTH = 0.03
 class StabilitySettings(Settings):
     """Stability of regions, and how often the road is learned anew."""
 
-    weight: float = Field(default=2.0, ge=0, le=1000, description=WEIGHT)
+    weight: float = Field(
+        default=2.0, ge=0, le=1000, description="lambda, the error's weight against place (eq. 6)"
+    )
     rounds: int = Field(default=2, ge=1, le=100, description="iterations; the first has no error")
-    place: Place = Field(default="symmetric", description=PLACE)
+    place: Literal["symmetric", "from_one", "ahead"] = Field(
+        default="symmetric",
+        description="eq. 6: rows and columns about the middle (program), or less H/2 from 1 "
+        "(text), or how far inside a triangle ahead",
+    )
     apex: float = Field(
         default=TRIANGLE_APEX,
         ge=0,
@@ -78,7 +76,9 @@ class StabilitySettings(Settings):
     whole: Literal["if_undivided", "never"] = Field(
         default="if_undivided", description="when the whole map may be road (program, text)"
     )
-    dilation: int = Field(default=3, ge=0, le=50, description=DILATION)
+    dilation: int = Field(
+        default=3, ge=0, le=50, description="pixels by which the road is widened at the end"
+    )
 
 
 def place_weights(rows: int, columns: int, kind: Literal["symmetric", "from_one"]) -> Tensor:
@@ -88,8 +88,8 @@ def place_weights(rows: int, columns: int, kind: Literal["symmetric", "from_one"
     """
     row = torch.arange(1, rows + 1, dtype=torch.float64)
     column = torch.arange(1, columns + 1, dtype=torch.float64)
-    one = 1 if kind == "symmetric" else 0
-    half, middle = (rows + one) / 2, (columns + one) / 2
+    shift = 1 if kind == "symmetric" else 0
+    half, middle = (rows + shift) / 2, (columns + shift) / 2
     return ((row - half) / half)[:, None] + 1 - (column - middle).abs() / half
 
 
@@ -179,19 +179,17 @@ def find_road(
         place = place_weights(rows, columns, settings.place)
     covered = mean_map != 0 if settings.error_range == "covered" else torch.ones_like(mean_map) > 0
     error = torch.zeros_like(mean_map)
-    rounds = [_round(tree, place, error, settings)]
-    while len(rounds) < settings.rounds and rounds[-1].model is not None:
-        model = node_area(tree, rounds[-1].model).to(maps.device)
-        error = reconstruction_error(maps, model, settings.centring, settings.kept)
-        rounds.append(_round(tree, place, normalised_error(error, covered), settings))
-    return rounds
-
-
-def _round(tree: Tree, place: Tensor, error: Tensor, settings: StabilitySettings) -> Round:
-    pixels = place - settings.weight * error.cpu().double()
-    choice = select_nodes(tree, node_stability(tree, pixels), settings.whole)
-    road = selected_area(tree, choice.selected)
-    return Round(choice, pixels, error, road, model_node(choice, settings.model))
+    rounds: list[Round] = []
+    while True:
+        pixels = place - settings.weight * error.cpu().double()
+        choice = select_nodes(tree, node_stability(tree, pixels), settings.whole)
+        road, model = selected_area(tree, choice.selected), model_node(choice, settings.model)
+        rounds.append(Round(choice, pixels, error, road, model))
+        if model is None or len(rounds) == settings.rounds:
+            return rounds
+        learned = node_area(tree, model).to(maps.device)
+        error = reconstruction_error(maps, learned, settings.centring, settings.kept)
+        error = normalised_error(error, covered)
 
 
 def model_node(choice: NodeChoice, kind: Literal["selected", "best"]) -> int | None:

@@ -19,7 +19,7 @@ from roadtorch.imaging.color import PLANES
 from roadtorch.io.atomic import atomic, csv_text, write_text
 from roadtorch.oneclass.axes import circular_mean, unrolled
 from roadtorch.report.svg import STYLE
-from roadtorch.report.table import align
+from roadtorch.report.table import aligned
 
 DOTS = 100  # per inch
 COLOURS = 128  # of a chart's file: lines and their soft edges need no more
@@ -54,7 +54,7 @@ def chart(path: Path, width: float, height: float, dots: int = DOTS) -> Iterator
 def tell(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, object]]) -> None:
     """Print a table and write it as CSV, numbers with three decimals."""
     cells = [{key: _cell(value) for key, value in row.items()} for row in rows]
-    print(align([columns, *([row.get(name, "") for name in columns] for row in cells)]))
+    print(aligned([columns, *([row.get(name, "") for name in columns] for row in cells)]))
     write_text(path, csv_text(columns, cells))
 
 

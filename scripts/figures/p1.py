@@ -5,7 +5,6 @@ here: Table I is its protocol on CamVid, IDD and KITTI road, of which few pictur
 that a command ends within minutes.
 """
 
-import csv
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -17,15 +16,21 @@ from roadtorch.data.dataset import Truth, every_kth
 from roadtorch.data.kitti import birds_eye
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation.evaluate import Evaluation, evaluate
+from roadtorch.evaluation.measures import SCORES
 from roadtorch.evaluation.metrics import Decisions, count_mask, f_measure, precision, recall
 from roadtorch.runtime.progress import Progress, watched
 from roadtorch.ufl.preprocess import WorkingShape, bicubic
+from scripts.figures.chart import tell
 
 SETS = {"camvid": ("camvid", 18), "idd-lite": ("idd_lite", 10), "kitti-road": ("kitti_road", 5)}
 """By name of the set: its folder in the data, and how many of its pictures are taken."""
 
 TABLE = ("vanishing-point", "kmeans-road", "ufl:original", "ufl", "prior:triangle")
 """The three of Table I in its order, our best reading, and a blind baseline."""
+
+COLUMNS = ("set", "pictures", "method", "P", "R", "F")
+
+TABLE2 = tuple(measure for measure in SCORES if measure.key in ("maxf", "ap"))
 
 BENCHMARK = ("ufl:kitti", "ufl:original", "ufl", "kmeans-road", "vanishing-point")
 
@@ -59,15 +64,16 @@ def pooled(
 
 def table1(data: Path, out: Path) -> None:
     """P, R and F at P1's size, pooled (eq. 11), of P1, the two methods beside it and a baseline."""
-    rows: list[Sequence[str | int]] = [("set", "pictures", "method", "P", "R", "F")]
+    rows = []
     for set_name, (folder, count) in SETS.items():
         dataset = every_kth(open_dataset(set_name, data / folder), count)
         pictures = [small(*dataset.read(item)) for item in dataset.items]
         for name, counts in pooled(pictures, TABLE).items():
             figures = (precision(counts), recall(counts), f_measure(counts))
             percent = [f"{100 * float(figure):.2f}" for figure in figures]
-            rows.append((dataset.name, len(pictures), name, *percent))
-    show(rows, out / "p1-table1.csv")
+            cells = (dataset.name, len(pictures), name, *percent)
+            rows.append(dict(zip(COLUMNS, cells, strict=True)))
+    tell(out / "p1-table1.csv", COLUMNS, rows)
 
 
 def table2(data: Path, out: Path) -> None:
@@ -77,24 +83,15 @@ def table2(data: Path, out: Path) -> None:
     )
     for failure in evaluation.failures:
         print(f"left out: {failure.image}: {failure.reason}")
-    show(list(benchmark_rows(evaluation)), out / "p1-table2.csv")
+    rows = list(benchmark_rows(evaluation))
+    tell(out / "p1-table2.csv", list(rows[0]), rows)
 
 
-def benchmark_rows(evaluation: Evaluation) -> Iterator[Sequence[str]]:
+def benchmark_rows(evaluation: Evaluation) -> Iterator[Mapping[str, str]]:
     """The columns of Table II: MaxF and AP of each category, and of all pictures pooled."""
-    groups = evaluation.groups
-    head = [f"{group} {name}" for group in (*groups, "total") for name in ("MaxF", "AP")]
-    yield ("method", *head)
     for name in evaluation.ranked():
-        figures = evaluation.detectors[name]
-        parts = [*(figures.group(group) for group in groups), figures.pooled]
-        yield (name, *(f"{100 * float(part[key]):.2f}" for part in parts for key in ("maxf", "ap")))
-
-
-def show(rows: Sequence[Sequence[str | int]], path: Path) -> None:
-    """Print a table and write it as CSV."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows(rows)
-    for row in rows:
-        print("  ".join(f"{cell!s:16}" for cell in row).rstrip())
-    print(path)
+        figures, row = evaluation.detectors[name], {"method": name}
+        for group, part in (*sorted(figures.groups.items()), ("total", figures.pooled)):
+            for measure in TABLE2:
+                row[f"{group} {measure.name}"] = f"{100 * measure.of(part):.2f}"
+        yield row

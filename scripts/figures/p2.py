@@ -1,46 +1,30 @@
 """P2, Figs. 4b and 4c (layout of CNN-7 and of its teacher), 6a and 6b (road)."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import reduce
-from operator import add
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from statistics import fmean
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import Dataset, Item, every_kth
-from roadtorch.detector import Detection
-from roadtorch.detectors.catalogue import load_detector
+from roadtorch.data.dataset import Dataset, every_kth
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.curves import Curve, area, roc
-from roadtorch.evaluation.methods import Look
-from roadtorch.evaluation.metrics import Decisions, RoadCounts
-from roadtorch.evaluation.scoring import score_item
+from roadtorch.evaluation.evaluate import evaluated
+from roadtorch.evaluation.methods import named_detector
+from roadtorch.evaluation.metrics import auc
+from roadtorch.evaluation.tally import Part, Tally, of_groups
 from roadtorch.io.atomic import atomic
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
-from roadtorch.runtime.progress import Progress
+from roadtorch.runtime.progress import watched
 from scripts.figures.chart import tell
 
 EVERY = 16
 """Figures look at every so-manieth picture."""
-
-
-class Counts(NamedTuple):
-    """What one detector found on some pictures, their pixels added up.
-
-    layout: the confusion int64 (4,4), None for a detector without one.
-    """
-
-    road: RoadCounts
-    mask: Decisions
-    layout: Tensor | None
-
-
-Found = Mapping[str, Mapping[str, Counts]]
-"""By detector and drive."""
 
 
 def streets(data: Path, every: int = EVERY) -> Dataset:
@@ -53,50 +37,26 @@ def streets(data: Path, every: int = EVERY) -> Dataset:
     return chosen
 
 
-def look_of(name: str, settings: Mapping[str, Any] | None = None) -> Look:
-    """How a detector with some settings looks at an item."""
-    detector = load_detector(name, **(settings or {}))
+def scored(
+    dataset: Dataset, detectors: Mapping[str, tuple[str, Mapping[str, Any]]]
+) -> Mapping[str, Tally]:
+    """What is counted of detectors; by title, their names and settings.
 
-    def look(image: torch.Tensor, item: Item) -> Detection:
-        return detector.detect(image)
-
-    return look
-
-
-def found_on(dataset: Dataset, looks: Mapping[str, Look]) -> Found:
-    """What every detector finds, by drive. RuntimeError for a picture that fails."""
-    found: dict[str, dict[str, Counts]] = {name: {} for name in looks}
-    for item in Progress(dataset.items, unit="image"):
-        scored = score_item(dataset, looks, item)
-        if scored.failure:
-            raise RuntimeError(f"{item.name}: {scored.failure}")
-        for name, score in scored.scores.items():
-            own, drive = Counts(score.road, score.mask, score.layout), item.group or dataset.name
-            drives = found[name]
-            drives[drive] = together([drives[drive], own]) if drive in drives else own
-    return found
+    RuntimeError for a picture that fails.
+    """
+    entries = [
+        replace(named_detector(name, settings), name=title)
+        for title, (name, settings) in detectors.items()
+    ]
+    run = evaluated(dataset, entries, measures=(), watch=watched)
+    for failure in run.failures:
+        raise RuntimeError(f"{failure.image}: {failure.reason}")
+    return run.tallies
 
 
-def together(parts: Iterable[Counts]) -> Counts:
-    """The pixels of all parts: what P2 pools over a whole set."""
-    roads, masks, layouts = zip(*parts, strict=True)
-    known = None if any(one is None for one in layouts) else reduce(add, layouts)
-    return Counts(reduce(add, roads), reduce(add, masks), known)
-
-
-def pooled(drives: Mapping[str, Counts]) -> Counts:
-    """The pixels of all drives together."""
-    return together(drives.values())
-
-
-def mean_over_drives(drives: Mapping[str, Counts], figure: Callable[[Counts], Tensor]) -> float:
-    """The mean of a figure over drives."""
-    return float(torch.stack([figure(counts) for counts in drives.values()]).mean())
-
-
-def auc(counts: Counts) -> Tensor:
-    """Area under the ROC curve."""
-    return metrics.auc(counts.road)
+def pooled(tally: Tally) -> Part:
+    """The pixels of all drives together, as P2 has them."""
+    return of_groups(tally, dict.fromkeys(tally.road, 0.5))
 
 
 # --- layout ------------------------------------------------------------------------------
@@ -124,7 +84,7 @@ def confusion_of_labeller(data: Path, out: Path) -> None:
 
 
 def _confusion(figure: str, name: str, dataset: Dataset, out: Path) -> None:
-    counts = pooled(found_on(dataset, {name: look_of(name)})[name]).layout
+    counts = pooled(scored(dataset, {name: (name, {})})[name]).layout
     assert counts is not None
     readings = {"void ignored": counts, "void vertical": metrics.void_as_vertical(counts)}
     shares = {text: printed_shares(each) for text, each in readings.items()}
@@ -192,28 +152,27 @@ printed in the figure alone.)"""
 
 def roc_curves(data: Path, out: Path) -> None:
     """Fig. 6a: ROC curves and their areas, of texture, layout and their product."""
-    looks = {text: look_of(name, settings) for text, (name, settings) in LINES.items()}
-    found = found_on(streets(data), looks)
-    rows = area_rows(found)
+    tallies = scored(streets(data), LINES)
+    rows = area_rows(tallies)
     tell(out / "p2-fig6a.csv", list(rows[0]), rows)
-    draw_roc(
-        {text: roc(pooled(drives).road) for text, drives in found.items()}, out / "p2-fig6a.png"
-    )
+    lines = {title: roc(pooled(tally).road) for title, tally in tallies.items()}
+    draw_roc(lines, out / "p2-fig6a.png")
 
 
-def area_rows(found: Found) -> list[dict[str, str]]:
+def area_rows(tallies: Mapping[str, Tally]) -> list[dict[str, str]]:
     """AUC pooled and by drives, and the gain over the baseline, of each line."""
-    base = float(auc(pooled(found[BASELINE])))
+    base = float(auc(pooled(tallies[BASELINE]).road))
     rows = []
-    for text, drives in found.items():
-        value = float(auc(pooled(drives)))
+    for title, tally in tallies.items():
+        value = float(auc(pooled(tally).road))
+        mean = fmean(float(auc(drive)) for drive in tally.road.values())
         rows.append(
             {
-                "method": text,
+                "method": title,
                 "AUC, pooled": f"{value:.3f}",
-                "mean of drives": f"{mean_over_drives(drives, auc):.3f}",
+                "mean of drives": f"{mean:.3f}",
                 "over the baseline": f"{100 * (value / base - 1):+.0f} %",
-                "P2's gain": GAINS.get(text, ""),
+                "P2's gain": GAINS.get(title, ""),
             }
         )
     return rows
@@ -241,15 +200,14 @@ ACCURACY = ("fusion:paper", "fusion:untrained", "fusion", "prior:rows")
 
 def road_accuracy(data: Path, out: Path) -> None:
     """Fig. 6b: road accuracy, the share of road that is found; what it costs stands beside."""
-    found = found_on(streets(data), {name: look_of(name) for name in ACCURACY})
     rows = []
-    for name, drives in found.items():
-        own = {"detector": name, "threshold": f"{load_detector(name).settings.threshold:g}"}
-        rows.append(own | accuracy_row(pooled(drives)))
+    for name, tally in scored(streets(data), {name: (name, {}) for name in ACCURACY}).items():
+        own = {"detector": name, "threshold": f"{named_detector(name, {}).threshold:g}"}
+        rows.append(own | accuracy_row(pooled(tally)))
     tell(out / "p2-fig6b.csv", list(rows[0]), rows)
 
 
-def accuracy_row(counts: Counts) -> dict[str, str]:
+def accuracy_row(counts: Part) -> dict[str, str]:
     """Recall, FPR, precision and F of the detector's own masks; the FPR at a recall of 0.95."""
     figures = {
         "road accuracy (recall)": metrics.recall,

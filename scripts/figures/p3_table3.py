@@ -1,34 +1,46 @@
 """P3, Table III and Figs. 8 and 9: areas under ROC curves and the curves, cell by cell.
 
-`roadtorch evaluate --detector 'oneclass:*:*'` makes them of whole sets, with intervals. Here every
-k-th picture of CamVid is enough to see the figures in minutes.
+A cell is the mean AUC of single pictures in percent, and of that the mean over CamVid's drives; P3
+does not say which average it took. Every k-th picture is enough to see the figures in minutes:
+`roadtorch evaluate --detector 'oneclass:*:*'` has the cells of whole sets (`auc_mean`).
 """
 
+import csv
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
-from statistics import fmean
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy.stats import spearmanr
 
-from roadtorch.data.dataset import Dataset, every_kth
-from roadtorch.detector import Detector
-from roadtorch.detectors.catalogue import list_detectors, load_detector
-from roadtorch.evaluation.curves import vertical_average, vertical_sample
-from roadtorch.evaluation.metrics import auc, count_levels
-from roadtorch.io.atomic import csv_text, write_text
+from roadtorch.data.dataset import every_kth
+from roadtorch.detectors.catalogue import list_detectors
+from roadtorch.evaluation.curves import vertical_average
+from roadtorch.evaluation.evaluate import evaluate
+from roadtorch.evaluation.measures import AUC_MEAN
+from roadtorch.evaluation.result import Evaluation
+from roadtorch.evaluation.tally import mean_rates
+from roadtorch.imaging.color import REPRESENTATIONS
 from roadtorch.oneclass import CLASSIFIERS
-from roadtorch.report.roc_families import KEY, ROW, draw_families
-from roadtorch.report.svg import WIDTH
-from roadtorch.report.table3 import FAMILY, HALVES, Percents, printed_table, table_lines
-from roadtorch.runtime.image_cache import image_cache
-from roadtorch.runtime.progress import Progress
-from scripts.figures.chart import chart, open_sets
+from roadtorch.report.svg import COLOURS, DASHES, GRID, INK, WIDTH, Series
+from roadtorch.runtime.progress import watched
+from scripts.figures.chart import chart, open_sets, tell
 
 PICTURES = 24
 DOTS = 80  # per inch: the file stays small
+ROW, KEY = 190, 60  # points, of the panels of one classifier and of the names of the lines
+PRINTED = Path(__file__).resolve().parents[2] / "docs" / "research" / "oneclass_table3.csv"
+SINGLE = tuple(name for name, planes in REPRESENTATIONS.items() if len(planes) == 1)
+HALVES = {
+    "single planes": SINGLE,
+    "combinations": tuple(name for name in REPRESENTATIONS if name not in SINGLE),
+}
+"""Of the table and of the figures: by title, the representations."""
+
 HISTOGRAMS = tuple(name for name in CLASSIFIERS if name.startswith("hist"))
 REPRESENTATIVE = {
     "a": ("nn", "gaussian", "robust_gaussian", "mog2"),
@@ -36,101 +48,109 @@ REPRESENTATIVE = {
 }
 """Of the other thirteen, by picture; P3, too, shows representative ones, and names none."""
 
-
-class Cell(NamedTuple):
-    """Of one detector on the pictures of one drive: AUC (n,) and TPR at equal FPR (n,steps+1)."""
-
-    areas: Tensor
-    rates: Tensor
+Key = tuple[str, str]
+"""Classifier, with ":paper" where it is P3's to the letter, and representation."""
 
 
-Drives = Mapping[str, Cell]
-"""By drive."""
-
-
-def measured(dataset: Dataset, detectors: Mapping[str, Detector]) -> dict[str, Drives]:
-    """AUC and ROC curves by detector and drive, of the pictures that have road and background."""
-    seen: dict[str, dict[str, list[tuple[Tensor, Tensor]]]] = {name: {} for name in detectors}
-    for item in Progress(dataset.items, unit="image"):
-        image, truth = dataset.read(item)
-        if not (truth.road & truth.valid).any() or not (~truth.road & truth.valid).any():
-            continue
-        with image_cache():
-            for name, detector in detectors.items():
-                likelihood = detector.detect(image).likelihood
-                counts = count_levels(likelihood, truth.road, truth.valid)
-                found = auc(counts), vertical_sample(counts)
-                seen[name].setdefault(item.group or dataset.name, []).append(found)
-    return {
-        name: {
-            drive: Cell(*(torch.stack(part) for part in zip(*found, strict=True)))
-            for drive, found in drives.items()
+def printed_table() -> Mapping[Key, float]:
+    """P3's own values, 307 of them: Table III of arXiv 1412.3506, both halves side by side."""
+    with PRINTED.open(encoding="utf-8", newline="") as file:
+        return {
+            (row["classifier"], row["representation"]): float(row["p3"])
+            for row in csv.DictReader(file)
+            if row["classifier"] in CLASSIFIERS and row["p3"]
         }
-        for name, drives in seen.items()
-    }
 
 
-def percents(cells: Mapping[str, Drives]) -> Percents:
-    """Mean AUC of a drive's pictures, of that the mean over drives, in percent."""
-    found = {}
-    for name, drives in cells.items():
-        _, classifier, planes, *_ = name.split(":")
-        found[classifier, planes] = 100 * fmean(float(one.areas.mean()) for one in drives.values())
-    return found
+def scored(data: Path, patterns: Sequence[str]) -> Evaluation:
+    """The AUC of detectors on some pictures of CamVid."""
+    (camvid,) = open_sets(data, "camvid")
+    few = every_kth(camvid, PICTURES)
+    return evaluate(few, patterns, measures=(AUC_MEAN,), watch=watched)
 
 
-def mean_lines(cells: Mapping[str, Drives]) -> dict[tuple[str, str], np.ndarray]:
+def cells(evaluation: Evaluation) -> Mapping[Key, str]:
+    """The one-class detectors of a run by classifier and representation."""
+    names = [name.split(":") for name in evaluation.detectors if name.startswith("oneclass:")]
+    return {(":".join([kind, *paper]), planes): ":".join([family, kind, planes, *paper])
+            for family, kind, planes, *paper in names}  # fmt: skip
+
+
+def percents(evaluation: Evaluation) -> Mapping[Key, float]:
+    """AUC in percent."""
+    figures = evaluation.headlines
+    return {key: 100 * AUC_MEAN.of(figures[name]) for key, name in cells(evaluation).items()}
+
+
+def mean_lines(evaluation: Evaluation) -> Mapping[Key, np.ndarray]:
     """P3's average ROC curve, mean over drives: FPR and TPR (2,points) of each cell."""
-    found = {}
-    for name, drives in cells.items():
-        _, classifier, planes, *_ = name.split(":")
-        rates = torch.stack([one.rates.mean(0) for one in drives.values()]).mean(0)
-        line = vertical_average(rates)
-        found[classifier, planes] = torch.stack([line.x, line.y]).numpy()
-    return found
+    lines = {}
+    for key, name in cells(evaluation).items():
+        groups = evaluation.detectors[name].counting
+        rates = [mean_rates(evaluation.tallies[name], [group]) for group in groups]
+        known = torch.stack([rate for rate in rates if rate is not None])
+        line = vertical_average(known.mean(0))
+        lines[key] = torch.stack([line.x, line.y]).numpy()
+    return lines
 
 
-def cells_of(dataset: Dataset, classifiers: Sequence[str]) -> dict[str, Drives]:
-    """All cells of the classifiers."""
-    names = [name for one in classifiers for name in list_detectors(f"{FAMILY}{one}:*")]
-    return measured(dataset, {name: load_detector(name) for name in names})
-
-
-def rows_csv(tables: Mapping[str, Percents]) -> str:
-    """One row a cell, beside P3's value: classifier, representation, auc, paper."""
+def table_rows(ours: Mapping[Key, float]) -> list[Mapping[str, object]]:
+    """One row a cell, beside P3's value."""
     paper = printed_table()
-    rows = (
+    return [
         {
-            "classifier": key[0] + name,
-            "representation": key[1],
+            "classifier": name,
+            "representation": planes,
             "auc": f"{value:.2f}",
-            "paper": paper.get(key, ""),
+            "paper": paper.get((name.removesuffix(":paper"), planes), ""),
         }
-        for name, table in tables.items()
-        for key, value in table.items()
-    )
-    return csv_text(("classifier", "representation", "auc", "paper"), rows)
+        for (name, planes), value in ours.items()
+    ]
 
 
-def print_table(table: Percents) -> None:
-    """Both halves of Table III, ours/P3's."""
-    for half, columns in HALVES.items():
-        print("\n".join([f"{half}: ours/P3, * best of the column",
-                         *table_lines(table, printed_table(), columns), ""]))  # fmt: skip
+def rank_correlation(ours: Mapping[Key, float], columns: Sequence[str]) -> float:
+    """Spearman's coefficient with P3's table, over the cells of some columns that both have."""
+    paper = printed_table()
+    both = [key for key in ours if key in paper and key[1] in columns]
+    ranked: Any = spearmanr([ours[key] for key in both], [paper[key] for key in both])
+    return float(ranked.statistic)
 
 
-# --- the figures ------------------------------------------------------------------------
+# --- the curves -------------------------------------------------------------------------
+
+
+def draw_families(
+    figure: Figure, lines: Mapping[Key, np.ndarray], classifiers: Sequence[str]
+) -> None:
+    """Draw a row of panels for each classifier and, below them, the names of the lines."""
+    panels = figure.subplots(len(classifiers), len(HALVES), sharex=True, sharey=True, squeeze=False)
+    for row, name in zip(panels, classifiers, strict=True):
+        for axes, (title, planes) in zip(row, HALVES.items(), strict=True):
+            _panel(axes, f"{name}, {title}", {one: lines.get((name, one)) for one in planes})
+    for axes in panels[-1]:
+        axes.set_xlabel("false positive rate")
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.28), ncols=4, fontsize=8,
+                    handlelength=2.2, columnspacing=1)  # fmt: skip
+
+
+def _panel(axes: Axes, title: str, lines: Mapping[str, np.ndarray | None]) -> None:
+    axes.set_title(title, fontsize=9, color=INK)
+    axes.plot([0, 1], [0, 1], color=GRID, linewidth=1)
+    for place, (planes, line) in enumerate(lines.items()):
+        dash = DASHES[place // len(COLOURS)]
+        series = Series(planes, COLOURS[place % len(COLOURS)], dash)
+        axes.plot(*([], []) if line is None else line, label=planes, **series.line(1.2))
+    axes.set(xlim=(0, 1), ylim=(0, 1))
+    axes.label_outer()
 
 
 def _families(data: Path, parts: Mapping[Path, Sequence[str]]) -> None:
-    """Print the cells of the classifiers, and draw the curves of each part to its file."""
-    (camvid,) = open_sets(data, "camvid")
-    cells = cells_of(every_kth(camvid, PICTURES), [one for part in parts.values() for one in part])
-    print_table(percents(cells))
-    lines = mean_lines(cells)
+    """Draw the curves of each part's classifiers to its file."""
+    run = scored(data, [f"oneclass:{name}:*" for name in chain.from_iterable(parts.values())])
+    lines = mean_lines(run)
     for path, classifiers in parts.items():
         with chart(path, WIDTH / 72, (KEY + ROW * len(classifiers)) / 72, DOTS) as figure:
-            draw_families(figure, lines, classifiers, HALVES)
+            draw_families(figure, lines, classifiers)
 
 
 def fig8(data: Path, out: Path) -> None:
@@ -145,12 +165,8 @@ def fig9(data: Path, out: Path) -> None:
 
 def table3(data: Path, out: Path) -> None:
     """P3, Table III: AUC of 17 classifiers in 19 representations, ours and P3's to the letter."""
-    (camvid,) = open_sets(data, "camvid")
-    few = every_kth(camvid, PICTURES)
-    ours = percents(cells_of(few, tuple(CLASSIFIERS)))
-    letter = list_detectors(f"{FAMILY}*:paper")
-    paper = percents(measured(few, {name: load_detector(name) for name in letter}))
-    print_table(ours)
-    print("To the letter, where above the defaults are ours:")
-    print_table(paper)
-    write_text(out / "p3-table3.csv", rows_csv({"": ours, ":paper": paper}))
+    ours = percents(scored(data, ["oneclass:*:*", *list_detectors("oneclass:*:paper")]))
+    columns = ("classifier", "representation", "auc", "paper")
+    tell(out / "p3-table3.csv", columns, table_rows(ours))
+    for half, planes in HALVES.items():
+        print(f"Spearman's rank correlation with P3, {half}: {rank_correlation(ours, planes):+.2f}")

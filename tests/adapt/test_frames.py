@@ -5,30 +5,38 @@ from pathlib import Path
 import pytest
 import torch
 
-from roadtorch.adapt.frames import keep_frames
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.adapt.frames import KeptFrames, keep_frames
+from roadtorch.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.io.image import read_image, write_jpeg
 from roadtorch.scenes.street import render_scene, write_picture
 from tests.videos import write_video
 
 
-@pytest.fixture
-def pictures(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("drive")
     for seed in range(10):
-        write_picture(tmp_path / f"drive/{seed:02d}.png", render_scene(seed, 32, 48))
-    return tmp_path / "drive"
+        write_picture(folder / f"{seed:02d}.png", render_scene(seed, 32, 48))
+    return folder
 
 
-def test_pictures_are_halved_in_their_order(pictures: Path, tmp_path: Path) -> None:
-    kept = keep_frames([str(pictures)], tmp_path / "kept", 100, quiet=True)
+def kept_of(footage: Path, folder: Path, most: int = 100) -> KeptFrames:
+    return keep_frames([str(footage)], folder / "kept", most, quiet=True)
+
+
+def test_pictures_are_halved_in_their_order_once(pictures: Path, tmp_path: Path) -> None:
+    kept = kept_of(pictures, tmp_path)
 
     assert kept.halves == (5, 5)
     assert not kept.moving
-    assert [one.name for one in kept.pictures("second")] == [
-        f"second_{n:06d}" for n in range(5, 10)
-    ]
+    names = [frame.name for frame in kept.pictures("second")]
+    assert names == [f"second_{number:06d}" for number in range(5, 10)]
     last, own = read_image(kept.pictures()[-1].path), read_image(pictures / "09.png")
     assert float((last - own).abs().mean()) < 0.02  # but for JPEG
+
+    times = [frame.path.stat().st_mtime_ns for frame in kept.pictures()]
+    assert kept_of(pictures, tmp_path) == kept
+    assert [frame.path.stat().st_mtime_ns for frame in kept.pictures()] == times
 
 
 def test_of_too_many_stretches_stay_evenly_spread(tmp_path: Path) -> None:
@@ -37,42 +45,30 @@ def test_of_too_many_stretches_stay_evenly_spread(tmp_path: Path) -> None:
     for number in range(60):
         write_jpeg(drive / f"{number:02d}.jpg", torch.full((3, 32, 48), number / 60))
 
-    kept = keep_frames([str(drive)], tmp_path / "kept", 20, quiet=True)
+    kept = kept_of(drive, tmp_path, 20)
 
-    numbers = [round(float(one.read().mean()) * 60) for one in kept.pictures()]
+    numbers = [round(float(frame.read().mean()) * 60) for frame in kept.pictures()]
     assert numbers == [first + step for first in (0, 10, 30, 40) for step in range(5)]
     assert len(list((tmp_path / "kept").glob("*.jpg"))) == kept.count
 
 
 def test_of_a_video_some_frames_a_second_are_kept(tmp_path: Path) -> None:
     video = write_video(tmp_path / "drive.mp4", [number / 10 for number in range(25)])
-
-    kept = keep_frames([str(video)], tmp_path / "kept", 100, quiet=True)
-
+    kept = kept_of(video, tmp_path)
     assert kept.moving
     assert kept.count == 7  # at 0, .4, .8 … 2.4 of its 2.5 seconds
 
 
-def test_a_picture_that_cannot_be_read_is_told_and_left_out(pictures: Path, tmp_path: Path) -> None:
-    (pictures / "05.png").write_bytes(b"no picture")
+def test_a_picture_that_cannot_be_read_is_told_and_left_out(tmp_path: Path) -> None:
+    for name in ("00.png", "02.png"):
+        write_picture(tmp_path / "drive" / name, render_scene(1, 32, 48))
+    (tmp_path / "drive/01.png").write_bytes(b"no picture")
 
-    kept = keep_frames([str(pictures)], tmp_path / "kept", 100, quiet=True)
+    kept = kept_of(tmp_path / "drive", tmp_path)
 
-    assert kept.count == 9
-    assert len(kept.skipped) == 1
-    assert "05.png" in kept.skipped[0]
-
-
-def test_what_was_kept_is_kept_and_other_footage_is_refused(pictures: Path, tmp_path: Path) -> None:
-    first = keep_frames([str(pictures)], tmp_path / "kept", 100, quiet=True)
-    times = [one.path.stat().st_mtime_ns for one in first.pictures()]
-
-    again = keep_frames([str(pictures)], tmp_path / "kept", 100, quiet=True)
-
-    assert again == first
-    assert [one.path.stat().st_mtime_ns for one in again.pictures()] == times
-    with pytest.raises(ConfigError, match="other footage"):
-        keep_frames([str(pictures)], tmp_path / "kept", 50, quiet=True)
+    assert kept.count == 2
+    (message,) = kept.skipped
+    assert "01.png" in message
 
 
 def test_frames_of_a_run_that_was_cut_short_are_kept_anew(
@@ -85,24 +81,25 @@ def test_frames_of_a_run_that_was_cut_short_are_kept_anew(
 
     monkeypatch.setattr("roadtorch.adapt.frames.write_jpeg", full)
     with pytest.raises(KeyboardInterrupt):
-        keep_frames([str(pictures)], tmp_path / "kept", 100, quiet=True)
+        kept_of(pictures, tmp_path)
     monkeypatch.undo()
 
-    kept = keep_frames([str(pictures)], tmp_path / "kept", 100, quiet=True)
-
-    assert kept.count == 10
+    assert kept_of(pictures, tmp_path).count == 10
     assert len(list((tmp_path / "kept").glob("*.jpg"))) == 10
 
 
-def test_pictures_that_stand_where_frames_would_go_are_left_alone(
+def test_other_footage_and_folders_with_other_files_are_refused(
     pictures: Path, tmp_path: Path
 ) -> None:
-    with pytest.raises(ConfigError, match="holds files that are not of a run"):
-        keep_frames([str(pictures)], pictures, 100, quiet=True)
-
-    assert len(list(pictures.iterdir())) == 10
-
-
-def test_one_frame_is_no_footage(pictures: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="has 1 frame"):
-        keep_frames([str(pictures / "00.png")], tmp_path / "kept", 100, quiet=True)
+    (tmp_path / "mine/kept").mkdir(parents=True)
+    (tmp_path / "mine/kept/01.jpg").touch()
+    kept_of(pictures, tmp_path)
+    refusals: list[tuple[Path, Path, int, type[RoadtorchError], str]] = [
+        (pictures, tmp_path, 50, ConfigError, "other footage"),
+        (pictures, tmp_path / "mine", 100, ConfigError, "holds files that are not of a run"),
+        (pictures / "00.png", tmp_path / "one", 100, InputError, "has 1 frame"),
+    ]
+    for footage, folder, most, error, message in refusals:
+        with pytest.raises(error, match=message):
+            kept_of(footage, folder, most)
+    assert (tmp_path / "mine/kept/01.jpg").exists()

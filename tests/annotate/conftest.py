@@ -1,12 +1,11 @@
 """A folder of small rendered streets, and a session over it with a detector that is quick."""
 
+import shutil
 from pathlib import Path
 
 import pytest
 
-from roadtorch.annotate.machine import AnnotationSettings
-from roadtorch.annotate.serving import opened_session
-from roadtorch.annotate.session import Session
+from roadtorch.annotate.session import Session, opened_session
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.scenes.street import write_picture
 from tests.streets import scene
@@ -19,13 +18,18 @@ def write_streets(folder: Path, count: int = 3) -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_streets(tmp_path_factory.mktemp("rendered"))
+
+
 @pytest.fixture
-def streets(tmp_path: Path) -> Path:
-    return write_streets(tmp_path / "streets")
+def streets(rendered: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(rendered, tmp_path / "streets"))
 
 
 @pytest.fixture
 def session(streets: Path, tmp_path: Path) -> Session:
     out = tmp_path / "corrections"
     out.mkdir()
-    return opened_session(streets, out, load_detector("prior:triangle"), AnnotationSettings())
+    return opened_session(streets, out, load_detector("prior:triangle"))

@@ -2,17 +2,20 @@
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import csr_matrix
 
+from roadtorch.annotate.machine import PictureView
 from roadtorch.annotate.next_pictures import (
     RULES,
     Candidates,
     PictureOrder,
-    picture_features,
     unlike,
+    view_features,
 )
 from roadtorch.annotate.session import Session, look_at_all
+from roadtorch.data.events import Confirm
 
 
 def scenes_of(*places: float) -> torch.Tensor:
@@ -27,6 +30,7 @@ def candidates(count: int, seed: int = 0) -> Candidates:
     return Candidates(trust, torch.rand(count, 6, generator=at))
 
 
+@settings(max_examples=40)
 @given(st.sampled_from(sorted(RULES)), st.integers(0, 30), st.integers(0, 40), st.data())
 def test_a_batch_has_no_picture_twice_and_none_that_is_corrected(
     rule: str, pictures: int, count: int, data: st.DataObject
@@ -58,10 +62,14 @@ def test_few_pictures_are_no_trouble(count: int) -> None:
 
 
 def test_features_tell_what_stands_where() -> None:
-    image = torch.zeros(3, 40, 50)
+    image, labels = torch.zeros(3, 40, 50), torch.arange(80).reshape(8, 10)
     image[:, 20:] = 1
-    same, turned = (picture_features(one, torch.zeros(2, 8, 10)) for one in (image, image.flip(-2)))
-    assert same.shape == (5 * 20,)
+    layout = torch.zeros(80, 3)
+    view = PictureView(
+        (40, 50), torch.zeros(8, 10), labels, labels[0], csr_matrix((80, 80)), layout, None
+    )
+    same, turned = (view_features(picture, view) for picture in (image, image.flip(-2)))
+    assert same.shape == (7 * 20,)  # colours, road, layout in 4 by 5 cells
     assert float((same - turned).norm()) > 1
 
 
@@ -80,13 +88,7 @@ def test_the_page_is_told_turns_once_pictures_were_looked_at(session: Session) -
     look_at_all(session, Once())  # type: ignore[arg-type]
 
     assert sorted(one["turn"] for one in session.listing()) == [0, 1, 2]
-    session.add("street_1.png", "ann", _road())
+    session.add("street_1.png", "ann", Confirm(kind="right", id="a"))
     turns = {one["name"]: one["turn"] for one in session.listing()}
     assert turns["street_1.png"] is None
     assert sorted(turn for turn in turns.values() if turn is not None) == [0, 1]
-
-
-def _road():
-    from tests.annotate.test_session import superpixel
-
-    return superpixel("a", "road", 0)

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from roadtorch.annotate.serving import opened_session, page_server
+from roadtorch.annotate.server import page_server
+from roadtorch.annotate.session import opened_session
 from roadtorch.data.corrections import Correction, read_corrections
 from roadtorch.detectors.catalogue import load_detector
-from tests.annotate.conftest import write_streets
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, Page
@@ -47,21 +47,13 @@ class Server:
 
 
 @pytest.fixture
-def server(streets: Path, tmp_path: Path) -> Iterator[Server]:
-    one = Server(streets, tmp_path / "corrections")
-    yield one
-    one.stop()
-
-
-@pytest.fixture
-def many(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Server]:
-    """So many pictures, all the same."""
-    folder = write_streets(tmp_path / "many", 1)
-    for number in range(1, request.param):
-        os.link(folder / "street_0.png", folder / f"street_{number}.png")
-    one = Server(folder, tmp_path / "corrections")
-    yield one
-    one.stop()
+def server(request: pytest.FixtureRequest, streets: Path, tmp_path: Path) -> Iterator[Server]:
+    """Three pictures, or so many, the further ones all the same."""
+    for number in range(3, getattr(request, "param", 3)):
+        os.link(streets / "street_0.png", streets / f"street_{number}.png")
+    running = Server(streets, tmp_path / "corrections")
+    yield running
+    running.stop()
 
 
 @pytest.fixture(scope="module")
@@ -260,16 +252,16 @@ def test_same_as_last_frame(visit: Open, server: Server) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("many", [12], indirect=True)
-def test_faster_than_anybody_looks_is_told(visit: Open, many: Server) -> None:
-    page = visit(many)
+@pytest.mark.parametrize("server", [12], indirect=True)
+def test_faster_than_anybody_looks_is_told(visit: Open, server: Server) -> None:
+    page = visit(server)
     for count in range(1, 11):
         before = page.evaluate("document.body.dataset.picture")
         page.evaluate("dispatchEvent(new KeyboardEvent('keydown', { key: 'Enter' }))")
         page.wait_for_function("b => document.body.dataset.picture !== b", arg=before)
         tells(page, "progress", f"{count} of 12 right")
     text = page.locator("#progress").inner_text()
-    hasty = [one.seconds < 1 for one in many.corrections()]
+    hasty = [one.seconds < 1 for one in server.corrections()]
     assert ("caution: 10 in a row" in text) == all(hasty)
 
 
@@ -389,9 +381,9 @@ def test_a_refused_stroke_is_told_and_the_next_one_goes_through(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("many", [1000], indirect=True)
-def test_a_thousand_pictures(visit: Open, many: Server) -> None:
-    page = visit(many)
+@pytest.mark.parametrize("server", [1000], indirect=True)
+def test_a_thousand_pictures(visit: Open, server: Server) -> None:
+    page = visit(server)
     assert "of 1000" in page.locator("#progress").inner_text()
     assert page.locator(".row").count() < 40
     page.evaluate("document.getElementById('list').scrollTop = 1e6")

@@ -15,6 +15,7 @@ from roadtorch.annotate.machine import (
 )
 from roadtorch.annotate.propagation import PropagationSettings, propagated, segment_graph
 from roadtorch.data.correction_labels import LABELS
+from roadtorch.detector import Detector
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.superpixels.segments import Segments, measure_segments
 from roadtorch.superpixels.slic import Superpixels
@@ -84,41 +85,44 @@ def test_the_field_is_the_minimum_of_what_it_is_said_to_minimise() -> None:
 # --- a picture --------------------------------------------------------------------------
 
 
-def a_view() -> tuple[PictureView, AnnotationSettings]:
-    settings = AnnotationSettings()
-    return look_at_picture(scene(0, 48, 64).image, load_detector("labeller"), settings), settings
+@pytest.fixture(scope="module")
+def detector() -> Detector:
+    return load_detector("labeller")
 
 
-def test_before_any_correction_the_page_shows_the_machines_mask() -> None:
-    image = scene(0, 48, 64).image
-    detector = load_detector("labeller")
-    view = look_at_picture(image, detector, AnnotationSettings())
+@pytest.fixture(scope="module")
+def view(detector: Detector) -> PictureView:
+    return look_at_picture(scene(0, 48, 64).image, detector, AnnotationSettings())
+
+
+def labels_of(**rows: slice) -> np.ndarray:
     labels = np.zeros((48, 64), np.uint8)
+    for name, part in rows.items():
+        labels[part] = LABELS.index(name)
+    return labels
+
+
+@pytest.mark.parametrize(
+    "rows", [{}, {"road": slice(10), "not_road": slice(20, 30), "void": slice(40, 44)}]
+)
+def test_the_machines_mask_is_shown_and_corrections_as_they_were_said(
+    view: PictureView, detector: Detector, rows: dict[str, slice]
+) -> None:
+    labels = labels_of(**rows)
     said = said_of_segments(labels, view, AnnotationSettings())
-    assert not said.any()
-    odds = mended_odds(view, said, SETTINGS)
-    assert (shown_road(odds, labels, (48, 64)) == detector.detect(image).mask.numpy()).all()
+    road = shown_road(mended_odds(view, said, SETTINGS), labels, (48, 64))
+    if not rows:
+        assert not said.any()
+        mask = detector.detect(scene(0, 48, 64).image).mask
+        assert (road == mask.numpy()).all()
+    for name, part in rows.items():
+        assert (road[part] == (name == "road")).all()
 
 
-def test_corrections_are_shown_as_they_were_said() -> None:
-    view, settings = a_view()
-    labels = np.zeros((48, 64), np.uint8)
-    labels[:10], labels[20:30], labels[40:44] = (
-        LABELS.index(one) for one in ("road", "not_road", "void")
-    )
-    odds = mended_odds(view, said_of_segments(labels, view, settings), settings.propagation)
-    road = shown_road(odds, labels, (48, 64))
-    assert road[:10].all()
-    assert not road[20:30].any()
-    assert not road[40:44].any()
-
-
-def test_the_layout_is_inferred_too() -> None:
-    view, settings = a_view()
-    labels = np.zeros((48, 64), np.uint8)
-    before = mended_layout(view, labels, settings)
-    assert set(np.unique(before)) <= {0, 1, 2}
-    labels[:] = LABELS.index("sky")
-    assert (mended_layout(view, labels, settings) == 0).all()
-    without = look_at_picture(scene(0, 48, 64).image, load_detector("prior:rows"), settings)
-    assert (mended_layout(without, labels, settings) == 255).all()
+def test_the_layout_is_inferred_too(view: PictureView) -> None:
+    settings = AnnotationSettings()
+    assert set(np.unique(mended_layout(view, labels_of(), settings))) <= {0, 1, 2}
+    assert (mended_layout(view, labels_of(sky=slice(None)), settings) == 0).all()
+    image = scene(0, 48, 64).image
+    without = look_at_picture(image, load_detector("prior:rows"), settings)
+    assert (mended_layout(without, labels_of(), settings) == 255).all()

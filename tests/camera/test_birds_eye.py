@@ -28,14 +28,6 @@ def write(path: Path, text: str) -> Path:
     return path
 
 
-def calibration_of(rows: dict[str, np.ndarray]) -> Calibration:
-    return Calibration(
-        tuple(rows["P2"].ravel().tolist()),
-        tuple(rows["R0_rect"].ravel().tolist()),
-        tuple(rows["Tr_cam_to_road"].ravel().tolist()),
-    )
-
-
 def numbers(*values: float) -> torch.Tensor:
     return torch.tensor(values, dtype=torch.float64)
 
@@ -54,7 +46,7 @@ def rows() -> dict[str, np.ndarray]:
 
 
 def test_points_go_through_every_frame_of_the_camera(rows):
-    homography = road_to_image(calibration_of(rows))
+    homography = road_to_image(reference.calibration(rows))
 
     for x, z in [(0, 6), (-9.9, 7), (8, 45), (3, 20)]:
         u, v = project(homography, numbers(x), numbers(z))
@@ -80,7 +72,7 @@ def test_cells_count_from_far_left():
 def test_every_cell_holds_the_pixel_its_centre_falls_on(size, pitch):
     rows = reference.made_up_rows(pitch)
     image = pattern(*size)
-    cells = to_birds_eye(image, calibration_of(rows))
+    cells = to_birds_eye(image, reference.calibration(rows))
 
     generator = np.random.default_rng(0)
     places = np.column_stack([generator.integers(0, 800, 3000), generator.integers(0, 400, 3000)])
@@ -93,43 +85,32 @@ def test_every_cell_holds_the_pixel_its_centre_falls_on(size, pitch):
 
 
 @pytest.mark.parametrize("dtype", [torch.bool, torch.uint8, torch.float32, torch.float64])
-def test_any_type_and_any_leading_axes(rows, dtype):
-    calibration = calibration_of(rows)
+def test_any_type_and_any_leading_axes_and_zero_where_there_is_no_source(rows, dtype):
+    calibration = reference.calibration(rows)
     stack = torch.rand(2, 3, HEIGHT, WIDTH).mul(9).to(dtype)
+    if dtype.is_floating_point:
+        stack[0, 0] = torch.nan
 
     cells = to_birds_eye(stack, calibration)
 
+    _, inside = cell_pixels(calibration, HEIGHT, WIDTH)
     assert cells.dtype == dtype
     assert cells.shape == (2, 3, 800, 400)
     assert torch.equal(cells[1, 2], to_birds_eye(stack[1, 2], calibration))
-    assert not cells[..., ~cell_pixels(calibration, HEIGHT, WIDTH)[1]].any()
-
-
-def test_values_without_a_source_are_zero_even_beside_nan(rows):
-    calibration = calibration_of(rows)
-    hole = torch.full((HEIGHT, WIDTH), float("nan"))
-
-    cells = to_birds_eye(hole, calibration)
-
-    _, inside = cell_pixels(calibration, HEIGHT, WIDTH)
-    assert cells[inside].isnan().all()
-    assert (cells[~inside] == 0).all()
+    assert (cells[..., ~inside] == 0).all()
+    assert cells[0, 0, inside].isnan().all() == dtype.is_floating_point
 
 
 # --- calibration files -------------------------------------------------------------------
 
 
 def test_a_file_is_read_whatever_else_it_holds(tmp_path, rows):
-    text = reference.calibration_text(rows)
+    path = write(tmp_path / "um_000000.txt", reference.calibration_text(rows))
 
-    found = read_calibration(write(tmp_path / "um_000000.txt", text))
+    found, wanted = read_calibration(path), reference.calibration(rows)
 
-    for values, name in zip(
-        (found.projection, found.rectification, found.camera_to_road),
-        ("P2", "R0_rect", "Tr_cam_to_road"),
-        strict=True,
-    ):
-        assert np.allclose(values, rows[name].ravel(), rtol=1e-12, atol=1e-12)
+    for name in ("projection", "rectification", "camera_to_road"):
+        assert getattr(found, name) == pytest.approx(getattr(wanted, name), rel=1e-12, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -146,6 +127,7 @@ def test_a_file_is_read_whatever_else_it_holds(tmp_path, rows):
         ("Tr_cam_to_road", "0 " * 12, "Tr_cam_to_road has no inverse"),
         ("Tr_cam_to_road", "1 0 0 0 0 1 0 0 0 0 1 0", "show the road as a line"),
         ("P2", "0 " * 12, "show the road as a line"),
+        ("P2", "1e308 " * 12, "show the road as a line"),  # it overflows
     ],
 )
 def test_broken_files_are_named(tmp_path, row, values, what):
@@ -164,11 +146,7 @@ def test_broken_files_are_named(tmp_path, row, values, what):
 def test_missing_and_binary_files_are_named(tmp_path):
     (tmp_path / "binary.txt").write_bytes(b"P2: \xff\xfe")
 
-    for name, what in [
-        ("none.txt", "is missing"),
-        ("binary.txt", "cannot be read"),
-        ("", "cannot"),
-    ]:
+    for name, what in [("none.txt", "is missing"), ("binary.txt", "cannot be read"), ("", "can")]:
         with pytest.raises(DatasetError, match=what):
             read_calibration(tmp_path / name)
 
@@ -228,14 +206,6 @@ def test_the_kits_cells(vectors, calibrations):
 
 
 @pytest.mark.data
-def test_numbers_that_overflow_are_refused_in_a_line(tmp_path: Path) -> None:
-    rows = reference.made_up_rows() | {"P2": np.full((3, 4), 1e308)}
-    path = write(tmp_path / "um_000000.txt", reference.calibration_text(rows))
-
-    with pytest.raises(DatasetError, match=r"um_000000\.txt: its matrices show the road as a line"):
-        read_calibration(path)
-
-
 @pytest.mark.parametrize("name", ["um_000000", "uu_000093"])
 def test_the_kits_whole_maps_byte_by_byte(vectors, calibrations, name):
     height, width = sizes(vectors, name)

@@ -1,6 +1,5 @@
 """Files of others: ROS camera_info in its two forms, and KITTI against the bird's-eye view."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,6 @@ from roadtorch.camera.calibration import (
     read_camera_info,
     road_to_image,
 )
-from roadtorch.camera.ground import GroundCamera
 from roadtorch.errors import InputError, RoadtorchError
 from tests.reference import bev as reference
 
@@ -50,26 +48,23 @@ def info(folder: Path, text: str) -> Path:
     return path
 
 
-def test_what_camera_calibration_writes(tmp_path: Path) -> None:
-    lens = read_camera_info(info(tmp_path, WRITTEN))
+@pytest.mark.parametrize(
+    ("text", "model", "coefficients"),
+    [
+        (WRITTEN, "plumb_bob", (-0.3, 0.1, 0.001, -0.001, 0)),
+        (WRITTEN.replace("-0.3, 0.1", "-0.3"), "plumb_bob", (-0.3, 0.001, -0.001, 0)),
+        (WRITTEN.replace("-0.3, 0.1, 0.001, -0.001, 0", "0,0,0"), "pinhole", ()),
+        (PRINTED, "equidistant", (0.05, -0.01, 0.001, 0)),
+    ],
+)
+def test_what_camera_calibration_writes_and_a_printed_message(
+    text: str, model: str, coefficients: tuple[float, ...], tmp_path: Path
+) -> None:
+    lens = read_camera_info(info(tmp_path, text))
 
     assert (lens.width, lens.height, lens.focal_x, lens.focal_y) == (640, 480, 500, 510)
     assert (lens.centre_x, lens.centre_y) == (320.5, 240)
-    assert lens.model == "plumb_bob"
-    assert lens.coefficients == (-0.3, 0.1, 0.001, -0.001, 0)
-
-
-def test_a_printed_message(tmp_path: Path) -> None:
-    lens = read_camera_info(info(tmp_path, PRINTED))
-
-    assert lens.model == "equidistant"
-    assert lens.coefficients == (0.05, -0.01, 0.001, 0)
-
-
-def test_zero_distortion_is_a_pinhole(tmp_path: Path) -> None:
-    lens = read_camera_info(info(tmp_path, WRITTEN.replace("-0.3, 0.1, 0.001, -0.001, 0", "0,0,0")))
-
-    assert lens.model == "pinhole"
+    assert (lens.model, lens.coefficients) == (model, coefficients)
 
 
 @pytest.mark.parametrize(
@@ -84,19 +79,14 @@ def test_zero_distortion_is_a_pinhole(tmp_path: Path) -> None:
         (WRITTEN.replace("image_width: 640", ""), "image_width is missing"),
         (WRITTEN.replace("-0.3, ", "x, "), "distortion_coefficients holds what is no number"),
         (WRITTEN.replace("-0.3, ", ".nan, "), "distortion_coefficients holds what is not finite"),
-        (WRITTEN.replace("-0.3, 0.1", "-0.3"), ""),
         (WRITTEN.replace("-0.3, 0.1, 0.001", "-0.3"), "plumb_bob has 4 or 5 coefficients"),
         ("!!python/object/apply:os.system ['true']", "is not YAML"),
         ("[" * 5000, "is not YAML"),
     ],
 )
 def test_other_files_are_refused_by_name(tmp_path: Path, text: str, told: str) -> None:
-    path = info(tmp_path, text)
-    if not told:
-        read_camera_info(path)  # four coefficients are as good as five
-        return
     with pytest.raises(RoadtorchError, match=r"info\.yaml: ") as problem:
-        read_camera_info(path)
+        read_camera_info(info(tmp_path, text))
     assert told in str(problem.value)
 
 
@@ -106,11 +96,6 @@ def test_a_missing_file_is_told(tmp_path: Path) -> None:
 
 
 # --- KITTI ------------------------------------------------------------------------------
-
-
-def kitti(rows: dict[str, np.ndarray]) -> Calibration:
-    names = ("P2", "R0_rect", "Tr_cam_to_road")
-    return Calibration(*(tuple(rows[name].ravel().tolist()) for name in names))
 
 
 def centre(calibration: Calibration) -> np.ndarray:
@@ -129,7 +114,7 @@ def in_the_robots_frame(calibration: Calibration, x: np.ndarray, z: np.ndarray) 
 
 
 def test_the_ground_points_are_those_of_the_birds_eye_view() -> None:
-    calibration = kitti(reference.made_up_rows())
+    calibration = reference.calibration(reference.made_up_rows())
     camera = kitti_ground_camera(calibration, 160, 120)
     x, z = torch.broadcast_tensors(
         *cell_to_road(torch.arange(0, 800, 7)[:, None], torch.arange(0, 400, 7)[None])
@@ -144,21 +129,4 @@ def test_the_ground_points_are_those_of_the_birds_eye_view() -> None:
 
 def test_a_picture_of_another_camera_is_refused() -> None:
     with pytest.raises(InputError, match="the calibration's middle"):
-        kitti_ground_camera(kitti(reference.made_up_rows()), 20, 20)
-
-
-@pytest.mark.data
-def test_the_vectors_of_the_benchmarks_own_kit(data_root: Path) -> None:
-    path = data_root.parent / "reference/kitti_vectors.json"
-    vectors = json.loads(path.read_text())
-    for point in vectors["road_to_image"] + vectors["bev_cell_to_image"]:
-        rows = vectors["calibration"][point["calib"]]
-        calibration = kitti(
-            {name: np.array(rows[name]) for name in ("P2", "R0_rect", "Tr_cam_to_road")}
-        )
-        camera: GroundCamera = kitti_ground_camera(calibration, 1242, 375)
-        x, z = (np.float64(np.float32(point[name])) for name in "XZ")
-
-        pixels, _ = camera.pixels_of(in_the_robots_frame(calibration, np.array([x]), np.array([z])))
-
-        assert pixels[0] + 1 == pytest.approx([point["u"], point["v"]], abs=1e-3)
+        kitti_ground_camera(reference.calibration(reference.made_up_rows()), 20, 20)

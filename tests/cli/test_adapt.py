@@ -3,91 +3,79 @@
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner, Result
 
 from roadtorch.camera.camera import Camera
+from roadtorch.cli import main
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.io.image import read_image, write_colours
 from roadtorch.layout.weights import load_network, read_origin
-from tests.command import Call
 
 QUICK = ("samples_per_epoch=16", "stopping.epochs=1", "teacher.views=one")
 SMALL = ("network.height=64", "network.width=96")
-SHORT = (*(word for one in (*QUICK, *SMALL) for word in ("--set", one)), "--threads", "1")
+SHORT = (*(word for change in (*QUICK, *SMALL) for word in ("--set", change)), "--threads", "1")
+LABELLER = ("--set", "teacher.detector=labeller")
+
+
+def adapt(*words: object) -> Result:
+    return CliRunner().invoke(main, ["adapt", *map(str, words)])
 
 
 def test_halves_teach_apart_their_mean_comes_out_and_it_is_judged(
-    call: Call, street: Path, tmp_path: Path
+    street: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "mine"
 
-    done = call("adapt", street, "--out", out, *SHORT)
+    done = adapt(street, "--out", out, *SHORT)
 
     assert done.exit_code == 0, done.stderr
     assert done.stdout.split(":")[0] in ("adopt", "do not adopt", "cannot tell")
     assert done.stdout.strip().splitlines()[-1] in (out / "adaptation.html").read_text("utf-8")
     assert "pictures have no times" in done.stderr
-    mean, *halves = (
-        load_network(out / name / "weights.safetensors") for name in ("", "first", "second")
-    )
-    of_mean, of_first, of_second = (
-        next(iter(one.state_dict().values())) for one in (mean, *halves)
-    )
-    assert not of_first.equal(of_second)
-    assert ((of_first + of_second) / 2).allclose(of_mean, atol=1e-3)
-    assert (
-        read_origin(out / "weights.safetensors")["config"]["teacher"]["detector"] == "fusion:large"
-    )
-    detector = load_detector(
-        "fusion",
-        weights={"file": str(out / "weights.safetensors")},
-        camera=Camera.read(out / "camera.toml"),
-    )
+    files = [out / name / "weights.safetensors" for name in ("", "first", "second")]
+    mean, first, second = (next(iter(load_network(file).state_dict().values())) for file in files)
+    assert not first.equal(second)
+    assert ((first + second) / 2).allclose(mean, atol=1e-3)
+    assert read_origin(files[0])["config"]["teacher"]["detector"] == "fusion:large"
+    camera = Camera.read(out / "camera.toml")
+    detector = load_detector("fusion", weights={"file": str(files[0])}, camera=camera)
     assert detector.detect(read_image(street / "00.png")).mask.any()
 
-    before = (out / "weights.safetensors").read_bytes()
-    again = call("adapt", street, "--out", out, *SHORT)
-
-    assert again.stdout == done.stdout
-    assert (out / "weights.safetensors").read_bytes() == before
-    other = call("adapt", street, "--out", out, "--frames", "4", *SHORT)
+    before = files[0].read_bytes()
+    assert adapt(street, "--out", out, *SHORT).stdout == done.stdout
+    assert files[0].read_bytes() == before
+    other = adapt(street, "--out", out, "--frames", "4", *SHORT)
     assert other.exit_code == 2
     assert "holds frames of other footage" in other.stderr
 
 
-def test_footage_that_stands_still_is_told_and_not_judged(
-    call: Call, street: Path, tmp_path: Path
-) -> None:
-    same = tmp_path / "parked"
-    same.mkdir()
+def test_footage_that_stands_still_is_told_and_not_judged(street: Path, tmp_path: Path) -> None:
     for number in range(10):
-        write_colours(same / f"{number:02d}.png", read_image(street / "00.png"))
+        write_colours(tmp_path / f"{number:02d}.png", read_image(street / "00.png"))
 
-    labeller = ("--set", "teacher.detector=labeller")
-    done = call("adapt", same, "--out", tmp_path / "out", *SHORT, *labeller)
+    done = adapt(tmp_path, "--out", tmp_path / "out", *SHORT, *LABELLER)
 
     assert done.exit_code == 0
     assert "no camera.toml" in done.stderr
-    told = "cannot tell: the footage stands still: both halves show the same\n"
-    assert done.stdout == told
+    sentence = "cannot tell: the footage stands still: both halves show the same\n"
+    assert done.stdout == sentence
     assert not (tmp_path / "out/camera.toml").exists()
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "where"),
     [
         (("nothing",), "nothing"),
         (("--set", "kind=patches"), "network.height"),
         (("--set", "start="), "start"),
     ],
 )
-def test_what_cannot_be_adapted_is_told_in_a_line(
-    call: Call, street: Path, tmp_path: Path, words: tuple[str, ...], told: str
+def test_footage_and_settings_that_cannot_be_used_are_refused_in_a_line(
+    street: Path, tmp_path: Path, words: tuple[str, ...], where: str
 ) -> None:
-    given = words if words[0] == "nothing" else (street, *words)
-
-    done = call("adapt", *given, "--out", tmp_path / "out")
-
+    footage = () if words == ("nothing",) else (street,)
+    done = adapt(*footage, *words, "--out", tmp_path / "out")
     assert done.exit_code != 0
     assert done.stderr.startswith("roadtorch: error: ")
-    assert told in done.stderr
+    assert where in done.stderr
     assert done.stderr.count("\n") == 1

@@ -8,41 +8,44 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from click.testing import CliRunner, Result
 
 from roadtorch.camera.camera import Camera
+from roadtorch.cli import main
+from roadtorch.inputs.find import frame_places, read_frames
 from roadtorch.io.image import read_image, write_colours
 from roadtorch.road.ego import ego_car
-from roadtorch.sources.open import frame_places, read_frames
 from tests.command import Call
 from tests.streets import drive, scene
 
 
 @pytest.fixture(scope="module")
-def known(street: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The camera's file for it."""
-    path = tmp_path_factory.mktemp("camera") / "camera.toml"
-    from roadtorch.camera.footage import camera_of
+def made(street: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
+    """The camera's file for it, and what was printed of it."""
+    out = tmp_path_factory.mktemp("camera") / "camera.toml"
+    return out, CliRunner().invoke(main, ["camera", str(street), "--out", str(out)])
 
-    camera_of([read_image(file) for file in sorted(street.iterdir())]).write(path)
-    return path
+
+@pytest.fixture(scope="module")
+def known(made: tuple[Path, Result]) -> Path:
+    """The camera's file alone."""
+    return made[0]
 
 
 def test_it_writes_a_file_and_a_picture_and_tells_three_lines(
-    call: Call, street: Path, tmp_path: Path
+    call: Call, street: Path, made: tuple[Path, Result]
 ) -> None:
-    out = tmp_path / "camera.toml"
-
-    result = call("camera", street, "--out", out)
+    out, result = made
 
     assert result.exit_code == 0
     lines = result.stdout.splitlines()
     assert lines[0].startswith("ego car: 1")
     assert lines[1].startswith("horizon: row 0.4")
     assert lines[2].startswith("12 frames of 160×120 pixels; written: ")
-    assert {path.name for path in tmp_path.iterdir()} == {"camera.toml", "camera.jpg"}
-    found = tomllib.loads(out.read_text())
-    assert list(found) == ["width", "height", "frames", "horizon", "seed_row", "ego", "look"]
-    assert read_image(tmp_path / "camera.jpg").shape == (3, 480, 1280)
+    assert {path.name for path in out.parent.iterdir()} == {"camera.toml", "camera.jpg"}
+    keys = list(tomllib.loads(out.read_text()))
+    assert keys == ["width", "height", "frames", "horizon", "seed_row", "ego", "look"]
+    assert read_image(out.with_name("camera.jpg")).shape == (3, 480, 1280)
     assert call("camera", street, "--out", out).exit_code == 0  # again, over its own
 
 
@@ -72,11 +75,11 @@ def test_frames_are_chosen_evenly_over_all_inputs(street: Path) -> None:
     assert [place.path.stem for place in chosen] == ["01", "04", "08", "11"]
 
 
-@pytest.mark.parametrize("kind", ["text", "picture"])
+@pytest.mark.parametrize("name", ["camera.toml", "camera.jpg"])
 def test_what_is_not_ours_is_not_replaced(
-    kind: str, call: Call, street: Path, tmp_path: Path
+    name: str, call: Call, street: Path, tmp_path: Path
 ) -> None:
-    other = tmp_path / {"text": "camera.toml", "picture": "camera.jpg"}[kind]
+    other = tmp_path / name
     other.write_text("x = 1")
 
     result = call("camera", street, "--out", tmp_path / "camera.toml")
@@ -124,13 +127,13 @@ def test_evaluate_takes_it_for_all_detectors(
         write_colours(root / "masks" / f"{number}.png", road.expand(3, -1, -1).float())
 
     result = call(
-        *("evaluate", "folder", root, "--detector", "prior:rows", "--detector", "fusion"),
+        *("evaluate", "folder", root, "--detector", "prior:rows", "--detector", "cpf"),
         *("--camera", known, "--out", tmp_path / "out"),
     )
 
     assert result.exit_code == 0, result.output
     written = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert "--camera" in written["command"]
-    for name in ("prior:rows", "fusion"):
+    for name in ("prior:rows", "cpf"):
         outline = written["detectors"][name]["settings"]["ego"]["outline"]
         assert tuple(outline) == Camera.read(known).ego.outline

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 import torch
 
-from roadtorch.annotate.work import import_event
+from roadtorch.annotate.session import import_event
 from roadtorch.cli.compare import compare
 from roadtorch.data.corrections import open_corrections
-from roadtorch.data.event_log import EventLog, LogHead, log_path
+from roadtorch.data.events import EventLog, LogHead, log_path
 from roadtorch.errors import ConfigError, DatasetError, WeightsError
 from roadtorch.evaluation.disagreement import disagreement, unlabelled_set
+from roadtorch.inputs.pictures import picture_item
 from roadtorch.io.image import write_npy
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import save_network
 from roadtorch.scenes.street import write_picture
-from roadtorch.sources.pictures import Picture
 from tests.command import invoked
 from tests.streets import scene
 
@@ -124,7 +124,7 @@ def test_masks_are_compared_pixel_by_pixel() -> None:
     first, second = torch.zeros(4, 5, dtype=torch.bool), torch.zeros(4, 5, dtype=torch.bool)
     first[:2], second[1:2, :4] = True, True
     second[3] = True
-    (item,) = unlabelled_set([Picture(Path("a.png"), "a")]).items
+    (item,) = unlabelled_set([picture_item(Path("a.png"), "a")]).items
 
     found = disagreement(item, first, second)
 

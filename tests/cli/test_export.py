@@ -15,7 +15,7 @@ def test_export_tells_what_it_wrote_and_nothing_else(
         out.write_bytes(bytes(20_000))
         part = f"the whole of {detector.name} as {kind}"
         notes = {"part": part, "lacks": "a soul, trust", "threshold": "0.4"}
-        return Exported((out,), notes, Parity(2e-5, 1e-7, "road at 16×16", 6))
+        return Exported((out,), notes, Parity(2e-5, "road at 16×16", 1e-7, 6))
 
     monkeypatch.setattr(export, "export_detector", written)
     out = tmp_path / "road.xml"

@@ -69,17 +69,7 @@ def test_without_a_command_the_help_is_shown(call: Call) -> None:
     assert "Commands:" in result.stderr
 
 
-def install(monkeypatch: pytest.MonkeyPatch, problem: BaseException) -> None:
-    """A command ``fails`` that raises."""
-
-    @click.command()
-    def fails() -> None:
-        raise problem
-
-    install_command(monkeypatch, "fails", fails)
-
-
-def install_command(monkeypatch: pytest.MonkeyPatch, name: str, command: click.Command) -> None:
+def install(monkeypatch: pytest.MonkeyPatch, name: str, command: click.Command) -> None:
     """Another command of ours, in a module of its own."""
     module = ModuleType(f"{name}_command")
     setattr(module, name, command)
@@ -87,10 +77,20 @@ def install_command(monkeypatch: pytest.MonkeyPatch, name: str, command: click.C
     monkeypatch.setitem(group.COMMANDS, name, (f"{module.__name__}:{name}", "For a test."))
 
 
+def failing(problem: Exception) -> click.Command:
+    """A command that raises."""
+
+    @click.command()
+    def fails() -> None:
+        raise problem
+
+    return fails
+
+
 def test_a_fault_is_one_line_and_a_traceback_on_demand(
     call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    install(monkeypatch, ZeroDivisionError("oh"))
+    install(monkeypatch, "fails", failing(ZeroDivisionError("oh")))
 
     short, long, also_long = call("fails"), call("fails", "--debug"), call("--debug", "fails")
 
@@ -103,36 +103,26 @@ def test_a_fault_is_one_line_and_a_traceback_on_demand(
         assert line in result.stderr
 
 
-def test_ctrl_c_exits_130(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
-    install(monkeypatch, KeyboardInterrupt())
-
-    result = call("fails")
-
-    assert result.exit_code == 130
-    assert result.stderr.strip() == "roadtorch: interrupted; what was finished is kept"
-
-
-def test_ctrl_c_before_the_command_exits_130(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(group, "open_streams", lambda: os.kill(os.getpid(), signal.SIGINT))
-
-    result = call("planes")
-
-    assert result.exit_code == 130
-    assert result.stderr.strip() == "roadtorch: interrupted; what was finished is kept"
-
-
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_that_a_library_takes_for_damage_is_told_as_a_signal(
-    number: signal.Signals, status: int, call: Call, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("when", ["before the command", "in the command", "where it is mistaken"])
+def test_a_signal_is_told_as_a_signal(
+    number: signal.Signals, status: int, when: str, call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def interrupt() -> None:
+        os.kill(os.getpid(), number)
+
     @click.command()
     def reads() -> None:
         try:
-            os.kill(os.getpid(), number)
-        except KeyboardInterrupt:  # as safetensors does
+            interrupt()
+        except KeyboardInterrupt:
+            if when == "in the command":
+                raise
             raise InputError("progress.safetensors", "is damaged", "remove it") from None
 
-    install_command(monkeypatch, "reads", reads)
+    install(monkeypatch, "reads", reads)
+    if when == "before the command":
+        monkeypatch.setattr(group, "open_streams", interrupt)
 
     result = call("reads")
 
@@ -141,7 +131,7 @@ def test_a_signal_that_a_library_takes_for_damage_is_told_as_a_signal(
 
 
 def test_a_closed_pipe_is_no_crash(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
-    install(monkeypatch, BrokenPipeError(32, "Broken pipe"))
+    install(monkeypatch, "fails", failing(BrokenPipeError(32, "Broken pipe")))
 
     result = call("fails")
 
@@ -149,10 +139,9 @@ def test_a_closed_pipe_is_no_crash(call: Call, monkeypatch: pytest.MonkeyPatch) 
     assert result.stderr == ""
 
 
-def test_the_options_of_infer_stand_in_sections(call):
-    told = call("infer", "--help").stdout
+def test_the_options_of_infer_stand_in_sections(call: Call) -> None:
+    parts = re.split(r"\n(?=\w+:\n)", call("infer", "--help").stdout)[1:]
 
-    parts = re.split(r"\n(?=\w+:\n)", told)[1:]
     assert [part.split(":")[0] for part in parts] == ["Options", "Detector", "Footage", "Computing"]
     for part, option in zip(parts, ("--out", "--set", "--every", "--jobs"), strict=True):
         assert f"  {option} " in part

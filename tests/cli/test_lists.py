@@ -1,5 +1,7 @@
 from pathlib import Path
 
+import pytest
+
 from roadtorch.detectors.catalogue import detector_groups, list_detectors
 from roadtorch.imaging.color import PLANES, REPRESENTATIONS
 from roadtorch.oneclass import CLASSIFIERS
@@ -38,12 +40,9 @@ def test_wildcards_list_the_detectors_they_fit(call: Call) -> None:
 
 def test_a_detectors_own_defaults_of_shared_settings_are_told(call: Call) -> None:
     """Both have the working size as a group, of which one has another default."""
-    found = {}
-    for name in ("cpf", "oneclass:gaussian:HS"):
+    for name, pixels in (("cpf", "76800"), ("oneclass:gaussian:HS", "307200")):
         lines = call("detectors", name).stdout.splitlines()
-        found[name] = next(line.split()[2] for line in lines if line.startswith("working.pixels"))
-
-    assert found == {"cpf": "76800", "oneclass:gaussian:HS": "307200"}
+        assert [line.split()[2] for line in lines if line.startswith("working.pixels")] == [pixels]
 
 
 def test_detectors_name_explains_its_settings_in_a_hundred_columns(call: Call) -> None:
@@ -78,19 +77,20 @@ def test_a_detectors_config_is_found_by_name(call: Call) -> None:
     assert result.stdout.startswith('detector = "cpf:v2"\nthreshold = 0.517\n')
 
 
-def test_a_training_is_found_by_name(call: Call, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ("adapt", "teacher.margi: unknown setting (did you mean teacher.margin"),
+        ("xyz", "xyz: unknown config, and no file (known: adapt, backbone-free, cnn7, "),
+    ],
+)
+def test_a_training_is_found_by_name_and_an_unknown_name_lists_the_known_ones(
+    call: Call, tmp_path: Path, config: str, message: str
+) -> None:
     """The key is refused by the kind of training that the config names."""
     words = ("--images", tmp_path, "--out", tmp_path / "run", "--set", "teacher.margi=0.1")
-    result = call("train", "--config", "adapt", *words)
+
+    result = call("train", "--config", config, *words)
 
     assert result.exit_code == 2
-    told = "roadtorch: error: teacher.margi: unknown setting (did you mean teacher.margin"
-    assert result.stderr.startswith(told)
-
-
-def test_an_unknown_name_lists_the_known_ones(call: Call, tmp_path: Path) -> None:
-    result = call("train", "--config", "xyz", "--images", tmp_path, "--out", tmp_path / "run")
-
-    assert result.exit_code == 2
-    told = "roadtorch: error: xyz: unknown config, and no file (known: adapt, backbone-free, cnn7, "
-    assert result.stderr.startswith(told)
+    assert result.stderr.startswith(f"roadtorch: error: {message}")

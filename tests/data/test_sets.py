@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import Dataset, Item, Kind
-from roadtorch.data.labels import read_labels
-from roadtorch.errors import DatasetError
-from tests.data.conftest import write_png
+from roadtorch.data.dataset import Dataset, Kind, LabelledItem, leave_out
+from roadtorch.data.folder import with_conditions
+from roadtorch.errors import ConfigError, DatasetError
+from tests.data.conftest import write
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs/evaluation.md"
 
@@ -39,13 +39,13 @@ CITY_LAYOUT = [{7: 2, 8: 2, 22: 2, 23: 0}.get(n, 1) if n in SCORED else 255 for 
     ],
 )  # fmt: skip
 def test_what_the_labels_of_a_set_mean(tmp_path, name, picture, label, pixels, road, void, layout):
-    write_png(tmp_path / f"{picture}.png", np.zeros((1, len(pixels), 3), np.uint8))
-    write_png(tmp_path / f"{label}.png", np.array([pixels], np.uint8))
+    write(tmp_path / f"{picture}.png", np.zeros((1, len(pixels), 3), np.uint8))
+    write(tmp_path / f"{label}.png", np.array([pixels], np.uint8))
     for part in ("val", "valannot") if name == "camvid" else ():
         (tmp_path / part).symlink_to(tmp_path / part.replace("val", "train"))
-    found = open_dataset(name, tmp_path)
+    dataset = open_dataset(name, tmp_path)
 
-    truth = found.read(found.items[0])[1]
+    truth = dataset.read(dataset.items[0])[1]
 
     assert truth.road[0].nonzero().flatten().tolist() == road
     assert (~truth.valid[0]).nonzero().flatten().tolist() == void
@@ -59,11 +59,11 @@ def grouped_set(root: Path) -> Dataset:
     """Two cameras: one with masks, one with road, void and the layout of one of its pictures."""
     picture = np.zeros((1, 3, 3), np.uint8)
     for name in ("near/images/a", "far/images/a", "far/images/b"):
-        write_png(root / f"{name}.png", picture)
-    write_png(root / "near/masks/a.png", np.array([[0, 255, 127]], np.uint8))
+        write(root / f"{name}.png", picture)
+    write(root / "near/masks/a.png", np.array([[0, 255, 127]], np.uint8))
     for name in ("a", "b"):
-        write_png(root / f"far/road/{name}.png", np.array([[0, 1, 255]], np.uint8))
-    write_png(root / "far/layout/a.png", np.array([[0, 2, 255]], np.uint8))
+        write(root / f"far/road/{name}.png", np.array([[0, 1, 255]], np.uint8))
+    write(root / "far/layout/a.png", np.array([[0, 2, 255]], np.uint8))
     (root / "notes").mkdir()
     return open_dataset("folder", root)
 
@@ -84,75 +84,96 @@ def test_folders_of_pictures_and_labels_are_the_groups(tmp_path):
     assert layouts[1:] == [None, None]
 
 
-def test_a_folder_without_pictures_and_a_layout_of_another_size_are_named(tmp_path):
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(DatasetError, match=r"empty: has no folder images, nor folders that have"):
-        open_dataset("folder", tmp_path / "empty")
+# --- conditions of folders -----------------------------------------------------------------------
 
-    found = grouped_set(tmp_path / "set")
-    write_png(tmp_path / "set/far/layout/a.png", np.zeros((2, 3), np.uint8))
-
-    with pytest.raises(DatasetError, match=r"layout/a\.png: is 3 by 2 pixels, unlike a\.png"):
-        found.truth(found.items[0])
+TABLE = """name,file,place,condition,size
+near,a.png,"a town, by the sea",day bonnet,3x1
+far,a.png,,night,3x1
+far,b.png,,night rain night,3x1
+"""
 
 
-def test_one_and_255_in_one_mask_are_ambiguous(tmp_path):
-    write_png(tmp_path / "images/a.png", np.zeros((1, 3, 3), np.uint8))
-    write_png(tmp_path / "masks/a.png", np.array([[0, 1, 255]], np.uint8))
-    found = open_dataset("folder", tmp_path)
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two cameras; ``a`` is a picture of both."""
+    folder = tmp_path_factory.mktemp("set")
+    for name in ("near/{}/a", "far/{}/a", "far/{}/b", "far/{}/c"):
+        for part in ("images", "masks"):
+            write(folder / f"{name.format(part)}.png", np.zeros((1, 3), np.uint8))
+    (folder / "pictures.csv").write_text(TABLE)
+    return folder
 
-    with pytest.raises(DatasetError, match="both 1 and 255"):
-        found.truth(found.items[0])
+
+def conditions(dataset: Dataset) -> dict[str, list[str]]:
+    return {name: [item.name for item in items] for name, items in dataset.by_condition().items()}
 
 
-# --- IDD Lite ------------------------------------------------------------------------------------
+def test_a_table_in_the_folder_is_read_and_every_word_is_a_condition(root):
+    dataset = open_dataset("folder", root)
+
+    assert conditions(dataset) == {
+        "bonnet": ["near/a"], "day": ["near/a"], "night": ["far/a", "far/b"], "rain": ["far/b"]
+    }  # fmt: skip
+    assert {item.name: item.conditions for item in dataset.items}["far/c"] == ()
+    assert conditions(open_dataset("folder", root / "far")) == {}
 
 
-@pytest.mark.data
-def test_shares_of_the_classes_of_idd_lite(data_root):
-    found = open_dataset("idd-lite", data_root / "idd_lite")
-    counts = np.zeros(256, np.int64)
-    for item in found.items:
-        counts += np.bincount(read_labels(item.label).ravel(), minlength=256)
+@pytest.mark.parametrize(
+    ("folder", "text", "expected"),
+    [
+        (".", "\N{ZERO WIDTH NO-BREAK SPACE}condition,name,file\nfog,far,c.png\n",
+         {"fog": ["far/c"]}),
+        ("far", "file,condition\nb.png,dusk\n", {"dusk": ["b"]}),  # a set without groups
+    ],
+)  # fmt: skip
+def test_another_table_takes_its_place(root, tmp_path, folder, text, expected):
+    table = tmp_path / "other.csv"
+    table.write_text(text)
+    dataset = open_dataset("folder", root / folder)
 
-    shares = 100 * counts[[0, 1, 6, 255]] / counts.sum()
-    assert len(found.items) == 250
-    assert shares.tolist() == pytest.approx([31.41, 2.36, 20.15, 0.01], abs=6e-3)
+    assert conditions(with_conditions(dataset, table)) == expected
+    with pytest.raises(DatasetError, match=r"none\.csv: cannot be read: .*No such file"):
+        with_conditions(dataset, tmp_path / "none.csv")
+
+
+def test_groups_left_out_stay_in_the_set_but_in_no_condition(root):
+    whole = open_dataset("folder", root)
+
+    dataset = leave_out(whole, ["far"])
+
+    assert dataset.items == whole.items
+    assert dataset.groups() == ["far", "near"]
+    assert dataset.left_out == {"far"}
+    assert set(dataset.by_condition()) == {"day", "bonnet"}
+    assert leave_out(whole, ()) == whole
+
+
+@pytest.mark.parametrize(
+    ("folder", "groups", "message"),
+    [
+        (".", ["fra"], r"fra: unknown group of folder \(did you mean far"),
+        (".", ["far", "near"], "--leave-out: leaves out every group"),
+        ("far", ["far"], "which has no groups"),
+    ],
+)
+def test_what_cannot_be_left_out_is_refused(root, folder, groups, message):
+    with pytest.raises(ConfigError, match=message):
+        leave_out(open_dataset("folder", root / folder), groups)
 
 
 # --- Cityscapes ----------------------------------------------------------------------------------
 
 
-def write_city(root: Path, name: str, split: str = "val") -> Path:
-    place = f"{split}/{name.partition('_')[0]}/{name}"
-    write_png(root / f"leftImg8bit/{place}_leftImg8bit.png", np.zeros((1, 1, 3), np.uint8))
-    write_png(root / f"gtFine/{place}_gtFine_labelIds.png", np.zeros((1, 1), np.uint8))
-    return root / f"gtFine/{place}_gtFine_labelIds.png"
-
-
 def test_cityscapes_is_grouped_by_city(tmp_path):
-    for name in ("ulm_000001_000019", "bonn_000000_000019"):
-        write_city(tmp_path, name)
-    write_city(tmp_path, "aachen_000000_000019", "train")
+    for place in ("val/ulm/ulm_1_2", "val/bonn/bonn_0_2", "train/aachen/aachen_0_0"):
+        write(tmp_path / f"leftImg8bit/{place}_leftImg8bit.png", np.zeros((1, 1), np.uint8))
+        write(tmp_path / f"gtFine/{place}_gtFine_labelIds.png", np.zeros((1, 1), np.uint8))
 
-    found = open_dataset("cityscapes", tmp_path)
+    dataset = open_dataset("cityscapes", tmp_path)
 
-    assert [item.name for item in found.items] == ["bonn_000000_000019", "ulm_000001_000019"]
-    assert found.groups() == ["bonn", "ulm"]
+    assert [item.name for item in dataset.items] == ["bonn_0_2", "ulm_1_2"]
+    assert dataset.groups() == ["bonn", "ulm"]
     assert open_dataset("cityscapes", tmp_path, "train").groups() == ["aachen"]
-
-
-def test_what_cityscapes_may_lack(tmp_path):
-    with pytest.raises(DatasetError, match="leftImg8bit/val: does not exist"):
-        open_dataset("cityscapes", tmp_path)
-    label = write_city(tmp_path, "ulm_000001_000019")
-    label.unlink()
-    with pytest.raises(DatasetError, match=r"_labelIds\.png: is missing, 1 of 1"):
-        open_dataset("cityscapes", tmp_path)
-    for picture in (tmp_path / "leftImg8bit").rglob("*.png"):
-        picture.unlink()
-    with pytest.raises(DatasetError, match=r"holds no pictures CITY/\*_leftImg8bit\.png"):
-        open_dataset("cityscapes", tmp_path)
 
 
 # --- the examples of docs/evaluation.md ----------------------------------------------------------
@@ -169,8 +190,8 @@ def documented(name: str) -> Any:
 def test_the_documented_set(tmp_path):
     kind = documented("MOUNTAIN_ROADS")
     for name in ("pass-1", "pass-2", "valley-1"):
-        write_png(tmp_path / f"test/photos/{name}.png", np.zeros((1, 4, 3), np.uint8))
-        write_png(tmp_path / f"test/labels/{name}.png", np.array([[0, 1, 2, 9]], np.uint8))
+        write(tmp_path / f"test/photos/{name}.png", np.zeros((1, 4, 3), np.uint8))
+        write(tmp_path / f"test/labels/{name}.png", np.array([[0, 1, 2, 9]], np.uint8))
 
     found = kind.open(tmp_path, kind.splits[0])
     truth = found.read(found.items[0])[1]
@@ -182,9 +203,11 @@ def test_the_documented_set(tmp_path):
 
 
 def test_the_documented_reader(tmp_path):
-    write_png(tmp_path / "a.png", np.array([[0, 100, 255]], np.uint8))
+    write(tmp_path / "a.png", np.array([[0, 100, 255]], np.uint8))
 
-    truth = documented("Probability")().truth(Item("a", tmp_path / "a.png", tmp_path / "a.png"))
+    truth = documented("Probability")().truth(
+        LabelledItem("a", tmp_path / "a.png", tmp_path / "a.png")
+    )
 
     assert truth.road[0].tolist() == [False, False, True]
     assert truth.valid[0].tolist() == [True, False, True]

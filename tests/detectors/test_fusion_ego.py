@@ -11,7 +11,9 @@ from torch import Tensor
 from roadtorch.detector import Detection, Detector
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.fusion import FROM_SCRATCH
+from roadtorch.imaging.resize import resized
 from roadtorch.road.ego import continued
+from roadtorch.testing import flaws
 from tests.detectors.test_fusion import CUES
 from tests.networks import write_ego_network
 from tests.streets import scene
@@ -56,14 +58,13 @@ def car(height: int, width: int) -> Tensor:
     return ((torch.arange(height) + 0.5) / height > 1 - BOTTOM)[:, None].expand(height, width)
 
 
-def test_the_ego_car_is_where_the_network_sees_it(detected: Detection) -> None:
-    assert torch.equal(detected.cues["ego"], car(96, 128))
-    assert set(detected.cues) == CUES
-
-
-def test_above_it_there_is_road(detected: Detection) -> None:
+def test_the_ego_car_is_where_the_network_sees_it_and_above_it_there_is_road(
+    detected: Detection,
+) -> None:
     right = detected.mask & scene(3, 96, 128, shadows=0).road
 
+    assert torch.equal(detected.cues["ego"], car(96, 128))
+    assert set(detected.cues) == CUES
     assert right.sum() > 0.7 * detected.mask.sum() > 0
 
 
@@ -80,9 +81,7 @@ def test_road_that_does_not_reach_the_ego_car_is_isolated(seed: int, weights: Pa
     assert (kept & ~dropped).any()
 
 
-def test_where_hidden_ground_alone_reaches_the_seed_area_nothing_is_dropped(
-    weights: Path,
-) -> None:
+def test_where_hidden_ground_alone_reaches_the_seed_area_nothing_is_dropped(weights: Path) -> None:
     image = scene(1, 96, 128).image
 
     kept, dropped = (fusion(weights, isolated=what).detect(image).mask for what in ("keep", "drop"))
@@ -103,32 +102,11 @@ def test_what_is_above_is_as_if_the_ground_went_on(
     assert torch.equal(detected.likelihood[above], without.likelihood[above])
 
 
-def test_without_an_ego_car_the_whole_picture_may_be_road(blind: Detector) -> None:
-    found = blind.detect(street())
-
-    assert not found.cues["ego"].any()
-    assert found.mask[-1].any()
-
-
 @pytest.mark.parametrize("size", [(16, 16), (48, 200), (480, 640)])
 def test_it_holds_at_any_size(size: tuple[int, int], seeing: Detector) -> None:
-    image = torch.nn.functional.interpolate(street()[None], size=size, mode="bilinear")[0]
+    detection = seeing.detect(resized(street(), size).clamp(0, 1))
 
-    found = seeing.detect(image.clamp(0, 1))
-
-    ego = found.cues["ego"]
+    ego = detection.cues["ego"]
     assert (ego != car(*size)).float().mean() <= 0.02
-    assert not found.likelihood[ego].any()
-    assert not (found.mask & ego).any()
-    assert not (found.cues["seed_area"] & ego).any()
-
-
-def test_the_ego_car_of_the_settings_counts_as_well(weights: Path) -> None:
-    detector = fusion(weights, ego={"bottom": 0.4})
-
-    found = detector.detect(street())
-
-    told = ((torch.arange(96) + 0.5) / 96 > 0.6)[:, None].expand(96, 128)
-    assert torch.equal(found.cues["ego"], told)
-    assert not found.likelihood[told].any()
-    assert not found.cues["seed_area"][told].any()
+    assert not (detection.cues["seed_area"] & ego).any()
+    assert list(flaws(detection, size, "a street")) == []  # neither road nor likelihood

@@ -34,10 +34,10 @@ def picture(name: str, width: int, height: int) -> Tensor:
 
 
 def test_ufl_paper_is_the_text_of_zhang_et_al() -> None:
-    image = picture("motorway", 120, 90)
+    image = picture("motorway", 80, 60)
     start = start_dictionary(torch.zeros(1, 108).double(), DictionarySettings())
 
-    found = load_detector("ufl:paper", working={"rows": 90}).analysis(image)["likelihood"] >= 0.5
+    found = load_detector("ufl:paper", working={"rows": 60}).analysis(image)["likelihood"] >= 0.5
 
     literal = torch.from_numpy(zhang2016.road(image.numpy(), start.numpy()))
     assert 0.1 < literal.double().mean() < 0.6
@@ -51,7 +51,7 @@ def test_fusion_paper_is_equation_4_of_alvarez_et_al() -> None:
     assert isinstance(network, PatchNetwork)
     weights = {name: one.double().numpy() for name, one in network.state_dict().items()}
     pixels = normalise(image, network.settings.normalisation).pixels.numpy()
-    places = np.random.default_rng(0).integers((0, 0), (72, 96), (150, 2))
+    places = np.random.default_rng(0).integers((0, 0), (72, 96), (40, 2))
 
     found = detector.detect(image.float())
 

@@ -9,25 +9,19 @@ from docs._extensions import generated_parts as parts
 from docs._extensions.plain_docstrings import as_restructured
 
 
-def test_links_lead_to_pages_of_the_site() -> None:
-    root = parts.ROOT
-
-    assert parts.linked("[more](docs/many.md#x)", root) == "[more](/many.md#x)"
-    assert parts.linked("[why](../train/README.md)", root / "docs") == "[why](/studies.md)"
-    assert (
-        parts.linked("[docs/research/ufl.md](docs/research/ufl.md)", root) == "[](/research/ufl.md)"
-    )
-    assert parts.linked("[it](../pyproject.toml)", root / "docs") == "it (`pyproject.toml`)"
-
-
-def test_a_link_to_nothing_is_left_for_the_build_to_find() -> None:
-    assert parts.linked("[x](none.md)", parts.ROOT) == "[x](none.md)"
-
-
-def test_code_is_left_as_it_is() -> None:
-    text = "```\n[x](docs/many.md)\n```\n"
-
-    assert parts.linked(text, parts.ROOT) == text
+@pytest.mark.parametrize(
+    ("text", "folder", "linked"),
+    [
+        ("[more](docs/many.md#x)", "", "[more](/many.md#x)"),
+        ("[why](../train/README.md)", "docs", "[why](/studies.md)"),
+        ("[docs/research/ufl.md](docs/research/ufl.md)", "", "[](/research/ufl.md)"),
+        ("[it](../pyproject.toml)", "docs", "it (`pyproject.toml`)"),
+        ("[x](none.md)", "", "[x](none.md)"),  # left for the build to find
+        ("```\n[x](docs/many.md)\n```\n", "", "```\n[x](docs/many.md)\n```\n"),
+    ],
+)
+def test_links_lead_to_pages_of_the_site(text: str, folder: str, linked: str) -> None:
+    assert parts.linked(text, parts.ROOT / folder) == linked
 
 
 def test_a_page_that_nobody_lists_is_listed(
@@ -46,8 +40,7 @@ def test_a_page_that_nobody_lists_is_listed(
 def test_help_says_just_what_it_says() -> None:
     command = click.Command("x", help="Write *all* of A_B.\n\n\b\nA  is kept\n   as it is")
 
-    told = list(parts.help_text(command))
-    assert told == [
+    assert list(parts.help_text(command)) == [
         "Write \\*all\\* of A\\_B.",
         "",
         "```text",

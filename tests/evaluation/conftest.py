@@ -1,6 +1,6 @@
 """Rendered streets of three groups as a labelled set, and detectors that know the answers."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -10,11 +10,11 @@ from torch import Tensor
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset
 from roadtorch.detector import Detection
-from roadtorch.evaluation import metrics
-from roadtorch.evaluation.methods import Look, Method
+from roadtorch.evaluation import metrics, uncertainty
+from roadtorch.evaluation.methods import Contender, Look
 from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.result import DetectorFigures, summarise
-from roadtorch.evaluation.scoring import score_item
+from roadtorch.evaluation.scoring import score
 from roadtorch.evaluation.tally import Tally
 from roadtorch.scenes.street import RenderedScene, render_scene
 from tests.streets import write_camvid
@@ -23,6 +23,14 @@ GROUPS = ("0001TP", "0006R0", "0016E5")
 
 Answer = Callable[[str], Tensor]
 """What a detector says about the picture of that name."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_draws() -> Iterator[None]:
+    """Intervals of a tenth of the draws."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(uncertainty, "REPLICATES", 100)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -50,18 +58,15 @@ def looking(likelihood: Answer, **cues: Answer) -> Look:
 def counted(dataset: Dataset, look: Look) -> Tally:
     """What is counted of one detector on every picture of a set."""
     total = Tally()
-    for item in dataset.items:
-        result = score_item(dataset, {"it": look}, item)
+    for result in score(dataset, [Contender("it", lambda _: look)]):
         assert not result.failure
-        total.add(item, result.scores["it"])
+        total.add(result.item, result.scores["it"])
     return total
 
 
 def summarised(tally: Tally, threshold: float = 0.5) -> DetectorFigures:
     """The figures of a detector with this default threshold."""
-    return summarise(
-        Method("it", lambda _: looking(lambda name: torch.zeros(1)), threshold=threshold), tally
-    )
+    return summarise(Contender("it", lambda _: NotImplemented, threshold=threshold), tally)
 
 
 # --- counts of made-up maps ------------------------------------------------------------------

@@ -1,16 +1,19 @@
-"""Curves against the worked example of the protocols, brute force and scikit-learn."""
+"""Curves and calibration: the worked example of the protocols, brute force and scikit-learn."""
 
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sklearn.metrics import average_precision_score, precision_recall_curve, roc_auc_score
+from sklearn.calibration import calibration_curve
+from sklearn.metrics import brier_score_loss, precision_recall_curve, roc_auc_score
 from sklearn.metrics import roc_curve as sklearn_roc
 
 from roadtorch.evaluation import curves, metrics
 from roadtorch.evaluation.curves import Curve
+from roadtorch.evaluation.document import mean_precision, mean_roc, risk_curves
 from roadtorch.evaluation.metrics import RoadCounts
+from roadtorch.evaluation.trust import Trusted
 from tests.evaluation.conftest import count, random_map, stack
 from tests.reference import curves as slow
 
@@ -95,43 +98,29 @@ def test_threshold_average_of_the_worked_example():
 # --- brute force and scikit-learn -----------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_roc_equals_counting_at_every_score_and_scikit_learn(seed):
+@pytest.mark.parametrize("seed", range(3))
+def test_curves_equal_counting_at_every_score_and_scikit_learn(seed):
     scores, road = random_map(seed)
+    flat = road.ravel(), scores.ravel()
 
-    curve = curves.roc(count(scores, road))
+    counts = count(scores, road)
+    curve, precision = curves.roc(counts), curves.precision_recall(counts)
 
-    false_rates, true_rates, _ = sklearn_roc(road.ravel(), scores.ravel(), drop_intermediate=False)
-    assert points(curve) == [pytest.approx(p, abs=1e-12) for p in slow.roc(scores, road)]
+    false_rates, true_rates, _ = sklearn_roc(*flat, drop_intermediate=False)
     assert curve.x.tolist() == pytest.approx(false_rates.tolist(), abs=1e-12)
     assert curve.y.tolist() == pytest.approx(true_rates.tolist(), abs=1e-12)
-    assert float(curves.area(curve)) == pytest.approx(
-        roc_auc_score(road.ravel(), scores.ravel()), abs=1e-12
-    )
+    assert float(curves.area(curve)) == pytest.approx(roc_auc_score(*flat), abs=1e-12)
     assert float(curves.equal_error_rate(curve)) == pytest.approx(
         slow.equal_error_rate(slow.roc(scores, road)), abs=1e-12
     )
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_precision_and_recall_equal_scikit_learn(seed):
-    scores, road = random_map(seed)
-
-    curve = curves.precision_recall(count(scores, road))
-
-    precisions, recalls, _ = precision_recall_curve(road.ravel(), scores.ravel())
-    assert curve.y.tolist() == pytest.approx(precisions[:-1][::-1].tolist(), abs=1e-12)
-    assert curve.x.tolist() == pytest.approx(recalls[:-1][::-1].tolist(), abs=1e-12)
-    steps = torch.diff(curve.x, prepend=torch.zeros(1, dtype=torch.float64))
-    assert float((steps * curve.y).sum()) == pytest.approx(
-        average_precision_score(road.ravel(), scores.ravel()), abs=1e-12
-    )
+    precisions, recalls, _ = precision_recall_curve(*flat)
+    assert precision.y.tolist() == pytest.approx(precisions[:-1][::-1].tolist(), abs=1e-12)
+    assert precision.x.tolist() == pytest.approx(recalls[:-1][::-1].tolist(), abs=1e-12)
 
 
 @pytest.mark.parametrize("steps", [7, 10, 100])
-@pytest.mark.parametrize("seed", range(3))
-def test_vertical_sample_equals_reading_the_curve_at_each_rate(seed, steps):
-    scores, road = random_map(seed)
+def test_vertical_sample_equals_reading_the_curve_at_each_rate(steps):
+    scores, road = random_map(steps)
     curve = slow.roc(scores, road)
     background = int((~road).sum())
 
@@ -150,12 +139,27 @@ def test_threshold_average_equals_averaging_at_every_score():
 
     curve = curves.threshold_average(stack(*[count(*one, levels=13) for one in maps]))
 
-    expected = slow.threshold_average(maps)
-    assert points(curve) == [pytest.approx(p, abs=1e-12) for p in expected]
-    assert float(curves.area(curve)) == pytest.approx(slow.area(expected), abs=1e-12)
-    assert float(curves.equal_error_rate(curve)) == pytest.approx(
-        slow.equal_error_rate(expected), abs=1e-12
-    )
+    assert points(curve) == [pytest.approx(p, abs=1e-12) for p in slow.threshold_average(maps)]
+
+
+@pytest.mark.parametrize("bins", [1, 7, 20])
+def test_calibration_equals_scikit_learn(bins):
+    generator = np.random.default_rng(bins)
+    scores = generator.integers(0, 256, 500) / 255
+    road = generator.random(500) < scores**2
+
+    counts = count(scores, road, 256)
+    curve = curves.reliability(counts, bins)
+
+    observed, predicted = calibration_curve(road, scores, n_bins=bins)
+    inside = np.searchsorted(np.linspace(0, 1, bins + 1)[1:-1], scores)
+    filled = curve.share > 0
+    assert curve.share.tolist() == (np.bincount(inside, minlength=bins) / 500).tolist()
+    assert curve.predicted[filled].tolist() == pytest.approx(predicted.tolist(), abs=1e-12)
+    assert curve.observed[filled].tolist() == pytest.approx(observed.tolist(), abs=1e-12)
+    gaps = np.abs(observed - predicted) * curve.share[filled].numpy()
+    assert float(curves.expected_error(counts, bins)) == pytest.approx(gaps.sum(), abs=1e-12)
+    assert float(curves.brier(counts)) == pytest.approx(brier_score_loss(road, scores), abs=1e-12)
 
 
 # --- properties -----------------------------------------------------------------------------------
@@ -165,14 +169,18 @@ def test_leading_dimensions_are_images():
     one, two = (count(*random_map(seed), 16) for seed in (1, 2))
     both = stack(one, two)
 
-    sampled, every = curves.vertical_sample(both, 10), curves.operating_points(both)
+    every = curves.operating_points(both)
 
     for index, single in enumerate((one, two)):
         alone = curves.operating_points(single)
-        assert torch.equal(sampled[index], curves.vertical_sample(single, 10))
         assert torch.equal(every.x[index], alone.x)
         assert torch.equal(curves.area(every)[index], curves.area(alone))
         assert torch.equal(curves.equal_error_rate(every)[index], curves.equal_error_rate(alone))
+        assert torch.equal(
+            curves.vertical_sample(both, 10)[index], curves.vertical_sample(single, 10)
+        )
+        assert torch.equal(curves.brier(both)[index], curves.brier(single))
+        assert torch.equal(curves.expected_error(both)[index], curves.expected_error(single))
 
 
 def test_a_perfect_map_and_a_constant_map():
@@ -186,7 +194,15 @@ def test_a_perfect_map_and_a_constant_map():
     assert float(curves.equal_error_rate(constant)) == 0.5
 
 
-# --- images without road or without background ----------------------------------------------------
+def test_a_likelihood_on_an_edge_belongs_to_the_lower_bin():
+    curve = curves.reliability(count([0.0, 0.5, 0.5, 1.0], [0, 1, 0, 1], levels=3), bins=2)
+
+    assert curve.share.tolist() == [0.75, 0.25]
+    assert curve.predicted.tolist() == pytest.approx([1 / 3, 1])
+    assert curve.observed.tolist() == pytest.approx([1 / 3, 1])
+
+
+# --- what is not defined --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("road", [[0, 0], [1, 1]])
@@ -202,10 +218,17 @@ def test_curves_of_one_class_are_nan_and_are_skipped_in_the_average(road):
     assert bool(curves.area(curves.threshold_average(stack(lacking))).isnan())
 
 
+def test_calibration_of_nothing_is_nan():
+    nothing = RoadCounts(torch.zeros(256, dtype=torch.int64), torch.zeros(256, dtype=torch.int64))
+
+    assert curves.brier(nothing).isnan()
+    assert curves.expected_error(nothing).isnan()
+
+
 # --- files ----------------------------------------------------------------------------------------
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000), st.integers(6, 60), st.sampled_from([0.0, 0.5, 3.0]))
 def test_a_thinned_curve_keeps_its_ends_and_nearly_its_area(seed, most, skew):
     generator = torch.Generator().manual_seed(seed)
@@ -230,3 +253,42 @@ def test_short_and_undefined_curves_stay_as_they_are():
 
     assert curves.thin(short, 100) is short
     assert curves.thin(undefined, 10) is undefined
+
+
+def noisy(seed: int, gain: float, pixels: int = 4000) -> RoadCounts:
+    generator = torch.Generator().manual_seed(seed)
+    road = torch.rand(40, pixels // 40, generator=generator) < 0.4
+    values = (gain * road + torch.rand(road.shape, generator=generator)) / (1 + gain)
+    return count(values, road)
+
+
+def test_groups_weigh_the_same_whatever_their_size_and_those_without_road_nothing():
+    small, big = noisy(1, 0.2, 4000), noisy(2, 2.0, 40000)
+    empty = RoadCounts(torch.zeros_like(small.road), small.other)
+
+    area = float(curves.area(mean_roc([small, big])))
+
+    assert area == pytest.approx(float(metrics.auc(small) + metrics.auc(big)) / 2, abs=0.004)
+    assert torch.equal(mean_roc([small, empty]).y, mean_roc([small]).y)
+    assert torch.equal(mean_precision([small, empty]).y, mean_precision([small, small]).y)
+
+
+def test_precision_at_a_recall_is_the_best_one_there_or_above():
+    counts = noisy(3, 0.8)
+    precision, recall = metrics.kitti_precision_recall(counts)
+
+    found = mean_precision([counts])
+
+    for place in (0, 50, 100, 180, 200):
+        expected = precision[recall >= found.x[place]].max()
+        assert float(found.y[place]) == pytest.approx(float(expected), abs=1e-6)
+
+
+def test_risk_is_of_all_pictures_and_stands_beside_the_ideal_one():
+    f = torch.tensor([0.9, 0.1, 0.8], dtype=torch.float64)
+
+    found = risk_curves(Trusted(torch.tensor([0.5, 0.6, 0.7]), f, ["a", "b", "b"]))
+
+    assert found["risk"] == [[0.333333, 0.666667, 1], [0.2, 0.55, 0.4]]
+    assert found["risk_ideal"] == [[0.333333, 0.666667, 1], [0.1, 0.15, 0.4]]
+    assert risk_curves(None) == {}

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from roadtorch.data.dataset import Item
+from roadtorch.data.dataset import LabelledItem
 from roadtorch.evaluation.disagreement import Disagreement, Disagreements, most_and_spread
 from roadtorch.report.adaptation import Adaptation, summary_table
 from tests.reports import made_contender, scored
 
 
 def change(number: int, differs: float, before: float = 0.5, after: float = 0.6) -> Disagreement:
-    item = Item(f"picture_{number:02d}", Path("x.png"), Path("x.png"))
+    item = LabelledItem(f"picture_{number:02d}", Path("x.png"), Path("x.png"))
     return Disagreement(item, differs, 0.3, 0.3 + differs, 0.0, differs, before, after)
 
 

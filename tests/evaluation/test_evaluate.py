@@ -2,19 +2,18 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import pytest
 import torch
 
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import Dataset, Item, leave_out
+from roadtorch.data.dataset import Dataset, leave_out
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.errors import ConfigError, DatasetError, InputError, UnscorableError
 from roadtorch.evaluation import metrics, scoring
 from roadtorch.evaluation.document import defined, document
-from roadtorch.evaluation.evaluate import FILE, evaluate, forget
+from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.methods import expand_names
 from roadtorch.evaluation.result import Evaluation
 from roadtorch.evaluation.tally import WHOLE
@@ -55,8 +54,8 @@ def test_the_baselines_stand_beside_and_say_that_they_are_baselines(found):
     }  # fmt: skip
     assert found.ranked()[0] == ORACLE
     assert (found.images, found.groups) == (6, list(GROUPS))
-    assert found.detectors[ORACLE].method.settings == DECISION | {"doubt": 0.2}
-    assert found.detectors["prior:rows"].method.settings == DECISION
+    assert found.detectors[ORACLE].contender.settings == DECISION | {"doubt": 0.2}
+    assert found.detectors["prior:rows"].contender.settings == DECISION
 
 
 def test_metrics_json_has_every_figure_under_its_key(found):
@@ -98,41 +97,6 @@ def test_sets_without_groups_use_the_default_or_an_earlier_threshold(
         assert given[name].headline["threshold"] == found.detectors[name].best_threshold
 
 
-@pytest.mark.parametrize("value", ["1e308", "-0.1", "NaN", "Infinity", "[]"])
-def test_a_threshold_beyond_its_range_is_refused(camvid, tmp_path, value):
-    earlier = tmp_path / "metrics.json"
-    earlier.write_text(f'{{"detectors": {{"{ORACLE}": {{"maxf_threshold": {value}}}}}}}')
-
-    with pytest.raises(InputError, match=r"metrics\.json: is not a metrics.json"):
-        evaluate(camvid, [ORACLE], threshold_from=earlier)
-
-
-def test_a_threshold_of_other_settings_is_refused(found, camvid, tmp_path):
-    earlier, other = tmp_path / "metrics.json", tmp_path / "other.json"
-    write_json(earlier, defined(document(found, "")))
-    other.write_text("[1]")
-
-    with pytest.raises(ConfigError, match="other settings"):
-        evaluate(camvid, [ORACLE], threshold_from=earlier)
-    with pytest.raises(ConfigError, match="no threshold for prior:uniform"):
-        evaluate(camvid, ["prior:uniform"], threshold_from=earlier)
-    with pytest.raises(InputError, match=r"other\.json: is not a metrics\.json"):
-        evaluate(camvid, [ORACLE], threshold_from=other)
-    with pytest.raises(InputError, match=r"none\.json: cannot be read"):
-        evaluate(camvid, [ORACLE], threshold_from=tmp_path / "none.json")
-
-
-def test_what_can_be_refused_is_refused_before_the_run(camvid, monkeypatch):
-    monkeypatch.setattr(scoring, "score_item", None)  # must not be reached
-
-    with pytest.raises(ConfigError, match=r"duobt.*doubt"):
-        evaluate(camvid, [ORACLE], settings={"duobt": 1})
-    with pytest.raises(ConfigError, match="groups teach each other"):
-        evaluate(camvid, [ORACLE], mean_from=camvid)
-    with pytest.raises(ConfigError, match="detector of this run"):
-        evaluate(camvid, ["prior:rows"], against=ORACLE)
-
-
 def test_anybodys_maps_are_scored_and_a_missing_one_fails_its_picture_alone(camvid, tmp_path):
     for name in list(SCENES)[1:]:
         road = (SCENES[name].road * 255).to(torch.uint8)
@@ -160,14 +124,59 @@ def test_maps_may_lie_as_the_pictures_do_in_the_set(plain, tmp_path):
     assert theirs.detectors["maps:net"].headline["iou_mask"] == 1
 
 
-def test_when_every_picture_is_broken_there_is_one_error(tmp_path):
+# --- what is refused -----------------------------------------------------------------------------
+
+FIGURES = f'{{"detectors": {{"{ORACLE}": {{"maxf_threshold": %s}}}}}}'
+
+
+OUT_OF_RANGE = [FIGURES % value for value in ("1e308", "-0.1", "NaN", "Infinity", "[]")]
+
+
+@pytest.mark.parametrize("text", [*OUT_OF_RANGE, "[1]", None])
+def test_another_file_than_a_metrics_json_is_refused(camvid, tmp_path, text):
+    earlier = tmp_path / "metrics.json"
+    if text is not None:
+        earlier.write_text(text)
+
+    with pytest.raises(InputError, match=r"metrics\.json: (is not a metrics.json|cannot be read)"):
+        evaluate(camvid, [ORACLE], threshold_from=earlier)
+
+
+@pytest.mark.parametrize(
+    ("detector", "options", "message"),
+    [
+        (ORACLE, {"threshold_from": "metrics.json"}, "with other settings"),
+        ("prior:uniform", {"threshold_from": "metrics.json"}, "no threshold for prior:uniform"),
+        (ORACLE, {"settings": {"duobt": 1}}, r"duobt.*doubt"),
+        (ORACLE, {"mean_from": "camvid"}, "groups teach each other"),
+        ("prior:rows", {"against": ORACLE}, "detector of this run"),
+        ("nothing*", {}, "unknown detector"),
+        ("test-oracel", {}, ORACLE),
+    ],
+)
+def test_what_can_be_refused_is_refused_before_the_run(
+    found, camvid, tmp_path, monkeypatch, detector, options, message
+):
+    monkeypatch.setattr(scoring, "Scoring", None)  # must not be reached
+    write_json(tmp_path / "metrics.json", defined(document(found, "")))
+    values = {"metrics.json": tmp_path / "metrics.json", "camvid": camvid}
+    options = {key: values.get(str(value), value) for key, value in options.items()}
+
+    with pytest.raises(ConfigError, match=message):
+        evaluate(camvid, [detector], **options)
+
+
+def test_when_no_picture_can_be_scored_there_is_one_error(camvid, tmp_path):
     root = write_set(tmp_path / "camvid")
     for path in root.glob("*/*.png"):
         if "annot" not in path.parent.name:
             path.write_bytes(b"x")
+    first = leave_out(camvid, [GROUPS[0]])
 
     with pytest.raises(DatasetError, match="none of its 6 pictures"):
         evaluate(open_dataset("camvid", root), ["prior:rows"])
+    with pytest.raises(DatasetError, match="all groups are left out"):
+        evaluate(first, ["prior:rows"], limit=1)
 
 
 def test_labels_without_any_road_are_no_score_of_nought(tmp_path):
@@ -181,29 +190,20 @@ def test_labels_without_any_road_are_no_score_of_nought(tmp_path):
     assert caught.value.exit_code == 1
 
 
-def test_an_interrupted_run_goes_on_and_ends_like_a_whole_one(camvid, found, tmp_path):
-    def interrupted(results, done, total):
-        for number, result in enumerate(results):
-            if number == 4:
-                raise KeyboardInterrupt
-            yield result
+# --- names ---------------------------------------------------------------------------------------
 
-    told: list[tuple[int, int]] = []
 
-    def watched(results, done, total):
-        told.append((done, total))
-        return results
+def test_wildcards_leave_the_one_class_grid_out_and_its_family_brings_it_in(camvid):
+    everything, grid, row = map(expand_names, (["*"], ["oneclass:*:*"], ["oneclass:nn:*", "cpf"]))
 
-    settings = {"doubt": 0.2}
-    with pytest.raises(KeyboardInterrupt):
-        evaluate(camvid, [ORACLE], settings=settings, keep_in=tmp_path, watch=interrupted)
-    assert (tmp_path / FILE).is_file()
-    again = evaluate(camvid, [ORACLE], settings=settings, keep_in=tmp_path, watch=watched)
+    assert {"cpf", "fusion", "prior:rows"} <= set(everything)
+    assert not any(name.startswith("oneclass:") for name in everything)
+    assert (len(grid), len(row)) == (310, 20)
+    baselines = ["prior:triangle", "prior:rows"]
+    assert expand_names(["prior:t*", "prior:rows", "prior:*"])[:2] == baselines
 
-    assert told == [(4, 6)]
-    assert without_times(document(again, "")) == without_times(document(found, ""))
-    forget(tmp_path)
-    assert list(Path(tmp_path).iterdir()) == []
+
+# --- groups left out, conditions -----------------------------------------------------------------
 
 
 def without_times(content):
@@ -212,36 +212,13 @@ def without_times(content):
     return content
 
 
-# --- names ---------------------------------------------------------------------------------------
-
-
-def test_wildcards_and_misspelt_names(camvid):
-    baselines = ["prior:triangle", "prior:rows"]
-    assert expand_names(["prior:t*", "prior:rows", "prior:*"])[:2] == baselines
-    with pytest.raises(ConfigError, match="unknown detector"):
-        expand_names(["nothing*"])
-    with pytest.raises(ConfigError, match=ORACLE):
-        expand_names(["test-oracel"])
-
-
-def test_a_star_leaves_the_one_class_grid_out_and_its_family_brings_it_in():
-    everything, grid, row = map(expand_names, (["*"], ["oneclass:*:*"], ["oneclass:nn:*", "cpf"]))
-
-    assert {"cpf", "fusion", "prior:rows"} <= set(everything)
-    assert not any(name.startswith("oneclass:") for name in everything)
-    assert (len(grid), len(row)) == (310, 20)
-
-
-# --- groups left out, conditions -----------------------------------------------------------------
-
-
 def test_a_group_that_is_left_out_is_scored_and_changes_no_other_figure(camvid):
     out = GROUPS[2]
     others = tuple(item for item in camvid.items if item.group != out)
-    whole = evaluate(camvid, [ORACLE, "grey-uniformity"])
+    whole = evaluate(camvid, ["grey-uniformity"])
 
-    found = evaluate(leave_out(camvid, [out]), [ORACLE, "grey-uniformity"])
-    alone = evaluate(replace(camvid, items=others), [ORACLE, "grey-uniformity"])
+    found = evaluate(leave_out(camvid, [out]), ["grey-uniformity"])
+    alone = evaluate(replace(camvid, items=others), ["grey-uniformity"])
 
     kept, expected = (without_times(document(one, ""))["detectors"] for one in (found, alone))
     for name, one in kept.items():
@@ -273,23 +250,12 @@ def test_a_condition_has_the_figures_of_its_pictures_whatever_their_group(camvid
     for key in ("maxf", "auc_pooled", "ap", "auc_vertical", "brier", "ece"):  # on 8-bit maps
         assert rain[key] == pytest.approx(alone[key], abs=0.01), key
     assert {"threshold", "trust/auc"}.isdisjoint(rain)
-    counts = [
-        metrics.decisions_at(
-            metrics.count_levels(look(name, item), *truth_of(camvid, item), 256),
-            found.thresholds[item.group or ""],
-        )
-        for item in chosen
-    ]
-    assert rain["f"] == pytest.approx(float(metrics.f_measure(counts[0] + counts[1])))
-
-
-def look(name: str, item: Item) -> torch.Tensor:
-    return load_detector(name).detect(read_image(item.image)).likelihood
-
-
-def truth_of(dataset: Dataset, item: Item) -> tuple[torch.Tensor, torch.Tensor]:
-    truth = dataset.truth(item)
-    return truth.road, truth.valid
+    f = []
+    for item in chosen:
+        truth, detection = camvid.truth(item), load_detector(name).detect(read_image(item.image))
+        counts = metrics.count_levels(detection.likelihood, truth.road, truth.valid, 256)
+        f.append(metrics.decisions_at(counts, found.thresholds[item.group or ""]))
+    assert rain["f"] == pytest.approx(float(metrics.f_measure(f[0] + f[1])))
 
 
 def test_a_condition_without_a_picture_that_could_be_scored_has_no_figures(camvid, tmp_path):
@@ -303,8 +269,3 @@ def test_a_condition_without_a_picture_that_could_be_scored_has_no_figures(camvi
 
     assert found.conditions == []
     assert "conditions" not in document(found, "")["detectors"]["prior:rows"]
-
-
-def test_when_all_that_is_looked_at_is_left_out_there_is_one_error(camvid):
-    with pytest.raises(DatasetError, match="all groups are left out"):
-        evaluate(leave_out(camvid, [camvid.items[0].group or ""]), ["prior:rows"], limit=1)

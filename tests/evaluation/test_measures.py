@@ -50,7 +50,7 @@ def test_a_measure_that_is_added_is_in_the_file_on_the_screen_and_on_the_page(tm
 def test_a_formula_that_draws_cannot_have_is_named(tmp_path):
     know_oracle()
     dataset = open_dataset("camvid", write_set(tmp_path / "camvid"))
-    wrong = Measure("seen", "seen", "Pictures.", lambda part: part.images, interval=True)
+    wrong = Measure("seen", "seen", "Pictures.", lambda part: part.pictures and 1.0, interval=True)
 
     with pytest.raises(TypeError, match="the formula of seen needs what draws do not have"):
         evaluate(dataset, ["prior:rows"], measures=(MAXF, wrong))

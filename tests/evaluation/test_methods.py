@@ -7,45 +7,38 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, every_kth
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.methods import (
-    mean_baseline,
-    mean_of,
-    means_of_others,
+    contenders,
+    mean_masks,
     resize,
-    road_shares,
 )
 from roadtorch.road.fusion import prior_rows
 from tests.evaluation.conftest import GROUPS
 
 
 def test_the_mean_mask_is_the_other_groups(dataset, scenes):
-    found = means_of_others(road_shares(dataset))
-
     shares = {}
     for group in GROUPS:
         own = [scene for name, scene in scenes.items() if name.startswith(group)]
         road = torch.stack([scene.road & ~scene.void for scene in own]).double().sum(0)
         seen = torch.stack([~scene.void for scene in own]).double().sum(0)
         shares[group] = road / seen.clamp(min=1e-9)
-    expected = (shares["0006R0"] + shares["0016E5"]) / 2
-    assert torch.allclose(found["0001TP"], expected)
 
+    found = mean_masks(dataset)["0001TP"]
 
-def test_one_group_alone_teaches_nothing(dataset):
-    alone = every_kth(dataset, 1)
-
-    assert means_of_others(road_shares(alone)) == {}
+    assert torch.allclose(found, (shares["0006R0"] + shares["0016E5"]) / 2)
+    assert mean_masks(every_kth(dataset, 1)) == {}  # one group alone teaches nothing
 
 
 def test_a_mask_from_elsewhere_is_brought_to_the_size_of_the_image(dataset):
-    item = dataset.items[0]
-    ramp = torch.linspace(0, 1, 10, dtype=torch.float64)[:, None].expand(10, 8)
+    one = every_kth(dataset, 1)
 
-    look = mean_baseline({"0001TP": ramp}).prepare(dataset)
-    found = look(torch.zeros(3, 48, 64), item)
+    *_, mean = contenders(one, (), {}, {}, mean_from=dataset)
+    found = mean.prepare(one)(torch.zeros(3, 24, 32), one.items[0])
 
-    assert found.likelihood.shape == (48, 64)
+    assert mean.name == "prior:mean"
+    assert found.likelihood.shape == (24, 32)
     assert found.likelihood[0].max() < 0.1
-    assert found.likelihood[-1].min() > 0.9
+    assert found.likelihood[-1].mean() > 0.5
 
 
 # --- on real labels ------------------------------------------------------------------------------
@@ -76,5 +69,4 @@ def test_row_prior_and_camvids_mean_mask_on_idd(data_root):
     some = every_kth(open_dataset("camvid", data_root / "camvid"), 100)  # for speed
 
     assert baseline_scores(idd)[""] == pytest.approx(0.813, abs=6e-4)
-    learned = {"": mean_of(road_shares(some))}
-    assert baseline_scores(idd, learned)[""] == pytest.approx(0.834, abs=4e-3)
+    assert baseline_scores(idd, mean_masks(idd, some))[""] == pytest.approx(0.834, abs=4e-3)

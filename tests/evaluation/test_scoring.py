@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import Item, every_kth
-from roadtorch.evaluation.methods import mean_baseline, means_of_others, named_detector, road_shares
-from roadtorch.evaluation.scoring import score, score_item
+from roadtorch.data.dataset import LabelledItem, every_kth
+from roadtorch.evaluation.methods import Contender, contenders, named_detector
+from roadtorch.evaluation.scoring import score
 from tests.evaluation.conftest import counted, looking, summarised
 from tests.streets import write_camvid
 
@@ -51,14 +51,13 @@ def test_a_detector_that_breaks_is_named(dataset):
     def look(image, item):
         raise ZeroDivisionError("no road")
 
-    result = score_item(dataset, {"mine": look}, dataset.items[0])
+    result = next(score(dataset, [Contender("mine", lambda _: look)]))
 
     assert result.failure == "mine: ZeroDivisionError: no road"
 
 
 def test_two_processes_give_the_results_of_one(dataset):
-    mean = mean_baseline(means_of_others(road_shares(dataset)))
-    methods = [*ROWS, TRIANGLE, mean]
+    methods = contenders(dataset, (), {}, {})  # the baselines
 
     one, two = list(score(dataset, methods)), list(score(dataset, methods, jobs=2))
 
@@ -79,7 +78,7 @@ class LowerHalf:
 
     name: ClassVar[str] = "the lower half"
 
-    def __call__(self, item: Item, values: torch.Tensor) -> torch.Tensor:
+    def __call__(self, item: LabelledItem, values: torch.Tensor) -> torch.Tensor:
         lower = values[..., values.shape[-2] // 2 :, :]
         return lower.repeat_interleave(2, -1).repeat_interleave(2, -2)
 

@@ -9,10 +9,11 @@ import pytest
 import torch
 from scipy.stats import spearmanr
 
-from roadtorch.data.dataset import Item
+from roadtorch.data.dataset import LabelledItem
 from roadtorch.detector import Detection
 from roadtorch.evaluation import boundary, metrics
 from roadtorch.evaluation.measures import MEASURES
+from roadtorch.evaluation.methods import Contender
 from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.result import (
     choose_thresholds,
@@ -97,8 +98,8 @@ def test_an_image_without_road_is_skipped_and_counted_in_the_mean_auc():
     assert figures.headline["ms_per_image"] == pytest.approx(200)
 
 
-def item(name: str) -> Item:
-    return Item(name, Path(name), Path(name), "x")
+def item(name: str) -> LabelledItem:
+    return LabelledItem(name, Path(name), Path(name), "x")
 
 
 def score(road: dict[int, int], other: dict[int, int], seconds: float) -> Score:
@@ -135,9 +136,11 @@ def test_groups_weigh_the_same_in_the_choice():
 def test_where_thresholds_come_from():
     counts = counts_of({4: 10}, {3: 10})
 
-    assert choose_thresholds({"all": counts}, 0.6, None)[1] == {"all": 0.6}
-    assert choose_thresholds({"all": counts}, 0.6, 0.2)[1] == {"all": 0.2}
-    assert choose_thresholds({"a": counts, "b": counts}, 0.6, None)[1]["a"] == 0.4
+    own = Contender("it", lambda _: NotImplemented, threshold=0.6)
+
+    assert choose_thresholds(own, {"all": counts})[1] == {"all": 0.6}
+    assert choose_thresholds(replace(own, chosen=0.2), {"all": counts})[1] == {"all": 0.2}
+    assert choose_thresholds(own, {"a": counts, "b": counts})[1]["a"] == 0.4
 
 
 def test_iou_is_taken_at_the_held_out_threshold(dataset, scenes):
@@ -199,57 +202,34 @@ def trusting(scenes, trusts: Mapping[str, float | None]):
 def test_trust_is_measured_on_all_pictures_together_and_by_group(dataset, scenes):
     knowing = {name: 1 - place / 10 for place, name in enumerate(scenes)}
 
-    figures = summarised(counted(dataset, trusting(scenes, knowing)))
-    blind = summarised(counted(dataset, trusting(scenes, dict.fromkeys(scenes, 0.5))))
+    tally = counted(dataset, trusting(scenes, knowing))
+    figures = summarised(tally)
+    blind = summarised(counted(dataset, trusting(scenes, dict.fromkeys(scenes, 0.5)))).headline
 
-    f = [metrics_of(dataset, scenes, name) for name in scenes]
-    assert figures.headline["trust/rank_correlation"] == pytest.approx(
-        spearmanr(list(knowing.values()), f)[0]
-    )
-    assert figures.headline["trust/aurc_random"] == pytest.approx(1 - sum(f) / 6)
-    assert figures.headline["trust/error"] == pytest.approx(
-        sum(abs(one - other) for one, other in zip(knowing.values(), f, strict=True)) / 6
-    )
+    kept = tally.kept()
+    f, trusts = metrics.f_measure(kept.mask), torch.tensor([knowing[name] for name in kept.names])
+    correlation = figures.headline["trust/rank_correlation"]
+    assert correlation == pytest.approx(spearmanr(trusts, f)[0])
+    assert figures.headline["trust/aurc_random"] == pytest.approx(float((1 - f).mean()))
+    assert figures.headline["trust/error"] == pytest.approx(float((trusts - f).abs().mean()))
     assert figures.groups["0001TP"]["trust/rank_correlation"] == pytest.approx(1)
     assert math.isnan(figures.headline["trust/rank_correlation_within"])  # two pictures a group
-    assert blind.headline["trust/aurc"] == pytest.approx(blind.headline["trust/aurc_random"])
-    assert math.isnan(blind.headline["trust/rank_correlation"])
-
-
-def metrics_of(dataset, scenes, name: str) -> float:
-    """F of the mask of one picture."""
-    look = trusting(scenes, dict.fromkeys(scenes, None))
-    one = replace(dataset, items=tuple(item for item in dataset.items if item.name == name))
-    return summarised(counted(one, look)).pooled["f_mask"]
+    assert blind["trust/aurc"] == pytest.approx(blind["trust/aurc_random"])
+    assert math.isnan(blind["trust/rank_correlation"])
 
 
 def test_pictures_without_trust_are_left_out_and_detectors_without_any_have_no_figure(
     dataset, scenes
 ):
-    names = list(scenes)
-    some = {name: None if name == names[0] else 0.9 - place / 10
-            for place, name in enumerate(names)}  # fmt: skip
+    first, *others = scenes
+    some = {first: None, **dict.fromkeys(others, 0.9)}
 
-    partly = summarised(counted(dataset, trusting(scenes, some)))
-    never = summarised(counted(dataset, trusting(scenes, dict.fromkeys(names, None))))
+    tally = counted(dataset, trusting(scenes, some))
+    never = summarised(counted(dataset, trusting(scenes, dict.fromkeys(scenes, None))))
 
-    rest = [metrics_of(dataset, scenes, name) for name in names[1:]]
-    assert partly.headline["trust/aurc_random"] == pytest.approx(1 - sum(rest) / 5)
+    rest = 1 - metrics.f_measure(tally.named(others).mask)
+    assert summarised(tally).headline["trust/aurc_random"] == pytest.approx(float(rest.mean()))
     assert not any(key.startswith("trust/") for key in (*never.headline, *never.pooled))
-
-
-def test_calibration_is_told_by_group_and_its_mean_weighs_groups_the_same(dataset, scenes):
-    def pale(name):  # right everywhere, but less sure of one group
-        sure = 0.6 if name.startswith("0001TP") else 1.0
-        return scenes[name].road * sure
-
-    figures = summarised(counted(dataset, looking(pale)))
-
-    errors = [figures.groups[group]["ece"] for group in GROUPS]
-    assert errors[0] > 0.05
-    assert errors[1:] == [0, 0]
-    assert figures.headline["ece"] == pytest.approx(sum(errors) / 3)
-    assert figures.headline["ece"] != pytest.approx(figures.pooled["ece"], abs=1e-6)
 
 
 # --- single pictures -----------------------------------------------------------------------------

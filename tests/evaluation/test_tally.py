@@ -7,8 +7,8 @@ import torch
 
 from roadtorch.detector import Detection
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.methods import named_detector
-from roadtorch.evaluation.scoring import prepared, score_item
+from roadtorch.evaluation.methods import Contender
+from roadtorch.evaluation.scoring import score
 from roadtorch.evaluation.tally import Tally
 from tests.evaluation.conftest import GROUPS, counted
 
@@ -26,11 +26,10 @@ def test_one_picture_more_costs_little_memory(dataset):
 
 def test_rows_outlive_the_room_there_was_for_them_and_can_be_sorted(dataset):
     few, many = counted(dataset, look), Tally()
-    looks = prepared(dataset, [named_detector("prior:rows", {})])
-    look_at = score_item(dataset, looks, dataset.items[0])
+    first = next(score(dataset, [Contender("it", lambda _: look)]))
     names = [f"picture {index}" for index in range(150)]
     for name in reversed(names):
-        many.add(replace(dataset.items[0], name=name), look_at.scores["prior:rows"])
+        many.add(replace(first.item, name=name), first.scores["it"])
 
     many.sort(names)
 
@@ -42,12 +41,12 @@ def test_rows_outlive_the_room_there_was_for_them_and_can_be_sorted(dataset):
 
 def test_pictures_with_and_without_layout_may_be_mixed_in_any_order(dataset):
     item, tally = dataset.items[0], Tally()
-    shown = score_item(dataset, {"it": look}, item).scores["it"]
+    shown = next(score(dataset, [Contender("it", lambda _: look)])).scores["it"]
     assert shown.layout is not None
     for index in range(200):  # more than there is room for at first, before and after
         is_shown = 90 <= index < 100
-        score = shown if is_shown else replace(shown, layout=None)
-        tally.add(replace(item, name=f"{index}"), score)
+        counts = shown if is_shown else replace(shown, layout=None)
+        tally.add(replace(item, name=f"{index}"), counts)
 
     layout = tally.kept().layout
 

@@ -6,6 +6,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import spearmanr
 from sklearn.metrics import roc_auc_score
 
 from roadtorch.evaluation import trust
@@ -24,32 +25,21 @@ def columns(pairs: list[tuple[float, float]]) -> tuple[torch.Tensor, torch.Tenso
     return trusts, f
 
 
-@settings(deadline=None)
-@given(pictures(40))
-def test_rank_correlation_equals_the_obvious_one(pairs):
-    trusts, f = columns(pairs)
-
-    found = trust.rank_correlation(trusts, f)
-
-    assert found == pytest.approx(
-        slow.rank_correlation(trusts.tolist(), f.tolist()), abs=1e-9, nan_ok=True
-    )
-
-
-@settings(deadline=None)
-@given(pictures(30))
-def test_the_area_for_failures_is_the_share_of_pairs(pairs):
-    trusts, f = columns(pairs)
-
-    found = trust.failure_auc(trusts, f, 0.6)
-
-    expected = slow.failure_auc(trusts.tolist(), f.tolist(), 0.6)
-    assert found == pytest.approx(expected, abs=1e-12, nan_ok=True)
-    if not math.isnan(found):
-        assert found == pytest.approx(float(roc_auc_score(f < 0.6, -trusts)), abs=1e-12)
-
-
 @settings(deadline=None, max_examples=40)
+@given(pictures(30))
+def test_ranks_and_areas_equal_those_of_scipy_and_scikit_learn(pairs):
+    trusts, f = columns(pairs)
+    bad = f < 0.6
+
+    if trusts.unique().numel() > 1 and f.unique().numel() > 1:
+        expected = spearmanr(trusts, f)[0]
+        assert trust.rank_correlation(trusts, f) == pytest.approx(expected, abs=1e-9)
+    if 0 < bad.sum() < len(bad):
+        expected = float(roc_auc_score(bad, -trusts))
+        assert trust.failure_auc(trusts, f, 0.6) == pytest.approx(expected, abs=1e-12)
+
+
+@settings(deadline=None, max_examples=20)
 @given(pictures(6))
 def test_the_risk_of_equals_is_the_mean_over_their_orders(pairs):
     trusts, f = columns(pairs)

@@ -3,8 +3,8 @@
 import base64
 import io
 import json
+import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,36 +16,32 @@ from PIL import Image
 from roadtorch.camera.birds_eye import to_birds_eye
 from roadtorch.camera.calibration import read_calibration
 from roadtorch.camera.camera import Camera, EgoLook
+from roadtorch.cli.options import DetectorOptions
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.conditions import with_conditions
 from roadtorch.data.correction_formats import FORMATS as IMPORTED
 from roadtorch.data.corrections import Correction
-from roadtorch.data.dataset import Dataset, Item
-from roadtorch.data.event_log import read_log
-from roadtorch.data.folder import FolderLabels
+from roadtorch.data.dataset import LabelledItem
+from roadtorch.data.events import read_log
+from roadtorch.data.folder import FolderLabels, with_conditions
 from roadtorch.data.labelme import PolygonLabels
-from roadtorch.data.maps import CONFIG, deciding_settings, map_likelihood, map_mask
+from roadtorch.data.maps import CONFIG, deciding_settings, map_likelihood, map_mask, read_map
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
-from roadtorch.errors import ConfigError, DatasetError, InputError
-from roadtorch.evaluation import evaluate
-from roadtorch.evaluation.document import earlier_thresholds
-from roadtorch.evaluation.methods import Method, named_detector
-from roadtorch.evaluation.scoring import score
-from roadtorch.evaluation.tally import Tally
+from roadtorch.errors import ConfigError, InputError
+from roadtorch.evaluation.methods import Contender, earlier_thresholds, named_detector
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
-from roadtorch.layout.weights import MAX_WEIGHT, load_network, save_network, shipped_weights
-from roadtorch.road.ego import Ego, ego_car
-from roadtorch.runs.folder import result_folder
-from roadtorch.runs.index import Row, read_index, write_index
-from roadtorch.runs.options import DetectorOptions, as_toml
-from roadtorch.settings import build_settings, parse_assignments
+from roadtorch.layout.weights import MAX_WEIGHT, load_network, save_network
+from roadtorch.road.ego import Ego, ego_car, read_ego_mask
+from roadtorch.run.folder import result_folder
+from roadtorch.run.ledger import Row, read_index, write_index
+from roadtorch.run.memo import read_arrays, write_arrays
+from roadtorch.settings import build_settings, parse_assignments, to_toml
 from roadtorch.train.config import PatchTraining, as_values, build_training
 from roadtorch.train.folder import CHECKPOINT, FORMAT, RUN, RunFolder
-from roadtorch.train.prepared import read_arrays, write_arrays
-from tests.data.conftest import write_png
-from tests.fuzz.pictures import OF_PICTURES, make_picture, read_picture
+from tests.data.conftest import write
+from tests.fuzz.pictures import OF_PICTURES, read_picture, whole_picture
 from tests.fuzz.tampered import (
+    OF_BYTES,
     OF_TEXT,
     PIECES,
     Draw,
@@ -56,6 +52,8 @@ from tests.fuzz.tampered import (
     written,
 )
 
+Make = Callable[[Draw, Path], bytes]
+
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 HEIGHT, WIDTH = 12, 16
 SIZE = (4, 6)  # of maps, in pixels
@@ -63,21 +61,41 @@ DETECTOR = "prior:rows"
 
 
 class Kind(NamedTuple):
-    """make: writes a file and what belongs to it into a folder; read: whether it makes sense."""
+    """name: of a file; make: gives its bytes, and writes what belongs to it into the folder.
 
-    make: Callable[[Draw, Path], Path]
+    read: whether what is read of it makes sense.
+    """
+
+    name: str
+    make: Make
     read: Callable[[Path], bool]
 
+    def write(self, draw: Draw, folder: Path) -> Path:
+        return written(folder / self.name, self.make(draw, folder))
 
-def told_of(path: Path, build: Callable[[], object]) -> None:
+
+def of_text(text: str) -> Make:
+    return lambda draw, _: tampered(draw, text.encode(), OF_TEXT)
+
+
+def of_file(write: Callable[[Path], object], kinds: tuple[str, ...] = OF_BYTES) -> Make:
+    """What somebody writes as a file."""
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder, "file"))
+        data = Path(folder, "file").read_bytes()
+    return lambda draw, _: tampered(draw, data, kinds)
+
+
+def told_of(path: Path, build: Callable[[], object]) -> bool:
     """Build settings; a refusal that names their key names their file too, as a user knows it."""
     try:
         build()
     except ConfigError as problem:
         raise ConfigError(f"{path} {problem.where}", problem.what, problem.remedy) from None
+    return True
 
 
-# --- weights, arrays, checkpoints -----------------------------------------------------------
+# --- weights, checkpoints -------------------------------------------------------------------
 
 NETWORKS = (
     PatchNetwork(PatchNetworkSettings(topology=Topology(k1=6, potentials="softmax"))),
@@ -85,19 +103,14 @@ NETWORKS = (
 )
 
 
-def make_network(draw: Draw, folder: Path) -> Path:
-    """Small or shipped, with or without a card."""
-    path = folder / "net.safetensors"
-    shipped = one_of(draw, "", "", "", "cnn-7", "layout")
-    if shipped:
-        source = shipped_weights(shipped)
-        path.write_bytes(source.read_bytes())
-        if draw(st.booleans()):
-            card = source.with_suffix(".md").read_bytes()
-            path.with_suffix(".md").write_bytes(tampered(draw, card))
-    else:
-        save_network(path, one_of(draw, *NETWORKS), {"config": {"seed": 3}})
-    return written(path, tampered_safetensors(draw, path.read_bytes()))
+def make_network(draw: Draw, folder: Path) -> bytes:
+    """With or without a card."""
+    path = folder / "whole.safetensors"
+    save_network(path, one_of(draw, *NETWORKS), {"config": {"seed": 3}})
+    if draw(st.booleans()):
+        card = f"# A network\n\nSHA-256: {'0' * 64}\n\nTerms: Apache-2.0".encode()
+        written(folder / "net.md", tampered(draw, card))
+    return tampered_safetensors(draw, path.read_bytes())
 
 
 def read_network(path: Path) -> bool:
@@ -105,20 +118,13 @@ def read_network(path: Path) -> bool:
     return all(bool((value.abs() <= MAX_WEIGHT).all()) for value in values)
 
 
-def make_arrays(draw: Draw, folder: Path) -> Path:
-    path = folder / "prepared.npz"
-    write_arrays(path, {"image": torch.zeros(3, 9, 9, dtype=torch.uint8), "source": torch.ones(1)})
-    return written(path, tampered(draw, path.read_bytes()))
+ARRAYS = {"image": torch.zeros(3, 9, 9, dtype=torch.uint8), "source": torch.ones(1)}
 
 
-def make_checkpoint(draw: Draw, folder: Path) -> Path:
+def write_checkpoint(path: Path) -> None:
     data = io.BytesIO()  # in a file its name would be part of the bytes
     torch.save({"format": FORMAT, "progress": {"epoch": 1}, "w": torch.ones(50)}, data)
-    return written(folder / CHECKPOINT, tampered(draw, data.getvalue()))
-
-
-def read_checkpoint(path: Path) -> bool:
-    return isinstance(RunFolder(path.parent).read_checkpoint(), dict)
+    path.write_bytes(data.getvalue())
 
 
 RECORD: dict[str, Any] = {
@@ -130,28 +136,23 @@ RECORD: dict[str, Any] = {
 }
 
 
-def make_record(draw: Draw, folder: Path) -> Path:
-    return written(folder / RUN, tampered_json(draw, RECORD))
-
-
 def read_record(path: Path) -> bool:
     """Begin a run where there is one; it is refused, as this one has other pictures."""
     other = {**RECORD, "pictures": "1" * 64, "corrections": None}
-    told_of(path, lambda: RunFolder(path.parent).check(other, resume=True))
-    return False
+    return not told_of(path, lambda: RunFolder(path.parent).check(other, resume=True))
 
 
 # --- settings -----------------------------------------------------------------------------
 
 
-def make_config(draw: Draw, folder: Path) -> Path:
+def make_config(draw: Draw, _: Path) -> bytes:
     """Of a detector or of a training."""
     if draw(st.booleans()):
         data = one_of(draw, *sorted(CONFIGS.glob("*.toml"))).read_bytes()
     else:
         entry = detector_entry(one_of(draw, *list_detectors("*")))
-        data = as_toml(entry.name, build_settings(entry.settings, {})).encode()
-    return written(folder / "config.toml", tampered(draw, data, OF_TEXT))
+        data = to_toml(entry.name, build_settings(entry.settings, {})).encode()
+    return tampered(draw, data, OF_TEXT)
 
 
 def read_config(path: Path) -> bool:
@@ -161,31 +162,26 @@ def read_config(path: Path) -> bool:
             return build_training(values)
         return build_settings(detector_entry(name).settings, values)
 
-    told_of(path, build)
-    return True
+    return told_of(path, build)
 
 
-def make_assignments(draw: Draw, folder: Path) -> Path:
+def make_assignments(draw: Draw, _: Path) -> bytes:
     """Texts of ``--set``, one a line."""
     keys = ("threshold", "texture.bins", "ego.bottom", "ego.outline", "seed_area.height", "x.y")
     texts = [one_of(draw, *keys).encode() + b"=" + draw(PIECES) for _ in range(3)]
-    data = b"\n".join([*texts, b"threshold=0.5", b"ego.outline=[0.9, 1]"])
-    return written(folder / "sets.txt", tampered(draw, data, OF_TEXT))
+    return tampered(draw, b"\n".join([*texts, b"threshold=0.5", b"ego.outline=[0.9, 1]"]), OF_TEXT)
 
 
 def read_assignments(path: Path) -> bool:
     texts = path.read_bytes().decode("utf-8", "surrogateescape").split("\n")
-    told_of(path, lambda: build_settings(detector_entry("cpf").settings, parse_assignments(texts)))
-    return True
+    kind = detector_entry("cpf").settings
+    return told_of(path, lambda: build_settings(kind, parse_assignments(texts)))
 
 
-def make_camera(draw: Draw, folder: Path) -> Path:
-    path, rows = folder / "camera.toml", (0.9, 0.92, 0.95)
-    look = EgoLook(rows=rows, columns=rows, across=(0.1, -0.2, 0.3), down=(0.5, 0.1, 0.0))
-    ego = Ego(outline=(0.9, 0.8, 0.9))
-    camera = Camera(width=64, height=48, frames=9, horizon=0.4, seed_row=0.9, ego=ego, look=look)
-    camera.write(path)
-    return written(path, tampered(draw, path.read_bytes(), OF_TEXT))
+ROWS = (0.9, 0.92, 0.95)
+LOOK = EgoLook(rows=ROWS, columns=ROWS, across=(0.1, -0.2, 0.3), down=(0.5, 0.1, 0.0))
+OUTLINE = Ego(outline=(0.9, 0.8, 0.9))
+CAMERA = Camera(width=64, height=48, frames=9, horizon=0.4, seed_row=0.9, ego=OUTLINE, look=LOOK)
 
 
 def read_camera(path: Path) -> bool:
@@ -200,7 +196,7 @@ def read_camera(path: Path) -> bool:
 # --- labels -------------------------------------------------------------------------------
 
 
-def make_labelme(draw: Draw, folder: Path) -> Path:
+def make_labelme(draw: Draw, folder: Path) -> bytes:
     """JSON beside its picture, with a mask inside."""
     Image.new("RGB", (WIDTH, HEIGHT)).save(folder / "a.png")
     data = io.BytesIO()
@@ -220,85 +216,79 @@ def make_labelme(draw: Draw, folder: Path) -> Path:
         for points, name, more in draw(st.lists(st.sampled_from(shapes), min_size=1, max_size=5))
     ]
     document = {"version": "5.5.0", "shapes": drawn, "imageHeight": HEIGHT, "imageWidth": WIDTH}
-    return written(folder / "a.json", tampered_json(draw, document))
+    return tampered_json(draw, document)
 
 
-def make_xml(draw: Draw, folder: Path) -> Path:
+XML = f"""<?xml version='1.0' encoding='utf-8'?>
+<annotation><imagesize><nrows>{HEIGHT}</nrows><ncols>{WIDTH}</ncols></imagesize>
+<object><name>road</name><deleted>0</deleted><polygon><username>anna</username>
+<pt><x>2</x><y>3</y></pt><pt><x>9</x><y>3</y></pt><pt><x>9</x><y>8</y></pt>
+</polygon></object></annotation>"""
+
+
+def make_xml(draw: Draw, folder: Path) -> bytes:
     """LabelMe's XML beside its picture."""
     Image.new("RGB", (WIDTH, HEIGHT)).save(folder / "a.png")
-    corners = "\n".join(f"<pt><x>{x}</x><y>{y}</y></pt>" for x, y in ((2, 3), (9, 3), (9, 8)))
-    polygon = f"<polygon>\n<username>anna</username>\n{corners}\n</polygon>"
-    parts = f"<object>\n<name>road</name>\n<deleted>0</deleted>\n{polygon}\n</object>"
-    size = f"<imagesize><nrows>{HEIGHT}</nrows><ncols>{WIDTH}</ncols></imagesize>"
-    text = f"<?xml version='1.0' encoding='utf-8'?>\n<annotation>\n{size}\n{parts}\n</annotation>"
-    return written(folder / "a.xml", tampered(draw, text.encode(), OF_TEXT))
+    return tampered(draw, XML.encode(), OF_TEXT)
 
 
 def read_truth(path: Path) -> bool:
-    truth = PolygonLabels().truth(Item("a", path.parent / "a.png", path))
+    truth = PolygonLabels().truth(LabelledItem("a", path.parent / "a.png", path))
     return truth.road.shape == truth.valid.shape == (HEIGHT, WIDTH)
 
 
-def make_labels(draw: Draw, folder: Path) -> Path:
-    """A label picture of a set of one's own."""
+def make_labels(draw: Draw, _: Path) -> bytes:
+    """A label picture of a set of one's own, or a picture of the ego car."""
     values, data = np.array([0, 255, 127], np.uint8)[np.arange(HEIGHT * WIDTH) % 3], io.BytesIO()
     mode = one_of(draw, "L", "P", "RGB", "I;16", "1")
     Image.fromarray(values.reshape(HEIGHT, WIDTH)).convert(mode).save(data, "PNG")
-    return written(folder / "label.png", tampered(draw, data.getvalue(), OF_PICTURES))
+    return tampered(draw, data.getvalue(), OF_PICTURES)
 
 
 def read_labels(path: Path) -> bool:
-    truth = FolderLabels().truth(Item("a", path, path))
+    truth = FolderLabels().truth(LabelledItem("a", path, path))
     return truth.road.shape == truth.valid.shape and truth.road.dtype == torch.bool
 
 
 NUMBERS = (np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) % 97 % 8).astype(np.uint8)
 SAID = Correction(Path("a.png"), "a.png", NUMBERS, False, (), 0, 0)
-IMPORTS = {
-    "label-studio": "tasks.json",
-    "cvat": "labelmap.txt",
-    "xml": "a.xml",
-    "labelme": "a.json",
-}
 
 
-def make_import(draw: Draw, folder: Path) -> Path:
+def imported(name: str, file: str) -> Kind:
     """An export of ours for one of the programs."""
-    name = one_of(draw, *IMPORTS)
-    IMPORTED[name].write([SAID], folder)
-    path = folder / IMPORTS[name]
-    if path.suffix == ".json" and one_of(draw, 0, 1, 2):
-        return written(path, tampered_json(draw, json.loads(path.read_bytes())))
-    return written(path, tampered(draw, path.read_bytes(), OF_TEXT))
+
+    def make(draw: Draw, folder: Path) -> bytes:
+        IMPORTED[name].write([SAID], folder)
+        data = (folder / file).read_bytes()
+        if file.endswith(".json") and one_of(draw, 0, 1, 2):
+            return tampered_json(draw, json.loads(data))
+        return tampered(draw, data, OF_TEXT)
+
+    def read(path: Path) -> bool:
+        labels = IMPORTED[name].read(path.parent, {"a.png": (HEIGHT, WIDTH)})
+        return all(array.shape == (HEIGHT, WIDTH) and array.max() < 8 for array in labels.values())
+
+    return Kind(file, make, read)
 
 
-def read_import(path: Path) -> bool:
-    name = {file: name for name, file in IMPORTS.items()}[path.name]
-    try:
-        found = IMPORTED[name].read(path.parent, {"a.png": (HEIGHT, WIDTH)})
-    except DatasetError as problem:
-        if path.name == "labelmap.txt" and "a.png" in str(problem):
-            return True  # a class of the picture that the file does not name by now
-        raise
-    return all(one.shape == (HEIGHT, WIDTH) and one.max() < 8 for one in found.values())
+EVENTS = (
+    {"picture": "../a.png", "user": "ann", "height": HEIGHT, "width": WIDTH},
+    {"id": "a", "kind": "superpixel", "saying": "road", "segments": [1], "runs": [0, 9, 40, 3]},
+    {"id": "b", "kind": "polygon", "saying": "sky", "points": [[1, 1], [9, 1], [9, 8]]},
+    {"id": "c", "kind": "brush", "saying": "void", "points": [[3, 4]], "radius": 2.5},
+    {"id": "d", "kind": "brought", "labels": {"road": [5, 5], "untouched": [90, 2]}},
+    {"id": "e", "kind": "undo", "of": "b"},
+    {"id": "f", "kind": "right", "runs": [7, 70]},
+)
 
 
-def make_journal(draw: Draw, folder: Path) -> Path:
-    """A log of what one person did."""
-    lines = [
-        {"picture": "../a.png", "user": "ann", "height": HEIGHT, "width": WIDTH},
-        {"id": "a", "kind": "superpixel", "saying": "road", "segments": [1], "runs": [0, 9, 40, 3]},
-        {"id": "b", "kind": "polygon", "saying": "sky", "points": [[1, 1], [9, 1], [9, 8]]},
-        {"id": "c", "kind": "brush", "saying": "void", "points": [[3, 4]], "radius": 2.5},
-        {"id": "d", "kind": "brought", "labels": {"road": [5, 5], "untouched": [90, 2]}},
-        {"id": "e", "kind": "undo", "of": "b"},
-        {"id": "f", "kind": "right", "runs": [7, 70]},
-    ]
-    at = draw(st.integers(0, len(lines) - 1))
-    texts = [json.dumps(line).encode() for line in lines]
-    texts[at] = tampered_json(draw, lines[at]).replace(b"\n", b" ")
-    data = b"".join(text + b"\n" for text in texts)
-    return written(folder / "a.png.ann.strokes.jsonl", data[: draw(st.integers(0, 2 * len(data)))])
+def make_journal(draw: Draw, _: Path) -> bytes:
+    """A log of what one person did, an event tampered with, perhaps cut off."""
+    at = draw(st.integers(0, len(EVENTS) - 1))
+    lines = [json.dumps(event).encode() for event in EVENTS]
+    lines[at] = tampered_json(draw, EVENTS[at]).replace(b"\n", b" ")
+    data = b"".join(line + b"\n" for line in lines)
+    return data[: draw(st.integers(0, 2 * len(data)))]
 
 
 def read_journal(path: Path) -> bool:
@@ -306,36 +296,29 @@ def read_journal(path: Path) -> bool:
     return log is None or log.labels.max() < 8
 
 
-def make_conditions(draw: Draw, folder: Path) -> Path:
-    """A table of the conditions of a set of two pictures."""
-    write_set(folder / "set", "a", "b")
-    text = 'file,place,condition\na.png,"a town, by the sea",day rain\nb.png,,night\n'
-    return written(folder / "conditions.csv", tampered(draw, text.encode(), OF_TEXT))
-
-
-def write_set(folder: Path, *names: str) -> None:
-    for name in names:
-        for part in ("images", "masks"):
-            write_png(folder / part / f"{name}.png", np.zeros((18, 24), np.uint8))
+CONDITIONS = 'file,place,condition\na.png,"a town, by the sea",day rain\nb.png,,night\n'
 
 
 def read_conditions(path: Path) -> bool:
+    for name in ("images/a", "masks/a", "images/b", "masks/b"):
+        write(path.parent / "set" / f"{name}.png", np.zeros((18, 24), np.uint8))
     dataset = open_dataset("folder", path.parent / "set")
     return len(with_conditions(dataset, path).items) == len(dataset.items)
 
 
-def make_calibration(draw: Draw, folder: Path) -> Path:
+CALIBRATION = """P0: 1 2 3
+P2: 7.2e+02 0 6.1e+02 4.5e+01 0 7.2e+02 1.7e+02 2.2e-01 0 0 1 2.7e-03
+R0_rect: 1 0 0 0 1 0 0 0 1
+Tr_cam_to_road: 1 0 0 0 0 1 0.02 -1.6 0 -0.02 1 0"""
+
+
+def make_calibration(draw: Draw, _: Path) -> bytes:
     """In KITTI's form."""
-    rows = {
-        "P2": "7.2e+02 0 6.1e+02 4.5e+01 0 7.2e+02 1.7e+02 2.2e-01 0 0 1 2.7e-03",
-        "R0_rect": "1 0 0 0 1 0 0 0 1",
-        "Tr_cam_to_road": "1 0 0 0 0 1 0.02 -1.6 0 -0.02 1 0",
-    }
-    words = "\n".join(["P0: 1 2 3", *(f"{name}: {row}" for name, row in rows.items())]).split(" ")
+    words = CALIBRATION.split(" ")
     if draw(st.booleans()):
         value = one_of(draw, "1e308", "-1e308", "1e-320", "0", "1e40")
         words[draw(st.integers(0, len(words) - 1))] = value
-    return written(folder / "calib.txt", tampered(draw, " ".join(words).encode(), OF_TEXT))
+    return tampered(draw, " ".join(words).encode(), OF_TEXT)
 
 
 def read_from_above(path: Path) -> bool:
@@ -344,13 +327,12 @@ def read_from_above(path: Path) -> bool:
 
 # --- results of earlier runs ----------------------------------------------------------------
 
-
-def make_index(draw: Draw, folder: Path) -> Path:
-    path = folder / "index.csv"
-    rows = [Row("a.png", "64", "48", "12", "0.5", "0.81", saved="mask", method="ab", sha256="cd")]
-    rows.append(Row("sub/b\nc.png", status="failed: sub/b: is empty (replace the file)"))
-    write_index(path, rows)
-    return written(path, tampered(draw, path.read_bytes(), OF_TEXT))
+INDEX = (
+    Row("a.png", "64", "48", "12", "0.5", "0.81", saved="mask", method="ab", sha256="cd"),
+    Row("sub/b\nc.png", status="failed: sub/b: is empty (replace the file)"),
+)
+RESULTS = 'detector = "cpf"\nthreshold = 0.7\nisolated = "keep"\n\n[seed_area]\nheight = 0.2\n'
+MAP = np.linspace(0, 1, SIZE[0] * SIZE[1]).reshape(SIZE)
 
 
 def read_rows(path: Path) -> bool:
@@ -359,92 +341,86 @@ def read_rows(path: Path) -> bool:
     return all(row.file == file for file, row in rows.items())
 
 
-def make_results(draw: Draw, folder: Path) -> Path:
-    """The config.toml of a folder of results."""
-    write_index(folder / "index.csv", [])
-    text = 'detector = "cpf"\nthreshold = 0.7\nisolated = "keep"\n\n[seed_area]\nheight = 0.2\n'
-    return written(folder / CONFIG, tampered(draw, text.encode(), OF_TEXT))
-
-
 def read_results(path: Path) -> bool:
     """How it decides; and that a run with other settings is kept out of it."""
+    write_index(path.with_name("index.csv"), [])
     threshold = deciding_settings(path.parent).threshold
     try:
-        with result_folder(path.parent, "threshold = 0.123", overwrite=False):
+        with result_folder(str(path.parent), "threshold = 0.123", overwrite=False):
             return False
     except ConfigError:
         return 0 <= threshold <= 1
 
 
-def make_map(draw: Draw, folder: Path) -> Path:
-    """A map made elsewhere, as NumPy file or picture."""
-    values = np.linspace(0, 1, SIZE[0] * SIZE[1]).reshape(SIZE)
-    path, kinds = folder / one_of(draw, "a.npy", "a.npy", "a.png"), OF_PICTURES
-    if path.suffix == ".npy":
-        types = (np.float64, np.float32, np.float16, np.int32, np.complex64)
-        np.save(path, values.astype(one_of(draw, *types)))
-        kinds = OF_TEXT
-    else:
-        Image.fromarray((values * 255).astype(np.uint8)).save(path)
-    return written(path, tampered(draw, path.read_bytes(), kinds))
+def make_map(draw: Draw, _: Path) -> bytes:
+    """A map made elsewhere, as NumPy file."""
+    data = io.BytesIO()
+    types = (np.float64, np.float32, np.float16, np.int32, np.complex64)
+    np.save(data, MAP.astype(one_of(draw, *types)))
+    return tampered(draw, data.getvalue(), OF_TEXT)
 
 
-def read_map(path: Path) -> bool:
+def read_maps(path: Path) -> bool:
+    assert read_map(path).ndim == 2
     likelihood = map_likelihood(path.parent, [path.stem], [SIZE])
     mask = map_mask(path.parent, [path.stem], likelihood, deciding_settings(path.parent))
     return mask.shape == likelihood.shape == SIZE and bool(likelihood.isfinite().all())
 
 
-def methods() -> list[Method]:
+def contenders() -> list[Contender]:
     return [named_detector(DETECTOR, {})]
 
 
-def make_metrics(draw: Draw, folder: Path) -> Path:
-    settings = dict(methods()[0].settings)
+def make_metrics(draw: Draw, _: Path) -> bytes:
+    settings = dict(contenders()[0].settings)
     document = {"detectors": {DETECTOR: {"maxf_threshold": 0.61, "settings": settings}}}
-    return written(folder / "metrics.json", tampered_json(draw, document))
+    return tampered_json(draw, document)
 
 
 def read_thresholds(path: Path) -> bool:
-    return all(0 <= value <= 1 for value in earlier_thresholds(path, methods()).values())
-
-
-def make_progress(draw: Draw, folder: Path) -> Path:
-    """What an interrupted ``evaluate`` has counted."""
-    write_set(folder, "a")
-    item = Item("a", folder / "images/a.png", folder / "masks/a.png")
-    tally, path = Tally(), folder / evaluate.FILE
-    for result in score(Dataset("folder", folder, "all", (item,), FolderLabels()), methods()):
-        tally.add(item, replace(result.scores[DETECTOR], seconds=0.01))
-    evaluate.write_progress(path, "run", {DETECTOR: tally})
-    return written(path, tampered(draw, path.read_bytes()))
-
-
-def read_progress(path: Path) -> bool:
-    tally = evaluate.read_progress(path, "run")[DETECTOR]
-    tally.sort(["a"])
-    return [name for name, _ in tally.pictures] == ["a"]
+    return all(0 <= value <= 1 for value in earlier_thresholds(path, contenders()).values())
 
 
 KINDS: Mapping[str, Kind] = {
-    "pictures": Kind(make_picture, read_picture),
-    "weights": Kind(make_network, read_network),
-    "arrays": Kind(make_arrays, lambda path: read_arrays(path) is not None),
-    "checkpoints": Kind(make_checkpoint, read_checkpoint),
-    "records": Kind(make_record, read_record),
-    "configs": Kind(make_config, read_config),
-    "sets": Kind(make_assignments, read_assignments),
-    "camera": Kind(make_camera, read_camera),
-    "labelme": Kind(make_labelme, read_truth),
-    "xml": Kind(make_xml, read_truth),
-    "labels": Kind(make_labels, read_labels),
-    "imports": Kind(make_import, read_import),
-    "journals": Kind(make_journal, read_journal),
-    "conditions": Kind(make_conditions, read_conditions),
-    "calibration": Kind(make_calibration, read_from_above),
-    "index": Kind(make_index, read_rows),
-    "results": Kind(make_results, read_results),
-    "maps": Kind(make_map, read_map),
-    "metrics": Kind(make_metrics, read_thresholds),
-    "progress": Kind(make_progress, read_progress),
+    "pictures": Kind(
+        "picture.bin",
+        lambda draw, _: tampered(draw, whole_picture(draw), OF_PICTURES),
+        read_picture,
+    ),
+    "weights": Kind("net.safetensors", make_network, read_network),
+    "arrays": Kind(
+        "prepared.npz",
+        of_file(lambda path: write_arrays(path, ARRAYS)),
+        lambda path: bool(read_arrays(path)),
+    ),
+    "checkpoints": Kind(
+        CHECKPOINT,
+        of_file(write_checkpoint),
+        lambda path: isinstance(RunFolder(path.parent).read_checkpoint(), dict),
+    ),
+    "records": Kind(RUN, lambda draw, _: tampered_json(draw, RECORD), read_record),
+    "configs": Kind("config.toml", make_config, read_config),
+    "sets": Kind("sets.txt", make_assignments, read_assignments),
+    "camera": Kind("camera.toml", of_file(CAMERA.write, OF_TEXT), read_camera),
+    "labelme": Kind("a.json", make_labelme, read_truth),
+    "xml": Kind("a.xml", make_xml, read_truth),
+    "labels": Kind("label.png", make_labels, read_labels),
+    "ego": Kind("ego.png", make_labels, lambda path: read_ego_mask(str(path)).dtype == torch.bool),
+    "imported coco": imported("coco", "coco.json"),
+    "imported json": imported("labelme", "a.json"),
+    "journals": Kind("a.png.ann.strokes.jsonl", make_journal, read_journal),
+    "conditions": Kind("conditions.csv", of_text(CONDITIONS), read_conditions),
+    "calibration": Kind("calib.txt", make_calibration, read_from_above),
+    "index": Kind("index.csv", of_file(lambda path: write_index(path, INDEX), OF_TEXT), read_rows),
+    "results": Kind(CONFIG, of_text(RESULTS), read_results),
+    "maps": Kind("a.npy", make_map, read_maps),
+    "map pictures": Kind(
+        "a.png",
+        of_file(
+            lambda path: Image.fromarray((MAP * 255).astype(np.uint8)).save(path, "PNG"),
+            OF_PICTURES,
+        ),
+        read_maps,
+    ),
+    "metrics": Kind("metrics.json", make_metrics, read_thresholds),
 }

@@ -9,7 +9,7 @@ from PIL import Image
 
 from roadtorch.io.image import read_image
 from roadtorch.scenes.street import render_scene
-from tests.fuzz.tampered import OF_BYTES, Draw, one_of, tampered, written
+from tests.fuzz.tampered import OF_BYTES, Draw, one_of
 
 OF_PICTURES = (*OF_BYTES, "size")
 SIZES = ((64, 48), (1, 1), (1, 90), (90, 1), (320, 240))
@@ -42,10 +42,6 @@ def whole_picture(draw: Draw) -> bytes:
         data = io.BytesIO()
         picture.save(data, "PNG")
     return data.getvalue()
-
-
-def make_picture(draw: Draw, folder: Path) -> Path:
-    return written(folder / "picture.bin", tampered(draw, whole_picture(draw), OF_PICTURES))
 
 
 def read_picture(path: Path) -> bool:

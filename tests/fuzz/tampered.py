@@ -7,7 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
+
+USUAL, SOME = 100, 40
+"""Examples of hypothesis unless told otherwise, and of ours then: each is a file."""
 
 Draw = Callable[[st.SearchStrategy[Any]], Any]
 
@@ -35,6 +39,13 @@ VALUES = st.sampled_from(
 OF_BYTES = ("flip", "edge", "cut", "leave out", "swap", "repeat")
 OF_TEXT = (*OF_BYTES, "insert", "insert", *("word",) * 8, "lines")
 TYPES = ("F64", "F16", "BF16", "I32", "I64", "U8", "BOOL", "F8_E4M3", "C64", "X9")
+
+
+def unhurried() -> settings:
+    """As many examples as the profile says, of the usual one fewer; they may be large and slow."""
+    count = settings().max_examples
+    checks = [HealthCheck.too_slow, HealthCheck.data_too_large]
+    return settings(max_examples=count if count > USUAL else SOME, suppress_health_check=checks)
 
 
 def one_of(draw: Draw, *choices: Any) -> Any:

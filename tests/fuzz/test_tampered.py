@@ -7,23 +7,25 @@ Right is what is read and makes sense, or refused in one line that names the fil
 """
 
 import faulthandler
+import os
 import tempfile
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadtorch.errors import InputError, RoadtorchError
 from roadtorch.runtime.memory import forget_peak, peak_mebibytes
+from tests.fuzz.footage import FOOTAGE
 from tests.fuzz.kinds import KINDS
+from tests.fuzz.tampered import Draw, unhurried
 
 SECONDS, GIBIBYTES = 20, 2.0
 LONGEST = 1_500  # letters of a refusal, its file's name left out
 STDERR = 2  # whatever sys.stderr is meanwhile
-PATIENT = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 
 
 def verdict(path: Path, read: Callable[[Path], bool]) -> str:
@@ -46,12 +48,16 @@ def verdict(path: Path, read: Callable[[Path], bool]) -> str:
     return "refused" if refusal else "read"
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_tampered_files_are_read_or_refused_by_name(kind: str) -> None:
-    make, read = KINDS[kind]
+FILES = {name: (kind.write, kind.read) for name, kind in KINDS.items()}
+
+
+@pytest.mark.parametrize(("make", "read"), (FILES | FOOTAGE).values(), ids=FILES | FOOTAGE)
+def test_tampered_files_are_read_or_refused_by_name(
+    make: Callable[[Draw, Path], Path], read: Callable[[Path], bool]
+) -> None:
     seen: Counter[str] = Counter()
 
-    @PATIENT
+    @unhurried()
     @given(st.data())
     def check(data: st.DataObject) -> None:
         with tempfile.TemporaryDirectory() as folder:
@@ -60,6 +66,27 @@ def test_tampered_files_are_read_or_refused_by_name(kind: str) -> None:
     check()
 
     assert seen["refused"] > 0
+
+
+ALONE = [name for name in KINDS if name != "sets" and not name.startswith("imported")]
+"""Kinds whose reader gets the file itself, not its text or its folder."""
+
+
+@pytest.mark.parametrize("name", ALONE)
+@pytest.mark.parametrize("other", ["pipe", "device"])
+def test_no_reader_waits_for_a_pipe_or_reads_a_device_without_end(other: str, name: str) -> None:
+    make, read = FILES[name]
+
+    @settings(unhurried(), max_examples=2)
+    @given(st.data())
+    def check(data: st.DataObject) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            path = make(data.draw, Path(folder))
+            path.unlink()
+            os.mkfifo(path) if other == "pipe" else path.symlink_to("/dev/zero")
+            assert verdict(path, read) == "refused"
+
+    check()
 
 
 @pytest.mark.parametrize(

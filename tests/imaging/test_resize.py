@@ -36,11 +36,8 @@ def test_the_working_size_is_the_pictures_shape_with_at_most_so_many_pixels(
         assert (tall, wide) == (height, width)
 
 
-def test_the_default_is_the_papers_size() -> None:
+def test_the_default_is_the_papers_size_and_a_thin_picture_keeps_a_short_side() -> None:
     assert working_size(960, 1280, WorkingSize()) == (240, 320)
-
-
-def test_a_long_thin_picture_keeps_a_short_side() -> None:
     assert working_size(16, 100_000, WorkingSize(pixels=10_000))[0] == SHORTEST
 
 
@@ -55,12 +52,6 @@ def test_superpixels_have_about_the_pixels_asked_for(size: tuple[int, int]) -> N
 
 
 # --- sizes of maps ------------------------------------------------------------------------
-
-
-def test_a_map_of_the_right_size_is_handed_through() -> None:
-    maps = torch.rand(3, 7, 9)
-
-    assert resized(maps, (7, 9)) is maps
 
 
 @given(SIDES.filter(lambda side: side < 400), st.integers(1, 300), st.integers(0, 9))
@@ -118,12 +109,13 @@ def test_an_analysis_at_working_size_sees_a_small_picture_and_answers_at_full_si
     assert (cues["likelihood"].dtype, cues["mask"].dtype) == (torch.float32, torch.bool)
 
 
-def test_a_small_picture_is_analysed_as_it_is() -> None:
+def test_what_has_the_right_size_is_handed_through() -> None:
     image = torch.rand(3, 17, 19)
 
-    cues = at_working_size(lambda given: {"given": given}, image, WorkingSize())
-
-    assert torch.equal(cues["given"], image)
+    assert resized(image, (17, 19)) is image
+    assert torch.equal(
+        at_working_size(lambda x: {"image": x}, image, WorkingSize())["image"], image
+    )
 
 
 def test_only_the_cue_that_is_asked_for_is_brought_to_full_size() -> None:

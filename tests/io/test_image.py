@@ -1,8 +1,7 @@
-"""Pictures in and out: what is read, what is refused, what is written."""
+"""Pictures in and out: what is read, and what is written."""
 
 import io
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 import tifffile
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 from torch import Tensor
@@ -49,10 +48,7 @@ def save(path: Path, picture: Image.Image, **options: Any) -> Path:
 # --- reading ----------------------------------------------------------------------------
 
 
-EXACT = {
-    **{".png": {}, ".bmp": {}, ".tif": {}},
-    **{".webp": {"lossless": True, "exact": True}},
-}
+EXACT = {".png": {}, ".bmp": {}, ".tif": {}, ".webp": {"lossless": True, "exact": True}}
 """How formats keep every pixel as it is."""
 
 
@@ -71,18 +67,20 @@ def test_every_mode_looks_as_pillow_shows_it_over_black(
 
     assert image.dtype == torch.float32
     assert image.is_contiguous()
-    torch.testing.assert_close(image, shown[:3] * shown[3:])
+    np.testing.assert_allclose(image, shown[:3] * shown[3:], rtol=1.3e-6, atol=1e-5)
     assert torch.equal(as_image(picture), image)
 
 
-def test_tiff_of_lzw_and_a_transparent_palette(tmp_path: Path) -> None:
+def test_tiff_of_lzw_a_transparent_palette_and_one_pixel(tmp_path: Path) -> None:
     lzw = save(tmp_path / "a.tif", Image.fromarray(PIXELS), compression="tiff_lzw")
     palette = Image.new("P", (4, 4), 1)
     palette.putpalette([255, 255, 255, 10, 20, 30])
 
     assert torch.equal(read_image(lzw), as_tensor(PIXELS))
-    nothing = read_image(save(tmp_path / "b.png", palette, transparency=1))
-    assert torch.equal(nothing, torch.zeros(3, 4, 4))
+    see_through = read_image(save(tmp_path / "b.png", palette, transparency=1))
+    assert torch.equal(see_through, torch.zeros(3, 4, 4))
+    pixel = save(tmp_path / "pixel.png", Image.fromarray(PIXELS[:1, :1]))
+    assert read_image(pixel).shape == (3, 1, 1)
 
 
 @pytest.mark.parametrize("colour", [(200, 90, 20), 77])
@@ -104,7 +102,7 @@ def test_sixteen_bits_are_kept(tmp_path: Path, suffix: str, kind: str) -> None:
     cv2.imwrite(str(path), stored[..., ::-1] if kind == "rgb" else stored)
 
     expected = deep if kind == "rgb" else np.repeat(deep[..., :1], 3, axis=2)
-    torch.testing.assert_close(read_image(path), as_tensor(expected, 65535), rtol=0, atol=1e-7)
+    np.testing.assert_allclose(read_image(path), as_tensor(expected, 65535), rtol=0, atol=1e-7)
 
 
 TURNS = {  # EXIF 2.3, tag 274: what has to be done to the stored pixels
@@ -125,9 +123,10 @@ def test_exif_orientation_is_applied(tmp_path: Path, orientation: int) -> None:
     exif = Image.Exif()
     exif[274] = orientation
     for suffix, options, within in (
-        *((".png", {"exif": exif}, 0), (".webp", {"exif": exif, "lossless": True}, 0)),
-        *((".tif", {"tiffinfo": {274: orientation}}, 0),),
-        *((".jpg", {"exif": exif, "quality": 98, "subsampling": 0}, 4 / 255),),
+        (".png", {"exif": exif}, 0),
+        (".webp", {"exif": exif, "lossless": True}, 0),
+        (".tif", {"tiffinfo": {274: orientation}}, 0),
+        (".jpg", {"exif": exif, "quality": 98, "subsampling": 0}, 4 / 255),
     ):
         path = save(tmp_path / f"a{suffix}", Image.fromarray(blocks), **options)
         image = read_image(path)
@@ -138,97 +137,7 @@ def test_exif_orientation_is_applied(tmp_path: Path, orientation: int) -> None:
     deep = tmp_path / "deep.tif"
     tifffile.imwrite(deep, PIXELS.astype(np.uint16), photometric="rgb", extratags=tags)
     expected = as_tensor(TURNS[orientation](PIXELS), 65535)
-    torch.testing.assert_close(read_image(deep), expected)
-
-
-def test_one_pixel_and_ten_thousand_by_eight_thousand_can_be_read(tmp_path: Path) -> None:
-    one = save(tmp_path / "one.png", Image.fromarray(PIXELS[:1, :1]))
-    large = save(tmp_path / "large.jpg", Image.new("L", (10_000, 8_000), 128))
-
-    assert read_image(one).shape == (3, 1, 1)
-    image = read_image(large)
-    assert image.shape == (3, 8_000, 10_000)
-    assert image[0, -1, -1] == pytest.approx(128 / 255)
-
-
-# --- files that cannot be read ------------------------------------------------------------
-
-
-def test_missing_folder_and_empty_files_are_told_apart(tmp_path: Path) -> None:
-    empty = tmp_path / "empty.jpg"
-    empty.touch()
-
-    for path, what in [
-        (tmp_path / "none.jpg", "does not exist"),
-        (tmp_path, "is a folder"),
-        (empty, "is empty"),
-    ]:
-        with pytest.raises(InputError) as caught:
-            read_image(path)
-        assert (caught.value.where, caught.value.what) == (str(path), what)
-
-
-@pytest.mark.parametrize("content", [b"hello, world\n" * 9, b"\xff\xd8", b"GIF89a" + bytes(50)])
-def test_what_is_no_picture_is_refused(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "a.jpg"
-    path.write_bytes(content)
-
-    with pytest.raises(InputError, match=r"is not a picture|cannot be decoded"):
-        read_image(path)
-
-
-def noise(height: int = 64, width: int = 64) -> Image.Image:
-    draw = np.random.default_rng(0).integers(0, 255, (height, width, 3), np.uint8)
-    return Image.fromarray(draw)
-
-
-@pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif", ".webp", ".bmp"])
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.99])
-def test_a_truncated_picture_is_refused(tmp_path: Path, suffix: str, share: float) -> None:
-    path = save(tmp_path / f"a{suffix}", noise())
-    whole = path.read_bytes()
-    path.write_bytes(whole[: int(len(whole) * share)])
-
-    with pytest.raises(InputError, match=r"cannot be decoded|is not a picture"):
-        read_image(path)
-
-
-def test_a_truncated_jpeg_with_a_whole_thumbnail_is_refused(tmp_path: Path) -> None:
-    thumbnail = io.BytesIO()
-    noise(16, 16).save(thumbnail, "JPEG")
-    marker = b"\xff\xe1" + (len(thumbnail.getvalue()) + 2).to_bytes(2, "big")
-    path = save(tmp_path / "a.jpg", noise())
-    whole = path.read_bytes()
-    with_thumbnail = whole[:2] + marker + thumbnail.getvalue() + whole[2:]
-
-    path.write_bytes(with_thumbnail)
-    assert read_image(path).shape == (3, 64, 64)
-    path.write_bytes(with_thumbnail[:-200])
-    with pytest.raises(InputError, match="truncated"):
-        read_image(path)
-
-
-def test_a_progressive_jpeg_and_bytes_behind_the_end_are_fine(tmp_path: Path) -> None:
-    path = save(tmp_path / "a.jpg", noise(), progressive=True)
-    path.write_bytes(path.read_bytes() + b"camera maker's notes")
-
-    assert read_image(path).shape == (3, 64, 64)
-
-
-def test_jpeg_takes_little_longer_than_opencv_alone(tmp_path: Path) -> None:
-    path = save(tmp_path / "a.jpg", noise(720, 960), quality=90)
-
-    def seconds(read: Any) -> float:
-        start = time.perf_counter()
-        read()
-        return time.perf_counter() - start
-
-    pairs = [
-        (seconds(lambda: read_image(path)), seconds(lambda: cv2.imread(str(path))))
-        for _ in range(15)
-    ]
-    ours, theirs = (sorted(times)[2] for times in zip(*pairs, strict=True))
-    assert ours < 4 * theirs  # the rest is float32 and (3,H,W)
+    np.testing.assert_allclose(read_image(deep), expected, rtol=1.3e-6, atol=1e-5)
 
 
 # --- what programs have -------------------------------------------------------------------
@@ -236,30 +145,33 @@ def test_jpeg_takes_little_longer_than_opencv_alone(tmp_path: Path) -> None:
 
 def test_arrays_tensors_pillow_images_and_paths_give_the_same_image(tmp_path: Path) -> None:
     path = save(tmp_path / "a.png", Image.fromarray(PIXELS))
-    wanted = as_tensor(PIXELS)
+    expected = as_tensor(PIXELS)
 
     for picture in (path, str(path), Image.open(path), torch.from_numpy(PIXELS).permute(2, 0, 1)):
-        assert torch.equal(as_image(picture), wanted)
+        assert torch.equal(as_image(picture), expected)
     bgr = np.asarray(cv2.imread(str(path)))
-    assert torch.equal(as_image(PIXELS, "rgb"), wanted)
+    assert torch.equal(as_image(PIXELS, "rgb"), expected)
     for array in (
         bgr,
         cv2.cvtColor(bgr, cv2.COLOR_BGR2BGRA),
         bgr.astype(np.uint16) * 257,
         bgr.astype(np.float32) / 255,
     ):
-        assert torch.equal(as_image(array, "bgr"), wanted)
-    torch.testing.assert_close(as_image(bgr.astype(np.float64) / 255, "bgr"), wanted)
-    assert as_image(wanted) is wanted
-    assert torch.equal(read_image(path.as_uri()), wanted)
-
-
-@pytest.mark.parametrize("pixels", [PIXELS[..., 0], PIXELS[..., :1]])
-def test_grey_arrays_need_no_order_and_alpha_darkens_them_as_files(pixels: np.ndarray) -> None:
-    assert torch.equal(as_image(pixels), as_tensor(PIXELS[..., :1].repeat(3, 2)))
-    assert torch.equal(
-        as_image(np.dstack([PIXELS, 0 * PIXELS[..., 0]]), "rgb"), torch.zeros(3, 5, 7)
+        assert torch.equal(as_image(array, "bgr"), expected)
+    np.testing.assert_allclose(
+        as_image(bgr.astype(np.float64) / 255, "bgr"), expected, rtol=1.3e-6, atol=1e-5
     )
+    assert as_image(expected) is expected
+    assert torch.equal(read_image(path.as_uri()), expected)
+
+
+def test_grey_arrays_need_no_order_and_alpha_darkens_them_as_files() -> None:
+    grey = as_tensor(PIXELS[..., :1].repeat(3, 2))
+
+    assert torch.equal(as_image(PIXELS[..., 0]), grey)
+    assert torch.equal(as_image(PIXELS[..., :1]), grey)
+    see_through = np.dstack([PIXELS, 0 * PIXELS[..., 0]])
+    assert torch.equal(as_image(see_through, "rgb"), torch.zeros(3, 5, 7))
 
 
 @pytest.mark.parametrize(
@@ -267,11 +179,8 @@ def test_grey_arrays_need_no_order_and_alpha_darkens_them_as_files(pixels: np.nd
 )
 def test_pillow_images_of_any_mode_are_converted(mode: str) -> None:
     grey = Image.fromarray(np.full((20, 24), 51, np.uint8))
-    picture = (
-        Image.fromarray(np.full((20, 24), 51 * 257, np.uint16))
-        if mode == "I;16"
-        else grey.convert("RGB").convert(mode)
-    )
+    deep = Image.fromarray(np.full((20, 24), 51 * 257, np.uint16))
+    picture = deep if mode == "I;16" else grey.convert("RGB").convert(mode)
 
     image = as_image(picture)
 
@@ -316,15 +225,6 @@ def test_a_pillow_image_that_cannot_be_decoded_is_refused(tmp_path: Path) -> Non
         as_image(picture)
 
 
-@pytest.mark.parametrize(("longest", "size"), [(100, (7, 5)), (4, (4, 3))])
-def test_a_png_in_memory_is_no_larger_than_asked(longest: int, size: tuple[int, int]) -> None:
-    shown = Image.open(io.BytesIO(png_bytes(PIXELS, longest)))
-
-    assert shown.size == size
-    if size == (7, 5):
-        assert np.array_equal(np.array(shown), PIXELS)
-
-
 # --- writing ------------------------------------------------------------------------------
 
 
@@ -346,6 +246,7 @@ def test_maps_are_rounded_to_the_nearest_level(tmp_path: Path) -> None:
     assert deep.tolist() == [[0, 65535, 32768], [16384, 411, 2]]
 
 
+@settings(max_examples=25)
 @given(st.lists(st.floats(0, 1, width=32), min_size=1, max_size=40))
 def test_a_map_comes_back_within_half_a_level(values: list[float]) -> None:
     likelihood = torch.tensor([values])
@@ -354,16 +255,14 @@ def test_a_map_comes_back_within_half_a_level(values: list[float]) -> None:
         write_map(path, likelihood, depth=16)
         back = read_image(path)[0]
 
-    torch.testing.assert_close(back, likelihood, rtol=0, atol=0.5001 / 65535)
+    np.testing.assert_allclose(back, likelihood, rtol=0, atol=0.5001 / 65535)
 
 
 def test_masks_labels_colours_and_arrays_keep_their_values(tmp_path: Path) -> None:
-    mask = torch.tensor([[True, False]])
-    labels = torch.tensor([[0, 2, 255]])
     image = as_tensor(PIXELS)
 
-    write_mask(tmp_path / "mask.png", mask)
-    write_labels(tmp_path / "labels.png", labels)
+    write_mask(tmp_path / "mask.png", torch.tensor([[True, False]]))
+    write_labels(tmp_path / "labels.png", torch.tensor([[0, 2, 255]]))
     write_colours(tmp_path / "image.png", image)
     write_npy(tmp_path / "image.npy", image)
     write_overlay(tmp_path / "overlay.jpg", image, torch.ones(5, 7, dtype=torch.bool))
@@ -382,8 +281,17 @@ def test_labels_beyond_a_byte_are_refused_and_nothing_is_written(tmp_path: Path)
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(("longest", "size"), [(100, (7, 5)), (4, (4, 3))])
+def test_a_png_in_memory_is_no_larger_than_asked(longest: int, size: tuple[int, int]) -> None:
+    shown = Image.open(io.BytesIO(png_bytes(PIXELS, longest)))
+
+    assert shown.size == size
+    if size == (7, 5):
+        assert np.array_equal(np.array(shown), PIXELS)
+
+
 @pytest.mark.parametrize("grey", [0, 60, 128, 200, 255])
-def test_the_overlay_shows_on_any_grey_road(tmp_path: Path, grey: int) -> None:
+def test_the_overlay_shows_on_any_grey_road(grey: int) -> None:
     pixels = np.full((240, 320, 3), grey, np.uint8)
     mask = np.zeros((240, 320), bool)
     mask[100:, 80:240] = True
@@ -429,7 +337,6 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    path = tmp_path / "file" / "a.png"
 
     with pytest.raises(InputError, match=r"a\.png: cannot be written: Not a directory"):
-        write_mask(path, torch.ones(2, 2, dtype=torch.bool))
+        write_mask(tmp_path / "file" / "a.png", torch.ones(2, 2, dtype=torch.bool))

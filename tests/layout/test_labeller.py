@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -29,6 +29,7 @@ from roadtorch.layout.labeller import (
 )
 from roadtorch.scenes.street import RenderedScene
 from roadtorch.superpixels.segments import Segments, measure_segments
+from tests.draws import seeded
 from tests.reference import layout as reference
 from tests.streets import scene
 
@@ -37,16 +38,8 @@ ALL = LabellerSettings(support="maximum")
 # --- place --------------------------------------------------------------------------------
 
 
-def places(height: int, width: int) -> tuple[Tensor, Tensor]:
-    """Rows and columns (H·W,) of the pixels of a picture, from 0 to 1."""
-    rows = ((torch.arange(height) + 0.5) / height)[:, None].expand(height, width)
-    columns = ((torch.arange(width) + 0.5) / width).expand(height, width)
-    return rows.reshape(-1), columns.reshape(-1)
-
-
 def test_the_place_prior_reads_sky_vertical_horizontal_down_the_middle() -> None:
     row = torch.linspace(0, 1, 50)
-
     prior = place_prior(row, torch.full_like(row, 0.5), PlacePrior())
 
     torch.testing.assert_close(prior.sum(1), torch.ones(50))
@@ -59,19 +52,16 @@ def test_the_place_prior_reads_sky_vertical_horizontal_down_the_middle() -> None
 
 
 def test_a_lower_horizon_moves_sky_and_ground_down_on_both_sides_alike() -> None:
-    row, column = places(20, 20)
-
+    row, column = torch.rand(2, 400, generator=seeded(0))
     high = place_prior(row, column, PlacePrior(horizon=0.4))
     low = place_prior(row + 0.2, column, PlacePrior(horizon=0.6))
-
-    torch.testing.assert_close(high, low)
     mirrored = place_prior(row, 1 - column, PlacePrior(horizon=0.4))
+    torch.testing.assert_close(high, low)
     torch.testing.assert_close(high, mirrored)
 
 
 def test_buildings_fill_the_sides() -> None:
     prior = place_prior(torch.tensor([0.4, 0.4]), torch.tensor([0.5, 0.02]), PlacePrior())
-
     assert prior[1, VERTICAL] > prior[0, VERTICAL]
     assert prior[1, HORIZONTAL] < prior[0, HORIZONTAL]
 
@@ -82,11 +72,10 @@ def test_buildings_fill_the_sides() -> None:
 @pytest.fixture
 def four_quarters() -> Segments:
     """Four segments, measured: light, dark, light and rough, blue."""
-    rough = torch.rand(3, 20, 20, generator=torch.Generator().manual_seed(0))
     image = torch.zeros(3, 40, 40)
     image[:, :20, :20] = 0.9
     image[:, :20, 20:] = 0.15
-    image[:, 20:, :20] = 0.9 - 0.5 * rough
+    image[:, 20:, :20] = 0.9 - 0.5 * torch.rand(3, 20, 20, generator=seeded(0))
     image[:, 20:, 20:] = torch.tensor([0.5, 0.7, 0.95])[:, None, None]
     labels = torch.tensor([[0, 1], [2, 3]]).repeat_interleave(20, 0).repeat_interleave(20, 1)
     return measure_segments(image, labels)
@@ -94,27 +83,15 @@ def four_quarters() -> Segments:
 
 def test_sky_is_light_even_and_at_times_blue(four_quarters: Segments) -> None:
     light, dark, rough, blue = sky_look(four_quarters, SkyLook()).tolist()
-
-    assert blue > light > rough
-    assert light > dark
-    assert light > 0
-
-
-@pytest.mark.parametrize("name", ["light", "even", "blue"])
-def test_each_part_of_the_look_of_the_sky_says_at_most_its_weight(
-    name: str, four_quarters: Segments
-) -> None:
-    look = sky_look(
-        four_quarters, SkyLook()._replace(**{"light": 0, "even": 0, "blue": 0, name: 0.7})
-    )
-
-    assert 0.1 < look.abs().max() <= 0.7 + 1e-6
+    assert blue > light > max(rough, dark, 0)
+    for name in ("light", "even", "blue"):  # each says at most its weight
+        alone = SkyLook()._replace(**{"light": 0, "even": 0, "blue": 0, name: 0.7})
+        assert 0.1 < sky_look(four_quarters, alone).abs().max() <= 0.7 + 1e-6
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_clouds_below_a_blue_sky_are_sky(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_clouds_below_a_blue_sky_are_sky(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the look of the sky, what is not like the top of the picture becomes a wall."""
-    street = scene(seed, dusk=0.0)
+    street = scene(0, dusk=0.0)
     sky = truth(street) == SKY
     top = (torch.arange(sky.shape[0])[:, None] < 0.2 * sky.shape[0])[None]
     blue = torch.tensor([0.25, 0.45, 0.85])[:, None, None]
@@ -124,12 +101,9 @@ def test_clouds_below_a_blue_sky_are_sky(seed: int, monkeypatch: pytest.MonkeyPa
         labels = label_layout(cloudy).potentials.argmax(0)
         return float((labels[sky] == SKY).double().mean())
 
-    found = share_of_sky()
+    share = share_of_sky()
     monkeypatch.setattr(labeller, "RULES", RULES._replace(sky=SkyLook(light=0, even=0, blue=0)))
-    without = share_of_sky()
-
-    assert found > 0.95
-    assert found > without + 0.1
+    assert share > max(0.95, share_of_sky() + 0.1)
 
 
 # --- columns in order ---------------------------------------------------------------------
@@ -145,6 +119,7 @@ def assert_like_every_path(scores: Tensor, labels: Tensor, order: ColumnOrder) -
     torch.testing.assert_close(found.double(), torch.from_numpy(wanted), atol=1e-5, rtol=0.0)
 
 
+@settings(max_examples=40)
 @given(
     st.integers(1, 6),
     st.integers(1, 3),
@@ -156,23 +131,18 @@ def assert_like_every_path(scores: Tensor, labels: Tensor, order: ColumnOrder) -
 def test_columns_of_single_samples_have_the_posteriors_of_all_paths(
     rows: int, columns: int, weight: float, change: float, breach: float, seed: int
 ) -> None:
-    generator = torch.Generator().manual_seed(seed)
-    scores = 3 * torch.randn(rows * columns, 3, generator=generator)
+    scores = 3 * torch.randn(rows * columns, 3, generator=seeded(seed))
     labels = torch.arange(rows * columns).reshape(rows, columns)
-
-    assert_like_every_path(
-        scores, labels, ColumnOrder(weight=weight, change=change, breach=breach, step=1)
-    )
+    assert_like_every_path(scores, labels, ColumnOrder(weight, change, breach, step=1))
 
 
 @pytest.mark.parametrize("step", [1, 2, 3, 4])
 def test_segments_get_the_mean_of_their_samples_or_their_own_score_where_there_are_none(
     step: int,
 ) -> None:
-    generator = torch.Generator().manual_seed(step)
+    generator = seeded(step)
     labels = torch.randint(0, 9, (7, 9), generator=generator)
     scores = 2 * torch.randn(12, 3, generator=generator)  # 9, 10 and 11 never occur
-
     assert_like_every_path(scores, labels, ColumnOrder(step=step))
 
 
@@ -227,7 +197,6 @@ def test_the_largest_potential_decides_where_it_leads_by_the_margin(
 
 def test_a_lead_of_exactly_the_margin_is_enough() -> None:
     values = torch.tensor([[0.75, 0.25, 0.0], [0.5, 0.25, 0.25]])
-
     assert decide_layout(values, 0.5).tolist() == [SKY, UNLABELLED]
 
 
@@ -239,94 +208,80 @@ def labelled(seed: int, dusk: float) -> LayoutLabels:
     return label_layout(scene(seed, dusk=dusk).image)
 
 
-def all_labels(seed: int, dusk: float) -> Tensor:
-    """What maximum support gives: see the test that says so."""
-    return labelled(seed, dusk).potentials.argmax(0)
-
-
 def truth(shown: RenderedScene) -> Tensor:
     """Layout labels with the unknown object as void."""
     return torch.where(shown.void, UNLABELLED, shown.layout.long())
 
 
-STREETS = [(0, 0.0), (1, 0.0), (2, 0.8), (3, 0.8)]
-every_street = pytest.mark.parametrize(("seed", "dusk"), STREETS)
+STREETS = [(0, 0.0), (1, 0.0), (2, 0.8)]
 
 
-@every_street
+@pytest.mark.parametrize(("seed", "dusk"), STREETS)
 def test_potentials_are_shares_and_labels_keep_to_the_margin(seed: int, dusk: float) -> None:
-    shown, found = scene(seed, dusk=dusk), labelled(seed, dusk)
+    shape, layout = scene(seed, dusk=dusk).road.shape, labelled(seed, dusk)
 
-    assert found.potentials.shape == (3, *shown.road.shape)
-    assert found.potentials.min() >= 0
-    torch.testing.assert_close(found.potentials.sum(0), torch.ones(shown.road.shape))
-    second, best = found.potentials.sort(0).values[1:]
+    assert layout.potentials.shape == (3, *shape)
+    assert layout.potentials.min() >= 0
+    torch.testing.assert_close(layout.potentials.sum(0), torch.ones(shape))
+    second, best = layout.potentials.sort(0).values[1:]
     leads = best - second >= LabellerSettings().margin
-    assert torch.equal(leads, found.labels != UNLABELLED)
-    assert torch.equal(found.labels[leads], found.potentials.argmax(0)[leads])
+    assert torch.equal(leads, layout.labels != UNLABELLED)
+    assert torch.equal(layout.labels[leads], layout.potentials.argmax(0)[leads])
 
 
 def test_maximum_support_gives_every_pixel_its_largest_potential() -> None:
-    found = label_layout(scene(2, dusk=0.8).image, ALL)
+    layout = label_layout(scene(2, dusk=0.8).image, ALL)
+    assert torch.equal(layout.labels, labelled(2, 0.8).potentials.argmax(0))
+    torch.testing.assert_close(layout.potentials, labelled(2, 0.8).potentials)
 
-    assert torch.equal(found.labels, all_labels(2, 0.8))
-    torch.testing.assert_close(found.potentials, labelled(2, 0.8).potentials)
 
-
-def test_what_stays_unlabelled_would_be_wrong_more_often() -> None:
+def test_pixels_in_doubt_would_be_wrong_more_often() -> None:
     doubted, sure = [], []
     for street in STREETS:
-        shown, found = truth(scene(street[0], dusk=street[1])), labelled(*street)
-        wrong = (found.potentials.argmax(0) != shown).double()
-        doubted.append(wrong[(found.labels == UNLABELLED) & (shown != UNLABELLED)])
-        sure.append(wrong[(found.labels != UNLABELLED) & (shown != UNLABELLED)])
-
+        right, layout = truth(scene(street[0], dusk=street[1])), labelled(*street)
+        wrong = (layout.potentials.argmax(0) != right).double()
+        doubted.append(wrong[(layout.labels == UNLABELLED) & (right != UNLABELLED)])
+        sure.append(wrong[(layout.labels != UNLABELLED) & (right != UNLABELLED)])
     assert torch.cat(doubted).mean() > 2 * torch.cat(sure).mean()
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_a_mirrored_picture_gives_nearly_the_mirrored_layout(seed: int) -> None:
-    mirrored = label_layout(scene(seed, dusk=0.0).image.flip(-1), ALL).labels.flip(-1)
-
+def test_a_mirrored_picture_gives_nearly_the_mirrored_layout() -> None:
+    mirrored = label_layout(scene(0, dusk=0.0).image.flip(-1), ALL).labels.flip(-1)
     # Superpixels are cut anew; measured over seeds 0-7: 0.98 to 1.00 of the pixels.
-    same = mirrored == all_labels(seed, 0.0)
+    same = mirrored == labelled(0, 0.0).potentials.argmax(0)
     assert same.double().mean() > 0.95
 
 
 @pytest.mark.parametrize("size", [(16, 16), (16, 90), (61, 33), (480, 640)])
 def test_labels_have_the_pictures_size(size: tuple[int, int]) -> None:
-    image = torch.rand(3, *size, generator=torch.Generator().manual_seed(0))
-
-    found = label_layout(image, working=WorkingSize(pixels=10_000))
-
-    assert found.potentials.shape == (3, *size)
-    assert found.labels.shape == size
-    assert set(found.labels.unique().tolist()) <= {SKY, VERTICAL, HORIZONTAL, UNLABELLED}
+    image = torch.rand(3, *size, generator=seeded(0))
+    layout = label_layout(image, working=WorkingSize(pixels=10_000))
+    assert layout.potentials.shape == (3, *size)
+    assert layout.labels.shape == size
+    assert set(layout.labels.unique().tolist()) <= {SKY, VERTICAL, HORIZONTAL, UNLABELLED}
 
 
 @pytest.mark.parametrize(
     ("grey", "size"), [(0.0, (16, 16)), (0.5, (60, 80)), (1.0, (16, 16)), (1.0, (60, 80))]
 )
 def test_a_flat_picture_is_labelled_in_order(grey: float, size: tuple[int, int]) -> None:
-    image = torch.full((3, *size), grey)
-
-    found = label_layout(image, ALL)
-
-    assert found.potentials.isfinite().all()
-    torch.testing.assert_close(found.potentials.sum(0), torch.ones(size), atol=1e-5, rtol=0.0)
-    middle = found.labels[:, size[1] // 2]
-    assert (middle.diff() >= 0).all()
+    layout = label_layout(torch.full((3, *size), grey), ALL)
+    assert layout.potentials.isfinite().all()
+    torch.testing.assert_close(layout.potentials.sum(0), torch.ones(size), atol=1e-5, rtol=0.0)
+    assert (layout.labels[:, size[1] // 2].diff() >= 0).all()
 
 
 def test_learning_the_look_of_the_classes_beats_place_and_order(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    streets = [scene(seed, dusk=0.0) for seed in range(4)]
 
-    def recall(labels: list[Tensor]) -> float:
-        counts = [count_layout(own, truth(scene(i, dusk=0.0))) for i, own in enumerate(labels)]
+    def recall(layouts: list[LayoutLabels]) -> float:
+        labels = [layout.potentials.argmax(0) for layout in layouts]
+        counts = [count_layout(*pair) for pair in zip(labels, map(truth, streets), strict=True)]
         return float(class_recalls(torch.stack(counts).sum(0)).mean())
 
-    learned = [all_labels(seed, 0.0) for seed in range(4)]
+    learned = [labelled(seed, 0.0) for seed in range(4)]
     monkeypatch.setattr(labeller, "RULES", RULES._replace(sharpness=1e-6))
-    without = [label_layout(scene(seed, dusk=0.0).image, ALL).labels for seed in range(4)]
+    without = [label_layout(street.image) for street in streets]
     assert recall(learned) > recall(without) + 0.05

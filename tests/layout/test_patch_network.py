@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from roadtorch.errors import ConfigError
 from roadtorch.imaging.color import plane
-from roadtorch.layout.fragments import reflected
 from roadtorch.layout.patch_network import (
     Normalisation,
     PatchNetwork,
@@ -16,8 +15,10 @@ from roadtorch.layout.patch_network import (
     Topology,
     connection_table,
     normalise,
+    reflected,
 )
 from roadtorch.settings import build_settings
+from tests.draws import seeded
 from tests.reference import network as reference
 from tests.streets import scene
 
@@ -39,8 +40,8 @@ def network_of(topology: Topology, **others: object) -> PatchNetwork:
         return PatchNetwork(build_settings(PatchNetworkSettings, values)).eval()
 
 
-def pixels(height: int, width: int) -> torch.Tensor:
-    return torch.randn(3, height, width, generator=torch.Generator().manual_seed(height))
+def pixels(*size: int) -> torch.Tensor:
+    return torch.randn(*size, generator=seeded(size[-2]))
 
 
 # --- the family -----------------------------------------------------------------------------
@@ -48,9 +49,7 @@ def pixels(height: int, width: int) -> torch.Tensor:
 
 def test_the_default_is_cnn_7() -> None:
     network = PatchNetwork()
-
     shapes = [tuple(weight.shape) for weight in network.parameters() if weight.ndim == 4]
-
     assert shapes == [(4, 3, 7, 7), (16, 4, 7, 7), (3, 16, 7, 7)]
     assert network(torch.zeros(2, 3, 32, 32)).shape == (2, 3)
 
@@ -70,14 +69,12 @@ def test_sizes_that_do_not_fit_are_refused_with_what_would_fit(
 ) -> None:
     with pytest.raises(ConfigError) as caught:
         build_settings(PatchNetworkSettings, {"topology": values})
-
     assert what in caught.value.what
     assert near in caught.value.remedy
 
 
 def test_a_partial_table_gives_each_kernel_its_maps_and_each_map_its_share() -> None:
     table = connection_table(6, 60, 3)
-
     assert table.sum(1).unique().tolist() == [3]
     assert table.sum(0).tolist() == [30] * 6
     assert table[5].nonzero()[:, 0].tolist() == [0, 1, 5]
@@ -86,7 +83,7 @@ def test_a_partial_table_gives_each_kernel_its_maps_and_each_map_its_share() -> 
 
 def test_maps_without_connection_have_no_say_and_learn_nothing() -> None:
     network = network_of(Topology(k1=6, connections=2))
-    patches = torch.randn(3, 3, 32, 32, generator=torch.Generator().manual_seed(0))
+    patches = pixels(3, 3, 32, 32)
     away = network.get_buffer("table").expand_as(network.second.weight) == 0
 
     before = network(patches)
@@ -104,12 +101,10 @@ def test_maps_without_connection_have_no_say_and_learn_nothing() -> None:
 
 def test_a_grey_network_sees_luma_alone() -> None:
     network = network_of(Topology(input="grey"))
-    colourful = torch.randn(2, 3, 32, 32, generator=torch.Generator().manual_seed(0))
-
-    found = network(plane(colourful, "grey").unsqueeze(1).expand(-1, 3, -1, -1))
-
+    colourful = pixels(2, 3, 32, 32)
+    grey = plane(colourful, "grey").unsqueeze(1).expand(-1, 3, -1, -1)
     assert tuple(network.first.weight.shape) == (4, 1, 7, 7)
-    torch.testing.assert_close(network(colourful), found, atol=1e-5, rtol=0)
+    torch.testing.assert_close(network(colourful), network(grey), atol=1e-5, rtol=0)
 
 
 # --- one patch and every pixel ---------------------------------------------------------------
@@ -117,29 +112,23 @@ def test_a_grey_network_sees_luma_alone() -> None:
 
 @pytest.mark.parametrize("topology", [SHAPES[0], SHAPES[1], SHAPES[3]], ids=str)
 def test_a_patch_gives_what_the_layers_say_one_by_one(topology: Topology) -> None:
-    network = network_of(topology)
-    patch = pixels(topology.patch, topology.patch)
+    network, patch = network_of(topology), pixels(3, topology.patch, topology.patch)
     weights = {name: value.double().numpy() for name, value in network.state_dict().items()}
 
-    found = network(patch[None])[0]
+    potentials = network(patch[None])[0]
 
-    wanted = reference.potentials(
-        patch.double().numpy(),
-        weights,
-        topology.subsamplings,
-        topology.pooling,
-        topology.potentials,
-    )
-    np.testing.assert_allclose(found.detach().numpy(), wanted, atol=1e-5)
+    ends = (topology.subsamplings, topology.pooling, topology.potentials)
+    wanted = reference.potentials(patch.double().numpy(), weights, *ends)
+    np.testing.assert_allclose(potentials.detach().numpy(), wanted, atol=1e-5)
 
 
 @pytest.mark.parametrize("topology", SHAPES, ids=str)
 def test_dense_equals_the_network_patch_by_patch(topology: Topology) -> None:
-    size = (11, 14)
-    network, picture = network_of(topology), pixels(*size)
+    network, picture = network_of(topology), pixels(3, 5, 8)
+    places = [(0, 0), (4, 7), (2, 6), (3, 6)]
     around = [
         reference.patch_around(picture.numpy(), row, column, topology.patch)
-        for row, column in [(0, 0), (size[0] - 1, size[1] - 1), (7, 12), (8, 12)]
+        for row, column in places
     ]
 
     dense = network.dense(picture)
@@ -149,8 +138,11 @@ def test_dense_equals_the_network_patch_by_patch(topology: Topology) -> None:
     cut = cut.unfold(2, topology.patch, 1).permute(1, 2, 0, 3, 4).flatten(0, 1)
     torch.testing.assert_close(dense.flatten(1), network(cut).T, atol=1e-5, rtol=0)
     some = network(torch.from_numpy(np.stack(around)).float())
-    places = dense[:, [0, -1, 7, 8], [0, -1, 12, 12]]
-    torch.testing.assert_close(places, some.T, atol=1e-5, rtol=0)
+    rows, columns = zip(*places, strict=True)
+    torch.testing.assert_close(dense[:, rows, columns], some.T, atol=1e-5, rtol=0)
+    # Of several pictures, and of one pixel.
+    torch.testing.assert_close(network.dense(picture.expand(2, -1, -1, -1))[1], dense)
+    assert network.dense(picture[:, :1, :1]).shape == (3, 1, 1)
 
 
 @settings(max_examples=20)
@@ -161,8 +153,10 @@ def test_the_frame_is_a_reflection_as_often_as_it_takes(height: int, width: int)
     framed = reflected(picture, 32)
 
     for row, column in [(0, 0), (height + 30, width + 30), (20, 3)]:
-        y = int(reference.bounce(row - 16, height))
-        x = int(reference.bounce(column - 16, width))
+        y, x = (
+            int(reference.bounce(place - 16, side))
+            for place, side in ((row, height), (column, width))
+        )
         assert framed[0, row, column] == picture[0, y, x]
     assert framed.shape == (1, height + 31, width + 31)
 
@@ -172,22 +166,18 @@ def test_the_frame_is_a_reflection_as_often_as_it_takes(height: int, width: int)
 
 @pytest.mark.parametrize("size", [(16, 16), (250, 340), (17, 90)])
 def test_cues_have_the_size_of_the_picture_and_are_potentials(size: tuple[int, int]) -> None:
-    image = scene(1).image
-    image = torch.nn.functional.interpolate(image[None], size=size)[0]
-
+    image = torch.nn.functional.interpolate(scene(1).image[None], size=size)[0]
     layout = PatchNetwork().cues(image)["layout"]
-
     assert layout.shape == (3, *size)
-    assert layout.min() >= 0
-    assert layout.max() <= 1
+    assert 0 <= layout.min() <= layout.max() <= 1
+    assert not layout.requires_grad
 
 
 def test_a_picture_less_its_mean_over_its_deviation_forgets_light_and_cast() -> None:
     image = scene(2).image * 0.6 + 0.1
     cast = image * 0.5 + torch.tensor([0.05, 0.1, 0.2])[:, None, None]
 
-    one = normalise(image, Normalisation(kind="picture"))
-    two = normalise(cast, Normalisation(kind="picture"))
+    one, two = (normalise(picture, Normalisation(kind="picture")) for picture in (image, cast))
 
     torch.testing.assert_close(one.pixels, two.pixels, atol=1e-4, rtol=0)
     assert two.gain == pytest.approx(2 * one.gain, rel=1e-4)
@@ -196,17 +186,12 @@ def test_a_picture_less_its_mean_over_its_deviation_forgets_light_and_cast() -> 
 
 def test_fixed_normalisation_and_a_flat_picture() -> None:
     flat = torch.full((3, 16, 16), 0.5)
-
     assert normalise(flat, Normalisation()).pixels.abs().max() == 0
     assert normalise(flat, Normalisation(kind="picture")).pixels.abs().max() == 0
-    torch.testing.assert_close(
-        normalise(flat + 0.25, Normalisation()).pixels, torch.ones(3, 16, 16)
-    )
+    assert normalise(flat + 0.25, Normalisation()).pixels.unique().tolist() == [1]
 
 
 def test_dark_pictures_are_brightened_before_the_network_where_asked() -> None:
     dark = scene(3).image * 0.1
-
     bright = normalise(dark, Normalisation(kind="brightened")).pixels
-
     assert bright.mean() > normalise(dark, Normalisation()).pixels.mean() + 0.3

@@ -1,8 +1,20 @@
-"""The network for whole pictures."""
+"""The networks for whole pictures: ours, and that on a backbone's features with its weights."""
+
+from pathlib import Path
 
 import pytest
 import torch
+from torch.nn import functional as F
 
+from roadtorch import load_detector
+from roadtorch.detectors.fusion import Fusion
+from roadtorch.layout.backbone_network import (
+    BLOCKS,
+    Backbone,
+    BackboneNetwork,
+    BackboneNetworkSettings,
+    SamePadded,
+)
 from roadtorch.layout.picture_network import (
     OUTPUTS,
     PictureNetwork,
@@ -10,27 +22,46 @@ from roadtorch.layout.picture_network import (
     place_planes,
     potentials_of,
 )
-from roadtorch.layout.weights import network_at
-from tests.streets import scene
+from roadtorch.layout.weights import (
+    WholePictureNetwork,
+    load_network,
+    network_at,
+    save_network,
+    shipped_weights,
+)
+from tests.draws import seeded
 
 SMALL = PictureNetworkSettings(height=48, width=64, narrow=8, wide=16)
 
 
+@pytest.fixture(scope="module")
+def backbone() -> BackboneNetwork:
+    torch.manual_seed(3)
+    settings = BackboneNetworkSettings(height=64, width=96, wide=8, narrow=8, heads=2)
+    return BackboneNetwork(settings).eval()
+
+
+def assert_potentials(network: WholePictureNetwork, size: tuple[int, int]) -> None:
+    cues = network.cues(torch.rand(3, *size, generator=seeded(0)))
+    assert cues["layout"].shape == (3, *size)
+    assert cues["road"].shape == cues["ego"].shape == size
+    assert all(0 <= float(maps.min()) <= float(maps.max()) <= 1 for maps in cues.values())
+    torch.testing.assert_close(cues["layout"].sum(0), torch.ones(size))
+
+
+@pytest.mark.parametrize("size", [(16, 16), (50, 61), (100, 333)])
+def test_cues_are_potentials_of_the_size_of_the_picture(
+    size: tuple[int, int], backbone: BackboneNetwork
+) -> None:
+    assert_potentials(backbone, size)
+    assert_potentials(PictureNetwork(SMALL), size)
+
+
+# --- ours ----------------------------------------------------------------------------------
+
+
 def test_it_has_at_most_a_few_hundred_thousand_weights() -> None:
     assert sum(weight.numel() for weight in PictureNetwork().parameters()) < 500_000
-
-
-@pytest.mark.parametrize("size", [(16, 16), (100, 333)])
-def test_cues_have_the_size_of_the_picture(size: tuple[int, int]) -> None:
-    image = torch.nn.functional.interpolate(scene(1).image[None], size=size)[0]
-
-    cues = PictureNetwork(SMALL).cues(image)
-
-    assert cues["layout"].shape == (3, *size)
-    torch.testing.assert_close(cues["layout"].sum(0), torch.ones(size))
-    for name in ("road", "ego"):
-        assert cues[name].shape == size
-        assert 0 <= float(cues[name].min()) <= float(cues[name].max()) <= 1
 
 
 def test_a_mirrored_picture_has_the_same_place() -> None:
@@ -39,18 +70,16 @@ def test_a_mirrored_picture_has_the_same_place() -> None:
     torch.testing.assert_close(planes, planes.flip(-1))
     assert planes.shape == (2, 2, 8, 16)
     assert (planes[0, 1].diff(dim=0) > 0).all()
-    assert float(planes.min()) >= -1
-    assert float(planes.max()) <= 1
+    assert -1 <= float(planes.min()) <= float(planes.max()) <= 1
 
 
 def test_pictures_of_a_batch_do_not_touch_each_other() -> None:
-    network = PictureNetwork(SMALL)
-    pixels = torch.randn(3, 3, 48, 64, generator=torch.Generator().manual_seed(1))
+    network, pixels = PictureNetwork(SMALL), torch.randn(3, 3, 48, 64, generator=seeded(1))
 
     together = network(pixels)
 
     assert together.shape == (3, OUTPUTS, 24, 32)
-    alone = torch.cat([network(one[None]) for one in pixels])
+    alone = torch.cat([network(picture[None]) for picture in pixels])
     torch.testing.assert_close(together, alone, atol=1e-5, rtol=1e-4)
 
 
@@ -62,23 +91,19 @@ def test_every_output_sees_almost_the_whole_picture() -> None:
     network(pixels)[0, 0, 30, 40].backward()
 
     assert pixels.grad is not None
-    seen = pixels.grad[0].abs().sum(0) > 0
-    assert seen.float().mean() > 0.9
+    assert (pixels.grad[0].abs().sum(0) > 0).float().mean() > 0.9
 
 
 def test_scores_become_shares_a_road_and_an_ego_car() -> None:
-    scores = torch.tensor([1.0, 2.0, 3.0, 0.0, 1.0]).reshape(1, 5, 1, 1)
-
-    potentials = potentials_of(scores).flatten()
-
-    torch.testing.assert_close(potentials[:3], torch.tensor([1.0, 2.0, 3.0]).softmax(0))
-    assert potentials[3] == 0.5
-    assert potentials[4] == torch.tensor(1.0).sigmoid()
+    scores = torch.tensor([1.0, 2.0, 3.0, 0.0, 1.0])
+    potentials = potentials_of(scores.reshape(1, 5, 1, 1)).flatten()
+    torch.testing.assert_close(potentials[:3], scores[:3].softmax(0))
+    torch.testing.assert_close(potentials[3:], scores[3:].sigmoid())
 
 
 def test_the_same_weights_see_pictures_of_another_size() -> None:
     network = PictureNetwork(SMALL).eval()
-    pixels = torch.rand(1, 3, 64, 88, generator=torch.Generator().manual_seed(0))
+    pixels = torch.rand(1, 3, 64, 88, generator=seeded(0))
 
     other = network_at(network, 64, 88)
 
@@ -87,3 +112,59 @@ def test_the_same_weights_see_pictures_of_another_size() -> None:
     assert not other.training
     torch.testing.assert_close(other(pixels), network(pixels))
     assert network.settings == SMALL
+
+
+# --- on a backbone -------------------------------------------------------------------------
+
+
+def test_the_backbone_gives_a_map_at_each_of_four_scales(backbone: BackboneNetwork) -> None:
+    maps = backbone.backbone(torch.rand(1, 3, 64, 96))
+    shapes = [tuple(level.shape[1:]) for level in maps]
+    assert shapes == [(24, 16, 24), (40, 8, 12), (112, 4, 6), (192, 2, 3)]
+
+
+@pytest.mark.parametrize(("kernel", "pads"), [(3, (0, 1)), (5, (1, 2))])
+def test_a_convolution_of_stride_two_is_padded_as_in_tensorflow(
+    kernel: int, pads: tuple[int, int]
+) -> None:
+    layer, maps = SamePadded(1, 1, kernel, 2), torch.rand(1, 1, 8, 8)
+
+    wanted = F.conv2d(F.pad(maps, pads * 2), layer.weight, layer.bias, 2)
+
+    torch.testing.assert_close(layer(maps), wanted)
+    assert wanted.shape[-2:] == (4, 4)
+
+
+def test_maps_are_added_only_where_shapes_allow() -> None:
+    added = [block.added for block in Backbone().blocks]  # type: ignore[union-attr]
+    assert added == [block.stride == 1 and block.inputs == block.outputs for block in BLOCKS]
+
+
+def test_it_is_written_in_half_precision_and_comes_back(
+    backbone: BackboneNetwork, tmp_path: Path
+) -> None:
+    path = tmp_path / "weights.safetensors"
+    save_network(path, backbone, {})
+    assert path.stat().st_size < 2.2 * sum(value.numel() for value in backbone.parameters())
+
+    image = torch.rand(3, 64, 96, generator=seeded(0))
+    before, after = (network.cues(image)["road"] for network in (backbone, load_network(path)))
+    torch.testing.assert_close(after, before, rtol=0, atol=0.01)
+
+
+def test_the_shipped_weights_say_what_the_backbone_has_seen() -> None:
+    path = shipped_weights("backbone-free")
+    assert isinstance(load_network(path), BackboneNetwork)
+    assert "ImageNet" in path.with_suffix(".md").read_text()
+    assert path.stat().st_size < 6_000_000
+
+
+def test_fusion_large_sees_at_half_again_the_size() -> None:
+    networks = []
+    for name in ("fusion", "fusion:large"):
+        analysis = load_detector(name).analysis
+        assert isinstance(analysis, Fusion)
+        networks.append(analysis.network.settings)
+    usual, large = networks
+    assert (large.height, large.width) == (1.5 * usual.height, 1.6 * usual.width)
+    assert large.model_copy(update={"height": usual.height, "width": usual.width}) == usual

@@ -11,13 +11,21 @@ from torch import Tensor
 
 from roadtorch.oneclass import CLASSIFIERS, Fitted, axes_of, fit
 from roadtorch.oneclass.base import Classifier, ClassifierSettings
+from tests.draws import seeded
 
-RGB = axes_of(("R", "G", "B"))
-PLANES = {1: ("nr",), 2: ("nr", "ng"), 3: ("R", "G", "B")}
+PLANES = {1: axes_of(("nr",)), 2: axes_of(("nr", "ng")), 3: axes_of(("R", "G", "B"))}  # 0 to 1
 DIMENSIONS = pytest.mark.parametrize("dimensions", PLANES)
-HS = axes_of(("H", "S"))
+RGB = PLANES[3]
 HISTOGRAMS = {name for name in CLASSIFIERS if name.startswith("hist")}
-SPREAD = 0.02
+
+every_classifier = pytest.mark.parametrize(
+    "classifier", CLASSIFIERS.values(), ids=CLASSIFIERS.keys()
+)
+every_distance = pytest.mark.parametrize(
+    "classifier",
+    [classifier for name, classifier in CLASSIFIERS.items() if name not in HISTOGRAMS],
+    ids=lambda classifier: classifier.name,
+)
 
 
 def words_of(annotation: Any) -> Iterator[str]:
@@ -27,12 +35,6 @@ def words_of(annotation: Any) -> Iterator[str]:
             yield part
         else:
             yield from words_of(part)
-
-
-@cache
-def of_asphalt(classifier: Classifier) -> Fitted:
-    """A classifier as it comes, fitted to ``asphalt()`` once: not to be changed."""
-    return fit(classifier, asphalt(), RGB)
 
 
 def readings(*left_out: str) -> list[Any]:
@@ -49,51 +51,47 @@ def readings(*left_out: str) -> list[Any]:
     ]
 
 
-every_classifier = pytest.mark.parametrize(
-    "classifier", CLASSIFIERS.values(), ids=CLASSIFIERS.keys()
-)
-every_distance = pytest.mark.parametrize(
-    "classifier",
-    [classifier for name, classifier in CLASSIFIERS.items() if name not in HISTOGRAMS],
-    ids=[name for name in CLASSIFIERS if name not in HISTOGRAMS],
-)
-
-
-def kept(fitted: Fitted, name: str) -> Tensor:
-    """What a classifier keeps of its samples, by the name under which its distance takes it."""
-    return fitted.learned.distance.keywords[name]  # type: ignore[attr-defined]
-
-
-def some(number: int, dimensions: int, seed: int = 0, spread: float = 1.0) -> Tensor:
-    """Samples (number,dimensions), even in a box of that side around 0.4 (of side 1: 0 to 1)."""
-    generator = torch.Generator().manual_seed(seed)
-    return 0.4 + spread * (torch.rand(number, dimensions, generator=generator) - 0.4)
+@cache
+def of_asphalt(classifier: Classifier) -> Fitted:
+    """A classifier as it comes, fitted to ``asphalt()`` once: not to be changed."""
+    return fit(classifier, asphalt(), RGB)
 
 
 def fitted(
     classifier: Classifier, samples: Tensor, settings: ClassifierSettings | None = None
 ) -> Fitted:
     """A classifier fitted to samples (m,d) of some d planes."""
-    return fit(classifier, samples, axes_of(PLANES[samples.shape[1]]), settings)
+    return fit(classifier, samples, PLANES[samples.shape[1]], settings)
+
+
+def ranks(values: Tensor) -> Tensor:
+    return values.argsort().argsort().double()
+
+
+def rank_correlation(left: Tensor, right: Tensor) -> float:
+    """Spearman's, of values that are all different."""
+    return float(torch.corrcoef(torch.stack([ranks(left), ranks(right)]))[0, 1])
 
 
 def doubles(values: Tensor) -> np.ndarray:
     return values.double().numpy()
 
 
+def some(number: int, dimensions: int, seed: int = 0, spread: float = 1.0) -> Tensor:
+    """Samples (number,dimensions), even in a box of that side around 0.4 (of side 1: 0 to 1)."""
+    return 0.4 + spread * (torch.rand(number, dimensions, generator=seeded(seed)) - 0.4)
+
+
+def road(number: int, dimensions: int, seed: int = 1, spread: float = 0.03) -> Tensor:
+    """Samples (number,dimensions) of a grey with some noise."""
+    return 0.4 + spread * torch.randn(number, dimensions, generator=seeded(seed))
+
+
 def asphalt(count: int = 90, seed: int = 0) -> Tensor:
-    """Samples (count,3) of a grey with some noise."""
-    generator = torch.Generator().manual_seed(seed)
-    return 0.45 + SPREAD * torch.randn(count, 3, generator=generator)
+    return road(count, 3, seed, 0.02)
 
 
-def colours(count: int = 500, seed: int = 1, planes: int = 3) -> Tensor:
-    return torch.rand(count, planes, generator=torch.Generator().manual_seed(seed))
-
-
-def around_red(count: int = 90, seed: int = 0) -> Tensor:
+def around_red(count: int = 90) -> Tensor:
     """Hue on both sides of red, where it begins and ends, and some saturation."""
-    generator = torch.Generator().manual_seed(seed)
-    hue = (0.02 * torch.randn(count, generator=generator)).remainder(1)
-    saturation = 0.4 + 0.02 * torch.randn(count, generator=generator)
-    return torch.stack([hue, saturation], 1)
+    noise = road(count, 2, 0, 0.02)
+    return torch.stack([(noise[:, 0] - 0.4).remainder(1), noise[:, 1]], 1)

@@ -2,14 +2,10 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 from pydantic import Field
 from torch import Tensor
 
@@ -27,15 +23,15 @@ from roadtorch.oneclass.axes import (
 from roadtorch.oneclass.base import (
     Classifier,
     ClassifierSettings,
+    Fitted,
     Learned,
     Road,
     fit,
     rejecting_distance,
 )
-from tests.oneclass.cases import kept
-from tests.reference import oneclass_density as reference
+from tests.draws import random
 
-PLANE = axes_of(("S",))
+PLANE, HUE, HS = axes_of(("S",)), axes_of(("H",)), axes_of(("H", "S"))
 
 
 class ScaledSettings(ClassifierSettings):
@@ -44,20 +40,31 @@ class ScaledSettings(ClassifierSettings):
     scale: float = Field(default=1.0, gt=0)
 
 
-def _fit_middle(road: Road, settings: ScaledSettings) -> Learned:
-    middle = road.samples.mean(0).float() / settings.scale
-    return Learned(partial(_from_middle, middle=middle), floats=2)
+def middle_of(
+    samples: Tensor,
+    axes: Axes = PLANE,
+    single: str = "",
+    training: Tensor | None = None,
+    threshold: float | None = None,
+    **told: float,
+) -> Fitted:
+    """The distance to the middle of samples of one plane."""
 
+    def fit_middle(road: Road, settings: ScaledSettings) -> Learned:
+        middle = road.samples.mean(0).float() / settings.scale
+        return Learned(
+            lambda pixels: (pixels - middle[:, None]).abs().amax(0), 2, training, threshold
+        )
 
-def _from_middle(pixels: Tensor, middle: Tensor) -> Tensor:
-    return (pixels - middle[:, None]).abs().amax(0)
-
-
-MIDDLE = Classifier("middle", "distance to the middle", ScaledSettings, _fit_middle)
+    middle = Classifier("middle", "distance to the middle", ScaledSettings, fit_middle, single)
+    return fit(middle, samples, axes, ScaledSettings.model_validate(told))
 
 
 def line(*values: float) -> Tensor:
     return torch.tensor(values)[:, None]
+
+
+FIVE = line(0.3, 0.4, 0.5, 0.6, 0.7)
 
 
 # --- axes and hue ---------------------------------------------------------------------------
@@ -73,63 +80,65 @@ def test_axes_have_the_ranges_of_their_planes() -> None:
         axes_of(("Hue",))
 
 
-def test_the_mean_hue_follows_the_circle() -> None:
-    assert float(circular_mean(torch.tensor([0.9, 0.1]))) == pytest.approx(0, abs=1e-7)
-    assert float(circular_mean(torch.tensor([0.6, 0.7]))) == pytest.approx(0.65)
-    assert float(circular_mean(torch.tensor([0.0, 0.5]))) == 0  # they cancel
-
-
-def test_saturated_colours_decide_on_the_mean_hue() -> None:
-    samples = torch.tensor([[0.3, 0.7, 0.7], [0.8, 0.0, 0.0]])
-
-    assert mean_hues(samples, axes_of(("H", "S"))).tolist() == pytest.approx([0.3, 0])
-    grey = torch.tensor([[0.2, 0.4], [0.0, 0.0]])
-    assert mean_hues(grey, axes_of(("H", "S"))).tolist() == pytest.approx([0.3, 0])
-
-
-@given(st.floats(0, 1, width=32), st.floats(0, 1, width=32))
-def test_unrolled_hue_differs_from_the_mean_by_the_way_along_the_circle(
-    hue: float, mean: float
+@pytest.mark.parametrize(
+    ("hues", "saturations", "mean"),
+    [
+        ([0.9, 0.1], None, 0),
+        ([0.6, 0.7], None, 0.65),
+        ([0.0, 0.5], None, 0),  # they cancel
+        ([0.3, 0.7, 0.7], [0.8, 0.0, 0.0], 0.3),  # saturated colours decide
+        ([0.2, 0.4], [0.0, 0.0], 0.3),
+    ],
+)
+def test_the_mean_hue_follows_the_circle(
+    hues: list[float], saturations: list[float] | None, mean: float
 ) -> None:
-    away = float(unrolled(torch.tensor([hue]), mean))
+    if saturations is None:
+        found = float(circular_mean(torch.tensor(hues)))
+    else:
+        found, other = mean_hues(torch.tensor([hues, saturations]), HS).tolist()
+        assert other == 0
 
-    assert -0.5 - 1e-7 <= away <= 0.5
-    along = abs(hue - mean)
-    assert abs(away) == pytest.approx(min(along, abs(1 - along)), abs=1e-6)
+    assert found == pytest.approx(mean, abs=1e-7)
 
 
-def test_the_chord_puts_hue_on_a_circle_of_circumference_one() -> None:
-    axes, planes = axes_of(("H", "S")), torch.tensor([[0.0, 0.25, 0.01], [0.1, 0.2, 0.3]])
+def test_unrolled_hue_differs_from_the_mean_by_the_way_along_the_circle() -> None:
+    hues = torch.cat([random(200, dtype=torch.float32), torch.tensor([0, 0.5, 1])])
+    for mean in (0.0, 0.25, 0.5, 0.99, 1.0):
+        away = unrolled(hues, mean)
 
-    points = arranged(planes, axes, "chord", torch.zeros(2))
-
-    assert arranged_axes(axes, "chord").names == ("cos H", "sin H", "S")
-    np.testing.assert_allclose(points[:2].norm(dim=0), [1 / (2 * math.pi)] * 3, rtol=1e-6)
-    assert float((points[:2, 2] - points[:2, 0]).norm()) == pytest.approx(0.01, rel=1e-3)
-    assert torch.equal(points[2], planes[1])
+        along = (hues - mean).abs()
+        assert away.abs().max() <= 0.5 + 1e-7
+        expected = torch.minimum(along, (1 - along).abs())
+        np.testing.assert_allclose(away.abs(), expected, atol=1e-6)
 
 
 def test_hue_as_a_plain_number_is_left_as_it_is() -> None:
-    axes, planes = axes_of(("H",)), torch.rand(1, 5)
+    planes = torch.rand(1, 5)
 
-    assert arranged(planes, axes, "linear", torch.zeros(1)) is planes
-    assert arranged_axes(axes, "linear") == axes
-    assert arranged_axes(axes, "unrolled") == Axes(("H",), (-0.5,), (0.5,), (True,))
+    assert arranged(planes, HUE, "linear", torch.zeros(1)) is planes
+    assert arranged_axes(HUE, "linear") == HUE
+    assert arranged_axes(HUE, "unrolled") == Axes(("H",), (-0.5,), (0.5,), (True,))
+
+
+def test_a_fit_sees_hue_as_distance_from_the_mean() -> None:
+    fitted = middle_of(line(0.9, 0.1), axes=HUE, rejected=0.0)
+
+    found = fitted.distance(line(0.95, 0.05, 0.5, 1.0)).tolist()
+    assert found == pytest.approx([0.05, 0.05, 0.5, 0], abs=1e-6)
 
 
 # --- thresholds and likelihoods ----------------------------------------------------------------
 
 
-@given(
-    st.lists(st.floats(0, 100), min_size=1, max_size=50),
-    st.sampled_from([0.0, 0.025, 0.1, 0.5, 1.0]),
+@pytest.mark.parametrize(
+    ("rejected", "boundary"), [(0, 8), (0.1, 8), (0.2, 6), (0.5, 3), (0.75, 1.5), (0.9, 1), (1, 1)]
 )
 def test_the_boundary_lies_between_kept_and_rejected_samples(
-    distances: list[float], rejected: float
+    rejected: float, boundary: float
 ) -> None:
-    found = rejecting_distance(np.array(distances), rejected)
-
-    assert found == pytest.approx(reference.rejecting_distance(np.array(distances), rejected))
+    assert rejecting_distance(np.array([4.0, 1.0, 8.0, 2.0]), rejected) == boundary
+    assert rejecting_distance(np.array([3.0]), rejected) == 3
 
 
 @pytest.mark.parametrize(("count", "outside"), [(90, 2), (13266, 332)])
@@ -142,52 +151,30 @@ def test_p3s_fraction_rejects_as_many_samples_as_the_toolbox(count: int, outside
 def test_the_likelihood_is_a_half_at_the_threshold_and_falls_with_the_root_of_the_distance() -> (
     None
 ):
-    fitted = fit(MIDDLE, line(0.3, 0.4, 0.5, 0.6, 0.7), PLANE, ScaledSettings(rejected=0.4))
+    fitted = middle_of(FIVE, rejected=0.4)
 
-    assert float(fitted.threshold) == pytest.approx(0.15)
     found = fitted.likelihood(line(0.5, 0.65, 1.1)).tolist()
     assert found == pytest.approx([1, 1 / 2, 1 / 3], rel=1e-3)
 
 
-def test_a_classifier_may_bring_its_threshold_or_the_distances_for_it() -> None:
-    def with_own(road: Road, settings: ScaledSettings) -> Learned:
-        return replace(_fit_middle(road, settings), threshold=7.0)
-
-    def left_out(road: Road, settings: ScaledSettings) -> Learned:
-        return replace(_fit_middle(road, settings), training=torch.tensor([1.0, 3.0]))
-
-    def threshold(how: Callable[..., Learned], rejected: float) -> float:
-        kind, settings = (
-            Classifier("own", "", ScaledSettings, how),
-            ScaledSettings(rejected=rejected),
-        )
-        return float(fit(kind, line(0.1, 0.2), PLANE, settings).threshold)
-
-    assert threshold(with_own, 0.5) == 7
-    assert threshold(left_out, 0.5) == 2
+@pytest.mark.parametrize(
+    ("fitted", "threshold"),
+    [
+        (lambda: middle_of(FIVE, rejected=0.4), 0.15),
+        (lambda: middle_of(FIVE, threshold=7.0), 7),
+        (lambda: middle_of(FIVE, training=torch.tensor([1.0, 3.0]), rejected=0.5), 2),
+        (lambda: middle_of(line(0.4, 0.4, 0.4)), 1 / 255),
+        (lambda: middle_of(line(0.2, 0.4), scale=2.0, rejected=0.0), 0.25),
+    ],
+    ids=["of the samples", "its own", "of what it gives", "one quantum for one colour", "told"],
+)
+def test_where_the_threshold_comes_from(fitted: Callable[[], Fitted], threshold: float) -> None:
+    assert float(fitted().threshold) == pytest.approx(threshold, rel=1e-4)
 
 
-def test_one_quantum_is_the_threshold_where_samples_say_nothing() -> None:
-    fitted = fit(MIDDLE, line(0.4, 0.4, 0.4), PLANE)
-
-    assert float(fitted.threshold) == pytest.approx(1 / 255, rel=1e-4)
-
-
-def test_settings_reach_the_fit_and_a_refusal_is_an_error() -> None:
-    wide = fit(MIDDLE, line(0.2, 0.4), PLANE, ScaledSettings(scale=2.0))
-    refusing = Classifier("picky", "", ScaledSettings, _fit_middle, "not today")
-
-    assert float(kept(wide, "middle")) == pytest.approx(0.15)
-    with pytest.raises(ConfigError, match=r"^picky: not today .choose other planes"):
-        fit(refusing, line(0.2), PLANE)
-
-
-def test_a_fit_sees_hue_as_distance_from_the_mean() -> None:
-    fitted = fit(MIDDLE, line(0.9, 0.1), axes_of(("H",)), ScaledSettings(rejected=0.0))
-
-    assert float(kept(fitted, "middle")) == pytest.approx(0, abs=1e-6)
-    found = fitted.distance(line(0.95, 0.05, 0.5, 1.0)).tolist()
-    assert found == pytest.approx([0.05, 0.05, 0.5, 0], abs=1e-6)
+def test_a_classifier_that_refuses_a_single_plane_says_why() -> None:
+    with pytest.raises(ConfigError, match=r"^middle: not today .choose other planes"):
+        middle_of(line(0.2), single="not today")
 
 
 def test_memory_is_bounded_by_chunks(monkeypatch: pytest.MonkeyPatch) -> None:

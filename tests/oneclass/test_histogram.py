@@ -8,45 +8,23 @@ from torch import Tensor
 from roadtorch.errors import ConfigError
 from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
 from roadtorch.oneclass.histogram import HistogramSettings, bin_of, with_noisy_copy
-from tests.draws import seeded
-from tests.reference import oneclass_density as reference
+from tests.draws import random, seeded
 
 SIMPLE, NOISY = CLASSIFIERS["hist64_s"], CLASSIFIERS["hist64_sn"]
 
 
 def samples_of(planes: int, count: int = 2000) -> Tensor:
-    return 0.3 + 0.2 * torch.rand(count, planes, generator=seeded())
-
-
-@pytest.mark.parametrize("name", ["hist64_s", "hist100_s"])
-@pytest.mark.parametrize("planes", [("O2",), ("a", "b"), ("R", "G", "B")])
-def test_histograms_are_numpys(name: str, planes: tuple[str, ...]) -> None:
-    axes, samples = axes_of(planes), samples_of(len(planes))
-    pixels = torch.rand(500, len(planes), generator=seeded(1)) * 0.6 + 0.1
-    bins = {"hist64_s": 64, "hist100_s": 100}[name]
-
-    found = fit(CLASSIFIERS[name], samples, axes).distance(pixels)
-
-    expected = reference.histogram_distance(
-        samples.double().numpy(),
-        pixels.double().numpy(),
-        bins,
-        np.array(axes.low),
-        np.array(axes.high),
-    )
-    # On the edge of a bin the last digit decides.
-    assert np.isclose(found, expected, atol=1e-5).mean() > 0.99
+    return 0.3 + 0.2 * random(count, planes, dtype=torch.float32)
 
 
 def test_distance_zero_is_the_fullest_bin_and_an_empty_one_is_infinitely_far() -> None:
     samples = torch.tensor([[0.1], [0.5], [0.5], [0.5], [0.9]])
+    fitted = fit(SIMPLE, samples, axes_of(("S",)))
 
-    found = fit(SIMPLE, samples, axes_of(("S",))).distance(torch.tensor([[0.5], [0.1], [0.3]]))
+    found = fitted.distance(torch.tensor([[0.5], [0.1], [0.3]]))
 
-    assert found[0] == 0
-    assert float(found[1]) == pytest.approx((2 * np.log(3)) ** 0.5)
-    assert found[2] == torch.inf
-    assert fit(SIMPLE, samples, axes_of(("S",))).likelihood(torch.tensor([[0.3]])) == 0
+    assert found.tolist() == pytest.approx([0, (2 * np.log(3)) ** 0.5, np.inf])
+    assert fitted.likelihood(torch.tensor([[0.3]])) == 0
 
 
 def test_values_beyond_the_range_fall_into_the_last_bins() -> None:
@@ -57,22 +35,8 @@ def test_values_beyond_the_range_fall_into_the_last_bins() -> None:
     assert found.tolist() == [[0, 0, 0, 1, 7, 7, 7]]
 
 
-def test_the_product_over_planes_adds_the_squares_of_their_distances() -> None:
-    axes, samples = axes_of(("R", "G")), samples_of(2)
-    pixels = samples_of(2, 50)
-
-    joint = fit(SIMPLE, samples, axes, HistogramSettings(planes="product")).distance(pixels)
-
-    single = [
-        fit(SIMPLE, samples[:, [place]], axes_of((name,))).distance(pixels[:, [place]])
-        for place, name in enumerate("RG")
-    ]
-    torch.testing.assert_close(joint, torch.hypot(*single))
-
-
 def test_the_noisy_copy_has_the_deviation_of_p3_in_ranges_of_the_plane() -> None:
-    axes, samples = axes_of(("S", "O2")), torch.zeros(50_000, 2, dtype=torch.float64) + 0.5
-    samples[:, 1] = 0
+    axes, samples = axes_of(("S", "O2")), torch.tensor([[0.5, 0.0]]).double().repeat(50_000, 1)
 
     both = with_noisy_copy(samples, axes, 30 / 256, "clip", seeded())
 

@@ -1,17 +1,13 @@
-"""Principal components, k-means and k-centres: scikit-learn, exhaustive search, closed forms."""
-
-from typing import Any
+"""Principal components, k-means and k-centres: closed forms, loops and exhaustive search."""
 
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sklearn.cluster import KMeans
-from sklearn.decomposition import PCA
 from torch import Tensor
 
-from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
+from roadtorch.oneclass import CLASSIFIERS
 from roadtorch.oneclass.reconstruction import (
     ComponentSettings,
     farthest_first,
@@ -19,48 +15,25 @@ from roadtorch.oneclass.reconstruction import (
     k_means,
     kept_components,
 )
-from tests.oneclass.cases import kept
+from tests.draws import random, seeded
+from tests.oneclass.cases import fitted
 from tests.reference import oneclass_density as reference
+from tests.reference import ufl
 
 COMPONENTS, MEANS, CENTRES, NEAREST = (
     CLASSIFIERS[name] for name in ("pca", "kmeans", "kcentres", "nn")
 )
-RGB = axes_of(("R", "G", "B"))
 
 
-def flat_samples(seed: int = 0, count: int = 90) -> Tensor:
+def flat_samples(count: int = 90) -> Tensor:
     """Samples (count,3) with nearly all of their variance in two directions."""
-    generator = torch.Generator().manual_seed(seed)
+    generator = seeded()
     directions = torch.linalg.qr(torch.randn(3, 3, generator=generator)).Q
     spread = torch.tensor([0.1, 0.05, 0.005])
     return 0.5 + torch.randn(count, 3, generator=generator) * spread @ directions
 
 
-def colours(count: int = 300) -> Tensor:
-    return torch.rand(count, 3, generator=torch.Generator().manual_seed(7))
-
-
-def points(count: int, planes: int = 2, seed: int = 0) -> Tensor:
-    generator = torch.Generator().manual_seed(seed)
-    return torch.rand(count, planes, generator=generator, dtype=torch.float64)
-
-
 # --- principal components ---------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("variance", "kept"), [(0.95, 2), (0.5, 1), (0.0, 0)])
-def test_the_residual_is_scikit_learns(variance: float, kept: int) -> None:
-    samples, pixels = flat_samples(), colours()
-
-    found = fit(COMPONENTS, samples, RGB, ComponentSettings(variance=variance)).distance(pixels)
-
-    if kept:
-        peer = PCA(kept).fit(samples.double().numpy())
-        back = peer.inverse_transform(peer.transform(pixels.double().numpy()))
-    else:
-        back = samples.double().numpy().mean(0)
-    expected = np.linalg.norm(pixels.double().numpy() - back, axis=1)
-    np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 def test_components_are_kept_until_they_have_the_share() -> None:
@@ -70,44 +43,42 @@ def test_components_are_kept_until_they_have_the_share() -> None:
     assert kept_components(torch.zeros(3), 0.95) == 0
 
 
-def test_where_all_components_are_needed_one_less_is_kept_or_none_or_nothing_is_lost() -> None:
+@pytest.mark.parametrize(("full", "distance"), [("cap", 0.4), ("mean", 0.5), ("strict", 0)])
+def test_where_all_components_are_needed_one_less_is_kept_or_none_or_nothing_is_lost(
+    full: str, distance: float
+) -> None:
     samples = torch.tensor([[0.6, 0.5], [0.4, 0.5], [0.5, 0.55], [0.5, 0.45]])
-    axes, pixel = axes_of(("a", "b")), torch.tensor([[0.8, 0.9]])
+    settings = ComponentSettings.model_validate({"full": full})
 
-    def distance(full: str) -> float:
-        settings = ComponentSettings.model_validate({"full": full})
-        return float(fit(COMPONENTS, samples, axes, settings).distance(pixel))
+    found = fitted(COMPONENTS, samples, settings).distance(torch.tensor([[0.8, 0.9]]))
 
-    assert distance("cap") == pytest.approx(0.4, rel=1e-5)
-    assert distance("mean") == pytest.approx(0.5, rel=1e-5)
-    assert distance("strict") == 0
+    assert float(found) == pytest.approx(distance, rel=1e-5)
 
 
 # --- k-means ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("number", [1, 3, 5])
-def test_the_inertia_is_scikit_learns_from_the_same_start(number: int) -> None:
-    samples = points(90, 3)
+def test_the_means_are_those_of_lloyds_rounds_one_by_one(number: int) -> None:
+    samples = random(60, 3)
 
     centres, inertia = k_means(samples, samples[None, :number])
 
-    options: dict = {"init": samples[:number].numpy(), "n_init": 1, "tol": 0}
-    peer: Any = KMeans(number, **options).fit(samples.numpy())
-    assert float(inertia) == pytest.approx(peer.inertia_)
-    expected = peer.cluster_centers_
-    np.testing.assert_allclose(np.sort(centres[0], 0), np.sort(expected, 0), atol=1e-6)
+    expected = samples[:number].numpy()
+    for _ in range(25):
+        expected, _ = ufl.lloyd(samples.numpy(), expected)
+    np.testing.assert_allclose(centres[0], expected, atol=1e-3)
+    squared = torch.cdist(samples, torch.from_numpy(expected)).square()
+    assert float(inertia) == pytest.approx(float(squared.amin(1).sum()), rel=1e-4)
 
 
-def test_restarts_are_as_good_as_scikit_learns() -> None:
-    samples = points(90, 3)
-    options: dict = {"n_init": 10, "random_state": 0}
-    peer: Any = KMeans(5, **options).fit(samples.numpy())
+def test_the_best_of_the_restarts_is_as_good_as_the_best_of_many_starts() -> None:
+    samples = random(90, 3)
+    starts = [samples[torch.randperm(90, generator=seeded(seed))[:5]] for seed in range(50)]
 
-    centres = kept(fit(MEANS, samples.float(), RGB), "centres").double()
+    found = fitted(MEANS, samples.float()).distance(samples.float()).square().sum()
 
-    inertia = torch.cdist(samples, centres).square().amin(1).sum()
-    assert float(inertia) < 1.02 * peer.inertia_
+    assert float(found) < 1.02 * float(k_means(samples, torch.stack(starts))[1].min())
 
 
 def test_a_centre_that_loses_its_samples_goes_where_it_is_needed() -> None:
@@ -125,7 +96,7 @@ def test_a_centre_that_loses_its_samples_goes_where_it_is_needed() -> None:
 @settings(max_examples=20)
 @given(st.integers(0, 999), st.integers(4, 12), st.integers(1, 3))
 def test_the_radius_is_at_most_twice_the_least(seed: int, count: int, number: int) -> None:
-    samples = points(count, seed=seed)
+    samples = random(count, 2, seed=seed)
     apart = torch.cdist(samples, samples)
 
     centres, radii = k_centres(apart, farthest_first(apart, number)[None])
@@ -136,10 +107,8 @@ def test_the_radius_is_at_most_twice_the_least(seed: int, count: int, number: in
 
 
 def test_a_better_start_is_never_made_worse() -> None:
-    apart = torch.cdist(points(60), points(60))
-    starts = torch.stack(
-        [torch.randperm(60, generator=torch.Generator().manual_seed(n))[:5] for n in range(20)]
-    )
+    apart = torch.cdist(random(60, 2), random(60, 2))
+    starts = torch.stack([torch.randperm(60, generator=seeded(n))[:5] for n in range(20)])
 
     _, radii = k_centres(apart, starts)
 
@@ -149,16 +118,6 @@ def test_a_better_start_is_never_made_worse() -> None:
 def test_centres_are_samples() -> None:
     samples = flat_samples()
 
-    centres = kept(fit(CENTRES, samples, RGB), "centres")
+    at_samples = fitted(CENTRES, samples).distance(samples)
 
-    assert all(bool((samples == centre).all(1).any()) for centre in centres)
-
-
-@pytest.mark.parametrize("classifier", [MEANS, CENTRES], ids=["kmeans", "kcentres"])
-def test_as_many_centres_as_samples_are_the_nearest_neighbour(classifier) -> None:
-    samples, pixels = flat_samples(count=8), colours()
-    settings = classifier.settings(centres=20)
-
-    found = fit(classifier, samples, RGB, settings).distance(pixels)
-
-    torch.testing.assert_close(found, fit(NEAREST, samples, RGB).distance(pixels))
+    assert (at_samples == 0).sum() == CENTRES.settings().model_dump()["centres"]

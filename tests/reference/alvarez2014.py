@@ -10,6 +10,7 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.stats import chi2
 
+from roadtorch.oneclass.base import rejecting_distance
 from tests.reference import oneclass_density as density
 from tests.reference.oneclass_boundary import distance_matrix
 
@@ -32,7 +33,7 @@ def robust_gaussian(samples: Array, pixels: Array) -> tuple[Array, float]:
         ridge = RIDGE * np.trace(covariance) / dimensions + ROUNDING
         covariance = (1 - RIDGE) * covariance + ridge * np.eye(dimensions)
     own = mahalanobis(samples, mean, covariance)
-    return mahalanobis(pixels, mean, covariance), density.rejecting_distance(own, REJECTED)
+    return mahalanobis(pixels, mean, covariance), rejecting_distance(own, REJECTED)
 
 
 def mahalanobis(points: Array, mean: Array, covariance: Array) -> Array:
@@ -55,7 +56,7 @@ def mog2(samples: Array, pixels: Array) -> tuple[Array, float]:
         if 2 < nearest.sum() < len(samples) - 2:
             start = np.stack([nearest == 0, nearest == 1]).astype(float)
             mixture = density.expectation_maximisation(samples, start, widening, 100)
-            found.append((density.mixture_log_density(samples, *mixture).sum(), mixture))
+            found.append((density.log_sum(density.log_parts(samples, *mixture)).sum(), mixture))
     shares, means, covariances = max(found, key=lambda pair: pair[0])[1]
 
     def distance(points: Array) -> Array:
@@ -65,7 +66,7 @@ def mog2(samples: Array, pixels: Array) -> tuple[Array, float]:
         ]
         return -density.log_sum(np.stack(parts))
 
-    return distance(pixels), density.rejecting_distance(distance(samples), REJECTED)
+    return distance(pixels), rejecting_distance(distance(samples), REJECTED)
 
 
 def dlp(samples: Array, pixels: Array) -> tuple[Array, float]:

@@ -1,8 +1,11 @@
 """The bird's-eye view one point at a time, through every coordinate frame on the way."""
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
+
+from roadtorch.camera.calibration import Calibration
 
 FOCAL = 130.0
 CAMERA_HEIGHT = 1.6  # metres
@@ -31,6 +34,12 @@ def made_up_rows(
     camera_to_road = np.column_stack([turn(pitch, yaw, roll), below])
     rectification = turn(pitch / 3, -yaw / 2, roll)
     return {"P2": projection, "R0_rect": rectification, "Tr_cam_to_road": camera_to_road}
+
+
+def calibration(rows: Mapping[str, object]) -> Calibration:
+    """The same as it is read."""
+    values = (np.array(rows[name]).ravel().tolist() for name in ("P2", "R0_rect", "Tr_cam_to_road"))
+    return Calibration(*map(tuple, values))
 
 
 def calibration_text(rows: dict[str, np.ndarray]) -> str:

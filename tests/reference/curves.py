@@ -40,14 +40,6 @@ def threshold_average(maps: list[tuple[np.ndarray, np.ndarray]]) -> Points:
     return points
 
 
-def area(points: Points) -> float:
-    """Trapezoid by trapezoid."""
-    total = 0.0
-    for (left, low), (right, high) in pairwise(points):
-        total += (right - left) * (low + high) / 2
-    return total
-
-
 def equal_error_rate(points: Points) -> float:
     """Walk along the curve until FPR is no longer below 1 - TPR; step back to the crossing."""
     for (f, t), (g, u) in pairwise(points):

@@ -19,14 +19,6 @@ def nearest_distance(samples: Array, pixels: Array) -> Array:
     return distance_matrix(pixels, samples).min(1)
 
 
-def nearest_ratio(samples: Array, pixels: Array) -> Array:
-    """The toolbox: over the distance from the nearest sample to its own next one, no twins."""
-    among = distance_matrix(samples, samples)
-    among[among < 1e-5] = np.inf
-    to_samples = distance_matrix(pixels, samples)
-    return to_samples.min(1) / among.min(1)[to_samples.argmin(1)]
-
-
 def segment_distance(pixel: Array, start: Array, end: Array) -> float:
     """To the foot of the perpendicular, or to the nearer end where it lies outside."""
     step = end - start
@@ -39,7 +31,9 @@ def segment_distance(pixel: Array, start: Array, end: Array) -> float:
     return float(np.linalg.norm(pixel - start - share * step))
 
 
-def tree_distance(samples: Array, edges: list[tuple[int, int]], pixels: Array) -> Array:
+def tree_distance(samples: Array, pixels: Array) -> Array:
+    samples = np.unique(samples, axis=0)
+    edges = kruskal(samples)
     return np.array(
         [min(segment_distance(x, samples[i], samples[j]) for i, j in edges) for x in pixels]
     )

@@ -1,86 +1,78 @@
-"""Slow, obvious versions of the density and reconstruction classifiers, and of the contract."""
+"""Slow, obvious versions of the density and reconstruction classifiers."""
 
-import math
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import multivariate_normal
+from numpy.typing import NDArray
+
+Array = NDArray[np.floating]
 
 
-def log_sum(exponents: np.ndarray) -> np.ndarray:
+def log_sum(exponents: Array) -> Array:
     """ln Σ exp over the first axis."""
     top = exponents.max(0)
     return top + np.log(np.exp(exponents - top).sum(0))
 
 
-def rejecting_distance(distances: np.ndarray, rejected: float) -> float:
-    """Midway between the last sample that is kept and the first that is not."""
-    ordered = sorted(float(distance) for distance in distances)
-    kept = math.floor((1 - rejected) * len(ordered) + 0.5)
-    if kept == 0:
-        return ordered[0]
-    if kept == len(ordered):
-        return ordered[-1]
-    return (ordered[kept - 1] + ordered[kept]) / 2
-
-
-def histogram_distance(
-    samples: np.ndarray, pixels: np.ndarray, bins: int, low: np.ndarray, high: np.ndarray
-) -> np.ndarray:
-    """√(2 ln(peak/p)) from numpy.histogramdd."""
-    counts, edges = np.histogramdd(samples, bins, list(zip(low, high, strict=True)))
-    places = [
-        np.clip(np.searchsorted(edge, column, "right") - 1, 0, bins - 1)
-        for edge, column in zip(edges, pixels.T, strict=True)
-    ]
+def histogram_distance(samples: Array, pixels: Array, bins: int) -> Array:
+    """√(2 ln(peak/p)) from numpy.histogramdd, of planes from 0 to 1."""
+    counts, _ = np.histogramdd(samples, bins, [(0, 1)] * samples.shape[1])
+    places = tuple(np.clip((pixels.T * bins).astype(int), 0, bins - 1))
     with np.errstate(divide="ignore"):
-        return np.sqrt(2 * np.log(counts.max() / counts[tuple(places)]))
+        return np.sqrt(2 * np.log(counts.max() / counts[places]))
 
 
-def gaussian_covariance(samples: np.ndarray, ridge: float, floor: np.ndarray) -> np.ndarray:
-    """The regularised covariance of dd_tools, with a floor of variance."""
+def histograms_distance(samples: Array, pixels: Array) -> Array:
+    """The same with the product of one histogram of 64 bins for each plane."""
+    columns = zip(samples.T[..., None], pixels.T[..., None], strict=True)
+    return np.sqrt(sum(histogram_distance(*column, bins=64) ** 2 for column in columns))
+
+
+def residual_distance(samples: Array, pixels: Array, kept: int) -> Array:
+    """What the first principal components, all but the last with kept = -1, leave of pixels."""
+    mean = samples.mean(0)
+    basis = np.linalg.svd(samples - mean)[2][:kept]
+    return np.linalg.norm(pixels - mean - (pixels - mean) @ basis.T @ basis, axis=1)
+
+
+def squared_distances(points: Array, means: Array, covariances: Array) -> Array:
+    """(x-μ)ᵀ Σ⁻¹ (x-μ) of points (n,d) for each of N Gaussians: (N,n)."""
+    away = points - means[:, None]
+    return ((away @ np.linalg.inv(covariances)) * away).sum(2)
+
+
+def gaussian_distance(samples: Array, pixels: Array, floor: float) -> Array:
+    """With the regularised covariance of dd_tools (ridge 0.001), and a floor of variance."""
     covariance = np.atleast_2d(np.cov(samples.T, ddof=1))
-    mean_variance = np.trace(covariance) / len(covariance)
-    return (
-        (1 - ridge) * covariance + ridge * mean_variance * np.eye(len(covariance)) + np.diag(floor)
-    )
+    added = 1e-3 * np.trace(covariance) / len(covariance) + floor
+    covariance = 0.999 * covariance + added * np.eye(len(covariance))
+    return np.sqrt(squared_distances(pixels, samples.mean(0)[None], covariance[None])[0])
 
 
-def mixture_log_density(
-    points: np.ndarray, shares: np.ndarray, means: np.ndarray, covariances: np.ndarray
-) -> np.ndarray:
-    """ln Σ P_n N(x; μ_n, Σ_n) with SciPy's densities."""
-    parts = [
-        np.log(share) + multivariate_normal(mean, covariance).logpdf(points)
-        for share, mean, covariance in zip(shares, means, covariances, strict=True)
-    ]
-    return log_sum(np.atleast_2d(parts))
+def log_parts(points: Array, shares: Array, means: Array, covariances: Array) -> Array:
+    """ln P_n N(x; μ_n, Σ_n) of points (n,d): (N,n)."""
+    heights = np.log(shares) - np.linalg.slogdet(2 * np.pi * covariances)[1] / 2
+    return heights[:, None] - squared_distances(points, means, covariances) / 2
 
 
 def expectation_maximisation(
-    samples: np.ndarray, memberships: np.ndarray, widening: np.ndarray, rounds: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    samples: Array, memberships: Array, widening: Array, rounds: int
+) -> tuple[Array, Array, Array]:
     """Shares, means and covariances after some rounds, one component at a time."""
-    components = len(memberships)
+    parts = (np.empty(0), np.empty(0), np.empty(0))
     for number in range(rounds):
-        shares = memberships.sum(1) / len(samples)
+        if number:
+            logs = log_parts(samples, *parts)
+            memberships = np.exp(logs - log_sum(logs))
+        covariances = [
+            np.cov(samples.T, aweights=row, ddof=0) + np.diag(widening) for row in memberships
+        ]
         means = np.stack([np.average(samples, 0, row) for row in memberships])
-        covariances = np.stack(
-            [
-                np.atleast_2d(np.cov(samples.T, aweights=row, ddof=0)) + np.diag(widening)
-                for row in memberships
-            ]
-        )
-        if number < rounds - 1:
-            parts = [
-                np.log(shares[n]) + multivariate_normal(means[n], covariances[n]).logpdf(samples)
-                for n in range(components)
-            ]
-            memberships = np.exp(parts - log_sum(np.stack(parts)))
-    return shares, means, covariances
+        parts = memberships.sum(1) / len(samples), means, np.stack(covariances)
+    return parts
 
 
-def least_radius(apart: np.ndarray, count: int) -> float:
+def least_radius(apart: Array, count: int) -> float:
     """The least largest distance to the nearest of ``count`` centres, over all choices."""
     return min(
         float(apart[list(centres)].min(0).max())

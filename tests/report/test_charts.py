@@ -2,8 +2,7 @@
 
 import math
 import re
-import subprocess
-import sys
+from pathlib import Path
 from xml.etree import ElementTree
 
 import matplotlib
@@ -207,11 +206,10 @@ def test_a_long_name_keeps_both_ends():
     found = svg.short("oneclass:" + "x" * 100 + ":linear")
 
     assert len(found) == svg.MAX_LETTERS
-    assert found.startswith("oneclass:")
-    assert found.endswith(":linear")
+    assert (found[:9], found[-7:]) == ("oneclass:", ":linear")
 
 
-def test_charts_bring_nothing_that_acts_on_the_page(drawn):
+def test_charts_bring_nothing_that_acts_on_the_page_and_colours_that_it_may_change(drawn):
     for chart in drawn.values():
         tags = {one.tag.removeprefix(SVG) for one in ElementTree.fromstring(chart).iter()}
         assert not tags & {"style", "script", "metadata", "image", "a"}
@@ -219,18 +217,9 @@ def test_charts_bring_nothing_that_acts_on_the_page(drawn):
         assert "viewBox" in chart
         assert set(re.findall(r'href="(.)', chart)) <= {"#"}
         assert set(re.findall(r"url\((.)", chart)) <= {"#"}
-
-
-def test_ids_are_not_shared_between_charts(drawn):
-    found = [set(re.findall(r'\bid="([^"]+)"', chart)) for chart in drawn.values()]
-
-    assert sum(map(len, found)) == len(set().union(*found))
-
-
-def test_every_colour_is_one_that_the_page_may_change(drawn):
-    for chart in drawn.values():
-        written = re.findall(r"(?:fill|stroke): (#\w+)", chart)
-        assert not written
+        assert not re.findall(r"(?:fill|stroke): (#\w+)", chart)
+    ids = [set(re.findall(r'\bid="([^"]+)"', chart)) for chart in drawn.values()]
+    assert sum(map(len, ids)) == len(set().union(*ids))  # none is shared
 
 
 def test_the_same_numbers_give_the_same_text_whatever_the_user_prefers(run, drawn):
@@ -244,8 +233,6 @@ def test_the_same_numbers_give_the_same_text_whatever_the_user_prefers(run, draw
 
 
 def test_pyplot_and_its_windows_stay_out():
-    code = "import sys, roadtorch.report.charts; print('matplotlib.pyplot' in sys.modules)"
+    sources = Path(charts.__file__).parent.glob("*.py")
 
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-
-    assert done.stdout.strip() == "False"
+    assert [path.name for path in sources if "pyplot" in path.read_text(encoding="utf-8")] == []

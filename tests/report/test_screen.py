@@ -1,8 +1,7 @@
 """What a run says on the screen."""
 
 from roadtorch.report.screen import MAX_SHOWN, screen, shortlist
-from roadtorch.report.table import align
-from tests.reports import GROUPS, changed, made_run, with_conditions
+from tests.reports import GROUPS, changed, made_run, with_conditions, without_group
 
 
 def test_a_few_detectors_are_all_on_the_screen_in_both_tables() -> None:
@@ -42,10 +41,6 @@ def test_the_columns_are_those_of_the_measures_that_ask_for_one() -> None:
     assert pairs.split()[:7] == ["minus", "fusion", "F", "of", "mask", "95", "%"]
 
 
-def test_columns_line_up() -> None:
-    assert align([["a", "b"], ["long", "1.5"]]) == "a       b\nlong  1.5"
-
-
 def test_of_many_groups_the_worst_is_told() -> None:
     cameras = [f"camera{number}" for number in range(8)]
     few, _, _ = made_run(["fusion"], cameras[:6])
@@ -77,11 +72,8 @@ def test_many_groups_have_a_table_with_the_worst_on_top() -> None:
 
 def test_groups_that_are_left_out_are_listed_and_marked() -> None:
     few, _, _ = made_run(["fusion"])
-    one = few.detectors["fusion"]
-    kept = {group: one.groups[group] for group in GROUPS[1:]}
-    run = changed(few, "fusion", groups=kept, left_out={GROUPS[0]: one.groups[GROUPS[0]]})
 
-    text = screen(run)
+    text = screen(without_group(few, GROUPS[0]))
 
     assert f"MaxF {GROUPS[0]}" not in text.splitlines()[0]
     table = next(part for part in text.split("\n\n") if part.startswith("fusion by group"))

@@ -1,5 +1,6 @@
 """The ego car told by hand: where it is, what is refused, and the ground in its place."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,10 @@ from roadtorch.road.ego import MIN_FREE, SOLID, Ego, continued, ego_car, ego_fou
 from roadtorch.testing import check_detector
 from tests.streets import bonnet, scene
 
-SETTINGS = DetectorSettings
 
-
-def mask_file(path: Path, mask: Tensor) -> str:
-    write_mask(path, mask)
-    return str(path)
+def mask_file(folder: Path, mask: Tensor) -> str:
+    write_mask(folder / "ego.png", mask)
+    return str(folder / "ego.png")
 
 
 # --- where it is ----------------------------------------------------------------------------
@@ -44,7 +43,7 @@ def test_an_outline_is_straight_between_the_middles_of_its_columns() -> None:
 def test_what_any_of_the_three_says_counts(tmp_path: Path) -> None:
     pillar = torch.zeros(40, 60, dtype=torch.bool)
     pillar[:, :5] = True
-    file = mask_file(tmp_path / "ego.png", pillar)
+    file = mask_file(tmp_path, pillar)
 
     car = ego_car(torch.zeros(3, 40, 60), Ego(bottom=0.1, outline=(1, 1, 1, 0.5), mask=file))
 
@@ -55,25 +54,8 @@ def test_what_any_of_the_three_says_counts(tmp_path: Path) -> None:
     assert not car[:36, 5:35].any()
 
 
-# --- what is refused ------------------------------------------------------------------------
-
-
-def test_a_mask_of_another_size_is_refused(tmp_path: Path) -> None:
-    file = mask_file(tmp_path / "ego.png", bonnet(30, 40))
-
-    with pytest.raises(InputError, match=r"image: is 80×60 pixels, the ego mask .*ego.png 40×30"):
-        ego_car(torch.zeros(3, 60, 80), Ego(mask=file))
-
-
-def test_a_mask_that_covers_everything_is_refused_when_the_detector_is_made(tmp_path: Path) -> None:
-    file = mask_file(tmp_path / "ego.png", torch.ones(30, 40, dtype=torch.bool))
-
-    with pytest.raises(ConfigError, match=r"ego\.png: covers nearly everything"):
-        load_detector("prior:rows", ego={"mask": file})
-
-
 def test_the_mask_is_read_once_for_all_pictures(tmp_path: Path) -> None:
-    file = mask_file(tmp_path / "ego.png", bonnet(30, 40))
+    file = mask_file(tmp_path, bonnet(30, 40))
     detector = load_detector("prior:rows", ego={"mask": file})
     Path(file).unlink()
 
@@ -81,23 +63,43 @@ def test_the_mask_is_read_once_for_all_pictures(tmp_path: Path) -> None:
         assert torch.equal(detector.detect(scene(seed, 30, 40).image).cues["ego"], bonnet(30, 40))
 
 
-def test_together_they_must_leave_something_free() -> None:
-    with pytest.raises(InputError, match="image: is covered nearly everywhere"):
-        ego_car(torch.zeros(3, 50, 50), Ego(bottom=0.85, outline=(0.0, 0.0, 0.0, 1.0, 1.0)))
+# --- what is refused ------------------------------------------------------------------------
+
+FULL = torch.ones(30, 40, dtype=torch.bool)
+
+
+def loaded(**values: Any) -> Callable[[Path], object]:
+    return lambda folder: load_detector("prior:rows", ego=values)
 
 
 @pytest.mark.parametrize(
-    ("values", "told"),
+    ("call", "what"),
     [
-        ({"bottom": 0.95}, "ego.bottom: 0.95 was given"),
-        ({"outline": (0.01, 0.05)}, "ego.outline: .*leave at least 10% of the picture free"),
-        ({"outline": (0.5, 1.5)}, "ego.outline.1: 1.5 was given"),
-        ({"mask": "nowhere.png"}, "nowhere.png: does not exist"),
+        (
+            lambda folder: ego_car(
+                torch.zeros(3, 60, 80), Ego(mask=mask_file(folder, bonnet(30, 40)))
+            ),
+            r"image: is 80×60 pixels, the ego mask .*ego.png 40×30",
+        ),
+        (
+            lambda folder: load_detector("prior:rows", ego={"mask": mask_file(folder, FULL)}),
+            r"ego\.png: covers nearly everything",
+        ),
+        (
+            lambda _: ego_car(torch.zeros(3, 9, 9), Ego(bottom=0.85, outline=(0.0, 0.0, 1.0))),
+            "image: is covered nearly everywhere",
+        ),
+        (loaded(bottom=0.95), "ego.bottom: 0.95 was given"),
+        (loaded(outline=(0.01, 0.05)), "ego.outline: .*leave at least 10% of the picture free"),
+        (loaded(outline=(0.5, 1.5)), "ego.outline.1: 1.5 was given"),
+        (loaded(mask="nowhere.png"), "nowhere.png: does not exist"),
     ],
 )
-def test_what_makes_no_sense_is_told(values: dict[str, Any], told: str) -> None:
-    with pytest.raises((ConfigError, InputError), match=told):
-        load_detector("prior:rows", ego=values)
+def test_what_makes_no_sense_is_refused(
+    call: Callable[[Path], object], what: str, tmp_path: Path
+) -> None:
+    with pytest.raises((ConfigError, InputError), match=what):
+        call(tmp_path)
 
 
 # --- ground in its place --------------------------------------------------------------------
@@ -126,9 +128,8 @@ def test_a_column_is_mirrored_again_and_again(car: list[bool]) -> None:
     car = [False, *car]
     column = [float(value) for value in range(len(car))]
     maps = torch.tensor(column).view(1, -1, 1).expand(1, -1, 3)
-    ego = torch.tensor(car)[:, None].expand(-1, 3)
 
-    made = continued(maps, ego)
+    made = continued(maps, torch.tensor(car)[:, None].expand(-1, 3))
 
     assert made[0, :, 1].tolist() == slowly_continued(column, car)
 
@@ -151,9 +152,8 @@ def test_free_pixels_stay_and_all_others_come_from_free_ones(seed: int) -> None:
 
 @pytest.mark.parametrize("name", ["fusion", "cpf", "oneclass:kmeans:HS", "prior:rows"])
 def test_no_pixel_of_the_ego_car_changes_anything(name: str) -> None:
-    image = scene(3).image
-    car = bonnet(240, 320)
-    outline = tuple((~car).double().mean(0).tolist())
+    image = scene(3, 120, 160).image
+    outline = tuple((~bonnet(120, 160)).double().mean(0).tolist())
     detector = load_detector(name, ego={"outline": outline}, threshold=0.0)
     car = ego_car(image, detector.settings.ego)
 
@@ -168,10 +168,9 @@ def test_no_pixel_of_the_ego_car_changes_anything(name: str) -> None:
 
 def test_road_that_reaches_the_ego_car_is_not_isolated() -> None:
     """Its seed area is hidden: only a little of the road touches what is left of the rectangle."""
-    image = scene(3).image
-    car = Ego(bottom=0.25)  # twice as high as the seed area
+    car = {"bottom": 0.25}  # twice as high as the seed area
 
-    detection = load_detector("fusion", ego=car.model_dump()).detect(image)
+    detection = load_detector("fusion", ego=car).detect(scene(3).image)
 
     assert detection.mask[150:175, 120:200].float().mean() > 0.9
 
@@ -192,9 +191,9 @@ FINDER = Entry("finder", "finds the ego car itself", DetectorSettings, Finder)
 
 
 def test_an_ego_car_that_the_detector_finds_counts_as_well() -> None:
-    detection = Detector(FINDER, DetectorSettings(ego=Ego(bottom=0.5))).detect(
-        torch.rand(3, 20, 20)
-    )
+    detector = Detector(FINDER, DetectorSettings(ego=Ego(bottom=0.5)))
+
+    detection = detector.detect(torch.rand(3, 20, 20))
 
     expected = torch.zeros(20, 20, dtype=torch.bool)
     expected[:, :10] = expected[10:] = True
@@ -209,67 +208,51 @@ def test_such_a_detector_keeps_the_contract(settings: dict[str, Any]) -> None:
     check_detector(FINDER, **settings)
 
 
-# --- found in the picture -------------------------------------------------------------
-
+# --- found in the picture -------------------------------------------------------------------
 
 HEIGHT, WIDTH = 40, 60
-
-
-def potential(*parts: tuple[slice, slice]) -> torch.Tensor:
-    """0.9 in the given rows and columns, 0.1 elsewhere."""
-    found = torch.full((HEIGHT, WIDTH), 0.1)
-    for rows, columns in parts:
-        found[rows, columns] = 0.9
-    return found
-
-
 EVERY = slice(None)
 BONNET = (slice(30, None), EVERY)
+SIDE = (slice(20, None), slice(0, 15))
+AHEAD = (slice(14, 18), slice(25, 35))
+NEARLY_ALL = slice(HEIGHT - round(HEIGHT * (1 - MIN_FREE)) - 1, None)
 
 
-def test_what_goes_down_to_the_lower_edge_is_the_ego_car() -> None:
-    assert torch.equal(ego_found(potential(BONNET)), potential(BONNET) > 0.5)
+def potential(*parts: tuple[slice, slice], high: float = 0.9, low: float = 0.1) -> Tensor:
+    """High in the given rows and columns, low elsewhere."""
+    values = torch.full((HEIGHT, WIDTH), low)
+    for rows, columns in parts:
+        values[rows, columns] = high
+    return values
 
 
-def test_light_on_the_bonnet_leaves_no_hole() -> None:
-    lit = potential(BONNET)
-    lit[33:36, 20:30] = 0.2
-
-    assert torch.equal(ego_found(lit), potential(BONNET) > 0.5)
+LIT = potential(BONNET)
+LIT[33:36, 20:30] = 0.2
 
 
-def test_a_car_ahead_is_none_and_takes_nothing_from_the_bonnet() -> None:
-    ahead = (slice(14, 18), slice(25, 35))
-
-    assert not ego_found(potential(ahead)).any()
-    # From the car's upper edge down, 14 of 26 rows are likelier ego car than not.
-    assert torch.equal(ego_found(potential(ahead, BONNET)), potential(BONNET) > 0.5)
-
-
-def test_a_car_at_one_side_is_found_in_its_columns_alone() -> None:
-    side = potential((slice(20, None), slice(0, 15)))
-
-    assert torch.equal(ego_found(side), side > 0.5)
-
-
-@pytest.mark.parametrize("rows", [HEIGHT, round(HEIGHT * (1 - MIN_FREE)) + 1])
-def test_where_nearly_all_is_ego_car_there_is_none(rows: int) -> None:
-    assert not ego_found(potential((slice(HEIGHT - rows, None), EVERY))).any()
-
-
-@pytest.mark.parametrize(("believed", "is_one"), [(0.55, False), (0.85, True)])
-def test_what_is_half_believed_is_no_ego_car(believed: float, is_one: bool) -> None:
-    found = ego_found(torch.where(potential(BONNET) > 0.5, believed, 0.1))
-
-    assert bool(found.any()) == is_one
-    assert not ego_found(torch.full((HEIGHT, WIDTH), 0.5)).any()
-
-
-@pytest.mark.parametrize(("rows", "is_one"), [(3, True), (HEIGHT // 2, False)])
-def test_the_larger_the_surer_it_has_to_be(rows: int, is_one: bool) -> None:
-    found = ego_found(potential((slice(HEIGHT - rows, None), EVERY)) * 0.75)
-
-    assert bool(found.any()) == is_one
+@pytest.mark.parametrize(
+    ("seen", "car"),
+    [
+        pytest.param(potential(BONNET), [BONNET], id="down to the lower edge"),
+        pytest.param(LIT, [BONNET], id="light on it leaves no hole"),
+        pytest.param(potential(AHEAD), [], id="a car ahead is none"),
+        # From the car's upper edge down, 14 of 26 rows are likelier ego car than not.
+        pytest.param(potential(AHEAD, BONNET), [BONNET], id="and takes nothing from it"),
+        pytest.param(potential(SIDE), [SIDE], id="at one side, in its columns alone"),
+        pytest.param(potential((EVERY, EVERY)), [], id="everywhere"),
+        pytest.param(potential((NEARLY_ALL, EVERY)), [], id="nearly everywhere"),
+        pytest.param(potential(BONNET, high=0.55), [], id="half believed"),
+        pytest.param(potential(BONNET, high=0.85), [BONNET], id="believed"),
+        pytest.param(potential(low=0.5), [], id="undecided"),
+        # The larger, the surer it has to be.
+        pytest.param(0.75 * potential((slice(37, None), EVERY)), [(slice(37, None), EVERY)]),
+        pytest.param(0.75 * potential((slice(20, None), EVERY)), []),
+    ],
+)
+def test_the_ego_car_is_what_goes_down_to_the_lower_edge(
+    seen: Tensor, car: list[tuple[slice, slice]]
+) -> None:
+    assert torch.equal(ego_found(seen), potential(*car) > 0.5)
 
 
 @given(st.integers(0, 2**31), st.floats(0.1, 0.9))

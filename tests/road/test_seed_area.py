@@ -1,5 +1,6 @@
 """The seed area, its segments, and the regions that touch it."""
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given
@@ -44,57 +45,54 @@ def mask_of(*rows: str) -> torch.Tensor:
 BOTTOM = mask_of("......", "......", "......", "..##..")
 
 
-def test_only_regions_that_touch_the_seed_area_stay_and_the_mask_handed_in_is_not_changed():
-    mask = mask_of("##....", "....##", "..#..#", "..##..")
+@pytest.mark.parametrize(
+    ("mask", "seed", "left"),
+    [
+        (
+            mask_of("##....", "....##", "..#..#", "..##.."),
+            BOTTOM,
+            mask_of("......", "......", "..#...", "..##.."),
+        ),
+        # Regions that meet at a corner only are two.
+        (
+            mask_of("......", "......", ".#....", "..#..."),
+            BOTTOM,
+            mask_of("......", "......", "......", "..#..."),
+        ),
+        (mask_of("......", "..#.##"), mask_of("......", "######"), mask_of("......", "..#.##")),
+        # Without a region at the seed area the mask stays as it is.
+        (mask_of("##", "..", "#."), mask_of("..", "..", ".#"), mask_of("##", "..", "#.")),
+        (mask_of("..", "..", ".."), mask_of("..", "..", ".#"), mask_of("..", "..", "..")),
+    ],
+)
+def test_only_regions_that_touch_the_seed_area_stay(mask, seed, left):
     before = mask.clone()
 
-    kept = remove_isolated(mask, BOTTOM)
-
-    assert torch.equal(kept, mask_of("......", "......", "..#...", "..##.."))
-    assert torch.equal(mask, before)
+    assert torch.equal(remove_isolated(mask, seed), left)
+    assert torch.equal(mask, before)  # what is handed in is not changed
 
 
-def test_regions_that_meet_at_a_corner_only_are_two():
-    mask = mask_of("......", "......", ".#....", "..#...")
-
-    assert remove_isolated(mask, BOTTOM).sum() == 1
-
-
-def test_several_regions_may_touch_the_seed_area():
-    mask = mask_of("......", "......", "......", "..#.##")
-    wide = mask_of("......", "......", "......", "######")
-
-    assert torch.equal(remove_isolated(mask, wide), mask)
-
-
-@pytest.mark.parametrize("mask", [mask_of("##", "..", "#."), torch.zeros(3, 2, dtype=torch.bool)])
-def test_without_a_region_at_the_seed_area_the_mask_stays_as_it_is(mask):
-    assert torch.equal(remove_isolated(mask, mask_of("..", "..", ".#")), mask)
-
-
-def test_segments_with_half_of_their_pixels_in_the_seed_area_are_road():
-    labels = squares(240, 320, 30)  # the seed area is rows 210…239 and columns 120…199
-
+@pytest.mark.parametrize(
+    ("labels", "segments"),
+    [
+        # The seed area is rows 210…239 and columns 120…199: the squares at columns 120 and 150 lie
+        # inside, and of that at 180, 20 of 30 columns do.
+        (squares(240, 320, 30), [7 * 11 + 4, 7 * 11 + 5, 7 * 11 + 6]),
+        # None is half inside: the one that fills most of it, 50 columns of 80.
+        ((torch.arange(320) >= 170).long().expand(240, 320), [0]),
+    ],
+)
+def test_segments_with_half_of_their_pixels_in_the_seed_area_are_road(labels, segments):
     found = seed_segments(labels, seed_rectangle(labels.shape))
 
-    # Columns 120, 150 lie inside; of column 180, 20 of 30 pixels do.
-    assert found.tolist() == [7 * 11 + 4, 7 * 11 + 5, 7 * 11 + 6]
+    assert found.tolist() == segments
     assert found.dtype == torch.int64
 
 
-def test_without_a_segment_half_inside_the_one_that_fills_most_of_the_seed_area_is_taken():
-    labels = (torch.arange(320) >= 170).long().expand(240, 320)
-
-    assert seed_segments(labels, seed_rectangle(labels.shape)).tolist() == [0]  # 50 columns of 80
+SMALL = st.integers(16, 60)
 
 
-@given(
-    st.integers(16, 60),
-    st.integers(16, 60),
-    st.integers(1, 70),
-    st.integers(1, 240),
-    st.integers(1, 320),
-)
+@given(SMALL, SMALL, st.integers(1, 70), st.integers(1, 240), st.integers(1, 320))
 def test_there_is_always_a_seed_segment_and_each_is_in_the_seed_area(
     height, width, size, tall, wide
 ):
@@ -106,26 +104,22 @@ def test_there_is_always_a_seed_segment_and_each_is_in_the_seed_area(
     assert set(found.tolist()) <= set(labels[seed_area(height, width, seed)].flatten().tolist())
 
 
-def test_a_likely_seed_is_where_road_is_likeliest_and_as_large_as_asked_for():
-    evidence = torch.tensor([9.0, 1.0, 3.0, 2.0, -5.0])
-    row = torch.tensor([0.2, 0.8, 0.8, 0.8, 0.8])  # the first is in the upper half
-    size = torch.full((5,), 0.2)
-
-    assert likely_seed(evidence, row, size, 0.2).tolist() == [False, False, True, False, False]
-    assert likely_seed(evidence, row, size, 0.3).tolist() == [False, False, True, True, False]
-
-
 @pytest.mark.parametrize(
-    ("evidence", "row"),
+    ("evidence", "row", "share", "seed"),
     [
-        ([0.0, 0.0], [0.6, 0.9]),  # of two as likely the nearer one
-        ([0.0, 1.0], [0.1, 0.1]),  # where all is in the upper half the best all the same
+        # Where road is likeliest, as large as asked for; the first is in the upper half.
+        ([9.0, 1.0, 3.0, 2.0, -5.0], [0.2, 0.8, 0.8, 0.8, 0.8], 0.2, [2]),
+        ([9.0, 1.0, 3.0, 2.0, -5.0], [0.2, 0.8, 0.8, 0.8, 0.8], 0.3, [2, 3]),
+        ([0.0, 0.0], [0.6, 0.9], 0.05, [1]),  # of two as likely the nearer one
+        ([0.0, 1.0], [0.1, 0.1], 0.05, [1]),  # where all is in the upper half the best all the same
     ],
 )
-def test_there_is_a_likely_seed_where_none_is_plain(evidence, row):
-    found = likely_seed(torch.tensor(evidence), torch.tensor(row), torch.full((2,), 0.1), 0.05)
+def test_a_likely_seed_is_where_road_is_likeliest(evidence, row, share, seed):
+    size = torch.full((len(row),), 0.2)
 
-    assert found.tolist() == [False, True]
+    found = likely_seed(torch.tensor(evidence), torch.tensor(row), size, share)
+
+    assert found.nonzero()[:, 0].tolist() == seed
 
 
 # --- how far a segment is from it -----------------------------------------------------
@@ -156,4 +150,4 @@ def test_distances_are_those_of_bellman_and_ford(graph):
         for (one, two), step in zip(pairs.T.tolist(), steps.tolist(), strict=True):
             wanted[two] = min(wanted[two], wanted[one] + step)
             wanted[one] = min(wanted[one], wanted[two] + step)
-    torch.testing.assert_close(found, torch.tensor(wanted), atol=1e-6, rtol=1e-6)
+    np.testing.assert_allclose(found, torch.tensor(wanted), atol=1e-6, rtol=1e-6)

@@ -15,7 +15,6 @@ from roadtorch.road.texture import (
     quantise,
     saturated,
     similarity,
-    smallest_patterns,
     uniform_patterns,
     uniformity,
     uniformity_likelihood,
@@ -30,21 +29,22 @@ def correlated_samples(count: int = 400, planes: int = 4, seed: int = 0) -> torc
     return random(count, planes, seed=seed) @ (random(planes, planes, seed=seed + 1) - 0.3)
 
 
-# Weights (P2 eq. 3)
+# --- weights and the fused plane (P2 eqs. 2 and 3) ------------------------------------------
 
 
-def test_weights_follow_equation_3():
-    samples = correlated_samples()
+def test_weights_and_the_fused_plane_follow_equations_2_and_3():
+    samples, stack = correlated_samples(), random(4, 5, 6)
 
     weights = minimum_variance_weights(samples, ridge=0)
 
     expected = reference.minimum_variance_weights(samples.numpy())
     np.testing.assert_allclose(weights.numpy(), expected, rtol=1e-6)
+    fused = reference.fused(stack.numpy(), weights.numpy())
+    np.testing.assert_allclose(fused_plane(stack, weights), fused)
 
 
 def test_without_a_ridge_the_nine_planes_of_the_paper_fuse_to_nothing():
-    image = random(3, 24, 32, dtype=torch.float32)
-    stack = planes(image, TextureSettings().planes)
+    stack = planes(random(3, 24, 32, dtype=torch.float32), TextureSettings().planes)
     samples = stack[:, 16:].flatten(1).T
 
     collapsed, kept = (
@@ -67,82 +67,53 @@ def test_weights_sum_to_one_even_with_fewer_samples_than_planes(ridge, count):
 @pytest.mark.parametrize("level", [0.0, 0.4, 1.0])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_a_constant_area_weighs_all_planes_alike(level, dtype):
-    samples = torch.full((2400, 9), level, dtype=dtype)
-
-    weights = minimum_variance_weights(samples, ridge=0.001)
+    weights = minimum_variance_weights(torch.full((2400, 9), level, dtype=dtype), ridge=0.001)
 
     assert weights.dtype == dtype
     assert weights.tolist() == pytest.approx([1 / 9] * 9, abs=1e-4)
 
 
-def test_a_large_ridge_gives_the_mean_of_the_planes():
-    weights = minimum_variance_weights(correlated_samples(), ridge=1e6)
-
-    assert weights.tolist() == pytest.approx([0.25] * 4, abs=1e-4)
-
-
-def test_the_ridge_is_relative_so_that_contrast_does_not_matter():
+def test_the_ridge_is_relative_to_the_contrast_and_a_large_one_gives_the_mean():
     samples = correlated_samples()
 
     weights = minimum_variance_weights(samples, ridge=0.01)
 
-    torch.testing.assert_close(minimum_variance_weights(7 * samples, 0.01), weights)
+    np.testing.assert_allclose(minimum_variance_weights(7 * samples, 0.01), weights, atol=1e-7)
+    mean = minimum_variance_weights(samples, ridge=1e6)
+    assert mean.tolist() == pytest.approx([0.25] * 4, abs=1e-4)
 
 
-# Fused plane (P2 eq. 2)
+# --- levels -----------------------------------------------------------------------------------
+
+FLAT = 0.3 + 1e-7 * random(20, 20, dtype=torch.float32)
 
 
-def test_the_fused_plane_is_the_weighted_sum():
-    planes, weights = random(3, 4, 5), torch.tensor([0.5, -1.0, 1.5], dtype=torch.float64)
+@pytest.mark.parametrize(
+    ("values", "bins", "low", "high", "levels"),
+    [
+        # Equal steps; the ends take what lies beyond.
+        (torch.tensor([-9, 0, 0.24, 0.25, 0.6, 1, 9]), 4, 0, 1, [0, 0, 0, 1, 2, 3, 3]),
+        *[(torch.full((4,), value), 8, value, value, [0] * 4) for value in (-3.0, 0.0, 2.0)],
+        (FLAT, 64, float(FLAT.min()), float(FLAT.max()), [0] * 400),  # rounding is no texture
+    ],
+)
+def test_levels_are_equal_steps(values, bins, low, high, levels):
+    found = quantise(values, bins, low, high)
 
-    fused = fused_plane(planes, weights)
-
-    np.testing.assert_allclose(fused, reference.fused(planes.numpy(), weights.numpy()))
-
-
-# Levels
-
-
-def test_levels_are_equal_steps_and_the_ends_take_what_lies_beyond():
-    values = torch.tensor([-9.0, 0.0, 0.24, 0.25, 0.6, 1.0, 9.0])
-
-    levels = quantise(values, 4, 0, 1)
-
-    assert levels.dtype == torch.int64
-    assert levels.tolist() == [0, 0, 0, 1, 2, 3, 3]
-
-
-@pytest.mark.parametrize("value", [-3.0, 0.0, 2.0])
-def test_an_empty_range_still_gives_valid_levels(value):
-    levels = quantise(torch.full((2, 2), value), 8, value, value)
-
-    assert levels.unique().tolist() == [0]
-
-
-def test_rounding_errors_are_no_texture():
-    flat = 0.3 + 1e-7 * random(20, 20, dtype=torch.float32)
-
-    levels = quantise(flat, 64, float(flat.min()), float(flat.max()))
-
-    assert levels.unique().tolist() == [0]
+    assert found.dtype == torch.int64
+    assert found.flatten().tolist() == levels
 
 
 def test_the_range_skips_the_tails_of_the_usable_pixels():
-    plane = torch.arange(1000.0).reshape(20, 50)
-    usable = plane < 500
+    plane, pair = torch.arange(1000.0).reshape(20, 50), torch.tensor([[3.0, 4.0]])
 
-    assert value_range(plane, usable, 0) == (0, 499)
-    assert value_range(plane, usable, 0.01) == (5, 494)
-
-
-def test_the_range_of_one_or_no_usable_pixel_is_defined():
-    plane = torch.tensor([[3.0, 4.0]])
-
-    assert value_range(plane, torch.tensor([[False, True]]), 0.4) == (4, 4)
-    assert value_range(plane, torch.tensor([[False, False]]), 0.4) == (0, 1)
+    assert value_range(plane, plane < 500, 0) == (0, 499)
+    assert value_range(plane, plane < 500, 0.01) == (5, 494)
+    assert value_range(pair, torch.tensor([[False, True]]), 0.4) == (4, 4)
+    assert value_range(pair, torch.tensor([[False, False]]), 0.4) == (0, 1)
 
 
-# Uniformity (P2 eq. 1)
+# --- uniformity (P2 eq. 1) --------------------------------------------------------------------
 
 
 @given(st.lists(st.integers(0, 7), min_size=1, max_size=60))
@@ -160,9 +131,7 @@ def test_uniformity_is_one_for_one_level_least_for_an_even_histogram_zero_for_no
 
 
 def test_the_likelihood_of_uniformity_grows_and_is_one_half_at_the_given_value():
-    values = torch.linspace(0, 1, 101)
-
-    likelihood = uniformity_likelihood(values, 0.3)
+    likelihood = uniformity_likelihood(torch.linspace(0, 1, 101), 0.3)
 
     assert (likelihood.diff() > 0).all()
     assert likelihood[0] == 0
@@ -170,64 +139,34 @@ def test_the_likelihood_of_uniformity_grows_and_is_one_half_at_the_given_value()
     assert likelihood[-1] <= 1
 
 
-# Saturation (CPFv2)
+@pytest.mark.parametrize(
+    ("pixel", "is_saturated"),
+    [
+        ((1.0, 1.0, 1.0), True),
+        ((0.99, 0.2, 0.1), True),  # one channel is full
+        ((0.01, 0.0, 0.01), True),
+        ((0.0, 0.0, 0.2), False),
+        ((0.5, 0.5, 0.5), False),
+    ],
+)
+def test_a_pixel_is_saturated_when_one_channel_is_full_or_all_are_black(pixel, is_saturated):
+    image = torch.tensor(pixel).view(3, 1, 1)
+
+    assert saturated(image, dark=0.02, bright=0.98).item() == is_saturated
 
 
-def test_a_pixel_is_saturated_when_one_channel_is_full_or_all_are_black():
-    pixels = {
-        "white": (1.0, 1.0, 1.0),
-        "one full": (0.99, 0.2, 0.1),
-        "black": (0.01, 0.0, 0.01),
-        "dark blue": (0.0, 0.0, 0.2),
-        "grey": (0.5, 0.5, 0.5),
-    }
-    image = torch.tensor(list(pixels.values())).T[:, None]
-
-    found = saturated(image, dark=0.02, bright=0.98)
-
-    assert dict(zip(pixels, found[0].tolist(), strict=True)) == {
-        "white": True,
-        "one full": True,
-        "black": True,
-        "dark blue": False,
-        "grey": False,
-    }
-
-
-# Local binary patterns
+# --- local binary patterns --------------------------------------------------------------------
 
 
 @pytest.mark.filterwarnings("ignore:Applying `local_binary_pattern` to floating-point")
-@pytest.mark.parametrize(
-    ("patterns", "method"),
-    [(uniform_patterns, "uniform"), (smallest_patterns, "ror")],
-)
-@pytest.mark.parametrize("seed", range(3))
-def test_patterns_agree_with_scikit_image_inside_the_edge(patterns, method, seed):
-    grey = random(30, 41, seed=seed)
+def test_patterns_are_those_of_scikit_image_and_turn_with_the_picture():
+    grey = random(30, 41)
+    expected = local_binary_pattern(grey.numpy(), 8, 1, "uniform")[1:-1, 1:-1]
 
-    found = patterns(grey)[1:-1, 1:-1].numpy()
-
-    expected = local_binary_pattern(grey.numpy(), 8, 1, method)[1:-1, 1:-1]
-    np.testing.assert_array_equal(found, expected)
-
-
-@pytest.mark.parametrize("patterns", [uniform_patterns, smallest_patterns])
-def test_patterns_turn_with_the_picture(patterns):
-    grey = random(20, 20)
-
-    assert torch.equal(patterns(grey.rot90()), patterns(grey).rot90())
-
-
-@pytest.mark.parametrize("level", [0.0, 0.1, 0.3, 1 / 3, 0.7])
-def test_every_neighbour_in_a_flat_picture_counts_as_bright(level):
-    grey = torch.full((16, 16), level)
-
-    assert (uniform_patterns(grey) == 8).all()
-    assert (smallest_patterns(grey) == 255).all()
-
-
-# Comparing histograms
+    assert np.array_equal(uniform_patterns(grey)[1:-1, 1:-1].numpy(), expected)
+    assert torch.equal(uniform_patterns(grey.rot90()), uniform_patterns(grey).rot90())
+    for level in (0.0, 0.1, 0.3, 1 / 3, 0.7):  # every neighbour counts as bright
+        assert (uniform_patterns(torch.full((16, 16), level)) == 8).all()
 
 
 @given(st.lists(st.tuples(st.integers(0, 50), st.integers(0, 50)), min_size=2, max_size=12))
@@ -243,6 +182,4 @@ def test_similarity_is_one_minus_half_chi_square(pairs):
 def test_similarity_runs_from_nothing_in_common_to_alike_whatever_the_counts():
     histograms = torch.tensor([[0.0, 0.0, 3.0], [4.0, 12.0, 0.0], [0.0, 0.0, 0.0]])
 
-    found = similarity(histograms, torch.tensor([1.0, 3.0, 0.0]))
-
-    assert found.tolist() == [0, 1, 0]
+    assert similarity(histograms, torch.tensor([1.0, 3.0, 0.0])).tolist() == [0, 1, 0]

@@ -6,18 +6,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from matplotlib.figure import Figure
 
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import Truth
+from roadtorch.data.dataset import LabelledItem, Truth
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation import metrics
+from roadtorch.evaluation.boundary import count_boundary
 from roadtorch.evaluation.curves import Curve, area
 from roadtorch.evaluation.metrics import auc, count_levels
+from roadtorch.evaluation.result import Evaluation
+from roadtorch.evaluation.tally import Score, Tally
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
 from roadtorch.scenes.street import render_scene
 from scripts.figures import FIGURES, p1, p2, p3_light, p3_table3
 from scripts.figures.chart import apart, middle, spread
-from tests.streets import scene, write_camvid
+from tests.streets import as_bytes, scene, write_camvid
 
 WRITTEN = {
     "p1-table1": {"p1-table1.csv"},
@@ -49,6 +53,12 @@ def test_a_figure_writes_its_files(name: str, data: Path) -> None:
     FIGURES[name](data, out)
 
     assert {path.name for path in out.iterdir()} == WRITTEN[name]
+    if name == "p1-table1":
+        rows = list(csv.DictReader((out / "p1-table1.csv").read_text().splitlines()))
+        assert [row["method"] for row in rows] == list(p1.TABLE)
+        for row in rows:
+            p, r, f = (float(row[key]) for key in "PRF")
+            assert f == pytest.approx(2 * p * r / (p + r), abs=0.02)
 
 
 # --- P1 ---------------------------------------------------------------------------------
@@ -60,19 +70,14 @@ def test_a_figure_writes_its_files(name: str, data: Path) -> None:
 def test_pictures_and_labels_come_to_the_papers_size(
     height: int, width: int, size: tuple[int, int]
 ) -> None:
-    road = torch.zeros(height, width, dtype=torch.bool)
+    road = torch.rand(height, width, generator=torch.Generator().manual_seed(0)) > 0.5
 
     image, truth = p1.small(torch.rand(3, height, width), Truth(road, ~road))
 
     assert image.shape == (3, *size)
     assert truth.road.shape == truth.valid.shape == size
-
-
-def test_labels_are_those_of_the_nearest_pixel() -> None:
-    road = torch.rand(360, 480, generator=torch.Generator().manual_seed(0)) > 0.5
-    truth = Truth(road, torch.ones_like(road))
-
-    assert torch.equal(p1.small(torch.zeros(3, 360, 480), truth)[1].road, truth.road[1::3, 1::3])
+    if height == 360:  # by the nearest pixel
+        assert torch.equal(truth.road, road[1::3, 1::3])
 
 
 def test_counts_are_pooled_over_pictures() -> None:
@@ -87,24 +92,24 @@ def test_counts_are_pooled_over_pictures() -> None:
     assert int(counts.false_positive) == 120 * 160 + 120 * 80
 
 
-def test_table_1_has_a_row_for_each_method(data: Path) -> None:
-    p1.table1(data, data)
-
-    rows = list(csv.DictReader((data / "p1-table1.csv").read_text().splitlines()))
-    assert [row["method"] for row in rows] == list(p1.TABLE)
-    for row in rows:
-        p, r, f = (float(row[key]) for key in "PRF")
-        assert f == pytest.approx(2 * p * r / (p + r), abs=0.02)
-
-
 # --- P2 ---------------------------------------------------------------------------------
 
 
-def counts(likelihood: list[float], road: list[bool]) -> p2.Counts:
-    values, true = torch.tensor([likelihood]), torch.tensor([road])
-    valid = torch.ones_like(true)
-    outcome = metrics.count_mask(values >= 0.5, true, valid)
-    return p2.Counts(metrics.count_levels(values, true, valid), outcome, None)
+def counts(**drives: tuple[list[float], list[bool]]) -> Tally:
+    """What is counted of a row of pixels of each drive."""
+    tally = Tally()
+    for drive, (likelihood, road) in drives.items():
+        values, true = torch.tensor([likelihood]), torch.tensor([road])
+        maps = true, torch.ones_like(true)
+        score = Score(
+            metrics.count_levels(values, *maps),
+            metrics.count_mask(values >= 0.5, *maps),
+            count_boundary(values >= 0.5, *maps),
+            None,
+            None,
+        )
+        tally.add(LabelledItem(drive, Path(drive), Path(drive), drive), score)
+    return tally
 
 
 def test_the_test_split_is_shown_where_it_is(data: Path) -> None:
@@ -114,30 +119,27 @@ def test_the_test_split_is_shown_where_it_is(data: Path) -> None:
     assert [item.name for item in p2.streets(data, 1).items] == ["Seq05VD_1"]
 
 
-def test_pooling_adds_pixels_and_means_of_drives_do_not() -> None:
-    good = counts([0.9, 0.1, 0.8, 0.2], [True, False, True, False])
-    bad = counts([0.1, 0.9], [True, False])
-    drives = {"a": good, "b": bad}
+def test_areas_are_pooled_and_by_drive_and_gains_are_over_the_baseline() -> None:
+    good = ([0.9, 0.1, 0.8, 0.2], [True, False, True, False])
+    base = ([0.9, 0.95, 0.8, 0.2], [True, False, True, False])
+    tallies = {
+        p2.BASELINE: counts(a=base), p2.TEXTURE: counts(a=good),
+        "both": counts(a=good, b=([0.1, 0.9], [True, False])),
+    }  # fmt: skip
 
-    assert p2.mean_over_drives(drives, p2.auc) == 0.5
+    rows = p2.area_rows(tallies)
+
     # Of the 3·3 pairs of road and background 0.9, 0.8 and 0.1 against 0.1, 0.2 and 0.9: 4 right,
     # and two ties.
-    assert float(p2.auc(p2.pooled(drives))) == pytest.approx(5 / 9)
-
-
-def test_gains_are_over_the_baseline() -> None:
-    base = counts([0.9, 0.95, 0.8, 0.2], [True, False, True, False])
-    better = counts([0.9, 0.1, 0.8, 0.2], [True, False, True, False])
-
-    rows = p2.area_rows({p2.BASELINE: {"a": base}, p2.TEXTURE: {"a": better}})
-
-    assert [row["AUC, pooled"] for row in rows] == ["0.500", "1.000"]
-    assert rows[1]["over the baseline"] == "+100 %"
-    assert rows[1]["P2's gain"] == "8 %"
+    assert [row["AUC, pooled"] for row in rows] == ["0.500", "1.000", "0.556"]
+    assert rows[2]["mean of drives"] == "0.500"
+    assert (rows[1]["over the baseline"], rows[1]["P2's gain"]) == ("+100 %", "8 %")
 
 
 def test_road_accuracy_is_recall_and_its_cost_stands_beside() -> None:
-    row = p2.accuracy_row(counts([0.9, 0.1, 0.8, 0.2], [True, True, False, False]))
+    drive = ([0.9, 0.1, 0.8, 0.2], [True, True, False, False])
+
+    row = p2.accuracy_row(p2.pooled(counts(a=drive)))
 
     assert row["road accuracy (recall)"] == "0.500"
     assert row["FPR"] == "0.500"
@@ -242,36 +244,54 @@ def test_drives_of_other_light_are_apart(tmp_path: Path) -> None:
 # --- P3: Table III ----------------------------------------------------------------------
 
 
-def test_cells_are_areas_by_drive(tmp_path: Path) -> None:
-    drives = {"0001TP": (0,), "0016E5": (1, 2)}
-    scenes = {f"{drive}_{seed}": scene(seed, 96, 128) for drive, seeds in drives.items()
-              for seed in seeds}  # fmt: skip
-    write_camvid(tmp_path, "train", scenes)
-    camvid = open_dataset("camvid", tmp_path, "train")
-    detector = load_detector("oneclass:gaussian:S")
+@pytest.fixture(scope="module")
+def table3_run(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
+    root = tmp_path_factory.mktemp("table3")
+    for split, drive, seeds in (("train", "0001TP", (0,)), ("val", "0016E5", (1, 2))):
+        streets = {f"{drive}_{seed}": scene(seed, 48, 64) for seed in seeds}
+        write_camvid(root / "camvid", split, streets)
+    return p3_table3.scored(root, ["oneclass:gaussian:S", "oneclass:dlp:S:paper"])
 
-    cells = p3_table3.measured(camvid, {"oneclass:gaussian:S": detector})
 
-    exact = {}
-    for item in camvid.items:
-        image, truth = camvid.read(item)
-        likelihood = detector.detect(image).likelihood
-        exact[item.name] = float(auc(count_levels(likelihood, truth.road, truth.valid)))
-    by_drive = [np.mean([exact[f"{drive}_{seed}"] for seed in seeds])
-                for drive, seeds in drives.items()]  # fmt: skip
-    assert p3_table3.percents(cells) == {("gaussian", "S"): pytest.approx(100 * np.mean(by_drive))}
-    curve = Curve(*torch.from_numpy(p3_table3.mean_lines(cells)["gaussian", "S"]))
-    assert float(area(curve)) == pytest.approx(float(np.mean(by_drive)), abs=0.01)
+def test_cells_are_areas_by_drive(table3_run: Evaluation) -> None:
+    detector, exact = load_detector("oneclass:gaussian:S"), []
+    for seed in range(3):
+        street = scene(seed, 48, 64)
+        likelihood = detector.detect(as_bytes(street.image)).likelihood
+        exact.append(float(auc(count_levels(likelihood, street.road, ~street.void))))
+    mean = (exact[0] + (exact[1] + exact[2]) / 2) / 2
+
+    assert p3_table3.percents(table3_run)["gaussian", "S"] == pytest.approx(100 * mean)
+    curve = Curve(*torch.from_numpy(p3_table3.mean_lines(table3_run)["gaussian", "S"]))
+    assert float(area(curve)) == pytest.approx(mean, abs=0.01)
     assert curve.x[[0, -1]].tolist() == [0, 1]
 
 
-def test_what_is_to_the_letter_is_another_row() -> None:
-    ours, papers = {("robust_gaussian", "S"): 80.0}, {("robust_gaussian", "S"): 79.0}
+def test_what_is_to_the_letter_is_another_row(table3_run: Evaluation) -> None:
+    rows = p3_table3.table_rows(p3_table3.percents(table3_run))
 
-    text = p3_table3.rows_csv({"": ours, ":paper": papers})
+    assert [(row["classifier"], row["paper"]) for row in rows] == [
+        ("gaussian", 92.8), ("dlp:paper", 92.9)
+    ]  # fmt: skip
 
-    assert text.splitlines() == [
-        "classifier,representation,auc,paper",
-        "robust_gaussian,S,80.00,92.8",
-        "robust_gaussian:paper,S,79.00,92.8",
-    ]
+
+def test_p3s_table_has_all_its_values_and_ranks_like_itself() -> None:
+    table = p3_table3.printed_table()
+
+    assert len(table) == 17 * 19 - 13 - 3  # PCA is empty in single planes and pairs
+    assert max(table, key=table.__getitem__) == ("robust_gaussian", "HS")
+    assert (table["nn", "R"], table["kcentres", "HS"], table["pca", "HSV"]) == (74.2, 93.1, 89.3)
+    assert p3_table3.rank_correlation(table, p3_table3.SINGLE) == pytest.approx(1)
+
+
+def test_every_classifier_has_a_row_of_panels_with_its_lines(table3_run: Evaluation) -> None:
+    figure = Figure()
+
+    p3_table3.draw_families(figure, p3_table3.mean_lines(table3_run), ["gaussian", "mst"])
+
+    titles = [axes.get_title() for axes in figure.axes]
+    assert titles[0::2] == ["gaussian, single planes", "mst, single planes"]
+    drawn = [sum(np.size(line.get_xdata()) > 2 for line in axes.lines) for axes in figure.axes]
+    assert drawn == [1, 0, 0, 0]
+    looks = {(line.get_color(), line.get_linestyle()) for line in figure.axes[0].lines[1:]}
+    assert len(looks) >= 8

@@ -27,7 +27,7 @@ def test_no_record_is_kept_that_no_document_uses() -> None:
 
 
 @pytest.mark.parametrize(
-    ("said", "value", "now"),
+    ("figure", "value", "now"),
     [
         (".827", 0.8312, ".831"),
         ("0.82", 0.8312, "0.83"),
@@ -42,8 +42,8 @@ def test_no_record_is_kept_that_no_document_uses() -> None:
         ("`dn_cat`", "dn_tas500", "`dn_tas500`"),
     ],
 )
-def test_a_value_is_said_as_the_old_figure_was(said: str, value: float | str, now: str) -> None:
-    assert restated(said, value) == now
+def test_a_value_is_said_as_the_old_figure_was(figure: str, value: float | str, now: str) -> None:
+    assert restated(figure, value) == now
 
 
 def test_figures_and_tables_are_written_from_records(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,9 +53,9 @@ def test_figures_and_tables_are_written_from_records(monkeypatch: pytest.MonkeyP
     monkeypatch.setitem(readme_tables.TABLES, "scores", table)  # type: ignore[arg-type]
     text = "F .5<!-- figure: many.f -->, worst `x`<!-- figure: worst -->\n<!-- table: scores -->\n"
 
-    found = readme_figures.rewritten(f"{text}| old |\n<!-- end -->", KNOWN)
+    text = readme_figures.rewritten(f"{text}| old |\n<!-- end -->", KNOWN)
 
-    assert found.splitlines() == [
+    assert text.splitlines() == [
         "F .8<!-- figure: many.f -->, worst `ycor`<!-- figure: worst -->",
         "<!-- table: scores -->",
         "| who | F (95 %) | G |",
@@ -91,7 +91,7 @@ METRICS = {
 
 
 def test_an_evaluation_becomes_flat_records() -> None:
-    found = readme_figures.records_of("run", METRICS)
+    records = readme_figures.records_of("run", METRICS)
 
     wanted = {
         "run.images": 5,
@@ -107,9 +107,9 @@ def test_an_evaluation_becomes_flat_records() -> None:
         "run.lbp.maxf.less": -0.4,
         "run.lbp.maxf.less.high": -0.3,
     }
-    assert {name: found.get(name) for name in wanted} == wanted
-    assert found["run.fusion.auc_pooled.over_lbp"] == pytest.approx(0.2)
-    assert not [name for name in found if "seed" in name or "layout.mean" in name]
+    assert {name: records.get(name) for name in wanted} == wanted
+    assert records["run.fusion.auc_pooled.over_lbp"] == pytest.approx(0.2)
+    assert not [name for name in records if "seed" in name or "layout.mean" in name]
 
 
 @pytest.mark.slow
@@ -130,10 +130,10 @@ def test_a_run_is_made_and_its_used_figures_are_kept(
 
     readme_figures.evaluate(tmp_path, tmp_path / "out", ["many"], jobs=1)
 
-    found = json.loads((tmp_path / "many.json").read_text())
-    assert found["command"].startswith("roadtorch evaluate folder DATA/many --detector fusion")
-    assert [*found["values"]] == ["many.fusion.f_mask"]
-    assert 0 < found["values"]["many.fusion.f_mask"] <= 1
+    record = json.loads((tmp_path / "many.json").read_text())
+    assert record["command"].startswith("roadtorch evaluate folder DATA/many --detector fusion")
+    assert [*record["values"]] == ["many.fusion.f_mask"]
+    assert 0 < record["values"]["many.fusion.f_mask"] <= 1
 
 
 def test_the_example_in_python_runs_as_it_stands(

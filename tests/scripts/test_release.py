@@ -52,9 +52,9 @@ def tools(checkout: Path) -> Path:
     folder = checkout.parent / f"{checkout.name}-tools"
     folder.mkdir(exist_ok=True)
     for name in ("bash", "sed", "awk", "grep", "wc", "git", "mktemp", "rm", "dirname", "uname"):
-        found = shutil.which(name)
-        if found and not (folder / name).exists():
-            (folder / name).symlink_to(found)
+        tool = shutil.which(name)
+        if tool and not (folder / name).exists():
+            (folder / name).symlink_to(tool)
     return folder
 
 
@@ -68,21 +68,21 @@ def change(checkout: Path, name: str, old: str, new: str) -> None:
 
 def test_what_is_in_order_comes_to_the_build(checkout: Path) -> None:
     for arguments in ((), ("--dry-run",)):
-        status, said = refused(checkout, *arguments)
+        status, message = refused(checkout, *arguments)
 
-        assert (status, said.partition(" (")[0]) == (
+        assert (status, message.partition(" (")[0]) == (
             1,
             "roadtorch: error: python3: 3.11 or newer is not there",
         )
 
 
 def test_an_unknown_argument_is_wrong_usage(checkout: Path) -> None:
-    said = "roadtorch: error: --dry: unknown argument (give --dry-run, or none)"
-    assert refused(checkout, "--dry") == (2, said)
+    message = "roadtorch: error: --dry: unknown argument (give --dry-run, or none)"
+    assert refused(checkout, "--dry") == (2, message)
 
 
 @pytest.mark.parametrize(
-    ("name", "old", "new", "said"),
+    ("name", "old", "new", "message"),
     [
         (
             "roadtorch/version.py",
@@ -105,30 +105,30 @@ def test_an_unknown_argument_is_wrong_usage(checkout: Path) -> None:
     ],
 )
 def test_versions_that_do_not_agree_are_refused(
-    checkout: Path, name: str, old: str, new: str, said: str
+    checkout: Path, name: str, old: str, new: str, message: str
 ) -> None:
     change(checkout, name, old, new)
 
-    assert refused(checkout, "--dry-run") == (1, f"roadtorch: error: {said}")
+    assert refused(checkout, "--dry-run") == (1, f"roadtorch: error: {message}")
 
 
 def test_entries_under_unreleased_are_refused_but_in_a_dry_run(checkout: Path) -> None:
     change(checkout, "CHANGELOG.md", "## Unreleased\n", "## Unreleased\n\n- More.\n")
 
-    said = "CHANGELOG.md: has 1 lines under Unreleased (move them under 1.2.3)"
-    assert refused(checkout) == (1, f"roadtorch: error: {said}")
+    message = "CHANGELOG.md: has 1 lines under Unreleased (move them under 1.2.3)"
+    assert refused(checkout) == (1, f"roadtorch: error: {message}")
     assert "Unreleased" not in refused(checkout, "--dry-run")[1]
 
 
 def test_a_version_that_is_tagged_is_refused(checkout: Path) -> None:
     subprocess.run(["git", "tag", "v1.2.3"], cwd=checkout, check=True)
 
-    said = "v1.2.3: is a tag already (raise the version)"
-    assert refused(checkout) == (1, f"roadtorch: error: {said}")
+    message = "v1.2.3: is a tag already (raise the version)"
+    assert refused(checkout) == (1, f"roadtorch: error: {message}")
 
 
 def test_what_is_not_committed_is_refused(checkout: Path) -> None:
     (checkout / "new.py").write_text("")
 
-    said = ".: has changes that no commit has (commit them)"
-    assert refused(checkout, "--dry-run") == (1, f"roadtorch: error: {said}")
+    message = ".: has changes that no commit has (commit them)"
+    assert refused(checkout, "--dry-run") == (1, f"roadtorch: error: {message}")

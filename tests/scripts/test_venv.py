@@ -20,7 +20,8 @@ def test_the_address_of_the_index_stands_in_one_script() -> None:
     root = SCRIPT.parents[1]
     texts = [*root.glob("scripts/*"), root / "Dockerfile", *root.glob(".ci/*")]
 
-    having = [one for one in texts if one.is_file() and b"download.pytorch.org" in one.read_bytes()]
+    scripts = [path for path in texts if path.is_file()]
+    having = [path for path in scripts if b"download.pytorch.org" in path.read_bytes()]
 
     assert having == [SCRIPT]
 
@@ -51,7 +52,7 @@ def silent() -> Iterator[str]:
 
 
 def chosen(index: str) -> tuple[list[str], str]:
-    """pip's options for an index, and what is told."""
+    """pip's options for an index, and the message."""
     code = (
         f'source "{SCRIPT}"; PYTHON={sys.executable}; choose_index; printf "%s\\n" "${{INDEX[@]}}"'
     )
@@ -68,37 +69,35 @@ def chosen(index: str) -> tuple[list[str], str]:
 
 @LINUX
 def test_an_index_of_cpu_wheels_that_answers_is_taken(index: str) -> None:
-    options, told = chosen(index)
+    options, message = chosen(index)
 
     assert options == ["--extra-index-url", index]
-    assert told == f"torch: CPU wheels from {index} (0.2 GB)\n"
+    assert message == f"torch: CPU wheels from {index} (0.2 GB)\n"
 
 
 @LINUX
-def test_an_index_without_torch_is_not_taken(index: str) -> None:
-    options, told = chosen(f"{index}/elsewhere")
+@pytest.mark.parametrize(
+    "address",
+    ["{index}/elsewhere", "http://127.0.0.1:9", "no address", "http://none.invalid"],
+    ids=["without torch", "nobody listens", "no address", "no such name"],
+)
+def test_without_an_index_of_cpu_wheels_the_size_is_told(index: str, address: str) -> None:
+    address = address.format(index=index)
+
+    options, message = chosen(address)
 
     assert options == []
-    assert "2.8 GB to fetch, 5 GB on disk" in told
-
-
-@LINUX
-@pytest.mark.parametrize("address", ["http://127.0.0.1:9", "no address", "http://none.invalid"])
-def test_no_index_falls_back_with_the_size(address: str) -> None:
-    options, told = chosen(address)
-
-    assert options == []
-    assert told.startswith(f"torch: {address} does not answer within 3 seconds.")
-    assert "2.8 GB to fetch, 5 GB on disk" in told
+    assert message.startswith(f"torch: {address} does not answer within 3 seconds.")
+    assert "2.8 GB to fetch, 5 GB on disk" in message
 
 
 @LINUX
 def test_an_index_that_keeps_one_waiting_is_left_after_three_seconds(silent: str) -> None:
     start = time.perf_counter()
-    options, told = chosen(silent)
+    options, message = chosen(silent)
 
     assert options == []
-    assert "does not answer" in told
+    assert "does not answer" in message
     assert 3 <= time.perf_counter() - start < 60  # a busy machine adds some
 
 

@@ -1,34 +1,18 @@
 """Footage, labelled pictures and a finished run that the tests of training share."""
 
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 
 from roadtorch.train.config import Training
 from roadtorch.train.run import Outcome, Request, train
 from tests.train.runs import training_of, write_streets
 
 Trained = Callable[..., Outcome]
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
-@pytest.fixture(autouse=True)
-def _one_thread() -> Iterator[None]:
-    with one_thread():
-        yield
 
 
 @pytest.fixture(scope="session")
@@ -42,12 +26,17 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("kept")
 
 
-@pytest.fixture
-def trained(streets: Path, kept: Path, tmp_path: Path) -> Trained:
-    """``trained("pictures", "rounds.count=1", out="one", resume=True)``: a run on the streets."""
+@pytest.fixture(scope="module")
+def trained(streets: Path, kept: Path, tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    """``trained("pictures", "rounds.count=1", out="one", resume=True)``: a run on the streets.
 
-    def run(kind: str, *changes: str, out: str = "run", **more: Any) -> Outcome:
-        request = Request(str(streets), tmp_path / out, prepared=kept / kind, quiet=True)
+    Its folder is new unless ``out`` names one of this module.
+    """
+    runs = tmp_path_factory.mktemp("runs")
+
+    def run(kind: str, *changes: str, out: str = "", **more: Any) -> Outcome:
+        folder = runs / out if out else tmp_path_factory.mktemp("run") / "run"
+        request = Request(str(streets), folder, prepared=kept / kind, quiet=True)
         return train(training_of(kind, *changes), replace(request, **more))
 
     return run
@@ -59,8 +48,7 @@ def shared_run(
 ) -> tuple[Training, Request]:
     training, out = training_of("patches"), tmp_path_factory.mktemp("finished") / "run"
     request = Request(str(streets), out, prepared=kept / "patches", quiet=True)
-    with one_thread():
-        train(training, request)
+    train(training, request)
     return training, request
 
 

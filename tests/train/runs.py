@@ -1,11 +1,7 @@
 """Small runs that the tests of training share: rendered streets, tiny networks."""
 
 import csv
-import os
-import subprocess
-import sys
 import tomllib
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -103,28 +99,6 @@ def write_bonnets(folder: Path, count: int) -> Path:
 def write_config(path: Path, text: str) -> Path:
     path.write_text(text, encoding="utf-8")
     return path
-
-
-def command(*arguments: object) -> list[str]:
-    return [sys.executable, "-m", "roadtorch.train", *map(str, arguments)]
-
-
-def torchrun(processes: int) -> list[str]:
-    """The words that start what follows in several processes of this machine."""
-    words = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", str(processes)]
-    return [*words, "--master-addr", "127.0.0.1", "--master-port", str(29600 + os.getpid() % 300)]
-
-
-def run(words: Sequence[object], folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run a command with one thread and no network but this machine."""
-    return subprocess.run(
-        list(map(str, words)),
-        capture_output=True,
-        text=True,
-        cwd=folder,
-        timeout=300,
-        env=os.environ | {"OMP_NUM_THREADS": "1"},
-    )
 
 
 def training_of(kind: str, *changes: str) -> Training:

@@ -1,20 +1,14 @@
 """The settings of training: kinds, bounds, schedules, and the files that ship."""
 
-from collections.abc import Iterator
-
 import pytest
 
 from roadtorch.errors import ConfigError
-from roadtorch.settings import Settings, parse_assignments
 from roadtorch.train.config import (
-    KINDS,
     Descent,
     PatchTraining,
     as_values,
     build_training,
-    with_current_names,
 )
-from roadtorch.train.folder import flat
 
 
 def test_the_defaults_are_p2s() -> None:
@@ -59,6 +53,11 @@ def test_settings_survive_the_way_to_nested_values_and_back(kind: str) -> None:
             r"network.wide: 7 was given .*multiple of 8",
         ),
         (
+            {"kind": "pictures", "augmentation": {"ego_car": {"share": 0.5}}},
+            r"augmentation.ego_car.share: is 0.5, .*recordings.separator",
+        ),
+        ({"kind": "pictures", "network": {"heads": 1}}, "start: is empty, and a backbone"),
+        (
             {"kind": "pictures", "network": {"heads": 1, "hight": 64}},
             r"network.hight: unknown setting \(did you mean network.height",
         ),
@@ -67,49 +66,6 @@ def test_settings_survive_the_way_to_nested_values_and_back(kind: str) -> None:
 def test_mistakes_are_told_with_their_key(values: dict[str, object], told: str) -> None:
     with pytest.raises(ConfigError, match=told):
         build_training(values)
-
-
-def renamed_keys(kind: type[Settings], path: str = "") -> Iterator[tuple[str, str]]:
-    """All keys that had other names, old and new, with the path to them."""
-    yield from ((path + old, path + new) for old, new in kind.renamed.items())
-    for name, field in kind.model_fields.items():
-        if isinstance(field.annotation, type) and issubclass(field.annotation, Settings):
-            yield from renamed_keys(field.annotation, f"{path}{name}.")
-
-
-@pytest.mark.parametrize(("kind", "count"), [("patches", 11), ("pictures", 13)])
-def test_an_old_key_is_told_the_new_one_which_there_is(kind: str, count: int) -> None:
-    names = dict(renamed_keys(KINDS[kind]))
-    known = flat(KINDS[kind]().model_dump())
-
-    assert len(names) == count
-    for old, new in names.items():
-        assert any(key == new or key.startswith(f"{new}.") for key in known)
-        with pytest.raises(ConfigError, match=rf"has another name now \(write {new}\)"):
-            build_training(parse_assignments([f"kind={kind}", f"{old}=0.1"]))
-
-
-def test_settings_that_an_older_version_wrote_down_get_todays_names() -> None:
-    old = {
-        "kind": "pictures",
-        "seed": 3,
-        "visits": 40,
-        "road_weight": 2.0,
-        "shift": {"move": 0.2},
-        "ego_cars": {"share": 0.1},
-        "descent": {"rate": 0.1, "decay": 0.2, "average": 0.3, "batch": 4},
-        "stopping": {"rule": "fall", "fall": 0.5},
-    }
-
-    assert with_current_names(old) == {
-        "kind": "pictures",
-        "random_seed": 3,
-        "samples_per_epoch": 40,
-        "heads": {"road": 2.0},
-        "augmentation": {"geometry": {"move": 0.2}, "ego_car": {"share": 0.1}},
-        "descent": {"learning_rate": 0.1, "weight_decay": 0.2, "ema": 0.3, "batch": 4},
-        "stopping": {"rule": "plateau", "min_delta": 0.5},
-    }
 
 
 def test_the_learning_rate_stays_or_falls_to_nothing() -> None:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from roadtorch.inputs.pictures import find_pictures
 from roadtorch.io.image import write_jpeg
 from roadtorch.layout.weights import read_origin, shipped_weights
 from roadtorch.scenes.street import render_scene
-from roadtorch.sources.pictures import find_images
 from train.manifest import (
     COLUMNS,
     MANIFEST,
@@ -43,8 +43,8 @@ def test_a_written_manifest_tells_name_size_bytes_and_recording(street: Path) ->
     assert tuple(rows[0]) == COLUMNS
     assert [row["recording"] for row in rows] == ["one", "one", "two_town"]
     data = (street / "two_town_0001.jpg").read_bytes()
-    told = [rows[2][key] for key in ("file", "bytes", "sha256", "width", "height")]
-    assert told == ["two_town_0001.jpg", str(len(data)), sha256(data).hexdigest(), "64", "48"]
+    values = [rows[2][key] for key in ("file", "bytes", "sha256", "width", "height")]
+    assert values == ["two_town_0001.jpg", str(len(data)), sha256(data).hexdigest(), "64", "48"]
 
 
 def test_the_same_folder_passes_and_every_difference_is_told(
@@ -56,7 +56,7 @@ def test_the_same_folder_passes_and_every_difference_is_told(
     same_size = bytearray((street / "one_0002.jpg").read_bytes())
     same_size[-3] ^= 1
     (street / "one_0002.jpg").write_bytes(same_size)
-    write_jpeg(street / "new_0001.jpg", render_scene(7, 48, 64).image)
+    (street / "new_0001.jpg").write_bytes((street / "two_town_0001.jpg").read_bytes())
     capsys.readouterr()
 
     assert run("check", street) == 1
@@ -69,30 +69,35 @@ def test_the_same_folder_passes_and_every_difference_is_told(
     ]
 
 
-def test_a_recording_without_terms_is_refused(
-    street: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("command", "file", "text", "message"),
+    [
+        (
+            "write",
+            RECORDINGS,
+            "recording,terms\none,CC0\n",
+            "has no row for the recording two_town",
+        ),
+        ("check", "told.csv", None, "cannot be read"),
+        ("check", "told.csv", "hello\nthere\n", "has no column file"),
+    ],
+)
+def test_a_table_that_cannot_be_used_is_refused_in_a_line(
+    command: str,
+    file: str,
+    text: str | None,
+    message: str,
+    street: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    street.with_name(RECORDINGS).write_text("recording,terms\none,CC0\n")
-
-    assert run("write", street) == 2
-
-    assert not street.with_name("told.csv").exists()
-    assert "has no row for the recording two_town (add" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("text", [None, "hello\nthere\n"])
-def test_a_manifest_that_cannot_be_used_is_one_line(
-    text: str | None, street: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    manifest = street.with_name("told.csv")
     if text is not None:
-        manifest.write_text(text)
+        street.with_name(file).write_text(text)
 
-    assert run("check", street) == 2
+    assert run(command, street) == 2
 
-    told = capsys.readouterr().err
-    assert told.startswith(f"roadtorch: error: {manifest}: ")
-    assert len(told.splitlines()) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"roadtorch: error: {street.with_name(file)}: {message}")
+    assert command == "check" or not street.with_name("told.csv").exists()
 
 
 # --- the shipped one --------------------------------------------------------------------
@@ -114,6 +119,6 @@ def test_every_recording_has_its_source_and_terms() -> None:
 
 @pytest.mark.data
 def test_the_pictures_at_hand_are_those_of_the_manifest(data_root: Path) -> None:
-    pictures = find_images([data_root / "unlabelled"])
+    pictures = find_pictures([data_root / "unlabelled"])
 
     assert differences(read_rows(MANIFEST, "file"), pictures) == Differences((), (), ())

@@ -12,12 +12,13 @@ from torch import Tensor
 
 from roadtorch.errors import InputError
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
-from roadtorch.layout.fragments import reflected
-from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings
+from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, reflected
+from roadtorch.run.memo import write_arrays
 from roadtorch.train.config import PatchAugmentation, PatchCentres, PatchTraining, build_training
 from roadtorch.train.loop import Batch
 from roadtorch.train.patches import (
     Draw,
+    PatchRecipe,
     PatchSamples,
     add_noise,
     class_weights,
@@ -25,11 +26,8 @@ from roadtorch.train.patches import (
     draw_noise,
     draw_variation,
     find_centres,
-    prepare_patches,
     squared_error,
 )
-from roadtorch.train.prepared import write_arrays
-from roadtorch.train.processes import Processes
 from tests.draws import seeded
 from tests.reference import network as reference
 from tests.streets import scene
@@ -44,28 +42,22 @@ def training_of(**values: object) -> PatchTraining:
 # --- where ---------------------------------------------------------------------------------
 
 
-def test_centres_are_centroids_and_places_around_them() -> None:
+def test_centres_are_centroids_and_places_around_them_inside_the_picture() -> None:
     segments = torch.zeros(9, 20, dtype=torch.int64)
     segments[:, 11:] = 1  # centroids (4, 5) and (4, 15)
 
     centres = find_centres(segments, PatchCentres(around=4, distance=2))
-
     wanted = [[4, 5], [6, 5], [4, 7], [2, 5], [4, 3], [4, 15], [6, 15], [4, 17], [2, 15], [4, 13]]
     assert centres.tolist() == wanted
 
-
-def test_centres_stay_inside_the_picture() -> None:
-    segments = torch.zeros(4, 6, dtype=torch.int64)
-
-    centres = find_centres(segments, PatchCentres(around=8, distance=50))
-
-    assert (centres.amin(0).tolist(), centres.amax(0).tolist()) == ([0, 0], [3, 5])
+    far = find_centres(segments[:4, :6], PatchCentres(around=8, distance=50))
+    assert (far.amin(0).tolist(), far.amax(0).tolist()) == ([0, 0], [3, 5])
 
 
-def test_a_street_gives_patches_with_the_labels_of_what_is_there() -> None:
+def test_a_street_gives_patches_with_the_labels_of_their_places() -> None:
     street = scene(4)
 
-    arrays = prepare_patches(street.image, training_of())
+    arrays = PatchRecipe(training_of()).make(street.image, "")
 
     rows, columns = arrays["centres"].long().T
     truth = street.layout[rows, columns]
@@ -77,12 +69,11 @@ def test_a_street_gives_patches_with_the_labels_of_what_is_there() -> None:
 
 
 def test_certain_labels_are_fewer_than_those_of_largest_support() -> None:
-    image = scene(4, 60, 80).image
-
-    def count(support: str) -> int:
-        return len(prepare_patches(image, training_of(labeller={"support": support}))["classes"])
-
-    assert 0 < count("margin") < count("maximum")
+    recipes = [
+        PatchRecipe(training_of(labeller={"support": support})) for support in ("margin", "maximum")
+    ]
+    certain, every = (len(each.make(scene(4, 60, 80).image, "")["classes"]) for each in recipes)
+    assert 0 < certain < every
 
 
 # --- how they are cut ----------------------------------------------------------------------
@@ -96,11 +87,9 @@ def drawn(centre: Tensor, scale: float = 1.0, turn: float = 0.0, noise: float = 
 def test_without_variation_a_patch_is_what_the_network_sees_at_that_pixel() -> None:
     pixels = torch.randn(3, 20, 24, generator=seeded(1))
     centres = torch.tensor([[0, 0], [19, 23], [7, 12]])
-
-    patches = cut_patches(pixels, drawn(centres), 32)
-
     framed = reflected(pixels, 32)
     wanted = [framed[:, r : r + 32, c : c + 32] for r, c in centres.tolist()]
+    patches = cut_patches(pixels, drawn(centres), 32)
     torch.testing.assert_close(patches, torch.stack(wanted), atol=1e-4, rtol=0)
 
 
@@ -146,48 +135,42 @@ def test_noise_is_in_grey_levels_of_255_whatever_the_gain() -> None:
 # --- batches -------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def files(tmp_path: Path) -> list[Path]:
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Three prepared pictures with 7, 40 and 0 patches; the class is the row modulo 3."""
-    generator = seeded(9)
-    paths = []
+    folder, generator = tmp_path_factory.mktemp("prepared"), seeded(9)
     for number, count in enumerate((7, 40, 0)):
         image = torch.randint(256, (3, 30, 40), generator=generator).to(torch.uint8)
         centres = torch.randint(30, (count, 2), generator=generator).to(torch.int16)
         classes = (centres[:, 0] % 3).to(torch.uint8)
-        paths.append(tmp_path / f"{number}.npz")
-        write_arrays(paths[-1], {"image": image, "centres": centres, "classes": classes})
-    return paths
+        arrays = {"image": image, "centres": centres, "classes": classes}
+        write_arrays(folder / f"{number}.npz", arrays)
+    return sorted(folder.iterdir())
 
 
-def all_batches(
-    files: list[Path], training: PatchTraining, processes: Processes, epoch: int
-) -> list[Batch]:
-    samples = PatchSamples(files, training, processes)
-    return [b for chunk in range(samples.chunks) for b in samples.batches(epoch, chunk)]
+def all_batches(files: list[Path], training: PatchTraining, epoch: int = 0) -> list[Batch]:
+    samples = PatchSamples(files, training)
+    return [batch for chunk in range(samples.chunks) for batch in samples.batches(epoch, chunk)]
 
 
 def test_an_epoch_has_every_patch_once(files: list[Path]) -> None:
-    batches = all_batches(files, training_of(descent={"batch": 8}), Processes(), epoch=0)
+    batches = all_batches(files, training_of(descent={"batch": 8}))
 
     targets = torch.cat([batch.targets for batch in batches])
-    assert sum(batch.count for batch in batches) == len(targets) == 47
-    assert all(len(batch.inputs) == batch.count for batch in batches)
-    assert max(batch.count for batch in batches) <= 12
+    assert sum(len(batch.inputs) for batch in batches) == len(targets) == 47
+    assert all(len(batch.inputs) == len(batch.targets) for batch in batches)
+    assert max(len(batch.inputs) for batch in batches) <= 12
     assert {tuple(batch.inputs.shape[1:]) for batch in batches} == {(3, 32, 32)}
 
 
 def test_epochs_differ_and_each_is_the_same_again(files: list[Path]) -> None:
-    training = training_of()
-
-    one, again, two = (all_batches(files, training, Processes(), epoch) for epoch in (0, 0, 1))
-
-    assert all(torch.equal(a.inputs, b.inputs) for a, b in zip(one, again, strict=True))
-    assert not torch.equal(one[0].inputs[:3], two[0].inputs[:3])
+    first, again, second = (all_batches(files, training_of(), epoch) for epoch in (0, 0, 1))
+    assert all(torch.equal(a.inputs, b.inputs) for a, b in zip(first, again, strict=True))
+    assert not torch.equal(first[0].inputs[:3], second[0].inputs[:3])
 
 
 def test_classes_weigh_the_same_where_asked(files: list[Path]) -> None:
-    batches = all_batches(files, training_of(balance="classes"), Processes(), epoch=0)
+    batches = all_batches(files, training_of(balance="classes"))
 
     targets = torch.cat([batch.targets for batch in batches])
     weights = torch.cat([batch.weights for batch in batches])
@@ -196,9 +179,9 @@ def test_classes_weigh_the_same_where_asked(files: list[Path]) -> None:
     assert class_weights(files, training_of()).tolist() == [1, 1, 1]
 
 
-def test_pictures_without_a_certain_label_are_told(files: list[Path]) -> None:
+def test_pictures_without_a_certain_label_are_refused(files: list[Path]) -> None:
     with pytest.raises(InputError, match=r"no superpixel whose label is certain"):
-        PatchSamples(files[2:], training_of(), Processes())
+        PatchSamples(files[2:], training_of())
 
 
 def test_the_loss_is_the_sum_of_squares_to_one_hot() -> None:
@@ -206,11 +189,11 @@ def test_the_loss_is_the_sum_of_squares_to_one_hot() -> None:
     inputs = torch.randn(4, 3, 32, 32, generator=seeded(3))
     targets, weights = torch.tensor([0, 2, 1, 1]), torch.tensor([1.0, 2.0, 1.0, 0.5])
 
-    loss = squared_error(network, Batch(inputs, targets, weights, 4))
+    loss = squared_error(network, Batch(inputs, targets, weights))
 
-    said = network(inputs).detach().numpy()
+    potentials = network(inputs).detach().numpy()
     wanted = sum(
-        float(w) * sum((said[i, k] - (k == t)) ** 2 for k in range(3))
+        float(w) * sum((potentials[i, k] - (k == t)) ** 2 for k in range(3))
         for i, (t, w) in enumerate(zip(targets.tolist(), weights.tolist(), strict=True))
     )
     assert loss.item() == pytest.approx(wanted, rel=1e-5)

@@ -7,6 +7,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roadtorch.run.memo import write_arrays
+from roadtorch.runtime.signals import Stop
 from roadtorch.train.config import HeadWeights, PictureTraining, build_training
 from roadtorch.train.folder import RunFolder
 from roadtorch.train.loop import Batch, RoundStart
@@ -17,28 +19,33 @@ from roadtorch.train.pictures import (
     picture_loss,
     target_loss,
 )
-from roadtorch.train.prepared import write_arrays
-from roadtorch.train.processes import Processes
 from roadtorch.train.teachers import PLANES, Targets
 from tests.draws import seeded
 
-DARK = {"gamma": 0.0, "gain": 0.0, "tint": 0.0, "saturation": 0.0, "noise": 0.0}
-"""Light as it is."""
+SAME_LIGHT = {"gamma": 0.0, "gain": 0.0, "tint": 0.0, "saturation": 0.0, "noise": 0.0}
+SAME_FRAME = {"scale": 0.0, "stretch": 0.0, "rotation": 0.0, "move": 0.0}
 
 
-@pytest.fixture
-def files(tmp_path: Path) -> list[Path]:
+def training_of(**values: object) -> PictureTraining:
+    network = {"height": 32, "width": 40, "narrow": 8, "wide": 8}
+    usual = {"network": network, "descent": {"batch": 2}, "recordings": {"separator": "_"}}
+    training = build_training({"kind": "pictures", **usual, **values})
+    assert isinstance(training, PictureTraining)
+    return training
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Five prepared pictures, each of one grey; the last shows an ego car."""
-    paths = []
-    for number in range(5):
-        path = tmp_path / f"{number}.npz"
+    folder = tmp_path_factory.mktemp("prepared")
+    paths = [folder / f"{number}.npz" for number in range(5)]
+    for number, path in enumerate(paths):
         maps = torch.randint(256, (4, 32, 40), generator=seeded(number)).to(torch.uint8)
         image = torch.full((3, 32, 40), 40 * number, dtype=torch.uint8)
         ego = torch.full((32, 40), 128, dtype=torch.uint8)
         if number == 4:
             ego[:24], ego[24:] = 0, 255
         write_arrays(path, {"image": image, "maps": maps, "ego": ego})
-        paths.append(path)
     return paths
 
 
@@ -46,29 +53,14 @@ def samples_of(
     files: list[Path], training: PictureTraining, number: int = 0, shows_ego: bool = False
 ) -> PictureSamples:
     cars = {"drive": files[4:]} if shows_ego else {}
-    return PictureSamples(training, Processes(), number, files, [], torch.ones(5), cars, {})
-
-
-def training_of(**values: object) -> PictureTraining:
-    network = {"height": 32, "width": 40, "narrow": 8, "wide": 8}
-    found = build_training(
-        {
-            "kind": "pictures",
-            "network": network,
-            "descent": {"batch": 2},
-            "recordings": {"separator": "_"},
-            **values,
-        }
-    )
-    assert isinstance(found, PictureTraining)
-    return found
+    return PictureSamples(training, number, files, [], torch.ones(5), cars, {})
 
 
 # --- batches -------------------------------------------------------------------------------
 
 
 def test_an_epoch_has_every_picture_once(files: list[Path]) -> None:
-    samples = samples_of(files, training_of(augmentation={"light": DARK}))
+    samples = samples_of(files, training_of(augmentation={"light": SAME_LIGHT}))
 
     batches = [batch for chunk in range(samples.chunks) for batch in samples.batches(0, chunk)]
 
@@ -79,47 +71,34 @@ def test_an_epoch_has_every_picture_once(files: list[Path]) -> None:
 
 
 def test_rounds_and_epochs_draw_differently(files: list[Path]) -> None:
-    training = training_of()
-
-    def first(number: int, epoch: int) -> torch.Tensor:
-        return next(samples_of(files, training, number).batches(epoch, 0)).inputs
-
-    assert torch.equal(first(0, 0), first(0, 0))
-    assert not torch.equal(first(0, 0), first(1, 0))
-    assert not torch.equal(first(0, 0), first(0, 1))
-
-
-# --- ego cars ------------------------------------------------------------------------------
+    first, same, other_round, other_epoch = (
+        next(samples_of(files, training_of(), number).batches(epoch, 0)).inputs
+        for number, epoch in ((0, 0), (0, 0), (1, 0), (0, 1))
+    )
+    assert torch.equal(first, same)
+    assert not torch.equal(first, other_round)
+    assert not torch.equal(first, other_epoch)
 
 
-def said_of(files: list[Path], share: float, shows_ego: bool = True) -> Targets:
+def targets_with(files: list[Path], share: float, shows_ego: bool = True) -> Targets:
     """The targets of an epoch whose pictures stay in their frame."""
-    still = {"scale": 0.0, "stretch": 0.0, "rotation": 0.0, "move": 0.0}
-    varied = {"geometry": still, "ego_car": {"share": share}}
+    varied = {"geometry": SAME_FRAME, "ego_car": {"share": share}}
     training = training_of(augmentation=varied, descent={"batch": 5})
     (batch,) = samples_of(files, training, shows_ego=shows_ego).batches(0, 0)
     return Targets(*batch.targets.split(PLANES, 1))
 
 
 def test_every_picture_can_get_an_ego_car(files: list[Path]) -> None:
-    said = said_of(files, 1.0)
+    targets = targets_with(files, 1.0)
+    assert (targets.ego[:, :, -1] == 1).all()
+    assert (targets.ego_weight[:, :, -1] == 1).all()
+    assert not targets.road[:, :, -1].any()
+    assert targets.road[:, :, :8].flatten(1).any(1).all()  # above it, the road is what it was
 
-    assert (said.ego[:, :, -1] == 1).all()
-    assert (said.ego_weight[:, :, -1] == 1).all()
-    assert not said.road[:, :, -1].any()
-    assert said.road[:, :, :8].flatten(1).any(1).all()  # above it, the road is what it was
-
-
-def test_without_a_share_only_its_own_picture_shows_it(files: list[Path]) -> None:
-    said = said_of(files, 0.0)
-
-    assert said.ego[:, 0, -1, 20].round().sort().values.tolist() == [0, 0, 0, 0, 1]
-
-
-def test_where_no_footage_shows_one_a_share_changes_nothing(files: list[Path]) -> None:
-    one, other = (said_of(files, share, shows_ego=False) for share in (0.0, 1.0))
-
-    assert all(torch.equal(*pair) for pair in zip(one, other, strict=True))
+    none = targets_with(files, 0.0)
+    assert none.ego[:, 0, -1, 20].round().sort().values.tolist() == [0, 0, 0, 0, 1]  # its own
+    unseen = (targets_with(files, share, shows_ego=False) for share in (0.0, 1.0))
+    assert all(map(torch.equal, *unseen))  # no footage shows one
 
 
 # --- visits --------------------------------------------------------------------------------
@@ -127,10 +106,7 @@ def test_where_no_footage_shows_one_a_share_changes_nothing(files: list[Path]) -
 
 def test_the_order_is_drawn() -> None:
     at, shares = seeded(1), torch.ones(50)
-
-    assert not torch.equal(
-        draw_members(shares, len(shares), at), draw_members(shares, len(shares), at)
-    )
+    assert not torch.equal(draw_members(shares, 50, at), draw_members(shares, 50, at))
 
 
 @given(st.lists(st.floats(0.01, 10), min_size=1, max_size=60), st.integers(0, 2**31))
@@ -139,21 +115,14 @@ def test_nobody_is_visited_a_whole_time_more_or_less_than_is_fair(
 ) -> None:
     shares = torch.tensor(values)
 
-    found = draw_members(shares, len(shares), seeded(seed)).bincount(minlength=len(shares))
+    visits = draw_members(shares, len(shares), seeded(seed)).bincount(minlength=len(shares))
 
     fair = shares.double() / shares.double().sum() * len(shares)
-    assert found.sum() == len(shares)
-    assert ((found - fair).abs() < 1 + 1e-3).all()
+    assert visits.sum() == len(shares)
+    assert ((visits - fair).abs() < 1 + 1e-3).all()
 
 
-# --- a run's footage ----------------------------------------------------------------------
-
-
-def write_ego(file: Path, seen: bool) -> Path:
-    """A prepared picture that shows an ego car, or of which nothing is known."""
-    file.parent.mkdir(exist_ok=True)
-    write_arrays(file, {"ego": torch.full((2, 2), 255 if seen else 128, dtype=torch.uint8)})
-    return file
+NAMES = ("a_1", "a_2", "a_3", "b", "c")
 
 
 @pytest.mark.parametrize(("evenness", "share"), [(0.0, 1.0), (0.5, 3**-0.5), (1.0, 1 / 3)])
@@ -162,18 +131,19 @@ def test_recordings_are_told_by_the_names_of_pictures_wherever_they_are_kept(
 ) -> None:
     """The kept folder's own name has the separator; the names of two pictures have none."""
     folder = tmp_path / "kept_here"
-    files = [write_ego(folder / f"{name}.png.npz", name != "a_1") for name in PICTURES]
+    folder.mkdir()
+    files = [folder / f"{name}.png.npz" for name in NAMES]
+    for file in files:  # all but the first show an ego car
+        level = 128 if file == files[0] else 255
+        write_arrays(file, {"ego": torch.full((2, 2), level, dtype=torch.uint8)})
     recordings = {"separator": "_", "evenness": evenness}
-    made = PictureRecipe(training_of(recordings=recordings, teacher={"detector": "labeller"}))
+    recipe = PictureRecipe(training_of(recordings=recordings, teacher={"detector": "labeller"}))
 
-    made.survey([], folder, Processes())
-    samples = made.samples(RoundStart(0, files, {}, None), RunFolder(tmp_path), Processes())
+    recipe.survey([], folder, Stop(), True)
+    samples = recipe.samples(RoundStart(0, files, {}, None), RunFolder(tmp_path), Stop(), True)
 
     assert samples.shares.tolist() == pytest.approx([share, share, share, 1, 1])
     assert samples.ego_cars == {"a": files[1:3], "b": files[3:4], "c": files[4:]}
-
-
-PICTURES = ("a_1", "a_2", "a_3", "b", "c")
 
 
 # --- the loss -----------------------------------------------------------------------------
@@ -184,43 +154,39 @@ def test_the_loss_is_small_for_right_scores_and_ignores_what_does_not_count() ->
     ones = torch.ones(2, 1, 4, 4)
     right = torch.tensor([20.0, -20, -20, 20, -30]).reshape(1, 5, 1, 1).expand(2, 5, 4, 4)
     targets = Targets(layout, ones, ones, ones, 0 * ones, ones)
+    none = targets._replace(layout_weight=0 * ones, road_weight=0 * ones, ego_weight=0 * ones)
 
-    def loss(scores: torch.Tensor, road: float, ego: float, said: Targets = targets) -> float:
-        return float(target_loss(scores, said, HeadWeights(road=road, ego=ego)))
+    def loss(scores: torch.Tensor, road: float, ego: float, wanted: Targets = targets) -> float:
+        return float(target_loss(scores, wanted, HeadWeights(road=road, ego=ego)))
 
     assert loss(right, 1, 1) < 1e-6
     assert loss(-right, 1, 1) == pytest.approx(2 * (40 + 20 + 30), rel=0.02)
     assert loss(-right, 1, 0) == pytest.approx(2 * (40 + 20), rel=0.02)
     assert loss(-right, 0, 0.5) == pytest.approx(2 * (40 + 15), rel=0.02)
-    nothing = targets._replace(layout_weight=0 * ones, road_weight=0 * ones, ego_weight=0 * ones)
-    assert loss(-right, 1, 1, nothing) == 0
+    assert loss(-right, 1, 1, none) == 0
 
 
-@pytest.mark.parametrize("targets", ["hard", "soft"])
-def test_targets_are_the_best_class_or_the_potentials(targets: str) -> None:
-    training = build_training(
-        {"kind": "pictures", "teacher": {"targets": targets}, "heads": {"ego": 2.0}}
-    )
-    assert isinstance(training, PictureTraining)
+@pytest.mark.parametrize("kind", ["hard", "soft"])
+def test_targets_are_the_best_class_or_the_potentials(kind: str) -> None:
+    training = training_of(teacher={"targets": kind}, heads={"ego": 2.0})
     planes = torch.tensor([0.6, 0.3, 0.1, 1.0, 0.7, 1.0, 0.8, 1.0]).reshape(1, 8, 1, 1)
     scores = torch.zeros(1, 5, 1, 1, requires_grad=True)
 
-    picture_loss(torch.nn.Identity(), Batch(scores, planes, torch.ones(1), 1), training).backward()
+    picture_loss(torch.nn.Identity(), Batch(scores, planes, torch.ones(1)), training).backward()
 
     assert scores.grad is not None
-    wanted = [1.0, 0, 0, 1.0] if targets == "hard" else [0.6, 0.3, 0.1, 0.7]
+    wanted = [1.0, 0, 0, 1.0] if kind == "hard" else [0.6, 0.3, 0.1, 0.7]
     start = torch.tensor([1 / 3, 1 / 3, 1 / 3, 0.5])
     torch.testing.assert_close(scores.grad.flatten()[:4], start - torch.tensor(wanted))
     assert scores.grad.flatten()[4] == pytest.approx(2 * (0.5 - 0.8))  # the ego car stays soft
 
 
 def test_targets_are_averaged_to_the_size_of_the_scores() -> None:
-    training = build_training({"kind": "pictures", "teacher": {"targets": "soft"}})
-    assert isinstance(training, PictureTraining)
-    fine = torch.rand(2, 8, 6, 8, generator=torch.Generator().manual_seed(0))
-    scores = torch.randn(2, 5, 3, 4, generator=torch.Generator().manual_seed(1))
+    training = training_of(teacher={"targets": "soft"})
+    fine = torch.rand(2, 8, 6, 8, generator=seeded(0))
+    scores = torch.randn(2, 5, 3, 4, generator=seeded(1))
 
-    loss = picture_loss(torch.nn.Identity(), Batch(scores, fine, torch.ones(2), 2), training)
+    loss = picture_loss(torch.nn.Identity(), Batch(scores, fine, torch.ones(2)), training)
 
-    small = Targets(*fine.unfold(2, 2, 2).unfold(3, 2, 2).mean((4, 5)).split((3, 1, 1, 1, 1, 1), 1))
-    torch.testing.assert_close(loss, target_loss(scores, small, training.heads))
+    small = fine.unfold(2, 2, 2).unfold(3, 2, 2).mean((4, 5)).split(PLANES, 1)
+    torch.testing.assert_close(loss, target_loss(scores, Targets(*small), training.heads))

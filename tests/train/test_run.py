@@ -1,4 +1,4 @@
-"""Whole runs: made, cut short, gone on with."""
+"""Whole runs: made, cut short, resumed."""
 
 import json
 import math
@@ -11,38 +11,47 @@ import pytest
 import torch
 
 from roadtorch.cli import main
-from roadtorch.errors import ConfigError, InputError, WeightsError
-from roadtorch.io.atomic import locked
-from roadtorch.layout.patch_network import PatchNetwork
+from roadtorch.errors import ConfigError
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import LayoutNetwork, load_network, read_origin, save_network
+from roadtorch.run.memo import read_arrays
 from roadtorch.train.config import Training
-from roadtorch.train.loop import Batch, Round, RoundStart
-from roadtorch.train.prepared import read_arrays
+from roadtorch.train.loop import Batch, Loop, RoundStart
 from roadtorch.train.run import Outcome, Request, recipe_of, train
 from tests.train.conftest import Trained
 from tests.train.runs import PATCHES, rows_of, training_of, write_bonnets, write_config
 
 
 def new_network(kind: str, *changes: str) -> LayoutNetwork:
-    """What a run with these changes begins with."""
+    """The network with which a run with these changes begins."""
     return recipe_of(training_of(kind, *changes)).network(RoundStart(0, [], {}, None))
+
+
+def folder_of(outcome: Outcome) -> Path:
+    assert outcome.weights is not None
+    return outcome.weights.parent
+
+
+WHOLE = {"patches": "descent.momentum=0.9", "pictures": "descent.ema=0.7"}
+
+
+@pytest.fixture(scope="module")
+def whole(trained: Trained) -> dict[str, Path]:
+    """The folders of two runs that nobody interrupted."""
+    return {kind: folder_of(trained(kind, change)) for kind, change in WHOLE.items()}
 
 
 # --- whole runs ------------------------------------------------------------------------------
 
 
-def test_a_run_leaves_weights_a_log_a_curve_and_a_list(
-    finished: tuple[Training, Request],
-) -> None:
+def test_a_run_leaves_weights_a_log_a_curve_and_a_list(finished: tuple[Training, Request]) -> None:
     training, request = finished
 
     outcome = train(training, request)  # there is nothing left to do
 
     out = request.out
     assert outcome == Outcome(out / "weights.safetensors", None, 0)
-    network = load_network(out / "weights.safetensors")
-    assert network.settings == training.network
+    assert load_network(out / "weights.safetensors").settings == training.network
     origin = read_origin(out / "weights.safetensors")
     assert origin["config"]["network"]["topology"]["k2"] == 4
     assert (origin["pictures"], origin["epochs"], origin["finished"]) == (5, 2, True)
@@ -54,11 +63,8 @@ def test_a_run_leaves_weights_a_log_a_curve_and_a_list(
     assert not list(out.rglob("*.part"))
 
 
-def test_rounds_begin_with_the_labels_of_the_last_network(trained: Trained, tmp_path: Path) -> None:
-    outcome = trained("pictures")
-
-    out = tmp_path / "run"
-    assert outcome.weights == out / "weights.safetensors"
+def test_rounds_begin_with_the_labels_of_the_last_network(whole: dict[str, Path]) -> None:
+    out = whole["pictures"]
     assert len(list((out / "labels-2").glob("*.npz"))) == 5
     assert [row["round"] for row in rows_of(out)] == ["1", "1", "2", "2"]
     second, last = (out / name for name in ("round-2.safetensors", "weights.safetensors"))
@@ -68,52 +74,47 @@ def test_rounds_begin_with_the_labels_of_the_last_network(trained: Trained, tmp_
 
 @pytest.mark.parametrize(("fall", "epochs"), [("10.0", 2), ("0.0", 4)])
 def test_training_stops_when_the_error_falls_by_no_more(
-    fall: str, epochs: int, trained: Trained, tmp_path: Path
+    fall: str, epochs: int, trained: Trained
 ) -> None:
     slow = "descent.learning_rate=0.02"  # so slow that the error falls at each of four epochs
-    rules = ("stopping.rule=plateau", "stopping.epochs=4", f"stopping.min_delta={fall}", slow)
-
-    trained("patches", *rules)
-
-    assert len(rows_of(tmp_path / "run")) == epochs
+    rules = ("stopping.rule=plateau", "stopping.epochs=4", f"stopping.min_delta={fall}")
+    assert len(rows_of(folder_of(trained("patches", *rules, slow)))) == epochs
 
 
-def test_an_error_that_is_no_number_is_told(
+def test_a_loss_that_is_no_number_is_refused(
     trained: Trained, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Round, "step", lambda *_: math.nan)
-
+    monkeypatch.setattr(Loop, "step", lambda *_: math.nan)
     with pytest.raises(ConfigError, match=r"descent.learning_rate: the loss is no longer a number"):
         trained("patches")
 
 
-def test_the_weights_that_are_written_are_the_mean_over_the_steps(
-    trained: Trained, tmp_path: Path
-) -> None:
+def test_the_weights_that_are_written_are_the_mean_over_the_steps(trained: Trained) -> None:
     changes = ("rounds.count=1", "stopping.epochs=1", "descent.batch=5", "descent.ema=0.9")
-
-    trained("pictures", *changes)
+    out = folder_of(trained("pictures", *changes))
 
     # One step: the mean keeps one eleventh of the weights before it.
-    last = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)["network"]
-    written = load_network(tmp_path / "run" / "weights.safetensors").state_dict()
+    last = torch.load(out / "checkpoint.pt", weights_only=True)["network"]
     begun = new_network("pictures", *changes).state_dict()
     assert not torch.equal(last["heads.bias"], begun["heads.bias"])
-    for name, weight in written.items():
+    for name, weight in load_network(out / "weights.safetensors").state_dict().items():
         torch.testing.assert_close(weight, (begun[name] + 10 * last[name]) / 11)
-
-
-# --- footage that shows the ego car ------------------------------------------------------------
 
 
 def test_the_ego_car_that_footage_shows_is_in_the_pictures_made_ready(
     trained: Trained, tmp_path: Path
 ) -> None:
+    """And what killed runs left half-written is removed from all folders of a run."""
     footage, kept = write_bonnets(tmp_path / "footage", 8), tmp_path / "kept"
-    changes = ("augmentation.ego_car.share=1.0", "recordings.least=8", "rounds.count=1")
+    changes = ("augmentation.ego_car.share=1.0", "recordings.least=8", "stopping.epochs=1")
+    leftovers = [tmp_path / "run", tmp_path / "run/labels-2", kept, kept / "ego-cars/street"]
+    for folder in leftovers:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / ".roadtorch.0123abcd.part").touch()
 
-    assert trained("pictures", *changes, images=str(footage), prepared=kept).weights
+    trained("pictures", *changes, images=str(footage), prepared=kept, out=tmp_path / "run")
 
+    assert not list(tmp_path.rglob("*.part"))
     for number in range(8):
         ego = read_arrays(kept / f"bonnet_{number}.png.npz")["ego"]
         assert (ego[-4:] > 190).all()
@@ -121,40 +122,15 @@ def test_the_ego_car_that_footage_shows_is_in_the_pictures_made_ready(
         assert not ego[:20].any()
 
 
-# --- the folder ------------------------------------------------------------------------------
-
-
-def test_two_runs_do_not_write_into_one_folder(finished: tuple[Training, Request]) -> None:
-    training, request = finished
-
-    with locked(request.out), pytest.raises(InputError, match="another run is writing here"):
-        train(training, request)
-
-
-def test_what_killed_runs_left_half_written_is_removed(trained: Trained, tmp_path: Path) -> None:
-    out = tmp_path / "run"
-    for folder in (".", "labels-2", "prepared", "prepared/ego-cars/street"):
-        (out / folder).mkdir(parents=True, exist_ok=True)
-        (out / folder / ".roadtorch.0123abcd.part").touch()
-
-    trained("pictures", prepared=None)
-
-    assert not list(out.rglob("*.part"))
-
-
 def test_the_bytes_of_a_checkpoint_are_settled(
-    trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    trained: Trained, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(time, "perf_counter", lambda: 0.0)
+    quick = ("rounds.count=1", "stopping.epochs=1")
 
-    for out in ("one", "other"):
-        trained("patches", out=out)
+    first, again = (folder_of(trained("pictures", *quick)) / "checkpoint.pt" for _ in range(2))
 
-    one, other = ((tmp_path / out / "checkpoint.pt").read_bytes() for out in ("one", "other"))
-    assert one == other
-
-
-# --- from weights ------------------------------------------------------------------------------
+    assert first.read_bytes() == again.read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -163,85 +139,67 @@ def test_the_bytes_of_a_checkpoint_are_settled(
 def test_a_run_can_start_from_the_weights_of_another_whatever_size_it_learned_at(
     kind: str, size: tuple[int, int] | None, trained: Trained, tmp_path: Path
 ) -> None:
-    first, run = tmp_path / "first.safetensors", tmp_path / "run"
     network = new_network(kind, "random_seed=5")
     if size is not None:
         sides = PictureNetworkSettings(height=size[0], width=size[1], narrow=8, wide=8)
         network = PictureNetwork(sides)
-    save_network(first, network, {})
-    changes = [f"start={json.dumps(str(first))}", "descent.learning_rate=1e-9"]
+    save_network(tmp_path / "first", network, {})
+    changes = [f"start={json.dumps(str(tmp_path / 'first'))}", "descent.learning_rate=1e-9"]
     changes += ["rounds.count=1", "rounds.start=continued"] if kind == "pictures" else []
 
-    trained(kind, *changes)
+    run = folder_of(trained(kind, *changes, "stopping.epochs=1"))
 
     # With next to no rate the weights stay where they started.
-    one, two = (load_network(path) for path in (first, run / "weights.safetensors"))
-    for name, weight in one.state_dict().items():
-        torch.testing.assert_close(two.state_dict()[name], weight, atol=1e-6, rtol=0)
-    if isinstance(two, PictureNetwork):
-        assert (two.settings.height, two.settings.width) == (32, 40)
+    after = load_network(run / "weights.safetensors")
+    for name, weight in network.state_dict().items():
+        torch.testing.assert_close(after.state_dict()[name], weight, atol=1e-6, rtol=0)
+    if isinstance(after, PictureNetwork):
+        assert (after.settings.height, after.settings.width) == (32, 40)
     assert (run / "labels-1").exists() == (kind == "pictures")
-
-
-def test_weights_of_another_network_are_no_start(trained: Trained, tmp_path: Path) -> None:
-    other = tmp_path / "other.safetensors"
-    save_network(other, PatchNetwork(), {})
-
-    with pytest.raises(WeightsError, match="holds a network with other settings"):
-        trained("patches", f"start={json.dumps(str(other))}")
-
-    assert not (tmp_path / "run").exists()
 
 
 # --- cut short -------------------------------------------------------------------------------
 
 
-def interrupt_after(steps: int, number: signal.Signals, patch: pytest.MonkeyPatch) -> None:
-    """Send this process a signal in the middle of its n-th step from now."""
-    original, left = Round.step, [steps]
+def interrupt_after(steps: int, patch: pytest.MonkeyPatch) -> None:
+    """Send this process SIGTERM in the middle of its n-th step from now."""
+    original, left = Loop.step, [steps]
 
-    def step(this: Round, batch: Batch) -> float:
+    def step(loop: Loop, batch: Batch) -> float:
         left[0] -= 1
         if left[0] == 0:
-            os.kill(os.getpid(), number)
-        return original(this, batch)
+            os.kill(os.getpid(), signal.SIGTERM)
+        return original(loop, batch)
 
-    patch.setattr(Round, "step", step)
+    patch.setattr(Loop, "step", step)
 
 
-@pytest.mark.parametrize(
-    ("kind", "change"), [("patches", "descent.momentum=0.9"), ("pictures", "descent.ema=0.7")]
-)
+@pytest.mark.parametrize("kind", WHOLE)
 def test_a_run_in_pieces_ends_with_the_bits_of_a_whole_one(
-    kind: str, change: str, trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: str, whole: dict[str, Path], trained: Trained, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole, pieces = tmp_path / "whole", tmp_path / "pieces"
-    trained(kind, change, out="whole")
-
     cuts = 0
     for cut in (1, 2, 3, 4):
         with monkeypatch.context() as patch:
-            interrupt_after(cut, signal.SIGTERM, patch)
-            outcome = trained(kind, change, out="pieces", resume=True)
+            interrupt_after(cut, patch)
+            outcome = trained(kind, WHOLE[kind], out=f"pieces-{kind}", resume=True)
         cuts += outcome.interrupted == signal.SIGTERM
-    trained(kind, change, out="pieces", resume=True)
+    pieces = folder_of(trained(kind, WHOLE[kind], out=f"pieces-{kind}", resume=True))
 
     assert cuts >= 3
-    names = [path.name for path in whole.glob("*.safetensors")]
+    names = [path.name for path in whole[kind].glob("*.safetensors")]
     assert names
     for name in names:
-        assert (pieces / name).read_bytes() == (whole / name).read_bytes()
-    assert rows_of(pieces) == rows_of(whole)
+        assert (pieces / name).read_bytes() == (whole[kind] / name).read_bytes()
+    assert rows_of(pieces) == rows_of(whole[kind])
 
 
 def test_the_last_rounds_weights_outlive_an_interruption_of_the_next(
     trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    interrupt_after(5, signal.SIGTERM, monkeypatch)  # a round has 2 epochs of 2 batches
-
-    trained("pictures")
-
-    assert read_origin(tmp_path / "run" / "weights.safetensors")["round"] == 1
+    interrupt_after(5, monkeypatch)  # a round has 2 epochs of 2 batches
+    trained("pictures", out=tmp_path)
+    assert read_origin(tmp_path / "weights.safetensors")["round"] == 1
 
 
 def test_the_status_of_the_command_names_the_signal(
@@ -252,7 +210,7 @@ def test_the_status_of_the_command_names_the_signal(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     config, out = write_config(tmp_path / "c.toml", PATCHES), tmp_path / "run"
-    interrupt_after(1, signal.SIGTERM, monkeypatch)
+    interrupt_after(1, monkeypatch)
     words = ["--config", config, "--images", streets, "--out", out, "--prepared", kept / "patches"]
 
     with pytest.raises(SystemExit) as left:

@@ -1,4 +1,4 @@
-"""What is wanted of a network for whole pictures: targets, who says them, agreement."""
+"""The targets of a network for whole pictures: where they come from, and where they count."""
 
 from pathlib import Path
 
@@ -13,16 +13,14 @@ from roadtorch.imaging.levels import otsu_threshold
 from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.picture_network import OUTPUTS, PictureNetwork, PictureNetworkSettings
 from roadtorch.road.fusion import log_odds
-from roadtorch.train.config import (
-    PictureTraining,
-    Rounds,
-    Teacher,
-    build_training,
-)
-from roadtorch.train.prepared import write_arrays
+from roadtorch.run.memo import read_arrays, write_arrays
+from roadtorch.runtime.signals import Stop
+from roadtorch.train.config import PictureTraining, Rounds, Teacher, build_training
 from roadtorch.train.teachers import (
+    Targets,
     best_class,
     centred_as,
+    label_with_network,
     lends_ego,
     load_teachers,
     network_maps,
@@ -47,65 +45,52 @@ def ego_of(*pixels: float) -> torch.Tensor:
     return (torch.tensor(pixels) * 255).round().reshape(1, 1, 1, -1) / 255
 
 
-def unknown(count: int) -> torch.Tensor:
-    return ego_of(*[0.5] * count)
-
-
-# --- what means as likely road as not ------------------------------------------------------
-
-
-def centred(likelihood: torch.Tensor, **settings: float) -> torch.Tensor:
-    return centred_as(likelihood, Teacher(**settings))  # type: ignore[arg-type]
+# --- as likely road as not -----------------------------------------------------------------
 
 
 def test_the_threshold_becomes_one_half_and_the_ends_stay() -> None:
     likelihood = torch.tensor([0.0, 0.2, 0.39, 0.8, 1.0]).reshape(1, 1, 1, 5)
 
-    moved = centred(likelihood, road_threshold=0.39).flatten()
+    moved = centred_as(likelihood, Teacher(road_threshold=0.39)).flatten()
 
-    assert moved[2] == pytest.approx(0.5)
-    assert moved[0] == pytest.approx(0, abs=1e-3)
-    assert moved[4] == pytest.approx(1, abs=1e-3)
+    assert moved[[0, 2, 4]].tolist() == pytest.approx([0, 0.5, 1], abs=1e-3)
     assert (moved.diff() > 0).all()
     odds = moved[1] / (1 - moved[1])
     assert float(odds) == pytest.approx((0.2 / 0.8) / (0.39 / 0.61), rel=1e-4)
 
 
-def cameras() -> torch.Tensor:
-    """Likelihoods (2,1,H,W): the same road seen by two teachers' cameras, one of them timid."""
-    odds = torch.randn(1, 1, 20, 30, generator=torch.Generator().manual_seed(3)).repeat(2, 1, 1, 1)
+def test_in_each_picture_the_cut_that_parts_it_best_becomes_one_half() -> None:
+    """The same road seen by two cameras, one of them timid."""
+    odds = torch.randn(1, 1, 20, 30, generator=seeded(3)).repeat(2, 1, 1, 1)
     odds[:, :, 10:] += 4
     odds[1] -= 3
-    return odds.sigmoid()
+    cameras = odds.sigmoid()
 
+    fixed, own, half = (centred_as(cameras, Teacher(centre=share)) for share in (0.0, 1.0, 0.5))
 
-def test_in_each_picture_the_cut_that_parts_it_best_becomes_one_half() -> None:
-    moved = centred(cameras(), centre=1.0)
-
-    for one, picture in zip(moved, cameras(), strict=True):
-        found = log_odds(picture)
-        torch.testing.assert_close(one, (found - otsu_threshold(found)).sigmoid())
-    assert torch.equal(moved[0] >= 0.5, moved[1] >= 0.5)
-    assert 0.4 < (moved[0] >= 0.5).float().mean() < 0.6
-
-
-def test_between_the_two_the_log_odds_are_shared() -> None:
-    fixed, own, half = (log_odds(centred(cameras(), centre=share)) for share in (0.0, 1.0, 0.5))
-
-    torch.testing.assert_close(half, (fixed + own) / 2, atol=1e-3, rtol=0)
+    for moved, picture in zip(own, map(log_odds, cameras), strict=True):
+        torch.testing.assert_close(moved, (picture - otsu_threshold(picture)).sigmoid())
+    assert torch.equal(own[0] >= 0.5, own[1] >= 0.5)
+    assert 0.4 < (own[0] >= 0.5).float().mean() < 0.6
+    shared = (log_odds(fixed) + log_odds(own)) / 2
+    torch.testing.assert_close(log_odds(half), shared, atol=1e-3, rtol=0)
 
 
 # --- where it counts -----------------------------------------------------------------------
+
+
+def weights(targets: Targets) -> tuple[list[float], list[float]]:
+    """Of layout and road."""
+    return targets.layout_weight.flatten().tolist(), targets.road_weight.flatten().tolist()
 
 
 def test_only_certain_pixels_count() -> None:
     teacher = maps_of((0.9, 0.1, 0.0, 0.9), (0.5, 0.4, 0.1, 0.52), (0.2, 0.0, 0.8, 0.1))
     settings = Teacher(margin=0.5, road_margin=0.5, road_threshold=0.5)
 
-    targets = targets_of(teacher, unknown(3), None, settings, Rounds())
+    targets = targets_of(teacher, ego_of(0.5, 0.5, 0.5), None, settings, Rounds())
 
-    assert targets.layout_weight.flatten().tolist() == [1, 0, 1]
-    assert targets.road_weight.flatten().tolist() == [1, 0, 1]
+    assert weights(targets) == ([1, 0, 1], [1, 0, 1])
     torch.testing.assert_close(targets.layout, teacher[:, :CLASSES])
 
 
@@ -115,18 +100,16 @@ def test_in_later_rounds_only_agreement_counts() -> None:
         (0.8, 0.2, 0.0, 0.8, 0.0), (0.0, 1.0, 0.0, 0.1, 0.0), (0.0, 0.0, 1.0, 0.9, 0.0)
     )
 
-    targets = targets_of(teacher, unknown(3), network, EVEN, Rounds(combine="agreement"))
+    targets = targets_of(teacher, ego_of(0.5, 0.5, 0.5), network, EVEN, Rounds(combine="agreement"))
 
-    assert targets.layout_weight.flatten().tolist() == [1, 0, 1]
-    assert targets.road_weight.flatten().tolist() == [1, 0, 0]
+    assert weights(targets) == ([1, 0, 1], [1, 0, 0])
     torch.testing.assert_close(targets.layout, (teacher + network[:, :4])[:, :CLASSES] / 2)
 
 
 def test_the_last_network_alone_can_be_the_teacher() -> None:
-    teacher = maps_of((0.9, 0.1, 0.0, 0.9))
-    network = maps_of((0.0, 1.0, 0.0, 0.1, 0.0))
+    teacher, network = maps_of((0.9, 0.1, 0.0, 0.9)), maps_of((0.0, 1.0, 0.0, 0.1, 0.0))
 
-    targets = targets_of(teacher, unknown(1), network, Teacher(), Rounds(combine="network"))
+    targets = targets_of(teacher, ego_of(0.5), network, Teacher(), Rounds(combine="network"))
 
     torch.testing.assert_close(targets.layout, network[:, :CLASSES])
     torch.testing.assert_close(targets.road, network[:, CLASSES : CLASSES + 1])
@@ -139,47 +122,38 @@ GROUND = (0.0, 0.1, 0.9, 0.9)
 """What the teacher says of ground, and of the ground that it sees in place of an ego car."""
 
 
-def test_the_ego_car_of_the_footage_is_known_both_ways_and_is_no_road_and_no_layout() -> None:
-    targets = targets_of(maps_of(GROUND, GROUND), ego_of(0, 1), None, EVEN, Rounds())
+@pytest.mark.parametrize(
+    ("shown", "guess", "ego", "road", "layout_weight"),
+    [
+        # Where the footage shows it, it is known both ways, is no road and no layout.
+        (0, None, 0, 0.9, 1),
+        (1, None, 1, 0.0, 0),
+        # Where nothing is known of it there is none at first,
+        (0.5, None, 0, 0.9, 1),
+        # and from the second round on the network says it; what it half believes is none.
+        (0.5, (0.9, 0.95), 1, 0.0, 0),
+        (0.5, (0.9, 0.05), 0, 0.9, 1),
+        (0.5, (0.9, 0.7), 0, 0.9, 1),
+        (1, (0.9, 0.05), 1, 0.0, 0),
+        (0, (0.9, 0.95), 0, 0.9, 1),
+        # The teacher sees the ground go on: it cannot agree with a network that knows better.
+        (1, (0.1, 0.9), 1, 0.0, 0),
+    ],
+)
+def test_the_ego_car(
+    shown: float, guess: tuple[float, float] | None, ego: float, road: float, layout_weight: float
+) -> None:
+    network = None if guess is None else maps_of((*GROUND[:3], *guess))
 
-    assert targets.ego.flatten().tolist() == [0, 1]
-    assert targets.ego_weight.flatten().tolist() == [1, 1]
-    torch.testing.assert_close(targets.road.flatten(), torch.tensor([0.9, 0.0]))
-    assert targets.road_weight.flatten().tolist() == [1, 1]
-    assert targets.layout_weight.flatten().tolist() == [1, 0]
+    targets = targets_of(maps_of(GROUND), ego_of(shown), network, EVEN, Rounds())
 
-
-def test_where_nothing_is_known_of_it_there_is_none_at_first() -> None:
-    targets = targets_of(maps_of(GROUND), unknown(1), None, EVEN, Rounds())
-
-    assert (targets.ego.item(), targets.ego_weight.item()) == (0, 1)
-    assert targets.layout_weight.item() == targets.road_weight.item() == 1
-    assert targets.road.item() == pytest.approx(0.9)
-
-
-def test_from_the_second_round_on_the_network_says_it_where_it_is_unknown() -> None:
-    network = maps_of(*[(*GROUND, ego) for ego in (0.95, 0.05, 0.7, 0.05, 0.95)])
-    teacher = maps_of(*[GROUND] * 5)
-
-    targets = targets_of(teacher, ego_of(0.5, 0.5, 0.5, 1, 0), network, EVEN, Rounds())
-
-    assert targets.ego.flatten().tolist() == [1, 0, 0, 1, 0]  # what it half believes is none
-    assert targets.ego_weight.flatten().tolist() == [1, 1, 1, 1, 1]
-    torch.testing.assert_close(targets.road.flatten(), torch.tensor([0, 0.9, 0.9, 0, 0.9]))
-
-
-@pytest.mark.parametrize("said", [0.1, 0.9])
-def test_that_it_is_no_road_counts_whatever_the_last_network_says(said: float) -> None:
-    """The teacher sees the ground go on: it cannot agree with a network that knows better."""
-    network = maps_of((0.0, 0.1, 0.9, said, 0.9))
-
-    targets = targets_of(maps_of(GROUND), ego_of(1), network, EVEN, Rounds())
-
-    assert (targets.road.item(), targets.road_weight.item()) == (0, 1)
+    assert (targets.ego.item(), targets.ego_weight.item()) == (ego, 1)
+    assert targets.road.item() == pytest.approx(road)
+    assert (targets.layout_weight.item(), targets.road_weight.item()) == (layout_weight, 1)
 
 
 def test_the_best_class_is_the_one_that_argmax_names() -> None:
-    layout = torch.rand(2, CLASSES, 5, 7, generator=torch.Generator().manual_seed(0))
+    layout = torch.rand(2, CLASSES, 5, 7, generator=seeded(0))
     assert best_class(layout).equal(layout.argmax(1, keepdim=True))
 
 
@@ -187,13 +161,14 @@ def test_the_best_class_is_the_one_that_argmax_names() -> None:
 
 
 def test_the_teacher_gives_layout_and_road() -> None:
-    image = scene(1, 60, 80).image
-    teacher = load_detector("labeller")
+    image, teacher = scene(1, 60, 80).image, load_detector("labeller")
 
     maps = teacher_maps(image, [teacher])
 
     torch.testing.assert_close(maps[:CLASSES], teacher.detect(image).cues["layout"])
     torch.testing.assert_close(maps[CLASSES], teacher.detect(image).likelihood)
+    with pytest.raises(ConfigError, match="prior:rows has no layout among its cues"):
+        teacher_maps(image, [load_detector("prior:rows")])
 
 
 def test_two_views_are_the_same_for_the_mirrored_picture() -> None:
@@ -201,15 +176,23 @@ def test_two_views_are_the_same_for_the_mirrored_picture() -> None:
     teachers = load_teachers(Teacher(detector="labeller", views="scaled"))
 
     maps = teacher_maps(image, teachers, "scaled")
-    mirrored = teacher_maps(image.flip(-1), teachers, "scaled")
 
-    torch.testing.assert_close(maps, mirrored.flip(-1))
+    torch.testing.assert_close(maps, teacher_maps(image.flip(-1), teachers, "scaled").flip(-1))
     assert len(teachers) == 2
 
 
-def test_a_teacher_without_a_layout_is_told() -> None:
-    with pytest.raises(ConfigError, match="prior:rows has no layout among its cues"):
-        teacher_maps(scene(1, 60, 80).image, [load_detector("prior:rows")])
+def test_a_vote_with_the_mirror_image_has_no_side() -> None:
+    network = PictureNetwork(PictureNetworkSettings(height=32, width=40, narrow=8, wide=8)).eval()
+    image = torch.rand(3, 32, 40, generator=seeded(6))
+
+    vote = network_maps(network, image)
+
+    torch.testing.assert_close(vote, network_maps(network, image.flip(-1)).flip(-1))
+    assert vote.shape == (OUTPUTS, 32, 40)
+    torch.testing.assert_close(vote[:CLASSES].sum(0), torch.ones(32, 40))
+
+
+# --- prepared pictures --------------------------------------------------------------------
 
 
 def small_training(**teacher: object) -> PictureTraining:
@@ -288,12 +271,27 @@ def test_only_an_ego_car_from_one_side_to_the_other_is_lent(
     assert lends_ego(tmp_path / "a.npz") == lends
 
 
-def test_a_vote_with_the_mirror_image_has_no_side() -> None:
-    network = PictureNetwork(PictureNetworkSettings(height=32, width=40, narrow=8, wide=8)).eval()
-    image = torch.rand(3, 32, 40, generator=seeded(6))
+def test_a_network_labels_again_what_another_picture_or_network_has_changed(
+    tmp_path: Path,
+) -> None:
+    settings = PictureNetworkSettings(height=32, width=40, narrow=8, wide=8)
+    network, files = PictureNetwork(settings).eval(), [tmp_path / f"{n}.npz" for n in range(2)]
+    for file in files:
+        write_arrays(file, {"image": torch.zeros(3, 32, 40, dtype=torch.uint8)})
 
-    vote = network_maps(network, image)
+    def labelled() -> list[torch.Tensor]:
+        names = label_with_network(files, tmp_path / "labels", network, Stop(), quiet=True)
+        return [read_arrays(name, "maps")["maps"] for name in names]
 
-    torch.testing.assert_close(vote, network_maps(network, image.flip(-1)).flip(-1))
-    assert vote.shape == (OUTPUTS, 32, 40)
-    torch.testing.assert_close(vote[:CLASSES].sum(0), torch.ones(32, 40))
+    first, same = labelled()
+    times = [file.stat().st_mtime_ns for file in (tmp_path / "labels").iterdir()]
+    assert torch.equal(first, same)
+    labelled()
+    assert [file.stat().st_mtime_ns for file in (tmp_path / "labels").iterdir()] == times
+    write_arrays(files[0], {"image": torch.full((3, 32, 40), 255, dtype=torch.uint8)})
+    other, unchanged = labelled()
+    assert not torch.equal(other, first)
+    assert torch.equal(unchanged, same)
+    with torch.no_grad():
+        next(network.parameters()).add_(1)
+    assert not torch.equal(labelled()[1], same)

@@ -1,27 +1,28 @@
 """The tree of regions and the choice among its nodes."""
 
+from typing import Literal
+
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadtorch.ufl import hierarchy
+from tests.draws import random, seeded
 from tests.reference import ufl as reference
 
 STEPS = hierarchy.thresholds(6, "included")
 
 
-def bumpy(seed: int, rows: int = 9, columns: int = 11) -> torch.Tensor:
+def bumpy(seed: int) -> torch.Tensor:
     """A map with hills, some values exactly on the thresholds, and a maximum of 1."""
-    values = torch.rand(rows, columns, generator=torch.Generator().manual_seed(seed))
-    smooth = torch.nn.functional.avg_pool2d(values[None], 3, 1, 1)[0].double()
+    smooth = torch.nn.functional.avg_pool2d(random(1, 9, 11, seed=seed), 3, 1, 1)[0]
     return ((smooth / smooth.max() * 12).round() / 12).clamp(0, 1)
 
 
-def stable(seed: int, size: torch.Size) -> torch.Tensor:
-    generator = torch.Generator().manual_seed(seed)
-    return torch.randn(size, generator=generator, dtype=torch.float64)
+def stable(seed: int) -> torch.Tensor:
+    return torch.randn(9, 11, generator=seeded(seed), dtype=torch.float64)
 
 
 def two_hills() -> torch.Tensor:
@@ -37,6 +38,7 @@ def test_thresholds_of_the_program_and_of_the_text() -> None:
     assert hierarchy.thresholds(4, "left_out").tolist() == [0, 0.25, 0.5, 0.75]
 
 
+@settings(max_examples=25)
 @given(st.integers(0, 10**6))
 def test_regions_are_the_components_of_every_level_in_reading_order(seed: int) -> None:
     values = bumpy(seed)
@@ -55,10 +57,11 @@ def test_regions_are_the_components_of_every_level_in_reading_order(seed: int) -
     assert len(found.area) == number + 1
 
 
+@settings(max_examples=25)
 @given(st.integers(0, 10**6), st.integers(1, 12))
 def test_the_chosen_road_is_that_of_the_paper_step_by_step(seed: int, least: int) -> None:
     values = bumpy(seed)
-    pixels = stable(seed, values.shape)
+    pixels = stable(seed)
 
     tree = hierarchy.build_tree(hierarchy.threshold_regions(values, STEPS), least)
     choice = hierarchy.select_nodes(tree, hierarchy.node_stability(tree, pixels))
@@ -66,16 +69,17 @@ def test_the_chosen_road_is_that_of_the_paper_step_by_step(seed: int, least: int
     root = reference.tree(values.numpy(), STEPS.tolist(), least)
     expected = reference.road(root, pixels.numpy())
     assert np.array_equal(hierarchy.selected_area(tree, choice.selected).numpy(), expected)
-    total = sum(reference.optimise(child, pixels.numpy())[0] for child in root.children)
     if root.children:
+        total = sum(reference.optimise(child, pixels.numpy())[0] for child in root.children)
         assert float(choice.best[0]) == pytest.approx(total)
 
 
+@settings(max_examples=25)
 @given(st.integers(0, 10**6))
 def test_single_regions_are_worth_at_least_as_much_as_runs(seed: int) -> None:
     """Every first region of a run is among the regions, so their best sum is no smaller."""
     values = bumpy(seed)
-    pixels = stable(seed, values.shape)
+    pixels = stable(seed)
     regions = hierarchy.threshold_regions(values, STEPS)
 
     def worth(nodes: hierarchy.Nodes) -> float:
@@ -100,23 +104,25 @@ def test_an_only_region_joins_the_node_and_two_start_their_own() -> None:
     assert hierarchy.node_area(without_the_small, 0).all()
 
 
-def test_the_whole_map_is_road_only_where_nothing_splits_and_only_if_allowed() -> None:
-    values = torch.ones(6, 6, dtype=torch.float64)
+@pytest.mark.parametrize(
+    ("value", "whole", "road", "best"),
+    [
+        # Six levels above the first, which does not count.
+        (1.0, "if_undivided", True, 6),
+        (1.0, "never", False, 0),
+        (0.0, "if_undivided", False, 0),
+    ],
+)
+def test_the_whole_map_is_road_only_where_nothing_splits_and_only_if_allowed(
+    value: float, whole: Literal["if_undivided", "never"], road: bool, best: float
+) -> None:
+    values = torch.full((6, 6), value, dtype=torch.float64)
     tree = hierarchy.build_tree(hierarchy.threshold_regions(values, STEPS), 4)
-    stability = hierarchy.node_stability(tree, values)
 
-    assert stability.tolist() == [6.0]  # six levels above the first, which does not count
-    assert hierarchy.select_nodes(tree, stability).selected.tolist() == [True]
-    assert hierarchy.select_nodes(tree, stability, "never").selected.tolist() == [False]
+    choice = hierarchy.select_nodes(tree, hierarchy.node_stability(tree, torch.ones(6, 6)), whole)
 
-
-def test_a_map_of_0_has_one_node_worth_nothing() -> None:
-    tree = hierarchy.build_tree(hierarchy.threshold_regions(torch.zeros(6, 6), STEPS), 4)
-
-    choice = hierarchy.select_nodes(tree, hierarchy.node_stability(tree, torch.ones(6, 6)))
-
-    assert choice.selected.tolist() == [False]
-    assert choice.best.tolist() == [0]
+    assert choice.selected.tolist() == [road]
+    assert choice.best.tolist() == [best]
 
 
 def test_nothing_below_a_winner_is_chosen_however_deep() -> None:

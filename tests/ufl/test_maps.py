@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadtorch.ufl import maps
@@ -15,6 +15,7 @@ SIZE = (7, 5)
 
 
 @pytest.mark.parametrize("kind", ["base", "patch"])
+@settings(max_examples=25)
 @given(seed=st.integers(0, 10**6), bases=st.integers(1, 40))
 def test_responses_follow_equations_3_and_4(kind: str, seed: int, bases: int) -> None:
     points, dictionary = random(35, 4, seed=seed), random(bases, 4, seed=seed + 1)
@@ -24,16 +25,6 @@ def test_responses_follow_equations_3_and_4(kind: str, seed: int, bases: int) ->
 
     expected = reference.responses(points.numpy(), dictionary.numpy(), kind)
     np.testing.assert_allclose(found.numpy(), expected, atol=1e-6)
-
-
-def test_scores_are_those_of_equation_5() -> None:
-    responses = random(6, 35)
-    weights = maps.row_weights(SIZE[0], "from_one").repeat_interleave(SIZE[1])
-
-    found = maps.score_maps(responses, weights)
-
-    unit = (responses / responses.amax(1, keepdim=True)).view(-1, *SIZE).numpy()
-    np.testing.assert_allclose(found.numpy(), [reference.score(each) for each in unit])
 
 
 @pytest.mark.parametrize(("rows", "first", "last"), [(115, -57, 57), (114, -57, 56)])
@@ -70,5 +61,7 @@ def test_patches_that_are_all_equal_give_maps_of_0() -> None:
 def test_the_mean_map_reaches_1_or_is_just_the_mean() -> None:
     stack = random(4, *SIZE) / 2
 
-    torch.testing.assert_close(maps.mean_map(stack, "none"), stack.mean(0))
-    torch.testing.assert_close(maps.mean_map(stack, "maximum"), stack.mean(0) / stack.mean(0).max())
+    mean = stack.mean(0)
+
+    assert torch.equal(maps.mean_map(stack, "none"), mean)
+    assert torch.equal(maps.mean_map(stack, "maximum"), mean / mean.max())

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 import torch
 
-from roadtorch.errors import ConfigError
-from roadtorch.settings import build_settings
 from roadtorch.ufl import preprocess
 from tests.draws import random
 from tests.reference import ufl as reference
@@ -26,30 +24,17 @@ def test_the_papers_sizes_follow_from_the_shape(height: int, width: int, size: t
     assert preprocess.WorkingShape().size(height, width) == size
 
 
-def test_blur_is_the_gaussian_of_equation_1() -> None:
-    image = random(2, 9, 11)
-
-    found = preprocess.blur(image, 1.5, 3)
-
-    expected = np.stack([reference.blurred(plane, 1.5, 3) for plane in image.numpy()])
-    np.testing.assert_allclose(found.numpy(), expected, atol=1e-12)
-
-
 @pytest.mark.parametrize(("sigma", "reach"), [(1.5, 3), (2.5, 5), (0.4, 1), (1.6, 4)])
-def test_the_blurs_window_follows_sigma(sigma: float, reach: int) -> None:
-    smoothing = preprocess.Smoothing(sigma=sigma)
-    dot = torch.zeros(3, 21, 21, dtype=torch.float64)
-    dot[:, 10, 10] = 1
+def test_blur_is_the_gaussian_of_equation_1_in_a_window_that_follows_sigma(
+    sigma: float, reach: int
+) -> None:
+    smoothing, image = preprocess.Smoothing(sigma=sigma), random(2, 9, 11)
 
-    found = preprocess.blur(dot, smoothing.sigma, smoothing.reach)[0] > 0
+    found = preprocess.blur(image, smoothing.sigma, smoothing.reach)
 
     assert smoothing.reach == reach
-    assert found.sum() == (2 * reach + 1) ** 2
-
-
-def test_the_old_name_of_the_window_is_refused_with_the_new_one() -> None:
-    with pytest.raises(ConfigError, match=r"reach: has another name now \(write window\)"):
-        build_settings(preprocess.Smoothing, {"reach": 3})
+    expected = np.stack([reference.blurred(plane, sigma, reach) for plane in image.numpy()])
+    np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_equalisation_gives_grey_pictures_the_target_everywhere_but_at_edges() -> None:
@@ -57,7 +42,7 @@ def test_equalisation_gives_grey_pictures_the_target_everywhere_but_at_edges() -
 
     found = preprocess.equalised(ramp, preprocess.Smoothing(target=0.7))
 
-    torch.testing.assert_close(found, torch.full_like(ramp, 0.7), atol=0.02, rtol=0)
+    np.testing.assert_allclose(found, np.full(ramp.shape, 0.7), atol=0.02, rtol=0)
 
 
 def test_equalisation_does_not_see_how_bright_a_picture_is() -> None:
@@ -65,7 +50,7 @@ def test_equalisation_does_not_see_how_bright_a_picture_is() -> None:
 
     bright, dark = (preprocess.equalised(image * gain, preprocess.Smoothing()) for gain in (1, 0.1))
 
-    torch.testing.assert_close(bright, dark)
+    np.testing.assert_allclose(bright, dark, rtol=1e-7)
 
 
 def test_black_stays_black_where_the_program_divides_0_by_0() -> None:
@@ -82,10 +67,10 @@ def test_black_stays_black_where_the_program_divides_0_by_0() -> None:
 def test_bicubic_keeps_flat_pictures_and_8_bits(size: tuple[int, int]) -> None:
     flat = torch.full((3, 20, 30), 77 / 255, dtype=torch.float64)
 
-    torch.testing.assert_close(preprocess.bicubic(flat, size), flat.new_full((3, *size), 77 / 255))
     assert preprocess.bicubic(flat, (20, 30)) is flat
+    assert preprocess.bicubic(flat, size).unique().tolist() == [77 / 255]
     levels = preprocess.bicubic(random(3, 20, 30), size) * 255
-    torch.testing.assert_close(levels, levels.round())
+    np.testing.assert_allclose(levels, levels.round(), atol=1e-9)
 
 
 def test_bicubic_halves_with_the_stretched_cubic_kernel() -> None:

@@ -9,7 +9,6 @@ from torch import Tensor
 from roadtorch.ufl.region_cut import (
     CutSettings,
     PeakSettings,
-    bags_of_words,
     cluster_pixels,
     connected_regions,
     cut_road,
@@ -17,24 +16,16 @@ from roadtorch.ufl.region_cut import (
     shared_borders,
     source_side,
 )
-
-CLUSTERS = torch.tensor([[0, 0, 1, 0], [2, 2, 1, 0], [2, 2, 1, 0]])
+from tests.draws import random, seeded
 
 
 def test_pieces_of_one_cluster_are_regions_of_their_own() -> None:
-    found = connected_regions(CLUSTERS)
+    found = connected_regions(torch.tensor([[0, 0, 1, 0], [2, 2, 1, 0], [2, 2, 1, 0]]))
 
     assert found[0, 0] == found[0, 1] != found[0, 3]
     assert found[0, 3] == found[2, 3]
     assert found.unique().tolist() == [0, 1, 2, 3]
     assert connected_regions(torch.eye(2)).unique().tolist() == [0, 1, 2, 3]  # not by corners
-
-
-def test_bags_count_the_words_of_each_region() -> None:
-    regions = torch.tensor([[0, 0, 1], [0, 1, 1]])
-    words = torch.tensor([[2, 2, 0], [1, 0, 2]])
-
-    assert bags_of_words(regions, words, 3).tolist() == [[0, 1, 2], [2, 0, 1]]
 
 
 def test_borders_are_counted_in_pixels() -> None:
@@ -44,28 +35,21 @@ def test_borders_are_counted_in_pixels() -> None:
     assert found == {(0, 1): 1, (0, 2): 2, (1, 2): 1}
 
 
-def cost(chosen: tuple[bool, ...], source: Tensor, sink: Tensor, edges: Tensor, between: Tensor):
-    """What a partition cuts, by its definition."""
-    apart = sum(
-        weight for (one, two), weight in zip(edges.tolist(), between.tolist(), strict=True)
-        if chosen[one] != chosen[two]
-    )  # fmt: skip
-    return apart + sum(
-        float(sink[node] if mine else source[node]) for node, mine in enumerate(chosen)
-    )
-
-
 @pytest.mark.parametrize("seed", range(8))
 def test_no_other_partition_is_cheaper(seed: int) -> None:
-    generator = torch.Generator().manual_seed(seed)
-    source, sink = torch.rand(2, 6, generator=generator)
+    source, sink = random(2, 6, seed=seed)
     edges = torch.tensor([[0, 1], [1, 2], [2, 3], [3, 4], [4, 5], [0, 5], [1, 4]])
-    between = torch.rand(7, generator=generator)
+    between = random(7, seed=seed + 100)
 
-    found = tuple(source_side(source, sink, edges, between).tolist())
+    def cost(chosen: Tensor) -> float:
+        """What a partition cuts, by its definition."""
+        apart = chosen[edges[:, 0]] != chosen[edges[:, 1]]
+        return float(torch.where(chosen, sink, source).sum() + between[apart].sum())
 
-    least = min(cost(one, source, sink, edges, between) for one in product((False, True), repeat=6))
-    assert cost(found, source, sink, edges, between) == pytest.approx(least, abs=0.02)
+    found = source_side(source, sink, edges, between)
+
+    least = min(cost(torch.tensor(chosen)) for chosen in product((False, True), repeat=6))
+    assert cost(found) == pytest.approx(least, abs=0.02)
 
 
 def test_road_is_what_looks_like_the_seed_more_than_like_the_top() -> None:
@@ -108,8 +92,7 @@ def test_a_picture_of_one_region_has_no_road() -> None:
 
 def blobs(*centres: float, each: int = 40, spread: float = 0.05) -> Tensor:
     """Points (n,2) around places on the diagonal."""
-    generator = torch.Generator().manual_seed(0)
-    noise = torch.randn(len(centres), each, 2, generator=generator) * spread
+    noise = torch.randn(len(centres), each, 2, generator=seeded()) * spread
     return (torch.tensor(centres)[:, None, None] + noise).view(-1, 2)
 
 
@@ -131,7 +114,7 @@ def test_points_that_are_all_the_same_have_peaks_all_the_same() -> None:
 
 def test_pixels_belong_to_the_nearest_peak() -> None:
     half = torch.cat([torch.zeros(6, 5), torch.ones(6, 5)], 1)
-    noise = torch.rand(2, 6, 10, generator=torch.Generator().manual_seed(1)) * 0.1
+    noise = random(2, 6, 10, seed=1) * 0.1
 
     found = cluster_pixels(torch.stack([half, 1 - half]) + noise, PeakSettings(clusters=2))
 

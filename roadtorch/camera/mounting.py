@@ -1,0 +1,175 @@
+"""Where a camera is above the ground, for each picture: what the user, files and layouts say."""
+
+import json
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+from torch import Tensor
+
+from roadtorch.camera.calibration import (
+    Calibration,
+    kitti_ground_camera,
+    read_calibration,
+    read_camera_info,
+)
+from roadtorch.camera.camera import Camera
+from roadtorch.camera.gradients import horizon_of
+from roadtorch.camera.ground import (
+    GroundCamera,
+    Lens,
+    Pose,
+    lens_of_view,
+    mounted,
+    pitch_of_horizon,
+)
+from roadtorch.errors import ConfigError, InputError
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """What the user says about the camera: exactly one of the three that tell its lens.
+
+    height: metres. pitch, roll: degrees. mount: x, y on the robot, metres. fov: degrees from side
+    to side. camera: what ``roadtorch camera`` wrote, for its horizon.
+    """
+
+    height: float | None = None
+    pitch: float | None = None
+    roll: float = 0.0
+    mount: tuple[float, float] = (0.0, 0.0)
+    fov: float | None = None
+    camera_info: Path | None = None
+    calibration: Path | None = None
+    camera: Path | None = None
+
+    def pose(self, pitch: float) -> Pose:
+        """Where the camera is at so many degrees; ConfigError for what is beyond the limits."""
+        if self.height is None:
+            remedy = "give the camera's height above the ground in metres, or --calibration"
+            raise ConfigError("--height", "is missing", remedy)
+        return mounted(self.height, pitch, self.roll, self.mount)
+
+
+class Pitch(NamedTuple):
+    """Degrees, how they are known, and how unsure they are."""
+
+    degrees: float
+    reason: str
+    spread: float = 0.0
+
+
+@dataclass(frozen=True)
+class Placing:
+    """How the camera over the ground is found for each picture.
+
+    calibration: KITTI's, which tells all but ``mount``. lens: None for one of ``fov``, and where
+    each bag tells its own. horizon: of the camera's file, share of the height. pitch: None where
+    the horizon tells it, or else the layout of each picture.
+    """
+
+    mounting: Mounting
+    calibration: Calibration | None = None
+    lens: Lens | None = None
+    horizon: float | None = None
+    pitch: Pitch | None = None
+
+    @property
+    def lacks_lens(self) -> bool:
+        """Whether the lens is for each bag to tell."""
+        return self.lens is None and self.calibration is None and self.mounting.fov is None
+
+    @property
+    def asks_pictures(self) -> bool:
+        """Whether each picture tells the pitch by its layout."""
+        return self.calibration is None and self.horizon is None and self.pitch is None
+
+    def through(self, lens: Lens) -> "Placing":
+        """The same through a lens; ConfigError where the horizon is beyond its limits."""
+        if self.horizon is not None and self.pitch is None:
+            self.mounting.pose(pitch_of_horizon(lens, self.horizon, self.mounting.roll))
+        return replace(self, lens=lens)
+
+    @property
+    def words(self) -> str:
+        """What decides on the camera, as a line of comment in the settings' file."""
+        if self.calibration is not None:
+            facts = {"calibration": asdict(self.calibration), "mount": self.mounting.mount}
+        else:
+            lens = None if self.lens is None else self.lens.model_dump()
+            own = asdict(replace(self.mounting, camera=None, camera_info=None))
+            facts = {**own, "horizon": self.horizon, "lens": lens}
+        return f"# {json.dumps({name: fact for name, fact in facts.items() if fact is not None})}"
+
+    def __call__(self, image: Tensor, layout: Tensor | None) -> tuple[GroundCamera, Pitch]:
+        """The camera of a picture (3,H,W); InputError where its layout does not tell the pitch."""
+        height, width = image.shape[-2:]
+        if self.calibration is not None:
+            camera = kitti_ground_camera(self.calibration, width, height, self.mounting.mount)
+            return camera, Pitch(camera.pose.pitch, "of the calibration")
+        if self.lens is None:
+            lens = lens_of_view(width, height, self.mounting.fov or 0.0)
+        else:
+            lens = self.lens.at(width, height)
+        pitch = self.pitch
+        if pitch is None and self.horizon is not None:
+            degrees = pitch_of_horizon(lens, self.horizon, self.mounting.roll)
+            pitch = Pitch(degrees, f"horizon at row {self.horizon:.3f} of the camera's file")
+        pitch = pitch or self._of_layout(lens, image, layout)
+        return GroundCamera(lens, self.mounting.pose(pitch.degrees)), pitch
+
+    def _of_layout(self, lens: Lens, image: Tensor, layout: Tensor | None) -> Pitch:
+        if layout is None or layout.ndim != 3:
+            remedy = "give --pitch or --camera, or a detector with a layout, such as fusion"
+            raise InputError("image", "has no layout by this detector to tell the pitch", remedy)
+        row, spread = horizon_of(image, layout)
+        unsure = math.degrees(math.atan(spread * lens.height / lens.focal_y))
+        reason = f"horizon at row {row:.3f} of the layout, unsure by {unsure:.1f} degrees"
+        return Pitch(pitch_of_horizon(lens, row, self.mounting.roll), reason, unsure)
+
+
+def placing_of(mounting: Mounting, of_bags: bool) -> Placing:
+    """How the cameras of inputs are found; of_bags: whether all of them are bags, with lenses.
+
+    Raises ConfigError for options that are missing,
+    contradict one another or lie beyond their limits, and what the files' readers raise.
+    """
+    ways = {"--fov": mounting.fov, "--camera-info": mounting.camera_info}
+    ways["--calibration"] = mounting.calibration
+    named = [name for name, value in ways.items() if value is not None]
+    remedy = f"give one of {', '.join(ways)}"
+    if len(named) > 1:
+        raise ConfigError("grid", f"{' and '.join(named)} were given", remedy)
+    if mounting.calibration is not None:
+        own = {
+            "--height": mounting.height,
+            "--pitch": mounting.pitch,
+            "--roll": mounting.roll or None,
+        }
+        for name in (name for name, value in own.items() if value is not None):
+            what = "was given beside --calibration, which has it"
+            raise ConfigError(name, what, "leave it out")
+        return Placing(mounting, read_calibration(mounting.calibration))
+    if not named and not of_bags:
+        raise ConfigError("grid", "nothing tells the lens", remedy)
+    mounting.pose(mounting.pitch or 0.0)
+    if mounting.fov is not None:
+        lens_of_view(2, 2, mounting.fov)
+    horizon = None if mounting.camera is None else Camera.read(mounting.camera).horizon
+    pitch = None if mounting.pitch is None else Pitch(mounting.pitch, "as given")
+    placing = Placing(mounting, None, None, horizon, pitch)
+    if mounting.camera_info is None:
+        return placing
+    return placing.through(read_camera_info(mounting.camera_info))
+
+
+def median_pitch(pitches: Sequence[Pitch]) -> Pitch:
+    """One pitch for a whole source: single pictures jitter, and a robot's camera does not."""
+    degrees = [pitch.degrees for pitch in pitches]
+    spread = statistics.median(pitch.spread for pitch in pitches)
+    reason = f"median of {len(degrees)} frames ({min(degrees):.2f} to {max(degrees):.2f})"
+    reason += f" by the layout, unsure by {spread:.1f} degrees"
+    return Pitch(statistics.median(degrees), reason, spread)

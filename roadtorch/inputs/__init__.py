@@ -1,0 +1,1 @@
+"""Where items come from: pictures, archives, URLs, videos, cameras, streams, bags."""

@@ -1,0 +1,264 @@
+"""Images in ROS bags: ROS 1 (.bag), ROS 2 (folder, .db3, .mcap); no ROS is needed.
+
+``rosbags`` (extra ``bags``) reads them, by the message definitions in the bag.
+"""
+
+import statistics
+from collections.abc import Generator, Iterator
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice, pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from torch import Tensor
+
+from roadtorch.errors import ConfigError, InputError, unknown_name
+from roadtorch.inputs.image_messages import COMPRESSED, RAW, image_of
+from roadtorch.inputs.item import Item, Selection, Source
+from roadtorch.io.bounded import reason
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+
+SUFFIXES = (".bag", ".db3", ".mcap")
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+SOME = 16  # messages that tell the rate
+
+
+@dataclass(frozen=True)
+class ImageTopic:
+    """A topic with images: how many messages, their frame of reference, frames a second.
+
+    generation: 1 for a bag of ROS 1, 2 of ROS 2. rate: by the first messages; None for one alone.
+    """
+
+    name: str
+    count: int
+    frame_id: str
+    rate: float | None
+    generation: int
+
+
+@dataclass(frozen=True)
+class CameraInfo:
+    """sensor_msgs/CameraInfo: the camera behind a topic, in pixels of width by height.
+
+    matrix: K float64 (3,3). distortion: D float64 (N,) of the distortion model, such as
+    ``plumb_bob``. frame_id: of the optical frame (REP 103: z ahead, x right, y down).
+    """
+
+    matrix: np.ndarray
+    distortion: np.ndarray
+    model: str
+    width: int
+    height: int
+    frame_id: str
+
+
+def is_bag(given: str) -> bool:
+    """Whether it is a bag by its name, or a folder with a ROS 2 recording in it."""
+    path = Path(given)
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file() or bool(_recordings(path))
+    return path.suffix in SUFFIXES
+
+
+def bag_source(
+    given: str,
+    topic: str | None = None,
+    selection: Selection = Selection(),  # noqa: B008  # it is frozen
+) -> Source:
+    """The images of a topic, by default of the only topic with images.
+
+    Time stamps are those of the headers; of the recording where a header has none. Raises
+    InputError for what cannot be read as a bag or has no images, ConfigError for a topic that is
+    missing or has to be chosen. A message that cannot be decoded raises in its item's ``read``.
+    """
+    images = image_topic(given, topic)
+    count = None
+    if not selection.start and selection.end is None:
+        count = len(range(images.count)[:: selection.every][: selection.limit])
+    every = partial(_every_frame, given, images.name)
+    return Source(
+        name=_name(given),
+        origin=given,
+        moving=True,
+        items=lambda: selection.of(every()),
+        rate=images.rate and images.rate / selection.every,
+        count=count,
+    )
+
+
+def image_topic(given: str, topic: str | None = None) -> ImageTopic:
+    """The topic with images that is meant; errors as for ``bag_source``."""
+    with _opened(given) as bag:
+        name = _chosen(given, bag, topic)
+        messages: list[Message] = []
+        with suppress(InputError), closing(_messages(given, bag, name)) as every:
+            messages.extend(islice(every, SOME))
+        if not messages:
+            raise InputError(given, f"has no images on {name}", "give another --topic or bag")
+        stamps = sorted(message.stamp for message in messages)
+        steps = [late - early for early, late in pairwise(stamps)]
+        step = statistics.median(steps) if steps else 0
+        count = sum(link.msgcount for link in bag.connections if link.topic == name)
+        first = next((message.content for message in messages if message.content), None)
+        frame_id = first.header.frame_id if first is not None else ""
+        rate = 1e9 / step if step > 0 else None
+        return ImageTopic(name, count, frame_id, rate, 2 if bag.is2 else 1)
+
+
+def camera_info(given: str, topic: str | None = None) -> CameraInfo:
+    """What the first message of the ``camera_info`` beside an image topic says.
+
+    ``/camera/image_raw`` and ``/camera/image_raw/compressed`` have ``/camera/camera_info``
+    (image_transport). Raises InputError where there is none, or where K is empty.
+    """
+    with _opened(given) as bag:
+        name = _chosen(given, bag, topic)
+        kinds = {link.topic: link.msgtype for link in bag.connections}
+        base = name.removesuffix("/compressed") if kinds[name] == COMPRESSED else name
+        sibling = f"{base.rpartition('/')[0]}/camera_info"
+        infos = sorted(other for other, kind in kinds.items() if kind == CAMERA_INFO)
+        if sibling not in infos:
+            remedy = f"there is {', '.join(infos)}" if infos else "give the calibration yourself"
+            raise InputError(given, f"has no camera_info {sibling} beside {name}", remedy)
+        message = next(_messages(given, bag, sibling), None)
+        info = message.content if message else None
+        matrix = np.array(getattr(info, "k", getattr(info, "K", np.zeros(9))), float).reshape(3, 3)
+        if info is None or not matrix[0, 0] > 0:
+            what = f"says nothing of its camera on {sibling}"
+            raise InputError(given, what, "calibrate the camera, or give the calibration yourself")
+        distortion = np.array(getattr(info, "d", getattr(info, "D", ())), float)
+        size = int(info.width), int(info.height)
+        return CameraInfo(matrix, distortion, info.distortion_model, *size, info.header.frame_id)
+
+
+# --- topics -----------------------------------------------------------------------------
+
+
+def _chosen(given: str, reader: "AnyReader", topic: str | None) -> str:
+    """The name of the topic that is meant; ConfigError or InputError that lists what there is."""
+    kinds = {link.topic: link.msgtype for link in reader.connections}
+    images = sorted(name for name, kind in kinds.items() if kind in (RAW, COMPRESSED))
+    images = [name for name in images if not name.endswith("/compressedDepth")]
+    if not images:
+        there = ", ".join(f"{name} ({kind})" for name, kind in sorted(kinds.items()))
+        raise InputError(given, "has no images", f"there is {there}" if there else "it is empty")
+    remedy = f"give one of {', '.join(images)}"
+    if topic is None and len(images) > 1:
+        raise ConfigError(given, f"has {len(images)} topics with images", f"--topic: {remedy}")
+    if topic is not None and topic not in images:
+        if topic not in kinds:
+            raise unknown_name("topic", topic, images)
+        raise InputError(given, f"has {kinds[topic]} on {topic}, no images", remedy)
+    return topic or images[0]
+
+
+# --- messages ---------------------------------------------------------------------------
+
+
+class Message(NamedTuple):
+    """A message: its time stamp in ns, and its content, or why it has none."""
+
+    stamp: int
+    content: Any
+    problem: str
+
+
+def _every_frame(given: str, topic: str) -> Generator[Item]:
+    with _opened(given) as bag:
+        first = None
+        for number, message in enumerate(_messages(given, bag, topic)):
+            first = message.stamp if first is None else first
+            origin = f"{given}:{topic}#{number}"
+            read = partial(_unreadable, origin, message.problem)
+            if message.content is not None:
+                read = partial(image_of, message.content, origin)
+            yield Item(
+                f"{_name(given)}/{number:06d}",
+                origin,
+                read,
+                number=number,
+                seconds=(message.stamp - first) / 1e9,
+                stamp=message.stamp,
+            )
+
+
+def _unreadable(origin: str, problem: str) -> Tensor:
+    raise InputError(origin, f"cannot be read: {problem}", "record it again")
+
+
+def _messages(given: str, bag: "AnyReader", topic: str) -> Generator[Message]:
+    """The messages of a topic in the order of the recording; InputError where it ends early."""
+    links = [link for link in bag.connections if link.topic == topic]
+    waiting = bag.messages(connections=links)
+    count, every = 0, sum(link.msgcount for link in links)
+    problem = ""
+    while True:
+        try:
+            link, time, data = next(waiting)
+        except StopIteration:
+            break
+        except Exception as broken:  # zlib, struct, sqlite, …
+            problem = f", ends early: {reason(broken)}"
+            break
+        count += 1
+        try:
+            content: Any = bag.deserialize(data, link.msgtype)
+            stamp = content.header.stamp
+        except Exception as broken:  # foreign bytes make the deserialiser raise anything
+            yield Message(time, None, reason(broken))
+        else:
+            yield Message(stamp.sec * 10**9 + stamp.nanosec or time, content, "")
+    if problem or count < every:
+        what = f"{count} of {every} frames{problem}"
+        raise InputError(given, what, "what could be read was given")
+
+
+# --- bags -------------------------------------------------------------------------------
+
+
+def _name(given: str) -> str:
+    path = Path(given)
+    return path.name if path.is_dir() else path.stem
+
+
+def _recordings(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.suffix in SUFFIXES[1:])
+
+
+@contextmanager
+def _opened(given: str) -> "Iterator[AnyReader]":
+    """The open bag; InputError for one that rosbags cannot read, ConfigError without rosbags."""
+    path = Path(given)
+    if not path.exists():
+        raise InputError(given, "does not exist", "check the name")
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        what = "cannot be read without the package rosbags"
+        raise ConfigError(given, what, "pip install 'roadtorch[bags]'") from None
+    paths = [path]
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
+        paths = _recordings(path)
+    try:
+        # Bags without definitions are older than ROS 2 Iron; images are the same in all of them.
+        reader = AnyReader(paths, default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader.open()
+    except Exception as problem:  # zlib, struct, sqlite, …
+        what = f"cannot be read as a bag: {reason(problem)}"
+        raise InputError(given, what, f"if its end is missing: {_mending(path)}") from None
+    with closing(reader):
+        yield reader
+
+
+def _mending(path: Path) -> str:
+    """What gives a bag, or the first recording in a folder, its missing end."""
+    files = _recordings(path) if path.is_dir() else [path]
+    commands = {".bag": "rosbag reindex", ".mcap": "mcap recover"}
+    return commands.get(files[0].suffix if files else "", "ros2 bag reindex")

@@ -1,0 +1,210 @@
+"""What the inputs of a command stand for: pictures, and sources that give frame after frame."""
+
+import re
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from itertools import groupby, islice
+from pathlib import Path
+from typing import NamedTuple, TextIO
+
+from torch import Tensor
+
+from roadtorch.errors import ConfigError, InputError
+from roadtorch.inputs.archives import archive_source, is_archive
+from roadtorch.inputs.bags import bag_source, is_bag
+from roadtorch.inputs.files import File, files_at
+from roadtorch.inputs.item import Item, Selection, Source
+from roadtorch.inputs.live import STREAMS, Patience, camera_source, stream_source
+from roadtorch.inputs.pictures import each_once, picture_source, pictures_at
+from roadtorch.inputs.video import (
+    VIDEO_SUFFIXES,
+    count_frames,
+    names_video,
+    video_frames,
+    video_source,
+)
+from roadtorch.io.image import READABLE, read_image
+from roadtorch.io.urls import scheme_of, without_password
+
+CAMERA = re.compile(r"(?:camera:)?(\d+)")
+"""A camera's number; a file of that name goes before ``0``, never before ``camera:0``."""
+
+WHOLE = re.compile(
+    r"https?://[^?#]*\.(mp4|m4v|mov|avi|mkv|webm|mpe?g|wmv|flv)([?#].*)?$", re.IGNORECASE
+)
+"""The address of a video that is read to its end, every frame, not of a stream."""
+
+
+@dataclass(frozen=True)
+class SourceOptions:
+    """What else sources are told, each kind something of its own.
+
+    apart: a folder that is left out where folders are searched, that of the results. patience:
+    with live sources. topic: of the images in bags; None where they have one.
+    """
+
+    apart: Path | None = None
+    patience: Patience = field(default_factory=Patience)
+    topic: str | None = None
+
+
+class Inputs(NamedTuple):
+    """What inputs stand for: pictures that stand alone, and what is looked at frame by frame."""
+
+    pictures: Sequence[Item]
+    sources: Sequence[Source]
+
+
+def find_inputs(
+    inputs: Iterable[str],
+    selection: Selection = Selection(),  # noqa: B008 - it is frozen
+    options: SourceOptions = SourceOptions(),
+    names: TextIO | None = None,
+) -> Inputs:
+    """The pictures and sources that inputs stand for, in their order; a folder may hold both.
+
+    names: what ``-`` reads, standard input where it is None. Raises InputError for a list that
+    cannot be read, for what holds neither, does not exist or cannot be opened.
+    """
+    inputs = list(inputs)
+    pictures: list[Item] = []
+    sources: list[Source] = []
+    for given in named(inputs, sys.stdin if names is None else names):
+        scheme = scheme_of(given)
+        if source := _alone(given, scheme, selection, options):
+            sources.append(source)
+            continue
+        videos = [] if scheme else files_at(given, names_video, options.apart)
+        for video in videos if isinstance(videos, list) else ():
+            name = Path(video.name).with_suffix("").as_posix()
+            sources.append(video_source(Path(video.origin), name, selection))
+        here = pictures_at(given, options.apart)
+        if not here and not videos:
+            raise InputError(given, "holds no pictures", f"give {READABLE} files")
+        pictures += here
+    if inputs and not pictures and not sources:
+        raise InputError(inputs[0], "names nothing", "give names, one a line")
+    return Inputs(each_once(pictures), sources)
+
+
+def _alone(given: str, scheme: str, selection: Selection, options: SourceOptions) -> Source | None:
+    """The source that an input is by itself, whatever it holds; None for all other inputs."""
+    number = camera_number(given)
+    if number is not None:
+        return camera_source(number, selection, options.patience)
+    if WHOLE.match(given):
+        return video_source(given, slug(given), selection)
+    if scheme in STREAMS:
+        return stream_source(given, slug(given), selection, options.patience)
+    if is_bag(given):
+        return bag_source(given, options.topic, selection)
+    if is_archive(given) and not scheme:
+        return archive_source(given, selection)
+    path = Path(given)
+    is_named = path.name.lower().endswith(VIDEO_SUFFIXES) and not scheme
+    if is_named and isinstance(files_at(given, names_video), File):
+        return video_source(path, path.stem, selection)
+    return None
+
+
+def named(inputs: Iterable[str], names: TextIO) -> Iterator[str]:
+    """The inputs, with ``-`` and ``@list.txt`` replaced by the lines that they hold.
+
+    Empty lines are left out. A file named ``-`` or ``@…`` is given as ``./-``.
+    """
+    for given in inputs:
+        lines: Iterable[str] = names
+        if given.startswith("@"):
+            try:
+                text = Path(given[1:]).read_text(encoding="utf-8", errors="surrogateescape")
+            except OSError as problem:
+                what = f"cannot be read: {problem.strerror}"
+                raise InputError(given[1:], what, "give @ and a text file, a name a line") from None
+            lines = text.split("\n")
+        elif given != "-":
+            yield given
+            continue
+        for line in lines:
+            if any(letter < " " for letter in line.strip("\t\r\n")):
+                remedy = "give the file itself, or names, one a line"
+                raise InputError(given, "takes names of files, not their bytes", remedy)
+            if line.strip():
+                yield line.rstrip("\r\n")
+
+
+def camera_number(given: str) -> int | None:
+    """The number of the camera that an input names; None where it names none."""
+    camera = CAMERA.fullmatch(given)
+    if camera is None or (given.isdigit() and Path(given).exists()):
+        return None
+    return int(camera[1])
+
+
+def open_source(given: str, selection: Selection) -> Source:
+    """The one source that an input stands for; pictures are one that does not move.
+
+    Raises InputError for what is not there, ConfigError for an input of several sources.
+    """
+    if is_archive(given):
+        return archive_source(given, selection)
+    pictures, sources = find_inputs([given], selection)
+    if not sources:
+        return picture_source(given, selection)
+    if len(sources) != 1 or pictures:
+        what = f"holds {len(sources)} videos" + " and pictures" * bool(pictures)
+        raise ConfigError(given, what, "give one of them")
+    return sources[0]
+
+
+def slug(url: str) -> str:
+    """A name for the results of an address: what stands between its signs, without a password."""
+    address = re.sub(r"^\w+://|[?#].*", "", without_password(url))
+    return re.sub(r"[^\w.]+", "-", address).strip("-.") or "stream"
+
+
+# --- single frames ----------------------------------------------------------------------
+
+
+class FramePlace(NamedTuple):
+    """Where a frame is: a picture file, or the number of a frame in a video file."""
+
+    path: Path
+    number: int | None
+
+
+def frame_places(inputs: Sequence[str], most: int) -> list[FramePlace]:
+    """At most ``most`` frames of pictures and video files, evenly over all of them, in their order.
+
+    Raises InputError for what does not exist, holds no pictures, or is no video, ConfigError
+    where there are videos and PyAV is missing.
+    """
+    every: list[FramePlace] = []
+    for given in inputs:
+        pictures, sources = find_inputs([given])
+        every += [FramePlace(picture.path, None) for picture in pictures]
+        for source in sources:
+            if (path := source.path) is None:
+                raise InputError(given, "is no footage on disk", "give pictures or video files")
+            every += [FramePlace(path, number) for number in range(count_frames(path))]
+    if len(every) <= most:
+        return every
+    return [every[(2 * place + 1) * len(every) // (2 * most)] for place in range(most)]
+
+
+def read_frames(places: Sequence[FramePlace]) -> Iterator[Tensor]:
+    """The frames as images (3,H,W) in [0,1], one after the other; InputError naming a bad file.
+
+    A video that ends early gives what it has.
+    """
+    for path, group in groupby(places, key=lambda place: place.path):
+        numbers = [place.number for place in group]
+        if numbers[0] is None:
+            yield from (read_image(path) for _ in numbers)
+            continue
+        last = max(number for number in numbers if number is not None)
+        with closing(video_frames(path, path.stem)) as frames:
+            yield from (
+                frame.read() for frame in islice(frames, last + 1) if frame.number in numbers
+            )

@@ -1,0 +1,82 @@
+"""ROS image messages to images: sensor_msgs/Image with its encodings, and CompressedImage."""
+
+from typing import Any
+
+import cv2
+import numpy as np
+from torch import Tensor
+
+from roadtorch.errors import InputError
+from roadtorch.io.bounded import reason
+from roadtorch.io.decoding import check_pixels
+from roadtorch.io.image import decode_image, from_pixels, undecodable
+
+RAW = "sensor_msgs/msg/Image"
+COMPRESSED = "sensor_msgs/msg/CompressedImage"
+
+PLAIN = {  # channels, bits, the places of red, green and blue
+    **{"mono8": (1, 8, (0, 0, 0)), "8UC1": (1, 8, (0, 0, 0)), "mono16": (1, 16, (0, 0, 0))},
+    **{"rgb8": (3, 8, (0, 1, 2)), "bgr8": (3, 8, (2, 1, 0)), "8UC3": (3, 8, (2, 1, 0))},
+    **{"rgba8": (4, 8, (0, 1, 2)), "bgra8": (4, 8, (2, 1, 0)), "8UC4": (4, 8, (2, 1, 0))},
+    **{"rgb16": (3, 16, (0, 1, 2)), "bgr16": (3, 16, (2, 1, 0))},
+}
+"""sensor_msgs/image_encodings.hpp; its fourth channel is padding of cameras and is left out."""
+
+BAYER = {
+    "bayer_rggb": cv2.COLOR_BayerRGGB2RGB,
+    "bayer_bggr": cv2.COLOR_BayerBGGR2RGB,
+    "bayer_gbrg": cv2.COLOR_BayerGBRG2RGB,
+    "bayer_grbg": cv2.COLOR_BayerGRBG2RGB,
+}
+YUV = {
+    **{"yuv422": cv2.COLOR_YUV2RGB_UYVY, "uyvy": cv2.COLOR_YUV2RGB_UYVY},
+    **{"yuv422_yuy2": cv2.COLOR_YUV2RGB_YUYV, "yuyv": cv2.COLOR_YUV2RGB_YUYV},
+}
+
+READ_ENCODINGS = (*PLAIN, *(f"{name}{bits}" for name in BAYER for bits in (8, 16)), *YUV)
+
+
+def image_of(message: Any, origin: str) -> Tensor:
+    """The image float32 (3,H,W) in [0,1], sRGB; 16 bits: 65535 becomes 1.
+
+    message: a deserialised sensor_msgs/Image or CompressedImage. Raises InputError naming
+    ``origin`` for an encoding that is not read, too many pixels, fewer bytes than the message
+    promises, and a compressed picture that cannot be decoded.
+    """
+    if message.__msgtype__ == COMPRESSED:
+        return decode_image(message.data.tobytes(), origin)
+    if message.encoding not in READ_ENCODINGS:
+        what = f"has the encoding {message.encoding!r}, which is not read"
+        raise InputError(origin, what, f"record one of {', '.join(READ_ENCODINGS)}")
+    with undecodable(origin):
+        check_pixels(message.width, message.height)
+    encoding = message.encoding
+    try:
+        if encoding in PLAIN:
+            channels, bits, order = PLAIN[encoding]
+            return from_pixels(_rows(message, channels, bits)[..., order])
+        if encoding in YUV:
+            return from_pixels(cv2.cvtColor(_rows(message, 2, 8), YUV[encoding]))
+        pattern = encoding.rstrip("0123456789")
+        mosaic = _rows(message, 1, int(encoding.removeprefix(pattern)))
+        return from_pixels(cv2.cvtColor(mosaic, BAYER[pattern]))
+    except (ValueError, cv2.error) as problem:
+        raise InputError(origin, f"cannot be read: {reason(problem)}", "record it again") from None
+
+
+def _rows(message: Any, channels: int, bits: int) -> np.ndarray:
+    """The samples (H,W,C) of a message in this machine's byte order, without the rows' padding."""
+    row = message.width * channels * bits // 8
+    step = message.step or row
+    needed = step * (message.height - 1) + row  # the last row may lack its padding
+    if step < row or not message.width or not message.height or len(message.data) < needed:
+        size = f"{message.width} by {message.height} {message.encoding}, {message.step} a row"
+        raise ValueError(f"it has {len(message.data)} bytes for {size}")
+    whole = np.zeros(step * message.height, np.uint8)
+    data = message.data[: len(whole)]
+    whole[: len(data)] = data
+    samples = np.ascontiguousarray(whole.reshape(message.height, step)[:, :row])
+    if bits == 16:
+        order = ">u2" if message.is_bigendian else "<u2"
+        samples = samples.view(order).astype(np.uint16)
+    return samples.reshape(message.height, message.width, channels)

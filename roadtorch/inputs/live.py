@@ -1,0 +1,173 @@
+"""Cameras and streams: the newest frame whenever one is asked for, and connections that break."""
+
+import time
+from collections.abc import Callable, Generator
+from contextlib import closing, suppress
+from functools import partial
+from pathlib import Path
+from queue import Empty, Queue
+from threading import Event, Thread
+
+import cv2
+from pydantic import Field
+from torch import Tensor
+
+from roadtorch.errors import InputError
+from roadtorch.inputs.item import Item, Selection, Source
+from roadtorch.inputs.video import import_av, moving_pictures, reason_of, upright
+from roadtorch.io.decoding import quiet_opencv
+from roadtorch.io.image import from_pixels
+from roadtorch.io.urls import without_password
+from roadtorch.settings import Settings
+
+Connection = Callable[[], Generator[Callable[[], Tensor]]]
+"""Connects, and gives what reads picture after picture; raises InputError when it cannot, or can no
+more."""
+
+Newest = tuple[int, float, int, Callable[[], Tensor]]
+"""Number, clock in seconds, stamp in nanoseconds of a frame, and what reads it."""
+
+STREAMS = ("http", "https", "rtsp", "rtsps", "rtmp", "rtmps", "rtp", "srt", "tcp", "udp", "mms")
+"""Schemes of URLs that are read as video streams."""
+
+GRACE = 5.0  # seconds beyond the time limit, for what FFmpeg does not interrupt (names looked up)
+
+
+class Patience(Settings):
+    """How long a stream may be silent, and how often it is connected to anew."""
+
+    answer: float = Field(default=10, gt=0, description="seconds to wait for an answer or a frame")
+    tries: int = Field(default=5, ge=0, description="connections anew, one after the other")
+    pause: float = Field(default=0.5, ge=0, description="seconds before the first; then doubled")
+
+    @property
+    def longest(self) -> float:
+        """Seconds until all tries are over."""
+        pauses = self.pause * (2**self.tries - 1)
+        return (self.tries + 1) * self.answer + pauses + GRACE
+
+
+def camera_source(number: int, selection: Selection, patience: Patience) -> Source:
+    """The camera of that number (OpenCV's) as a live source."""
+    connect = partial(_camera, number)
+    return live_source(connect, f"camera-{number}", f"camera:{number}", selection, patience)
+
+
+def stream_source(url: str, name: str, selection: Selection, patience: Patience) -> Source:
+    """A stream by its address (RTSP, HTTP, RTMP, UDP, SRT) as a live source."""
+    connect = partial(_stream, url, patience)
+    return live_source(connect, name, without_password(url), selection, patience)
+
+
+def live_source(
+    connect: Connection, name: str, origin: str, selection: Selection, patience: Patience
+) -> Source:
+    """The newest frames of a connection, which is made anew when it breaks."""
+    newest = partial(newest_frames, connect, name, origin, patience)
+    return Source(name, origin, moving=True, items=lambda: selection.of(newest()), live=True)
+
+
+def newest_frames(
+    connect: Connection, name: str, origin: str, patience: Patience
+) -> Generator[Item]:
+    """The newest frame whenever one is asked for; those between are numbered and dropped.
+
+    ``seconds`` are those since the first frame came, ``stamp`` the nanoseconds since 1970 at which
+    a frame came. A thread reads and holds one frame. When the connection breaks it is made anew,
+    as often and as slowly as ``patience`` says. Raises InputError when the first connection is
+    not made, and when a later one is not made in time.
+    """
+    newest: Queue[Newest | InputError] = Queue()
+    stop = Event()
+    reader = Thread(target=_read, args=(newest, stop, connect, patience), daemon=True)
+    reader.start()
+    first: float | None = None
+    try:
+        while True:
+            limit = patience.answer * 2 + GRACE if first is None else patience.longest
+            try:
+                frame = newest.get(timeout=limit)
+            except Empty:
+                what = f"gives no frame within {limit:g} seconds"
+                raise InputError(origin, what, "check the stream") from None
+            if isinstance(frame, InputError):
+                raise frame
+            number, clock, stamp, read = frame
+            first = clock if first is None else first
+            yield Item(
+                f"{name}/{number:06d}",
+                f"{origin}: frame {number}",
+                read,
+                number=number,
+                seconds=clock - first,
+                stamp=stamp,
+            )
+    finally:
+        stop.set()
+        reader.join(GRACE)
+
+
+def _read(
+    newest: "Queue[Newest | InputError]", stop: Event, connect: Connection, patience: Patience
+) -> None:
+    """Keep the newest frame alone in the queue, over connections that break; why at the end."""
+    failures, count = 0, 0
+    while not stop.is_set():
+        try:
+            with closing(connect()) as pictures:
+                for picture in pictures:
+                    with suppress(Empty):
+                        newest.get_nowait()
+                    newest.put((count, time.monotonic(), time.time_ns(), picture))
+                    failures, count = 0, count + 1
+                    if stop.is_set():
+                        return
+        except InputError as problem:
+            last = problem
+        except Exception as problem:  # a thread's error would be seen by nobody
+            last = InputError("stream", f"{type(problem).__name__}: {problem}", "report it")
+        failures += 1
+        if not count or failures > patience.tries:
+            if count:
+                what = f"{last.what}; connected to anew {failures - 1} times in vain"
+                last = InputError(last.where, what, "start it again when the stream is back")
+            return newest.put(last)
+        stop.wait(patience.pause * 2 ** (failures - 1))
+
+
+# --- connections ------------------------------------------------------------------------
+
+
+def _stream(url: str, patience: Patience) -> Generator[Callable[[], Tensor]]:
+    """The pictures of one connection to a stream."""
+    av, origin = import_av(), without_password(url)
+    options = {"rtsp_transport": "tcp", "fflags": "nobuffer"}
+    try:
+        with av.open(url, options=options, timeout=patience.answer) as container:
+            stream = moving_pictures(url, container)
+            for picture in container.decode(stream):
+                yield partial(upright, picture)
+    except (av.FFmpegError, UnicodeError) as problem:
+        what = f"cannot be read: {reason_of(problem)}"
+        if isinstance(problem, av.error.ExitError | TimeoutError):
+            what = f"gives no answer within {patience.answer:g} seconds"
+        raise InputError(origin, what, "check the address and the stream") from None
+    raise InputError(origin, "has ended", "check the stream")
+
+
+def _camera(number: int) -> Generator[Callable[[], Tensor]]:
+    """The pictures of a camera; OpenCV, since PyAV's wheels come without FFmpeg's cameras."""
+    with quiet_opencv():
+        camera = cv2.VideoCapture(number)
+    try:
+        if not camera.isOpened():
+            there = sorted(path.name for path in Path("/dev").glob("video*"))
+            remedy = f"there are {', '.join(there)}" if there else "no camera is connected"
+            raise InputError(f"camera:{number}", "no such camera", remedy)
+        while True:
+            is_read, pixels = camera.read()
+            if not is_read:
+                raise InputError(f"camera:{number}", "gives no more frames", "connect it again")
+            yield partial(from_pixels, pixels[..., ::-1])
+    finally:
+        camera.release()

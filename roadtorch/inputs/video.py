@@ -1,0 +1,254 @@
+"""Video files: their frames in order, upright, with the time stamps that they have."""
+
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, contextmanager, suppress
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from torch import Tensor
+
+from roadtorch.errors import ConfigError, InputError
+from roadtorch.inputs.item import Item, Selection, Source
+from roadtorch.io.decoding import check_pixels, most_megapixels
+from roadtorch.io.image import from_pixels, undecodable
+
+if TYPE_CHECKING:
+    from av.container import InputContainer
+    from av.video.frame import VideoFrame
+    from av.video.stream import VideoStream
+
+VIDEO_SUFFIXES = (
+    *(".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".m2ts", ".mts"),
+    *(".wmv", ".flv", ".3gp", ".ogv"),
+)
+"""Looked for in folders; what FFmpeg reads beside these is found by no name."""
+
+MADE_HERE = (".overlay.mp4", ".mask.mp4", ".likelihood.mp4")  # ours; never videos to look at
+
+SILENCE = 10.0  # seconds within which an address has to answer
+
+SLACK = 0.5
+"""Seconds by which the last frame may end before the length that a container tells: beside sound,
+cameras leave as much."""
+
+
+def names_video(name: str) -> bool:
+    """Whether a file of that name is a video to look at, not one of ours."""
+    name = name.lower()
+    return name.endswith(VIDEO_SUFFIXES) and not name.endswith(MADE_HERE) and name[0] != "."
+
+
+def import_av() -> Any:
+    """PyAV, which reads and writes video; ConfigError naming the extra where it is missing."""
+    try:
+        import av
+    except ImportError:
+        remedy = "pip install 'roadtorch[video]'"
+        raise ConfigError("video", "needs PyAV, which is not installed", remedy) from None
+    return av
+
+
+def video_source(path: Path | str, name: str, selection: Selection) -> Source:
+    """A video file, or the address of one, as a source; what is wrong with it is told on reading.
+
+    path: or the address of a video that FFmpeg reads to its end.
+    """
+    rate = None
+    with suppress(InputError), opened_video(path) as (_, stream):
+        rate = stream.average_rate or stream.guessed_rate
+
+    def frames() -> Iterator[Item]:
+        count, every = 0, video_frames(path, name, selection.start)
+        with closing(selection.of(every)) as chosen:
+            for count, frame in enumerate(chosen, 1):  # noqa: B007
+                yield frame
+        if not count:
+            what = "has no frame" + (f" from {selection.start:g} s on" if selection.start else "")
+            raise InputError(path, what, "give a video that has, or another --start and --end")
+
+    return Source(
+        name=name,
+        origin=str(path),
+        moving=True,
+        items=frames,
+        rate=None if rate is None else float(rate),
+        path=path if isinstance(path, Path) else None,
+    )
+
+
+# --- reading ----------------------------------------------------------------------------
+
+
+@contextmanager
+def opened_video(path: Path | str) -> "Iterator[tuple[InputContainer, VideoStream]]":
+    """The container and its first stream of moving pictures; InputError where there is none."""
+    av = import_av()
+    if isinstance(path, Path) and not path.is_file():
+        raise InputError(path, "does not exist", "check the name")
+    try:
+        container = av.open(f"file:{path}" if isinstance(path, Path) else path, timeout=SILENCE)
+    except (av.FFmpegError, UnicodeError) as problem:
+        what = f"cannot be decoded as video: {reason_of(problem)}"
+        raise InputError(path, what, "give MP4, AVI, MKV, MOV or WebM that plays") from None
+    with container:
+        yield container, moving_pictures(path, container)
+
+
+def moving_pictures(path: Path | str, container: "InputContainer") -> "VideoStream":
+    """The first stream of a container that moves; InputError where there is none."""
+    av = import_av()
+    cover = av.stream.Disposition.attached_pic
+    videos = [stream for stream in container.streams.video if not stream.disposition & cover]
+    if not videos:
+        what = "has sound and no moving pictures" if container.streams.audio else "has no pictures"
+        raise InputError(path, what, "give a video")
+    stream = videos[0]
+    if stream.codec_context is None:
+        raise InputError(path, "is of a codec that FFmpeg cannot decode", "convert it to H.264")
+    with undecodable(path):
+        check_pixels(stream.codec_context.width, stream.codec_context.height)
+    # A frame may be larger than what the header says.
+    stream.codec_context.options = {"max_pixels": f"{most_megapixels() * 1e6:.0f}"}
+    # The same pictures on all cores; but damaged VP8 shows what else was in memory.
+    stream.thread_type = "NONE" if stream.codec_context.name == "vp8" else "AUTO"
+    return stream
+
+
+def reason_of(problem: Exception) -> str:
+    """What FFmpeg says of an error, without the number and the name."""
+    return getattr(problem, "strerror", None) or str(problem)
+
+
+class Clock:
+    """Seconds since a stream began, of its time stamps; where one is missing, by its rate."""
+
+    def __init__(self, stream: "VideoStream") -> None:
+        # In AVI whose ticks are finer than its frames the average is that of ticks.
+        rates = filter(None, (stream.average_rate, stream.base_rate))
+        rate = min(rates, default=stream.guessed_rate)
+        self._base, self._zero = stream.time_base, stream.start_time
+        self.step = float(1 / rate) if rate else 0.0
+        self._last: float | None = None
+
+    def seconds(self, pts: int | None) -> float:
+        """Of one frame after the other."""
+        if pts is None or self._base is None:
+            self._last = 0.0 if self._last is None else self._last + self.step
+        else:
+            self._zero = pts if self._zero is None else self._zero
+            self._last = float((pts - self._zero) * self._base)
+        return self._last
+
+
+class EntryPoint(NamedTuple):
+    """Where decoding begins: packets passed over, number and time stamp of the first frame."""
+
+    packets: int = 0
+    number: int = 0
+    pts: int | None = None
+
+
+def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[Item]:
+    """Every frame from the last key frame at or before ``start`` seconds on, named NAME/NUMBER.
+
+    What lies ahead of that key frame is counted, not decoded, so that a frame has the same number
+    whatever the start. Frames without a time stamp follow at the stream's rate. Raises InputError
+    when it cannot be opened, and behind the last frame when FFmpeg cannot read on, or when that
+    frame ends more than ``SLACK`` before the length that the container tells.
+    """
+    begins = _entry_point(path, start) if start > 0 else EntryPoint()
+    with opened_video(path) as (container, stream):
+        clock, number, end = Clock(stream), begins.number, 0.0
+        try:
+            for picture in _decoded(container, stream, begins):
+                seconds = clock.seconds(picture.pts)
+                lasts = float(picture.duration or 0) * float(picture.time_base or 0)
+                end = max(end, seconds + (lasts or clock.step))
+                origin = f"{path}: frame {number}"
+                read = (
+                    partial(_damaged, origin) if picture.is_corrupt else partial(upright, picture)
+                )
+                frame = f"{name}/{number:06d}"
+                yield Item(frame, origin, read, number=number, seconds=seconds)
+                number += 1
+        except import_av().FFmpegError as problem:
+            what = f"ends after {end:.1f} seconds: {reason_of(problem)}"
+            raise InputError(path, what, "copy it again, or repair it") from None
+        length = declared_seconds(container, stream)
+    if number > begins.number and end + SLACK < length:
+        what = f"ends after {end:.1f} of {length:.1f} seconds"
+        raise InputError(path, what, "what could be read was used; copy it again, or repair it")
+
+
+def declared_seconds(container: "InputContainer", stream: "VideoStream") -> float:
+    """How long the container says that the pictures last; 0 where it does not say."""
+    if stream.duration:
+        return float(stream.duration * (stream.time_base or 0))
+    return (container.duration or 0) / 1e6  # in microseconds
+
+
+def _damaged(origin: str) -> Tensor:
+    raise InputError(origin, "is damaged", "copy the video again, or repair it")
+
+
+def _entry_point(path: Path | str, start: float) -> EntryPoint:
+    """The last key frame at or before ``start`` seconds, found without decoding."""
+    begins, leading = EntryPoint(), 0
+    with opened_video(path) as (container, stream), suppress(import_av().FFmpegError):
+        clock = Clock(stream)
+        for place, packet in enumerate(container.demux(stream)):
+            if packet.pts is None:
+                continue
+            seconds = clock.seconds(packet.pts)
+            if packet.is_keyframe and seconds > start:
+                break
+            if packet.is_keyframe:
+                begins, leading = EntryPoint(place, place, packet.pts), 0
+            elif begins.pts is not None and packet.pts < begins.pts:
+                leading += 1
+    return begins._replace(number=begins.number + leading)
+
+
+def _decoded(
+    container: "InputContainer", stream: "VideoStream", begins: EntryPoint
+) -> "Iterator[VideoFrame]":
+    """The pictures from an entry point on; FFmpegError behind them where one cannot be decoded.
+
+    What is shown before the key frame there is left out: it is made of frames before it.
+    """
+    av, first = import_av(), begins.pts or 0
+    problems: list[Exception] = []
+
+    def decoded(decode: Callable[[], "list[VideoFrame]"]) -> "list[VideoFrame]":
+        try:
+            return [picture for picture in decode() if not (first and (picture.pts or 0) < first)]
+        except av.FFmpegError as problem:
+            problems.append(problem)
+            return []
+
+    try:
+        for packet in islice(container.demux(stream), begins.packets, None):
+            yield from decoded(packet.decode)
+    except av.FFmpegError as problem:
+        problems.insert(0, problem)
+        yield from decoded(partial(stream.codec_context.decode, None))  # what it still holds
+    if problems:
+        raise problems[0]
+
+
+def count_frames(path: Path) -> int:
+    """The frames of a video file, counted without decoding; InputError where it is none."""
+    count = 0
+    with opened_video(path) as (container, stream), suppress(import_av().FFmpegError):
+        for packet in container.demux(stream):
+            count += packet.size > 0
+    return count
+
+
+def upright(picture: "VideoFrame") -> Tensor:
+    """A decoded picture as image (3,H,W) in [0,1], turned as the video's metadata says."""
+    pixels = np.rot90(picture.to_ndarray(format="rgb24"), round(picture.rotation / 90))
+    return from_pixels(pixels)

@@ -1,0 +1,182 @@
+"""index.csv: what is done, with which settings, for which bytes; a row for every item.
+
+Rows are appended as they come, so that a killed run loses none but one that is cut, and are sorted
+at the end.
+"""
+
+import csv
+import hashlib
+import io
+import re
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from time import monotonic
+
+from roadtorch.errors import ExitCode, InputError
+from roadtorch.io.atomic import csv_text, from_cell, unwritable, write_text
+from roadtorch.io.bounded import printable, read_regular
+from roadtorch.version import __version__
+
+INDEX = "index.csv"
+DONE, DOUBTFUL, PARTIAL, FAILED = "done", "doubtful", "partial", "failed"
+"""What the status of a row begins with; after a colon it says why."""
+
+PUBLISH_EVERY = 5.0
+"""Seconds between copies of an index whose folder is behind a URL."""
+
+BAG_LIST = "metadata.yaml"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of index.csv. ``ms`` is the time from reading to the last file written.
+
+    trust: the expected F of the mask, empty where the detector does not say.
+    saved: the kinds of results that were written; method: what they were made with, see
+    ``Method``; sha256: of the bytes of the picture. seconds: of a frame, since its source began.
+    cues: their names, between slashes, which stand in no file's name.
+    """
+
+    file: str
+    width: str = ""
+    height: str = ""
+    ms: str = ""
+    road_share: str = ""
+    trust: str = ""
+    status: str = DONE
+    saved: str = ""
+    method: str = ""
+    sha256: str = ""
+    seconds: str = ""
+    cues: str = ""
+
+    @property
+    def failed(self) -> bool:
+        """Whether there is no result, or, of footage, only a part of it."""
+        return self.status.startswith((FAILED, PARTIAL))
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the result should be looked at before it is used."""
+        return self.status.startswith(DOUBTFUL)
+
+
+COLUMNS = list(Row.__dataclass_fields__)
+
+
+def failed_row(name: str, problem: object) -> Row:
+    """The row of what has no result; its status says why, on one line."""
+    return Row(name, status=f"{FAILED}: {' '.join(str(problem).split())}")
+
+
+@dataclass(frozen=True)
+class Method:
+    """What results are made with: two runs of one method give the same bytes.
+
+    digest: of everything that the results depend on but the picture, see ``method_of``.
+    kinds: what is written.
+    """
+
+    digest: str
+    kinds: tuple[str, ...]
+
+    def made(self, row: Row) -> Row:
+        """The row of a result with what it was made with; failed rows stay as they are."""
+        return row if row.failed else replace(row, saved=" ".join(self.kinds), method=self.digest)
+
+    def covers(self, row: Row | None) -> bool:
+        """Whether a row says that these kinds were made with this method, of whatever bytes."""
+        if row is None or row.failed or row.method != self.digest:
+            return False
+        return set(self.kinds) <= set(row.saved.split())
+
+
+def method_of(kinds: Iterable[str], settings: str, *parts: bytes) -> Method:
+    """The method of settings as TOML, our version, and whatever else decides on the results."""
+    digest = hashlib.sha256()
+    for part in (settings.encode("utf-8", "surrogateescape"), __version__.encode(), *parts):
+        digest.update(hashlib.sha256(part).digest())
+    return Method(digest.hexdigest()[:16], tuple(kinds))
+
+
+def read_index(path: Path) -> dict[str, Row]:
+    """The rows of an index.csv by file, of each its last one; empty when there is none.
+
+    Raises InputError when a file of that name is something else.
+    """
+    if not path.exists():
+        return {}
+    try:
+        text = read_regular(path).decode()
+        whole = io.StringIO(text[: text.rfind("\n") + 1], newline="")  # a killed run may cut a row
+        lines = csv.DictReader(whole)
+        rows = [Row(**{key: from_cell(cell) for key, cell in line.items()}) for line in lines]
+        if any(None in asdict(row).values() for row in rows):
+            raise TypeError("a row is cut short")
+        return {row.file: row for row in rows}
+    except (OSError, UnicodeDecodeError, TypeError, KeyError, csv.Error):
+        raise InputError(path, "is not an index of ours", "give another --out") from None
+
+
+def write_index(path: Path, rows: Iterable[Row]) -> None:
+    """Write rows, sorted by file, as index.csv."""
+    write_text(path, csv_text(COLUMNS, map(asdict, sorted(rows, key=lambda row: row.file))))
+
+
+class Ledger:
+    """The rows of a folder of results while a run adds to them; see ``open_ledger``."""
+
+    def __init__(self, path: Path, publish: Callable[[Path], None]) -> None:
+        self.path, self._publish = path, publish
+        self.rows = read_index(path)
+        self._due = 0.0
+
+    def add(self, row: Row) -> None:
+        """Keep one more row, with the kinds that the same method gave of the same bytes before.
+
+        Raises InputError when it cannot be written.
+        """
+        earlier = self.rows.get(row.file)
+        if earlier and (earlier.method, earlier.sha256) == (row.method, row.sha256):
+            kinds = dict.fromkeys([*earlier.saved.split(), *row.saved.split()])
+            row = replace(row, saved=" ".join(kinds))
+        self.rows[row.file] = row
+        text = csv_text(COLUMNS, [asdict(row)])
+        try:
+            with self.path.open("ab", buffering=0) as file:
+                file.write(printable(text if not file.tell() else text.partition("\n")[2]).encode())
+        except OSError as problem:
+            error = unwritable(self.path, problem)
+            error.exit_code = ExitCode.SOME_FAILED  # what was finished before stays
+            raise error from None
+        if monotonic() > self._due:
+            self._publish(self.path)
+            self._due = monotonic() + PUBLISH_EVERY
+
+    def forget_frames(self, name: str) -> None:
+        """Leave out the rows of a source's frames: it is looked at anew."""
+        own = re.compile(rf"{re.escape(name)}/{FRAME_NUMBER}")
+        for file in [file for file in self.rows if own.fullmatch(file)]:
+            del self.rows[file]
+
+
+FRAME_NUMBER = r"\d{6,}"
+"""What follows ``NAME/`` in the names of a source's frames."""
+
+
+@contextmanager
+def open_ledger(path: Path, publish: Callable[[Path], None] = lambda _: None) -> Iterator[Ledger]:
+    """The ledger in a file, sorted at the end of the block, however that comes.
+
+    publish: is called with the file now and then, and at the end. Raises InputError for a file
+    that is no index, and for one that cannot be written.
+    """
+    ledger = Ledger(path, publish)
+    write_index(path, ledger.rows.values())
+    try:
+        yield ledger
+    finally:
+        write_index(path, ledger.rows.values())
+        publish(path)

@@ -1,0 +1,210 @@
+"""Workers on Ray: actors, on this machine or on a cluster."""
+
+import logging
+import os
+import pickle
+import re
+import signal
+import socket
+import threading
+import warnings
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from tempfile import TemporaryDirectory
+from typing import Any, TypeVar
+
+from roadtorch.errors import ConfigError
+from roadtorch.run.workers import ordered, worked
+from roadtorch.runtime.threads import Threads
+
+Given = TypeVar("Given")
+Result = TypeVar("Result")
+
+PATIENCE = 10.0  # seconds until a cluster has to answer; ours
+STORE = 100 * 2**20  # bytes of a local cluster's object store; rows and weights are small
+
+QUIET = {
+    "RAY_USAGE_STATS_ENABLED": "0",  # nothing is sent anywhere
+    "RAY_BACKEND_LOG_LEVEL": "fatal",
+    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
+}
+
+
+class Actor:
+    """What a worker of a cluster does: it unpickles the task once, and does item after item."""
+
+    def __init__(self, task: bytes, threads: Threads) -> None:
+        threads.set()
+        self._task: Callable[[Any], Any] = pickle.loads(task)
+
+    def work(self, item: bytes) -> bytes:
+        """What the task made of a pickled item, see ``roadtorch.run.workers.worked``."""
+        return worked(self._task, item)
+
+
+class _Worker:
+    def __init__(self, actor: Any) -> None:
+        self.actor, self.answer = actor, None
+
+
+class RayTeam:
+    """Actors with one processor each, and with a GPU each where the device is one."""
+
+    def __init__(self, task: Callable[[Any], Any], device: str, is_cluster: bool) -> None:
+        import ray
+
+        self._ray: Any = ray
+        self._task = pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
+        self._threads = Threads.of_now()
+        # OpenMP and BLAS read it before torch is loaded; Ray itself would say one thread. The
+        # workers of a local cluster have the environment of this process.
+        variables = {"OMP_NUM_THREADS": str(self._threads.torch)}
+        options: dict[str, Any] = {"num_cpus": 1}
+        options |= {"num_gpus": 1} if device.startswith("cuda") else {}
+        options |= {"runtime_env": {"env_vars": variables}} if is_cluster else {}
+        self._kind: Any = ray.remote(**options)(Actor)
+
+    def hire(self) -> _Worker:
+        """Another actor."""
+        return _Worker(self._kind.remote(self._task, self._threads))
+
+    def send(self, worker: _Worker, data: bytes) -> None:
+        """Hand over a pickled item."""
+        worker.answer = worker.actor.work.remote(data)
+
+    def ready(self, busy: Sequence[_Worker], seconds: float | None) -> Sequence[_Worker]:
+        """Those that are done, or dead; without ``seconds`` there is one."""
+        done, _ = self._ray.wait([worker.answer for worker in busy], timeout=seconds)
+        return [worker for worker in busy if worker.answer in done]
+
+    def receive(self, worker: _Worker) -> bytes:
+        """What ``worked`` gave there; EOFError where the actor is dead."""
+        from ray.exceptions import RayError
+
+        try:
+            return self._ray.get(worker.answer)
+        except RayError as problem:
+            raise EOFError(str(problem)) from None
+
+    def dismiss(self, workers: Sequence[_Worker]) -> None:
+        """End them."""
+        for worker in workers:
+            with suppress(Exception):  # it, or the whole cluster, has ended
+                self._ray.kill(worker.actor)
+
+
+class RayWorkers:
+    """Workers of a cluster; see ``ray_workers``."""
+
+    def __init__(self, workers: int, device: str, is_cluster: bool) -> None:
+        self.workers, self.device, self.is_cluster = workers, device, is_cluster
+
+    def map(
+        self,
+        task: Callable[[Given], Result],
+        items: Iterable[Given],
+        died: Callable[[Given], Result],
+    ) -> Generator[Result]:
+        """As ``Workers.map``."""
+        return ordered(RayTeam(task, self.device, self.is_cluster), self.workers, items, died)
+
+
+@contextmanager
+def ray_workers(workers: int, address: str | None, device: str) -> Iterator[RayWorkers]:
+    """So many workers of a cluster, which is left, or ended where it is a local one, at the end.
+
+    address: of the cluster; None for one of this machine. Raises ConfigError where Ray is not
+    installed, or no cluster is at the address.
+    """
+    with (
+        TemporaryDirectory(prefix="rt-", ignore_cleanup_errors=True) as folder,
+        _environment({**QUIET, "OMP_NUM_THREADS": str(Threads.of_now().torch)}),
+    ):
+        ray = _imported()
+        try:
+            with _without_stderr(), _deaf_children():
+                _join(ray, workers, address, folder)
+            yield RayWorkers(workers, device, address is not None)
+        finally:
+            ray.shutdown()
+
+
+@contextmanager
+def _environment(values: Mapping[str, str]) -> Iterator[None]:
+    """What this process, and a local cluster's, find in their environment during the block."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _imported() -> Any:
+    """Ray, told to show no bars, plans and advice; what goes wrong is raised."""
+    try:
+        # It reads deprecated settings of its own when it is imported.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            import ray
+    except ImportError:
+        what, remedy = "Ray is not installed", "pip install 'roadtorch[ray]'"
+        raise ConfigError("--engine ray", what, remedy) from None
+    logging.getLogger("ray").setLevel(logging.CRITICAL)
+    return ray
+
+
+@contextmanager
+def _without_stderr() -> Iterator[None]:
+    """Send what libraries write to file number 2 nowhere: Ray announces its quiet there."""
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
+@contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Processes that are started in the block ignore SIGINT, which a terminal sends to all.
+
+    A cluster that ends at once takes the driver with it, before it has saved what is finished.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _join(ray: Any, workers: int, address: str | None, folder: str) -> None:
+    quiet = {"log_to_driver": False, "logging_level": logging.CRITICAL}
+    if address is None:
+        ray.init(
+            num_cpus=workers,
+            include_dashboard=False,
+            object_store_memory=STORE,
+            _node_ip_address="127.0.0.1",
+            _temp_dir=folder,
+            **quiet,
+        )
+        return
+    try:
+        if at := re.fullmatch(r"(?:ray://)?([\w.-]+):(\d+)", address):
+            # Where nobody listens Ray itself would try for minutes.
+            socket.create_connection((at[1], int(at[2])), timeout=PATIENCE).close()
+        ray.init(address=address, **quiet)
+    except (OSError, ValueError, RuntimeError) as problem:
+        what = f"no Ray cluster answers: {' '.join(str(problem).split())[:200]}"
+        remedy = "start one with 'ray start --head', or leave --address out"
+        raise ConfigError(address, what, remedy) from None

@@ -1,0 +1,95 @@
+"""run.json: what a run was, with which versions, on what, and how it ended."""
+
+import hashlib
+import platform
+import shlex
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import cv2
+import numpy as np
+import torch
+
+from roadtorch.detector import Detector
+from roadtorch.errors import ExitCode, RoadtorchError
+from roadtorch.io.atomic import digest_of, write_json
+from roadtorch.layout.weights import corrected_pictures, tensors_hash
+from roadtorch.run.folder import RUN, ResultFolder
+from roadtorch.run.ledger import INDEX, read_index
+from roadtorch.runtime.signals import Terminated
+from roadtorch.runtime.threads import Threads
+from roadtorch.version import __version__
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """What is known when a run begins.
+
+    files: the pictures of this run, as index.csv names them. options: what else is to be kept of
+    how it was started.
+    """
+
+    folder: ResultFolder
+    detector: Detector
+    files: Sequence[str]
+    options: Mapping[str, object]
+
+    def around(self, run: Callable[[], int]) -> int:
+        """Do the run, which gives the exit code; write run.json, however it ends."""
+        started, status = _now(), ExitCode.SOME_FAILED
+        try:
+            status = run()
+        except KeyboardInterrupt as stop:
+            status = ExitCode.TERMINATED if isinstance(stop, Terminated) else ExitCode.INTERRUPTED
+            raise
+        except RoadtorchError:
+            status = ExitCode.WRONG_USAGE
+            raise
+        finally:
+            path = self.folder.path / RUN
+            write_json(path, self._document(started, status))
+            self.folder.publish(path)
+        return status
+
+    def _document(self, started: str, status: int) -> dict[str, object]:
+        index = self.folder.path / INDEX
+        rows = read_index(index)
+        own = [rows[file] for file in self.files if file in rows]
+        done = sorted((row for row in own if not row.failed), key=lambda row: row.file)
+        inputs = "".join(f"{row.sha256}  {row.file}\n" for row in done)
+        settings = self.detector.settings.model_dump(mode="json")
+        return {
+            "versions": {  # those that results may depend on
+                "roadtorch": __version__,
+                "torch": torch.__version__,
+                "numpy": np.__version__,
+                "opencv": cv2.__version__,
+                "python": platform.python_version(),
+                "platform": platform.platform(),
+            },
+            "command": shlex.join(["roadtorch", *sys.argv[1:]]),
+            "detector": self.detector.name,
+            "settings": settings,
+            "corrected_pictures": corrected_pictures(settings),
+            "weights_sha256": tensors_hash(self.detector.state_dict()),
+            "threads": vars(Threads.of_now()),
+            "options": self.options,
+            "inputs_sha256": hashlib.sha256(inputs.encode()).hexdigest(),
+            "index_sha256": digest_of(index),
+            "started": started,
+            "ended": _now(),
+            "pictures": {
+                "all": len(self.files),
+                "done": len(done),
+                "doubtful": sum(row.doubtful for row in own),
+                "failed": len(own) - len(done),
+                "not_tried": len(self.files) - len(own),
+            },
+            "exit_status": status,
+        }
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds")

@@ -1,0 +1,395 @@
+"""A run of a command into one folder: what is left to do is done, and remembered."""
+
+import sys
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial
+from heapq import nsmallest
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import click
+from torch import Tensor
+
+from roadtorch.errors import ConfigError, InputError, RoadtorchError
+from roadtorch.inputs.item import Item, Source
+from roadtorch.io.atomic import make_folder, remove_leftovers
+from roadtorch.road.steady import Steady, SteadySettings
+from roadtorch.run.folder import ELSEWHERE, Owners, ResultFolder, result_folder
+from roadtorch.run.ledger import (
+    DONE,
+    DOUBTFUL,
+    FAILED,
+    INDEX,
+    PARTIAL,
+    Ledger,
+    Method,
+    Row,
+    failed_row,
+    open_ledger,
+)
+from roadtorch.run.loop import (
+    Detected,
+    Look,
+    Missed,
+    Task,
+    detections,
+    died_over,
+    elapsed,
+    loaded,
+    row_of,
+    until_asked,
+)
+from roadtorch.run.plan import Output, Plan, Writers
+from roadtorch.run.workers import Workers
+from roadtorch.runtime.progress import Progress
+from roadtorch.runtime.signals import Stop, stop_on_signals
+
+LEAST_TRUSTED = 5
+"""Pictures that are named at the end of a run, to be looked at first."""
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How a run goes: redo what is done, no progress on stderr, end at the first failure."""
+
+    overwrite: bool = False
+    quiet: bool = False
+    fail_fast: bool = False
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run into one folder: what it remembers, who works, how it goes."""
+
+    folder: ResultFolder
+    ledger: Ledger
+    workers: Workers
+    options: RunOptions = RunOptions()
+
+    def all(self, plan: Plan, task: Task, of_footage: Method, steady: bool = True) -> int:
+        """Work through what is planned; the exit code.
+
+        task: on pictures; look at frames is its own. of_footage: what sources are made with.
+        """
+        failed = self.pictures(plan.pictures, task)
+        return max(failed, self.footage(plan, replace(task, method=of_footage), steady))
+
+    def pictures(self, items: Sequence[Item], task: Task) -> int:
+        """Work through the pictures that are not done yet; the exit code.
+
+        A picture is done when index.csv says so, of this method and of the bytes that it has now,
+        and its files exist. One that fails becomes a failed row, and the others go on, unless
+        the options say to stop there. At the first SIGINT or SIGTERM what is in hand is finished,
+        and all that is done is kept: KeyboardInterrupt.
+        """
+        if not items:
+            return 0
+        rows, suffixes, redo = self.ledger.rows, task.writer.suffixes, self.options.overwrite
+        self._remove_leftovers(items)
+        done = set() if redo else self._done(items, task.method, suffixes)
+        todo = [item for item in items if item.row_name not in done]
+        known = [] if redo else [item for item in todo if item.row_name in rows]
+        again = sum(is_complete(self.folder, item, suffixes) for item in known)
+        tried: list[Row] = []
+        with stop_on_signals() as stop:
+            made = self.workers.map(task, until_asked(todo, stop), died_over)
+            for row in self._recorded(made, "image", total=len(todo)):
+                tried.append(row)
+                if self.options.fail_fast and row.failed:
+                    break
+            self._refuse_removed(todo[: len(tried)], suffixes)
+            self._remove_leftovers(items)  # of workers that died
+        stop.interrupt()
+        failed = sum(item.row_name in rows and rows[item.row_name].failed for item in items)
+        if not self.options.quiet or failed:
+            made_now = max(len(tried) - failed, 0)
+            others = {"skipped (done before)": len(items) - len(todo), FAILED: failed}
+            others["not tried (--fail-fast)"] = len(todo) - len(tried)
+            self._summarise(f"{made_now} done" + (f" ({again} anew)" if again else ""), others)
+            for line in least_trusted(tried):
+                click.echo(line)
+        return 1 if failed else 0
+
+    def footage(self, plan: Plan, task: Task, steady: bool) -> int:
+        """Work through the sources that are not done yet; the exit code.
+
+        steady: whether the frames of one that moves are steadied. A source is done when index.csv
+        says so, of this method and of the bytes that its file has now, and its files are there;
+        live ones never are. One that fails becomes a failed row, a partial one where some frames
+        were done, and the others go on. When interrupted, what was finished is kept, the videos
+        with what they have.
+        """
+        if not plan.sources:
+            return 0
+        skipped, ended = 0, Counter[str]()
+        for source, output in plan.sources:
+            own = replace(task, method=replace(task.method, kinds=output.kinds))
+            redo = self.options.overwrite
+            if not redo and self._done([source], own.method, output.suffixes):
+                skipped += 1
+                if not source.moving:  # its results are there, and stay
+                    deque(_owned(source, output, plan.owners), maxlen=0)
+                continue
+            if not source.moving:
+                owned = partial(_owned, source, output, plan.owners)
+                source = replace(source, items=owned)
+            row = _SourceRun(self, source, output, own, steady).row()
+            ended[row.status.partition(":")[0]] += 1
+        failed = ended[PARTIAL] + ended[FAILED]
+        if not self.options.quiet or failed:
+            others = {"skipped (done before)": skipped}
+            self._summarise(
+                f"{ended[DONE]} done", others | {x: ended[x] for x in (PARTIAL, FAILED)}
+            )
+        return 1 if failed else 0
+
+    # --- what is there ------------------------------------------------------------------
+
+    def _done(
+        self, items: Sequence[Item] | Sequence[Source], method: Method, suffixes: Sequence[str]
+    ) -> set[str]:
+        """The names of the items that are done, with this method, for the bytes they have now."""
+        rows = self.ledger.rows
+        known = [item for item in items if method.covers(rows.get(item.row_name))]
+        task = _Unchanged(self.folder, suffixes)
+        pairs = [(item, rows[item.row_name]) for item in known]
+        same = (
+            self.workers.map(task, pairs, lambda _: False) if len(pairs) > 1 else map(task, pairs)
+        )
+        return {item.row_name for item, is_same in zip(known, same, strict=True) if is_same}
+
+    def _refuse_removed(self, items: Iterable[Item], suffixes: Sequence[str]) -> None:
+        """Failed rows for pictures whose results were removed while the run went on."""
+        for item in items if not self.folder.url else ():
+            row = self.ledger.rows[item.row_name]
+            if not row.failed and not has_all(self.folder, item, row, suffixes):
+                what = "results were removed while the run went on"
+                row = failed_row(item.row_name, InputError(item.origin, what, "run it again"))
+                self.ledger.add(row)
+                click.echo(f"roadtorch: {row.status}", err=True)
+
+    def _remove_leftovers(self, items: Iterable[Item]) -> None:
+        if not self.folder.url:
+            names = [*(item.name for item in items), *self.ledger.rows]
+            remove_leftovers({(self.folder.path / name).parent for name in names})
+
+    # --- what is told -------------------------------------------------------------------
+
+    def _recorded(self, rows: Any, unit: str, total: int | None) -> Iterator[Row]:
+        """The same rows with what ``Progress`` shows, each failure on a line, all remembered.
+
+        Closing this closes them.
+        """
+        quiet = self.options.quiet
+        with closing(rows), Progress(rows, total=total, unit=unit, quiet=quiet) as bar:
+            for row in bar:
+                if row.failed:
+                    bar.write(f"roadtorch: {row.status}", file=sys.stderr)
+                self.ledger.add(row)
+                yield row
+
+    def _summarise(self, done: str, others: Mapping[str, int]) -> None:
+        """One line on stderr: what was done, and what became of others, where there are some."""
+        parts = [done, *(f"{count} {what}" for what, count in others.items() if count)]
+        click.echo(f"roadtorch: {', '.join(parts)}; results in {self.folder}", err=True)
+
+
+@dataclass(frozen=True)
+class _Unchanged:
+    """Whether a row's files are there, and the bytes of its item still those."""
+
+    folder: ResultFolder
+    suffixes: Sequence[str]
+
+    def __call__(self, pair: tuple[Item | Source, Row]) -> bool:
+        item, row = pair
+        if item.digest is None or not has_all(self.folder, item, row, self.suffixes):
+            return False
+        return row.sha256 == item.digest() != ""
+
+
+def has_all(folder: ResultFolder, item: Item | Source, row: Row, suffixes: Sequence[str]) -> bool:
+    """Whether all files exist, those of the cues that its row names among them."""
+    cues = filter(None, row.cues.split("/"))
+    named = [end.format(cue) for cue in cues for end in suffixes if "{}" in end]
+    return is_complete(folder, item, [*suffixes, *named])
+
+
+def is_complete(folder: ResultFolder, item: Item | Source, suffixes: Iterable[str]) -> bool:
+    """Whether all files exist whose names are known beforehand."""
+    return all(folder.has(item.name + end) for end in suffixes if "{}" not in end)
+
+
+@contextmanager
+def open_run(out: Path, effective: str, workers: Workers, options: RunOptions) -> Iterator[Run]:
+    """A run into a folder of this machine; raises as ``result_folder`` and ``open_ledger``."""
+    with (
+        result_folder(str(out), effective, options.overwrite) as folder,
+        open_ledger(folder.path / INDEX) as ledger,
+    ):
+        yield Run(folder, ledger, workers, options)
+
+
+def _trust(row: Row) -> float:
+    return float(row.trust or "inf")
+
+
+def least_trusted(rows: Iterable[Row]) -> list[str]:
+    """Lines that name the pictures whose masks should be looked at first, the worst on top.
+
+    None where no row has a trust.
+    """
+    judged = sorted((row for row in rows if row.trust), key=_trust)
+    if not judged:
+        return []
+    doubtful = sum(row.doubtful for row in judged)
+    shown = [
+        f"  {row.trust}  {row.file}{row.status.removeprefix(DONE).removeprefix(DOUBTFUL)}"
+        for row in judged[:LEAST_TRUSTED]
+    ]
+    return [f"roadtorch: {doubtful} doubtful of {len(judged)}; least trusted:", *shown]
+
+
+# --- one source ---------------------------------------------------------------------------
+
+
+@dataclass
+class _Count:
+    """What was counted over the frames of one source.
+
+    ms: of the done ones; last: of them; least: those of the least trust.
+    """
+
+    done: int = 0
+    failed: int = 0
+    doubtful: int = 0
+    ms: float = 0.0
+    last: Row = Row("")  # noqa: RUF009 - it is frozen
+    least: list[Row] = field(default_factory=list)
+
+    def add(self, row: Row) -> None:
+        """Count the row of a frame."""
+        self.failed += row.failed
+        if not row.failed:
+            self.last = row
+            self.done += 1
+            self.doubtful += row.doubtful
+            self.ms += float(row.ms)
+            self.least = nsmallest(LEAST_TRUSTED, [*self.least, row], key=_trust)
+
+    def __str__(self) -> str:
+        """In words."""
+        parts = [f"{self.done} frames"]
+        parts += [f"{self.doubtful} doubtful"] if self.doubtful else []
+        parts += [f"{self.failed} failed"] if self.failed else []
+        return ", ".join(parts)
+
+
+@dataclass(frozen=True)
+class _SourceRun:
+    """The run over one source."""
+
+    run: Run
+    source: Source
+    output: Output
+    task: Task
+    steady: bool
+
+    def row(self) -> Row:
+        """Its row, once its frames were looked at as far as possible; the ledger has it."""
+        run, source, count = self.run, self.source, _Count()
+        place = run.folder.path / source.name
+        remove_leftovers([place.parent, place])
+        make_folder(place.parent, ELSEWHERE)
+        run.ledger.forget_frames(source.name)
+        problem: BaseException | None = None
+        try:
+            with stop_on_signals() as stop, self.output.open() as writers:
+                rows = self._moving(writers, stop) if source.moving else self._alone(writers, stop)
+                for row in run._recorded(rows, "frame", total=source.count):
+                    count.add(row)
+            stop.interrupt()
+        except (RoadtorchError, KeyboardInterrupt) as raised:
+            problem = raised
+        row = self.task.method.made(self._row(count, problem))
+        row = row if row.failed else replace(row, sha256=source.digest())
+        run.ledger.add(row)
+        if not run.options.quiet:
+            click.echo(f"roadtorch: {row.file}: {count}", err=True)
+            lines = least_trusted(count.least) if count.doubtful or not source.moving else []
+            for line in lines[1:]:
+                click.echo(line, err=True)
+        if isinstance(problem, KeyboardInterrupt):
+            raise problem
+        if row.failed:
+            click.echo(f"roadtorch: {row.status}", err=True)
+        return row
+
+    def _alone(self, writers: Writers, stop: Stop) -> Iterator[Row]:
+        """The rows of pictures that are together only in their archive."""
+        task = replace(self.task, writer=writers.files)
+        with closing(self.source.items()) as items:  # type: ignore[arg-type]
+            pictures = map(loaded, until_asked(items, stop))
+            yield from self.run.workers.map(task, pictures, died_over)
+
+    def _moving(self, writers: Writers, stop: Stop) -> Iterator[Row]:
+        """The rows of frames, which steady one another and go into the same files."""
+        steady = Steady(SteadySettings()) if self.steady else None
+        run, cues, look = self.run, self.output.cues, self.task.look
+        assert isinstance(look, Look)
+        with closing(detections(self.source, look, run.workers, steady, cues, stop)) as frames:
+            for frame in frames:
+                row = self._written(frame, writers)
+                if frame.item.seconds is not None:
+                    row = replace(row, seconds=f"{frame.item.seconds:.3f}")
+                yield self.task.method.made(row)
+
+    def _written(self, frame: Detected | Missed, writers: Writers) -> Row:
+        """The row of a frame whose results are written, a failed one without its files."""
+        item = frame.item
+        if isinstance(frame, Missed):
+            return failed_row(item.row_name, frame.problem)
+        start, detection = perf_counter(), frame.detection
+        try:
+            changes = writers.files.write(item, detection)
+            row = replace(row_of(item.row_name, detection), **changes)
+        except RoadtorchError as problem:
+            row = failed_row(item.row_name, problem)
+        for writer in writers.streams:
+            writer.write(item, detection)
+        return row if row.failed else replace(row, ms=elapsed(start, frame.ms))
+
+    def _row(self, count: _Count, problem: BaseException | None) -> Row:
+        """The row of the source; to be interrupted is the usual end of a live one."""
+        source, why = self.source, ""
+        if isinstance(problem, RoadtorchError):
+            why = " ".join(str(problem).split())
+        elif problem is not None and not source.live:
+            why = f"{source.origin}: was interrupted (run it again)"
+        elif count.failed:
+            of = f"{count.done} of {count.done + count.failed} frames"
+            why = f"{source.origin}: {of} (see the rows of the others)"
+        status = f"{PARTIAL if count.done else FAILED}: {why}" if why else DONE
+        last = count.last
+        row = Row(source.row_name, last.width, last.height, f"{count.ms:.0f}", status=status)
+        return replace(row, seconds=last.seconds)
+
+
+def _owned(source: Source, output: Output, owners: Owners) -> Iterator[Item]:
+    """The items of a source; one whose results would be another's fails, as SOURCE!NAME.png."""
+
+    def refuse(problem: ConfigError) -> Tensor:
+        raise problem
+
+    with closing(source.items()) as items:  # type: ignore[arg-type]
+        for item in items:
+            try:
+                owners.take(item.name, output.of_frames, item.origin)
+            except ConfigError as problem:
+                name = f"{Path(source.origin).name}!{item.name}{Path(item.origin).suffix}"
+                item = replace(item, name=name, read=partial(refuse, problem))
+            yield item

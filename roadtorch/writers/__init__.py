@@ -1,0 +1,1 @@
+"""Where detections go: maps, videos, GIFs, bags, grids of the ground, labels, outlines."""

@@ -1,0 +1,129 @@
+"""Videos, bags and archives: one of ours that was tampered with, and its reader."""
+
+import io
+import tempfile
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from roadtorch.errors import InputError
+from roadtorch.inputs.archives import archive_source
+from roadtorch.inputs.bags import bag_source
+from roadtorch.inputs.item import Selection, Source
+from roadtorch.inputs.video import video_source
+from tests.fuzz.pictures import scene
+from tests.fuzz.tampered import Draw, one_of, tampered, written
+from tests.inputs.bags import FIRST, ROS1, ROS2, STEP, raw_image, write_bag
+from tests.inputs.test_archives import write_archive
+from tests.videos import write_video
+
+CODECS = {
+    **{".mp4": "libx264", ".mov": "mpeg4", ".avi": "mjpeg", ".mkv": "libx264"},
+    **{".webm": "libvpx", ".m4v": "mpeg4"},
+}
+ARCHIVES = (".zip", ".tar", ".tar.gz", ".tar.xz")
+SCENES = 3
+
+
+def makes_sense(source: Source, is_right: Callable[[np.ndarray], bool]) -> bool:
+    """Whether each frame is right that can be read, and the others are refused by their names.
+
+    is_right: of the pixels (H,W,3) of a frame, 0 to 255.
+    """
+    for frame in source.items():
+        try:
+            pixels = frame.read().mul(255).round().permute(1, 2, 0).numpy()
+        except InputError as problem:
+            if problem.where != frame.origin:
+                return False
+        else:
+            if not is_right(pixels):
+                return False
+    return True
+
+
+def shows_a_scene(pixels: np.ndarray, share: float = 1.0) -> bool:
+    """Whether that share of the values, at least, is that of a scene which was put in."""
+    scenes = [np.asarray(scene(seed)) for seed in range(SCENES)]
+    return any(
+        pixels.shape == other.shape and bool((pixels == other).mean() >= share) for other in scenes
+    )
+
+
+@cache
+def video(suffix: str) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        seconds = [number / 10 for number in range(12)]
+        path = Path(folder, f"a{suffix}")
+        return write_video(path, seconds, codec=CODECS[suffix], ticks=10).read_bytes()
+
+
+def make_video(draw: Draw, folder: Path) -> Path:
+    suffix = one_of(draw, *CODECS)
+    return written(folder / f"drive{suffix}", tampered(draw, video(suffix)))
+
+
+def read_video(path: Path) -> bool:
+    return makes_sense(video_source(path, "drive", Selection()), lambda pixels: pixels.ndim == 3)
+
+
+@cache
+def bag(form: str) -> Mapping[str, bytes]:
+    """The files of a bag by name."""
+    with tempfile.TemporaryDirectory() as folder:
+        store = ROS1 if form == "bag" else ROS2
+        images = [
+            raw_image(store, np.asarray(scene(number)), "rgb8", FIRST + STEP * number)
+            for number in range(SCENES)
+        ]
+        name = "drive.bag" if form == "bag" else "drive"
+        path = write_bag(Path(folder, name), {"/i": images}, form)
+        files = [path] if form == "bag" else sorted(path.iterdir())
+        return {file.name: file.read_bytes() for file in files}
+
+
+def make_bag(draw: Draw, folder: Path) -> Path:
+    """A file, or a folder of files of which one is tampered with."""
+    form = one_of(draw, "bag", "sqlite3", "mcap")
+    files = bag(form)
+    path = folder if form == "bag" else folder / "drive"
+    path.mkdir(exist_ok=True)
+    spoiled = one_of(draw, *files)
+    for name, data in files.items():
+        written(path / name, tampered(draw, data) if name == spoiled else data)
+    return path / "drive.bag" if form == "bag" else path
+
+
+def read_bag(path: Path) -> bool:
+    """But for the bytes that were changed: without compression bags have no checksum."""
+    return makes_sense(bag_source(str(path)), lambda pixels: shows_a_scene(pixels, 0.99))
+
+
+@cache
+def archive(suffix: str) -> bytes:
+    members = {}
+    for number in range(SCENES):
+        member = io.BytesIO()
+        scene(number).save(member, "PNG")
+        members[f"{number}.png"] = member.getvalue()
+    with tempfile.TemporaryDirectory() as folder:
+        return write_archive(Path(folder, f"many{suffix}"), members).read_bytes()
+
+
+def make_archive(draw: Draw, folder: Path) -> Path:
+    suffix = one_of(draw, *ARCHIVES)
+    return written(folder / f"many{suffix}", tampered(draw, archive(suffix)))
+
+
+def read_archive(path: Path) -> bool:
+    return makes_sense(archive_source(str(path)), shows_a_scene)
+
+
+FOOTAGE = {
+    "videos": (make_video, read_video),
+    "bags": (make_bag, read_bag),
+    "archives": (make_archive, read_archive),
+}
+"""Kinds whose names vary: what makes one, and what reads it."""

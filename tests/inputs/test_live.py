@@ -1,0 +1,164 @@
+"""Streams over the loopback that break off, fall silent or never answer; no camera."""
+
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Event, Thread
+
+import pytest
+
+from roadtorch.errors import InputError
+from roadtorch.inputs import live
+from roadtorch.inputs.item import Item, Selection
+from roadtorch.inputs.live import Patience, camera_source, newest_frames, stream_source
+from tests.videos import write_video
+
+QUICK = Patience(answer=2.0, tries=2, pause=0.05)
+
+
+class Server(ThreadingHTTPServer):
+    """Sends MPEG-TS to every connection, up to ``good`` of them, and then breaks each off."""
+
+    daemon_threads = False  # closing waits for them
+    connections = 0
+
+    def __init__(self, data: bytes, good: int) -> None:
+        super().__init__(("127.0.0.1", 0), Handler)
+        self.data, self.good = data, good
+        self.url = f"http://127.0.0.1:{self.server_port}/live"
+
+    def handle_error(self, *_: object) -> None:
+        """Whoever hangs up is no error."""
+
+
+class Handler(BaseHTTPRequestHandler):
+    server: Server  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def do_GET(self) -> None:
+        self.server.connections += 1
+        if self.server.connections > self.server.good:
+            self.send_error(503)
+            return
+        self.send_response(200)
+        self.send_header("Content-Type", "video/mp2t")
+        self.end_headers()
+        self.wfile.write(self.server.data)
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@contextmanager
+def serving(data: bytes, good: int) -> Iterator[Server]:
+    """FFmpeg's own sockets are not those that the tests are kept from; the loopback is enough."""
+    with Server(data, good) as server:
+        thread = Thread(target=partial(server.serve_forever, 0.01))
+        thread.start()
+        try:
+            yield server
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+@pytest.fixture
+def stream(tmp_path: Path) -> bytes:
+    """A second of MPEG-TS, cut in the middle of a packet."""
+    path = write_video(tmp_path / "live.ts", [n / 20 for n in range(40)], options={"g": "5"})
+    return path.read_bytes()[:-1000]
+
+
+def test_a_stream_that_breaks_off_is_connected_to_anew(stream: bytes) -> None:
+    numbers, seconds = [], []
+
+    def look(frames: Iterator[Item]) -> None:
+        for frame in frames:
+            numbers.append(frame.number)
+            seconds.append(frame.seconds)
+            assert frame.read().shape == (3, 48, 64)
+            time.sleep(0.02)
+
+    with serving(stream, good=3) as server:
+        frames = stream_source(server.url, "live", Selection(), QUICK).items()
+        with pytest.raises(InputError, match="connected to anew 2 times in vain") as caught:
+            look(frames)
+
+        assert server.connections == 5  # three good ones, and two tries after the last
+    assert caught.value.where == server.url
+    assert numbers == sorted(set(numbers))
+    assert numbers[-1] + 1 > len(numbers)  # some went by while others were looked at
+    assert seconds[0] == 0
+    assert seconds == sorted(seconds)
+
+
+def test_a_limit_closes_the_connection(stream: bytes) -> None:
+    with serving(stream, good=9) as server:
+        frames = stream_source(server.url, "live", Selection(limit=2), QUICK).items()
+
+        assert [frame.name[:5] for frame in frames] == ["live/", "live/"]
+
+
+def test_a_stream_that_never_answers_is_given_up_in_time() -> None:
+    with closing(socket.create_server(("127.0.0.1", 0))) as silent:
+        url = f"http://127.0.0.1:{silent.getsockname()[1]}/live"
+        start = time.monotonic()
+        patience = Patience(answer=0.5)
+
+        with pytest.raises(InputError, match=r"gives no answer within 0.5 seconds"):
+            next(stream_source(url, "live", Selection(), patience).items())
+
+    assert time.monotonic() - start < 3
+
+
+@pytest.mark.parametrize("scheme", ["http", "rtsp"])
+def test_nobody_there_is_told_at_once(scheme: str) -> None:
+    with closing(socket.create_server(("127.0.0.1", 0))) as server:
+        port = server.getsockname()[1]
+    url = f"{scheme}://user:secret@127.0.0.1:{port}/live"
+
+    with pytest.raises(InputError, match="cannot be read: Connection refused") as caught:
+        next(stream_source(url, "live", Selection(), QUICK).items())
+
+    assert "secret" not in str(caught.value)
+
+
+def test_no_such_camera(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(InputError, match="camera:63: no such camera"):
+        next(camera_source(63, Selection(), QUICK).items())
+
+    assert capfd.readouterr().err == ""
+
+
+def test_only_the_newest_frame_is_held(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "GRACE", 0.25)
+    looked, end = Event(), Event()
+
+    def connect() -> Iterator[None]:
+        yield None
+        looked.wait(9)
+        yield from (None, None, None)
+        end.wait(9)
+        raise InputError("x", "has ended", "check the stream")
+
+    frames = newest_frames(connect, "x", "x", Patience(answer=0.25, tries=0, pause=0))  # pyright: ignore
+
+    assert next(frames).number == 0
+    looked.set()
+    time.sleep(0.1)
+    assert next(frames).number == 3
+    with pytest.raises(InputError, match=r"x: gives no frame within 0.5 seconds"):
+        next(frames)
+    end.set()
+
+
+def test_an_unforeseen_error_in_the_thread_is_raised() -> None:
+    def connect() -> Iterator[None]:
+        raise ZeroDivisionError("oh")
+        yield
+
+    with pytest.raises(InputError, match=r"ZeroDivisionError: oh \(report it\)"):
+        next(newest_frames(connect, "x", "x", QUICK))  # pyright: ignore[reportArgumentType]

@@ -1,0 +1,101 @@
+"""Finding pictures: files, folders, globs."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from roadtorch.errors import InputError
+from roadtorch.inputs.item import Item
+from roadtorch.inputs.pictures import find_pictures, label_and_picture, picture_item
+from roadtorch.io.image import write_colours, write_mask
+
+
+@pytest.fixture
+def footage(tmp_path: Path) -> Path:
+    root = tmp_path / "footage"
+    for name in ("b.jpg", "a.PNG", "sub/c.webp", "sub/deep/d.tif", ".hidden/e.jpg", "notes.txt"):
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    return root
+
+
+def names(pictures: list[Item]) -> list[str]:
+    return [picture.name for picture in pictures]
+
+
+@pytest.mark.parametrize(
+    ("ends", "expected"),
+    [
+        ([""], ["a", "b", "sub/c", "sub/deep/d"]),
+        (["*.jpg"], ["b"]),
+        (["**/*.*"], ["a", "b", "sub/c", "sub/deep/d"]),
+        (["s*"], ["sub/c", "sub/deep/d"]),
+        (["b.jpg", "b.jpg"], ["b"]),
+        (["b.jpg", "none.jpg"], ["b", "none"]),  # reading that one fails
+    ],
+)
+def test_folders_globs_and_files(footage: Path, ends: list[str], expected: list[str]) -> None:
+    assert names(find_pictures([f"{footage}/{end}" for end in ends])) == expected
+
+
+def test_a_name_with_brackets_that_exists_is_no_glob(footage: Path) -> None:
+    path = footage / "x[1].jpg"
+    path.touch()
+
+    assert find_pictures([path]) == [picture_item(path, "x[1]")]
+
+
+def test_own_results_and_the_output_folder_are_not_looked_at(footage: Path) -> None:
+    for name in ("b.mask.png", "b.overlay.jpg", "b.likelihood.png", "b.cue.layout.png"):
+        (footage / name).touch()
+
+    assert names(find_pictures([footage], apart=footage / "sub")) == ["a", "b"]
+    assert names(find_pictures([footage / "b.mask.png"])) == ["b.mask"]  # asked for by name
+
+
+@pytest.mark.parametrize(
+    ("other", "label", "is_one"),
+    [
+        ("images/a.jpg", "masks/a.png", True),
+        ("a.png", "a_mask.png", True),
+        ("images/a.jpg", "more/b.png", False),
+        ("images/a.jpg", "a.webp", False),
+    ],
+)
+def test_a_label_beside_its_picture_is_seen(
+    tmp_path: Path, other: str, label: str, is_one: bool
+) -> None:
+    for name in (other, label):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+    write_colours(tmp_path / other, torch.rand(3, 16, 16))
+    write_mask(tmp_path / label, torch.rand(16, 16) > 0.5)
+
+    found = label_and_picture(find_pictures([tmp_path]))
+
+    wanted = (tmp_path / label, tmp_path / other)
+    assert (found and tuple(one.path for one in found)) == (wanted if is_one else None)
+
+
+def test_nothing_found_is_an_error_that_names_the_input(footage: Path) -> None:
+    (footage / "bare").mkdir()
+
+    for item, what in [
+        (footage / "bare", "holds no pictures"),
+        (footage / "*.gif", "holds no pictures"),
+        (footage / "none.jpg", "does not exist"),
+    ]:
+        with pytest.raises(InputError) as caught:
+            find_pictures([item])
+        assert (caught.value.where, caught.value.what) == (str(item), what)
+
+
+def test_links_to_themselves_are_files_like_others(footage: Path) -> None:
+    (footage / "loop.png").symlink_to(footage / "loop.png")
+    (footage / "sub" / "around").symlink_to(footage / "sub" / "around")
+    (footage / "sub" / "up").symlink_to(footage)
+
+    assert names(find_pictures([footage], apart=footage / "loop.png")) == [
+        *("a", "b", "loop", "sub/c", "sub/deep/d")
+    ]

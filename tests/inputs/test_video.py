@@ -1,0 +1,268 @@
+import re
+import struct
+from contextlib import suppress
+from itertools import islice
+from pathlib import Path
+
+import av
+import pytest
+import torch
+from av.error import FFmpegError
+
+from roadtorch.errors import ConfigError, InputError
+from roadtorch.inputs import video
+from roadtorch.inputs.item import Item, Selection
+from roadtorch.inputs.video import count_frames, video_frames, video_source
+from roadtorch.io.decoding import MEGAPIXELS_VARIABLE
+from tests.videos import street_pixels, write_sound, write_video
+
+FORTY = [n / 10 for n in range(40)]  # seconds of frames
+
+
+def chosen(path: Path, **selection: float) -> list[Item]:
+    return list(video_source(path, "drive", Selection(**selection)).items())  # pyright: ignore
+
+
+def read_until_problem(path: Path) -> tuple[list[bool], str]:
+    """Of each frame whether it can be read, and why there are no more; empty where that is all."""
+    frames: list[bool] = []
+    try:
+        for frame in video_frames(path, "drive"):
+            frames.append(False)
+            with suppress(InputError):
+                frames[-1] = frame.read() is not None
+    except InputError as problem:
+        return frames, problem.what if problem.where == str(path) else str(problem)
+    return frames, ""
+
+
+def test_frames_have_names_numbers_and_seconds(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "drive.mp4")
+
+    frames = chosen(path)
+
+    assert [frame.number for frame in frames] == list(range(12))
+    assert frames[3].name == "drive/000003"
+    assert [frame.seconds for frame in frames] == pytest.approx([n / 10 for n in range(12)])
+    assert count_frames(path) == 12
+    image = frames[4].read()
+    assert image.shape == (3, 48, 64)
+    true = torch.from_numpy(street_pixels(1)).permute(2, 0, 1) / 255
+    assert (image - true).abs().mean() < 0.03
+
+
+def test_a_variable_rate_keeps_its_time_stamps(tmp_path: Path) -> None:
+    seconds = [0, 0.04, 0.3, 0.31, 1.0, 2.5]
+
+    frames = chosen(write_video(tmp_path / "drive.mkv", seconds))
+
+    assert [frame.seconds for frame in frames] == pytest.approx(seconds)
+
+
+@pytest.mark.parametrize("open_gop", ["0", "1"])
+def test_a_frame_has_the_same_number_and_pixels_whatever_the_start(
+    open_gop: str, tmp_path: Path
+) -> None:
+    options = {"g": "7", "bf": "2", "x264-params": f"open-gop={open_gop}:scenecut=0"}
+    path = write_video(tmp_path / "drive.mkv", FORTY, options=options)
+    every = {frame.number: frame for frame in chosen(path)}
+    some = chosen(path, every=4, start=1.0, end=2.5, limit=3)
+    assert [frame.number for frame in some] == [10, 14, 18]
+
+    for start in (0.05, 0.7, 1.95, 3.9):
+        late = chosen(path, start=start, limit=3)
+        assert late[0].number == next(n for n in every if n / 10 >= start - 1e-9)
+        for frame in late:
+            assert frame.seconds == every[frame.number].seconds
+            assert torch.equal(frame.read(), every[frame.number].read())
+
+
+def test_what_lies_ahead_of_the_start_is_not_decoded(tmp_path: Path) -> None:
+    options = {"g": "10", "x264-params": "scenecut=0"}
+    path = write_video(tmp_path / "drive.mp4", FORTY, options=options)
+    frames = video_frames(path, "drive", start=2.5)
+
+    assert next(frames).number == 20
+    frames.close()
+
+
+def test_rotation_is_applied(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "drive.mp4")
+    data = bytearray(path.read_bytes())
+    matrix = data.index(b"tkhd") + 4 + 40  # ISO/IEC 14496-12, 8.3.2: version 0
+    assert struct.unpack(">9i", data[matrix : matrix + 36])[0] == 65536
+    upright = chosen(path)[0].read()
+    turned = struct.pack(">9i", 0, 65536, 0, -65536, 0, 0, 0, 0, 1 << 30)  # 90° clockwise
+    data[matrix : matrix + 36] = turned
+    path.write_bytes(data)
+
+    image = chosen(path)[0].read()
+
+    assert torch.equal(image, torch.rot90(upright, -1, (1, 2)))
+
+
+# --- what is wrong ----------------------------------------------------------------------
+
+
+CODECS = [
+    (".mp4", "libx264"),
+    (".mkv", "libx264"),
+    (".webm", "libvpx"),
+    (".avi", "mjpeg"),
+    (".avi", "mpeg4"),
+    (".mp4", "mpeg4"),
+]
+
+
+@pytest.mark.parametrize(("suffix", "codec"), CODECS)
+def test_a_cut_video_gives_what_can_be_read_and_then_says_so(
+    suffix: str, codec: str, tmp_path: Path
+) -> None:
+    path = write_video(tmp_path / f"drive{suffix}", FORTY, codec=codec, ticks=10)
+    assert read_until_problem(path) == ([True] * 40, "")
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 6 // 10])
+
+    frames, problem = read_until_problem(path)
+
+    assert 5 < sum(frames) < 40
+    assert re.match(r"ends after \d\.\d (of \d\.\d seconds|seconds: Invalid data)", problem)
+    assert len(list(islice(video_frames(path, "drive"), 5))) == 5  # who stops before is not told
+
+
+@pytest.mark.parametrize(
+    ("suffix", "codec", "is_told"), [(".mp4", "libx264", True), (".avi", "mpeg4", False)]
+)
+def test_damage_in_the_middle_fails_its_frames_or_is_told_behind_the_last_one(
+    suffix: str, codec: str, is_told: bool, tmp_path: Path
+) -> None:
+    path = write_video(tmp_path / f"drive{suffix}", FORTY, codec=codec, ticks=10)
+    data = bytearray(path.read_bytes())
+    place = slice(len(data) * 45 // 100, len(data) * 55 // 100)
+    data[place] = bytes(len(data[place]))
+    path.write_bytes(data)
+
+    frames, problem = read_until_problem(path)
+
+    assert len(frames) > 20
+    assert problem.startswith("ends after 4.0 seconds: ") if is_told else not all(frames)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "codec", "options"),
+    [
+        (".mp4", "libx264", {"bf": "3", "g": "12", "x264-params": "open-gop=1"}),
+        (".ts", "libx264", {"x264-params": "interlaced=1"}),
+        (".webm", "libvpx", {"auto-alt-ref": "1", "lag-in-frames": "16"}),
+        (".avi", "mpeg4", {"bf": "2"}),
+        (".avi", "mjpeg", {}),
+        (".mkv", "libx264", {}),
+        (".mov", "libx264", {}),
+    ],
+)
+def test_nothing_is_missing_in_a_whole_video(
+    suffix: str, codec: str, options: dict[str, str], tmp_path: Path
+) -> None:
+    path = write_video(tmp_path / f"a{suffix}", FORTY, codec=codec, options=options, ticks=10)
+
+    seconds = [frame.seconds or 0.0 for frame in chosen(path)]
+
+    assert [at - seconds[0] for at in seconds] == pytest.approx(FORTY, abs=0.02)
+    assert len(list(video_frames(path, "a", 2.0))) <= 40
+
+
+def test_what_says_nothing_of_its_length_or_holds_its_last_frame_is_whole(tmp_path: Path) -> None:
+    live = write_video(tmp_path / "a.webm", codec="libvpx", live=True)
+    paused = write_video(tmp_path / "b.avi", [*FORTY[:20], 3.9], codec="mjpeg", ticks=10)
+
+    assert read_until_problem(live) == ([True] * 12, "")
+    assert read_until_problem(paused) == ([True] * 21, "")
+
+
+@pytest.mark.parametrize(("missing", "is_told"), [(4, False), (7, True)])
+def test_half_a_second_may_be_missing_at_the_end(
+    missing: int, is_told: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_video(tmp_path / "drive.mp4", FORTY)
+    monkeypatch.setattr(video, "declared_seconds", lambda *_: 4.0 + missing / 10)
+
+    problem = read_until_problem(path)[1]
+
+    assert problem == (f"ends after 4.0 of {4 + missing / 10:.1f} seconds" if is_told else "")
+
+
+def test_damaged_vp8_shows_the_same_on_any_number_of_threads(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "a.webm", codec="libvpx")
+    data = path.read_bytes()
+
+    for at in range(2618, 2630):
+        path.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
+        with av.open(str(path)) as container:
+            container.streams.video[0].thread_type = "NONE"
+            alone = []
+            for packet in container.demux(video=0):
+                with suppress(FFmpegError):
+                    alone += [video.upright(picture) for picture in packet.decode()]
+        read = []
+        with suppress(InputError):  # behind the last frame
+            for frame in video_frames(path, "a"):
+                with suppress(InputError):
+                    read.append(frame.read())
+        assert all(torch.equal(*pair) for pair in zip(read, alone, strict=True))
+
+
+def test_a_video_of_more_pixels_than_allowed_is_refused_before_decoding(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_video(tmp_path / "drive.mp4")
+    monkeypatch.setenv(MEGAPIXELS_VARIABLE, "0.003")
+
+    with pytest.raises(InputError, match=r"drive\.mp4: has 64 by 48 pixels, more than 0\.003 mega"):
+        next(video_frames(path, "drive"))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "what"),
+    [
+        ("text.mp4", b"no video", "cannot be decoded as video: "),
+        ("empty.mp4", b"", "cannot be decoded as video: "),
+        ("missing.mp4", None, "does not exist"),
+        ("song.mp4", "sound", "has sound and no moving pictures"),
+        ("codec.avi", "codec", "is of a codec that FFmpeg cannot decode"),
+        ("late.avi", "late", "has no frame from 20 s on"),
+    ],
+)
+def test_what_has_no_pictures_to_give(
+    name: str, content: bytes | str | None, what: str, tmp_path: Path
+) -> None:
+    path = tmp_path / name
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    elif content == "sound":
+        write_sound(path)
+    elif content is not None:
+        write_video(path, codec="mjpeg")
+    if content == "codec":
+        path.write_bytes(path.read_bytes().replace(b"MJPG", b"ZZZZ"))
+
+    with pytest.raises(InputError) as caught:
+        chosen(path, start=20.0 * (content == "late"))
+
+    assert caught.value.where == str(path)
+    assert caught.value.what.startswith(what)
+
+
+def test_without_pyav_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = write_video(tmp_path / "drive.mp4")
+    monkeypatch.setitem(__import__("sys").modules, "av", None)
+
+    with pytest.raises(ConfigError, match=r"pip install 'roadtorch\[video\]'"):
+        video.count_frames(path)
+
+
+def test_a_name_in_any_encoding(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "drive.mp4")
+    other = tmp_path / b"dr\xffve: 1.mp4".decode("utf-8", "surrogateescape")
+    path.rename(other)
+
+    assert len(chosen(other)) == 12

@@ -1,0 +1,96 @@
+"""roadtorch infer on bags: a bag comes out, read back by rosbags."""
+
+import shutil
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.inputs.bags import bag_source
+from tests.command import ROWS, Call, files_in, rows_of
+from tests.inputs.bags import FIRST, STEP, write_drive
+from tests.videos import street_pixels, write_video
+from tests.writers.test_bags import read_bag
+
+GREY = ("--detector", "grey-uniformity")
+TOPICS = {f"/segmentation/{name}" for name in ("mask", "confidence", "overlay", "label_info")}
+
+
+@pytest.fixture(params=["bag", "mcap"])
+def drive(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """A bag of four streets."""
+    return write_drive(tmp_path, request.param, [street_pixels(n) for n in range(4)], 60.0)
+
+
+@pytest.fixture
+def run(call: Call, drive: Path, out: Path) -> Call:
+    """``infer`` on it with the quickest detector, into ``out``."""
+    return partial(call, "infer", drive, *ROWS, "--out", out)
+
+
+def result_of(drive: Path, out: Path) -> Path:
+    return out / ("drive.road.bag" if drive.suffix else "drive.road")
+
+
+def test_a_bag_gives_a_bag_and_an_overlay_video(call: Call, drive: Path, out: Path) -> None:
+    result = call("infer", drive, *GREY, "--set", "threshold=0.4", "--out", out, "--no-steady")
+
+    assert result.exit_code == 0, result.stderr
+    found = list(read_bag(result_of(drive, out)))
+    assert {one.topic for one in found} == TOPICS
+    masks = [one for one in found if one.topic == "/segmentation/mask"]
+    assert [one.stamp for one in masks] == [FIRST + STEP * number + 7 for number in range(4)]
+    assert {one.message.header.frame_id for one in masks} == {"camera_optical"}
+    detector = load_detector("grey-uniformity", threshold=0.4)
+    for frame, one in zip(bag_source(str(drive)).items(), masks, strict=True):
+        mask = detector.detect(frame.read()).mask.numpy()
+        assert np.array_equal(one.message.data.reshape(mask.shape), mask)
+    labels = next(one.message for one in found if one.topic == "/segmentation/label_info")
+    assert labels.threshold == pytest.approx(0.4)
+    assert (out / "drive.overlay.mp4").is_file()
+    assert rows_of(out)["drive/000002"]["saved"] == "overlay bag"
+
+
+def test_what_is_done_is_skipped_until_the_bag_changes(run: Call, drive: Path, out: Path) -> None:
+    run()
+
+    again = run()
+    touched = drive / "note.txt" if drive.is_dir() else drive
+    with touched.open("ab") as file:
+        file.write(b" ")
+    anew = run()
+
+    assert "1 skipped (done before)" in again.stderr
+    assert "(done before)" not in anew.stderr
+    shutil.rmtree(result_of(drive, out), ignore_errors=True)
+    result_of(drive, out).unlink(missing_ok=True)
+    assert "(done before)" not in run().stderr
+    assert result_of(drive, out).exists()
+
+
+def test_a_bag_is_replaced_by_one_of_other_frames(run: Call, drive: Path, out: Path) -> None:
+    run("--save", "bag")
+
+    result = run("--save", "bag", "--every", "2")
+
+    assert result.exit_code == 0, result.stderr
+    found = [one.stamp for one in read_bag(result_of(drive, out)) if one.topic.endswith("/mask")]
+    assert found == [FIRST + 7, FIRST + 2 * STEP + 7]
+    assert {name.partition("/")[0] for name in files_in(out)} == {
+        "config.toml", "index.csv", "run.json", result_of(drive, out).name}  # fmt: skip
+
+
+def test_a_video_gives_a_bag_whose_stamps_are_its_seconds(
+    call: Call, tmp_path: Path, out: Path
+) -> None:
+    video = write_video(tmp_path / "drive.mp4")
+
+    result = call("infer", video, *ROWS, "--out", out, "--save", "bag", "--limit", 3)
+
+    assert result.exit_code == 0, result.stderr
+    found = [one for one in read_bag(out / "drive.road") if one.topic in TOPICS]
+    stamps = [one.stamp for one in found if one.topic == "/segmentation/mask"]
+    assert stamps == pytest.approx([0, 1e8, 2e8], abs=1)
+    assert found[-1].message.header.frame_id == "camera"

@@ -1,0 +1,211 @@
+"""Frame after frame: in order, whoever works; steadied, bounded, and the source closed at last."""
+
+import os
+import signal
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from roadtorch import detect_stream, load_detector
+from roadtorch.camera.camera import Camera
+from roadtorch.detector import Evidence
+from roadtorch.errors import InputError, RoadtorchError
+from roadtorch.inputs.item import Item, Selection, Source
+from roadtorch.road.steady import Steady, SteadySettings
+from roadtorch.run.loop import Detected, Look, Missed, detections, loaded, texts_in
+from roadtorch.run.workers import Processes, ThisProcess, Workers
+from roadtorch.runtime.signals import Stop
+from tests.command import save_picture
+from tests.streets import scene
+from tests.videos import write_video
+
+ROWS = load_detector("prior:rows")
+GREY = load_detector("grey-uniformity")
+
+
+def of_scenes(count: int, closed: list[bool] | None = None, bad: int | None = None) -> Source:
+    """A source of rendered streets; it notes when it is closed, and one frame may be bad."""
+
+    def read(number: int) -> Tensor:
+        if number == bad:
+            raise InputError(f"frame {number}", "is broken", "replace it")
+        return scene(number % 4, 48, 64).image
+
+    def items() -> Iterator[Item]:
+        try:
+            for number in range(count):
+                yield Item(
+                    f"x/{number}",
+                    f"frame {number}",
+                    partial(read, number),
+                    number=number,
+                    seconds=number / 10,
+                )
+        finally:
+            if closed is not None:
+                closed.append(True)
+
+    return Source("x", "x", True, items)
+
+
+def test_detections_have_names_time_stamps_and_images(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "drive.mp4")
+
+    frames = list(detect_stream(path, GREY, Selection(every=3)))
+
+    assert [frame.name for frame in frames] == [f"drive/{n:06d}" for n in (0, 3, 6, 9)]
+    assert [frame.seconds for frame in frames] == pytest.approx([0, 0.3, 0.6, 0.9])
+    for frame in frames:
+        assert frame.image is not None
+        assert torch.equal(frame.likelihood, GREY.detect(frame.image).likelihood)
+        assert torch.equal(frame.mask, GREY.detect(frame.image).mask)
+
+
+def test_pictures_are_a_source_that_does_not_move(tmp_path: Path) -> None:
+    save_picture(tmp_path / "b.png")
+    save_picture(tmp_path / "sub" / "a.jpg")
+
+    frames = list(detect_stream(tmp_path, ROWS))
+
+    assert [(frame.name, frame.seconds) for frame in frames] == [("b", None), ("sub/a", None)]
+
+
+def test_leaving_the_loop_and_an_error_in_it_close_the_source() -> None:
+    closed: list[bool] = []
+    frames = detect_stream(of_scenes(10**6, closed), ROWS)
+    for _ in range(3):
+        next(frames)
+    frames.close()
+
+    def fail(done: int, _: float | None) -> None:
+        if done == 2:
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        list(detect_stream(of_scenes(10**6, closed), ROWS, progress=fail))
+
+    assert closed == [True, True]
+
+
+def test_progress_is_told_and_a_bad_frame_is_raised_or_told() -> None:
+    progress: list[tuple[int, float | None]] = []
+    missed: list[str] = []
+
+    def note(item: Item, problem: RoadtorchError) -> None:
+        missed.append(f"{item.name} {problem.what}")
+
+    source = of_scenes(3, bad=1)
+    frames = list(
+        detect_stream(source, ROWS, failed=note, progress=lambda *at: progress.append(at))
+    )
+
+    assert [frame.name for frame in frames] == ["x/0", "x/2"]
+    assert missed == ["x/1 is broken"]
+    assert progress == [(1, 0.0), (2, 0.1), (3, 0.2)]
+    with pytest.raises(InputError, match="frame 1: is broken"):
+        list(detect_stream(source, ROWS))
+
+
+# --- whoever works ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("workers", [ThisProcess(), Processes(3)])
+def test_what_steadies_sees_the_frames_in_order_and_decides(workers: Workers) -> None:
+    class Never:
+        """There is no road, says it, and a car on the left."""
+
+        def __init__(self) -> None:
+            self.images: list[Tensor] = []
+            self.hidden = torch.zeros(48, 64, dtype=torch.bool)
+            self.hidden[:, :8] = True
+
+        def __call__(
+            self, image: Tensor, likelihood: Tensor, hidden: Tensor | None = None
+        ) -> Tensor:
+            self.images.append(image)
+            return torch.zeros_like(likelihood)
+
+    never = Never()
+
+    frames = list(detections(of_scenes(5), Look(GREY), workers, never))  # type: ignore[arg-type]
+
+    for frame in frames:
+        assert isinstance(frame, Detected)
+        assert not frame.detection.mask.any()
+        assert not frame.detection.likelihood.any()
+        assert torch.equal(frame.detection.cues["ego"], never.hidden)
+    for number, image in enumerate(never.images):
+        assert torch.equal(image, scene(number % 4, 48, 64).image)
+
+
+@pytest.mark.parametrize("cues", [True, False])
+def test_the_number_of_workers_changes_nothing(cues: bool) -> None:
+    alone, side_by_side = (
+        list(detections(of_scenes(7), Look(GREY), workers, Steady(SteadySettings()), cues))
+        for workers in (ThisProcess(), Processes(3))
+    )
+
+    for first, second in zip(alone, side_by_side, strict=True):
+        assert isinstance(first, Detected)
+        assert isinstance(second, Detected)
+        assert first.item == second.item
+        assert torch.equal(first.detection.likelihood, second.detection.likelihood)
+        assert torch.equal(first.detection.mask, second.detection.mask)
+        assert first.detection.cues.keys() == second.detection.cues.keys()
+        assert ("uniformity" in first.detection.cues) == cues
+
+
+@pytest.mark.parametrize("workers", [ThisProcess(), Processes(2)])
+def test_a_frame_that_cannot_be_read_or_looked_at_is_missed(workers: Workers) -> None:
+    source = of_scenes(4, bad=1)
+    frames = list(detections(source, Look(ROWS), workers))
+    assert [frame.item.number for frame in frames if isinstance(frame, Missed)] == [1]
+
+    other = Look(ROWS, Camera(width=200, height=50, frames=10, horizon=0.4, seed_row=1.0))
+    for number, frame in enumerate(detections(source, other, workers)):
+        assert isinstance(frame, Missed)
+        assert str(frame.problem).startswith(f"frame {number}: is ")
+
+
+class Deadly(Look):
+    """Dies over the fourth frame."""
+
+    def find(self, image: Tensor) -> Evidence:
+        if torch.equal(image, scene(3, 48, 64).image):
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().find(image)
+
+
+def test_a_worker_that_dies_over_a_frame_costs_that_one() -> None:
+    frames = list(detections(of_scenes(6), Deadly(ROWS), Processes(2)))
+
+    assert [frame.item.number for frame in frames] == [*range(6)]
+    (missed,) = [frame for frame in frames if isinstance(frame, Missed)]
+    told = "frame 3: a worker died over it (run it again; with less memory, --jobs 1)"
+    assert (missed.item.number, str(missed.problem)) == (3, told)
+
+
+def test_stopping_ends_the_frames() -> None:
+    closed: list[bool] = []
+    stop = Stop()
+    frames = detections(of_scenes(10**6, closed), Look(ROWS), ThisProcess(), stop=stop)
+    next(frames)
+    stop.ask(signal.SIGINT)
+    assert len(list(frames)) <= 1
+    assert closed == [True]
+
+
+def test_a_loaded_item_has_its_image_or_its_problem() -> None:
+    good, bad = map(loaded, of_scenes(2, bad=1).items())
+
+    assert torch.equal(good.read(), scene(0, 48, 64).image)
+    with pytest.raises(InputError, match="frame 1: is broken"):
+        bad.read()
+
+
+def test_texts_in_nested_settings() -> None:
+    assert [*texts_in({"a": "x", "b": {"c": "y", "d": 3}, "e": None})] == ["x", "y"]

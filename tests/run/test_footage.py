@@ -1,0 +1,236 @@
+"""roadtorch infer on videos and streams: real files in, real files out."""
+
+import hashlib
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from roadtorch.detection import Detection
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.errors import ExitCode, InputError
+from roadtorch.inputs.item import Item, Selection
+from roadtorch.inputs.video import video_source
+from roadtorch.writers.video import VideoWriter
+from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
+from tests.inputs.bags import write_drive
+from tests.videos import pixels_of, stamps_of, street_pixels, write_sound, write_video
+
+GREY = ("--detector", "grey-uniformity")
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    """A video of twelve frames in 1.2 seconds."""
+    (tmp_path / "in").mkdir()
+    return write_video(tmp_path / "in" / "drive.mp4")
+
+
+@pytest.fixture
+def run(call: Call, drive: Path, out: Path) -> Call:
+    """``infer`` on it with the quickest detector, into ``out``."""
+    return partial(call, "infer", drive, *ROWS, "--out", out)
+
+
+def test_a_video_gives_an_overlay_video_and_a_row_a_frame(
+    run: Call, drive: Path, out: Path
+) -> None:
+    result = run()
+
+    assert result.exit_code == 0, result.stderr
+    assert result.stderr == (
+        f"roadtorch: drive.mp4: 12 frames\nroadtorch: 1 done; results in {out}\n"
+    )
+    assert files_in(out) == {"config.toml", "drive.overlay.mp4", "index.csv", "run.json"}
+    assert stamps_of(out / "drive.overlay.mp4") == pytest.approx([n / 10 for n in range(12)])
+    rows = rows_of(out)
+    assert list(rows) == ["drive.mp4", *(f"drive/{n:06d}" for n in range(12))]
+    assert [row["seconds"] for row in rows.values()][1:4] == ["0.000", "0.100", "0.200"]
+    assert {row["status"] for row in rows.values()} == {"done"}
+    assert rows["drive.mp4"]["sha256"] == hashlib.sha256(drive.read_bytes()).hexdigest()
+    assert rows["drive/000003"]["saved"] == rows["drive.mp4"]["saved"] == "overlay"
+
+
+def test_frames_are_what_the_library_says(call: Call, drive: Path, out: Path) -> None:
+    kinds = "likelihood,mask,mask-video,likelihood-video,overlay-frames"
+
+    call("infer", drive, *GREY, "--out", out, "--save", kinds, "--every", "5", "--start", "0.2",
+         "--no-steady")  # fmt: skip
+
+    names = {f"drive/{n:06d}{end}" for n in (2, 7) for end in
+             (".likelihood.png", ".mask.png", ".overlay.jpg")}  # fmt: skip
+    assert files_in(out) == names | {"config.toml", "index.csv", "run.json", "drive.mask.mp4",
+                                     "drive.likelihood.mp4"}  # fmt: skip
+    frame = next(f for f in video_source(drive, "d", Selection()).items() if f.number == 7)
+    detection = load_detector("grey-uniformity").detect(frame.read())
+    mask = np.asarray(Image.open(out / "drive" / "000007.mask.png"))
+    assert np.array_equal(mask > 0, detection.mask.numpy())
+    shown = pixels_of(out / "drive.mask.mp4")[1][..., 0] > 127
+    assert (shown == detection.mask.numpy()).mean() > 0.95
+
+
+def test_a_stretch_becomes_a_gif(run: Call, out: Path) -> None:
+    run("--gif", "0.2:0.7")
+
+    with Image.open(out / "drive.overlay.gif") as gif:
+        assert gif.n_frames == 5  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_neither_the_number_of_jobs_nor_the_source_changes_a_byte(
+    call: Call, drive: Path, footage: Path, tmp_path: Path
+) -> None:
+    bag = write_drive(tmp_path, "bag", [street_pixels(n) for n in range(4)], 60.0)
+    bag = bag.rename(tmp_path / "ride.bag")
+    archive = tmp_path / "packed.zip"
+    with zipfile.ZipFile(archive, "w") as packed:
+        for picture in ("a.jpg", "b.png", "sub/c.png"):
+            packed.write(footage / picture, f"packed/{picture}")
+    kinds = "overlay,mask,likelihood,bag,cues"
+    given = (drive, bag, archive, footage)
+
+    for jobs in ("1", "3"):
+        result = call("infer", *given, *GREY, "--out", tmp_path / jobs, "--jobs", jobs,
+                      "--save", kinds)  # fmt: skip
+        assert result.exit_code == 0, result.stderr
+
+    alone, side_by_side = bytes_in(tmp_path / "1"), bytes_in(tmp_path / "3")
+    differing = [name for name in alone if alone[name] != side_by_side.get(name)]
+    assert alone.keys() == side_by_side.keys()
+    assert all(".road/" in name or name.endswith(".road.bag") for name in differing), differing
+    for name in ("drive.overlay.mp4", "packed/b.cue.uniformity.png", "drive/000003.mask.png"):
+        assert name in alone
+    lasting = [
+        {name: row | {"ms": ""} for name, row in rows_of(tmp_path / jobs).items()} for jobs in "13"
+    ]
+    assert lasting[0] == lasting[1]
+
+
+def test_folders_of_both_and_names_on_standard_input(call: Call, tmp_path: Path, out: Path) -> None:
+    root = tmp_path / "in"
+    save_picture(root / "a.png")
+    write_video(root / "drive.mp4")
+    listed = tmp_path / "list.txt"
+    listed.write_text(f"{root}\n")
+
+    result = call("infer", f"@{listed}", *ROWS, "--out", out)
+
+    assert result.exit_code == 0
+    assert list(rows_of(out))[:2] == ["a.png", "drive.mp4"]
+    assert {"a.mask.png", "drive.overlay.mp4"} <= files_in(out)
+
+
+# --- a second run -----------------------------------------------------------------------
+
+
+def test_a_video_that_is_done_is_skipped_until_something_changes(
+    run: Call, drive: Path, out: Path
+) -> None:
+    run()
+
+    again = run()
+    other = run("--every", "4")
+
+    assert again.stderr == f"roadtorch: 0 done, 1 skipped (done before); results in {out}\n"
+    assert other.stderr.startswith("roadtorch: drive.mp4: 3 frames")
+    assert len(rows_of(out)) == 4  # those of the first run are gone
+    (out / "drive.overlay.mp4").unlink()
+    assert "3 frames" in run("--every", "4").stderr
+
+
+# --- what goes wrong --------------------------------------------------------------------
+
+
+def test_a_cut_video_keeps_what_is_readable_and_the_others_go_on(
+    call: Call, drive: Path, tmp_path: Path, out: Path
+) -> None:
+    cut = write_video(tmp_path / "in" / "a.mp4", [n / 10 for n in range(40)], options={"crf": "1"})
+    cut.write_bytes(cut.read_bytes()[: cut.stat().st_size * 6 // 10])
+    write_sound(tmp_path / "in" / "song.mp4")
+
+    result = call("infer", tmp_path / "in", *ROWS, "--out", out)
+
+    assert result.exit_code == 1
+    first, second = (
+        line
+        for line in result.stderr.splitlines()
+        if line.startswith(("roadtorch: failed: ", "roadtorch: partial: "))
+    )
+    frames = len(stamps_of(out / "a.overlay.mp4"))
+    assert 10 < frames < 40
+    assert first.startswith(f"roadtorch: partial: {cut}: ends after ")
+    assert " of 4.0 seconds (what could be read was used; copy it again" in first
+    assert "song.mp4: has sound and no moving pictures" in second
+    rows = rows_of(out)
+    assert sum(name.startswith("a/") for name in rows) == frames
+    assert rows["a.mp4"]["status"] == first.removeprefix("roadtorch: ")
+    assert rows["drive.mp4"]["status"] == "done"
+    again = call("infer", tmp_path / "in", *ROWS, "--out", out)
+    assert "a.mp4" in again.stderr  # it is redone
+    assert "1 skipped (done before)" in again.stderr
+
+
+def test_a_video_that_cannot_be_written_on_keeps_the_finished_frames(
+    run: Call, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = VideoWriter.write
+
+    def full(self: VideoWriter, item: Item, detection: Detection) -> Mapping[str, str]:
+        if item.number == 5:
+            raise InputError(self.path, "cannot be written: No space left on device", "make room")
+        return write(self, item, detection)
+
+    monkeypatch.setattr(VideoWriter, "write", full)
+
+    result = run()
+
+    told = f"{out}/drive.overlay.mp4: cannot be written: No space left on device (make room)"
+    assert result.exit_code == 1
+    assert result.stderr.splitlines()[1] == f"roadtorch: partial: {told}"
+    assert len(stamps_of(out / "drive.overlay.mp4")) == 5
+    rows = rows_of(out)
+    assert len(rows) == 5 + 1
+    assert rows["drive.mp4"]["status"] == f"partial: {told}"
+
+
+def test_ctrl_c_finishes_the_video(tmp_path: Path, out: Path) -> None:
+    path = write_video(tmp_path / "drive.mp4", [n / 10 for n in range(600)])
+    command = [sys.executable, "-m", "roadtorch", "infer", str(path), *ROWS, "--out", str(out)]
+    command += ["--jobs", "2"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    while not (out / "index.csv").exists() or (out / "index.csv").stat().st_size < 3000:
+        assert process.poll() is None
+        time.sleep(0.02)
+
+    process.send_signal(signal.SIGINT)
+    told = process.communicate(timeout=60)[1]
+
+    assert process.returncode == ExitCode.INTERRUPTED
+    assert told.endswith("roadtorch: interrupted; what was finished is kept\n")
+    frames = len(stamps_of(out / "drive.overlay.mp4"))
+    rows = rows_of(out)
+    assert len(rows) == frames + 1 > 20
+    assert rows["drive.mp4"]["status"] == f"partial: {path}: was interrupted (run it again)"
+    assert not list(out.glob(".*"))
+
+
+def test_footage_is_steadied_unless_one_asks_for_its_frames_alone(
+    call: Call, drive: Path, tmp_path: Path
+) -> None:
+    steadied, alone = tmp_path / "steadied", tmp_path / "alone"
+
+    call("infer", drive, *GREY, "--out", steadied, "--save", "likelihood")
+    call("infer", drive, *GREY, "--out", alone, "--save", "likelihood", "--no-steady")
+
+    def frame(out: Path, number: int) -> bytes:
+        return (out / f"drive/{number:06d}.likelihood.png").read_bytes()
+
+    assert frame(steadied, 0) == frame(alone, 0)
+    assert frame(steadied, 5) != frame(alone, 5)

@@ -1,0 +1,110 @@
+"""roadtorch grid, from real files to real files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roadtorch.camera.camera import Camera
+from roadtorch.scenes.street import render_scene, write_picture
+from tests.command import Call, rows_of
+from tests.writers.test_grid import loaded
+
+VIEW = ("--height", 1.35, "--fov", 55, "--range", 20, "--side", 8, "--resolution", 0.2)
+
+TRIANGLE = ("--detector", "prior:triangle")
+
+
+@pytest.fixture
+def street(tmp_path: Path) -> Path:
+    """Two rendered streets in a folder, one in a folder below."""
+    for name, seed in (("a", 3), ("sub/b", 4)):
+        write_picture(tmp_path / "street" / f"{name}.png", render_scene(seed, 120, 160))
+    return tmp_path / "street"
+
+
+def test_every_picture_gives_a_map(call: Call, street: Path, out: Path) -> None:
+    result = call("grid", street, "--out", out, *VIEW, "--likelihood", "--picture")
+
+    assert result.exit_code == 0, result.stderr
+    cells, values = loaded(out / "sub" / "b.grid.yaml")
+    saved = np.load(out / "sub" / "b.grid.npy")
+    assert cells.tolist() == saved.tolist()
+    assert saved.shape == (80, 100)
+    assert set(np.unique(saved)) == {0, 100, -1}
+    assert values["origin"] == [0, -8, 0]
+    assert "horizon at row" in (out / "a.grid.yaml").read_text()
+    likelihood = np.load(out / "a.grid.likelihood.npy")
+    assert (np.isnan(likelihood) == (np.load(out / "a.grid.npy") == -1)).mean() > 0.99
+    assert (out / "a.grid.jpg").is_file()
+    assert list(rows_of(out)) == ["a.png", "sub/b.png"]
+
+
+def test_the_pitch_is_that_of_the_cameras_file(
+    call: Call, street: Path, tmp_path: Path, out: Path
+) -> None:
+    path = tmp_path / "camera.toml"
+    Camera(width=160, height=120, frames=10, horizon=0.4, seed_row=1).write(path)
+
+    result = call("grid", street / "a.png", "--out", out, *VIEW, "--camera", path)
+
+    assert result.exit_code == 0, result.stderr
+    assert "row 0.400 of the camera's file" in (out / "a.grid.yaml").read_text()
+
+
+INFO = """
+image_width: {width}
+image_height: 240
+camera_matrix: {{data: [{focal}, 0, 160, 0, 300, 120, 0, 0, 1]}}
+distortion_model: plumb_bob
+distortion_coefficients: {{data: [-0.1, 0, 0, 0, 0]}}
+"""
+
+
+def test_camera_info_is_scaled_and_other_shapes_fail(
+    call: Call, street: Path, tmp_path: Path
+) -> None:
+    info, other = tmp_path / "info.yaml", tmp_path / "other.yaml"
+    info.write_text(INFO.format(width=320, focal=300))
+    other.write_text(INFO.format(width=300, focal=300))
+    options = ("grid", street / "a.png", "--height", 1.35, "--pitch", 2, *TRIANGLE, "--camera-info")
+
+    good = call(*options, info, "--out", tmp_path / "good")
+    bad = call(*options, other, "--out", tmp_path / "bad")
+
+    assert (good.exit_code, bad.exit_code) == (0, 1)
+    assert "is 160×120 pixels, the calibration 300×240" in bad.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ((), "grid: nothing tells the lens (give one of --fov, --camera-info, --calibration)"),
+        (("--fov", 60), "--height: is missing"),
+        (("--height", 1.4), "grid: nothing tells the lens"),
+        (("--fov", 60, "--camera-info", "a"), "grid: --fov and --camera-info were given"),
+        (("--fov", 60, "--height", -1), "--height: -1 was given"),
+        (("--fov", 60, "--height", 1, "--pitch", 95), "--pitch: 95 was given"),
+        (("--fov", 190, "--height", 1), "--fov: 190 degrees were given"),
+        (("--fov", 60, "--height", 1, "--mount", "a"), "--mount: 'a' was given"),
+        (("--fov", 60, "--height", 1, "--range", 0.1), "range: 0.1 was given"),
+        (("--height", 1, "--camera-info", "none.yaml"), "none.yaml: cannot be read"),
+        (("--calibration", "none.txt"), "none.txt: is missing"),
+        (("--calibration", "none.txt", "--pitch", 1), "--pitch: was given beside --calibration"),
+    ],
+)
+def test_wrong_usage_is_told_before_any_work(
+    call: Call, street: Path, out: Path, options: tuple[object, ...], told: str
+) -> None:
+    result = call("grid", street, "--out", out, *options)
+
+    assert result.exit_code == 2
+    assert f"roadtorch: error: {told}" in result.stderr
+    assert not (out).exists()
+
+
+def test_a_detector_without_layout_needs_a_pitch(call: Call, street: Path, out: Path) -> None:
+    result = call("grid", street, "--out", out, *VIEW, "--detector", "cpf")
+
+    assert result.exit_code == 1
+    assert "has no layout by this detector to tell the pitch" in result.stderr

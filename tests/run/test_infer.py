@@ -1,0 +1,316 @@
+"""roadtorch infer on pictures: what is written, when it is written again, what is refused."""
+
+import os
+import sys
+import tomllib
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from roadtorch.detection import Detection
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.io.image import read_image, write_jpeg
+from roadtorch.run.loop import Look
+from roadtorch.scenes.street import render_scene
+from roadtorch.writers.maps import cue_picture
+from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
+
+GREY = ("--detector", "grey-uniformity")
+
+# --- what is written ------------------------------------------------------------------------
+
+
+def test_a_folder_gives_three_files_a_picture_and_an_index(
+    run: Call, footage: Path, out: Path
+) -> None:
+    result = run()
+
+    assert (result.exit_code, result.stdout) == (0, "")
+    assert result.stderr == f"roadtorch: 3 done; results in {out}\n"
+    kinds = ("likelihood.png", "mask.png", "overlay.jpg")
+    expected = {f"{name}.{kind}" for name in ("a", "b", "sub/c") for kind in kinds}
+    assert files_in(out) == expected | {"index.csv", "config.toml", "run.json"}
+    rows = rows_of(out)
+    assert list(rows) == ["a.jpg", "b.png", "sub/c.png"]
+    assert list(rows["a.jpg"]) == [
+        *("file", "width", "height", "ms", "road_share", "trust", "status"),
+        *("saved", "method", "sha256", "seconds", "cues"),
+    ]
+    assert rows["a.jpg"]["sha256"] == sha256((footage / "a.jpg").read_bytes()).hexdigest()
+    assert rows["a.jpg"]["saved"] == "likelihood mask overlay"
+    assert {row["status"] for row in rows.values()} == {"done"}
+    assert {row["trust"] for row in rows.values()} == {""}  # a floor does not say
+    assert (rows["a.jpg"]["width"], rows["a.jpg"]["height"]) == ("64", "48")
+    assert float(rows["a.jpg"]["road_share"]) == pytest.approx(0.5, abs=0.05)
+    assert float(rows["a.jpg"]["ms"]) >= 0
+
+
+def test_files_hold_what_the_library_says(call: Call, tmp_path: Path, out: Path) -> None:
+    picture = save_picture(tmp_path / "x.png")
+    kinds = "likelihood,mask,overlay,cues, npy"
+
+    call("infer", picture, *GREY, "--save", kinds, "--depth", "16", "--out", out)
+
+    detection = load_detector("grey-uniformity").detect(read_image(picture))
+    stored = np.asarray(Image.open(out / "x.likelihood.png"))
+    assert stored.dtype == np.uint16
+    assert np.array_equal(stored, (detection.likelihood.double() * 65535).round().numpy())
+    mask = np.asarray(Image.open(out / "x.mask.png"))
+    assert np.array_equal(mask == 255, detection.mask.numpy())
+    with Image.open(out / "x.overlay.jpg") as overlay:
+        assert overlay.size == (64, 48)
+    assert np.array_equal(np.load(out / "x.likelihood.npy"), detection.likelihood.numpy())
+    for name, cue in detection.cues.items():
+        assert (out / f"x.cue.{name}.png").is_file()
+        assert np.array_equal(np.load(out / f"x.{name}.npy"), cue.numpy())
+
+
+def test_cue_pictures() -> None:
+    shown = cue_picture
+    ramp = torch.linspace(-3, 5, 12).view(3, 4)
+    layout = torch.zeros(3, 2, 2)
+    layout[0] = 1
+    sky = torch.tensor([86.0, 180, 233])
+
+    assert (shown("texture", ramp).min(), shown("texture", ramp).max()) == (0, 1)
+    assert torch.equal(shown("texture", torch.full((2, 2), 7.0)), torch.zeros(3, 2, 2))
+    holes = shown("texture", torch.tensor([[float("nan"), 0, 2]]))
+    assert holes[0].tolist() == [[0, 0, 1]]
+    assert torch.equal((shown("layout", layout)[:, 0, 0] * 255).round(), sky)
+    labels = shown("layout_labels", torch.tensor([[0, 255]]))
+    assert torch.equal(labels[:, 0, 0] * 255, sky)
+    assert not labels[:, 0, 1].any()
+    picture = torch.rand(3, 4, 5, generator=torch.Generator().manual_seed(0))
+    low, high = picture.aminmax()  # one range for all channels
+    torch.testing.assert_close(shown("dictionary", picture * 2 - 1), (picture - low) / (high - low))
+    assert torch.equal(shown("maps", torch.stack([ramp, -ramp])), torch.zeros(3, 3, 4))
+    segments = shown("segments", torch.arange(30).view(5, 6)).flatten(1)
+    assert len({tuple(colour) for colour in segments.T.tolist()}) == 30
+
+
+# --- settings -------------------------------------------------------------------------------
+
+
+def test_set_goes_over_the_file_and_threshold_over_both_and_what_is_printed_gives_the_same(
+    call: Call, tmp_path: Path
+) -> None:
+    path = tmp_path / "c.toml"
+    path.write_text('detector = "cpf"\nthreshold = 0.1\n[texture]\nbins = 8\n')
+    options = ("--config", path, "--set", "texture.ridge=0.5", "--set", "threshold=0.2")
+
+    printed = call("infer", *options, "--threshold", "0.3", "--print-config").stdout
+    path.write_text(printed)
+    again = call("infer", "--config", path, "--print-config").stdout
+
+    values = tomllib.loads(printed)
+    assert (values["detector"], values["threshold"]) == ("cpf", 0.3)
+    assert (values["texture"]["bins"], values["texture"]["ridge"]) == (8, 0.5)
+    assert again == printed
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        ("--detector prior:row", "prior:row: unknown detector (did you mean"),
+        ("--set treshold=.1", "treshold: unknown setting (did you mean threshold, isolated?)"),
+        ("--set threshold=high", "threshold: 'high' was given ("),
+        ("--threshold 1.5", "threshold: 1.5 was given ("),
+        ("--set threshold", "threshold: is not a setting ("),
+        ("--save masks", "masks: unknown kind of result (did you mean mask, mask-video?)"),
+        ("--save ,", "--save: nothing to save ("),
+        ("--config none.toml", "none.toml: cannot be read"),
+        ("--gif 3", "--gif: '3' was given (give START:END"),
+        ("--gif 5:3", "--gif: '5:3' is no stretch to show ("),
+        ("--gif 0:900", "--gif: '0:900' is no stretch to show ("),
+        ("--start 2", "--start, --end: pictures have no time ("),
+        ("--device meta", "--device meta: "),
+        ("--device gpu", "--device gpu: is no device of torch ("),
+        ("--device cuda:99", "--device cuda:99: "),
+        ("bare", "bare: holds no pictures ("),
+        ("none", "none: does not exist ("),
+        ("x.jpg x.mask.png --out .", "x.mask.png: is one of the pictures ("),
+        ("x.jpg x.png", "x.jpg and x.png: both would write "),
+        ("x.jpg --out x.png", "x.png: cannot be made a folder: File exists ("),
+        ("x.jpg --out x.png/below", "x.png/below: cannot be made a folder: "),
+        ("x.jpg --out loop", "loop: cannot be made a folder: "),
+    ],
+)
+def test_mistakes_are_one_line_before_any_work(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: str, line: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("x.jpg", "x.png", "x.mask.png"):
+        save_picture(tmp_path / name)
+    (tmp_path / "bare").mkdir()
+    (tmp_path / "loop").symlink_to("loop")
+    before = bytes_in(tmp_path)
+    words = options.split()
+    inputs = ["x.jpg"] if words[0].startswith("--") else []
+
+    result = call("infer", *inputs, *ROWS, *words)
+
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.startswith(f"roadtorch: error: {line}")
+    assert result.stderr.count("\n") == 1
+    assert bytes_in(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        (("--address", "x:1"), "--address: is for Ray alone (add --engine ray"),
+        (("--engine", "ray"), "--engine ray: Ray is not installed (pip install 'roadtorch[ray]')"),
+    ],
+)
+def test_ray_that_was_not_asked_for_or_is_not_installed(
+    run: Call, monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], line: str
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+
+    refused = run(*options)
+
+    assert refused.exit_code == 2
+    assert refused.stderr.startswith(f"roadtorch: error: {line}")
+    assert refused.stderr.count("\n") == 1
+
+
+# --- a second run ---------------------------------------------------------------------------
+
+
+def test_what_is_done_is_skipped_until_overwrite(run: Call, footage: Path, out: Path) -> None:
+    run()
+    (out / "a.mask.png").unlink()
+    (out / "b.mask.png").write_bytes(b"marked")
+    save_picture(footage / "d.png")
+
+    again = run()
+    assert again.stderr == f"roadtorch: 2 done, 2 skipped (done before); results in {out}\n"
+    assert (out / "a.mask.png").exists()
+    assert (out / "b.mask.png").read_bytes() == b"marked"
+    assert list(rows_of(out)) == ["a.jpg", "b.png", "d.png", "sub/c.png"]
+
+    anew = run("--overwrite")
+    assert anew.stderr.startswith("roadtorch: 4 done;")
+    assert (out / "b.mask.png").read_bytes() != b"marked"
+
+
+def test_results_beside_the_pictures_are_not_taken_for_pictures(call: Call, footage: Path) -> None:
+    for _ in range(2):
+        result = call("infer", footage, *ROWS, "--out", footage, "--save", "mask,cues")
+        assert result.exit_code == 0
+
+    assert list(rows_of(footage)) == ["a.jpg", "b.png", "sub/c.png"]
+
+
+# --- bad input ------------------------------------------------------------------------------
+
+
+def test_broken_pictures_become_failed_rows_beside_finished_ones(
+    call: Call, footage: Path, out: Path
+) -> None:
+    whole = (footage / "a.jpg").read_bytes()
+    (footage / "cut.jpg").write_bytes(whole[: len(whole) // 2])
+    (footage / "empty.png").touch()
+    (footage / "text.png").write_text("not a picture")
+    save_picture(footage / "tiny.png", size=(1, 1))
+
+    result = call("infer", footage, footage / "none.jpg", *ROWS, "--out", out, "--jobs", "2")
+
+    assert result.exit_code == 1
+    assert result.stderr.splitlines()[-1] == f"roadtorch: 3 done, 5 failed; results in {out}"
+    rows = rows_of(out)
+    for file, what in [
+        ("cut.jpg", "cannot be decoded"),
+        ("empty.png", "is empty"),
+        ("text.png", "is not a picture"),
+        ("tiny.png", "is 1×1 pixels"),
+        ("none.jpg", "does not exist"),
+    ]:
+        assert rows[file]["status"].startswith("failed: ")
+        assert what in rows[file]["status"]
+        assert file in result.stderr
+    assert rows["a.jpg"]["status"] == "done"
+    assert not any(name.endswith(".part") for name in files_in(out))
+    assert "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("problem", "told"),
+    [
+        (ZeroDivisionError("oh\nno"), "ZeroDivisionError: oh no (report it)"),
+        (MemoryError(), "b.png: needs more memory than there is (give smaller pictures"),
+        (RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried"), "needs more mem"),
+    ],
+)
+def test_a_detector_that_trips_costs_one_row(
+    problem: Exception,
+    told: str,
+    run: Call,
+    footage: Path,
+    out: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    real = Look.__call__
+
+    def trips(self: Look, image: torch.Tensor) -> Detection:
+        if torch.equal(image, read_image(footage / "b.png")):
+            raise problem
+        return real(self, image)
+
+    monkeypatch.setattr(Look, "__call__", trips)
+
+    assert run().exit_code == 1
+    assert told in rows_of(out)["b.png"]["status"]
+    assert rows_of(out)["sub/c.png"]["status"] == "done"
+
+
+# --- trust --------------------------------------------------------------------------------
+
+
+def test_the_five_least_trusted_pictures_are_named_the_worst_first(
+    call: Call, tmp_path: Path
+) -> None:
+    for seed in range(6):
+        write_jpeg(tmp_path / f"street-{seed}.jpg", render_scene(seed, 120, 160).image)
+    noise = torch.rand(3, 120, 160, generator=torch.Generator().manual_seed(0))
+    write_jpeg(tmp_path / "noise.jpg", noise)
+
+    result = call("infer", tmp_path, "--out", tmp_path / "out")
+
+    rows = rows_of(tmp_path / "out")
+    first, *lines = result.stdout.splitlines()
+    trusts = [float(line.split()[0]) for line in lines]
+    assert first.endswith("of 7; least trusted:")
+    assert trusts == sorted(float(row["trust"]) for row in rows.values())[:5]
+    assert lines[0].split()[1].startswith("noise.jpg")
+    for row in rows.values():
+        assert row["status"].startswith("doubtful: ") == (float(row["trust"]) < 0.6)
+    again = call("infer", tmp_path, "--out", tmp_path / "out")
+    assert again.exit_code == 0
+    assert again.stderr.startswith("roadtorch: 0 done, 7 skipped")  # doubtful ones are done
+
+
+# --- names and kinds of files -----------------------------------------------------------------
+
+
+def test_names_in_any_encoding_and_files_that_are_none_cost_nobody_else(
+    run: Call, footage: Path, out: Path
+) -> None:
+    odd = footage / os.fsdecode(b"z\xff.jpg")
+    (footage / "a.jpg").rename(odd)
+    os.mkfifo(footage / "pipe.png")
+    (footage / "loop.png").symlink_to(footage / "loop.png")
+
+    for skipped in ("", "0 done, 3 skipped"):  # what is done under such a name is done
+        result = run()
+        assert result.exit_code == 1
+        rows = rows_of(out)
+        done = [file for file, row in rows.items() if row["status"] == "done"]
+        assert done == ["b.png", "sub/c.png", r"z\xff.jpg"]
+        assert set(rows) - set(done) == {"loop.png", "pipe.png"}
+        assert skipped in result.stderr
+    assert (out / os.fsdecode(b"z\xff.mask.png")).exists()

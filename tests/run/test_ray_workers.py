@@ -1,0 +1,146 @@
+"""Ray on this machine, as users start it: the files of this process, whatever dies or stops it.
+
+In processes of their own: Ray opens sockets on the loopback and warns of its own deprecations.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from time import monotonic, sleep
+
+import pytest
+from click.testing import CliRunner
+
+from roadtorch.cli import main
+from roadtorch.scenes.street import render_scene, write_picture
+from tests.command import bytes_in, rows_of
+
+COMMAND = [sys.executable, "-m", "roadtorch", "infer"]
+WORK = ("--detector", "cpf", "--threads", "1", "--save", "likelihood,mask,overlay,json")
+RAY = ("--engine", "ray", "--workers", "2")
+LONGEST = 180.0  # seconds for what takes ten on an idle machine
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of 16 small rendered streets, and a file that is no picture."""
+    folder = tmp_path_factory.mktemp("pictures")
+    for seed in range(16):
+        write_picture(folder / f"{seed:02}.png", render_scene(seed, 60, 80))
+    (folder / "bad.png").write_bytes(b"no picture")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def expected(pictures: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What processes of this machine make of them."""
+    out = tmp_path_factory.mktemp("expected")
+    CliRunner().invoke(main, ["infer", str(pictures), *WORK, "--out", str(out)])
+    return out
+
+
+def start(*words: object) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [*COMMAND, *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def wait_for_a_mask(out: Path, run: subprocess.Popen[str]) -> None:
+    end = monotonic() + LONGEST
+    while not any(out.rglob("*.mask.png")):
+        assert run.poll() is None, run.communicate()
+        assert monotonic() < end
+        sleep(0.01)
+
+
+def actors_of(run: subprocess.Popen[str]) -> Iterator[int]:
+    """The processes of Ray's actors below a run, by their names and their parents' parents."""
+    for entry in Path("/proc").iterdir():
+        try:
+            words = (entry / "cmdline").read_bytes() if entry.name.isdigit() else b""
+        except OSError:
+            continue
+        if words.startswith(b"ray::") and b"Actor" in words and run.pid in parents(entry.name):
+            yield int(entry.name)
+
+
+def parents(process: str) -> Iterator[int]:
+    while process not in ("0", "1"):
+        status = Path("/proc", process, "stat").read_text()
+        process = status.rpartition(")")[2].split()[1]
+        yield int(process)
+
+
+def without_ms(out: Path, where: str = "") -> dict[str, dict[str, str]]:
+    rows = rows_of(out)
+    for row in rows.values():
+        row["ms"] = ""
+        row["status"] = row["status"].replace(where, "")
+    return rows
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for the worker in /proc")
+def test_a_killed_worker_costs_one_picture_and_workers_share_no_path(
+    pictures: Path, expected: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    run = start(pictures.as_uri(), *WORK, "--out", out.as_uri(), *RAY)
+    wait_for_a_mask(out, run)
+    os.kill(next(actors_of(run)), signal.SIGKILL)
+
+    told = run.communicate(timeout=LONGEST)[1]
+
+    lines = [line for line in told.splitlines() if " left" not in line]  # of the progress
+    failed = {name: row for name, row in rows_of(out).items() if row["status"] != "done"}
+    assert run.returncode == 1, told
+    assert len(lines) == 3, told
+    assert lines[-1] == f"roadtorch: 15 done, 2 failed; results in {out.as_uri()}"
+    assert failed.pop("bad.png")["status"] in lines[0] + lines[1]
+    ((name, row),) = failed.items()
+    assert f"{pictures.as_uri()}/{name}: a worker died over it" in row["status"]
+    assert row["status"] in lines[0] + lines[1]
+    done = {file: data for file, data in bytes_in(expected).items() if name[:2] != file[:2]}
+    assert {file: data for file, data in bytes_in(out).items() if name[:2] != file[:2]} == done
+
+    CliRunner().invoke(main, ["infer", pictures.as_uri(), *WORK, "--out", out.as_uri()])
+
+    assert bytes_in(out) == bytes_in(expected)
+    assert without_ms(out, "file://") == without_ms(expected)
+
+
+@pytest.mark.slow
+def test_an_interrupted_run_keeps_what_was_finished(
+    pictures: Path, expected: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    run = start(pictures, *WORK, "--out", out, *RAY)
+    wait_for_a_mask(out, run)
+    os.killpg(run.pid, signal.SIGINT)  # as a terminal does: Ray's processes get it too
+
+    told = run.communicate(timeout=LONGEST)[1]
+
+    kept = rows_of(out)
+    assert run.returncode == 130, told
+    assert told.endswith("roadtorch: interrupted; what was finished is kept\n")
+    assert 0 < len(kept) < 17
+    subprocess.run([*COMMAND, pictures, *WORK, "--out", out], capture_output=True, check=False)
+    assert bytes_in(out) == bytes_in(expected)
+    assert without_ms(out) == without_ms(expected)
+
+
+@pytest.mark.slow
+def test_no_cluster_at_the_address_is_one_line(pictures: Path, tmp_path: Path) -> None:
+    run = start(pictures, *WORK, "--out", tmp_path / "out", *RAY, "--address", "127.0.0.1:9")
+
+    told = run.communicate(timeout=LONGEST)[1]
+
+    assert run.returncode == 2
+    assert told.startswith("roadtorch: error: 127.0.0.1:9: no Ray cluster answers: ")
+    assert told.count("\n") == 1

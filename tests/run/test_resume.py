@@ -1,0 +1,293 @@
+"""Runs that are cut short, meet each other, or are started again in another way."""
+
+import json
+import multiprocessing
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+
+import pytest
+import torch
+
+from roadtorch.detectors import catalogue
+from roadtorch.inputs.item import Item
+from roadtorch.io.image import write_mask
+from roadtorch.run import ledger
+from roadtorch.run.ledger import Row
+from roadtorch.run.loop import Task
+from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
+
+BeforeEach = Callable[[Callable[[Item], None]], AbstractContextManager[None]]
+
+
+@pytest.fixture
+def before_each(monkeypatch: pytest.MonkeyPatch) -> BeforeEach:
+    """``with before_each(act):`` within the block, ``infer`` acts before each picture."""
+    real = Task.__call__
+
+    @contextmanager
+    def acting(act: Callable[[Item], None]) -> Iterator[None]:
+        def acted(self: Task, item: Item) -> Row:
+            act(item)
+            return real(self, item)
+
+        with monkeypatch.context() as inner:
+            inner.setattr(Task, "__call__", acted)
+            yield
+
+    return acting
+
+
+# --- what is done -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("options", [("--depth", "16"), ("--save", "likelihood,cues")])
+def test_other_options_are_not_done_before(
+    call: Call, run: Call, footage: Path, tmp_path: Path, out: Path, options: tuple[str, str]
+) -> None:
+    run()
+
+    again, third, fewer = run(*options), run(*options), run(*options, "--save", "likelihood")
+
+    call("infer", footage, *ROWS, "--out", tmp_path / "alone", *options)
+    assert again.stderr == f"roadtorch: 3 done (3 anew); results in {out}\n"
+    assert bytes_in(tmp_path / "alone").items() <= bytes_in(out).items()
+    for nothing_new in (third, fewer):
+        assert nothing_new.stderr.startswith("roadtorch: 0 done, 3 skipped")
+
+
+@pytest.mark.parametrize("what", ["settings", "version", "old rows"])
+def test_results_made_otherwise_are_done_anew_even_without_their_config(
+    run: Call, out: Path, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    run()
+    if what == "settings":
+        (out / "config.toml").unlink()
+    elif what == "version":
+        monkeypatch.setattr(ledger, "__version__", "99.0")
+    else:  # of a version that did not note the method
+        lines = (out / "index.csv").read_text().splitlines()
+        (out / "index.csv").write_text("".join(line.rsplit(",", 4)[0] + "\n" for line in lines))
+
+    again = run(*(("--threshold", "0.9") if what == "settings" else ()))
+
+    assert again.stderr.startswith("roadtorch: 3 done (3 anew);")
+
+
+@pytest.mark.parametrize("what", ["picture", "file of the settings"])
+def test_other_bytes_are_done_anew_even_with_the_same_date_and_size(
+    call: Call, tmp_path: Path, out: Path, what: str
+) -> None:
+    picture, ego = save_picture(tmp_path / "x.bmp", 0), tmp_path / "ego.png"
+    write_mask(ego, torch.arange(48)[:, None].expand(48, 64) > 40)
+    run = ("infer", picture, *ROWS, "--set", f"ego.mask={ego}", "--out", out)
+    call(*run)
+    before = picture.stat()
+    if what == "picture":
+        save_picture(picture, 1)
+        os.utime(picture, ns=(before.st_atime_ns, before.st_mtime_ns))
+    else:
+        write_mask(ego, torch.arange(48)[:, None].expand(48, 64) > 30)
+
+    again = call(*run)
+
+    assert picture.stat().st_size == before.st_size
+    assert again.stderr.startswith("roadtorch: 1 done (1 anew);")
+
+
+@pytest.mark.parametrize(
+    ("kind", "gone"), [("cues", "b.cue.uniformity.png"), ("npy", "b.uniformity.npy")]
+)
+def test_files_of_cues_that_were_removed_are_made_again(
+    call: Call, footage: Path, out: Path, kind: str, gone: str
+) -> None:
+    words = ("infer", footage, "--detector", "grey-uniformity", "--out", out, "--save")
+    call(*words, f"mask,{kind}")
+    before = bytes_in(out)
+    (out / gone).unlink()
+
+    fewer, again = call(*words, "mask"), call(*words, f"mask,{kind}")
+
+    assert fewer.stderr.startswith("roadtorch: 0 done, 3 skipped")
+    assert again.stderr.startswith("roadtorch: 1 done (1 anew), 2 skipped")
+    assert bytes_in(out) == before
+
+
+# --- one folder -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("place", "gone"), [("a", 0), ("sub/c", 2)], ids=["early", "last"])
+def test_a_folder_that_is_removed_meanwhile_is_told(
+    call: Call,
+    run: Call,
+    footage: Path,
+    tmp_path: Path,
+    out: Path,
+    before_each: BeforeEach,
+    place: str,
+    gone: int,
+) -> None:
+    call("infer", footage, *ROWS, "--out", tmp_path / "quiet")
+
+    def remove(item: Item) -> None:
+        if item.name == place:
+            shutil.rmtree(out)
+
+    with before_each(remove):
+        result = run()
+
+    assert result.exit_code == (1 if gone else 0)
+    assert result.stderr.count("results were removed while the run went on") == gone
+    assert f"{3 - gone} done" in result.stderr
+    assert run().exit_code == 0
+    assert bytes_in(out) == bytes_in(tmp_path / "quiet")
+
+
+# --- killed -----------------------------------------------------------------------------
+
+
+def test_what_a_killed_run_left_is_removed_by_the_next(run: Call, out: Path) -> None:
+    run()
+    clean = files_in(out)
+    for name in (".roadtorch.0123abcd.part", "sub/.roadtorch.89ef0123.part"):
+        (out / name).write_bytes(b"half")
+
+    run()
+
+    assert files_in(out) == clean
+
+
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)], ids=["TERM", "INT"]
+)
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_what_is_in_hand_is_finished_when_a_signal_ends_the_run(
+    run: Call,
+    tmp_path: Path,
+    out: Path,
+    before_each: BeforeEach,
+    number: signal.Signals,
+    code: int,
+    jobs: int,
+) -> None:
+    this, both = os.getpid(), tmp_path / "both"
+
+    def send(item: Item) -> None:  # in a worker, if there are several
+        if item.name == "b":
+            both.touch()
+        if item.name == "a":
+            while jobs == 2 and not both.exists():
+                time.sleep(0.01)
+            os.kill(this, number)
+        time.sleep(0.2)
+
+    with before_each(send):
+        stopped = run("--jobs", jobs)
+    record = json.loads((out / "run.json").read_text())
+
+    assert stopped.exit_code == record["exit_status"] == code
+    assert {name: row["status"] for name, row in rows_of(out).items()} == dict.fromkeys(
+        ["a.jpg", "b.png"][:jobs], "done"
+    )
+    assert record["pictures"]["not_tried"] == 3 - jobs
+    assert "roadtorch: interrupted; what was finished is kept" in stopped.stderr
+    assert run().stderr.startswith(f"roadtorch: {3 - jobs} done, {jobs} skipped")
+
+
+def test_a_death_costs_its_picture_alone_and_is_told(
+    call: Call, footage: Path, tmp_path: Path, out: Path, before_each: BeforeEach
+) -> None:
+    run = ("infer", footage, *ROWS, "--jobs", 2, "--out")
+    call(*run, tmp_path / "quiet")
+
+    def die(item: Item) -> None:
+        if item.name == "b":
+            (out / ".roadtorch.0123abcd.part").touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    with before_each(die):
+        result = call(*run, out)
+
+    assert result.exit_code == 1
+    why = f"{footage}/b.png: a worker died over it (run it again; with less memory, --jobs 1)"
+    assert f"roadtorch: failed: {why}\n" in result.stderr
+    statuses = {name: row["status"] for name, row in rows_of(out).items()}
+    assert statuses == {"a.jpg": "done", "b.png": f"failed: {why}", "sub/c.png": "done"}
+    assert not list(out.glob(".*"))
+    assert call(*run, out).exit_code == 0
+    assert bytes_in(out) == bytes_in(tmp_path / "quiet")
+
+
+def test_a_kill_costs_only_the_picture_in_hand(
+    run: Call, out: Path, before_each: BeforeEach
+) -> None:
+    def die(item: Item) -> None:
+        if item.name == "b":
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    with before_each(die):
+        process = multiprocessing.get_context("fork").Process(target=run, args=("--jobs", 1))
+        process.start()
+        process.join()
+
+    assert process.exitcode == -signal.SIGKILL
+    assert list(rows_of(out)) == ["a.jpg"]
+    assert run().stderr.startswith("roadtorch: 2 done, 1 skipped")
+
+
+def test_a_signal_before_the_work_is_told(run: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: object, **__: object) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr(catalogue, "load_detector", stop)
+
+    ended = run()
+
+    assert ended.exit_code == 143
+    assert ended.stderr.strip() == "roadtorch: interrupted; what was finished is kept"
+
+
+# --- nowhere to write -------------------------------------------------------------------
+
+
+def test_closed_streams_cost_nothing(footage: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "roadtorch", "infer", footage.name, *ROWS, "--out", "out"]
+    words = ["sh", "-c", f"{' '.join(command)} 0<&- 1>&- 2>&-"]
+
+    ended = subprocess.run(words, cwd=tmp_path, timeout=120, check=False)
+
+    assert ended.returncode == 0
+    assert [row["status"] for row in rows_of(tmp_path / "out").values()] == ["done"] * 3
+
+
+def test_a_disk_that_takes_no_more_is_one_error_and_what_was_finished_stays(
+    call: Call, footage: Path, out: Path, before_each: BeforeEach
+) -> None:
+    run = ("infer", footage, *ROWS, "--out", out, "--save", "npy")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def fill(item: Item) -> None:
+        if item.name == "b":
+            resource.setrlimit(resource.RLIMIT_FSIZE, (8_000, before[1]))  # the maps have 12,416
+
+    try:
+        with before_each(fill):
+            full = call(*run)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+    assert full.exit_code == 1
+    rows = rows_of(out)
+    assert rows["a.jpg"]["status"] == "done"
+    why = f"{out}/b.likelihood.npy: cannot be written: File too large"
+    assert rows["b.png"]["status"].startswith(f"failed: {why}")
+    assert f"roadtorch: failed: {why}" in full.stderr
+    assert not list(out.rglob("*.part"))
+    assert call(*run).stderr.startswith("roadtorch: 2 done, 1 skipped")

@@ -1,0 +1,146 @@
+"""What a run of ``infer`` leaves beside the pictures' files, where they are, and how it ends."""
+
+import json
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from roadtorch.data.labelme import open_labelme
+from roadtorch.runtime.threads import Threads
+from roadtorch.scenes.street import render_scene, write_picture
+from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
+
+# --- polygons and facts -----------------------------------------------------------------
+
+
+def test_polygons_are_the_mask_and_coco_has_all_pictures(
+    call: Call, tmp_path: Path, out: Path
+) -> None:
+    pictures = tmp_path / "in"
+    for seed in (1, 2):
+        write_picture(pictures / f"{seed}.png", render_scene(seed, 60, 80))
+
+    cocos = []
+    for given in (pictures / "1.png", pictures):
+        call("infer", given, "--detector", "cpf", "--out", out, "--save", "polygons,mask")
+        cocos.append(json.loads((out / "coco.json").read_text()))
+
+    names = [[one["file_name"] for one in coco["images"]] for coco in cocos]
+    assert names == [["1.png"], ["1.png", "2.png"]]
+    for seed in (1, 2):
+        (out / f"{seed}.labelme.json").rename(pictures / f"{seed}.labelme.json")
+    dataset = open_labelme(pictures, "all")
+    for item, one in zip(dataset.items, cocos[1]["annotations"], strict=True):
+        mask = np.asarray(Image.open(out / f"{item.name}.mask.png")) == 255
+        assert np.array_equal(dataset.reader.truth(item).road.numpy(), mask)
+        assert one["area"] == mask.sum() > 0
+
+
+def test_facts_of_a_picture_do_not_depend_on_the_run(
+    call: Call, footage: Path, tmp_path: Path
+) -> None:
+    for out in ("one", "two"):
+        call("infer", footage, *ROWS, "--out", tmp_path / out, "--save", "json,polygons")
+
+    facts = json.loads((tmp_path / "one" / "sub" / "c.json").read_text())
+
+    assert bytes_in(tmp_path / "one") == bytes_in(tmp_path / "two")
+    assert facts["file"] == "sub/c.png"
+    assert (facts["width"], facts["height"], facts["detector"]) == (64, 48, "prior:rows")
+    assert facts["trust"] is None
+    assert facts["road_share"] == pytest.approx(0.5, abs=0.05)
+
+
+# --- run.json ---------------------------------------------------------------------------
+
+
+def test_run_json_says_how_the_results_were_made(run: Call, footage: Path, out: Path) -> None:
+    (footage / "bad.png").write_bytes(b"no picture")
+
+    before = Threads.of_now()
+    try:
+        run("--threshold", "0.4", "--threads", "2")
+    finally:
+        before.set()
+
+    record = json.loads((out / "run.json").read_text())
+    assert record["versions"]["torch"] == torch.__version__
+    assert record["threads"] == {"torch": 2, "opencv": 2}
+    assert record["detector"] == "prior:rows"
+    assert record["settings"]["threshold"] == 0.4
+    assert record["pictures"] == {"all": 4, "done": 3, "doubtful": 0, "failed": 1, "not_tried": 0}
+    assert record["exit_status"] == 1
+    assert record["index_sha256"] == sha256((out / "index.csv").read_bytes()).hexdigest()
+    assert record["started"] < record["ended"]
+    lines = [f"{row['sha256']}  {name}\n" for name, row in rows_of(out).items() if row["sha256"]]
+    assert record["inputs_sha256"] == sha256("".join(lines).encode()).hexdigest()
+
+
+# --- how it goes ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_fail_fast_ends_at_the_first_failure_and_goes_on_later(
+    run: Call, footage: Path, out: Path, jobs: int
+) -> None:
+    (footage / "aa.png").write_bytes(b"no picture")
+    for letter in "defghi":
+        save_picture(footage / f"{letter}.png")
+
+    stopped = run("--jobs", jobs, "--fail-fast")
+
+    assert stopped.exit_code == 1
+    assert list(rows_of(out)) == ["a.jpg", "aa.png"]
+    told = f"roadtorch: 1 done, 1 failed, 8 not tried (--fail-fast); results in {out}\n"
+    assert stopped.stderr.endswith(told)
+    assert run("--jobs", jobs).exit_code == 1
+    assert len(rows_of(out)) == 10
+
+
+# --- elsewhere --------------------------------------------------------------------------
+
+
+def test_urls_give_the_same_files_and_rows(
+    call: Call, run: Call, footage: Path, tmp_path: Path, out: Path
+) -> None:
+    (footage / "bad.png").write_bytes(b"no picture")
+    kinds = ("--save", "likelihood,mask,cues,polygons,json")
+    there = tmp_path / "there"
+    remote = ("infer", footage.as_uri(), *ROWS, "--out", there.as_uri(), *kinds)
+
+    run(*kinds)
+    result, again = call(*remote), call(*remote)
+
+    assert result.stderr.splitlines()[0] == (
+        f"roadtorch: failed: {footage.as_uri()}/bad.png: is not a picture "
+        "(give JPEG, PNG, TIFF, WebP or BMP)"
+    )
+    assert bytes_in(out) == bytes_in(there)
+    assert files_in(out) == files_in(there)
+    told, expected = rows_of(there), rows_of(out)
+    for name, row in expected.items():
+        ignored = {"ms", "status"} if row["status"].startswith("failed") else {"ms"}
+        assert {key for key in row if row[key] != told[name][key]} <= ignored
+    assert "3 skipped (done before), 1 failed" in again.stderr
+
+
+def test_what_changed_behind_a_url_is_done_anew_and_mistakes_are_refused(
+    call: Call, footage: Path, out: Path
+) -> None:
+    command = ("infer", footage, *ROWS, "--out", out.as_uri())
+    call(*command)
+    save_picture(footage / "a.jpg", 9)
+    save_picture(footage / "sub" / "a.jpg")
+
+    again = call(*command)
+    other = call(*command, "--threshold", "0.9")
+    twice = call("infer", footage.as_uri(), (footage / "sub").as_uri(), "--out", out / "o")
+
+    assert again.stderr.startswith("roadtorch: 2 done (1 anew), 2 skipped")
+    assert other.exit_code == twice.exit_code == 2
+    assert f"{out.as_uri()}: holds results of other settings" in other.stderr
+    assert "both would write" in twice.stderr
