@@ -18,7 +18,8 @@ def one_thread() -> Iterator[None]:
     """
     import torch
 
-    before = torch.get_num_threads()  # which also settles that of a thread that is new to torch
+    with _SETTING:  # a new thread takes the common number, which another may just be changing
+        before = torch.get_num_threads()
     if before == 1:
         yield
         return
