@@ -38,10 +38,13 @@ def count_boundary(
     decided, (true, to_true) = border(mask, valid).numpy(), true_border(road, valid)
     diagonal = math.hypot(*mask.shape)
     near = _around(true, math.ceil(max(tolerances) * diagonal))
-    decided_off, true_off = to_true[decided], _distance_to(decided[near])[true[near]]
+    off = to_true[decided], _distance_to(decided[near])[true[near]]
+    # Squares are whole numbers. OpenCV's last digit, which depends on its threads, and ours
+    # would otherwise decide whether what is exactly as far as the tolerance is within it.
+    decided_off, true_off = (np.rint(np.square(distances)) for distances in off)
     rows = [
         [(decided_off <= reach).sum(), decided.sum(), (true_off <= reach).sum(), true.sum()]
-        for reach in (share * diagonal for share in tolerances)
+        for reach in ((share * diagonal) ** 2 + 1e-6 for share in tolerances)
     ]
     return torch.tensor(np.array(rows, np.int64))
 

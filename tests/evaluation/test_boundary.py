@@ -2,6 +2,7 @@
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -54,6 +55,21 @@ def test_counts_equal_looking_at_every_pair_of_pixels(seed):
 
     assert found.dtype == torch.int64
     assert found.tolist() == [slow.count(mask, road, valid, share) for share in tolerances]
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_border_exactly_as_far_as_the_tolerance_is_within_it(threads):
+    # .0075 of the diagonal of 800 x 400 is the root of 45, and (3, 6) is as far.
+    mask, road = torch.zeros(2, 800, 400, dtype=torch.bool)
+    mask[20:780:40, 20:380:40] = road[23:783:40, 26:386:40] = True
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(threads)
+
+    counts = boundary.count_boundary(mask, road, torch.ones_like(mask), (0.0075, 0.00749))
+
+    cv2.setNumThreads(before)
+    dots = int(mask.sum())
+    assert counts.tolist() == [[dots] * 4, [0, dots, 0, dots]]
 
 
 # --- tolerance and F ------------------------------------------------------------------------------
