@@ -145,8 +145,9 @@ def _stream(url: str, patience: Patience) -> Generator[Callable[[], Tensor]]:
     try:
         with av.open(url, options=options, timeout=patience.answer) as container:
             stream = moving_pictures(url, container)
+            image = partial(upright, av.video.reformatter.VideoReformatter())
             for picture in container.decode(stream):
-                yield partial(upright, picture)
+                yield partial(image, picture)
     except (av.FFmpegError, UnicodeError) as problem:
         what = f"cannot be read: {reason_of(problem)}"
         if isinstance(problem, av.error.ExitError | TimeoutError):

@@ -18,6 +18,7 @@ from roadtorch.io.image import from_pixels, undecodable
 if TYPE_CHECKING:
     from av.container import InputContainer
     from av.video.frame import VideoFrame
+    from av.video.reformatter import VideoReformatter
     from av.video.stream import VideoStream
 
 VIDEO_SUFFIXES = (
@@ -162,15 +163,14 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[I
     begins = _entry_point(path, start) if start > 0 else EntryPoint()
     with opened_video(path) as (container, stream):
         clock, number, end = Clock(stream), begins.number, 0.0
+        image = partial(upright, import_av().video.reformatter.VideoReformatter())
         try:
             for picture in _decoded(container, stream, begins):
                 seconds = clock.seconds(picture.pts)
                 lasts = float(picture.duration or 0) * float(picture.time_base or 0)
                 end = max(end, seconds + (lasts or clock.step))
                 origin = f"{path}: frame {number}"
-                read = (
-                    partial(_damaged, origin) if picture.is_corrupt else partial(upright, picture)
-                )
+                read = partial(_damaged, origin) if picture.is_corrupt else partial(image, picture)
                 frame = f"{name}/{number:06d}"
                 yield Item(frame, origin, read, number=number, seconds=seconds)
                 number += 1
@@ -248,7 +248,10 @@ def count_frames(path: Path) -> int:
     return count
 
 
-def upright(picture: "VideoFrame") -> Tensor:
-    """A decoded picture as image (3,H,W) in [0,1], turned as the video's metadata says."""
-    pixels = np.rot90(picture.to_ndarray(format="rgb24"), round(picture.rotation / 90))
-    return from_pixels(pixels)
+def upright(reformatter: "VideoReformatter", picture: "VideoFrame") -> Tensor:
+    """A decoded picture as image (3,H,W) in [0,1], turned as the video's metadata says.
+
+    reformatter: that of its stream, which makes its tables once; a picture's own makes them anew.
+    """
+    pixels = reformatter.reformat(picture, format="rgb24").to_ndarray()
+    return from_pixels(np.rot90(pixels, round(picture.rotation / 90)))

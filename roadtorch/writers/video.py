@@ -69,7 +69,8 @@ class VideoWriter:
                 self._begin(pixels, seconds)
             pixels = self._fitted(pixels)
             kind = "gray" if pixels.ndim == 2 else "rgb24"
-            frame = self._av.VideoFrame.from_ndarray(pixels, kind).reformat(format="yuv420p")
+            frame = self._av.VideoFrame.from_ndarray(pixels, kind)
+            frame = self._reformatter.reformat(frame, format="yuv420p")
             self._last = max(round((seconds - self._first) * TICKS), self._last + 1)
             frame.pts, frame.time_base = self._last, self._stream.time_base
             self._container.mux(self._stream.encode(frame))
@@ -89,6 +90,7 @@ class VideoWriter:
 
     def _begin(self, pixels: np.ndarray, seconds: float) -> None:
         self._av = import_av()
+        self._reformatter = self._av.video.reformatter.VideoReformatter()  # makes its tables once
         with ExitStack() as stack:
             temporary = stack.enter_context(atomic(self.path))
             self._container = self._av.open(str(temporary), "w", format="mp4")

@@ -8,6 +8,7 @@ import av
 import pytest
 import torch
 from av.error import FFmpegError
+from av.video.reformatter import VideoReformatter
 
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.inputs import video
@@ -199,10 +200,10 @@ def test_damaged_vp8_shows_the_same_on_any_number_of_threads(tmp_path: Path) -> 
         path.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
         with av.open(str(path)) as container:
             container.streams.video[0].thread_type = "NONE"
-            alone = []
+            alone, reformatter = [], VideoReformatter()
             for packet in container.demux(video=0):
                 with suppress(FFmpegError):
-                    alone += [video.upright(picture) for picture in packet.decode()]
+                    alone += [video.upright(reformatter, picture) for picture in packet.decode()]
         read = []
         with suppress(InputError):  # behind the last frame
             for frame in video_frames(path, "a"):

@@ -1,6 +1,7 @@
 """Workers: results in order, whatever their number; a death costs one item, and is made up for."""
 
 import os
+import pickle
 import signal
 import sys
 import time
@@ -204,3 +205,25 @@ def test_what_ends_the_items_is_raised_behind_the_results_of_those_before(jobs: 
     assert numbers == [*range(7)]
     with pytest.raises(InputError, match="ends early"):
         next(results)
+
+
+@pytest.mark.parametrize(
+    "tensor",
+    [
+        torch.rand(3, 4, 5),
+        torch.rand(4, 5).T,
+        torch.arange(6) > 2,
+        torch.rand(2).to(torch.bfloat16),
+        torch.rand(2, requires_grad=True),
+        torch.tensor(0.5),
+    ],
+    ids=["image", "turned", "mask", "half", "learning", "number"],
+)
+def test_tensors_reach_another_process_as_they_are(tensor: torch.Tensor) -> None:
+    copy = pickle.loads(workers.pickled(("name", tensor)))[1]
+
+    assert torch.equal(copy, tensor)
+    assert (copy.dtype, copy.stride()) == (tensor.dtype, tensor.stride())
+    assert copy.requires_grad == tensor.requires_grad
+    copy.detach().zero_()  # it is nobody else's
+    assert not torch.equal(copy, tensor)
