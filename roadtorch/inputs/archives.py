@@ -111,8 +111,10 @@ def _every_picture(given: str, url: str, inside: str) -> Generator[Item]:
             remedy = "unpack it and give the videos" if pictures else f"give {READABLE} files"
             raise InputError(given, what, remedy)
         for number, member in enumerate(sorted(pictures, key=lambda member: member.name)):
-            read = partial(_read, member, printable(member.origin))
-            yield Item(safe_name(member.name), printable(member.origin), read, number=number)
+            name, read = safe_name(member.name), partial(_read, member, printable(member.origin))
+            if is_outside(member.name):  # it is refused, and must own no other's results
+                name = f"{posixpath.basename(url)}!{name}"
+            yield Item(name, printable(member.origin), read, number=number)
     if problem is not None:
         raise problem
 
@@ -125,6 +127,11 @@ def is_meant(name: str, inside: str) -> bool:
     inside = inside.strip("/")
     is_below = not inside or name == inside or name.startswith(f"{inside}/")
     return is_below or fnmatchcase(name, inside)
+
+
+def is_outside(name: str) -> bool:
+    """Whether a member's name leads out of its archive's folder: absolute, a drive's, or up."""
+    return ".." in re.split(r"[/\\]", name) or re.match(r"[/\\]|\w:", name) is not None
 
 
 def safe_name(name: str) -> str:
@@ -185,7 +192,7 @@ def _zip_members(archive: zipfile.ZipFile, url: str) -> list[Member]:
 
     return [
         Member(info.filename, f"{url}!{info.filename}", info.file_size, partial(read, info))
-        for info in {info.filename: info for info in archive.infolist()}.values()
+        for info in archive.infolist()  # of equal names one is refused: both would write one file
         if not info.is_dir()
     ]
 
@@ -248,7 +255,7 @@ def _unpacked(packed: io.BufferedIOBase, room: int) -> tuple[IO[bytes], str]:
 
 
 def _read(member: Member, origin: str) -> Tensor:
-    if ".." in re.split(r"[/\\]", member.name) or re.match(r"[/\\]|\w:", member.name):
+    if is_outside(member.name):
         raise InputError(origin, "has a name outside the archive", "give it another name")
     if member.name.lower().endswith(VIDEO_SUFFIXES):
         raise InputError(origin, "is a video in an archive", "unpack it and give the video")

@@ -5,7 +5,7 @@ import re
 import secrets
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -60,6 +60,7 @@ class Owners:
 
         That are also the files of the run itself, and those in the place of a frame's.
         """
+        name = printable(name)  # as index.csv calls it: letters and a byte may look alike there
         files = [name + suffix for suffix in suffixes if "{}" not in suffix] or [name]
         folder, _, last = name.rpartition("/")
         is_numbered = re.fullmatch(FRAME_NUMBER, last) is not None
@@ -119,7 +120,9 @@ class ResultFolder:
         """Whether a result is there; a bag that is a folder has its list once it is done."""
         if not self.url:
             path = self.path / name
-            return path.is_file() or (path / BAG_LIST).is_file()
+            with suppress(OSError):  # a name that is too long, which nothing can have
+                return path.is_file() or (path / BAG_LIST).is_file()
+            return False
         with url_errors(f"{self.url}/{name}"):
             return UPath(self.url, name).is_file()
 

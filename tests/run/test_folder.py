@@ -108,6 +108,7 @@ def test_a_folder_is_for_one_run_alone_and_not_inside_a_file(tmp_path: Path) -> 
         (("a", [".png", ".json"]), ("a", [".json"]), True),
         (("a", [".png"]), ("a", [".json"]), False),
         (("a", [".cue.{}.png"]), ("a", [".cue.{}.png"]), True),
+        (("a\udcff", [".png"]), ("a\\xff", [".png"]), True),  # index.csv calls both a\xff
         (("drive/000003", [".png"]), "drive", True),
         (("drive/x", [".png"]), "drive", False),
         ("drive", ("drive/000003", [".png"]), True),

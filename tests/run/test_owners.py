@@ -1,5 +1,6 @@
 """Every result has one owner, whatever the source; a write that fails costs one picture."""
 
+import warnings
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -53,6 +54,23 @@ def test_who_comes_second_is_refused_by_name_and_replaces_nothing(
     refused = [row["status"] for row in frames if row["status"] != "done"]
     assert len(refused) + done == len(frames) > done
     assert all("both would write" in status for status in refused)
+
+
+def test_a_member_that_is_refused_owns_no_name_and_equal_names_are_told(
+    call: Call, tmp_path: Path, out: Path
+) -> None:
+    data = save_picture(tmp_path / "x.png", 0).read_bytes()
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of zipfile, about the second c.png
+        for name in ("a:b.png", "a_b.png", "c.png", "c.png"):
+            archive.writestr(name, data)
+
+    call("infer", tmp_path / "a.zip", *ROWS, "--out", out)
+
+    statuses = {name: row["status"] for name, row in rows_of(out).items()}
+    assert (statuses["a_b"], statuses["c"]) == ("done", "done")
+    assert "has a name outside the archive" in statuses["a.zip!a_b"]
+    assert "both would write" in statuses["a.zip!c.png"]
 
 
 def test_pictures_beside_a_video_of_their_name_keep_their_rows(

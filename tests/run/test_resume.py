@@ -120,6 +120,24 @@ def test_files_of_cues_that_were_removed_are_made_again(
     assert bytes_in(out) == before
 
 
+def test_a_name_too_long_for_its_results_is_a_failed_row_every_time(
+    call: Call, tmp_path: Path, out: Path
+) -> None:
+    (tmp_path / "in").mkdir()
+    save_picture(tmp_path / "in/a.bmp", 0)
+    save_picture(tmp_path / f"in/{'x' * 246}.bmp", 1)
+    run = ("infer", tmp_path / "in", *ROWS, "--out", out)
+
+    results = [call(*run) for _ in range(3)]
+
+    assert [result.exit_code for result in results] == [1, 1, 1]
+    long = next(row for name, row in rows_of(out).items() if "x" in name)
+    assert long["status"].startswith("failed: ")
+    assert "too long" in long["status"]
+    skipped = f"roadtorch: 0 done, 1 skipped (done before), 1 failed; results in {out}\n"
+    assert all(result.stderr.endswith(skipped) for result in results[1:])
+
+
 # --- one folder -------------------------------------------------------------------------
 
 
