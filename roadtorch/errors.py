@@ -76,13 +76,17 @@ class WeightsError(RoadtorchError):
 
 
 def lacks_memory(problem: Exception) -> bool:
-    """Whether it is of memory that was not there: Python's, NumPy's, torch's, OpenCV's words."""
+    """Whether it is of memory that was not there: Python's, NumPy's, torch's, OpenCV's words.
+
+    The last are the linker's, where a library finds no room.
+    """
     words = (
         "allocate memory",
         "out of memory",
         "Insufficient memory",
         "bad_alloc",
         "bad allocation",
+        "failed to map segment",
     )
     return isinstance(problem, MemoryError) or any(word in str(problem) for word in words)
 

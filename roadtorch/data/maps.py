@@ -16,6 +16,9 @@ from roadtorch.settings import build_settings, read_settings_file
 
 ENDINGS = (".png", ".likelihood.png", ".npy", ".likelihood.npy")
 
+LEVEL = 1 / 255
+"""By which a map of 8 bits may differ from the same in another form."""
+
 CONFIG, MASK = "config.toml", ".mask.png"
 """What ``infer`` writes beside its maps: its settings, and how its own decisions end."""
 
@@ -114,13 +117,15 @@ def map_likelihood(
     """The map of one picture, float32 (H,W) in [0,1], of one of the allowed sizes.
 
     names: what its file may be called, but for the ending. Raises InputError naming the
-    file when it is missing, of another size, not grey, or has values that are not in [0,1].
+    file when it is missing, of another size, not grey, or has values that are not in [0,1],
+    and where another file of the same picture says otherwise.
     """
     paths = [folder / f"{name}{ending}" for name in names for ending in ENDINGS]
-    path = next(filter(Path.is_file, paths), None)
-    if path is None:
+    present = [path for path in paths if path.is_file()]
+    if not present:
         remedy = f"every picture needs a map, {' or '.join(ENDINGS)}"
         raise InputError(paths[0], "is missing", remedy)
+    path, *others = present
     likelihood = read_map(path)
     if tuple(likelihood.shape) not in sizes:
         height, width = likelihood.shape
@@ -129,4 +134,8 @@ def map_likelihood(
     low, high = (float(bound) for bound in torch.aminmax(likelihood))
     if not (low >= 0 and high <= 1):  # also true of NaN
         raise InputError(path, f"has values from {low:g} to {high:g}", "keep to [0, 1]")
+    for other in others:
+        values = read_map(other)
+        if values.shape != likelihood.shape or not (values - likelihood).abs().max() <= LEVEL:
+            raise InputError(other, f"says otherwise than {path.name}", "remove one of them")
     return likelihood

@@ -94,6 +94,7 @@ def test_8_and_16_bit_pictures_and_numpy_files_are_read_alike(tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), np.round(RAMP * 255).astype(np.uint8))
     cv2.imwrite(str(tmp_path / "b.likelihood.png"), np.round(RAMP * 65535).astype(np.uint16))
     np.save(tmp_path / "c.npy", RAMP)
+    np.save(tmp_path / "a.npy", RAMP)  # the same as beside it
 
     for name, step in (("a", 1 / 255), ("b", 1 / 65535), ("c", 1e-7)):
         likelihood = map_likelihood(tmp_path, ["none", name], [(4, 6)])

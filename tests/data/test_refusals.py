@@ -373,6 +373,12 @@ MAPS: Rows = [
 ] + [
     (read_map, {"m.png": np.full((4, 6, 3), (1, 2, 3), np.uint8)}, "m.png", "is a colour picture"),
     (read_map, {}, "m.png", "is missing"),
+    (
+        read_map,
+        {"m.png": (RAMP * 255).astype(np.uint8), "m.npy": 1 - RAMP},
+        "m.npy",
+        r"says otherwise than m\.png",
+    ),
 ]
 
 

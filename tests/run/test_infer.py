@@ -244,6 +244,7 @@ def test_broken_pictures_become_failed_rows_beside_finished_ones(
         (ZeroDivisionError("oh\nno"), "ZeroDivisionError: oh no (report it)"),
         (MemoryError(), "b.png: needs more memory than there is (give smaller pictures"),
         (RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried"), "needs more mem"),
+        (ImportError("x.so: failed to map segment from shared object"), "needs more memory"),
     ],
 )
 def test_a_detector_that_trips_costs_one_row(
