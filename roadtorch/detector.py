@@ -259,8 +259,16 @@ class Detector(nn.Module):
         return self._find(image)
 
     def _find(self, image: Tensor) -> Evidence:
-        """The ego car is what the settings say, and what the analysis finds as its cue ``ego``."""
+        """``_found``, in float32 inside autocast, too; ConfigError inside ``torch.compile``."""
+        if torch.compiler.is_compiling():
+            remedy = "compile its network: detector.analysis.network = torch.compile(…)"
+            raise ConfigError("torch.compile", "takes no detector", remedy)
         image = checked_image(image)
+        with torch.autocast(image.device.type, enabled=False):
+            return self._found(image)
+
+    def _found(self, image: Tensor) -> Evidence:
+        """The ego car is what the settings say, and what the analysis finds as its cue ``ego``."""
         settings = self.settings if isinstance(self.settings, WorkingSettings) else None
         cars, ground = [], image
         if is_given(self.settings.ego):
@@ -365,6 +373,8 @@ def checked_image(image: Tensor) -> Tensor:
     if not isinstance(image, Tensor) or not image.is_floating_point():
         kind = image.dtype if isinstance(image, Tensor) else type(image).__name__
         raise InputError("image", f"is {kind}", "give float32 RGB in [0, 1], as read_image does")
+    if image.is_meta:
+        raise InputError("image", "is on the device meta, without values", "give a picture")
     if image.layout != torch.strided:
         raise InputError("image", f"has the layout {image.layout}", "give image.to_dense()")
     if image.ndim != 3 or image.shape[0] != 3:

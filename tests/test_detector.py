@@ -110,6 +110,28 @@ def test_what_is_kept_for_later_calls_is_no_tensor_of_inference_mode() -> None:
     assert [tensor.is_inference() for tensor in kept] == [False] * len(kept)
 
 
+@pytest.mark.parametrize("name", ["fusion", "layout", "ufl", "oneclass:gaussian:RGB"])
+def test_numbers_are_float32_whatever_autocast_is_around(name: str) -> None:
+    image, detector = scene(1, 48, 64).image, load_detector(name)
+
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        detection = detector(image)
+
+    assert same(detection, detector(image))
+
+
+def test_a_network_can_be_compiled_and_a_detector_says_so() -> None:
+    image, detector = scene(1, 48, 64).image, load_detector("layout")
+    with pytest.raises(ConfigError, match=r"torch\.compile: takes no detector"):
+        torch.compile(detector, backend="eager")(image)
+    before = detector(image)
+
+    analysis: Any = detector.analysis
+    analysis.network = torch.compile(analysis.network, backend="eager")
+
+    assert same(detector(image), before)
+
+
 # --- pictures in --------------------------------------------------------------------------
 
 BGR = [

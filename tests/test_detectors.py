@@ -66,8 +66,9 @@ def with_value(value: float) -> Tensor:
         (torch.zeros(3, 32, 32, dtype=torch.int32), "is torch.int32"),
         ([[0.5]], "is a list, not one picture"),
         (torch.zeros(3, 32, 32).to_sparse(), "has the layout torch.sparse_coo"),
+        (torch.zeros(3, 32, 32, device="meta"), "is on the device meta"),
     ],
-    ids="nan inf bright negative grey batch small none int list sparse".split(),  # noqa: SIM905
+    ids="nan inf bright negative grey batch small none int list sparse meta".split(),  # noqa: SIM905
 )
 def test_what_is_no_image_is_refused_with_the_reason(image: Any, what: str) -> None:
     with pytest.raises(InputError) as caught:
