@@ -32,7 +32,7 @@ from roadtorch.cli import main
 from roadtorch.data.events import BrushStroke, LogHead, append_event, log_path, read_logs
 from roadtorch.io.image import write_mask
 from roadtorch.scenes.street import render_scene, write_picture
-from scripts.torture import ASKED, OUT, TRAINING, become, differences, ended, load
+from scripts.torture import ADAPTING, ASKED, OUT, TRAINING, become, differences, ended, load
 
 KINDS = ("open", "write", "fsync", "rename", "close")
 FAULTS = {"ENOSPC": errno.ENOSPC, "EIO": errno.EIO, "EINTR": errno.EINTR, "KILL": -1, "SHORT": -2}
@@ -102,6 +102,10 @@ COMMANDS: Mapping[str, Callable[[], None]] = {
     "train": called(
         *("train", "--config", "../work/training.toml", "--images", IMAGES, "--resume"),
         *("--corrections", "../work/corrections", "--threads", "1", "--out", OUT),
+    ),
+    "adapt": called(
+        *("adapt", IMAGES, *(word for change in ADAPTING for word in ("--set", change))),
+        *("--threads", "1", "--out", OUT),
     ),
     "export": called("export", "fusion", "--out", f"{OUT}/net.onnx"),
 }

@@ -4,6 +4,7 @@
     python scripts/torture.py infer --video --kills 100
     python scripts/torture.py evaluate --kills 100
     python scripts/torture.py train --kills 100
+    python scripts/torture.py adapt --kills 30 --pictures 4
 
 Each round fills a folder: runs are started in it, each meets KILL, TERM or INT at a random moment,
 and the next goes on, until one ends by itself. Then the files have to be those of a quiet run, byte
@@ -50,7 +51,7 @@ LOADED = (
     *("roadtorch.cli.evaluate", "roadtorch.writers.choice", "roadtorch.writers.coco"),
     *("roadtorch.inputs.find", "roadtorch.inputs.video", "roadtorch.run.workers"),
     *("roadtorch.data.catalogue", "roadtorch.evaluation.evaluate", "roadtorch.report.files"),
-    *("roadtorch.report.screen", "roadtorch.train.run"),
+    *("roadtorch.report.screen", "roadtorch.train.run", "roadtorch.adapt.adapt"),
 )
 """What the commands import when they are used."""
 
@@ -70,6 +71,11 @@ rounds = { count = 2 }
 descent = { batch = 2, method = "adam", learning_rate = 0.01, ema = 0.7 }
 stopping = { rule = "epochs", epochs = 3 }
 """
+
+ADAPTING = (
+    *("network.height=32", "network.width=64", "teacher.detector=labeller", "teacher.views=one"),
+    *("stopping.epochs=1", "samples_per_epoch=4", "descent.batch=2"),
+)
 
 
 @dataclass
@@ -242,7 +248,18 @@ def train_words(given: argparse.Namespace) -> list[str]:
     return ["train", *work, "--resume", "--threads", "1"]
 
 
-COMMANDS = {"infer": infer_words, "evaluate": evaluate_words, "train": train_words}
+def adapt_words(_: argparse.Namespace) -> list[str]:
+    """One epoch of a small network for each half; the same command goes on."""
+    changes = [word for change in ADAPTING for word in ("--set", change)]
+    return ["adapt", "../work/images", *changes, "--threads", "1"]
+
+
+COMMANDS = {
+    "infer": infer_words,
+    "evaluate": evaluate_words,
+    "train": train_words,
+    "adapt": adapt_words,
+}
 
 
 def paint(folder: Path, count: int) -> None:

@@ -18,7 +18,7 @@ from roadtorch.adapt.verdict import Verdict, fitted_bias, judged_half, unknown, 
 from roadtorch.camera.footage import StillError, camera_of
 from roadtorch.errors import InputError
 from roadtorch.inputs.item import spread
-from roadtorch.io.atomic import write_text
+from roadtorch.io.atomic import remove_leftovers, write_text
 from roadtorch.layout.picture_network import ROAD
 from roadtorch.layout.weights import (
     WholePictureNetwork,
@@ -29,7 +29,7 @@ from roadtorch.layout.weights import (
 )
 from roadtorch.train.config import PictureTraining
 from roadtorch.train.corrections import card_of, corrections_behind
-from roadtorch.train.folder import CHECKPOINT, WEIGHTS, RunFolder
+from roadtorch.train.folder import WEIGHTS, RunFolder
 from roadtorch.train.recordings import MAX_FRAMES
 from roadtorch.train.run import Outcome, Request, train
 
@@ -67,6 +67,7 @@ def adapt(
     ConfigError where ``out`` holds another run.
     """
     with RunFolder(out).held():
+        remove_leftovers([out, out / FRAMES])
         frames = keep_frames(inputs, out / FRAMES, most, quiet)
         problem = _camera_problem(frames, out / CAMERA, inputs[0])
         missing = [f"no {CAMERA}: {problem.where} {problem.what}"] if problem else []
@@ -77,9 +78,7 @@ def adapt(
             return adapted(Outcome(None, stopped, 0))
         skipped = 0
         for half in HALVES:
-            folder = out / half
-            resume = (folder / CHECKPOINT).exists()
-            request = Request(frames.glob(half), folder, resume, out / PREPARED, quiet)
+            request = Request(frames.glob(half), out / half, True, out / PREPARED, quiet)
             outcome = train(training, request)
             if outcome.interrupted:
                 return adapted(outcome)

@@ -1,6 +1,7 @@
 """roadtorch adapt: real footage in; weights, a camera, a page and a sentence out."""
 
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from click.testing import CliRunner, Result
@@ -10,6 +11,7 @@ from roadtorch.cli import main
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.io.image import read_image, write_colours
 from roadtorch.layout.weights import load_network, read_origin
+from roadtorch.train.run import TrainingRun
 
 QUICK = ("samples_per_epoch=16", "stopping.epochs=1", "teacher.views=one")
 SMALL = ("network.height=64", "network.width=96")
@@ -47,6 +49,28 @@ def test_halves_teach_apart_their_mean_comes_out_and_it_is_judged(
     other = adapt(street, "--out", out, "--frames", "4", *SHORT)
     assert other.exit_code == 2
     assert "holds frames of other footage" in other.stderr
+
+
+def test_a_run_cut_short_before_its_first_checkpoint_goes_on(
+    street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = (street, *SHORT, *LABELLER, "--out")
+    assert adapt(*words, tmp_path / "quiet").exit_code == 0
+    out = tmp_path / "mine"
+    (out / "frames").mkdir(parents=True)
+    (out / "frames" / ".roadtorch.0123abcd.part").write_text("{")  # KILL within the first write
+    with monkeypatch.context() as cut:
+        cut.setattr(TrainingRun, "_train", Mock(side_effect=KeyboardInterrupt))
+        assert adapt(*words, out).exit_code != 0
+    assert (out / "first/run.json").exists()
+    assert not (out / "first/checkpoint.pt").exists()
+
+    done = adapt(*words, out)
+
+    assert done.exit_code == 0, done.stderr
+    for name in ("", "first", "second"):  # the logs hold times
+        files = [folder / name / "weights.safetensors" for folder in (tmp_path / "quiet", out)]
+        assert files[0].read_bytes() == files[1].read_bytes()
 
 
 def test_footage_that_stands_still_is_told_and_not_judged(street: Path, tmp_path: Path) -> None:

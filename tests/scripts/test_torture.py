@@ -27,9 +27,10 @@ def told(script: str, *words: str) -> str:
         ("torture.py", "infer", "--kills", "6", "--jobs", "2", *ROWS),
         pytest.param(("torture.py", "evaluate", "--kills", "20", *ROWS), marks=pytest.mark.slow),
         pytest.param(("torture.py", "train", "--kills", "20", *ROWS), marks=pytest.mark.slow),
+        pytest.param(("torture.py", "adapt", "--kills", "20", *ROWS), marks=pytest.mark.slow),
         pytest.param(("torture_annotate.py", "--kills", "10"), marks=pytest.mark.slow),
     ],
-    ids=["infer", "evaluate", "train", "annotate"],
+    ids=["infer", "evaluate", "train", "adapt", "annotate"],
 )
 def test_a_few_kills_break_nothing(words: tuple[str, ...]) -> None:
     assert told(*words).endswith("; 0 faults\n")
