@@ -264,7 +264,7 @@ class Detector(nn.Module):
             remedy = "compile its network: detector.analysis.network = torch.compile(…)"
             raise ConfigError("torch.compile", "takes no detector", remedy)
         image = checked_image(image)
-        with torch.autocast(image.device.type, enabled=False):
+        with torch.autocast("cuda" if image.is_cuda else "cpu", enabled=False):
             return self._found(image)
 
     def _found(self, image: Tensor) -> Evidence:
@@ -373,7 +373,7 @@ def checked_image(image: Tensor) -> Tensor:
     if not isinstance(image, Tensor) or not image.is_floating_point():
         kind = image.dtype if isinstance(image, Tensor) else type(image).__name__
         raise InputError("image", f"is {kind}", "give float32 RGB in [0, 1], as read_image does")
-    if image.is_meta:
+    if image.is_meta and type(image) is Tensor:  # a subclass may have values all the same
         raise InputError("image", "is on the device meta, without values", "give a picture")
     if image.layout != torch.strided:
         raise InputError("image", f"has the layout {image.layout}", "give image.to_dense()")
