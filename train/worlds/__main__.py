@@ -27,16 +27,21 @@ import cv2
 import numpy as np
 
 from train.worlds.camera import build_camera, drive_on
-from train.worlds.light import build_light, draw_hour
+from train.worlds.light import build_light, draw_hour, draw_weather
 from train.worlds.materials import Nodes
+from train.worlds.nowhere import build_nowhere
 from train.worlds.roads import KINDS, Road, build_road
 from train.worlds.sensor import Look, develop
 from train.worlds.stage import COLOURS, EGO, HORIZONTAL, ROAD, SKY, VOID, Stage
 from train.worlds.surroundings import build_surroundings
+from train.worlds.towns import build_town, furnish_town
 from train.worlds.vehicles import build_traffic
 
 SEASONS = {"green": 6, "dry": 3, "earth": 2, "litter": 3, "snow": 2}
 """Of the land, and how often each is drawn."""
+
+TOWNS, NOWHERE = 10000, 20000
+"""Worlds from these numbers on are towns, and places without road."""
 
 SAMPLES = 8
 """Paths a pixel; the rest is the denoiser's."""
@@ -46,17 +51,27 @@ TONES[VOID] = (255, 0, 255)
 """Of the truth on a sheet, BGR."""
 
 
-def build_world(number: int) -> tuple[Stage, Road, str]:
+def build_world(number: int) -> tuple[Stage, Road | None, str]:
     """The scene of a number, its road, and its name."""
     at = Random(number)
     stage = Stage(at)
     hour = draw_hour(stage)
+    if number >= NOWHERE:
+        build_light(stage, hour)
+        return stage, None, f"{number:05d}_{build_nowhere(stage)}_{hour}"
     kind = at.choices(list(KINDS), [each.often for each in KINDS.values()])[0]
     season = at.choices(list(SEASONS), list(SEASONS.values()))[0]
+    if number >= TOWNS:
+        kind = "town"
+        draw_weather(stage)
     build_light(stage, hour)
-    road = build_road(stage, kind, season)
-    build_surroundings(stage, road)
-    build_traffic(stage, road)
+    if kind == "town":
+        road, street = build_town(stage, season)
+        furnish_town(stage, road, street)
+    else:
+        road = build_road(stage, kind, season)
+        build_surroundings(stage, road)
+        build_traffic(stage, road)
     build_camera(stage, road)
     return stage, road, f"{number:05d}_{kind}_{hour}"
 
@@ -109,7 +124,7 @@ def _written(scene: Any, file: Path) -> np.ndarray:
 def develop_world(stage: Stage, number: int, light: np.ndarray, place: Path, file: Path) -> Look:
     """Render the truth to some light, and write the picture that the camera makes of it."""
     at = np.random.default_rng([35, number])
-    look = develop(light, render_truth(stage, place), stage.night, at)
+    look = develop(light, render_truth(stage, place), stage.night, at, stage.falling)
     cv2.imwrite(str(file), look.picture, [cv2.IMWRITE_JPEG_QUALITY, look.quality])
     return look
 
@@ -129,6 +144,8 @@ def make_drive(number: int, out: Path, frames: int) -> str:
     images, masks = (out / name / kind for kind in ("images", "masks"))
     images.mkdir(parents=True, exist_ok=True)
     masks.mkdir(exist_ok=True)
+    if road is None:
+        raise SystemExit(f"{number}: there is no road to drive on")
     steps = drive_on(stage, road, frames)
     files = {frame: images / f"{frame:03d}.jpg" for frame in range(frames)}
     lights = {}

@@ -37,18 +37,22 @@ def build_camera(stage: Stage, road: Road) -> None:
         tall = at.uniform(0.3, 0.7)
     else:
         tall = at.choice([at.uniform(1.1, 1.6), at.uniform(1.2, 2.6)])
-    lens = _draw_lens(stage)
+    lens = draw_lens(stage)
     data: Any = bpy.data.cameras.new("camera")
     data.sensor_fit, data.clip_start, data.clip_end = "VERTICAL", 0.05, 2000
     data.angle_y = 2 * atan(lens.half_up)
     narrow = road.kind in (*UNPAVED, "lane")
     side = at.uniform(-0.25, 0.25) if narrow else at.uniform(-0.55, 0.6)
+    if road.lane is not None:
+        side = (road.lane + at.uniform(-0.6, 0.6)) / course.half
     camera = stage.add("camera", data, course.at(START, side * course.half, tall))
     stage.scene.camera = camera
     up = degrees(atan(lens.half_up))
     pitch = at.uniform(-0.1, 0.45) * up if stage.chance(0.85) else at.uniform(0.4, 0.9) * up
     slope = (course.points[START + 2].z - course.points[START].z) / 3
     yaw = radians(at.gauss(0, 5) if stage.chance(0.85) else at.gauss(0, 18))
+    if road.lane is not None and not road.open(START) and stage.chance(0.7):  # turning off
+        yaw = radians(at.uniform(-65, 65))
     roll = radians(at.gauss(0, 1.5))
     camera.rotation_euler = (radians(90 - pitch) + atan(slope), roll, yaw)
     if robot:
@@ -96,7 +100,7 @@ def _along(road: Road, metres: float) -> Any:
     return Matrix.Translation(here.lerp(there, rest)) @ turn
 
 
-def _draw_lens(stage: Stage) -> Lens:
+def draw_lens(stage: Stage) -> Lens:
     """Narrow to wide, of pictures of many shapes; sets how they are squeezed."""
     at, render = stage.at, stage.scene.render
     render.resolution_x, render.resolution_y, render.resolution_percentage = WIDTH, HEIGHT, 100

@@ -11,6 +11,9 @@ from train.worlds.stage import Haze, Stage
 HOURS = {"sun": 9, "overcast": 7, "dusk": 2, "night": 3}
 """Kinds of light, and how often each is drawn."""
 
+FOG = 130
+"""Metres: air that reaches less far hides the sky's lower part as well."""
+
 
 def draw_hour(stage: Stage) -> str:
     """The kind of light; sets the air and whether lamps burn. Comes before all materials."""
@@ -25,6 +28,15 @@ def draw_hour(stage: Stage) -> str:
         colour = (light * at.uniform(0.9, 1.05), light, light * at.uniform(1, 1.15))
         stage.haze = Haze(reach, colour)
     return hour
+
+
+def draw_weather(stage: Stage) -> None:
+    """Fog that hides what is some tens of metres away, and rain or snow that falls; of towns."""
+    at = stage.at
+    if stage.chance(0.18):
+        stage.haze = stage.haze._replace(reach=at.uniform(FOG / 5, FOG))
+    if stage.chance(0.2):
+        stage.falling = at.uniform(0.1, 1)
 
 
 def build_light(stage: Stage, hour: str) -> None:
@@ -57,6 +69,11 @@ def build_light(stage: Stage, hour: str) -> None:
             look = nodes.mix(share, look, (white, white, white * 1.03))
     given = {"Color": (*look, 1) if isinstance(look, tuple) else look, "Strength": strength}
     background = nodes.add("ShaderNodeBackground", given)
+    if stage.haze.reach < FOG:
+        where = nodes.add("ShaderNodeTexCoord", {}, "Generated")
+        low = nodes.step(nodes.add("ShaderNodeSeparateXYZ", {0: where}, 2), 0.6, 0.1)
+        fog = nodes.add("ShaderNodeBackground", {"Color": (*stage.haze.colour, 1)})
+        background = nodes.add("ShaderNodeMixShader", {0: low, 1: background, 2: fog})
     nodes.add("ShaderNodeOutputWorld", {"Surface": background})
 
 

@@ -179,12 +179,45 @@ def paved(
         look = nodes.mix(near, look, tuple(edge))
     rough: Any = at.uniform(0.6, 1)
     if wet:
-        water = nodes.step(nodes.noise(at.uniform(0.1, 0.7)), 0.75 - wet * 0.6, 0.6 - wet * 0.6)
-        water = nodes.math("SUBTRACT", 1.0, water)
-        look = nodes.mix(nodes.math("MULTIPLY", water, 0.5), look, BLACK)
-        rough = nodes.math("SUBTRACT", 0.7, nodes.math("MULTIPLY", water, at.uniform(0.45, 0.66)))
+        look, rough = under_water(nodes, look, at.uniform(0.1, 0.7), wet, at.uniform(0.45, 0.66))
     normal = nodes.bump(fine, at.uniform(0.05, 0.4), 0.02)
     return finished(stage, nodes, look, rough, {"Normal": normal})
+
+
+def slabs(
+    stage: Stage, colour: Colour, size: float, wet: float = 0.0, slush: Colour | None = None
+) -> Material:
+    """A pavement of slabs, their longer side in metres; wet or under snow."""
+    at, nodes = stage.at, new_surface()
+    x, y = (nodes.add("ShaderNodeSeparateXYZ", {0: nodes.place()}, k) for k in (0, 1))
+    flat = nodes.add("ShaderNodeCombineXYZ", {0: x, 1: y})
+    light, dark, joint = (tuple(c * by for c in colour) for by in (1.0, at.uniform(0.7, 1), 0.45))
+    given = {
+        "Vector": flat,
+        "Scale": 1.0,
+        "Brick Width": size,
+        "Mortar Size": at.uniform(0.006, 0.02),
+    }
+    given |= {"Row Height": size * at.choice([0.5, 1.0]), "Bias": at.uniform(-0.6, 0.6)}
+    given |= {"Color1": (*light, 1), "Color2": (*dark, 1), "Mortar": (*joint, 1)}
+    look = nodes.add("ShaderNodeTexBrick", given, "Color", offset=at.choice([0.0, 0.5]))
+    stain = nodes.step(nodes.noise(at.uniform(0.3, 2)), 0.35, 0.65)
+    look = nodes.mix(nodes.math("MULTIPLY", stain, at.uniform(0, 0.4)), look, BLACK)
+    if slush:
+        share = nodes.math("ADD", nodes.noise(at.uniform(0.3, 1.2)), at.uniform(-0.15, 0.3))
+        look = nodes.mix(nodes.step(share, 0.35, 0.55), look, tuple(slush))
+    rough: Any = at.uniform(0.6, 1)
+    if wet:
+        look, rough = under_water(nodes, look, at.uniform(0.1, 0.7), wet, at.uniform(0.45, 0.66))
+    return finished(stage, nodes, look, rough)
+
+
+def under_water(nodes: Nodes, look: Any, grain: float, wet: float, shine: float) -> tuple[Any, Any]:
+    """Darker and smoother where water stands, on a share of the surface; look and roughness."""
+    water = nodes.step(nodes.noise(grain), 0.75 - wet * 0.6, 0.6 - wet * 0.6)
+    water = nodes.math("SUBTRACT", 1.0, water)
+    look = nodes.mix(nodes.math("MULTIPLY", water, 0.5), look, BLACK)
+    return look, nodes.math("SUBTRACT", 0.7, nodes.math("MULTIPLY", water, shine))
 
 
 def _cracked(nodes: Nodes, look: Any, often: float, wide: float) -> Any:

@@ -55,6 +55,7 @@ KINDS = {
     "yard": Kind(2, (7, 20), bend=0.0, steepest=0.0, vehicles=(2, 6, 12)),
     "bazaar": Kind(3, (2.5, 6), ragged=0.3),
     "lane": Kind(2, (1.6, 2.6), ragged=0.1, trees=(4, 40), vehicles=(0, 0, 1)),
+    "town": Kind(0, (2.75, 14), bend=1.3, steepest=0.05),  # by number; train.worlds.towns
 }
 
 UNPAVED = ("track", "trail", "overgrown")
@@ -81,7 +82,10 @@ class Course(NamedTuple):
 
 
 class Road(NamedTuple):
-    """What the other parts need to know: land is where the land begins, from the middle."""
+    """What the other parts need to know: land is where the land begins, from the middle.
+
+    lane: the middle of the lane in which the camera stands, where there are lanes.
+    """
 
     kind: str
     course: Course
@@ -90,6 +94,7 @@ class Road(NamedTuple):
     gaps: list[tuple[int, int]]
     length: int
     land_rises: dict[int, Section]
+    lane: float | None = None
 
     def open(self, index: int) -> bool:
         """Whether nothing crosses here."""
@@ -161,11 +166,13 @@ def swept(
         stage.put(mesh, truth)
 
 
-def swept_between(stage: Stage, road: Road, section: Section, material: Material) -> None:
-    """The same, as ground, but for where another road crosses."""
+def swept_between(
+    stage: Stage, road: Road, section: Section, material: Material, truth: int = HORIZONTAL
+) -> None:
+    """The same, but for where another road crosses."""
     first = 0
     for low, high in [*road.gaps, (road.length, road.length)]:
-        swept(stage, road.course, section, material, HORIZONTAL, span=(first, low + 1))
+        swept(stage, road.course, section, material, truth, span=(first, low + 1))
         first = high
 
 
@@ -194,7 +201,7 @@ def build_road(stage: Stage, kind: str, season: str) -> Road:
     gaps = [(where, where + at.randint(4, 7))] if crossing else []
     length = at.randint(START + 12, START + 45) if kind == "yard" else END
     road = Road(kind, course, course.half, season, gaps, length, {})
-    surface, soil = _surface(stage, road), _soil(stage, season)
+    surface, soil = _surface(stage, road), soil_of(stage, season)
     flat = [(course.half * (k / 4 - 1), 0.03) for k in range(9)]
     bumps = 0.04 * (kind in UNPAVED)
     swept(stage, course, flat, surface, ROAD, KINDS[kind].ragged, (0, min(FAR, length)), bumps)
@@ -225,7 +232,7 @@ def _surface(stage: Stage, road: Road) -> Material:
     wet = at.uniform(0.2, 1) if stage.chance(0.22) else 0.0
     slush = drawn(stage, SNOW) if road.season == "snow" and stage.chance(0.75) else None
     if road.kind == "overgrown" and stage.chance(0.6):
-        return _soil(stage, road.season)
+        return soil_of(stage, road.season)
     loose = road.kind in UNPAVED or (road.kind in ("yard", "lane", "bazaar") and stage.chance(0.35))
     if loose:
         colour = drawn(stage, EARTHS if road.kind == "track" else LITTER + EARTHS, 0.35)
@@ -238,7 +245,7 @@ def _surface(stage: Stage, road: Road) -> Material:
     return paved(stage, colour, half, wet, stones, slush, at.uniform(-0.12, 0.2))
 
 
-def _soil(stage: Stage, season: str) -> Material:
+def soil_of(stage: Stage, season: str) -> Material:
     """What the land beside is made of."""
     at = stage.at
     colours = {"snow": SNOW, "earth": EARTHS, "litter": LITTER, "dry": GREENS[2:3] + GREENS[4:]}
@@ -309,11 +316,16 @@ def _mark(stage: Stage, road: Road) -> None:
         for side in (-1, 1):
             painted(stage, road, side * (half - at.uniform(0.15, 0.6)), 0.06, white)
     if road.kind == "street" and stage.chance(0.3):
-        first = at.randint(START + 3, START + 20)
-        for k in range(int(half * 2 / 1.0)):
-            out = -half + 0.25 + k
-            stripe = [(out, 0.037), (out + 0.5, 0.037)]
-            swept(stage, road.course, stripe, white, ROAD, span=(first, first + 3))
+        mark_zebra(stage, road, at.randint(START + 3, START + 20), white)
+
+
+def mark_zebra(stage: Stage, road: Road, first: int, white: Material) -> None:
+    """A zebra crossing from a point on."""
+    half = road.course.half
+    for k in range(int(half * 2 / 1.0)):
+        out = -half + 0.25 + k
+        stripe = [(out, 0.037), (out + 0.5, 0.037)]
+        swept(stage, road.course, stripe, white, ROAD, span=(first, first + 3))
 
 
 def _mark_bays(stage: Stage, road: Road) -> None:

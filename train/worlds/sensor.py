@@ -18,9 +18,16 @@ class Look(NamedTuple):
     quality: int
 
 
-def develop(light: np.ndarray, truth: np.ndarray, night: bool, at: Random) -> Look:
-    """Linear light float32 (H,W,3) BGR as a camera shows it, truth bent as the lens bends."""
+def develop(
+    light: np.ndarray, truth: np.ndarray, night: bool, at: Random, falling: float = 0.0
+) -> Look:
+    """Linear light float32 (H,W,3) BGR as a camera shows it, truth bent as the lens bends.
+
+    falling: rain or snow in the air, 0 to 1.
+    """
     light = np.nan_to_num(light, posinf=1e4).clip(0, 1e4)
+    if falling:
+        light = through_rain(light, falling, at)
     if at.random() < 0.3:
         light, truth = bent(light, truth, at.uniform(-0.05, 0.28))
     light = with_glare(light, night, at)
@@ -68,6 +75,21 @@ def vignette(shape: tuple[int, ...], at: Random) -> np.ndarray:
     y, x = np.mgrid[-1 : 1 : shape[0] * 1j, -1 : 1 : shape[1] * 1j]
     dark = at.choice([0.0, 0.1, 0.25, 0.5], p=[0.4, 0.3, 0.2, 0.1])
     return (1 - dark * ((x * x + y * y) / 2) ** at.uniform(1, 3)).astype(np.float32)[..., None]
+
+
+def through_rain(light: np.ndarray, much: float, at: Random) -> np.ndarray:
+    """Streaks of rain or flakes, brighter than what is behind them, under a veil."""
+    height, width = light.shape[:2]
+    lit = (at.random((height, width)) < 0.004 * much * at.uniform(0.3, 1.5)).astype(np.float32)
+    length = int(at.choice([1, 5, 11, 21]))
+    lean, kernel = at.uniform(-0.4, 0.4), np.zeros((length, length), np.float32)
+    for row in range(length):
+        kernel[row, int(length / 2 + lean * (row - length / 2))] = 1
+    streaks = cv2.GaussianBlur(cv2.filter2D(lit, -1, kernel), (0, 0), at.uniform(0.4, 0.9))
+    grey = np.percentile(light.mean(2), 80)
+    share = (streaks * at.uniform(0.2, 0.8)).clip(0, 0.8)[..., None]
+    light = light * (1 - share) + share * grey
+    return light + 0.15 * much * at.random() * grey
 
 
 def behind_glass(light: np.ndarray, at: Random) -> np.ndarray:

@@ -41,6 +41,7 @@ class Stage:
         self.at = at
         self.haze = Haze(4000, (0.7, 0.75, 0.8))
         self.night = False
+        self.falling = 0.0  # rain or snow in the air, 0 to 1
 
     def chance(self, share: float) -> bool:
         """Whether something happens that happens in a share of the worlds."""

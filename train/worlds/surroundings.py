@@ -35,29 +35,29 @@ def build_surroundings(stage: Stage, road: Road) -> None:
     leaf = ground(stage, drawn(stage, mine, 0.4), drawn(stage, mine, 0.4), at.uniform(1, 5), 0.3, 0)
     if not town or stage.chance(0.3):
         _grass(stage, road, at.choice([0, 250, 700] if wild else [0, 150]))
-    _trees(stage, road, leaf, at.randint(*KINDS[road.kind].trees))
+    build_trees(stage, road, leaf, at.randint(*KINDS[road.kind].trees))
     bushes = [0, 10, 40] if wild else [0, 0, 8]
     _bushes(stage, road, leaf, at.choice([0, 60, 160] if road.kind == "overgrown" else bushes))
     if town or stage.chance(0.2):
         _houses(stage, road, at.randint(6, 22) if town else at.randint(1, 5))
     if stage.chance(0.4 if town else 0.25):
         _fence(stage, road)
-    _posts(stage, road, at.choice([0, 0, 3] if road.kind in UNPAVED else [0, 4, 9]))
+    build_posts(stage, road, at.choice([0, 0, 3] if road.kind in UNPAVED else [0, 4, 9]))
     if town:
         _people(stage, road, at.choice([0, 2, 6]) if road.kind != "bazaar" else at.randint(3, 16))
     if road.kind in ("motorway", "street", "rural") and stage.chance(0.16):
-        _bridge(stage, road)
+        build_bridge(stage, road)
     if road.kind == "yard":
         _end_of_yard(stage, road, leaf)
     if stage.chance(0.6):
         for _ in range(at.choice([1, 1, 2])):
-            _hills(stage)
+            build_hills(stage)
 
 
 # --- plants -----------------------------------------------------------------------------
 
 
-def _crown(stage: Stage, count: int, size: float) -> Shape:
+def crown(stage: Stage, count: int, size: float) -> Shape:
     """Loose leaves in a ball of radius 1, ``size`` each: light falls through."""
     at = stage.at
     knots = [Vector((at.gauss(0, 0.45), at.gauss(0, 0.45), at.gauss(0, 0.4))) for _ in range(9)]
@@ -93,13 +93,13 @@ def _bare(stage: Stage) -> Shape:
     return loose(points)
 
 
-def _trees(stage: Stage, road: Road, leaf: Any, count: int) -> None:
+def build_trees(stage: Stage, road: Road, leaf: Any, count: int) -> None:
     """Broad, bare and fir trees; near ones throw their shadows on the road."""
     at = stage.at
     bark = plain(stage, drawn(stage, palette("12 9 6, 20 17 14, 30 28 25")), 0.95, vary=0.5)
     bare = road.season == "snow" or stage.chance(0.12)
-    crowns = [_bare(stage) if bare else _crown(stage, 1500, 0.1) for _ in range(2)]
-    meshes = [stage.mesh([(crown, bark if bare else leaf)]) for crown in crowns]
+    crowns = [_bare(stage) if bare else crown(stage, 1500, 0.1) for _ in range(2)]
+    meshes = [stage.mesh([(shape, bark if bare else leaf)]) for shape in crowns]
     fir = stage.mesh([(_fir(stage), leaf)])
     trunk = stage.mesh([(turned([(0.5, 0), (0.35, 1)], 7), bark)])
     near, firs = at.uniform(0.4, 3), at.choice([0.0, 0.2, 1.0])
@@ -123,7 +123,7 @@ def _trees(stage: Stage, road: Road, leaf: Any, count: int) -> None:
 
 def _bushes(stage: Stage, road: Road, leaf: Any, count: int) -> None:
     at = stage.at
-    meshes = [stage.mesh([(_crown(stage, 700, 0.2), leaf)]) for _ in range(2)]
+    meshes = [stage.mesh([(crown(stage, 700, 0.2), leaf)]) for _ in range(2)]
     for _ in range(count):
         size = at.uniform(0.3, 1.4)
         beyond = size * (0.7 if road.kind == "overgrown" else 1) + at.expovariate(0.3)
@@ -220,7 +220,7 @@ def _fence(stage: Stage, road: Road) -> None:
         swept(stage, road.course, section, look, VERTICAL, span=span, bumps=bumps)
 
 
-def _posts(stage: Stage, road: Road, count: int) -> None:
+def build_posts(stage: Stage, road: Road, count: int) -> None:
     """Lamp posts that shine at night, poles, signs, bins."""
     at = stage.at
     grey = plain(stage, drawn(stage, palette("30 30 30, 15 12 9, 50 50 50")), 0.6)
@@ -274,7 +274,7 @@ def _people(stage: Stage, road: Road, count: int) -> None:
         stage.put(stage.mesh(person(stage)), VERTICAL, where, at.uniform(0, 6))
 
 
-def _bridge(stage: Stage, road: Road) -> None:
+def build_bridge(stage: Stage, road: Road) -> None:
     """A bridge across the road: a band of shadow on it."""
     at = stage.at
     concrete = plain(stage, drawn(stage, WALLS), 0.9, vary=0.4)
@@ -300,14 +300,14 @@ def _end_of_yard(stage: Stage, road: Road, leaf: Any) -> None:
         house = box((at.uniform(-15, 15), y + 8, tall / 2), (40, 10, tall))
         stage.put(stage.mesh([(house, wall)]), VERTICAL)
     if what == "hedge":
-        mesh = stage.mesh([(_crown(stage, 700, 0.2), leaf)])
+        mesh = stage.mesh([(crown(stage, 700, 0.2), leaf)])
         for k in range(-16, 17):
             size = at.uniform(0.7, 1.6)
             where: Point = (k * 1.6, y + 2, size * 0.5)
             stage.put(mesh, VERTICAL, where, at.uniform(0, 6), (1.3, 1.3, size))
 
 
-def _hills(stage: Stage) -> None:
+def build_hills(stage: Stage) -> None:
     """Woods, roofs or mountains at the horizon, a row."""
     at = stage.at
     far, tall, seed = at.uniform(190, 480), at.uniform(3, 45), at.uniform(0, 99)

@@ -13,9 +13,9 @@ PAINTS = palette("50 2 2, 70 70 70, 1.5 1.5 1.5, 4 8 35, 25 25 26, 85 85 83, 35 
 def build_traffic(stage: Stage, road: Road) -> None:
     """Vehicles on the road and at its edge."""
     at, half = stage.at, road.course.half
-    common = [_car] * 7 + [_van] * 2 + [_lorry] * 2 + [_motorbike]
+    common = [car] * 7 + [van] * 2 + [lorry] * 2 + [motorbike]
     if road.kind == "bazaar":
-        common = [_car] * 3 + [_motorbike] * 5 + [_rickshaw] * 3 + [_lorry]
+        common = [car] * 3 + [motorbike] * 5 + [_rickshaw] * 3 + [lorry]
     pool = [stage.mesh(make(stage)) for make in at.choices(common, k=4)]
     taken: list[tuple[int, float]] = []
     for number in range(at.choice(KINDS[road.kind].vehicles)):
@@ -96,7 +96,7 @@ def _lights(looks: Looks, width: float, back: float, front: float, up: float) ->
     return parts
 
 
-def _car(stage: Stage, tall: float = 0.0) -> Parts:
+def car(stage: Stage, tall: float = 0.0) -> Parts:
     """A car 4 to 4.8 metres long: body, cabin of glass under a roof, lights, wheels."""
     at, looks = stage.at, _looks(stage)
     a, half, up = at.uniform(1.95, 2.4), at.uniform(0.82, 0.95), at.uniform(1.35, 1.75) + tall
@@ -118,11 +118,11 @@ def _car(stage: Stage, tall: float = 0.0) -> Parts:
     return parts + _lights(looks, half, -a, a, belt - 0.15)
 
 
-def _van(stage: Stage) -> Parts:
-    return _car(stage, stage.at.uniform(0.3, 0.7))
+def van(stage: Stage) -> Parts:
+    return car(stage, stage.at.uniform(0.3, 0.7))
 
 
-def _lorry(stage: Stage) -> Parts:
+def lorry(stage: Stage) -> Parts:
     """A lorry or a bus: a long box on wheels, a cabin before it."""
     at, looks = stage.at, _looks(stage)
     long, tall, half = at.uniform(5, 11), at.uniform(2.6, 3.8), 1.22
@@ -138,7 +138,7 @@ def _lorry(stage: Stage) -> Parts:
     return parts + _lights(looks, half, -end, end + 1.86, 0.95)
 
 
-def _motorbike(stage: Stage) -> Parts:
+def motorbike(stage: Stage) -> Parts:
     """A motorbike or scooter with one or two people on it."""
     looks = _looks(stage)
     parts: Parts = [(wheel(0, end, 0.29, 0.12), looks.rubber) for end in (-0.6, 0.65)]
