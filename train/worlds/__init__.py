@@ -1,4 +1,4 @@
-"""Path-traced worlds with exact truth: roads, yards and tracks as many cameras see them.
+"""Path-traced worlds with exact truth: roads, towns, yards and tracks as many cameras see them.
 
 ``python -m train.worlds --help`` renders them with Blender's module (bpy 5.0.1, Python 3.11), which
 only this recipe needs. A world is drawn from its number alone: kind of road, surroundings, traffic,

@@ -5,7 +5,8 @@
 
 writes WORLDS/images/NUMBER_KIND_HOUR.jpg and WORLDS/truth/….png (0 sky, 1 vertical, 2 horizontal
 without road, 3 road, 4 ego car, 255 void). What is there is kept; a number gives the same picture.
-Several at a time: ``--every 2 --from 1`` takes every second number.
+Several at a time: ``--every 2 --from 1`` takes every second number. Numbers from 10000 on are
+towns, from 20000 on places without any road.
 
     python -m train.worlds 5000 5012 --out DRIVES --frames 60
 

@@ -310,8 +310,8 @@ def _heaps(stage: Stage, road: Road, ends: Sequence[float]) -> None:
         if stage.chance(0.5):
             continue
         middle, wide = side * (road.course.half + at.uniform(-0.3, 0.6)), at.uniform(0.2, 0.6)
-        tones = [drawn(stage, SNOW), drawn(stage, palette("40 40 41, 25 24 23"))]
-        look = ground(stage, *tones, at.uniform(2, 8), 0.4, 0.6)
+        clean, grey = drawn(stage, SNOW), drawn(stage, palette("40 40 41, 25 24 23"))
+        look = ground(stage, clean, grey, at.uniform(2, 8), 0.4, 0.6)
         section = [(middle - wide, -0.1), (middle, at.uniform(0.1, 0.45)), (middle + wide, -0.1)]
         first = at.randint(START - 4, START + 10)
         span = (first, at.randint(first + 10, 120))
