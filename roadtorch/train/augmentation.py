@@ -115,6 +115,22 @@ class NightAugmentation(Settings):
     lamps: int = Field(default=6, ge=0, le=100, description="lamps at most, above the road")
 
 
+class WeatherAugmentation(Settings):
+    """How fine days become foul: fog, snow beside the road, a wet road or rain, each as likely."""
+
+    share: Fraction = Field(default=0.0, description="of the pictures")
+    thickest: float = Field(
+        default=0.15,
+        gt=0,
+        le=1,
+        description="fog: ground at this depth below the horizon, as "
+        "share of the height, is seen by 37 % in the thickest",
+    )
+    snow: Fraction = Field(default=0.9, description="share of snow's white, at most")
+    mirror: Fraction = Field(default=0.6, description="share of a wet road's mirror, at most")
+    streaks: Fraction = Field(default=0.02, description="of pixels where a streak begins, at most")
+
+
 class EgoCarAugmentation(Settings):
     """Ego cars that footage shows, cut out and laid over the lower edge of other pictures."""
 
@@ -133,6 +149,7 @@ class Augmentation(Settings):
     surface: SurfaceAugmentation = SurfaceAugmentation()
     shadow: ShadowAugmentation = ShadowAugmentation()
     night: NightAugmentation = NightAugmentation()
+    weather: WeatherAugmentation = WeatherAugmentation()
     ego_car: EgoCarAugmentation = EgoCarAugmentation()
 
 
@@ -269,6 +286,92 @@ def at_night(image: Tensor, unlit: Tensor, night: NightAugmentation, at: torch.G
         torch.zeros(1, 1, height, width),
     )
     return (image * light * tint + lamps * tint).clamp(0, 1)
+
+
+# --- weather ----------------------------------------------------------------------------
+
+
+class Scene(NamedTuple):
+    """What weather lies on, shares (1,1,H,W) in [0,1]: sky, ground with its road, road, ego car."""
+
+    sky: Tensor
+    ground: Tensor
+    road: Tensor
+    ego: Tensor
+
+
+def in_weather(
+    image: Tensor, scene: Scene, weather: WeatherAugmentation, at: torch.Generator
+) -> Tensor:
+    """An image (1,3,H,W) in [0,1] in fog, snow or rain, or with a wet road."""
+    kind = (in_fog, under_snow, wetted, in_rain)[int(torch.randint(4, (), generator=at))]
+    street = kind(image, scene, weather, at).clamp(0, 1)
+    return torch.lerp(street, image, scene.ego)
+
+
+def horizon_of(scene: Scene) -> float:
+    """Share of the height at which the ground begins in the middle of the picture."""
+    rows = (scene.ground + scene.ego).clamp_max(1).mean((0, 1, 3))
+    return 1 - float(rows.sum()) / len(rows)
+
+
+def in_fog(
+    image: Tensor, scene: Scene, weather: WeatherAugmentation, at: torch.Generator
+) -> Tensor:
+    """Air that hides what is far: a row of ground is as far as 1 over its depth below the horizon.
+
+    What stands is as far as the ground below it; of the sky nothing is seen.
+    """
+    height = image.shape[-2]
+    down = torch.linspace(0, 1, height)[:, None] - horizon_of(scene) + 0.05
+    far = scene.ground * (1 / down.clamp_min(0.02))
+    far = far.flip(-2).cummax(-2).values.flip(-2)
+    wide = image.shape[-1] // 8  # air has no edges
+    far = F.avg_pool2d(far, (1, 2 * wide + 1), 1, (0, wide), count_include_pad=False)
+    thick, level = drawn(at, (0.02, weather.thickest), (1, 2))
+    level = min(0.9, level * float(image.mean()))
+    seen = torch.exp(-thick * far) * (1 - scene.sky)
+    tint = 1 + uniform(at, 3, -0.05, 0.05).reshape(1, 3, 1, 1)
+    return torch.lerp(level * tint.expand_as(image), image, seen)
+
+
+def under_snow(
+    image: Tensor, scene: Scene, weather: WeatherAugmentation, at: torch.Generator
+) -> Tensor:
+    """Snow in patches on the ground beside the road, on some days on the road as well."""
+    on_road, much, level = drawn(at, (-0.6, 0.4), (0.3, weather.snow), (0.5, 1.0))
+    lies = scene.ground * (1 - scene.road) + scene.road * max(on_road, 0)
+    patches = (2 * grain(image.shape[-2:], at) + 2 * float(uniform(at, 1, -0.5, 2))).sigmoid()
+    return torch.lerp(image, torch.full_like(image, level), much * lies * patches)
+
+
+def wetted(
+    image: Tensor, scene: Scene, weather: WeatherAugmentation, at: torch.Generator
+) -> Tensor:
+    """A darker road whose puddles mirror what stands beyond it."""
+    height, horizon = image.shape[-2], horizon_of(scene)
+    rows = 2 * horizon * height - torch.arange(height)
+    mirrored = image[..., rows.round().long().clamp(0, height - 1), :]
+    shine, dark = drawn(at, (0.15, weather.mirror), (0.5, 1.0))
+    puddles = (3 * grain(image.shape[-2:], at) + float(uniform(at, 1, -2, 3))).sigmoid()
+    wet = scene.road * puddles
+    return torch.lerp(image * (1 - wet * (1 - dark)), mirrored, shine * wet)
+
+
+def in_rain(
+    image: Tensor, scene: Scene, weather: WeatherAugmentation, at: torch.Generator
+) -> Tensor:
+    """Streaks that fall, drops on the glass that blur what is behind them, and a veil."""
+    size, level = image.shape[-2:], float(image.mean()) * 1.3 + 0.1
+    share, veil, drops = drawn(at, (0, weather.streaks), (0, 0.3), (0, 0.02))
+    starts = (torch.rand(1, 1, *size, generator=at) < share).to(image)
+    long = 2 * int(uniform(at, 1, 1, 7)) + 1
+    streaks = F.max_pool2d(starts, (long, 1), 1, (long // 2, 0)) * 0.4
+    blurred = F.avg_pool2d(image.flip(-2), 9, 1, 4, count_include_pad=False)
+    glass = (torch.rand(1, 1, *size, generator=at) < drops / 5).to(image)
+    glass = F.avg_pool2d(F.max_pool2d(glass, 7, 1, 3), 3, 1, 1)
+    image = torch.lerp(torch.lerp(image, torch.full_like(image, level), streaks), blurred, glass)
+    return torch.lerp(image, torch.full_like(image, level), veil)
 
 
 def lamp(size: Sequence[int], horizon: float, at: torch.Generator) -> Tensor:

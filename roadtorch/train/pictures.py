@@ -114,6 +114,11 @@ class PictureSamples:
         if self.ego_cars and chosen(vary.ego_car.share):
             car = augmentation.draw_ego_car(self.ego_cars, vary.ego_car, at)
             image, planes = augmentation.laid_over(image, planes, car)
+        if chosen(vary.weather.share):
+            known = Targets(*planes.split(PLANES, 1))
+            sky, ground = (known.layout[:, k : k + 1] for k in (SKY, HORIZONTAL))
+            scene = augmentation.Scene(sky, ground, known.road, known.ego * known.ego_weight)
+            image = augmentation.in_weather(image, scene, vary.weather, at)
         if chosen(vary.night.share):
             known = Targets(*planes.split(PLANES, 1))
             unlit = (known.layout[:, SKY : SKY + 1] + known.ego).clamp_max(1)

@@ -16,17 +16,23 @@ from roadtorch.train.augmentation import (
     GeometryAugmentation,
     LightAugmentation,
     NightAugmentation,
+    Scene,
     ShadowAugmentation,
     SurfaceAugmentation,
+    WeatherAugmentation,
     at_night,
     draw_ego_car,
     draw_frames,
+    in_fog,
+    in_weather,
     laid_over,
     reframed,
     relit,
     resurfaced,
     shaded,
+    under_snow,
     varied,
+    wetted,
 )
 from roadtorch.train.teachers import PLANES, Targets
 from tests.draws import seeded
@@ -101,6 +107,53 @@ def test_at_night_the_road_ahead_is_lit_and_the_ego_car_is_dark() -> None:
         assert night[..., 44:66, 24:36].amax() > 2 * night[..., :20, :].amax()
         assert night[..., 70:, :].amax() <= 0.8 * 0.3 * 1.3 + 1e-6
     assert len({float(night.mean()) for night in nights}) == len(nights)
+
+
+def street() -> tuple[torch.Tensor, Scene]:
+    """Blue sky above row 40, a grey road between green, an ego car from row 72 on."""
+    image, ground, road, ego = torch.zeros(1, 3, 80, 64), *(torch.zeros(3, 1, 1, 80, 64))
+    ground[..., 40:72, :] = road[..., 40:72, 24:40] = ego[..., 72:, :] = 1
+    sky = 1 - ground - ego
+    image[:, 2], image[:, 1] = 0.9 * sky[:, 0], 0.4 * (ground - road)[:, 0]
+    return image + 0.4 * road, Scene(sky, ground, road, ego)
+
+
+FIRST, LAST = slice(40, 46), slice(66, 72)  # rows of the ground, far and near
+
+
+@pytest.mark.parametrize(
+    ("weather", "changed", "kept"),
+    [
+        (in_fog, (FIRST, slice(24, 40)), (LAST, slice(24, 40))),
+        (under_snow, (LAST, slice(0, 20)), (slice(0, 38), slice(None))),
+        (wetted, (LAST, slice(24, 40)), (LAST, slice(0, 20))),
+    ],
+)
+def test_weather_changes_what_it_lies_on(weather, changed, kept) -> None:
+    image, scene = street()
+    by = [
+        (weather(image, scene, WeatherAugmentation(), seeded(seed)) - image).abs()
+        for seed in range(8)
+    ]
+    change = torch.stack(by).mean(0)
+    assert change[..., changed[0], changed[1]].mean() > 0.05
+    assert change[..., kept[0], kept[1]].mean() < change[..., changed[0], changed[1]].mean() / 3
+
+
+def test_a_wet_road_mirrors_the_sky() -> None:
+    image, scene = street()
+    wet = wetted(image, scene, WeatherAugmentation(mirror=1.0), seeded(3))
+    road = wet[..., 40:72, 24:40]
+    assert road[:, 2].mean() > road[:, 0].mean() + 0.05  # bluer than it was, which was grey
+
+
+def test_weather_leaves_the_ego_car_as_it_is() -> None:
+    image, scene = street()
+    for seed in range(8):
+        foul = in_weather(image, scene, WeatherAugmentation(), seeded(seed))
+        assert torch.equal(foul[..., 72:, :], image[..., 72:, :])
+        assert foul.amin() >= 0
+        assert foul.amax() <= 1
 
 
 def test_lamps_shine_at_night_and_not_below_the_horizon() -> None:
