@@ -50,7 +50,7 @@ step 60 roadtorch doctor
 step 1 python -m roadtorch.scenes.street --out scenes --count 6
 step 3 roadtorch infer scenes --out roads
 step 1 roadtorch infer scenes --out roads-cpf --config thresholds/cpf
-step 1 roadtorch train --config adapt --set start=layout --set stopping.epochs=1 \
+step 1 roadtorch train --config adapt --set start=layout-free --set stopping.epochs=1 \
   --images scenes --out run --quiet
 step 2 roadtorch infer scenes --out roads-mine --set weights.file=run/weights.safetensors
 echo "# all: $(seconds_since "$began") s"

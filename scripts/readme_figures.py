@@ -64,7 +64,7 @@ class Run(NamedTuple):
         return [*self.before, f"roadtorch evaluate {scored}", *last]
 
 
-EXPORTED = ("fusion", "fusion:large", "fusion:research", "fusion:scratch")
+EXPORTED = ("fusion", "fusion:large")
 
 
 def of_exported(words: str, root: str, detectors: Sequence[str], compared: str = "") -> Run:
@@ -173,7 +173,7 @@ def records() -> dict[str, float | str]:
     """All records that are kept, and what the code itself says."""
     grid = {name.rpartition(":")[2] for name in list_detectors("oneclass:*")}
     pictures = (ROOT / "train" / "pictures.csv").read_text(encoding="utf-8").splitlines()
-    weights = load_network(shipped_weights("layout")).parameters()
+    weights = load_network(shipped_weights("layout-free")).parameters()
     values: dict[str, float | str] = {
         "facts.classifiers": len(CLASSIFIERS),
         "facts.representations": len(grid),

@@ -26,7 +26,7 @@ OUT = Path(__file__).resolve().parents[1] / "docs" / "pictures"
 
 
 def write_steps(folder: Path, path: Path) -> None:
-    """A row a picture: input, layout, texture, likelihood, mask."""
+    """A row a picture: input, layout, likelihood, mask."""
     detector = load_detector("fusion")
     rows = [steps(detector, folder / name) for name in CHOSEN]
     options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
@@ -47,7 +47,6 @@ def tiles_of(pixels: np.ndarray, detection: Detection) -> dict[str, np.ndarray]:
     return {
         "input": pixels,
         "layout: sky, vertical, ground": cues["layout"],
-        "texture: how even": cues["uniformity"],
         "likelihood of road": heat(detection.likelihood),
         f"mask, {detection.caption}": replace(detection, trust=None).overlay(),
     }

@@ -7,7 +7,7 @@ from typing import NamedTuple
 Records = Mapping[str, float | str]
 
 MINUS = "\N{MINUS SIGN}"
-LEARNED = ("fusion", "fusion:large", "fusion:scratch", "fusion:research", "fusion:untrained")
+LEARNED = ("fusion", "fusion:large", "fusion:scratch", "fusion:untrained")
 FUSIONS = (*LEARNED, "fusion:paper")
 ROAD = (
     *FUSIONS,
@@ -15,7 +15,7 @@ ROAD = (
     *("cpf", "cpf:v2", "cpf:squares", "grey-uniformity", "lbp", "prior:uniform"),
 )
 TIMED = (
-    *("fusion", "fusion:large", "fusion:research", "fusion:untrained", "fusion:paper"),
+    *("fusion", "fusion:large", "fusion:scratch", "fusion:untrained", "fusion:paper"),
     *("layout", "labeller", "layout:cnn-7", "cpf", "ufl", "ufl:original"),
     *("kmeans-road", "vanishing-point"),
 )
@@ -94,6 +94,16 @@ def _cells(run: str, *keys: str) -> str:
 
 DRIVES = ("0001TP", "0006R0", "0016E5")
 BASELINES = ("prior:mean", "prior:rows", "prior:triangle")
+PEERS = {
+    "road-segmentation-adas-0001": "road_segmentation_adas_0001",
+    "ESPNetv2": "espnetv2_cityscapes_half",
+    "TwinLiteNet": "twinlitenet",
+    "TwinLiteNet+ nano": "twinlitenetplus_nano",
+    "TwinLiteNet+ small": "twinlitenetplus_small",
+    "ESPNet": "espnet_cityscapes",
+}
+"""Supervised networks by the names of scripts/peers.py's files."""
+
 CAMERAS = (
     *("cityscapes", "comma10k", "dn_bdd_drivable", "dn_cassed", "dn_cat", "dn_cityscapes"),
     *("dn_idd", "dn_makassar", "dn_mapillary", "dn_mcubes", "dn_nuimages", "dn_tas500"),
@@ -110,9 +120,8 @@ TABLES: Mapping[str, Table] = {
         "detector | fourteen cameras, F | the worst of them | CamVid, MaxF | IDD, MaxF",
         {
             "`fusion`": "fusion",
-            "`fusion:large`, at half again the size": "fusion:large",
+            "`fusion:large`, at a third more pixels a side, and mirrored": "fusion:large",
             "`fusion:scratch`, whose network has seen no label of any kind": "fusion:scratch",
-            "`fusion:research`, with weights for research and private use": "fusion:research",
             "`fusion:untrained`, which needs no weights": "fusion:untrained",
             "`ufl`, after Zhang et al.": "ufl",
             "`fusion:paper`, Álvarez et al. as printed": "fusion:paper",
@@ -228,9 +237,22 @@ TABLES: Mapping[str, Table] = {
         "[[many.fusion.f_mask{at}]] | [[many.fusion.maxf{at}]] | [[many.fusion.iou_mask{at}]] | "
         "[[many.fusion:untrained.f_mask{at}]] | [[many.prior:rows.maxf{at}]]",
     ),
+    "peers": Table(
+        "detector or network | F | worst camera, F | MaxF | ms",
+        {"`fusion`": "fusion", "`fusion:large`": "fusion:large", **PEERS},
+        f"{_cells('peers', 'f_mask', 'f_mask.worst', 'maxf')} | [[peers.{{row}}.ms|0]]",
+        sort="peers.{row}.f_mask",
+    ),
+    "peers-cameras": Table(
+        " | ".join(["camera", "`fusion`", "`fusion:large`", *PEERS]),
+        {**{name: f"@{name}" for name in CAMERAS}, "mean of all": ""},
+        " | ".join(
+            f"[[peers.{name}.f_mask{{at}}]]" for name in ("fusion", "fusion:large", *PEERS.values())
+        ),
+    ),
     "export": Table(
         "its network / the detector | F | worst camera, F | MaxF | ECE | boundary F",
-        _named("fusion", "fusion:large", "fusion:research", "fusion:scratch"),
+        _named("fusion", "fusion:large"),
         " | ".join(
             f"[[export.maps:{{row}}.{key}]] / [[export.{{row}}.{key}]]"
             for key in ("f_mask", "f_mask.worst", "maxf", "ece", "boundary_f.0.00375")

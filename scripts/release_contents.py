@@ -15,7 +15,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "roadtorch"
-NEEDED = ("py.typed", "weights/layout.safetensors", "weights/layout.md", "configs/adapt.toml")
+NEEDED = (
+    "py.typed",
+    *(f"weights/backbone-free.{end}" for end in ("safetensors", "md")),
+    "configs/adapt.toml",
+)
 """Looked for by name as well: a checkout that lacks them is no source of a release."""
 
 Files = Mapping[str, bytes]

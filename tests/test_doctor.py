@@ -34,10 +34,11 @@ def test_a_sound_installation_is_told_line_by_line(
     assert (result.exit_code, result.stderr) == (int(not document["well"]), "")
     assert {check["section"] for check in checks.values()} == set(doctor.SECTIONS)
     assert [*checks][:2] == ["roadtorch", "python"]
-    for name in ("layout.safetensors", "cnn-7.safetensors", *doctor.SUFFIXES, "video", "fusion"):
+    weights = ("layout-free.safetensors", "cnn-7.safetensors")
+    for name in (*weights, *doctor.SUFFIXES, "video", "fusion"):
         assert checks[name]["state"] == "ok", checks[name]
     assert "reads h264" in checks["video"]["what"]
-    assert checks["layout.safetensors"]["what"].endswith("as layout.md states")
+    assert checks["layout-free.safetensors"]["what"].endswith("as layout-free.md states")
     figures = checks["fusion"]["figures"]
     assert figures["f"] > 0.9
     assert figures["rounds"] == 2

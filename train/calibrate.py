@@ -1,27 +1,30 @@
-"""Choose how far `fusion` trusts its network, its calibration, and what tells a good mask.
+"""Choose the calibration of `fusion`, and what tells a good mask.
 
-    python -m train.calibrate pool DATA [--detector fusion:large] [--weights FILE]
-    python -m train.calibrate trust DATA [--detector fusion:large]
+    python -m train.calibrate calibration DATA [--detector fusion:large] [--weights FILE]
+    python -m train.calibrate trust DATA --worlds WORLDS [--detector fusion:large]
     python -m train.calibrate threshold DATA --detector layout
 
 DATA holds ``many/`` and ``camvid/``. A camera is a folder of many/ or a drive of CamVid (every
 fourth frame); each counts the same, and what is said of a camera was chosen on the others. IDD
-has no part. ``pool`` chooses ``learned.weight``, ``learned.detail`` and ``calibration.centre`` by
-the mean F of masks at .5, and ``calibration.temperature`` by the cross-entropy of pixels; ``trust``
-fits the weights of ``roadtorch.road.trust``; ``threshold`` is for detectors without a calibration.
+has no part. ``calibration`` chooses ``calibration.centre`` by the mean F of masks at .5, and
+``calibration.temperature`` by the cross-entropy of pixels; ``trust`` fits the weights of
+``roadtorch.road.trust``, on the kinds of rendered worlds as well, places without road among them,
+which no network learned from; ``threshold`` is for detectors without a calibration.
 """
 
 import argparse
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from sklearn.linear_model import Ridge
+from PIL import Image
+from sklearn.linear_model import LogisticRegression, Ridge
 from tqdm import tqdm
 
-from roadtorch import Detection, load_detector
+from roadtorch import Detection, load_detector, read_image
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth
 from roadtorch.detector import Detector
@@ -39,8 +42,7 @@ from roadtorch.evaluation.trust import (
     failure_auc,
     rank_correlation,
 )
-from roadtorch.road.fusion import log_odds
-from roadtorch.road.trust import Signs, signs_of
+from roadtorch.road.trust import ENOUGH, Signs, signs_of
 
 EVERY = 4
 """Every how many-th frame of CamVid is used."""
@@ -51,7 +53,12 @@ DRIVES = ("0001TP", "0006R0", "0016E5")
 TOO_FEW = ("india_zed",)
 """Folders of many/ that its README leaves out of means."""
 
-WEIGHTS, DETAILS = (1.0, 2.0), (1.0, 2.0, 4.0)
+PLACES = ("room", "things", "wall", "field", "water")
+"""Of ``train.worlds`` without road."""
+
+ROAD, VOID = 3, 255
+"""In their truth."""
+
 LEVELS = np.arange(-40, 40.01, 0.25)
 """Of log odds, between which pixels are counted."""
 
@@ -66,42 +73,42 @@ def pictures(root: Path, detector: Detector) -> Iterator[tuple[str, Detection, T
         yield str(item.group), detector.detect(image), truth
 
 
-# --- pool -------------------------------------------------------------------------------
+def rendered(root: Path, detector: Detector) -> Iterator[tuple[str, Detection, Truth]]:
+    """The same of worlds of ``train.worlds``; a camera is a kind of them."""
+    for file in tqdm(sorted((root / "images").glob("*.jpg")), disable=None):
+        code = np.asarray(Image.open(root / "truth" / f"{file.stem}.png"))
+        road, valid = (torch.from_numpy(part) for part in (code == ROAD, code != VOID))
+        kind = file.stem.split("_")[1]
+        yield f"world {kind}", detector.detect(read_image(file)), Truth(road, valid)
 
 
-def choose_pool(root: Path, name: str, settings: dict[str, Any]) -> None:
-    """Print the choices by mean F, and F of each camera with what the others choose."""
-    seen: dict[tuple[float, float], dict[str, np.ndarray]] = {}
+# --- calibration ------------------------------------------------------------------------
+
+
+def choose_calibration(root: Path, name: str, settings: dict[str, Any]) -> None:
+    """Print the centre and temperature, and F of each camera at the centre the others choose."""
     plain = {"centre": 0.0, "temperature": 1.0}
-    for weight in WEIGHTS:
-        learned = {"weight": weight, "detail": 0.0}
-        detector = load_detector(name, learned=learned, calibration=plain, **settings)
-        for camera, found, truth in pictures(root, detector):
-            for detail in DETAILS:
-                by_camera = seen.setdefault((weight, detail), {})
-                counts = counts_by_odds(found, truth, detail)
-                by_camera[camera] = by_camera.get(camera, 0) + counts
-    counts = np.array([list(each.values()) for each in seen.values()])  # choice, camera, 2, level
+    seen: dict[str, np.ndarray] = {}
+    for camera, found, truth in pictures(root, load_detector(name, calibration=plain, **settings)):
+        seen[camera] = seen.get(camera, 0) + counts_by_odds(found, truth)
+    counts = np.array(list(seen.values()))  # camera, 2, level
     above = counts[..., ::-1].cumsum(-1)[..., ::-1][..., 1:]  # at or above each of LEVELS
-    hits, alarms = above[:, :, 0], above[:, :, 1]
-    table = 2 * hits / (hits + alarms + counts[:, :, :1, :].sum((2, 3))[..., None])
-    at = table.mean(1).argmax(1)
-    for number in np.argsort(-table.mean(1).max(1)):
-        (weight, detail), f = list(seen)[number], table[number][:, at[number]]
-        print(
-            f"weight {weight} detail {detail} centre {LEVELS[at[number]]:+.2f} temperature "
-            f"{temperature_of(counts[number], float(LEVELS[at[number]])):.1f}: F {f.mean():.4f} "
-            f"worst {f.min():.3f} best of each {table[number].max(1).mean():.4f}"
-        )
-    for number, camera in enumerate(next(iter(seen.values()))):
-        others = np.delete(table, number, 1).mean(1)
-        choice, centre = np.unravel_index(others.argmax(), others.shape)
-        print(f"{camera:16} {table[choice, number, centre]:.3f} as the others choose")
+    hits, alarms = above[:, 0], above[:, 1]
+    table = 2 * hits / (hits + alarms + counts[:, :1, :].sum((1, 2))[:, None])
+    at = int(table.mean(0).argmax())
+    print(
+        f"centre {LEVELS[at]:+.2f} temperature {temperature_of(counts, float(LEVELS[at])):.1f}: "
+        f"F {table[:, at].mean():.4f} worst {table[:, at].min():.3f} "
+        f"best of each {table.max(1).mean():.4f}; at centre 0 {table[:, LEVELS == 0].mean():.4f}"
+    )
+    for number, camera in enumerate(seen):
+        centre = int(np.delete(table, number, 0).mean(0).argmax())
+        print(f"{camera:16} {table[number, centre]:.3f} as the others choose")
 
 
-def counts_by_odds(found: Detection, truth: Truth, detail: float) -> np.ndarray:
+def counts_by_odds(found: Detection, truth: Truth) -> np.ndarray:
     """Pixels (2,levels + 1) of road and of background between LEVELS; the ego car is lowest."""
-    odds = torch.logit(found.likelihood, eps=1e-7) + detail * log_odds(found.cues["learned_road"])
+    odds = torch.logit(found.likelihood, eps=1e-7)
     odds = torch.where(found.cues["ego"], -torch.inf, odds)
     edges = np.concatenate([[-np.inf], LEVELS, [np.inf]])
     parts = (truth.valid & truth.road, truth.valid & ~truth.road)
@@ -155,53 +162,88 @@ class Judged(NamedTuple):
     camera: np.ndarray
 
 
-def choose_trust(root: Path, name: str, settings: dict[str, Any]) -> None:
-    """Print the weights of the signs of trust, and their worth on cameras left out."""
-    rows = []
-    for camera, found, truth in pictures(root, load_detector(name, **settings)):
+def choose_trust(root: Path, name: str, settings: dict[str, Any], worlds: Path | None) -> None:
+    """Print the weights of the signs of trust, and their worth on cameras left out.
+
+    A picture without a mask says so itself, and has no part.
+    """
+    rows, detector = [], load_detector(name, **settings)
+    sources = [pictures(root, detector)] + ([rendered(worlds, detector)] if worlds else [])
+    for camera, found, truth in chain(*sources):
         f = float(torch.nan_to_num(f_measure(count_mask(found.mask, truth.road, truth.valid))))
-        rows.append((signs_of(found.likelihood, found.mask, found.cues), f, camera))
+        if found.mask.any():
+            rows.append((signs_of(found.likelihood, found.mask, found.cues), f, camera))
     judged = Judged(*(np.array(column) for column in zip(*rows, strict=True)))
+    made = np.char.startswith(judged.camera, "world ")
+    none = np.isin(judged.camera, [f"world {place}" for place in PLACES])
     expected = np.empty_like(judged.f)
     for camera in np.unique(judged.camera):
         mine = judged.camera == camera
-        expected[mine] = fitted(judged, ~mine).predict(judged.signs[mine])
-    many = ~np.isin(judged.camera, DRIVES)
+        there = road_there(judged, none, ~mine).predict_proba(judged.signs[mine][:, THERE])[:, 1]
+        f = fitted(judged, ~mine & ~made).predict(judged.signs[mine][:, EXPECTED]).clip(0, 1)
+        expected[mine] = f * (there / ENOUGH).clip(max=1)
+    many = ~np.isin(judged.camera, DRIVES) & ~made
     held_out, f = torch.from_numpy(expected[many]), torch.from_numpy(judged.f[many])
     within = correlation_within(Trusted(held_out, f, judged.camera[many].tolist()))
     error = float((held_out.clamp(0, 1) - f).abs().mean())
     print("on cameras left out, over the pictures of many:")
     print(f"rank correlation {rank_correlation(held_out, f):.3f}, within cameras {within:.3f},")
     print(f"ROC of F < {BAD} {failure_auc(held_out, f):.3f}, mean error {error:.3f}")
-    model = fitted(judged, judged.f > -1)
-    print("WEIGHTS", [round(float(weight), 2) for weight in model.coef_])
+    print(f"no road: {none.sum()} masks, trust below .3 of {(expected[none] < 0.3).sum()}")
+    print(f"F above .8 and trust below .6: {((judged.f > 0.8) & (expected < 0.6))[many].sum()}")
+    model, there = fitted(judged, ~made), road_there(judged, none, judged.f > -1)
+    print("WEIGHTS", [round(float(weight), 2) for weight in model.coef_], "and 0 of vague")
     print("CONSTANT", round(float(model.intercept_), 3))
-    print("USUAL", judged.signs.mean(0).round(2).tolist())
+    print("USUAL", judged.signs[~made].mean(0).round(2).tolist())
+    print("ROAD_STEADY, ROAD_VAGUE", there.coef_[0].round(2), "ROAD_THERE", there.intercept_)
     for number, sign in enumerate(Signs._fields):
         alone = rank_correlation(torch.from_numpy(judged.signs[many, number]), f)
         print(f"{sign} alone {alone:+.2f}")
 
 
+THERE, EXPECTED = [0, 3], [0, 1, 2]
+"""The signs that tell whether there is a road, and how good its mask is."""
+
+NONE_WEIGHS = 3.0
+"""A place without road against a camera."""
+
+
+def road_there(judged: Judged, none: np.ndarray, chosen: np.ndarray) -> LogisticRegression:
+    """Whether there is a road, by the signs of the chosen pictures."""
+    weight = weights_of(judged.camera[chosen]) * np.where(none[chosen], NONE_WEIGHS, 1)
+    signs = judged.signs[chosen][:, THERE]
+    return LogisticRegression(C=10.0).fit(signs, ~none[chosen], sample_weight=weight)
+
+
 def fitted(judged: Judged, chosen: np.ndarray) -> Ridge:
-    """F by the signs of the chosen pictures; every camera weighs the square root of its size."""
-    cameras = judged.camera[chosen]
-    weight = [1 / np.sqrt((cameras == camera).sum()) for camera in cameras]
-    return Ridge(alpha=0.05).fit(judged.signs[chosen], judged.f[chosen], sample_weight=weight)
+    """F by the signs of the chosen pictures."""
+    weight = weights_of(judged.camera[chosen])
+    signs = judged.signs[chosen][:, EXPECTED]
+    return Ridge(alpha=0.05).fit(signs, judged.f[chosen], sample_weight=weight)
 
 
-CHOICES = {"pool": choose_pool, "trust": choose_trust, "threshold": choose_threshold}
+def weights_of(cameras: np.ndarray) -> np.ndarray:
+    """Every camera weighs the square root of its size."""
+    return np.array([1 / np.sqrt((cameras == camera).sum()) for camera in cameras])
+
+
+CHOICES = {"calibration": choose_calibration, "threshold": choose_threshold}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Choose what all cameras share.")
-    parser.add_argument("what", choices=tuple(CHOICES))
+    parser.add_argument("what", choices=(*CHOICES, "trust"))
     parser.add_argument("data", type=Path, help="the folder that holds many/ and camvid/")
     parser.add_argument("--detector", default="fusion")
     parser.add_argument("--weights", default="", help="of the detector's network, to be tried")
+    parser.add_argument("--worlds", type=Path, help="rendered ones that taught no network")
     given = parser.parse_args()
     torch.set_num_threads(1)
     settings = {"weights": {"file": given.weights}} if given.weights else {}
-    CHOICES[given.what](given.data, given.detector, settings)
+    if given.what == "trust":
+        choose_trust(given.data, given.detector, settings, given.worlds)
+    else:
+        CHOICES[given.what](given.data, given.detector, settings)
 
 
 if __name__ == "__main__":

@@ -211,7 +211,6 @@ PAGES = {
     "CONTRIBUTING.md": "/contributing",
     "CHANGELOG.md": "/changelog",
     "train/README.md": "/studies",
-    "roadtorch/weights/layout.md": "/weights_layout",
     "roadtorch/weights/layout-free.md": "/weights_layout-free",
     "roadtorch/weights/backbone-free.md": "/weights_backbone-free",
     "roadtorch/weights/cnn-7.md": "/weights_cnn-7",

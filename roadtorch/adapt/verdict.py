@@ -139,8 +139,7 @@ def fitted_bias(
     if best.isnan():  # the teacher is sure of no road
         return 0.0
     lacking = torch.tensor(settings.threshold).logit() - threshold.clamp(0.05, 0.95).logit()
-    pull = settings.learned.weight + settings.learned.detail
-    return float(lacking * settings.calibration.temperature / max(pull, 1.0))
+    return float(lacking * settings.calibration.temperature)
 
 
 def _taught_frames(

@@ -38,6 +38,7 @@ from roadtorch.road.fusion import (
 from roadtorch.road.seed_area import (
     distance_likelihood,
     likely_seed,
+    likely_seed_area,
     seed_distance,
     seed_rectangle,
     seed_segments,
@@ -55,25 +56,38 @@ from roadtorch.superpixels.segments import Segments, measure_segments, paint, se
 from roadtorch.superpixels.slic import Superpixels
 
 
-class LearnedRoad(Settings):
-    """How much the road is trusted that the network has learned: weights of its log odds."""
-
-    weight: float = Field(default=1.0, ge=0, le=10, description="in the mean of each superpixel")
-    detail: float = Field(default=4.0, ge=0, le=10, description="pixel by pixel, at the end")
-
-
 class RoadCalibration(Settings):
     """What makes 0.5 mean as likely road as not on any camera, and other values what they say.
 
-    Platt scaling: what is found depends on evidence that is not independent, and says too much.
+    Platt scaling (``train/calibrate.py``).
     """
 
     centre: float = Field(
-        default=-0.5, ge=-20, le=20, description="log odds that part road in most pictures"
+        default=0.0, ge=-20, le=20, description="log odds that part road in most pictures"
     )
     temperature: float = Field(
-        default=4.6, gt=0, le=100, description="by which log odds are divided then"
+        default=1.0, gt=0, le=100, description="by which log odds are divided then"
     )
+
+
+class FusionSettings(WorkingSettings):
+    """The road as a network has learned it from other streets, along the picture's own outlines."""
+
+    threshold: Threshold = 0.5
+    working: WorkingSize = WorkingSize(pixels=256 * 192)
+    outlines: Outlines = "guided"
+    weights: WeightsFile = WeightsFile()
+    network_scale: float = Field(
+        default=1.0,
+        ge=0.5,
+        le=4,
+        description="size at which the network sees pictures, against that at which it learned",
+    )
+    views: Literal["one", "mirrored"] = Field(
+        default="one", description="of each picture: itself, or the mean with its mirror image"
+    )
+    calibration: RoadCalibration = RoadCalibration()
+    trust: TrustSettings = TrustSettings()
 
 
 class UntrainedFusionSettings(WorkingSettings):
@@ -84,10 +98,17 @@ class UntrainedFusionSettings(WorkingSettings):
     labeller: HorizonSettings = HorizonSettings()
 
 
-class FusionSettings(UntrainedFusionSettings):
-    """The fused detector with a network that has seen other streets.
+class LearnedRoad(Settings):
+    """How much the road is trusted that the network has learned: weights of its log odds."""
 
-    It thinks at 240x180, with as many superpixels as the one without a network has at 320x240:
+    weight: float = Field(default=1.0, ge=0, le=10, description="in the mean of each superpixel")
+    detail: float = Field(default=0.5, ge=0, le=10, description="pixel by pixel, at the end")
+
+
+class ScratchFusionSettings(UntrainedFusionSettings):
+    """The fused detector with a network that began with random weights.
+
+    It works at 240x180, with as many superpixels as the one without a network has at 320x240:
     scores are the same within .001, and it takes three quarters of the time (docs/performance.md).
     """
 
@@ -96,15 +117,9 @@ class FusionSettings(UntrainedFusionSettings):
     outlines: Outlines = "guided"
     superpixels: Superpixels = Superpixels(pixels=144)
     weights: WeightsFile = WeightsFile()
-    network_scale: float = Field(
-        default=1.0,
-        ge=0.5,
-        le=4,
-        description="size at which the network sees pictures, against that at which it learned",
-    )
     share: Share = 0.8
     learned: LearnedRoad = LearnedRoad()
-    calibration: RoadCalibration = RoadCalibration()
+    calibration: RoadCalibration = RoadCalibration(centre=-0.75)
     trust: TrustSettings = TrustSettings()
 
 
@@ -128,6 +143,10 @@ class PaperFusionSettings(WorkingSettings):
     )
 
 
+FROM_SCRATCH = "layout-free"
+"""The shipped weights of a network that began with random ones."""
+
+
 @lean
 def untrained(image: Tensor, settings: UntrainedFusionSettings) -> Mapping[str, Cue]:
     """Naive Bayes of what one picture (3,H,W) shows by itself. Ours, after P2."""
@@ -146,10 +165,12 @@ def untrained(image: Tensor, settings: UntrainedFusionSettings) -> Mapping[str, 
 
 
 class Fusion(nn.Module):
-    """The same with what a network has learned from other streets: the best we know.
+    """The road that a network has learned from other streets: the best we know.
 
-    The network says where the ego car is, and the ground above is continued over it before
-    anything is measured; the seed area is where place, layout and network see road.
+    P2 fuses what was learned off line with what the picture shows by itself. With a network that
+    sees 192x240 pixels texture, distance from the seed area, place and look no longer pay for
+    their time (train/README.md has the table); ``fusion:scratch``, whose network knows less, and
+    ``fusion:untrained`` have them.
     """
 
     def __init__(self, settings: FusionSettings) -> None:
@@ -160,8 +181,58 @@ class Fusion(nn.Module):
     @lean
     def forward(self, image: Tensor) -> Mapping[str, Cue]:
         """The cues of an image (3,H,W) in [0,1]."""
-        settings = self.settings
         learned = self.learned(image)
+        ego = ego_found(learned["ego"])
+        layout, road = learned["layout"], learned["road"]
+        if is_anywhere(ego):
+            layout, road = continued(torch.cat([layout, road[None]]), ego).split([CLASSES, 1])
+            road = road[0]
+        odds = log_odds(road)
+        return {
+            "likelihood": calibrated(odds, self.settings.calibration),
+            "layout": layout,
+            "layout_labels": lambda: decide_layout(layout.flatten(1).T).view(road.shape),
+            "learned_road": road,
+            "seed_area": likely_seed_area(odds, self.settings.seed_area.share),
+            "ego": ego,
+        }
+
+    def learned(self, image: Tensor) -> Mapping[str, Tensor]:
+        """What is known from other streets of an image (3,H,W): ``layout``, ``road``, ``ego``."""
+        learned = self.network.cues(image)
+        if self.settings.views == "one":
+            return learned
+        mirrored = self.network.cues(image.flip(-1))
+        return {name: (maps + mirrored[name].flip(-1)) / 2 for name, maps in learned.items()}
+
+    def judge(self, mask: Tensor, cues: Mapping[str, Tensor]) -> Judgement:
+        """How far a mask bool (H,W) can be trusted; the likelihood is one of the cues."""
+        signs = signs_of(cues["likelihood"], mask, cues)
+        return judgement(signs, bool(mask.any()), self.settings.trust)
+
+
+def calibrated(odds: Tensor, calibration: RoadCalibration) -> Tensor:
+    """Likelihoods in [0,1] of log odds, of any shape."""
+    return ((odds - calibration.centre) / calibration.temperature).sigmoid()
+
+
+class ScratchFusion(nn.Module):
+    """Naive Bayes of what the picture shows and what a network has learned from other streets.
+
+    The network says where the ego car is, and the ground above is continued over it before
+    anything is measured; the seed area is where place, layout and network see road.
+    """
+
+    def __init__(self, settings: ScratchFusionSettings) -> None:
+        super().__init__()
+        self.settings = settings
+        self.network = picture_network_of(settings.weights, FROM_SCRATCH)
+
+    @lean
+    def forward(self, image: Tensor) -> Mapping[str, Cue]:
+        """The cues of an image (3,H,W) in [0,1]."""
+        settings = self.settings
+        learned = self.network.cues(image)
         ego = ego_found(learned["ego"])
         if is_anywhere(ego):
             known = torch.cat([image, learned["layout"], learned["road"][None]])
@@ -181,9 +252,8 @@ class Fusion(nn.Module):
         further = settings.learned.weight * known
         road = segment_road(segments, layout[HORIZONTAL], near, even, further)
         odds = fused_log_odds([paint(road, labels), learned["road"]], [1, settings.learned.detail])
-        calibration = settings.calibration
         return {
-            "likelihood": ((odds - calibration.centre) / calibration.temperature).sigmoid(),
+            "likelihood": calibrated(odds, settings.calibration),
             "layout": lambda: pooled(paint(own.T, labels), learned["layout"], settings.share),
             "layout_labels": lambda: paint(decide_layout(layout.T), labels),
             "learned_road": learned["road"],
@@ -191,10 +261,6 @@ class Fusion(nn.Module):
             "ego": ego,
             **cues,
         }
-
-    def learned(self, image: Tensor) -> Mapping[str, Tensor]:
-        """What is known from other streets of an image (3,H,W): ``layout``, ``road``, ``ego``."""
-        return self.network.cues(image)
 
     def judge(self, mask: Tensor, cues: Mapping[str, Tensor]) -> Judgement:
         """How far a mask bool (H,W) can be trusted; the likelihood is one of the cues."""
@@ -258,48 +324,33 @@ class PaperFusion(nn.Module):
         }
 
 
-FROM_SCRATCH = {
-    "learned": {"weight": 1.0, "detail": 0.5},
-    "calibration": {"centre": -0.75, "temperature": 1.0},
-}
-"""How far networks are trusted that began with random weights (train/calibrate.py)."""
-
 ENTRIES = (
     Entry(
         "fusion",
-        "naive Bayes of layout, texture and more: the best we know",
+        "the road that a network has learned, along the picture's outlines: the best we know",
         FusionSettings,
         Fusion,
-    ),
-    Entry(
-        "fusion:research",
-        "the same with weights for research and private use",
-        FusionSettings,
-        Fusion,
-        values={"weights": {"file": "layout"}, **FROM_SCRATCH},
-    ),
-    Entry(
-        "fusion:scratch",
-        "the same with a network that has seen no label of any kind, not even ImageNet's",
-        FusionSettings,
-        Fusion,
-        values={"weights": {"file": "layout-free"}, **FROM_SCRATCH},
     ),
     Entry(
         "fusion:large",
-        "the same at half again the size: twice the time, more often right",
+        "the same at a third more pixels a side, and mirrored: more often right",
         FusionSettings,
         Fusion,
         values={
-            "network_scale": 1.5,
-            "calibration": {"centre": -1.0},
-            "working": {"pixels": 320 * 240},
-            "superpixels": {"pixels": 256},
+            "network_scale": 4 / 3,
+            "views": "mirrored",
+            "working": {"pixels": 352 * 256},
         },
     ),
     Entry(
+        "fusion:scratch",
+        "layout, texture and more fused with a network that saw no label, not even ImageNet's",
+        ScratchFusionSettings,
+        ScratchFusion,
+    ),
+    Entry(
         "fusion:untrained",
-        "the same without the network: nothing was trained",
+        "layout, texture and more fused, without a network: nothing was trained",
         UntrainedFusionSettings,
         partial(Analysis, untrained),
     ),

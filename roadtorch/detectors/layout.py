@@ -89,13 +89,6 @@ ENTRIES = (
         "layout", "layout by a network and the labeller: the best we know", LayoutSettings, Layout
     ),
     Entry(
-        "layout:research",
-        "the same with weights for research and private use",
-        LayoutSettings,
-        Layout,
-        values={"threshold": 0.817, "weights": {"file": "layout"}},
-    ),
-    Entry(
         "layout:cnn-7",
         "ground of the layout by CNN-7 (Álvarez 2012), trained as we do",
         Cnn7Settings,

@@ -14,11 +14,11 @@ from torch import Tensor
 
 from roadtorch.detector import MIN_SIDE, Detector
 from roadtorch.detectors.catalogue import detector_entry
-from roadtorch.detectors.fusion import Fusion, FusionSettings
+from roadtorch.detectors.fusion import Fusion, FusionSettings, RoadCalibration
 from roadtorch.detectors.layout import Cnn7, Cnn7Settings, Layout, LayoutSettings
 from roadtorch.errors import ConfigError, InputError, unknown_name
 from roadtorch.export.files import Run, open_onnx, open_openvino, write_onnx, write_openvino
-from roadtorch.export.graph import OUTPUTS, EveryPixel, Platt, WholePictures, calibrated
+from roadtorch.export.graph import OUTPUTS, EveryPixel, WholePictures, road_likelihood
 from roadtorch.io.atomic import atomic, digest_of, make_folder
 from roadtorch.io.image import from_pixels, to_pixels
 from roadtorch.layout.classes import HORIZONTAL
@@ -65,14 +65,13 @@ def exportable(detector: Detector) -> Exportable:
     """
     analysis, settings = detector.analysis, detector.settings
     if isinstance(analysis, Fusion) and isinstance(settings, FusionSettings):
-        weight = settings.learned.weight + settings.learned.detail
-        platt = Platt(weight, settings.calibration.centre, settings.calibration.temperature)
+        mirrored = "the mirror image, " if settings.views == "mirrored" else ""
         part = Exportable(
-            "its learned road, layout and ego car",
-            f"superpixels, outlines that follow the picture, {ISOLATED}, trust",
-            WholePictures(analysis.network, ROAD, platt),
-            partial(learned_maps, analysis.network, ROAD, platt),
-            ("weights", "threshold", "learned", "calibration", "network_scale"),
+            "its road, layout and ego car",
+            f"{mirrored}outlines that follow the picture, {ISOLATED}, trust",
+            WholePictures(analysis.network, ROAD, settings.calibration),
+            partial(learned_maps, analysis.network, ROAD, settings.calibration),
+            ("weights", "threshold", "calibration", "network_scale"),
             weights_path(settings.weights.file or FOR_PICTURES),
         )
     elif isinstance(analysis, Layout) and isinstance(settings, LayoutSettings):
@@ -103,13 +102,13 @@ def exportable(detector: Detector) -> Exportable:
 
 
 def learned_maps(
-    network: WholePictureNetwork, place: int, platt: Platt | None, image: Tensor
+    network: WholePictureNetwork, place: int, calibration: RoadCalibration | None, image: Tensor
 ) -> dict[str, Tensor]:
     """What ``WholePictures`` has to give of an image (3,H,W) in [0,1]: likelihood, layout, ego."""
     cues = network.cues(image)
     likelihood = cues["road"] if place == ROAD else cues["layout"][place]
-    if platt is not None:
-        likelihood = calibrated(likelihood, cues["ego"], platt)
+    if calibration is not None:
+        likelihood = road_likelihood(likelihood, cues["ego"], calibration)
     return {"likelihood": likelihood, "layout": cues["layout"], "ego": cues["ego"]}
 
 

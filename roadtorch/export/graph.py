@@ -10,11 +10,12 @@ torch does, OpenVINO's reads the same file and does not (up to 0.45 off in a tri
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from roadtorch.detectors.fusion import RoadCalibration, calibrated
 from roadtorch.imaging.color import DARKEST, STRONGEST, Exposure
 from roadtorch.imaging.resize import SHORTEST, WorkingSize
 from roadtorch.layout.classes import CLASSES, HORIZONTAL
@@ -40,37 +41,27 @@ OUTPUTS: Mapping[str, str] = {
 """What graphs give, by name."""
 
 
-class Platt(NamedTuple):
-    """What becomes of log odds: (weight x - centre) / temperature."""
-
-    weight: float
-    centre: float
-    temperature: float
-
-
-def calibrated(road: Tensor, ego: Tensor, platt: Platt) -> Tensor:
-    """Likelihoods of potentials of road and ego car, in [0,1], of any shape.
-
-    They are those of ``fusion`` where the single picture adds nothing to what the network knows.
-    """
-    odds = (platt.weight * log_odds(road) - platt.centre) / platt.temperature
-    return torch.where(ego >= 0.5, 0.0, odds.sigmoid())
+def road_likelihood(road: Tensor, ego: Tensor, calibration: RoadCalibration) -> Tensor:
+    """Likelihoods of ``fusion`` of potentials of road and ego car, in [0,1], of any shape."""
+    return torch.where(ego >= 0.5, 0.0, calibrated(log_odds(road), calibration))
 
 
 class WholePictures(nn.Module):
     """``cues`` of a network for whole pictures, for bytes: likelihood, layout, ego.
 
     place: which potential of the network is the likelihood, its road or the layout's horizontal.
-    platt: weight, centre and temperature of its log odds; the ego car's are none then.
+    calibration: of the road's log odds; where the ego car is, there is none then.
     """
 
     outputs = ("likelihood", "layout", "ego")
 
-    def __init__(self, network: WholePictureNetwork, place: int, platt: Platt | None) -> None:
+    def __init__(
+        self, network: WholePictureNetwork, place: int, calibration: RoadCalibration | None
+    ) -> None:
         super().__init__()
         self.network = network
         self.place = place
-        self.platt = platt
+        self.calibration = calibration
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Maps (N,H,W), (N,3,H,W) and (N,H,W) of pictures uint8 (N,H,W,3) RGB."""
@@ -80,8 +71,8 @@ class WholePictures(nn.Module):
         scores = self.network(normalised(small, settings.normalisation))
         maps = averaged(potentials_of(scores), planes.shape[-2], planes.shape[-1]).clamp(0, 1)
         likelihood = maps[:, self.place]
-        if self.platt is not None:
-            likelihood = calibrated(likelihood, maps[:, EGO], self.platt)
+        if self.calibration is not None:
+            likelihood = road_likelihood(likelihood, maps[:, EGO], self.calibration)
         return likelihood, maps[:, :CLASSES], maps[:, EGO]
 
 

@@ -276,7 +276,7 @@ class WeightsFile(Settings):
 
     file: str = Field(
         default="",
-        description="weights of roadtorch train, or the name of shipped ones, such as layout; "
+        description="weights of roadtorch train, or the name of shipped ones, such as layout-free; "
         "empty: those that the detector comes with",
     )
 

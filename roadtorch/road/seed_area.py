@@ -10,6 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
+from roadtorch.imaging.resize import at_picture_size, resized
 from roadtorch.settings import Settings
 from roadtorch.superpixels.segments import Segments
 
@@ -17,6 +18,9 @@ FRAME = (240, 320)  # height and width in pixels of the frame in which a seed ar
 
 NEARNESS = 4.0
 """Log odds that a place at the bottom of the picture has before one at the top, as a seed."""
+
+CELL = 12
+"""Pixels of a side of the cells of which a seed area is made: a superpixel's."""
 
 UPPER_HALF = 100.0  # log odds that keep the upper half out, unless there is nothing else
 STRIP = 256  # rows in which regions are looked up at a time; ours: a megabyte or so of a photograph
@@ -79,6 +83,17 @@ def likely_seed(evidence: Tensor, row: Tensor, size: Tensor, share: float) -> Te
     chosen = torch.zeros_like(row, dtype=torch.bool)
     chosen[order[before < share]] = True
     return chosen
+
+
+def likely_seed_area(evidence: Tensor, share: float) -> Tensor:
+    """The same of a map of log odds (H,W), cell by cell: bool (H,W)."""
+    height, width = evidence.shape
+    cells = resized(evidence[None], (-(-height // CELL), -(-width // CELL)))[0]
+    rows, columns = cells.shape
+    row = ((torch.arange(rows, device=cells.device) + 0.5) / rows)[:, None].expand(rows, columns)
+    size = torch.full_like(cells, 1 / cells.numel())
+    chosen = likely_seed(cells.flatten(), row.flatten(), size.flatten(), share)
+    return at_picture_size(chosen.view(rows, columns), (height, width))
 
 
 def remove_isolated(mask: Tensor, seed: Tensor) -> Tensor:

@@ -1,9 +1,10 @@
 """How far a mask can be trusted: the F it is expected to have, from what the detector knows. Ours.
 
-A good mask is the same at any threshold, is road throughout to the network as well, begins at a
-seed area that is, and goes on beyond it. The weights are a ridge regression of F on these
-signs over labelled pictures of many cameras (``python -m train.calibrate trust``, which tells
-what they are worth on a camera that had no part).
+A good mask is the same at any threshold, has a good F if the likelihood is right, and begins at a
+seed area that is road to the network: a ridge regression of F on these signs over labelled
+pictures of many cameras. And there is a road at all where little of the picture is in doubt: a
+logistic regression on rendered worlds with and without a road (``python -m train.calibrate
+trust``, which tells what both are worth on what had no part).
 """
 
 import math
@@ -24,31 +25,36 @@ class Signs(NamedTuple):
 
     steady: float
     """Overlap (IoU) of what is road at a low and at a high threshold (``LOW_AND_HIGH``)."""
-    patchy: float
-    """Twice the deviation of the network's road inside the mask."""
+    expected: float
+    """F of the mask if the likelihood is right: pixels are road as often as it says."""
     seed: float
     """Mean of the network's road in the seed area."""
     vague: float
     """Mean entropy of the likelihood, in bits."""
-    near: float
-    """Mean likelihood by distance from the seed area inside the mask: 1 is next to it."""
 
 
 LOW_AND_HIGH = (0.2, 0.8)
 
-WEIGHTS = Signs(0.4, 0.02, 0.06, -0.1, -0.1)  # of the signs; ``CONSTANT`` is added
+WEIGHTS = Signs(0.1, 0.64, 0.2, 0.0)  # of the signs, in the expected F; ``CONSTANT`` is added
 
-CONSTANT = 0.628
+CONSTANT = 0.07
 
-USUAL = Signs(0.7, 0.26, 0.97, 0.2, 0.49)
+USUAL = Signs(0.7, 0.9, 0.98, 0.2)
 """The mean signs over the pictures on which the weights were chosen."""
+
+ROAD_STEADY, ROAD_VAGUE, ROAD_THERE = 3.5, -7.13, 1.69
+"""Log odds that there is a road at all: weights of the signs ``steady`` and ``vague``, constant."""
+
+ENOUGH = 0.7
+"""Probability that there is a road from which on nothing is taken off the expected F."""
+
+NO_ROAD = "hardly anything in the picture looks like road"
 
 REASONS = (
     "another threshold gives another mask",
-    "part of the mask does not look like road",
+    "much of the mask is not likely road",
     "the seed area looks like a vehicle, a wall or grass",
     "much of the picture is neither road nor not",
-    "only what lies next to the seed area was found",
 )
 """What is said when a sign is worse than usual, in the order of the signs."""
 
@@ -71,20 +77,17 @@ class Judgement(NamedTuple):
 def signs_of(likelihood: Tensor, mask: Tensor, cues: Mapping[str, Tensor]) -> Signs:
     """The signs of a mask bool (H,W) made of a likelihood (H,W) in [0,1].
 
-    cues: ``learned_road``, ``distance``, ``seed_area`` and ``ego``, all (H,W).
+    cues: ``learned_road``, ``seed_area`` and ``ego``, all (H,W).
     """
-    free, learned = ~cues["ego"], cues["learned_road"]
-    inside = weights_of(mask & free)
-    low, high = (
-        np.count_nonzero((above(likelihood, level) & free).cpu().numpy()) for level in LOW_AND_HIGH
-    )
-    mean = mean_over(learned, inside, 0.0)
+    free = weights_of(~cues["ego"])
+    inside = free * weights_of(mask)
+    low, high = (float(free.dot(weights_of(above(likelihood, level)))) for level in LOW_AND_HIGH)
+    road, right = (float(likelihood.reshape(-1).dot(area)) for area in (free, inside))
     return Signs(
         high / max(low, 1),
-        2 * mean_over((learned - mean).square(), inside, 0.25) ** 0.5,
-        mean_over(learned, weights_of(cues["seed_area"]), 0.0),
-        mean_over(entropy(likelihood), weights_of(free), math.nan),
-        mean_over(cues["distance"], inside, 1.0),
+        2 * right / max(float(inside.sum()) + road, 1),
+        mean_over(cues["learned_road"], weights_of(cues["seed_area"]), 0.0),
+        mean_over(entropy(likelihood), free, math.nan),
     )
 
 
@@ -115,8 +118,12 @@ def judgement(signs: Signs, road: bool, settings: TrustSettings) -> Judgement:
     if not road:
         return Judgement(0.0, "no road found")
     expected = CONSTANT + sum(w * sign for w, sign in zip(WEIGHTS, signs, strict=True))
-    trust = min(1.0, max(0.0, expected))
+    odds = ROAD_THERE + ROAD_STEADY * signs.steady + ROAD_VAGUE * signs.vague
+    there = min(1.0, 1 / (1 + math.exp(-odds)) / ENOUGH)
+    trust = there * min(1.0, max(0.0, expected))
     if trust >= settings.least:
         return Judgement(trust, "")
+    if there < 0.5:
+        return Judgement(trust, NO_ROAD)
     losses = [w * (sign - usual) for w, sign, usual in zip(WEIGHTS, signs, USUAL, strict=True)]
     return Judgement(trust, REASONS[losses.index(min(losses))])

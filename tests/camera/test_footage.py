@@ -10,7 +10,7 @@ from roadtorch.camera.camera import Camera, check_picture
 from roadtorch.camera.footage import best_path, camera_of, still_ego
 from roadtorch.detector import DetectorSettings
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.detectors.fusion import FusionSettings
+from roadtorch.detectors.fusion import UntrainedFusionSettings
 from roadtorch.errors import ConfigError, InputError
 from roadtorch.imaging.resize import resized
 from roadtorch.io.image import read_image
@@ -71,8 +71,8 @@ def test_its_own_pictures_pass_at_any_size_and_others_are_refused(camera: Camera
 
 def test_detectors_take_what_they_can_of_it(camera: Camera) -> None:
     assert set(camera.settings_for(DetectorSettings)) == {"ego"}
-    assert camera.settings_for(FusionSettings)["labeller"]["horizon"] == camera.horizon
-    detector = load_detector("fusion", camera=camera, labeller={"horizon": 0.3})
+    assert camera.settings_for(UntrainedFusionSettings)["labeller"]["horizon"] == camera.horizon
+    detector = load_detector("fusion:untrained", camera=camera, labeller={"horizon": 0.3})
     assert detector.settings.ego == camera.ego
     assert detector.settings.labeller.horizon == 0.3  # type: ignore[attr-defined]
 

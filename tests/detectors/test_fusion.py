@@ -11,7 +11,7 @@ from torch import Tensor
 
 from roadtorch.detectors import fusion
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.detectors.fusion import FusionSettings
+from roadtorch.detectors.fusion import RoadCalibration, ScratchFusionSettings, calibrated
 from roadtorch.errors import WeightsError
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import label_layout
@@ -73,9 +73,9 @@ def test_without_learning_the_map_is_the_weighted_product_of_its_own_cues(
 def test_a_network_that_is_not_trusted_says_nothing_of_the_layout(tmp_path: Path) -> None:
     weights = {"file": str(write_ego_network(tmp_path / "silent", bottom=0.0))}
 
-    found = load_detector("fusion", share=0.0, weights=weights).detect(street())
+    found = load_detector("fusion:scratch", share=0.0, weights=weights).detect(street())
 
-    usual = FusionSettings()
+    usual = ScratchFusionSettings()
     alone = load_detector(
         "fusion:untrained", working=usual.working, superpixels=usual.superpixels
     ).detect(street())
@@ -93,6 +93,27 @@ def test_what_the_network_has_learned_about_the_road_counts_pixel_by_pixel() -> 
     odds = log_odds(coarse.likelihood) + 0.4 * log_odds(coarse.cues["learned_road"])
 
     np.testing.assert_allclose(fine.likelihood, odds.sigmoid(), atol=2e-4, rtol=0.0)
+
+
+def test_the_likelihood_is_the_network_road_calibrated_and_of_both_views_when_told() -> None:
+    usual = {"centre": 0.5, "temperature": 2.0}
+    plain = {"calibration": usual, "outlines": "smooth", "working": {"pixels": 96 * 128}}
+    image = street()
+
+    once = load_detector("fusion", **plain).detect(image)
+    both = load_detector("fusion", views="mirrored", **plain).detect(image)
+
+    def road(of: Tensor) -> Tensor:
+        return load_network(shipped_weights(FOR_PICTURES)).cues(of)["road"]
+
+    calibration = RoadCalibration(**usual)
+    wanted = calibrated(log_odds(road(image)), calibration)
+    free = ~once.cues["ego"]
+    np.testing.assert_allclose(once.likelihood[free], wanted[free], atol=2e-3, rtol=0.0)
+    mean = (road(image) + road(image.flip(-1)).flip(-1)) / 2
+    wanted = calibrated(log_odds(mean), calibration)
+    free = ~both.cues["ego"]
+    np.testing.assert_allclose(both.likelihood[free], wanted[free], atol=2e-3, rtol=0.0)
 
 
 def test_the_paper_takes_another_descriptor_and_a_prior_where_told() -> None:

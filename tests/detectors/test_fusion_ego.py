@@ -10,7 +10,6 @@ from torch import Tensor
 
 from roadtorch.detector import Detection, Detector
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.detectors.fusion import FROM_SCRATCH
 from roadtorch.imaging.resize import resized
 from roadtorch.road.ego import continued
 from roadtorch.testing import flaws
@@ -30,8 +29,8 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def fusion(path: Path, **settings: Any) -> Detector:
     # Superpixels of a size at which these small streets fall apart as the tests need it.
     wide = {"pixels": 256}
-    given = {"superpixels": wide, "outlines": "smooth", **FROM_SCRATCH, **settings}
-    return load_detector("fusion", weights={"file": str(path)}, **given)
+    given = {"superpixels": wide, "outlines": "smooth", **settings}
+    return load_detector("fusion:scratch", weights={"file": str(path)}, **given)
 
 
 @pytest.fixture(scope="module")
@@ -102,8 +101,11 @@ def test_what_is_above_is_as_if_the_ground_went_on(
     assert torch.equal(detected.likelihood[above], without.likelihood[above])
 
 
+@pytest.mark.parametrize("name", ["fusion", "fusion:large", "fusion:scratch"])
 @pytest.mark.parametrize("size", [(16, 16), (48, 200), (480, 640)])
-def test_it_holds_at_any_size(size: tuple[int, int], seeing: Detector) -> None:
+def test_it_holds_at_any_size(name: str, size: tuple[int, int], weights: Path) -> None:
+    seeing = load_detector(name, weights={"file": str(weights)})
+
     detection = seeing.detect(resized(street(), size).clamp(0, 1))
 
     ego = detection.cues["ego"]

@@ -194,7 +194,7 @@ def test_the_cards_of_shipped_weights_say_what_they_may_be_used_for() -> None:
     terms = {name: terms_of(shipped_weights(name)) for name in list_shipped_weights()}
     research = {name for name, words in terms.items() if "non-commercial" in words}
     free = {name for name, words in terms.items() if words.startswith("anything: Apache-2.0")}
-    assert research == {"cnn-7-paper", "layout"}
+    assert research == {"cnn-7-paper"}
     assert free == {"backbone-free", "cnn-7", "layout-free"}
 
 
@@ -212,6 +212,6 @@ def test_weights_without_a_card_state_no_terms(weights: Path) -> None:
 
 
 def test_weights_are_named_by_their_file_or_by_the_name_of_shipped_ones(tmp_path: Path) -> None:
-    assert weights_path("layout") == shipped_weights("layout")
+    assert weights_path("layout-free") == shipped_weights("layout-free")
     for name in ("./layout", "no-such-weights", str(tmp_path / "mine.safetensors")):
         assert weights_path(name) == Path(name)

@@ -8,7 +8,6 @@ import pytest
 
 from roadtorch.inputs.pictures import find_pictures
 from roadtorch.io.image import write_jpeg
-from roadtorch.layout.weights import read_origin, shipped_weights
 from roadtorch.scenes.street import render_scene
 from train.manifest import (
     COLUMNS,
@@ -101,12 +100,6 @@ def test_a_table_that_cannot_be_used_is_refused_in_a_line(
 
 
 # --- the shipped one --------------------------------------------------------------------
-
-
-def test_the_research_network_saw_as_many_pictures_as_the_manifest_has() -> None:
-    rows = read_rows(MANIFEST, "file")
-
-    assert read_origin(shipped_weights("layout"))["pictures"] == len(rows)
 
 
 def test_every_recording_has_its_source_and_terms() -> None:

@@ -1,0 +1,193 @@
+"""What each cue of the single picture brings beside the network of `fusion`, and what it costs.
+
+    python -m train.cues DATA/many [--weights FILE]
+
+The network alone at several sizes, and naive Bayes of it with layout, texture, distance, place,
+look and neighbours, as `fusion:scratch` has them, one cue left out at a time. F of the mask on
+each camera at the centre that the other cameras choose, at the working size; the difference to
+the network alone with 95 % over pictures drawn anew within cameras; the median milliseconds.
+"""
+
+import argparse
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.detectors.fusion import ScratchFusionSettings, seen_from
+from roadtorch.imaging.color import brightened
+from roadtorch.imaging.resize import WorkingSize, at_work, resized, size_of
+from roadtorch.layout.classes import CLASSES, HORIZONTAL, pooled
+from roadtorch.layout.labeller import EXPOSURE, segment_layout
+from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, picture_network_of
+from roadtorch.road.ego import continued, ego_found
+from roadtorch.road.fusion import RULES, log_odds, seed_log_odds, segment_road
+from roadtorch.road.seed_area import likely_seed
+from roadtorch.superpixels.segments import measure_segments, paint, segment_mean
+from train.calibrate import LEVELS, TOO_FEW
+
+SCALES = (0.67, 1.0, 1.33)
+"""Of the size that the network is written for."""
+
+DETAIL = 4.0
+"""Weight of the network's log odds pixel by pixel, beside those in the mean of a superpixel."""
+
+ALONE = "network alone"
+DRAWS = 500
+
+
+class Variant(NamedTuple):
+    """Which cues count: likelihoods of .5 say nothing."""
+
+    layout: bool = True
+    texture: bool = True
+    distance: bool = True
+    place: bool = True
+    look: bool = True
+    neighbours: bool = True
+
+
+VARIANTS = {"all cues": Variant()} | {
+    f"without {name}": Variant()._replace(**{name: False}) for name in Variant._fields
+}
+
+
+def odds_of(image: Tensor, networks: Mapping[float, Any]) -> Iterator[tuple[str, Tensor, float]]:
+    """Name, log odds (h,w) and seconds of each way to find the road of an image (3,h,w)."""
+    settings = ScratchFusionSettings()
+    for scale, network in networks.items():
+        begun = perf_counter()
+        cues = network.cues(image)
+        seconds = perf_counter() - begun
+        yield f"network at {scale:g}" if scale != 1 else ALONE, hidden(cues), seconds
+        if scale == 1:
+            learned, base = cues, seconds
+    ego = ego_found(learned["ego"])
+    begun = perf_counter()
+    known = torch.cat([image, learned["layout"], learned["road"][None]])
+    image, layout, road = continued(known, ego).split([3, CLASSES, 1])
+    image = brightened(image, EXPOSURE)
+    segments = measure_segments(image, settings.superpixels.cut(image))
+    own = segment_layout(segments, settings.labeller.rules)
+    taught = segment_mean([*layout, road[0]], segments.labels, segments.pixels)
+    ground, odds = pooled(own.T, taught[:CLASSES], settings.share)[HORIZONTAL], log_odds(taught[-1])
+    share = settings.seed_area.share
+    evidence = odds + seed_log_odds(segments, ground)
+    sources = likely_seed(evidence, segments.row, segments.size, share)
+    seed = sources[segments.labels]
+    near, even, _ = seen_from(image, segments, seed, sources.nonzero()[:, 0])
+    seconds = perf_counter() - begun
+    nothing = torch.full_like(near, 0.5)
+    for name, variant in VARIANTS.items():
+        exponents = RULES.exponents._replace(
+            look=RULES.exponents.look * variant.look,
+            neighbours=RULES.exponents.neighbours * variant.neighbours,
+        )
+        place = RULES.place._replace(weight=RULES.place.weight * variant.place)
+        rules = RULES._replace(exponents=exponents, place=place)
+        pairs = ((ground, variant.layout), (near, variant.distance), (even, variant.texture))
+        likely, close, plain = (cue if on else nothing for cue, on in pairs)
+        begun = perf_counter()
+        found = segment_road(segments, likely, close, plain, odds, rules)
+        spent = base + seconds + perf_counter() - begun
+        total = paint(log_odds(found), segments.labels) + DETAIL * log_odds(learned["road"])
+        yield name, torch.where(ego, -torch.inf, total), spent
+
+
+def hidden(cues: Mapping[str, Tensor]) -> Tensor:
+    """The network's log odds of road, none where it finds the ego car."""
+    return torch.where(ego_found(cues["ego"]), -torch.inf, log_odds(cues["road"]))
+
+
+class Counted(NamedTuple):
+    """Pixels of n pictures by log odds (n,2,levels + 1), their seconds (n,)."""
+
+    counts: np.ndarray
+    seconds: np.ndarray
+
+
+@torch.no_grad()
+def counted(many: Path, weights: str) -> tuple[dict[str, Counted], np.ndarray]:
+    """Pixels of road and not, by log odds of each way; the cameras of the pictures (n,)."""
+    file = WeightsFile(file=weights)
+    networks = {scale: picture_network_of(file, FOR_PICTURES, scale) for scale in SCALES}
+    dataset, rows, cameras = open_dataset("folder", many), {}, []
+    for item in tqdm([item for item in dataset.items if item.group not in TOO_FEW], disable=None):
+        image, truth = dataset.read(item)
+        small = at_work(image, WorkingSize(pixels=256 * 192))
+        planes = torch.stack([truth.valid, truth.road & truth.valid]).float()
+        valid, road = resized(planes, size_of(small)) > 0.5
+        for name, odds, seconds in odds_of(small, networks):
+            edges = np.concatenate([[-np.inf], LEVELS, [np.inf]])
+            parts = (valid & road, valid & ~road)
+            counts = [np.histogram(odds[part].numpy(), edges)[0] for part in parts]
+            rows.setdefault(name, []).append((np.array(counts), seconds))
+        cameras.append(str(item.group))
+    found = {}
+    for name, pairs in rows.items():
+        counts, seconds = zip(*pairs, strict=True)
+        found[name] = Counted(np.array(counts), np.array(seconds))
+    return found, np.array(cameras)
+
+
+def table_of(counts: np.ndarray, cameras: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """F by camera and level; each picture counts so many times, weights (n,)."""
+    table = []
+    for camera in np.unique(cameras):
+        mine = cameras == camera
+        summed = (counts[mine] * weights[mine, None, None]).sum(0)
+        above = summed[:, ::-1].cumsum(1)[:, ::-1][:, 1:]
+        table.append(2 * above[0] / (above.sum(0) + summed[0].sum()))
+    return np.array(table)
+
+
+def as_others_choose(table: np.ndarray) -> np.ndarray:
+    """F of each camera (k,) at the level that has the best mean on the others."""
+    rows = range(len(table))
+    return np.array([table[k, np.delete(table, k, 0).mean(0).argmax()] for k in rows])
+
+
+def drawn_anew(cameras: np.ndarray, at: np.random.Generator) -> np.ndarray:
+    """How often each picture is drawn (n,), with replacement within its camera."""
+    weights = np.zeros(len(cameras))
+    for camera in np.unique(cameras):
+        mine = np.flatnonzero(cameras == camera)
+        np.add.at(weights, at.choice(mine, len(mine)), 1)
+    return weights
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="What each cue brings beside the network.")
+    parser.add_argument("many", type=Path)
+    parser.add_argument("--weights", default="")
+    given = parser.parse_args()
+    torch.set_num_threads(1)
+    found, cameras = counted(given.many, given.weights)
+    at, ones = np.random.default_rng(35), np.ones(len(cameras))
+    draws = [drawn_anew(cameras, at) for _ in range(DRAWS)]
+    level = {
+        name: table_of(each.counts, cameras, ones).mean(0).argmax() for name, each in found.items()
+    }
+    means = {
+        name: [table_of(each.counts, cameras, draw)[:, level[name]].mean() for draw in draws]
+        for name, each in found.items()
+    }
+    print("| | F | worst | against the network alone (95 %) | ms |\n|---|---|---|---|---|")
+    for name, each in found.items():
+        f = as_others_choose(table_of(each.counts, cameras, ones))
+        less = np.array(means[name]) - np.array(means[ALONE])
+        low, high = np.quantile(less, [0.025, 0.975])
+        print(
+            f"| {name} | {f.mean():.3f} | {f.min():.3f} | {less.mean():+.3f} "
+            f"({low:+.3f} to {high:+.3f}) | {1000 * np.median(each.seconds):.1f} |"
+        )
+
+
+if __name__ == "__main__":
+    main()
