@@ -53,11 +53,9 @@ def judges(folder: Path) -> dict[str, Judge]:
         found[name] = partial(decided, detector)
     sys.path.insert(0, str(folder))
     for file in sorted(folder.glob("*.py")):
-        module = importlib.import_module(file.stem)
-        if hasattr(module, "road_probability"):
-            found[file.stem] = lambda image, of=module.road_probability: torch.from_numpy(
-                of(to_pixels(image))
-            )
+        if "def road_probability" in file.read_text(encoding="utf-8"):
+            judge = importlib.import_module(file.stem).road_probability
+            found[file.stem] = lambda image, judge=judge: torch.from_numpy(judge(to_pixels(image)))
     return found
 
 

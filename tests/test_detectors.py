@@ -218,7 +218,7 @@ def test_the_parts_of_a_detector_can_be_seen_and_their_weights_are_its_own() -> 
     detector = load_detector("fusion")
 
     assert isinstance(detector.analysis, Fusion)
-    assert detector.analysis.network.settings.width == 160
+    assert detector.analysis.network.settings.width == 256
     assert all(name.startswith("analysis.network.") for name in detector.state_dict())
 
 

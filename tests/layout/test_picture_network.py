@@ -159,12 +159,13 @@ def test_the_shipped_weights_say_what_the_backbone_has_seen() -> None:
     assert path.stat().st_size < 6_000_000
 
 
-def test_fusion_large_sees_at_half_again_the_size() -> None:
+def test_fusion_large_sees_a_third_more_pixels_a_side() -> None:
     networks = []
     for name in ("fusion", "fusion:large"):
         analysis = load_detector(name).analysis
         assert isinstance(analysis, Fusion)
         networks.append(analysis.network.settings)
     usual, large = networks
-    assert (large.height, large.width) == (1.5 * usual.height, 1.6 * usual.width)
+    assert (usual.height, usual.width) == (192, 256)
+    assert (large.height, large.width) == (256, 352)  # multiples of 32
     assert large.model_copy(update={"height": usual.height, "width": usual.width}) == usual

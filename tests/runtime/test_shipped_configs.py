@@ -16,13 +16,13 @@ def test_every_file_has_a_name_that_leads_to_it() -> None:
     files = {config_file(name).resolve() for name in shipped_configs()}
 
     assert files == set((REPOSITORY / "configs").rglob("*.toml"))
-    assert {"adapt", "layout", "thresholds/layout"} <= {*shipped_configs()}
+    assert {"adapt", "layout-free", "thresholds/layout"} <= {*shipped_configs()}
 
 
 def test_a_file_goes_before_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "layout").mkdir()  # a folder is no config
-    assert config_file("layout") == CONFIGS / "layout.toml"
+    (tmp_path / "layout-free").mkdir()  # a folder is no config
+    assert config_file("layout-free") == CONFIGS / "layout-free.toml"
 
     (tmp_path / "adapt").write_text("random_seed = 1")
     assert config_file("adapt") == Path("adapt")
