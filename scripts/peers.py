@@ -30,7 +30,7 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.detector import Detector
 from roadtorch.evaluation.metrics import RoadCounts, count_levels, decisions_at, f_measure, max_f
 from roadtorch.io.image import to_pixels
-from scripts.readme_figures import FIGURES
+from scripts.readme_figures import FIGURES, used
 from scripts.readme_tables import CAMERAS
 
 OURS = ("fusion", "fusion:large")
@@ -110,7 +110,8 @@ def main() -> None:
     cv2.setNumThreads(1)
     values = scored(given.folder.resolve(), given.many)
     command = shlex.join(["python", "scripts/peers.py", "PEERS", "DATA/many"])
-    text = json.dumps({"command": command, "values": values}, indent=0, sort_keys=True)
+    kept = {key: values[key] for key in used() & set(values)}
+    text = json.dumps({"command": command, "values": kept}, indent=0, sort_keys=True)
     given.out.write_text(f"{text}\n", encoding="utf-8")
     for name in sorted({key.split(".")[1].split("@")[0] for key in values} - {"best"}):
         f, maxf, ms = (values[f"peers.{name}.{key}"] for key in ("f_mask", "maxf", "ms"))
