@@ -22,6 +22,8 @@ def found() -> dict[str, Detection]:
 def test_of_things_that_are_no_road_most_have_no_mask_or_no_trust(
     found: dict[str, Detection],
 ) -> None:
-    believed = {name for name, each in found.items() if each.mask.any() and each.trust >= 0.3}
+    believed = {
+        name for name, each in found.items() if each.mask.any() and (each.trust or 0) >= 0.3
+    }
 
     assert len(believed) <= 2, believed

@@ -262,8 +262,8 @@ def test_road_ranks_far_above_the_rest_and_its_mask_beats_any_of_row_over_height
         )
         masks.append(count_mask(detection.mask, street.road, ~street.void))
         floors.append(floor)
-        # Measured over seeds 0-7, with shadows: 0.97 to 0.99, but for seeds 3 and 7 (0.74, 0.86, the
-        # near ground behind a hard shadow is taken for the ego car); row / height 0.858 to 0.946.
+        # Measured over seeds 0-7, with shadows: 0.97 to 0.99, but for seeds 3 and 7: 0.74, 0.86,
+        # near ground behind a hard shadow is taken for the ego car; row / height 0.858 to 0.946.
         assert max_f(counts)[0] > max(0.92, max_f(floor)[0] + 0.02)
 
     floor, _ = max_f(sum(floors[1:], start=floors[0]))
