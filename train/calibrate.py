@@ -22,6 +22,7 @@ import numpy as np
 import torch
 from PIL import Image
 from sklearn.linear_model import LogisticRegression, Ridge
+from torch import Tensor
 from tqdm import tqdm
 
 from roadtorch import Detection, load_detector, read_image
@@ -92,27 +93,40 @@ def choose_calibration(root: Path, name: str, settings: dict[str, Any]) -> None:
     for camera, found, truth in pictures(root, load_detector(name, calibration=plain, **settings)):
         seen[camera] = seen.get(camera, 0) + counts_by_odds(found, truth)
     counts = np.array(list(seen.values()))  # camera, 2, level
-    above = counts[..., ::-1].cumsum(-1)[..., ::-1][..., 1:]  # at or above each of LEVELS
-    hits, alarms = above[:, 0], above[:, 1]
-    table = 2 * hits / (hits + alarms + counts[:, :1, :].sum((1, 2))[:, None])
+    table = f_by_level(counts)
     at = int(table.mean(0).argmax())
     print(
         f"centre {LEVELS[at]:+.2f} temperature {temperature_of(counts, float(LEVELS[at])):.1f}: "
         f"F {table[:, at].mean():.4f} worst {table[:, at].min():.3f} "
         f"best of each {table.max(1).mean():.4f}; at centre 0 {table[:, LEVELS == 0].mean():.4f}"
     )
-    for number, camera in enumerate(seen):
-        centre = int(np.delete(table, number, 0).mean(0).argmax())
-        print(f"{camera:16} {table[number, centre]:.3f} as the others choose")
+    for camera, f in zip(seen, as_others_choose(table), strict=True):
+        print(f"{camera:16} {f:.3f} as the others choose")
 
 
 def counts_by_odds(found: Detection, truth: Truth) -> np.ndarray:
     """Pixels (2,levels + 1) of road and of background between LEVELS; the ego car is lowest."""
     odds = torch.logit(found.likelihood, eps=1e-7)
-    odds = torch.where(found.cues["ego"], -torch.inf, odds)
+    return counts_between(torch.where(found.cues["ego"], -torch.inf, odds), truth)
+
+
+def counts_between(odds: Tensor, truth: Truth) -> np.ndarray:
+    """The same of log odds (H,W)."""
     edges = np.concatenate([[-np.inf], LEVELS, [np.inf]])
     parts = (truth.valid & truth.road, truth.valid & ~truth.road)
     return np.stack([np.histogram(odds[part].numpy(), edges)[0] for part in parts]).astype(float)
+
+
+def f_by_level(counts: np.ndarray) -> np.ndarray:
+    """F (cameras,levels) of road from each of LEVELS on, by counts (cameras,2,levels + 1)."""
+    hits, alarms = counts[..., ::-1].cumsum(-1)[..., ::-1][..., 1:].swapaxes(0, 1)
+    return 2 * hits / (hits + alarms + counts[:, 0].sum(-1)[:, None])
+
+
+def as_others_choose(table: np.ndarray) -> np.ndarray:
+    """F of each camera (k,) at the level that has the best mean on the others."""
+    rows = range(len(table))
+    return np.array([table[k, np.delete(table, k, 0).mean(0).argmax()] for k in rows])
 
 
 def temperature_of(counts: np.ndarray, centre: float) -> float:
@@ -144,8 +158,7 @@ def choose_threshold(root: Path, name: str, settings: dict[str, Any]) -> None:
         [[float(f_measure(decisions_at(c, t))) for t in levels] for c in seen.values()]
     )
     at = int(table.mean(0).argmax())
-    chosen = [np.delete(table, k, 0).mean(0).argmax() for k in range(len(table))]
-    held_out = np.mean([row[k] for row, k in zip(table, chosen, strict=True)])
+    held_out = as_others_choose(table).mean()
     print(
         f"threshold {levels[at]:.2f}: F {table[:, at].mean():.3f}, as others choose {held_out:.3f}"
     )

@@ -20,6 +20,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Truth
 from roadtorch.detectors.fusion import ScratchFusionSettings, seen_from
 from roadtorch.imaging.color import brightened
 from roadtorch.imaging.resize import WorkingSize, at_work, resized, size_of
@@ -30,7 +31,7 @@ from roadtorch.road.ego import continued, ego_found
 from roadtorch.road.fusion import RULES, log_odds, seed_log_odds, segment_road
 from roadtorch.road.seed_area import likely_seed
 from roadtorch.superpixels.segments import measure_segments, paint, segment_mean
-from train.calibrate import LEVELS, TOO_FEW
+from train.calibrate import TOO_FEW, as_others_choose, counts_between, f_by_level
 
 SCALES = (0.67, 1.0, 1.33)
 """Of the size that the network is written for."""
@@ -124,10 +125,8 @@ def counted(many: Path, weights: str) -> tuple[dict[str, Counted], np.ndarray]:
         planes = torch.stack([truth.valid, truth.road & truth.valid]).float()
         valid, road = resized(planes, size_of(small)) > 0.5
         for name, odds, seconds in odds_of(small, networks):
-            edges = np.concatenate([[-np.inf], LEVELS, [np.inf]])
-            parts = (valid & road, valid & ~road)
-            counts = [np.histogram(odds[part].numpy(), edges)[0] for part in parts]
-            rows.setdefault(name, []).append((np.array(counts), seconds))
+            counts = counts_between(odds, Truth(road, valid))
+            rows.setdefault(name, []).append((counts, seconds))
         cameras.append(str(item.group))
     found = {}
     for name, pairs in rows.items():
@@ -138,19 +137,8 @@ def counted(many: Path, weights: str) -> tuple[dict[str, Counted], np.ndarray]:
 
 def table_of(counts: np.ndarray, cameras: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """F by camera and level; each picture counts so many times, weights (n,)."""
-    table = []
-    for camera in np.unique(cameras):
-        mine = cameras == camera
-        summed = (counts[mine] * weights[mine, None, None]).sum(0)
-        above = summed[:, ::-1].cumsum(1)[:, ::-1][:, 1:]
-        table.append(2 * above[0] / (above.sum(0) + summed[0].sum()))
-    return np.array(table)
-
-
-def as_others_choose(table: np.ndarray) -> np.ndarray:
-    """F of each camera (k,) at the level that has the best mean on the others."""
-    rows = range(len(table))
-    return np.array([table[k, np.delete(table, k, 0).mean(0).argmax()] for k in rows])
+    weighed = counts * weights[:, None, None]
+    return f_by_level(np.array([weighed[cameras == each].sum(0) for each in np.unique(cameras)]))
 
 
 def drawn_anew(cameras: np.ndarray, at: np.random.Generator) -> np.ndarray:

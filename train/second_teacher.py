@@ -33,7 +33,7 @@ from roadtorch.layout.backbone_network import (
     SamePadded,
 )
 from roadtorch.layout.classes import CLASSES
-from roadtorch.layout.picture_network import EGO, ROAD
+from roadtorch.layout.picture_network import EGO, ROAD, mirrored_mean
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.run.memo import keep, kept
 from roadtorch.settings import read_settings_file
@@ -253,12 +253,6 @@ def anew(module: nn.Module) -> None:
 # --- teaching ---------------------------------------------------------------------------
 
 
-def both_ways(network: BackboneNetwork, image: Tensor) -> dict[str, Tensor]:
-    """What a teacher says of an image (3,H,W), the mean with its mirror image."""
-    first, second = network.cues(image), network.cues(image.flip(-1))
-    return {name: (maps + second[name].flip(-1)) / 2 for name, maps in first.items()}
-
-
 def preparation_of(config: Path) -> Mapping[str, Any]:
     """What pictures made ready for a training of pictures depend on; its size among it."""
     training = build_training(read_settings_file(config))
@@ -303,7 +297,7 @@ def taught(
 
     The ego car is known where both say the same.
     """
-    own, found = both_ways(network, image), fusion.detect(image)
+    own, found = mirrored_mean(network.cues, image), fusion.detect(image)
     mirrored = fusion.detect(image.flip(-1))
     road = (found.likelihood + mirrored.likelihood.flip(-1)) / 2
     layout = (found.cues["layout"] + mirrored.cues["layout"].flip(-1)) / 2

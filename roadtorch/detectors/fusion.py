@@ -23,6 +23,7 @@ from roadtorch.imaging.resize import WorkingSize
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, Share, pooled
 from roadtorch.layout.labeller import EXPOSURE, HorizonSettings, decide_layout, segment_layout
 from roadtorch.layout.patch_network import PatchNetwork
+from roadtorch.layout.picture_network import mirrored_mean
 from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of, picture_network_of
 from roadtorch.road.ego import continued, ego_found, is_anywhere
 from roadtorch.road.fusion import (
@@ -168,8 +169,8 @@ class Fusion(nn.Module):
     """The road that a network has learned from other streets: the best we know.
 
     P2 fuses what was learned off line with what the picture shows by itself. With a network that
-    sees 192x240 pixels texture, distance from the seed area, place and look no longer pay for
-    their time (train/README.md has the table); ``fusion:scratch``, whose network knows less, and
+    sees 192x256 pixels texture, distance from the seed area, place and look no longer pay for
+    their time (docs/research/p2.md); ``fusion:scratch``, whose network knows less, and
     ``fusion:untrained`` have them.
     """
 
@@ -199,11 +200,9 @@ class Fusion(nn.Module):
 
     def learned(self, image: Tensor) -> Mapping[str, Tensor]:
         """What is known from other streets of an image (3,H,W): ``layout``, ``road``, ``ego``."""
-        learned = self.network.cues(image)
         if self.settings.views == "one":
-            return learned
-        mirrored = self.network.cues(image.flip(-1))
-        return {name: (maps + mirrored[name].flip(-1)) / 2 for name, maps in learned.items()}
+            return self.network.cues(image)
+        return mirrored_mean(self.network.cues, image)
 
     def judge(self, mask: Tensor, cues: Mapping[str, Tensor]) -> Judgement:
         """How far a mask bool (H,W) can be trusted; the likelihood is one of the cues."""

@@ -7,7 +7,7 @@ half of the size with what the early stages kept (added, after Lin et al., "Feat
 Networks", 2017). One head says sky, vertical, horizontal, the others road and ego car.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import ClassVar, cast
 
 import torch
@@ -103,6 +103,14 @@ def cues_of(
     full = size_of(image)
     potentials = resized(potentials_of(scores)[0], full).clamp(0, 1)
     return {"layout": potentials[:CLASSES], "road": potentials[ROAD], "ego": potentials[EGO]}
+
+
+def mirrored_mean(
+    cues: Callable[[Tensor], Mapping[str, Tensor]], image: Tensor
+) -> Mapping[str, Tensor]:
+    """What ``cues`` says of an image (3,H,W): the mean with what it says of its mirror image."""
+    own, mirrored = cues(image), cues(image.flip(-1))
+    return {name: (maps + mirrored[name].flip(-1)) / 2 for name, maps in own.items()}
 
 
 class Stage(nn.Sequential):

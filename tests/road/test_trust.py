@@ -18,8 +18,8 @@ from roadtorch.road.trust import (
 )
 
 NOWHERE = torch.zeros(20, 20, dtype=torch.bool)
-SEED, EGO, LOWEST = NOWHERE.clone(), NOWHERE.clone(), NOWHERE.clone()
-SEED[18:, 4:6], EGO[15:], LOWEST[18:, :10] = True, True, True
+SEED, EGO = NOWHERE.clone(), NOWHERE.clone()
+SEED[18:, 4:6], EGO[15:] = True, True
 ROAD = torch.zeros(20, 20)
 ROAD[:, :10] = 1  # over the left half
 UNSURE_ABOVE, UNSURE_BELOW = ROAD.clone(), ROAD.clone()

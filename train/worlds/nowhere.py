@@ -76,8 +76,8 @@ def _printed(stage: Stage, first: Colour, second: Colour) -> Material:
     return finished(stage, nodes, nodes.mix(share, tuple(first), tuple(second)), 0.7)
 
 
-def _plane(stage: Stage, look: Material, size: float, truth: int, up: float = 0.0) -> None:
-    corners = [(x * size, y * size, up) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+def _plane(stage: Stage, look: Material, size: float, truth: int) -> None:
+    corners = [(x * size, y * size, 0.0) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     mesh = stage.mesh([((corners, [(0, 1, 2, 3)]), look)])
     mesh.uv_layers.new(name="UV")
     stage.put(mesh, truth)

@@ -352,7 +352,12 @@ def _land(stage: Stage, road: Road, soil: Material) -> None:
         section = [(side * (land + step), up) for step, up in rises]
         swept(stage, road.course, section, soil, HORIZONTAL, bumps=0.06 + 0.1 * abs(slope))
     swept(stage, road.course, [(-land - 0.6, -0.02), (land + 0.6, -0.02)], soil, HORIZONTAL)
-    size, below = 900.0, min(point.z for point in road.course.points) - 1.5
+    plain_below(stage, road, soil, 1.5)
+
+
+def plain_below(stage: Stage, road: Road, soil: Material, depth: float) -> None:
+    """A plain so many metres below the lowest point of the road."""
+    size, below = 900.0, min(point.z for point in road.course.points) - depth
     corners = [(-size, -size, below), (size, -size, below), (size, size, below)]
     corners.append((-size, size, below))
     stage.put(stage.mesh([((corners, [(0, 1, 2, 3)]), soil)]), HORIZONTAL)

@@ -185,14 +185,18 @@ def _houses(stage: Stage, road: Road, count: int) -> None:
         wall = facade(stage, drawn(stage, WALLS))
         parts = [(box((0, 0, tall / 2 - 2), (deep, long, tall + 4)), wall)]
         if stage.chance(0.4):
-            a, b, up = deep / 2 + 0.3, long / 2 + 0.3, at.uniform(1, 3.5)
-            ends = [((-a, y, tall), (a, y, tall), (0, y, tall + up)) for y in (-b, b)]
-            gable = [(0, 1, 2), (3, 5, 4), (0, 2, 5, 3), (1, 4, 5, 2)]
-            parts.append((([*ends[0], *ends[1]], gable), roof))
+            shape = gable(deep / 2 + 0.3, long / 2 + 0.3, tall, at.uniform(1, 3.5))
+            parts.append((shape, roof))
         if stage.chance(0.3):
             awning = plain(stage, [at.uniform(0.05, 0.8) for _ in range(3)], 0.7)
             parts.append((box((-side * (deep / 2 + 0.6), 0, 2.6), (1.3, long * 0.8, 0.15)), awning))
         stage.put(stage.mesh(parts), VERTICAL, where, -road.course.headings[middle])
+
+
+def gable(across: float, along: float, low: float, up: float) -> Shape:
+    """A roof of half so many metres across and along, from a height on, its ridge so far up."""
+    ends = [((-across, y, low), (across, y, low), (0.0, y, low + up)) for y in (-along, along)]
+    return [*ends[0], *ends[1]], [(0, 1, 2), (3, 5, 4), (0, 2, 5, 3), (1, 4, 5, 2)]
 
 
 def _fence(stage: Stage, road: Road) -> None:

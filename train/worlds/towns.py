@@ -25,6 +25,7 @@ from train.worlds.roads import (
     drawn_course,
     mark_zebra,
     painted,
+    plain_below,
     soil_of,
     swept,
     swept_between,
@@ -47,6 +48,7 @@ from train.worlds.surroundings import (
     build_posts,
     build_trees,
     crown,
+    gable,
     person,
 )
 from train.worlds.vehicles import car, lorry, motorbike, van
@@ -324,10 +326,7 @@ def _ground(stage: Stage, road: Road) -> None:
     for side in (-1, 1):
         road.land_rises[side] = [(0.0, 0.0), (90.0, 0.0)]
     swept(stage, road.course, [(-road.land - 14, -0.03), (road.land + 14, -0.03)], soil, HORIZONTAL)
-    size, below = 900.0, min(point.z for point in road.course.points) - 0.3
-    corners = [(-size, -size, below), (size, -size, below), (size, size, below)]
-    corners.append((-size, size, below))
-    stage.put(stage.mesh([((corners, [(0, 1, 2, 3)]), soil)]), HORIZONTAL)
+    plain_below(stage, road, soil, 0.3)
 
 
 # --- what stands and drives there ---------------------------------------------------------
@@ -390,10 +389,8 @@ def _terrace(stage: Stage, road: Road, side: int, edge: float, apart: bool) -> N
             out = at.uniform(0.1, 1.2)
             parts.append((box((face - side * out / 2, 0, 2.8), (out, long * 0.85, 0.4)), cloth))
         if stage.chance(0.5):
-            a, b, up = deep / 2 + 0.3, long / 2 + 0.1, at.uniform(1, 3.5)
-            ends = [((-a, y, tall), (a, y, tall), (0.0, y, tall + up)) for y in (-b, b)]
-            gable = [(0, 1, 2), (3, 5, 4), (0, 2, 5, 3), (1, 4, 5, 2)]
-            parts.append((([*ends[0], *ends[1]], gable), roof))
+            shape = gable(deep / 2 + 0.3, long / 2 + 0.1, tall, at.uniform(1, 3.5))
+            parts.append((shape, roof))
         where = road.course.at(middle, side * (edge + back + deep / 2))
         stage.put(stage.mesh(parts), VERTICAL, where, -road.course.headings[middle])
     if apart:
