@@ -257,7 +257,7 @@ def preparation_of(config: Path) -> Mapping[str, Any]:
     """What pictures made ready for a training of pictures depend on; its size among it."""
     training = build_training(read_settings_file(config))
     assert isinstance(training, PictureTraining)
-    return PictureRecipe(training).preparation()
+    return PictureRecipe(training).preparation
 
 
 def teach(given: argparse.Namespace) -> None:

@@ -18,7 +18,7 @@ from roadtorch.run.memo import keep, kept, read_arrays
 from roadtorch.runtime.signals import stop_on_signals
 from roadtorch.train.config import PictureTraining
 from roadtorch.train.pictures import PictureRecipe
-from roadtorch.train.prepared import from_bytes, prepared_key, to_bytes
+from roadtorch.train.prepared import from_bytes, to_bytes
 from roadtorch.train.run import made_ready
 
 MOTION = SteadySettings(miss=2.0, slack=0.1, contrast=0.1)
@@ -46,7 +46,7 @@ def write_taught(
         if item.file is not None
     }
     taught = {look: prepared / look.relative_to(looks) for look in files}
-    keys = [prepared_key(recipe.preparation(), picture.path) for picture in files.values()]
+    keys = [recipe.key(picture) for picture in files.values()]
     if all(kept(file, key) for file, key in zip(taught.values(), keys, strict=True)):
         return None
     greys = [flow_picture(picture.read(), MOTION.width) for picture in files.values()]

@@ -3,6 +3,7 @@
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy import sparse
 from roadtorch.annotate.machine import AnnotationSettings, PictureView, look_at_picture
 from roadtorch.detector import Detector
 from roadtorch.io.image import read_image
+from roadtorch.run.loop import method_of_detector
 from roadtorch.run.memo import keep, kept, key_of
 from roadtorch.superpixels.segments import segment_mean, segment_size
 
@@ -62,11 +64,13 @@ class ViewStore:
         return held[1] if held else None
 
     def _key(self, picture: Path) -> str:
-        """By size and date, not by bytes: a list of ten thousand pictures is asked at once."""
-        stat, detector = picture.stat(), self.detector
-        return key_of(
-            detector.name, detector.settings, self.settings, stat.st_size, stat.st_mtime_ns
-        )
+        return key_of(self._method, self.settings, picture)
+
+    @cached_property
+    def _method(self) -> str:
+        """Of the detector, and of the files that its settings name."""
+        effective = f"{self.detector.name} {self.detector.settings!r}"
+        return method_of_detector(self.detector, effective, ()).digest
 
 
 def view_path(folder: Path, name: str) -> Path:

@@ -26,9 +26,8 @@ from roadtorch.io.bounded import printable, read_regular, reason
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
-from roadtorch.layout.weights import load_network, weights_path
-from roadtorch.run.loop import texts_in
-from roadtorch.run.memo import key_of
+from roadtorch.layout.weights import load_network
+from roadtorch.run.memo import key_of, paths_in
 from roadtorch.runtime.shipped_configs import SUFFIX, THRESHOLDS, config_file
 from roadtorch.settings import read_settings_file
 
@@ -68,9 +67,8 @@ class Contender:
 
     def digest(self) -> str:
         """Of the bytes of all files that its settings name, and of its masks."""
-        files = [weights_path(text) for text in texts_in(self.settings) if text]
         masks = [(group, mask.numpy().tobytes()) for group, mask in self.masks.items()]
-        return key_of(masks, *(file for file in files if file.exists()))
+        return key_of(masks, *paths_in(self.settings))
 
 
 def contenders(

@@ -11,7 +11,6 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Se
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple, Protocol, TypeVar
 
@@ -22,11 +21,12 @@ from roadtorch.detector import Detection, Detector, Evidence
 from roadtorch.errors import InputError, RoadtorchError, fault
 from roadtorch.inputs.find import open_source
 from roadtorch.inputs.item import Item, Selection, Source
-from roadtorch.io.atomic import digest_of, make_folder
+from roadtorch.io.atomic import make_folder
 from roadtorch.layout.weights import tensors_hash
 from roadtorch.road.steady import Steady
 from roadtorch.run.folder import ELSEWHERE, ResultFolder
 from roadtorch.run.ledger import DONE, DOUBTFUL, Method, Row, failed_row, method_of
+from roadtorch.run.memo import file_digests
 from roadtorch.run.workers import DIED, ThisProcess, Workers
 from roadtorch.runtime.signals import Stop
 
@@ -120,18 +120,8 @@ def method_of_detector(
     effective: its settings as TOML. parts: what else decides on the results.
     """
     weights = tensors_hash(detector.state_dict()).encode()
-    named = texts_in(detector.settings.model_dump())
-    files = [digest_of(Path(text)).encode() for text in named]
-    return method_of(kinds, effective, *parts, *files, weights)
-
-
-def texts_in(values: object) -> Iterator[str]:
-    """The texts in nested settings, which may name files."""
-    if isinstance(values, Mapping):
-        for value in values.values():
-            yield from texts_in(value)
-    elif isinstance(values, str):
-        yield values
+    files = repr(file_digests(detector.settings.model_dump())).encode()
+    return method_of(kinds, effective, *parts, files, weights)
 
 
 def elapsed(start: float, before: float = 0.0) -> str:

@@ -2,7 +2,7 @@
 
 import hashlib
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from torch import Tensor
 from roadtorch.errors import InputError
 from roadtorch.io.atomic import atomic, digest_of, make_folder
 from roadtorch.io.bounded import read_regular
+from roadtorch.layout.weights import weights_path
 from roadtorch.version import __version__
 
 Arrays = dict[str, Tensor]
@@ -39,6 +40,24 @@ def key_of(*parts: object) -> str:
             text = repr([(str(file.relative_to(part)), digest_of(file)) for file in files])
         digest.update(f"{len(text)} {text}".encode("utf-8", "surrogateescape"))
     return digest.hexdigest()[:32]
+
+
+def paths_in(settings: object) -> list[Path]:
+    """The files and folders that texts of nested settings name, as far as they exist.
+
+    Weights that ship count by their name.
+    """
+    if isinstance(settings, Mapping):
+        settings = list(settings.values())
+    if isinstance(settings, list | tuple):
+        return [path for value in settings for path in paths_in(value)]
+    path = weights_path(str(settings)) if isinstance(settings, str | Path) else Path()
+    return [path] if path.name and path.exists() else []
+
+
+def file_digests(settings: object) -> dict[str, str]:
+    """SHA-256 of the files that nested settings name, by path: ``paths_in`` without folders."""
+    return {str(path): digest_of(path) for path in paths_in(settings) if path.is_file()}
 
 
 def kept(path: Path, key: str | None, *names: str) -> Arrays | None:

@@ -24,6 +24,7 @@ from roadtorch.io.atomic import (
 )
 from roadtorch.io.bounded import printable, read_regular, regular_size
 from roadtorch.io.decoding import without_warnings
+from roadtorch.run.memo import file_digests
 from roadtorch.train.prepared import PreparedPicture, name_of
 from roadtorch.version import __version__
 
@@ -54,11 +55,12 @@ def record_of(
     pictures: Sequence[Item],
     corrections: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
-    """The content of run.json: version, settings, pictures, corrections."""
+    """The content of run.json: version, settings, their files, pictures, corrections."""
     return {
         "roadtorch": __version__,
         "config": config,
         "config_sha256": config_hash(config),
+        "files": file_digests(config),
         "count": len(pictures),
         "pictures": pictures_hash(pictures),
         "corrections": corrections,
@@ -109,6 +111,10 @@ class RunFolder:
                 message = f"is {new}, and {old} in the run in {self.path}"
                 remedy = "use the run's own config, or give another --out"
                 raise ConfigError(key, message, remedy)
+        for path, digest in record["files"].items():
+            if before.get("files", {}).get(path) != digest:
+                message = f"is not the file that the run in {self.path} began with"
+                raise InputError(path, message, ELSEWHERE)
         for key, kind, option in (
             ("pictures", "on other pictures", "--images"),
             ("corrections", "with other corrections", "--corrections"),

@@ -8,7 +8,7 @@ import math
 from collections.abc import Container, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -38,7 +38,7 @@ from roadtorch.train.loop import (
     generator_at,
     seeded,
 )
-from roadtorch.train.prepared import from_bytes, to_bytes
+from roadtorch.train.prepared import from_bytes, prepared_key, to_bytes
 
 # --- where ------------------------------------------------------------------------------
 
@@ -309,11 +309,12 @@ class PatchRecipe:
 
     def __init__(self, training: PatchTraining) -> None:
         self._training = training
+        parts = training.model_dump(include={"superpixels", "labeller", "centres"})
+        self.preparation = {**parts, "working": training.network.working.model_dump()}
 
-    def preparation(self) -> dict[str, Any]:
-        """Working size, superpixels, labeller and centres."""
-        parts = self._training.model_dump(include={"superpixels", "labeller", "centres"})
-        return {**parts, "working": self._training.network.working.model_dump()}
+    def key(self, picture: Item) -> str:
+        """Of a picture made ready."""
+        return prepared_key(self.preparation, picture.path)
 
     def survey(self, pictures: Sequence[Item], folder: Path, stop: Stop, quiet: bool) -> None:
         """Nothing: patches are taken from single pictures."""

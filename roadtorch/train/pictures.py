@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -20,13 +19,13 @@ from roadtorch.layout.classes import CLASSES, HORIZONTAL, SKY
 from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.picture_network import EGO, ROAD, PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import STEP, WholePictureNetwork
-from roadtorch.run.memo import Arrays, cached_arrays
+from roadtorch.run.memo import Arrays, cached_arrays, file_digests
 from roadtorch.runtime.signals import Stop
 from roadtorch.train import augmentation
 from roadtorch.train.config import HeadWeights, PictureTraining
 from roadtorch.train.folder import RunFolder
 from roadtorch.train.loop import PICTURE_ORDER, VARIATION, Batch, RoundStart, generator_at, seeded
-from roadtorch.train.prepared import from_bytes, to_bytes
+from roadtorch.train.prepared import from_bytes, prepared_key, to_bytes
 from roadtorch.train.recordings import ego_of, find_ego_cars, recording_of
 from roadtorch.train.teachers import (
     PLANES,
@@ -227,6 +226,10 @@ def target_loss(scores: Tensor, targets: Targets, weights: HeadWeights) -> Tenso
 # --- a run ------------------------------------------------------------------------------
 
 
+TEACHER_PARTS = {"detector", "weights", "views", "working"}
+"""Settings of a teacher that its maps depend on."""
+
+
 class PictureRecipe:
     """A network for whole pictures, in rounds."""
 
@@ -237,16 +240,16 @@ class PictureRecipe:
         self._teachers = load_teachers(training.teacher)
         self._recordings: Mapping[str, Path] = {}
         self._prepared = Path()
-
-    def preparation(self) -> dict[str, Any]:
-        """Size, and what the teacher's maps depend on."""
-        training, network = self._training, self._training.network
-        parts = {"detector", "weights", "views", "working"}
-        return {
-            **training.teacher.model_dump(include=parts),
-            "size": [network.height, network.width],
+        self.preparation = {  # size, and what the teacher's maps depend on
+            **(teacher := training.teacher.model_dump(include=TEACHER_PARTS)),
+            "files": file_digests(teacher),
+            "size": [training.network.height, training.network.width],
             "recordings": training.recordings.model_dump(include={"separator", "least"}),
         }
+
+    def key(self, picture: Item) -> str:
+        """Of a picture made ready; ``survey`` comes first."""
+        return prepared_key(self.preparation, picture.path, self._recordings.get(picture.name))
 
     def survey(self, pictures: Sequence[Item], folder: Path, stop: Stop, quiet: bool) -> None:
         """Find the ego cars that recordings show; ``folder`` keeps what is found."""

@@ -44,17 +44,17 @@ class PreparedPicture:
 class Preparation:
     """The work on one picture.
 
-    settings: all that decides on what is made. make: turns an image (3,H,W) in [0,1] and the
-    picture's name into named arrays.
+    key: of a picture and all that decides on what is made of it. make: turns an image (3,H,W) in
+    [0,1] and the picture's name into named arrays.
     """
 
     folder: Path
-    settings: Mapping[str, Any]
+    key: Callable[[Item], str]
     make: Callable[[Tensor, str], Arrays]
 
     def __call__(self, picture: Item) -> PreparedPicture:
         """The picture made ready, unless it is; ConfigError where a setting is wrong."""
-        name, key = name_of(picture), prepared_key(self.settings, picture.path)
+        name, key = name_of(picture), self.key(picture)
         file = self.folder / f"{name}.npz"
         if kept(file, key) is not None:  # all of it is read: damage would end the training later
             return PreparedPicture(name, file)
@@ -98,9 +98,13 @@ def _died(picture: Item) -> PreparedPicture:
     return PreparedPicture(name_of(picture), None, str(InputError(picture.origin, *DIED)))
 
 
-def prepared_key(settings: Mapping[str, Any], picture: Path) -> str:
-    """The key of a picture made ready: its bytes, and all settings that decide on what is made."""
-    return key_of(settings, picture)
+def prepared_key(settings: Mapping[str, Any], picture: Path, ego: Path | None = None) -> str:
+    """The key of a picture made ready: its bytes, and all that decides on what is made of it.
+
+    settings: of a recipe, with the digests of the files that they name. ego: the file of what its
+    recording shows of the ego car.
+    """
+    return key_of(settings, picture, ego)
 
 
 def name_of(picture: Item) -> str:

@@ -130,7 +130,7 @@ def made_ready(
         recipe.survey(pictures, folder, stop, quiet)
         if stop.asked:  # nothing is made ready by half a survey
             return []
-        preparation = Preparation(folder, recipe.preparation(), recipe.make)
+        preparation = Preparation(folder, recipe.key, recipe.make)
         return prepare(pictures, preparation, stop, quiet)
 
 

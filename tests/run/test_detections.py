@@ -16,7 +16,7 @@ from roadtorch.detector import Evidence
 from roadtorch.errors import InputError, RoadtorchError
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.road.steady import Steady, SteadySettings
-from roadtorch.run.loop import Detected, Look, Missed, detections, loaded, texts_in
+from roadtorch.run.loop import Detected, Look, Missed, detections, loaded
 from roadtorch.run.workers import Processes, ThisProcess, Workers
 from roadtorch.runtime.signals import Stop
 from tests.command import save_picture
@@ -205,7 +205,3 @@ def test_a_loaded_item_has_its_image_or_its_problem() -> None:
     assert torch.equal(good.read(), scene(0, 48, 64).image)
     with pytest.raises(InputError, match="frame 1: is broken"):
         bad.read()
-
-
-def test_texts_in_nested_settings() -> None:
-    assert [*texts_in({"a": "x", "b": {"c": "y", "d": 3}, "e": None})] == ["x", "y"]

@@ -1,6 +1,7 @@
 """Pictures made ready: once, remade when they changed; arrays on disk."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,14 @@ from roadtorch.inputs.item import Item
 from roadtorch.inputs.pictures import find_pictures
 from roadtorch.run.memo import Arrays, read_arrays, write_arrays
 from roadtorch.runtime.signals import Stop
-from roadtorch.train.prepared import Preparation, PreparedPicture, from_bytes, prepare, to_bytes
+from roadtorch.train.prepared import (
+    Preparation,
+    PreparedPicture,
+    from_bytes,
+    prepare,
+    prepared_key,
+    to_bytes,
+)
 from tests.train.runs import write_streets
 
 
@@ -31,6 +39,10 @@ def pictures(tmp_path: Path) -> list[Item]:
     return find_pictures([str(write_streets(tmp_path / "footage", 3))])
 
 
+def key_with(settings: dict[str, int], picture: Item) -> str:
+    return prepared_key(settings, picture.path)
+
+
 def prepared(
     path: Path,
     pictures: list[Item],
@@ -38,7 +50,7 @@ def prepared(
     stop: Stop | None = None,
     **settings: int,
 ) -> list[PreparedPicture]:
-    preparation = Preparation(path / "kept", settings, make)
+    preparation = Preparation(path / "kept", partial(key_with, settings), make)
     return prepare(pictures, preparation, stop or Stop(), quiet=True)
 
 
