@@ -1,0 +1,322 @@
+"""Every file that a result depends on, with other bytes between two starts of every command.
+
+(``--mean-from`` is in tests/evaluation/test_progress.py: it wants a set of one group.)
+What the second start leaves is what a run in a new folder leaves, or it is refused with the name
+of what changed. Size and date of the file stay as far as they can: nothing but its bytes tell.
+"""
+
+import json
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from roadtorch.annotate.session import opened_session
+from roadtorch.camera.camera import Camera, Ego
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.io.image import write_colours, write_mask
+from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
+from roadtorch.layout.weights import save_network
+from roadtorch.run.memo import file_digests, paths_in
+from roadtorch.runtime import progress
+from roadtorch.scenes.street import render_scene, write_picture
+from roadtorch.train.run import TrainingRun
+from tests.command import Call, bytes_in, files_in
+from tests.reference import bev
+from tests.streets import drive, write_camvid
+from tests.train.runs import PICTURES
+
+SIZE = (48, 64)
+
+
+def write_network(path: Path, seed: int) -> None:
+    torch.manual_seed(seed)
+    save_network(path, PictureNetwork(PictureNetworkSettings(**SHAPE)), {})
+
+
+SHAPE: dict[str, Any] = {"height": 32, "width": 40, "narrow": 8, "wide": 8}
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """All that any command reads, below one folder."""
+    root = tmp_path / "in"
+    scenes = {
+        f"{drive}_{i}": render_scene(i, *SIZE) for i, drive in enumerate(("0001TP", "0006R0"))
+    }
+    write_camvid(root / "camvid", "train", scenes)
+    for seed, name in enumerate(("um_000000", "umm_000003")):
+        write_picture(root / "image_2" / f"{name}.png", render_scene(seed, 120, 160))
+        (root / "calib").mkdir(exist_ok=True)
+        rows = bev.made_up_rows(pitch=0.02)
+        (root / "calib" / f"{name}.txt").write_text(bev.calibration_text(rows))
+        write_picture(root / "streets" / f"street_{seed}.png", render_scene(seed, *SIZE))
+    for folder in ("maps", "drive"):
+        (root / folder).mkdir()
+    for name in scenes:
+        cv2.imwrite(str(root / f"maps/{name}.png"), np.eye(*SIZE, dtype=np.uint8) * 255)
+    write_mask(root / "ego.png", torch.arange(48)[:, None].expand(SIZE) > 40)
+    camera = Camera(width=64, height=48, frames=10, horizon=0.4, seed_row=0.9, ego=Ego(bottom=0.2))
+    camera.write(root / "camera.toml")
+    (root / "config.toml").write_text('detector = "prior:rows"\nthreshold = 0.4\n')
+    (root / "lens.yaml").write_text(LENS)
+    (root / "train.toml").write_text(PICTURES)
+    write_network(root / "weights.safetensors", 0)
+    return root
+
+
+LENS = """
+image_width: 64
+image_height: 48
+camera_matrix: {data: [60, 0, 32, 0, 60, 24, 0, 0, 1]}
+distortion_model: plumb_bob
+distortion_coefficients: {data: [0, 0, 0, 0, 0]}
+"""
+
+OTHER_TEXT = {
+    "camera.toml": ("0.", "0.1"),
+    "config.toml": ("0.4", "0.6"),
+    "lens.yaml": ("60", "50"),
+    "calib/um_000000.txt": ("1", "2"),
+}
+
+
+def change(root: Path, name: str) -> None:
+    """Give a file other bytes that make sense, and its old date."""
+    path = root / name
+    status = path.stat()
+    if path.suffix == ".png":
+        pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert pixels is not None
+        cv2.imwrite(str(path), pixels[::-1])
+    elif path.suffix == ".safetensors":
+        write_network(path, 1)
+    else:
+        before = path.read_text()
+        path.write_text(before.replace(*OTHER_TEXT[name]))
+        assert path.read_text() != before
+    os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+
+
+def words_of(root: Path, line: str) -> list[str]:
+    return line.replace("@", f"{root}/").split()
+
+
+# --- a picture at a time -----------------------------------------------------------------
+
+EGO = "--set ego.mask=@ego.png"
+WEIGHTS = "--detector layout --set weights.file=@weights.safetensors"
+ROWS = "--detector prior:rows"
+GREY = "--detector grey-uniformity"
+VIEW = f"{ROWS} --height 1.35 --range 10 --side 4"
+
+
+@pytest.mark.parametrize(
+    ("line", "name"),
+    [
+        (f"infer @streets {ROWS}", "streets/street_0.png"),
+        (f"infer @streets {ROWS} {EGO}", "ego.png"),
+        (f"infer @streets {WEIGHTS}", "weights.safetensors"),
+        (f"grid @streets {VIEW} --fov 55 --pitch 3", "streets/street_0.png"),
+        (f"grid @streets {VIEW} --fov 55 --pitch 3 {EGO}", "ego.png"),
+        ("label @streets", "streets/street_0.png"),
+        (f"submit @ {GREY}", "image_2/um_000000.png"),
+        (f"submit @ {GREY}", "calib/um_000000.txt"),
+        (f"submit @ {WEIGHTS}", "weights.safetensors"),
+    ],
+)
+def test_results_are_those_of_a_new_folder(
+    call: Call, root: Path, tmp_path: Path, line: str, name: str
+) -> None:
+    words = words_of(root, line)
+    assert call(*words, "--out", tmp_path / "out").exit_code == 0
+    change(root, name)
+
+    again = call(*words, "--out", tmp_path / "out")
+
+    assert again.exit_code == 0, again.stderr
+    assert "0 done" not in again.stderr
+    assert call(*words, "--out", tmp_path / "new").exit_code == 0
+    assert files_in(tmp_path / "out") == files_in(tmp_path / "new")
+    same = [kept_apart(bytes_in(tmp_path / folder)) for folder in ("out", "new")]
+    assert same[0] == same[1]
+
+
+@pytest.mark.parametrize(
+    ("line", "name"),
+    [
+        ("infer @streets --config @config.toml", "config.toml"),
+        (f"infer @streets {GREY} --camera @camera.toml", "camera.toml"),
+        (f"grid @streets {VIEW} --camera-info @lens.yaml --pitch 3", "lens.yaml"),
+        (f"grid @streets {VIEW} --fov 55 --camera @camera.toml", "camera.toml"),
+    ],
+)
+def test_other_settings_from_a_file_are_refused(
+    call: Call, root: Path, tmp_path: Path, line: str, name: str
+) -> None:
+    words = [*words_of(root, line), "--out", tmp_path / "out"]
+    assert call(*words).exit_code == 0
+    change(root, name)
+
+    again = call(*words)
+
+    assert again.exit_code == 2
+    assert "holds results of other settings" in again.stderr
+
+
+def kept_apart(files: dict[str, bytes]) -> dict[str, bytes]:
+    """Without the archive, whose members have dates."""
+    return {name: data for name, data in files.items() if not name.endswith(".zip")}
+
+
+# --- figures -----------------------------------------------------------------------------
+
+
+SCORE = "camvid @camvid --split train"
+
+
+@pytest.mark.parametrize(
+    ("line", "name"),
+    [
+        (f"evaluate {SCORE} {GREY}", "camvid/train/0001TP_0.png"),
+        (f"evaluate {SCORE} {GREY}", "camvid/trainannot/0001TP_0.png"),
+        (f"evaluate {SCORE} {GREY} {EGO}", "ego.png"),
+        (f"evaluate {SCORE} {WEIGHTS}", "weights.safetensors"),
+        (f"evaluate {SCORE} --detector layout --camera @camera.toml", "camera.toml"),
+        (f"evaluate {SCORE} --maps m=@maps", "maps/0001TP_0.png"),
+        (f"tune {SCORE} {GREY}", "camvid/train/0001TP_0.png"),
+        (f"tune {SCORE} {GREY}", "camvid/trainannot/0001TP_0.png"),
+        (f"tune {SCORE} {WEIGHTS}", "weights.safetensors"),
+    ],
+)
+def test_figures_are_those_of_a_new_folder(
+    call: Call,
+    root: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    line: str,
+    name: str,
+) -> None:
+    def first(results: Iterator[Any], done: int, total: int) -> Iterator[Any]:
+        yield next(results)
+        raise KeyboardInterrupt
+
+    words = [*words_of(root, line), "--jobs", "1", "--out"]
+    with monkeypatch.context() as cut:
+        cut.setattr(progress, "watched", first)
+        assert call(*words, tmp_path / "out").exit_code != 0
+    assert (tmp_path / "out/progress.npz").is_file()
+    change(root, name)
+
+    again = call(*words, tmp_path / "out")
+
+    assert again.exit_code == 0, again.stderr
+    assert "going on" not in again.stderr
+    assert call(*words, tmp_path / "new").exit_code == 0
+    assert figures_in(tmp_path / "out") == figures_in(tmp_path / "new")
+
+
+def figures_in(out: Path) -> Any:
+    """What an evaluation or a choice of thresholds wrote, without its command and its times."""
+    if (out / "metrics.json").is_file():
+        detectors = json.loads((out / "metrics.json").read_text())["detectors"]
+        return re.sub(r'"ms_per_image": [^,]+', "", json.dumps(detectors))
+    lines = {path.name: path.read_text().splitlines() for path in out.glob("*.toml")}
+    assert lines
+    return {name: [line for line in lines[name] if "roadtorch" not in line] for name in lines}
+
+
+# --- training, and what the page shows ---------------------------------------------------
+
+
+TRAIN = "train --config @train.toml --images @streets --threads 1"
+ADAPT = "adapt @drive --threads 1 --set network.height=64 --set network.width=96"
+
+
+@pytest.mark.parametrize(
+    ("line", "name", "problem"),
+    [
+        (TRAIN, "streets/street_0.png", "holds a run on other pictures"),
+        (
+            f"{TRAIN} --set teacher.detector=layout --set teacher.weights=@weights.safetensors",
+            "weights.safetensors",
+            "in/weights.safetensors: is not the file that the run in",
+        ),
+        (
+            f"{TRAIN} --set start=@weights.safetensors",
+            "weights.safetensors",
+            "in/weights.safetensors: is not the file that the run in",
+        ),
+        (f"{ADAPT} --set teacher.detector=labeller", "drive/00.png", "holds frames of other"),
+        (
+            f"{ADAPT} --set teacher.detector=layout --set teacher.weights=@weights.safetensors",
+            "weights.safetensors",
+            "in/weights.safetensors: is not the file that the run in",
+        ),
+    ],
+)
+def test_a_training_with_another_file_is_refused(
+    call: Call,
+    root: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    line: str,
+    name: str,
+    problem: str,
+) -> None:
+    for number, frame in enumerate(drive()):
+        write_colours(root / f"drive/{number:02d}.png", frame)
+    resume = ("--resume",) if line.startswith("train") else ()
+    words = [*words_of(root, line), "--out", tmp_path / "out"]
+    with monkeypatch.context() as cut:
+        cut.setattr(TrainingRun, "_train", Mock(side_effect=KeyboardInterrupt))
+        assert call(*words).exit_code != 0
+    assert list((tmp_path / "out").rglob("run.json"))
+    change(root, name)
+
+    again = call(*words, *resume)
+
+    assert again.exit_code == 2
+    assert problem in again.stderr
+
+
+@pytest.mark.parametrize("name", ["streets/street_0.png", "weights.safetensors", "ego.png"])
+def test_the_page_shows_what_a_new_folder_would(root: Path, tmp_path: Path, name: str) -> None:
+    def odds(out: str) -> torch.Tensor:
+        weights, ego = str(root / "weights.safetensors"), str(root / "ego.png")
+        detector = load_detector("layout", weights={"file": weights}, ego={"mask": ego})
+        (tmp_path / out).mkdir(exist_ok=True)
+        return opened_session(root / "streets", tmp_path / out, detector).view("street_0.png").odds
+
+    before = odds("out")
+    change(root, name)
+
+    after = odds("out")
+
+    assert not torch.equal(before, after)
+    assert torch.equal(after, odds("new"))
+
+
+# --- the one place -----------------------------------------------------------------------
+
+
+def test_files_are_digested_wherever_settings_name_them(tmp_path: Path) -> None:
+    file, folder = tmp_path / "a.png", tmp_path / "folder"
+    file.write_bytes(b"a")
+    folder.mkdir()
+    settings = {"a": str(file), "b": {"c": [file, "none"], "d": 3, "e": ""}, "f": str(folder)}
+
+    assert paths_in(settings) == [file, file, folder]
+    assert list(file_digests(settings)) == [str(file)]
+    [shipped] = paths_in({"weights": "backbone-free"})
+    assert shipped.name == "backbone-free.safetensors"
+    digests = file_digests(settings)
+    file.write_bytes(b"b")
+    assert file_digests(settings) != digests
