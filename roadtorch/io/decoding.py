@@ -38,8 +38,8 @@ them, at most so many bytes each; ours: four samples of 16 bits, twice."""
 
 # TIFF 6.0: tags, and values of theirs
 BITS_PER_SAMPLE, COMPRESSION, PHOTOMETRIC = 258, 259, 262
-SAMPLES, PLANES, SAMPLE_FORMAT = 277, 284, 339
-BLACK_IS_ZERO, RGB, UNSIGNED, FLOATING_POINT, ALPHA = 1, 2, 1, 3, 2
+SAMPLES, PLANES, COLOUR_MAP, SAMPLE_FORMAT = 277, 284, 320, 339
+BLACK_IS_ZERO, RGB, PALETTE, UNSIGNED, FLOATING_POINT, ALPHA = 1, 2, 3, 1, 3, 2
 UNCOMPRESSED, DEFLATED = 1, (8, 32946)
 
 # PNG: where the first chunk and its bits a sample are, and the chunks that say what pixels are
@@ -242,7 +242,9 @@ def _tiff(data: bytes, header: Image.Image) -> np.ndarray:
         raise ValueError("its tags contradict each other")
     is_deep, compression = _is_deep_tiff(header), _tiff_tag(header, COMPRESSION)[0]
     is_plain = compression == UNCOMPRESSED
-    is_simple = _tiff_tag(header, PHOTOMETRIC)[0] in (BLACK_IS_ZERO, RGB)
+    photometric = _tiff_tag(header, PHOTOMETRIC)[0]
+    # TIFF 6.0 wants 16 bits in a colour map; libtiff, which OpenCV has, knows the maps with 8.
+    has_bytes = photometric == PALETTE and max(_tiff_tag(header, COLOUR_MAP)) < 256
     with TiffFile(io.BytesIO(data)) as file:
         page: Any = file.pages.first
         parts = list(zip(page.dataoffsets, page.databytecounts, strict=False))
@@ -255,11 +257,11 @@ def _tiff(data: bytes, header: Image.Image) -> np.ndarray:
             raise ValueError("its strips are too short for its pixels")
         extra, is_planar = page.extrasamples[:1], page.planarconfig != 1
         is_known = is_plain or compression in DEFLATED
-        if is_known and is_simple and page.dtype in (np.uint8, np.uint16):
+        if is_known and photometric in (BLACK_IS_ZERO, RGB) and page.dtype in (np.uint8, np.uint16):
             return _oriented(_plain_tiff(page), _orientation(header.getexif))
         if is_planar and (is_deep or page.photometric == BLACK_IS_ZERO):
             raise ValueError("compressed TIFF with a plane for each colour is not read")
-        if not is_deep:
+        if not is_deep and not has_bytes:
             return pillow_pixels(header)
     with quiet_opencv():
         pixels = _opencv(data)  # which turns TIFFs upright itself

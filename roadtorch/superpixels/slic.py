@@ -58,7 +58,7 @@ ITERATIONS = 5
 class Superpixels(Settings):
     """Regions that follow the edges in the picture."""
 
-    pixels: int = Field(default=256, ge=4, le=10**6, description="pixels of one superpixel, about")
+    pixels: int = Field(default=256, ge=16, le=10**6, description="pixels of one superpixel, about")
 
     def cut(self, image: Tensor) -> Tensor:
         """Labels int64 (H,W) of an image (3,H,W); at least 16 segments where there is room."""

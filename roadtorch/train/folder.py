@@ -112,7 +112,7 @@ class RunFolder:
                 remedy = "use the run's own config, or give another --out"
                 raise ConfigError(key, message, remedy)
         for path, digest in record["files"].items():
-            if before.get("files", {}).get(path) != digest:
+            if before["files"].get(path) != digest:
                 message = f"is not the file that the run in {self.path} began with"
                 raise InputError(path, message, ELSEWHERE)
         for key, kind, option in (
@@ -135,7 +135,8 @@ class RunFolder:
             return None
         try:
             record = json.loads(read_regular(path).decode())
-            if isinstance(record["config"], dict) and isinstance(record["pictures"], str):
+            known = [isinstance(record[key], dict) for key in ("config", "files")]
+            if all(known) and isinstance(record["pictures"], str):
                 return record
         except (ValueError, KeyError, TypeError, OSError, RecursionError):
             pass

@@ -30,7 +30,7 @@ class DictionarySettings(Settings):
     whitening: float = Field(
         default=0.1, gt=0, le=100, description="added to the eigenvalues before whitening"
     )
-    bases: int = Field(default=200, ge=1, le=4096, description="K, the bases of the dictionary")
+    bases: int = Field(default=200, ge=1, le=1024, description="K, the bases of the dictionary")
     rounds: int = Field(default=10, ge=0, le=1000, description="updates of K-means")
     start: Literal["noise", "patches"] = Field(
         default="noise", description="what K-means starts from: small noise, or random patches"

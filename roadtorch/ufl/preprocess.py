@@ -23,7 +23,7 @@ class WorkingShape(Settings):
     """The size at which P1 works: 160x120 for pictures of 4:3, 397x120 for KITTI's."""
 
     rows: int = Field(
-        default=120, ge=16, le=4096, description="height in pixels; the width keeps the shape"
+        default=120, ge=16, le=480, description="height in pixels; the width keeps the shape"
     )
     widest: float = Field(
         default=4.0, ge=1, le=64, description="width at most, in heights (and height, in widths)"

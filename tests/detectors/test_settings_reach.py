@@ -251,6 +251,10 @@ def test_every_setting_reaches_the_result(name: str) -> None:
         ("oneclass:svdd:HS", ("classifier", "sigma"), 0.0),
         ("oneclass:svdd:HS", ("seed_area", "width"), 321),
         ("oneclass:gaussian:HS", ("random_seed",), -1),
+        # What would take longer than half a minute a picture on one core
+        ("labeller", ("superpixels", "pixels"), 8),
+        ("ufl", ("dictionary", "bases"), 2048),
+        ("ufl", ("working", "rows"), 720),
     ],
 )
 def test_settings_out_of_range_are_refused_by_their_full_name(

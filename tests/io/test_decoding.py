@@ -285,6 +285,22 @@ def test_a_tiff_of_any_layout_is_read_right_or_refused(
 
 @pytest.mark.parametrize("bits", [8, 16])
 @pytest.mark.parametrize("compression", [None, "zlib"])
+def test_the_colour_map_of_a_tiff_has_16_bits_or_as_libtiff_knows_them_8(
+    bits: int, compression: str | None, capfd: pytest.CaptureFixture[str]
+) -> None:
+    colours = np.random.default_rng(2).integers(0, 256, (3, 256))
+    numbers = np.arange(256, dtype=np.uint8).reshape(16, 16)
+    levels = (colours * (257 if bits == 16 else 1)).astype(np.uint16)
+    data = tiff(numbers, photometric="palette", colormap=levels, compression=compression)
+
+    image = decode_image(data, "a.tif")
+
+    assert torch.equal(image.mul(255).round().long(), torch.from_numpy(colours.reshape(3, 16, 16)))
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("compression", [None, "zlib"])
 @pytest.mark.parametrize(("tag", "value"), [(257, 30), (278, 3), (279, 7), (322, 80)])
 def test_a_tiff_whose_strips_do_not_fill_its_height_is_refused(
     bits: int, compression: str | None, tag: int, value: int, capfd: pytest.CaptureFixture[str]
