@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageShow
 from torch import Tensor
 
 from roadtorch.errors import ConfigError, InputError
@@ -80,11 +80,14 @@ class Detection:
             raise ConfigError(path, "does not say what to write", remedy)
 
     def show(self) -> None:
-        """Show the overlay: in the notebook, or else in the computer's viewer of pictures."""
+        """Show the overlay: in the notebook, or else in the computer's viewer of pictures.
+
+        Raises InputError where there is neither.
+        """
         if "ipykernel" in sys.modules:
             importlib.import_module("IPython.display").display(self)
-        else:
-            Image.fromarray(self.overlay()).show()
+        elif not ImageShow.show(Image.fromarray(self.overlay())):
+            raise InputError("show()", "finds no display", "use save(), or a notebook")
 
     def overlay(self) -> np.ndarray:
         """The image with its road tinted and outlined, uint8 (H,W,3) RGB, as ``infer`` draws it.

@@ -156,14 +156,19 @@ class Detector(nn.Module):
     """A detector that is ready to look at images; made by ``load_detector``.
 
     name, settings: what it was made from. order: of the colours of NumPy arrays, where none is
-    told with them. analysis: the module that finds the cues, its parts (networks among them) as
-    attributes.
+    told with them. device: to which images are moved; None where they stay. analysis: the module
+    that finds the cues, its parts (networks among them) as attributes.
     """
 
     def __init__(
-        self, entry: Entry, settings: DetectorSettings, order: Order | None = None
+        self,
+        entry: Entry,
+        settings: DetectorSettings,
+        order: Order | None = None,
+        device: str | None = None,
     ) -> None:
         super().__init__()
+        self.device = device
         self.order: Order | None = None if order is None else checked_order(order)
         self.name = entry.name
         self.settings = settings
@@ -174,7 +179,7 @@ class Detector(nn.Module):
             what = f"builds {type(analysis).__name__}"
             remedy = "build an nn.Module whose forward(image) gives the cues"
             raise ConfigError(entry.name, what, remedy)
-        self.analysis = analysis
+        self.analysis = analysis.to(device)
 
     @overload
     def __call__(self, pictures: Tensor, order: Order | None = None) -> Any: ...
@@ -195,7 +200,8 @@ class Detector(nn.Module):
         if isinstance(pictures, (Tensor, np.ndarray)):
             several = pictures.ndim == 4
         else:
-            several = isinstance(pictures, Iterable) and not isinstance(pictures, (str, bytes))
+            one = isinstance(pictures, (str, bytes)) or hasattr(pictures, "read")  # an open file
+            several = isinstance(pictures, Iterable) and not one
         if several:
             return list(self.detect_many(pictures, order))
         return self.detect(cast("ImageLike", pictures), order)
@@ -203,9 +209,10 @@ class Detector(nn.Module):
     def detect(self, image: ImageLike, order: Order | None = None) -> Detection:
         """Find the road in one picture, from 16×16 up.
 
-        image: a path or URL; a NumPy array (H,W,3) with the ``order`` of its colours, also with
-        alpha (H,W,4) or grey (H,W), uint8, uint16 or floating point in [0,1]; a Pillow image; an
-        RGB tensor (3,H,W), floating point in [0,1] or uint8. Raises InputError when it is anything
+        image: a path or URL, or a file's bytes, or the file opened to read them; a NumPy array
+        (H,W,3) with the ``order`` of its colours, also with alpha (H,W,4) or grey (H,W), uint8,
+        uint16 or floating point in [0,1]; a Pillow image; an RGB tensor (3,H,W), floating point in
+        [0,1] or uint8. Raises InputError when it is anything
         else, and when what the detector makes of it is not finite: there is no decision on NaN.
         """
         if order == "bgr" and isinstance(image, Tensor):
@@ -263,7 +270,7 @@ class Detector(nn.Module):
         if torch.compiler.is_compiling():
             remedy = "compile its network: detector.analysis.network = torch.compile(…)"
             raise ConfigError("torch.compile", "takes no detector", remedy)
-        image = checked_image(image)
+        image = checked_image(image).to(self.device)
         with torch.autocast("cuda" if image.is_cuda else "cpu", enabled=False):
             return self._found(image)
 

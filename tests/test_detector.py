@@ -24,6 +24,7 @@ from roadtorch.io.image import overlay_pixels, read_image
 from roadtorch.oneclass import base
 from roadtorch.oneclass.axes import axes_of
 from roadtorch.oneclass.density import floor_of
+from roadtorch.scenes.street import write_picture
 from roadtorch.superpixels import slic as superpixels
 from tests.streets import scene
 
@@ -165,6 +166,20 @@ def test_several_pictures_give_what_each_gives_by_itself() -> None:
     assert detector([]) == []
 
 
+def test_the_bytes_of_a_file_and_the_open_file_are_pictures(tmp_path: Path) -> None:
+    path, detector = tmp_path / "street.png", load_detector("prior:triangle")
+    write_picture(path, scene(1, 48, 64))
+
+    with path.open("rb") as file:
+        found = [
+            detector(path.read_bytes()),
+            detector(file),
+            *detector([io.BytesIO(path.read_bytes())]),
+        ]
+
+    assert all(same(detection, detector(path)) for detection in found)
+
+
 def test_a_generator_is_asked_when_a_picture_is_needed_and_left_where_one_is_wrong() -> None:
     asked = []
 
@@ -253,6 +268,10 @@ def test_a_detection_shows_itself_in_a_notebook_or_a_window(
     monkeypatch.setattr(ImageShow, "_viewers", [Window()])
     found.show()
     assert np.array_equal(shown.pop(), found.overlay())  # type: ignore[arg-type]
+
+    monkeypatch.setattr(ImageShow, "_viewers", [])
+    with pytest.raises(InputError, match=r"show\(\): finds no display \(use save\(\)"):
+        found.show()
 
     monkeypatch.setitem(sys.modules, "ipykernel", SimpleNamespace())
     monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=shown.append))

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from roadtorch.detectors.catalogue import load_detector
+from roadtorch.errors import ConfigError
 from roadtorch.scenes.street import render_scene
 from tests.pretended_device import Pretended, PretendedDevice, moved
 from tests.representatives import quick, ways_of_working
@@ -29,6 +30,26 @@ def test_a_detector_works_on_another_device(name: str) -> None:
     assert there.trust == (None if here.trust is None else pytest.approx(here.trust, abs=1e-4))
     assert there.doubt == here.doubt
     assert set(there.cues) == set(here.cues)
+
+
+def test_images_are_moved_to_the_device_that_a_detector_was_made_for() -> None:
+    detector = moved(load_detector("fusion"))
+    detector.device = "meta"  # type: ignore[assignment]
+
+    with PretendedDevice():
+        there = detector([IMAGE.numpy().transpose(1, 2, 0)], order="rgb")[0]  # type: ignore[operator]
+
+    assert isinstance(there.likelihood, Pretended)
+
+
+@pytest.mark.parametrize(
+    ("device", "what"), [("gpu", "is no device of torch"), ("meta", "cannot be used")]
+)
+def test_a_device_that_is_not_there_is_refused_when_the_detector_is_made(
+    device: str, what: str
+) -> None:
+    with pytest.raises(ConfigError, match=rf"^device: {what}"):
+        load_detector("fusion", device=device)
 
 
 def test_mixing_is_refused() -> None:

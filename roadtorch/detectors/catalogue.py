@@ -14,6 +14,7 @@ from roadtorch.detector import Detector, DetectorSettings, Entry
 from roadtorch.detectors import baselines, fusion, layout, oneclass, texture, ufl
 from roadtorch.errors import ConfigError, unknown_name
 from roadtorch.io.image import Order
+from roadtorch.runtime.device import check_device
 from roadtorch.runtime.plugins import load_plugins
 from roadtorch.settings import merge
 
@@ -31,7 +32,12 @@ ENTRIES: tuple[Entry, ...] = (
 
 
 def load_detector(
-    name: str, *, camera: Camera | None = None, order: Order | None = None, **settings: Any
+    name: str,
+    *,
+    camera: Camera | None = None,
+    order: Order | None = None,
+    device: str | None = None,
+    **settings: Any,
 ) -> Detector:
     """Make a detector; settings that are not given keep their defaults.
 
@@ -39,7 +45,9 @@ def load_detector(
     camera: the one whose pictures it will see, such as ``Camera.read("camera.toml")``; it sets
     the ego car and, where the detector has one, the horizon, unless they are given.
     order: of the colours of the NumPy arrays it will see: ``"bgr"`` of OpenCV's, else ``"rgb"``.
-    Raises ConfigError for an unknown name or key and for values that are not allowed.
+    device: of torch, ``"cuda"``: images are moved there, and what is detected stays there.
+    Raises ConfigError for an unknown name or key, for values that are not allowed, and for a device
+    that this machine lacks.
 
         >>> from roadtorch import load_detector
         >>> detector = load_detector("fusion", threshold=0.6)
@@ -49,7 +57,9 @@ def load_detector(
     entry = detector_entry(name)
     if camera is not None:
         settings = merge(camera.settings_for(entry.settings), settings)
-    return Detector(entry, entry.configured(settings), order).eval()
+    if device is not None:
+        check_device(device, "device")
+    return Detector(entry, entry.configured(settings), order, device).eval()
 
 
 def list_detectors(pattern: str | None = None) -> list[str]:

@@ -5,7 +5,7 @@ import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal, get_args
+from typing import IO, Literal, get_args
 
 import cv2
 import numpy as np
@@ -53,7 +53,7 @@ MAP_OPTIONS = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
 Order = Literal["rgb", "bgr"]
 """The order of colours in an array: OpenCV's is ``bgr``, nearly everybody else's ``rgb``."""
 
-ImageLike = Tensor | np.ndarray | Image.Image | str | os.PathLike[str]
+ImageLike = Tensor | np.ndarray | Image.Image | str | os.PathLike[str] | bytes | IO[bytes]
 """What programs have of a picture, see ``as_image``."""
 
 # --- in ---------------------------------------------------------------------------------
@@ -141,7 +141,8 @@ def as_image(picture: ImageLike, order: Order | None = None) -> Tensor:
     A tensor (3,H,W) is RGB: floating point stays as it is, uint8 is divided by 255. A NumPy array
     is (H,W) grey, or (H,W,3) or (H,W,4) in the ``order`` of colours that is told, not guessed;
     uint8, uint16 or floating point in [0,1]. A Pillow image is turned and converted as
-    ``read_image`` does, which reads a path or URL. Whether values are in range is for ``detect``.
+    ``read_image`` does, which reads a path or URL; so are a file's bytes, and an open file is read
+    from where it is. Whether values are in range is for ``detect``.
 
     Raises InputError for anything else, and as ``read_image`` does; ConfigError for an order that
     is none.
@@ -160,13 +161,28 @@ def as_image(picture: ImageLike, order: Order | None = None) -> Tensor:
             raise InputError("image", what, "give another one") from None
     if isinstance(picture, str | os.PathLike):
         return read_image(picture)
+    if isinstance(picture, bytes):
+        return decode_image(picture, "image")
+    if hasattr(picture, "read"):
+        return decode_image(_read_bytes(picture), "image")
     if picture is None:
         raise InputError("image", "is None", "check its path: cv2.imread gives that for a bad one")
-    if isinstance(picture, Iterable) and not isinstance(picture, bytes):
+    if isinstance(picture, Iterable):
         what = f"is a {type(picture).__name__}, not one picture"
         raise InputError("image", what, "give one, or all of them to detect_many")
     remedy = "give a path, a NumPy array, a Pillow image or a tensor"
     raise InputError("image", f"is {type(picture).__name__}", remedy)
+
+
+def _read_bytes(file: IO[bytes]) -> bytes:
+    """All that is left of an open file; InputError where it gives no bytes."""
+    try:
+        data = file.read()
+    except OSError as problem:
+        raise InputError("image", f"cannot be read: {reason(problem)}", "open it again") from None
+    if not isinstance(data, bytes):
+        raise InputError("image", "is a file of text", 'open it with "rb"')
+    return data
 
 
 def checked_order(order: Order) -> Order:

@@ -21,7 +21,8 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import torch
 
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.errors import InputError
+from roadtorch.runtime.device import check_device
 from roadtorch.runtime.memory import keep_freed_memory
 from roadtorch.runtime.signals import SIGNALS, end_with_parent, interrupting_none_started
 from roadtorch.runtime.threads import Threads
@@ -111,17 +112,7 @@ def settle(threads: int, device: str = "cpu") -> None:
     """Set threads and memory; ConfigError for a device that torch or this machine lacks."""
     Threads(threads, threads).set()
     keep_freed_memory()
-    try:
-        kind = torch.device(device).type
-    except RuntimeError:
-        remedy = "give cpu, cuda or cuda:1"
-        raise ConfigError(f"--device {device}", "is no device of torch", remedy) from None
-    try:
-        torch.zeros(1, device=device).cpu()
-    except (RuntimeError, AssertionError, NotImplementedError) as problem:
-        what = f"cannot be used: {str(problem).splitlines()[0].rstrip('.')}"
-        remedy = "leave --device out" if kind == "cuda" else "give cpu, cuda or cuda:1"
-        raise ConfigError(f"--device {device}", what, remedy) from None
+    check_device(device, f"--device {device}")
 
 
 # --- in order -----------------------------------------------------------------------------
