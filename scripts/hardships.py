@@ -50,7 +50,12 @@ NO_LOCKS = "#include <errno.h>\nint flock(int fd, int how) { errno = ENOLCK; ret
 WORKING = {"infer", "evaluate", "grid", "label", "submit", "tune"}
 """Commands with --jobs."""
 
-DATED = {("clock", name) for name in ("annotate", "import")}  # whose results hold the time
+NOT_TRIED = {
+    *(("clock", name) for name in ("annotate", "import")),  # whose results hold the time
+    ("change", "annotate"),  # what is drawn here depends on the list of pictures
+}
+
+OTHER_INPUT = ("holds a run on other pictures", "holds frames of other footage")
 
 Command = Callable[[], None]
 Hardship = Callable[[Command, Path, random.Random, float], Iterator[str]]
@@ -147,8 +152,6 @@ def change(command: Command, place: Path, chance: random.Random, seconds: float)
         path.write_bytes(data)
     if fault := wrong_end(place, finished(child), {0, 1, 2}):
         yield fault
-    if said(place) and "run on other pictures" in (place / "told").read_text():
-        shutil.rmtree(place / OUT)
 
 
 def hangup(command: Command, place: Path, chance: random.Random, seconds: float) -> Iterator[str]:
@@ -216,7 +219,7 @@ def ways(kind: str, names: list[str]) -> Iterator[tuple[str, Command]]:
         if kind == "worker" and name in WORKING:
             assert isinstance(command, partial)
             yield name, partial(main, [*command.args[0], "--jobs", "2"])
-        elif kind != "worker" and (kind, name) not in DATED:
+        elif kind != "worker" and (kind, name) not in NOT_TRIED:
             yield name, command
 
 
@@ -237,6 +240,9 @@ def tried(kind: str, name: str, command: Command, times: int, chance: random.Ran
             faults += HARDSHIPS[kind](command, place, chance, seconds)
             set_back(kind)
             again = wrong_end(place, finished(forked(command, place)), {0})
+            if kind == "change" and any(words in again for words in OTHER_INPUT):
+                shutil.rmtree(place)  # what began with other bytes is refused, and begun anew
+                again = wrong_end(place, finished(forked(command, place)), {0})
             set_back("")
             faults += [f"started again it {again}"] if again else []
             faults += differences(quiet / OUT, place / OUT)

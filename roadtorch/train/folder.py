@@ -1,6 +1,7 @@
 """The folder of a run: its settings, how far it is, what came out."""
 
 import csv
+import io
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -146,8 +147,10 @@ class RunFolder:
 
     def write_checkpoint(self, state: Mapping[str, Any]) -> None:
         """Write the state of a run: the old one or the new one is there, never half."""
-        with atomic(self.path / CHECKPOINT) as temporary, temporary.open("wb") as file:
-            torch.save({"format": FORMAT, **state}, file)  # given a path, it writes its name
+        data = io.BytesIO()  # a disk that is full is an error of torch's own where that writes
+        torch.save({"format": FORMAT, **state}, data)
+        with atomic(self.path / CHECKPOINT) as temporary:
+            temporary.write_bytes(data.getbuffer())
 
     def read_checkpoint(self) -> dict[str, Any] | None:
         """The state of the run; None before the first checkpoint.
