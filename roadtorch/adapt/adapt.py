@@ -77,8 +77,9 @@ def adapt(
         if stopped := write_taught(frames, out / LOOKS, out / PREPARED, training, quiet):
             return adapted(Outcome(None, stopped, 0))
         skipped = 0
-        for half in HALVES:
-            request = Request(frames.glob(half), out / half, True, out / PREPARED, quiet)
+        for number, half in enumerate(HALVES, 1):
+            part = (number, len(HALVES))
+            request = Request(frames.glob(half), out / half, True, out / PREPARED, quiet, part=part)
             outcome = train(training, request)
             if outcome.interrupted:
                 return adapted(outcome)

@@ -86,7 +86,9 @@ def adapt(
     files = [outcome.weights, done.camera, None if score is None else out / PAGE]
     lines = [*frames.skipped, *done.missing, *([score] if score else [])]
     if not quiet:
-        lines += [f"wrote {file}" for file in files if file]
+        camera = f" --camera {done.camera}" if done.camera else ""
+        use = f"roadtorch infer FOOTAGE --set weights.file={outcome.weights}{camera} --out roads"
+        lines += [*(f"wrote {file}" for file in files if file), f"to use it: {use}"]
     for line in lines:
         click.echo(f"roadtorch: {line}", err=True)
     click.echo(verdict)

@@ -127,7 +127,8 @@ class Loop:
 
     batches: those of an epoch and a chunk, the same whenever they are asked for. chunks: of an
     epoch; each is in memory as a whole, and between them a run can be cut and resumed. loss: of a
-    network, summed over a batch, a scalar.
+    network, summed over a batch, a scalar. part: which of how many alike trainings this is: the bar
+    shows what is left of all.
     """
 
     network: LayoutNetwork
@@ -140,6 +141,7 @@ class Loop:
     folder: RunFolder
     stop: Stop
     quiet: bool = False
+    part: tuple[int, int] = (1, 1)
 
     def __post_init__(self) -> None:
         """The average of the weights, and the optimiser that the settings name."""
@@ -173,10 +175,11 @@ class Loop:
         Raises ConfigError when the loss is no longer a number.
         """
         self.network.train()
-        while not self.progress.finished and not self.stop.asked:
-            self._train_epoch()
-            if self.progress.chunk == self.chunks:
-                self._end_epoch()
+        with self._bar() as bar:
+            while not self.progress.finished and not self.stop.asked:
+                self._train_epoch(bar)
+                if self.progress.chunk == self.chunks:
+                    self._end_epoch()
             self.save()
 
     def save(self) -> None:
@@ -190,29 +193,38 @@ class Loop:
             }
         )
 
-    def _train_epoch(self) -> None:
+    def _train_epoch(self, bar: Progress) -> None:
         """Work through the rest of an epoch, at least a chunk of it, or until asked to stop."""
-        progress = self.progress
-        bar = Progress(
-            desc=f"epoch {progress.epoch + 1}",
-            total=self.chunks,
-            initial=progress.chunk,
+        progress, saved = self.progress, time.monotonic()
+        while progress.chunk < self.chunks:
+            start = time.perf_counter()
+            self._train_chunk()
+            progress.seconds += time.perf_counter() - start
+            bar.set_postfix(loss=f"{progress.loss / max(1, progress.count):.4f}", refresh=False)
+            bar.update()
+            if time.monotonic() - saved > SAVE_EVERY:
+                self.save()
+                saved = time.monotonic()
+            if self.stop.asked:
+                return
+
+    def _bar(self) -> Progress:
+        """Of all chunks of this training and those like it; fewer where the loss stops falling."""
+        part, parts = self.part
+        whole = self.stopping.epochs * self.chunks
+        done = self.progress.epoch * self.chunks + self.progress.chunk
+        return Progress(
+            desc=self._title,
+            total=parts * whole,
+            initial=(part - 1) * whole + done,
             unit="chunk",
             quiet=self.quiet,
         )
-        saved = time.monotonic()
-        with bar:
-            while progress.chunk < self.chunks:
-                start = time.perf_counter()
-                self._train_chunk()
-                progress.seconds += time.perf_counter() - start
-                bar.set_postfix(loss=f"{progress.loss / max(1, progress.count):.4f}", refresh=False)
-                bar.update()
-                if time.monotonic() - saved > SAVE_EVERY:
-                    self.save()
-                    saved = time.monotonic()
-                if self.stop.asked:
-                    return
+
+    @property
+    def _title(self) -> str:
+        part, parts = self.part
+        return f"half {part} of {parts}" if parts > 1 else f"round {self.progress.round + 1}"
 
     def _train_chunk(self) -> None:
         progress, loss = self.progress, 0.0
@@ -261,7 +273,7 @@ class Loop:
         if not self.quiet:
             change = f" ({-fall:+.4f})" if losses else ""
             text = (
-                f"roadtorch: round {row['round']} epoch {row['epoch']}: "
+                f"roadtorch: {self._title}, epoch {row['epoch']} of {self.stopping.epochs}: "
                 f"loss {row['loss']:.4f}{change}, {row['samples']} samples in "
                 f"{row['seconds']:.0f} s"
             )

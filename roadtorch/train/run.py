@@ -61,7 +61,8 @@ class Request:
     """The inputs of a run.
 
     images: a folder, a file or a quoted glob. prepared: where pictures made ready are kept;
-    None for a folder inside ``out``. corrections: of people, for some of the pictures.
+    None for a folder inside ``out``. corrections: of people, for some of the pictures. part: which
+    of how many alike runs this is, for the bar.
     """
 
     images: str
@@ -70,6 +71,7 @@ class Request:
     prepared: Path | None = None
     quiet: bool = False
     corrections: Sequence[Correction] = ()
+    part: tuple[int, int] = (1, 1)
 
 
 @dataclass(frozen=True)
@@ -213,7 +215,7 @@ class TrainingRun:
         descent = paced(training.descent, training.corrections.halfway, len(self.corrections))
         parts = (network, samples.chunks, samples.batches, self.recipe.loss)
         rules = (descent, training.stopping)
-        loop = Loop(*parts, *rules, progress, self.folder, stop, quiet)
+        loop = Loop(*parts, *rules, progress, self.folder, stop, quiet, self.request.part)
         if state:
             loop.restore(state)
         else:
