@@ -179,7 +179,8 @@ def write_progress(path: Path, key: str, tallies: Mapping[str, Tally]) -> None:
     """Write everything counted so far, whole or not at all."""
     file = io.BytesIO()
     torch.save({name: vars(tally) for name, tally in tallies.items()}, file)
-    keep(path, key, {"tallies": torch.frombuffer(file.getbuffer(), dtype=torch.uint8)})
+    data = bytearray(file.getvalue())  # no view of it: see ``write_npy``
+    keep(path, key, {"tallies": torch.frombuffer(data, dtype=torch.uint8)})
 
 
 def forget(folder: Path) -> None:

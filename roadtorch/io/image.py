@@ -289,7 +289,9 @@ def write_npy(path: str | os.PathLike[str], values: Tensor) -> None:
     data = io.BytesIO()
     np.save(data, values.detach().cpu().numpy(), allow_pickle=False)
     with atomic(path) as temporary:
-        temporary.write_bytes(data.getbuffer())
+        temporary.write_bytes(
+            data.getvalue()
+        )  # with getbuffer() a full disk crashes CPython 3.12.1
 
 
 def tint_mask(pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:

@@ -150,7 +150,7 @@ class RunFolder:
         data = io.BytesIO()  # a disk that is full is an error of torch's own where that writes
         torch.save({"format": FORMAT, **state}, data)
         with atomic(self.path / CHECKPOINT) as temporary:
-            temporary.write_bytes(data.getbuffer())
+            temporary.write_bytes(data.getvalue())
 
     def read_checkpoint(self) -> dict[str, Any] | None:
         """The state of the run; None before the first checkpoint.
