@@ -1,6 +1,7 @@
 """Settings: frozen pydantic models whose mistakes read like sentences."""
 
 import math
+import os
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -162,9 +163,12 @@ def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]
 
 
 def read_settings_file(path: Path) -> dict[str, Any]:
-    """The nested values of a TOML file; InputError when it cannot be read or parsed."""
+    """The nested values of a TOML file; InputError when it cannot be read or parsed.
+
+    A name of a file with a suffix that lies beside it becomes its path: folders can be moved.
+    """
     try:
-        return _parsed(path, read_regular(path, MAX_BYTES).decode())
+        return _found_beside(path, _parsed(path, read_regular(path, MAX_BYTES).decode()))
     except OSError as problem:
         what = f"cannot be read: {problem.strerror}"
         raise InputError(path, what, "give a TOML file") from None
@@ -172,6 +176,20 @@ def read_settings_file(path: Path) -> dict[str, Any]:
         raise InputError(path, "is not UTF-8 text", "give a TOML file") from None
     except tomllib.TOMLDecodeError as problem:
         raise ConfigError(path, f"is not TOML: {problem}", "mend that line") from None
+
+
+def _found_beside(path: Path, values: dict[str, Any]) -> dict[str, Any]:
+    """Nested values, the names of files in the folder of ``path`` as paths."""
+
+    def beside(value: Any) -> Any:
+        if isinstance(value, dict):
+            return _found_beside(path, value)
+        if not isinstance(value, str) or not Path(value).suffix:
+            return value
+        file = os.path.join(path.parent, value)
+        return file if os.path.isfile(file) else value  # Path.is_file raises for names too long
+
+    return {key: beside(value) for key, value in values.items()}
 
 
 def to_toml(detector: str, settings: Settings) -> str:

@@ -121,6 +121,20 @@ def test_a_missing_or_broken_settings_file_is_named(tmp_path: Path) -> None:
         read_settings_file(broken)
 
 
+def test_only_names_of_files_with_a_suffix_are_those_beside_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "config.toml"
+    for name in ("ego.png", "fusion"):
+        (tmp_path / name).touch()
+    long = f"{'x' * 300}.png"
+    file.write_text(f'detector = "fusion"\nlong = "{long}"\n[ego]\nmask = "ego.png"\nno = "a.png"')
+
+    values = read_settings_file(file)
+
+    assert values["detector"] == "fusion"
+    assert values["long"] == long
+    assert values["ego"] == {"mask": str(tmp_path / "ego.png"), "no": "a.png"}
+
+
 DEEP_LIST, LONG_NUMBER = "[" * 3_000, "9" * 5_000
 
 

@@ -99,7 +99,7 @@ def write_corrections(
 
 
 def write_corrected(path: Path, weights: Path, corrections: Sequence[Correction]) -> bool:
-    """Write a file for ``--config``: ``fusion`` with these weights.
+    """Write a file for ``--config``: ``fusion`` with the weights beside it.
 
     By true labels 0 are the log odds that part road from background, not the usual centre.
     False, and nothing written, where people called no pixel road or not road.
@@ -110,7 +110,7 @@ def write_corrected(path: Path, weights: Path, corrections: Sequence[Correction]
     comment = f"# From {len(corrections)} pictures that people corrected: not label-free."
     values = {
         "detector": "fusion",
-        "weights": {"file": str(weights.resolve())},
+        "weights": {"file": weights.name},
         "calibration": {"centre": 0.0},
     }
     write_text(path, f"{comment}\n{tomli_w.dumps(values)}")

@@ -232,6 +232,18 @@ def test_after_corrections_zero_are_the_log_odds_that_part_road(tmp_path: Path) 
     load_detector("fusion", calibration=values["calibration"])
 
 
+def test_a_folder_with_corrected_weights_can_be_moved(tmp_path: Path) -> None:
+    made, moved = tmp_path / "made", tmp_path / "moved"
+    made.mkdir()
+    (made / "weights.safetensors").write_bytes(b"weights")
+    write_corrected(made / "fusion.toml", made / "weights.safetensors", [correction(quarters())])
+
+    made.rename(moved)
+
+    file = read_settings_file(moved / "fusion.toml")["weights"]["file"]
+    assert file == str(moved / "weights.safetensors")
+
+
 @pytest.mark.parametrize("label", [VOID, UNTOUCHED])
 def test_who_says_nothing_of_road_leaves_the_detector_as_it_is(label: int, tmp_path: Path) -> None:
     silent = correction(np.full((8, 8), label))
