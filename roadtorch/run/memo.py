@@ -92,7 +92,10 @@ def read_arrays(path: Path, *names: str) -> Arrays:
     """The named tensors of an archive, all where none is named; InputError for a damaged one."""
     try:
         with np.load(io.BytesIO(read_regular(path)), allow_pickle=False) as archive:
-            return {name: torch.from_numpy(archive[name]) for name in names or archive.files}
+            arrays = {name: torch.from_numpy(archive[name]) for name in names or archive.files}
+            if arrays:
+                return arrays
+            raise ValueError("the list of its members says that there are none")
     except Exception:  # zipfile, zlib and NumPy raise anything for foreign bytes
         raise InputError(path, "is damaged", "remove it; it will be made again") from None
 

@@ -37,6 +37,7 @@ def test_arrays_come_back_under_their_key_alone(tmp_path: Path) -> None:
         lambda data: b"PK garbage",
         lambda data: data[:-30],
         lambda data: data[:60] + b"\xff" * 20 + data[80:],
+        lambda data: b"PK\5\6" + bytes(18),  # the end of an archive without members
     ],
 )
 def test_a_damaged_file_holds_nothing(tmp_path: Path, change) -> None:
