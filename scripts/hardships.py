@@ -53,6 +53,7 @@ WORKING = {"infer", "evaluate", "grid", "label", "submit", "tune"}
 NOT_TRIED = {
     *(("clock", name) for name in ("annotate", "import")),  # whose results hold the time
     ("change", "annotate"),  # what is drawn here depends on the list of pictures
+    ("meet", "annotate"),  # it is the page that holds the lock, and here is none
 }
 
 OTHER_INPUT = ("holds a run on other pictures", "holds frames of other footage")

@@ -83,10 +83,10 @@ def keep_frames(inputs: Sequence[str], folder: Path, most: int, quiet: bool = Fa
         for file in folder.glob("*.jpg"):  # of a run that was cut short
             file.unlink()
         kept = _keep(Inputs(pictures, sources), folder, most, quiet)
+        if kept.count < 2:  # nothing that the next run should take as it is
+            raise InputError(inputs[0], f"has {kept.count} frames", "give some minutes of a drive")
         rest = {"halves": kept.halves, "moving": kept.moving, "skipped": kept.skipped}
         write_json(known, {"key": key, **rest})
-    if kept.count < 2:
-        raise InputError(inputs[0], f"has {kept.count} frames", "give some minutes of a drive")
     return kept
 
 

@@ -32,6 +32,7 @@ COMMANDS = {
     "infer": ("roadtorch.cli.infer:infer", "Find the road in pictures."),
     "label": ("roadtorch.cli.label:label", "Label pictures as sky, vertical and horizontal."),
     "planes": ("roadtorch.cli.detectors:planes", "List the colour planes and representations."),
+    "ros": ("roadtorch.cli.ros:ros", "Run a node of ROS 2 that finds the road."),
     "train": ("roadtorch.cli.train:train", "Train a layout network on unlabelled pictures."),
     "submit": ("roadtorch.cli.submit:submit", "Write a submission to the KITTI road benchmark."),
     "tune": ("roadtorch.cli.evaluate:tune", "Choose a detector's threshold on labelled pictures."),

@@ -47,6 +47,9 @@ BY_NETWORK = {
 Look = Callable[[Tensor, LabelledItem], Detection]
 
 
+LONGEST_NAME = 60  # letters that a message tells of a name in a file
+
+
 @dataclass(frozen=True)
 class Contender:
     """One detector of a run.
@@ -285,7 +288,8 @@ def earlier_thresholds(path: Path, entries: Sequence[Contender]) -> dict[str, fl
         if figures is None or figures.maxf_threshold is None:
             known = sorted(name for name in earlier if earlier[name].maxf_threshold is not None)
             message = f"has no threshold for {entry.name}"
-            raise ConfigError(path, message, f"it has {', '.join(known)}")
+            some = ", ".join(name[:LONGEST_NAME] for name in known[:10])
+            raise ConfigError(path, message, f"it has {some}")
         if figures.settings != entry.settings:
             message = f"chose the threshold of {entry.name} with other settings"
             raise ConfigError(path, message, "run both with the same --set")

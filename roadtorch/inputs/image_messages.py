@@ -39,11 +39,11 @@ READ_ENCODINGS = (*PLAIN, *(f"{name}{bits}" for name in BAYER for bits in (8, 16
 def image_of(message: Any, origin: str) -> Tensor:
     """The image float32 (3,H,W) in [0,1], sRGB; 16 bits: 65535 becomes 1.
 
-    message: a deserialised sensor_msgs/Image or CompressedImage. Raises InputError naming
+    message: a sensor_msgs/Image or CompressedImage, of rosbags or rclpy. Raises InputError naming
     ``origin`` for an encoding that is not read, too many pixels, fewer bytes than the message
     promises, and a compressed picture that cannot be decoded.
     """
-    if message.__msgtype__ == COMPRESSED:
+    if not hasattr(message, "encoding"):
         return decode_image(message.data.tobytes(), origin)
     if message.encoding not in READ_ENCODINGS:
         what = f"has the encoding {message.encoding!r}, which is not read"

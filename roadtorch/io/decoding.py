@@ -255,6 +255,8 @@ def _tiff(data: bytes, header: Image.Image) -> np.ndarray:
         needed = page.imagelength * page.imagewidth * sum(bits)
         if is_plain and 8 * sum(page.databytecounts) < needed:
             raise ValueError("its strips are too short for its pixels")
+        if page.planarconfig not in (1, 2):  # it has the tag, without a value
+            raise ValueError("its tags contradict each other")
         extra, is_planar = page.extrasamples[:1], page.planarconfig != 1
         is_known = is_plain or compression in DEFLATED
         if is_known and photometric in (BLACK_IS_ZERO, RGB) and page.dtype in (np.uint8, np.uint16):

@@ -88,11 +88,7 @@ class BagWriter:
             names = [kind(class_id=number, class_name=name) for number, name in CLASSES.items()]
             info = types[LABEL_INFO](header(self.types, stamp, ""), names, self._threshold)
             self._add(LABELS, LABEL_INFO, stamp, info)
-        # Of each pixel's class, as the tutorial's node has it (navigation2_tutorials,
-        # segmentation_node.py): of road the likelihood, of the rest what is missing to 1.
-        likely = detection.likelihood.where(detection.mask, 1 - detection.likelihood)
-        confidence = likely.clamp(0, 1).mul(255).round().cpu().numpy().astype(np.uint8)
-        mask = detection.mask.cpu().numpy().astype(np.uint8)  # the numbers of CLASSES
+        mask, confidence = pixels_of(detection)
         pictures = {MASK: mask, CONFIDENCE: confidence}
         pictures |= {OVERLAY: self._draw(detection)} if self._draw else {}
         for topic, pixels in pictures.items():
@@ -226,6 +222,17 @@ def _profile(durability: str, depth: int) -> Any:
 
 
 # --- messages ---------------------------------------------------------------------------
+
+
+def pixels_of(detection: Detection) -> tuple[np.ndarray, np.ndarray]:
+    """The numbers of ``CLASSES`` and how sure each pixel's is, both uint8 (H,W).
+
+    As the tutorial's node has it (navigation2_tutorials, segmentation_node.py): of road the
+    likelihood, of the rest what is missing to 1.
+    """
+    likely = detection.likelihood.where(detection.mask, 1 - detection.likelihood)
+    confidence = likely.clamp(0, 1).mul(255).round().cpu().numpy().astype(np.uint8)
+    return detection.mask.cpu().numpy().astype(np.uint8), confidence
 
 
 def message_types(generation: int) -> "Typestore":

@@ -88,6 +88,17 @@ def test_frames_of_a_run_that_was_cut_short_are_kept_anew(
     assert len(list((tmp_path / "kept").glob("*.jpg"))) == 10
 
 
+def test_too_few_frames_are_not_taken_as_they_are_by_the_next_run(
+    pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("roadtorch.adapt.frames._frames", lambda *_: iter(()))  # all vanish
+    with pytest.raises(InputError, match="has 0 frames"):
+        kept_of(pictures, tmp_path)
+    monkeypatch.undo()
+
+    assert kept_of(pictures, tmp_path).count == 10
+
+
 def test_other_footage_and_folders_with_other_files_are_refused(
     pictures: Path, tmp_path: Path
 ) -> None:

@@ -103,6 +103,9 @@ DEFLATED = tiff(
     photometric="rgb",
     compression="zlib",
 )
+NO_PLANES = tiff(np.zeros((16, 16, 3), np.uint8), photometric="rgb", planarconfig="contig").replace(
+    struct.pack("<HHI", 284, 3, 1), struct.pack("<HHI", 284, 3, 0)
+)
 SAYING_NOTHING = tiff(np.zeros((16, 16), np.uint8), photometric="minisblack").replace(
     struct.pack("<HHI", 262, 3, 1), struct.pack("<HHI", 263, 3, 1)
 )
@@ -133,6 +136,7 @@ REFUSED: Mapping[str, tuple[bytes, str]] = {
     "short and deep.tif": (tiff(np.zeros((16, 16), np.uint16))[:-9], "cannot be decoded"),
     "deflated.tif": (flipped(DEFLATED, len(DEFLATED) // 2), "cannot be decoded"),
     "black.tif": (SAYING_NOTHING, "cannot be decoded: .*does not say whether black is 0"),
+    "planes.tif": (NO_PLANES, "cannot be decoded: its tags contradict each other"),
     "white.tif": (
         tiff(HUNDRED.astype(np.uint16), photometric="miniswhite"),
         "cannot be decoded: .* black being 0",

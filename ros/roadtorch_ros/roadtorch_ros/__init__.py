@@ -1,0 +1,1 @@
+"""roadtorch as a package of ROS 2."""

@@ -1,0 +1,108 @@
+"""A talker of ROS 2: publishes images of every encoding, and tells what the node made of them.
+
+    python talker.py SECONDS [--rate HZ] [--size WIDTHxHEIGHT] [--encodings rgb8,mono8]
+
+One line of JSON: by encoding the stamps and frames that came back, the shapes of masks and
+confidences, and the ages of the answers in milliseconds; labels, grids and diagnostics.
+"""
+
+import argparse
+import json
+import time
+from collections import defaultdict
+from typing import Any
+
+import cv2
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import OccupancyGrid
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+
+CHANNELS = {
+    **dict.fromkeys(("mono8", "mono16", "bayer_rggb8"), 1),
+    **dict.fromkeys(("yuv422", "yuv422_yuy2"), 2),
+    **dict.fromkeys(("rgb8", "bgr8", "rgb16"), 3),
+    **dict.fromkeys(("rgba8", "bgra8"), 4),
+}
+ENCODINGS = (*CHANNELS, "compressed")
+
+
+def message_of(encoding, pixels, number):
+    """A message of that encoding; its stamp is its number."""
+    if encoding == "compressed":
+        message = CompressedImage(format="jpeg")
+        message.data.frombytes(cv2.imencode(".jpg", pixels)[1].tobytes())
+    else:
+        height, width = pixels.shape[:2]
+        message = Image(height=height, width=width, encoding=encoding)
+        count = CHANNELS.get(encoding, 3)
+        samples = np.concatenate([pixels] * 2, 2)[..., :count].astype(np.uint8)
+        if encoding.endswith("16"):
+            samples = samples.astype(np.uint16) * 257
+        message.step = samples[0].nbytes
+        message.data.frombytes(np.ascontiguousarray(samples).tobytes())
+    message.header.stamp.sec, message.header.frame_id = number, "camera_optical"
+    return message
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("seconds", type=float)
+    parser.add_argument("--rate", type=float, default=10)
+    parser.add_argument("--size", default="160x120")
+    parser.add_argument("--encodings", default=",".join(ENCODINGS))
+    given = parser.parse_args()
+    width, height = map(int, given.size.split("x"))
+    pixels = np.random.default_rng(0).integers(0, 255, (height, width, 3), np.uint8)
+    rclpy.init()
+    node, sent, told = rclpy.create_node("talker"), {}, defaultdict[str, Any](list)
+    late = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+    def mask(message):
+        number = message.header.stamp.sec
+        encoding, start = sent.get(number, ("", 0))
+        told[encoding].append(1000 * (time.monotonic() - start))
+        told["mask"] = [message.header.frame_id, message.height, message.width, message.encoding]
+        told["values"] = sorted({*told["values"], *message.data})
+
+    def confidence(message):
+        told["confidence"] = [message.header.frame_id, message.height, message.width]
+
+    def grid(message):
+        told["grid"] = [message.header.frame_id, message.info.height, message.info.width]
+        told["cells"] = sorted({*message.data})
+
+    def diagnostics(message):
+        status = message.status[0]
+        told["diagnostics"] = {pair.key: pair.value for pair in status.values}
+        told["words"] = [*dict.fromkeys([*told["words"], status.message])]
+
+    node.create_subscription(Image, "/segmentation/mask", mask, qos_profile_sensor_data)
+    node.create_subscription(Image, "/segmentation/confidence", confidence, qos_profile_sensor_data)
+    node.create_subscription(OccupancyGrid, "/segmentation/grid", grid, late)
+    node.create_subscription(DiagnosticArray, "/diagnostics", diagnostics, 10)
+    raw = node.create_publisher(Image, "/image", qos_profile_sensor_data)
+    packed = node.create_publisher(CompressedImage, "/image/compressed", qos_profile_sensor_data)
+    lens = node.create_publisher(CameraInfo, "/camera_info", qos_profile_sensor_data)
+    info = CameraInfo(width=width, height=height, distortion_model="plumb_bob")
+    info.k = [float(width), 0, width / 2, 0, float(width), height / 2, 0, 0, 1.0]
+    end, number, due = time.monotonic() + given.seconds, 0, time.monotonic()
+    encodings = given.encodings.split(",")
+    while time.monotonic() < end:
+        rclpy.spin_once(node, timeout_sec=max(0.0, due - time.monotonic()))
+        if time.monotonic() < due or not raw.get_subscription_count():
+            continue
+        number += 1
+        encoding = encodings[number % len(encodings)]
+        sent[number] = encoding, time.monotonic()
+        (packed if encoding == "compressed" else raw).publish(message_of(encoding, pixels, number))
+        lens.publish(info)
+        due = max(due + 1 / given.rate, time.monotonic() - 1 / given.rate)
+    print(json.dumps({**told, "sent": number}), flush=True)
+    rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,147 @@
+"""The node, with a talker of ROS 2 in another process on this machine's loopback."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed (docs/ros.md)")
+
+TALKER = Path(__file__).with_name("talker.py")
+STARTED, PATIENCE = 30.0, 60.0  # seconds for a start, and for everything else
+
+Talk = Callable[..., dict[str, Any]]
+Start = Callable[..., "subprocess.Popen[str]"]
+
+
+@pytest.fixture
+def environment() -> dict[str, str]:
+    """A domain of ROS for this test alone."""
+    domain = str(1 + (os.getpid() + time.monotonic_ns() // 1000) % 100)
+    return {
+        **os.environ,
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_DOMAIN_ID": domain,
+    }
+
+
+@pytest.fixture
+def start(environment: dict[str, str]) -> Iterator[Start]:
+    """``start("-p", "height:=1.2")``: the node, once it listens."""
+    nodes: list[subprocess.Popen[str]] = []
+
+    def begun(*words: str) -> "subprocess.Popen[str]":
+        command = [sys.executable, "-m", "roadtorch", "ros", "--ros-args", *words]
+        node = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
+        nodes.append(node)
+        assert node.stderr is not None
+        end = time.monotonic() + STARTED
+        while "looks at" not in node.stderr.readline():
+            assert node.poll() is None
+            assert time.monotonic() < end
+        return node
+
+    yield begun
+    for node in nodes:
+        node.kill()
+        node.communicate()
+
+
+@pytest.fixture
+def talk(environment: dict[str, str]) -> Talk:
+    """``talk(5, "--rate", 10)``: what came back."""
+
+    def told(*words: object) -> dict[str, Any]:
+        command = [sys.executable, str(TALKER), *map(str, words)]
+        output = subprocess.check_output(command, env=environment, text=True, timeout=PATIENCE)
+        return json.loads(output.splitlines()[-1])
+
+    return told
+
+
+def test_every_encoding_is_answered_with_its_stamp_and_frame(start: Start, talk: Talk) -> None:
+    start("-p", "height:=1.2", "-p", "pitch:=5.0", "-p", "detector:=prior:triangle")
+
+    told = talk(8)
+
+    encodings = {"rgb8", "bgr8", "rgba8", "bgra8", "rgb16", "mono8", "mono16", "yuv422"}
+    assert {*encodings, "bayer_rggb8", "yuv422_yuy2", "compressed"} <= told.keys()
+    assert told["mask"] == ["camera_optical", 120, 160, "mono8"]
+    assert told["values"] == [0, 1]
+    assert told["confidence"] == ["camera_optical", 120, 160]
+    assert told["grid"] == ["base_link", 300, 300]
+    assert {-1, 0} <= {*told["cells"]} <= {-1, 0, 100}
+    assert told["diagnostics"].keys() == {"trust", "doubt", "rate", "age", "dropped", "refused"}
+
+
+def test_the_talker_may_leave_and_come_back_with_another_size(start: Start, talk: Talk) -> None:
+    start("-p", "detector:=prior:triangle")
+
+    for width, height in ((160, 120), (64, 48), (320, 240)):
+        told = talk(4, "--size", f"{width}x{height}", "--encodings", "rgb8")
+        assert told["mask"][1:3] == [height, width]
+
+
+def test_an_encoding_that_is_not_read_is_refused_and_the_others_go_on(
+    start: Start, talk: Talk
+) -> None:
+    node = start("-p", "detector:=prior:triangle")
+
+    told = talk(5, "--encodings", "rgb8,32FC1")
+    node.send_signal(signal.SIGINT)
+    _, words = node.communicate(timeout=PATIENCE)
+
+    assert told["rgb8"]
+    assert int(told["diagnostics"]["refused"]) > 0
+    assert "32FC1" not in told
+    assert words.count("has the encoding '32FC1', which is not read") == 1
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_the_node_within_a_second_or_two(
+    start: Start, number: signal.Signals, code: int
+) -> None:
+    node = start("-p", "detector:=prior:rows")
+    began = time.monotonic()
+
+    node.send_signal(number)
+
+    assert node.wait(PATIENCE) == code
+    assert time.monotonic() - began < 3
+
+
+def test_names_are_remapped(start: Start, talk: Talk) -> None:
+    start("-p", "detector:=prior:rows", "-r", "image:=/elsewhere", "-r", "image/compressed:=/image")
+
+    told = talk(3, "--encodings", "compressed")
+
+    assert "mask" not in told  # what came on /image was no CompressedImage
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (["--ros-args", "-p", "detector:=nothing"], "nothing: unknown detector"),
+        (["--ros-args", "-p", "height:=-1.0"], "height: "),
+        (["image"], "ros: does not know image (parameters are given as --ros-args"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_in_a_line(
+    environment: dict[str, str], words: list[str], problem: str
+) -> None:
+    command = [sys.executable, "-m", "roadtorch", "ros", *words]
+
+    ended = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=PATIENCE, check=False
+    )
+
+    assert ended.returncode == 2
+    assert problem in ended.stderr
+    assert "Traceback" not in ended.stderr
