@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from roadtorch.errors import ConfigError, WeightsError
 from roadtorch.io.atomic import atomic, digest_of
-from roadtorch.io.bounded import read_regular, regular_size
+from roadtorch.io.bounded import read_regular, reason, regular_size
 from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
@@ -223,8 +223,8 @@ def _read(path: Path) -> tuple[_Header, dict[str, Tensor]]:
     except SafetensorError as problem:
         message = f"is damaged or no weight file: {problem}"
         raise WeightsError(path, message, "fetch or train it again") from None
-    except OSError as problem:
-        message = f"cannot be read: {problem.strerror}"
+    except (OSError, RuntimeError) as problem:  # torch, which maps the file, raises the second
+        message = f"cannot be read: {reason(problem)}"
         raise WeightsError(path, message, "check the file") from None
     if header.sha256 is not None and header.sha256 != tensors_hash(tensors):
         message = "is damaged: its weights are not those that its header states"

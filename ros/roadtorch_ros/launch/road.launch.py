@@ -7,7 +7,11 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 TOPICS = {"image": "/camera/image_raw", "camera_info": "/camera/camera_info"}
-PARAMETERS = {"detector": ("fusion", str), "height": ("0.0", float), "base_frame": ("base_link", str)}
+PARAMETERS = {
+    "detector": ("fusion", str),
+    "height": ("0.0", float),
+    "base_frame": ("base_link", str),
+}
 
 
 def generate_launch_description() -> LaunchDescription:
