@@ -10,30 +10,39 @@ from roadtorch.cli.options import PATH, SETTING
 
 @click.command()
 @click.argument("name", shell_complete=suggest_detectors)
-@click.option("--out", type=PATH, required=True, help="File: NAME.onnx, or NAME.xml for OpenVINO.")
+@click.option(
+    "--out",
+    type=PATH,
+    required=True,
+    help="File: NAME.onnx, or NAME.xml for OpenVINO; for web, a folder.",
+)
 @click.option(
     "--format",
     "kind",
-    type=click.Choice(["onnx", "openvino"]),
+    type=click.Choice(["onnx", "openvino", "web"]),
     default="onnx",
-    help="OpenVINO's has its weights in a second file, NAME.bin.",
+    help="OpenVINO's has its weights in a second file, NAME.bin; web is a page for browsers.",
 )
 @SETTING
 def export(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> None:
     """Write the part of a detector that runs without Python: fusion, layout, layout:cnn-7.
 
     The file takes pictures as bytes (N, height, width, 3) in RGB, of any size, and gives maps of
-    that size: all that happens before and behind the network is inside. Of fusion it is the
-    learned road. What it says is compared with Python before it is written.
+    that size: all that happens before and behind the network is inside, but what needs connected
+    regions. What it says is compared with Python before it is written.
     """
     from roadtorch.detectors.catalogue import load_detector
     from roadtorch.export.export import BOUND, export_detector
+    from roadtorch.export.page import export_page
     from roadtorch.run.folder import output_lock
     from roadtorch.settings import parse_assignments
 
     detector = load_detector(name, **parse_assignments(assignments))
-    with output_lock(out.parent):
-        exported = export_detector(detector, out, kind)
+    with output_lock(out if kind == "web" else out.parent):
+        if kind == "web":
+            exported = export_page(detector, out)
+        else:
+            exported = export_detector(detector, out, kind)
     for file in exported.files:
         click.echo(f"{file}: {file.stat().st_size / 1e6:.2f} MB")
     click.echo(f"{name}: {exported.notes['part']}")
@@ -45,7 +54,7 @@ def export(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> Non
         f"parity with Python on {parity.pictures} rendered pictures: at most {parity.most:.1e} off "
         f"({parity.where}), {parity.mean:.1e} in the mean; allowed {BOUND:g}"
     )
-    click.echo(
-        f"The file is the network alone. It lacks: {exported.notes['lacks']}. "
-        "What it scores beside the detector: docs/export.md"
-    )
+    lacks = exported.notes["lacks"]
+    click.echo(f"It lacks: {lacks}. What that costs: docs/export.md")
+    if kind == "web":
+        click.echo(f"try it: python -m http.server --directory {out}")

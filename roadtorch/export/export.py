@@ -14,16 +14,17 @@ from torch import Tensor
 
 from roadtorch.detector import MIN_SIDE, Detector
 from roadtorch.detectors.catalogue import detector_entry
-from roadtorch.detectors.fusion import Fusion, FusionSettings, RoadCalibration
+from roadtorch.detectors.fusion import Fusion, FusionSettings
 from roadtorch.detectors.layout import Cnn7, Cnn7Settings, Layout, LayoutSettings
 from roadtorch.errors import ConfigError, InputError, unknown_name
 from roadtorch.export.files import Run, open_onnx, open_openvino, write_onnx, write_openvino
-from roadtorch.export.graph import OUTPUTS, EveryPixel, WholePictures, road_likelihood
+from roadtorch.export.graph import OUTPUTS, EveryPixel, FusedRoad, Graph, LearnedLayout
+from roadtorch.imaging.resize import Maps, at_picture_size, at_work, resized, size_of
 from roadtorch.io.atomic import atomic, digest_of, make_folder
 from roadtorch.io.image import from_pixels, to_pixels
 from roadtorch.layout.classes import HORIZONTAL
-from roadtorch.layout.picture_network import ROAD
 from roadtorch.layout.weights import FOR_PICTURES, WholePictureNetwork, terms_of, weights_path
+from roadtorch.road.outlines import outlined
 from roadtorch.scenes.street import render_scene
 from roadtorch.version import __version__
 
@@ -52,7 +53,7 @@ class Exportable:
 
     what: str
     lacks: str
-    module: WholePictures | EveryPixel
+    module: Graph
     reference: Reference
     settings: tuple[str, ...]
     weights: Path
@@ -65,21 +66,23 @@ def exportable(detector: Detector) -> Exportable:
     """
     analysis, settings = detector.analysis, detector.settings
     if isinstance(analysis, Fusion) and isinstance(settings, FusionSettings):
-        mirrored = "the mirror image, " if settings.views == "mirrored" else ""
         part = Exportable(
-            "its road, layout and ego car",
-            f"{mirrored}outlines that follow the picture, {ISOLATED}, trust",
-            WholePictures(analysis.network, ROAD, settings.calibration),
-            partial(learned_maps, analysis.network, ROAD, settings.calibration),
-            ("weights", "threshold", "calibration", "network_scale"),
+            "its road, layout, ego car and trust",
+            f"filling of thin holes, {ISOLATED}",
+            FusedRoad(analysis.network, settings),
+            partial(fused_maps, analysis, settings),
+            (
+                *("weights", "threshold", "calibration", "network_scale", "views"),
+                *("working", "seed_area"),
+            ),
             weights_path(settings.weights.file or FOR_PICTURES),
         )
     elif isinstance(analysis, Layout) and isinstance(settings, LayoutSettings):
         part = Exportable(
             "its learned layout and ego car",
             f"the labeller, {ISOLATED}",
-            WholePictures(analysis.network, HORIZONTAL, None),
-            partial(learned_maps, analysis.network, HORIZONTAL, None),
+            LearnedLayout(analysis.network),
+            partial(learned_maps, analysis.network),
             ("weights", "threshold"),
             weights_path(settings.weights.file or FOR_PICTURES),
         )
@@ -101,15 +104,28 @@ def exportable(detector: Detector) -> Exportable:
     return part
 
 
-def learned_maps(
-    network: WholePictureNetwork, place: int, calibration: RoadCalibration | None, image: Tensor
-) -> dict[str, Tensor]:
-    """What ``WholePictures`` has to give of an image (3,H,W) in [0,1]: likelihood, layout, ego."""
+def fused_maps(analysis: Fusion, settings: FusionSettings, image: Tensor) -> dict[str, Tensor]:
+    """What ``FusedRoad`` has to give of an image (3,H,W) in [0,1]."""
+    small, full = at_work(image, settings.working), size_of(image)
+    cues = Maps(analysis(small))
+    likelihood = resized(outlined(cues, small, image, settings.working, settings.threshold), full)
+    hidden = at_picture_size(cues["ego"], full)
+    likelihood = likelihood.masked_fill(hidden, 0)
+    mask = at_picture_size(likelihood >= settings.threshold, size_of(small))
+    return {
+        "likelihood": likelihood,
+        "layout": resized(cues["layout"], full),
+        "ego": hidden.float(),
+        "seed_area": at_picture_size(cues["seed_area"], full).float(),
+        "trust": torch.tensor(analysis.judge(mask, cues).trust),
+    }
+
+
+def learned_maps(network: WholePictureNetwork, image: Tensor) -> dict[str, Tensor]:
+    """What ``LearnedLayout`` has to give of an image (3,H,W) in [0,1]: likelihood, layout, ego."""
     cues = network.cues(image)
-    likelihood = cues["road"] if place == ROAD else cues["layout"][place]
-    if calibration is not None:
-        likelihood = road_likelihood(likelihood, cues["ego"], calibration)
-    return {"likelihood": likelihood, "layout": cues["layout"], "ego": cues["ego"]}
+    layout = cues["layout"]
+    return {"likelihood": layout[HORIZONTAL], "layout": layout, "ego": cues["ego"]}
 
 
 def detected_maps(detector: Detector, image: Tensor) -> dict[str, Tensor]:
@@ -184,7 +200,7 @@ def parity(run: Run, reference: Reference, batches: Iterable[np.ndarray]) -> Par
             height, width = picture.shape[:2]
             pictures += 1
             for name, values in maps.items():
-                difference = (torch.from_numpy(values[at]) - expected[name]).abs()
+                difference = (torch.as_tensor(values[at]) - expected[name]).abs()
                 difference = difference.nan_to_num(torch.inf)
                 extremes.append((float(difference.max()), f"{name} at {width}×{height}"))
                 pixels += difference.numel()
@@ -204,7 +220,7 @@ class Format:
 
     suffixes: tuple[str, ...]
     needs: tuple[str, ...]
-    write: Callable[[WholePictures | EveryPixel, Mapping[str, str], Path], None]
+    write: Callable[[Graph, Mapping[str, str], Path], None]
     open: Callable[[Path, int], Run]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from roadtorch.export.graph import EveryPixel, WholePictures
+from roadtorch.export.graph import Graph
 from roadtorch.version import __version__
 
 OPSET = 18
@@ -22,7 +22,7 @@ EXAMPLE = (2, 240, 320, 3)
 """The shape of the pictures that the graph is traced with; no number of it stays but the 3."""
 
 
-def write_onnx(module: WholePictures | EveryPixel, notes: Mapping[str, str], path: Path) -> None:
+def write_onnx(module: Graph, notes: Mapping[str, str], path: Path) -> None:
     """Write a module of ``graph`` with notes about it; needs onnx and onnxscript.
 
     The same module and notes give the same bytes, wherever they are made.
@@ -82,9 +82,7 @@ SECTION = "roadtorch"
 """Where the notes are in the rt_info of the model."""
 
 
-def write_openvino(
-    module: WholePictures | EveryPixel, notes: Mapping[str, str], path: Path
-) -> None:
+def write_openvino(module: Graph, notes: Mapping[str, str], path: Path) -> None:
     """Write a module of ``graph`` as path (.xml) and weights beside it (.bin), in float32."""
     import openvino
 

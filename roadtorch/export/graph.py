@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from roadtorch.detectors.fusion import RoadCalibration, calibrated
+from roadtorch.detectors.fusion import FusionSettings, calibrated
 from roadtorch.imaging.color import DARKEST, STRONGEST, Exposure
 from roadtorch.imaging.resize import SHORTEST, WorkingSize
 from roadtorch.layout.classes import CLASSES, HORIZONTAL
@@ -28,7 +28,21 @@ from roadtorch.layout.patch_network import (
 )
 from roadtorch.layout.picture_network import EGO, potentials_of
 from roadtorch.layout.weights import WholePictureNetwork
+from roadtorch.road.ego import MIN_FREE, MIN_MEAN, PER_SHARE, SOLID, STRIP
 from roadtorch.road.fusion import log_odds
+from roadtorch.road.outlines import CELL, PASSES, RIDGE, SUBSAMPLING
+from roadtorch.road.seed_area import CELL as SEED_CELL
+from roadtorch.road.seed_area import NEARNESS, UPPER_HALF
+from roadtorch.road.trust import (
+    CONSTANT,
+    ENOUGH,
+    LOW_AND_HIGH,
+    ROAD_STEADY,
+    ROAD_THERE,
+    ROAD_VAGUE,
+    WEIGHTS,
+    entropy,
+)
 
 MAX_SIDE = 10**5
 """Pixels of a side at most, so that sizes have a bound when a graph is made."""
@@ -37,43 +51,67 @@ OUTPUTS: Mapping[str, str] = {
     "likelihood": "float32 (N, H, W): how road-like each pixel is, 0 to 1",
     "layout": "float32 (N, 3, H, W): sky, vertical, horizontal, 0 to 1",
     "ego": "float32 (N, H, W): the vehicle that carries the camera, 0 to 1",
+    "seed_area": "float32 (N, H, W): where road surely is, 0 or 1; isolated road does not touch it",
+    "trust": "float32 (N): the F to expect of the mask, 0 to 1",
 }
 """What graphs give, by name."""
 
 
-def road_likelihood(road: Tensor, ego: Tensor, calibration: RoadCalibration) -> Tensor:
-    """Likelihoods of ``fusion`` of potentials of road and ego car, in [0,1], of any shape."""
-    return torch.where(ego >= 0.5, 0.0, calibrated(log_odds(road), calibration))
-
-
-class WholePictures(nn.Module):
-    """``cues`` of a network for whole pictures, for bytes: likelihood, layout, ego.
-
-    place: which potential of the network is the likelihood, its road or the layout's horizontal.
-    calibration: of the road's log odds; where the ego car is, there is none then.
-    """
+class LearnedLayout(nn.Module):
+    """``cues`` of the network of ``layout``, for bytes: its horizontal, layout, ego."""
 
     outputs = ("likelihood", "layout", "ego")
 
-    def __init__(
-        self, network: WholePictureNetwork, place: int, calibration: RoadCalibration | None
-    ) -> None:
+    def __init__(self, network: WholePictureNetwork) -> None:
         super().__init__()
         self.network = network
-        self.place = place
-        self.calibration = calibration
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Maps (N,H,W), (N,3,H,W) and (N,H,W) of pictures uint8 (N,H,W,3) RGB."""
         planes = planes_of(image)
-        settings = self.network.settings
-        small = averaged(planes, settings.height, settings.width).clamp(0, 1)
-        scores = self.network(normalised(small, settings.normalisation))
-        maps = averaged(potentials_of(scores), planes.shape[-2], planes.shape[-1]).clamp(0, 1)
-        likelihood = maps[:, self.place]
-        if self.calibration is not None:
-            likelihood = road_likelihood(likelihood, maps[:, EGO], self.calibration)
-        return likelihood, maps[:, :CLASSES], maps[:, EGO]
+        maps = averaged(potentials(self.network, planes), *planes.shape[-2:]).clamp(0, 1)
+        layout = maps[:, :CLASSES]
+        return layout[:, HORIZONTAL], layout, maps[:, EGO]
+
+
+class FusedRoad(nn.Module):
+    """``fusion`` for bytes: likelihood, layout, ego, seed area, trust.
+
+    All of the detector but what takes connected regions: thin holes are not filled, and isolated
+    road is not dropped. Pictures are followed at their own size, however large that is.
+    """
+
+    outputs = ("likelihood", "layout", "ego", "seed_area", "trust")
+
+    def __init__(self, network: WholePictureNetwork, settings: FusionSettings) -> None:
+        super().__init__()
+        self.network = network
+        self.settings = settings
+
+    def forward(self, image: Tensor) -> tuple[Tensor, ...]:
+        """Maps (N,H,W), but for the layout (N,3,H,W), and (N,), of pictures uint8 (N,H,W,3)."""
+        settings = self.settings
+        planes = planes_of(image)
+        full = (planes.shape[-2], planes.shape[-1])
+        small = averaged(planes, *size_at_work(planes, settings.working)).clamp(0, 1)
+        maps = potentials(self.network, small)
+        if settings.views == "mirrored":
+            maps = (maps + potentials(self.network, small.flip(-1)).flip(-1)) / 2
+        maps = averaged(maps, *small.shape[-2:]).clamp(0, 1)
+        ego = ego_columns(maps[:, EGO])
+        layout, road, _ = continued_down(maps, ego).split([CLASSES, 1, 1], 1)
+        odds = log_odds(road[:, 0])
+        likelihood = calibrated(odds, settings.calibration)
+        before = averaged(likelihood[:, None], *full)[:, 0]
+        fine = followed_by_all(likelihood, continued_down(small, ego), planes)
+        same = (fine >= settings.threshold) == (before >= settings.threshold)
+        hidden = nearest(ego, *full)
+        fine = torch.where(same, before, fine).masked_fill(hidden, 0)
+        mask = nearest(fine >= settings.threshold, *small.shape[-2:])
+        seed = seed_cells(odds, settings.seed_area.share)
+        trust = trust_of(likelihood, mask, ego, mean_over(road[:, 0], seed))
+        areas = (area.to(fine.dtype) for area in (hidden, nearest(seed, *full)))
+        return fine, averaged(layout, *full), *areas, trust
 
 
 class EveryPixel(nn.Module):
@@ -95,7 +133,18 @@ class EveryPixel(nn.Module):
         return layout[:, HORIZONTAL], layout
 
 
+Graph = LearnedLayout | FusedRoad | EveryPixel
+"""A module that can be exported; ``outputs`` are the names of what it gives."""
+
+
 # --- before and behind the network ------------------------------------------------------
+
+
+def potentials(network: WholePictureNetwork, images: Tensor) -> Tensor:
+    """Potentials (N,5,h,w) of images (N,3,H,W) in [0,1], at the size at which the network sees."""
+    settings = network.settings
+    seen = averaged(images, settings.height, settings.width).clamp(0, 1)
+    return potentials_of(network(normalised(seen, settings.normalisation)))
 
 
 def planes_of(image: Tensor) -> Tensor:
@@ -130,10 +179,10 @@ def size_at_work(planes: Tensor, working: WorkingSize) -> tuple[int, int]:
     return _length(height * scale), _length(width * scale)
 
 
-def _length(side: Tensor) -> int:
+def _length(side: Tensor, least: int = SHORTEST) -> int:
     """A side, a scalar, in whole pixels, whose bounds a graph knows."""
-    length: Any = side.round().clamp(min=SHORTEST).to(torch.int64).item()
-    torch._check(length >= SHORTEST)
+    length: Any = side.round().clamp(min=least).to(torch.int64).item()
+    torch._check(length >= least)
     torch._check(length <= MAX_SIDE)
     return length
 
@@ -157,3 +206,121 @@ def brightened_alike(images: Tensor, exposure: Exposure) -> Tensor:
     grey = lower.sort(1).values[:, (lower.shape[1] - 1) // 2].clamp(0.01, 0.99)
     exponent = (math.log(exposure.ground) / grey.log()).clamp(STRONGEST, 1.0)[:, None, None, None]
     return torch.where(exponent == 1, images, images.clamp(min=DARKEST) ** exponent)
+
+
+# --- what fusion does with the network's maps -------------------------------------------
+
+
+def ego_columns(potential: Tensor) -> Tensor:
+    """``ego_found`` of potentials (N,h,w): bool (N,h,w)."""
+    height, width = potential.shape[-2:]
+    ego = potential > 0.5
+    below = ego.to(torch.float32).flip(1).cumsum(1).flip(1)
+    left = torch.arange(height, 0, -1)[:, None]
+    car = (ego & (below >= SOLID * left)).to(torch.float32).cumsum(1) > 0
+    weights = car.to(potential.dtype)
+    size = weights.sum((1, 2))
+    share = size / (height * width)
+    mean = (potential * weights).sum((1, 2)) / size.clamp(min=1)
+    there = (share <= 1 - MIN_FREE) & (mean >= MIN_MEAN + PER_SHARE * share)
+    return car & there[:, None, None]
+
+
+def continued_down(maps: Tensor, ego: Tensor) -> Tensor:
+    """``continued`` of maps (N,C,h,w) over an ego car (N,h,w) that goes down to the lower edge."""
+    height = maps.shape[-2]
+    rows = torch.arange(height)[:, None]
+    first = height - ego.to(torch.int64).sum(1, keepdim=True)
+    strip = (torch.scalar_tensor(height) * STRIP).round().to(torch.int64).clamp(min=1)
+    run = first.minimum(strip).clamp(min=1)
+    step = (rows - first).clamp(min=0) % (2 * run)
+    source = (first - 1 - step.minimum(2 * run - 1 - step)).clamp(min=0)
+    source = torch.where(ego, source, rows)
+    return maps.gather(2, source[:, None].expand(-1, maps.shape[1], -1, -1))
+
+
+def followed_by_all(likelihood: Tensor, small: Tensor, planes: Tensor) -> Tensor:
+    """``outlines.followed`` of likelihoods (N,h,w), images (N,3,h,w) and (N,3,H,W): (N,H,W)."""
+    both = averaged(torch.cat([likelihood[:, None], small], 1), *_shorter(likelihood, SUBSAMPLING))
+    likelihood, small = both[:, 0], both[:, 1:]
+    cells = _shorter(likelihood, CELL)
+    first, second = SIX
+    mean, square = averaged(
+        torch.cat([small, small[:, first] * small[:, second]], 1), *cells
+    ).split([3, 6], 1)
+    inverse = inverted(square - mean[:, first] * mean[:, second])
+    for picture in [*[small] * (PASSES - 1), planes]:
+        road, joint = averaged(
+            torch.cat([likelihood[:, None], small * likelihood[:, None]], 1), *cells
+        ).split([1, 3], 1)
+        shared = joint - mean * road
+        slope = torch.stack([(row * shared).sum(1) for row in inverse], 1)
+        offset = road - (slope * mean).sum(1, keepdim=True)
+        wide = averaged(torch.cat([slope, offset], 1), *picture.shape[-2:])
+        likelihood = ((wide[:, :3] * picture).sum(1) + wide[:, 3]).clamp(0, 1)
+    return likelihood
+
+
+SIX = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
+"""Places in a symmetric matrix of three rows: its upper triangle."""
+
+
+def inverted(spread: Tensor) -> list[Tensor]:
+    """Rows (N,3,…) of the inverse of a covariance (N,6,…) of colours, plus ``RIDGE``: by minors."""
+    a, b, c, d, e, f = spread.unbind(1)
+    a, d, f = a + RIDGE, d + RIDGE, f + RIDGE
+    first, second, third = d * f - e * e, c * e - b * f, b * e - c * d
+    determinant = a * first + b * second + c * third
+    middle, corner, last = a * f - c * c, b * c - a * e, a * d - b * b
+    rows = ((first, second, third), (second, middle, corner), (third, corner, last))
+    return [torch.stack([cell / determinant for cell in row], 1) for row in rows]
+
+
+def _shorter(maps: Tensor, times: int) -> tuple[int, int]:
+    """So many times less on each side than maps (…,H,W), and two at least."""
+    height, width = (torch.scalar_tensor(side, dtype=torch.float64) for side in maps.shape[-2:])
+    return _length(height / times, 2), _length(width / times, 2)
+
+
+def nearest(area: Tensor, height: int, width: int) -> Tensor:
+    """Areas bool (N,H,W) at another size, as ``at_picture_size``."""
+    rows = torch.arange(height) * area.shape[-2] // height
+    columns = torch.arange(width) * area.shape[-1] // width
+    return area.index_select(1, rows).index_select(2, columns)
+
+
+def seed_cells(odds: Tensor, share: float) -> Tensor:
+    """``likely_seed_area`` bool (N,h,w) of log odds (N,h,w)."""
+    height, width = (torch.scalar_tensor(side, dtype=torch.float64) for side in odds.shape[-2:])
+    rows, columns = _length((height / SEED_CELL).ceil(), 2), _length((width / SEED_CELL).ceil(), 2)
+    row = ((torch.arange(rows) + 0.5) / rows)[:, None]
+    score = averaged(odds[:, None], rows, columns)[:, 0] + NEARNESS * row - UPPER_HALF * (row < 0.5)
+    best = score.flatten(1).sort(1, descending=True).values
+    before = torch.arange(rows * columns) / (rows * columns)
+    least = torch.where(before < share, best, torch.inf).amin(1)
+    return nearest(score >= least[:, None, None], odds.shape[-2], odds.shape[-1])
+
+
+def mean_over(values: Tensor, area: Tensor) -> Tensor:
+    """Means (N,) of values (N,h,w) in areas bool (N,h,w) that are nowhere empty."""
+    return (values * area).sum((1, 2)) / area.sum((1, 2))
+
+
+def trust_of(likelihood: Tensor, mask: Tensor, ego: Tensor, seed: Tensor) -> Tensor:
+    """``trust.judgement`` (N,); likelihoods, masks, ego cars (N,h,w); seed: its road (N,)."""
+
+    def total(values: Tensor) -> Tensor:
+        return values.to(torch.float32).sum((1, 2))
+
+    low, high = (total((likelihood > level) & ~ego) for level in LOW_AND_HIGH)
+    inside = mask & ~ego
+    road, right = total(likelihood * ~ego), total(likelihood * inside)
+    steady = high / low.clamp(min=1)
+    expected = 2 * right / (total(inside) + road).clamp(min=1)
+    vague = total(entropy(likelihood) * ~ego) / total(~ego)
+    weighted = zip(WEIGHTS, (steady, expected, seed, vague), strict=True)
+    sure = CONSTANT + torch.stack([weight * sign for weight, sign in weighted]).sum(0)
+    there = ((ROAD_THERE + ROAD_STEADY * steady + ROAD_VAGUE * vague).sigmoid() / ENOUGH).clamp(
+        max=1
+    )
+    return torch.where(mask.any(2).any(1), there * sure.clamp(0, 1), 0.0)

@@ -50,6 +50,13 @@ def guided(
     size's pixels: beyond that, an image shows but grain. Where the ego car is, the ground above
     goes on, so that its looks change nothing.
     """
+    return filled(outlined(maps, small, image, working, threshold), threshold)
+
+
+def outlined(
+    maps: Maps, small: Tensor, image: Tensor, working: WorkingSize, threshold: float
+) -> Tensor:
+    """The same but for its last step: thin holes are still there."""
     more = working.model_copy(update={"pixels": MAX_ENLARGEMENT * working.pixels})
     larger = image if image[0].numel() <= more.pixels else at_work(image, more)
     if "ego" in maps and is_anywhere(maps["ego"]):
@@ -57,7 +64,7 @@ def guided(
     likelihood = followed(maps["likelihood"], small, larger)
     before = resized(maps["likelihood"], size_of(larger))
     same = at_least(likelihood, threshold) == at_least(before, threshold)
-    return filled(torch.where(same, before, likelihood), threshold)
+    return torch.where(same, before, likelihood)
 
 
 def followed(likelihood: Tensor, image: Tensor, larger: Tensor) -> Tensor:

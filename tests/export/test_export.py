@@ -162,6 +162,8 @@ def test_shapes_are_named_and_no_path_of_this_machine_is_in_a_file(fusion: Expor
         "likelihood": ["N", "H", "W"],
         "layout": ["N", 3, "H", "W"],
         "ego": ["N", "H", "W"],
+        "seed_area": ["N", "H", "W"],
+        "trust": ["N"],
     }
     data = fusion.files[0].read_bytes()
     assert b".py" not in data
@@ -193,16 +195,16 @@ def test_what_cannot_be_exported_is_told_before_any_work(
 
 
 def test_a_file_that_says_something_else_is_not_written(
-    fusion: Exported, weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ground: Exported, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def write(module: object, notes: object, path: Path) -> None:
-        shutil.copyfile(fusion.files[0], path)
+        shutil.copyfile(ground.files[0], path)
 
     form = replace(export_module.FORMATS["onnx"], write=write)
     monkeypatch.setattr(export_module, "FORMATS", {"onnx": form})
 
     with pytest.raises(InputError, match=r"would be .* off in its .* \(nothing was written"):
-        export_detector(of_ground(weights), tmp_path / "a.onnx", "onnx")
+        export_detector(load_detector("layout"), tmp_path / "a.onnx", "onnx")
 
     assert not any(tmp_path.iterdir())
 

@@ -1,0 +1,256 @@
+"""The page for browsers, in a real one: headless Chromium, a plain server of a folder."""
+
+import http.server
+import os
+import shutil
+import subprocess
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.errors import ConfigError
+from roadtorch.export import page as page_module
+from roadtorch.export.page import RUNTIME_VERSION, export_page
+from roadtorch.io.image import read_image, to_pixels, write_pixels
+from roadtorch.testing import street
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+for package in ("onnx", "onnxscript", "onnxruntime"):
+    pytest.importorskip(package, reason="the extra onnx is not installed")
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+PATIENCE = 60_000  # milliseconds
+
+BROWSER = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium (apt: chromium)")
+
+Visit = Callable[..., "Page"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page, with the runtime as npm gives it."""
+    if shutil.which("npm") is None:
+        pytest.skip("npm, which brings onnxruntime-web, is not installed")
+    root = tmp_path_factory.mktemp("page")
+    words = ["npm", "install", "--silent", f"onnxruntime-web@{RUNTIME_VERSION}"]
+    installed = subprocess.run(words, cwd=root, capture_output=True, text=True, check=False)
+    if installed.returncode:
+        pytest.skip(f"npm does not bring onnxruntime-web: {installed.stderr[-200:]}")
+    before = Path.cwd()
+    os.chdir(root)
+    try:
+        export_page(load_detector("fusion"), root / "page")
+    finally:
+        os.chdir(before)
+    return root / "page"
+
+
+@contextmanager
+def served(folder: Path, *headers: tuple[str, str]) -> Iterator[str]:
+    """The address of a folder, on the loopback."""
+
+    class Handler(http.server.SimpleHTTPRequestHandler):
+        def end_headers(self) -> None:
+            for name, value in headers:
+                self.send_header(name, value)
+            super().end_headers()
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    server = http.server.ThreadingHTTPServer(
+        ("127.0.0.1", 0), partial(Handler, directory=str(folder))
+    )
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://localhost:{server.server_port}/"
+    server.shutdown()
+    server.server_close()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator["Browser"]:
+    arguments = ["--no-sandbox", "--use-fake-device-for-media-stream"]
+    with sync_api.sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def visit(browser: "Browser", folder: Path) -> Iterator[Visit]:
+    """Opens the page and waits until its status begins with a text."""
+    with served(folder) as address:
+        context = browser.new_context(permissions=["camera"])
+        context.set_default_timeout(PATIENCE)
+
+        def opened(begins: str = "Ready", before: str = "") -> "Page":
+            page = context.new_page()
+            if before:
+                page.add_init_script(before)
+            page.goto(address)
+            wait_for_status(page, begins)
+            return page
+
+        yield opened
+        context.close()
+
+
+def wait_for_status(page: "Page", begins: str) -> None:
+    script = "begins => document.getElementById('status').textContent.startsWith(begins)"
+    page.wait_for_function(script, arg=begins)
+
+
+def looked_at(page: "Page", path: Path) -> dict[str, Any]:
+    """What the page finds in a file: mask bool (H,W) and trust."""
+    page.set_input_files("#file", path)
+    wait_for_status(page, path.name)
+    script = "(({mask, width, height, trust}) => ({mask: [...mask], width, height, trust}))"
+    state = page.evaluate(f"{script}(roadtorch.state())")
+    state["mask"] = np.array(state["mask"], dtype=bool).reshape(state["height"], state["width"])
+    return state
+
+
+def check_parity(page: "Page", paths: list[Path]) -> None:
+    detector = load_detector("fusion")
+    for path in paths:
+        state, detection = looked_at(page, path), detector.detect(read_image(path))
+        assert detection.trust is not None
+        assert (state["mask"] != detection.mask.numpy()).mean() <= 0.005, path
+        assert abs(state["trust"] - detection.trust) <= 0.02, path
+
+
+@BROWSER
+def test_masks_and_trust_are_those_of_python(visit: Visit, tmp_path: Path) -> None:
+    paths = [tmp_path / name for name in ("a.png", "b.png", "wide.png")]
+    for path, size in zip(paths, ((240, 320), (333, 500), (120, 400)), strict=True):
+        write_pixels(path, to_pixels(street(*size, seed=len(path.name))))
+
+    check_parity(visit(), paths)
+
+
+@BROWSER
+@pytest.mark.data
+def test_masks_of_real_pictures_are_those_of_python(visit: Visit, data_root: Path) -> None:
+    sets = sorted(path for path in (data_root / "many").iterdir() if path.is_dir())
+    chosen = [path for folder in sets for path in sorted(folder.glob("images/*.jpg"))[::7][:2]]
+
+    check_parity(visit(), chosen[:20])
+
+
+@BROWSER
+def test_nothing_is_asked_of_anybody_else_and_it_opens_without_a_connection(visit: Visit) -> None:
+    page = visit()
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.evaluate("navigator.serviceWorker.ready")
+    page.wait_for_function("navigator.serviceWorker.controller")
+    page.context.set_offline(True)
+
+    page.reload()
+    wait_for_status(page, "Ready")
+    page.click("#example")
+    wait_for_status(page, "A rendered street")
+
+    assert page.evaluate("roadtorch.state().mask.includes(1)")
+    origin = page.evaluate("location.origin")
+    assert all(url.startswith((origin, f"blob:{origin}")) for url in asked), asked
+
+
+@BROWSER
+def test_the_keyboard_suffices(visit: Visit) -> None:
+    page = visit()
+    for _ in range(3):  # the file, the camera, the example
+        page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    wait_for_status(page, "A rendered street")
+    before = page.inner_text("#share")
+
+    for _ in range(2):  # the views, the threshold
+        page.keyboard.press("Tab")
+    page.keyboard.press("End")
+
+    page.wait_for_function("document.getElementById('share').textContent === '0.0 %'")
+    assert before != "0.0 %"
+    assert page.inner_text("#level") == "1.00"
+
+
+@BROWSER
+def test_a_camera_is_looked_at_until_it_is_stopped(visit: Visit) -> None:
+    page = visit()
+
+    page.click("#camera")
+    page.wait_for_function("document.getElementById('time').textContent.includes('a second')")
+    page.click("#stop")
+    wait_for_status(page, "Stopped.")
+
+    assert page.is_hidden("#stop")
+
+
+@BROWSER
+def test_what_cannot_be_looked_at_is_said(visit: Visit, tmp_path: Path) -> None:
+    page = visit()
+    text, large = tmp_path / "notes.jpg", tmp_path / "large.png"
+    text.write_text("no picture")
+    Image.new("1", (11_000, 10_000)).save(large)
+
+    for path, said in (
+        (text, "notes.jpg is no picture or video that this browser reads."),
+        (large, "large.png has 110 megapixels: more than 100. Make it smaller."),
+    ):
+        page.set_input_files("#file", path)
+        wait_for_status(page, said)
+
+
+@BROWSER
+def test_a_browser_without_simd_is_told(visit: Visit) -> None:
+    page = visit("This browser has no WebAssembly SIMD", "WebAssembly.validate = () => false")
+
+    assert page.is_disabled("#example")
+
+
+@BROWSER
+def test_it_takes_more_threads_where_headers_allow_it(browser: "Browser", folder: Path) -> None:
+    alone = (
+        ("Cross-Origin-Opener-Policy", "same-origin"),
+        ("Cross-Origin-Embedder-Policy", "require-corp"),
+    )
+    with served(folder, *alone) as address:
+        page = browser.new_page()
+        page.goto(address)
+        wait_for_status(page, "Ready: ")
+
+        threads = min(8, os.cpu_count() or 1)
+        assert page.inner_text("#status") == (
+            f"Ready: {threads} threads." if threads > 1 else "Ready: one thread."
+        )
+        page.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "what"),
+    [
+        ("layout", "layout: has no page"),
+        ("fusion", r"is not there or incomplete \(npm install onnxruntime-web@"),
+    ],
+)
+def test_what_has_no_page_is_told_before_any_work(
+    name: str, what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(page_module, "RUNTIME_FOLDER", tmp_path / "nowhere")
+
+    with pytest.raises(ConfigError, match=what):
+        export_page(load_detector(name), tmp_path / "page")
+
+    assert not (tmp_path / "page").exists()
