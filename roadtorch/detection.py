@@ -3,9 +3,11 @@
 import importlib
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
+import cv2
 import numpy as np
 from PIL import Image, ImageShow
 from torch import Tensor
@@ -98,6 +100,53 @@ class Detection:
             raise InputError("image", "is not part of this detection", "give Detection(image=…)")
         return overlay_pixels(self.image, self.mask, self.cues.get("ego"), self.caption)
 
+    # --- in the forms of other packages -----------------------------------------------------
+
+    def polygons(self) -> list[list[np.ndarray]]:
+        """The regions of road: of each its border and those of its holes, int (N,2) as (x, y).
+
+        Borders go through the centres of a region's outermost pixels, those of holes through the
+        road around them: ``shapely.Polygon(rings[0], rings[1:])`` where rings have four corners.
+        """
+        pixels = self.mask.cpu().numpy().astype(np.uint8)
+        borders, tree = cv2.findContours(pixels, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+        outside = tree[0, :, 3].tolist() if len(borders) else []  # of a hole: its region; or -1
+        rings = [border.reshape(-1, 2) for border in borders]
+        regions = {n: [ring] for n, ring in enumerate(rings) if outside[n] < 0}
+        for ring, region in zip(rings, outside, strict=True):
+            if region >= 0:
+                regions[region].append(ring)
+        return list(regions.values())
+
+    def to_supervision(self) -> Any:
+        """``supervision.Detections``: the road as one object, none where there is none.
+
+        Its confidence is the trust. Raises ConfigError where supervision is not installed.
+        """
+        supervision = _package("supervision")
+        mask = self.mask.cpu().numpy()
+        if not mask.any():
+            return supervision.Detections.empty()
+        rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
+        trust = None if self.trust is None else np.array([self.trust], np.float32)
+        return supervision.Detections(
+            xyxy=np.array([[columns[0], rows[0], columns[-1] + 1, rows[-1] + 1]], np.float32),
+            mask=mask[None],
+            confidence=trust,
+            class_id=np.array([0]),
+            data={"class_name": np.array(["road"])},
+        )
+
+    def to_fiftyone(self) -> Any:
+        """``fiftyone.Segmentation``: the mask, road 255, with ``trust`` and ``doubt``.
+
+        Raises ConfigError where FiftyOne is not installed.
+        """
+        pixels = np.where(self.mask.cpu().numpy(), 255, 0).astype(np.uint8)
+        segmentation = _package("fiftyone").Segmentation(mask=pixels)
+        segmentation["trust"], segmentation["doubt"] = self.trust, self.doubt
+        return segmentation
+
     def __repr__(self) -> str:
         """One line: size, share of road, and how far it can be trusted."""
         height, width = self.mask.shape
@@ -108,3 +157,32 @@ class Detection:
     def _repr_png_(self) -> bytes | None:
         """What notebooks show."""
         return None if self.image is None else png_bytes(self.overlay(), NOTEBOOK_SIDE)
+
+
+def to_pandas(detections: Iterable[Detection]) -> Any:
+    """A ``pandas.DataFrame`` with a row for each detection, in their order.
+
+    Columns: name, seconds, width, height, road_share (0 to 1), trust, doubt. Raises ConfigError
+    where pandas is not installed. ``index.csv`` of ``infer`` has the same of a folder.
+    """
+    rows = [
+        {
+            "name": detection.name,
+            "seconds": detection.seconds,
+            "width": detection.mask.shape[1],
+            "height": detection.mask.shape[0],
+            "road_share": float(detection.mask.double().mean()),
+            "trust": detection.trust,
+            "doubt": detection.doubt,
+        }
+        for detection in detections
+    ]
+    return _package("pandas").DataFrame(rows)
+
+
+def _package(name: str) -> Any:
+    """A package that roadtorch does not need itself; ConfigError where it is not installed."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise ConfigError(name, "is not installed", f"pip install {name}") from None

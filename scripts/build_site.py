@@ -2,12 +2,14 @@
 
     python scripts/build_site.py              # docs/ to out/site
     python scripts/build_site.py --out DIR
+    python scripts/build_site.py --page FOLDER    # of roadtorch export fusion --format web
 
 Warnings are errors. Afterwards every link inside the site must lead to a file, and to a place in
 it; and nothing may be loaded from elsewhere. Links to other sites are not followed.
 """
 
 import argparse
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -21,6 +23,15 @@ LOADING = {"script", "img", "iframe", "source", "video", "audio", "embed", "obje
 """Tags whose address a browser fetches by itself; of ``link`` those of ``FETCHED``."""
 
 FETCHED = {"stylesheet", "icon", "preload", "modulepreload", "manifest", "preconnect"}
+
+
+BROWSER = "browser"
+"""Folder of the site that has the page for browsers; docs/try.md leads there."""
+
+WITHOUT_PAGE = """<!doctype html><html lang="en"><title>roadtorch</title>
+<p>This site was built without npm, which brings ONNX Runtime for browsers.
+<a href="../try.html">How to make the page</a>
+"""
 
 
 class Link(NamedTuple):
@@ -52,6 +63,16 @@ def build(out: Path) -> None:
     """Build docs/ into a folder; CalledProcessError where Sphinx has anything to warn of."""
     words = ["-m", "sphinx", "-W", "-n", "--keep-going", "-q", "-E", "-d", f"{out}.doctrees"]
     subprocess.run([sys.executable, *words, str(ROOT / "docs"), str(out)], check=True)
+
+
+def add_page(out: Path, page: Path | None) -> None:
+    """Copy the page for browsers into a site; without one, say there how to make it."""
+    shutil.rmtree(out / BROWSER, ignore_errors=True)
+    if page:
+        shutil.copytree(page, out / BROWSER)
+    else:
+        (out / BROWSER).mkdir()
+        (out / BROWSER / "index.html").write_text(WITHOUT_PAGE, encoding="utf-8")
 
 
 def broken_links(site: Path) -> Iterator[str]:
@@ -91,8 +112,11 @@ def main() -> int:
     """Build and check; 1 where links are broken."""
     parser = argparse.ArgumentParser(description="Build the site and check its links.")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "site")
-    out = parser.parse_args().out
+    parser.add_argument("--page", type=Path, help="the page for browsers, to be part of the site")
+    options = parser.parse_args()
+    out = options.out
     build(out)
+    add_page(out, options.page)
     broken = list(broken_links(out))
     print(
         "\n".join(

@@ -11,6 +11,7 @@ A line ``{{ KIND WORDS… }}`` alone in a page stands for Markdown that this mod
 - ``{{ file PATH }}``: a Markdown file of the repository, its heading included.
 - ``{{ contents NAME… }}``: a table of contents of pages right under docs/; a name that ends in
   ``?`` is of a page that may be missing.
+- ``{{ browser }}``: a link to the page that finds the road in a browser (scripts/build_site.py).
 - ``{{ unlisted }}``: a table of contents of the pages there that no other page lists.
 
 Links to files of the repository are changed to lead to pages of the site; to files that are no
@@ -199,6 +200,11 @@ def unlisted(_: Sequence[str]) -> str:
     return contents(missing) if missing else ""
 
 
+def browser(_: Sequence[str]) -> str:
+    """A link to what scripts/build_site.py adds to a site that is built."""
+    return '<a href="browser/index.html">Open the page</a>.'
+
+
 def tocs(path: Path) -> Iterator[str]:
     """What a page's tables of contents list of docs/ itself."""
     text = path.read_text(encoding="utf-8")
@@ -258,6 +264,7 @@ KINDS: dict[str, Callable[[Sequence[str]], str]] = {
     "file": repository_file,
     "contents": contents,
     "unlisted": unlisted,
+    "browser": browser,
 }
 
 

@@ -69,6 +69,12 @@ MAX_BODY = 2 * 2**20  # bytes of one event; ours: a long stroke has some ten tho
 
 MAX_DRAINED = 64 * 2**20  # bytes of a refused body that are read, so that the refusal arrives
 
+LEARN = (
+    "roadtorch train --config corrections --images {pictures} --corrections {out} "
+    "--out runs/corrected"
+)
+"""What learns from the corrections, once all pictures are right."""
+
 DECODED = 2  # pictures at a time: each takes some ten times its bytes
 
 PATIENCE = 20.0  # seconds after which a client that sends or reads nothing whole is closed
@@ -137,7 +143,7 @@ class Guard:
         token = request.headers.get("x-token") or request.query_params.get("token", "")
         if secrets.compare_digest(token.encode(), self._token.encode()):
             return None
-        remedy = "open the address that roadtorch annotate printed"
+        remedy = "open the address that roadtorch printed"
         return refusal(403, "token", "is missing or wrong", remedy)
 
 
@@ -210,10 +216,11 @@ class Page:
     def pictures(self, request: Request) -> Response:
         """The list; 204 for who has this very list already."""
         listing, hasty = self._session.listing(), self._session.hasty()
+        learn = LEARN.format(pictures=self._session.pictures.root, out=self._session.out)
         stamp = hashlib.sha256(json.dumps([listing, hasty]).encode()).hexdigest()[:16]
         if request.query_params.get("stamp") == stamp:
             return Response(status_code=204)
-        return JSONResponse({"stamp": stamp, "pictures": listing, "hasty": hasty})
+        return JSONResponse({"stamp": stamp, "pictures": listing, "hasty": hasty, "learn": learn})
 
     async def jpeg(self, encode: Callable[[Path, int], bytes], request: Request) -> Response:
         """A picture as JPEG; ``encode`` makes it of the file, which was changed at a time."""

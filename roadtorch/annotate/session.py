@@ -41,6 +41,7 @@ from roadtorch.data.events import (
     Review,
     SuperpixelStroke,
     Undo,
+    click_count,
     log_path,
     mask_of,
     read_log,
@@ -358,7 +359,7 @@ class Session:
             "confirmed": work.confirmed,
             "reviewed": list(reviewers(work.standing)),
             "seconds": round(sum(event.seconds for event in work.events), 1),
-            "clicks": len(work.events),
+            "clicks": click_count(work.events),
             "agreement": self._agreement(name),
             "layers": layers.astype(np.uint8).tobytes(),
         }

@@ -14,14 +14,15 @@ from roadtorch.cli.options import PATH, SETTING
     "--out",
     type=PATH,
     required=True,
-    help="File: NAME.onnx, or NAME.xml for OpenVINO; for web, a folder.",
+    help="File: NAME.onnx, or NAME.xml for OpenVINO; for web and hub, a folder.",
 )
 @click.option(
     "--format",
     "kind",
-    type=click.Choice(["onnx", "openvino", "web"]),
+    type=click.Choice(["onnx", "openvino", "web", "hub"]),
     default="onnx",
-    help="OpenVINO's has its weights in a second file, NAME.bin; web is a page for browsers.",
+    help="OpenVINO's has its weights in a second file, NAME.bin; web is a page for browsers; hub "
+    "a folder for model hubs, which load_detector reads.",
 )
 @SETTING
 def export(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> None:
@@ -33,12 +34,18 @@ def export(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> Non
     """
     from roadtorch.detectors.catalogue import load_detector
     from roadtorch.export.export import BOUND, export_detector
+    from roadtorch.export.hub import export_folder
     from roadtorch.export.page import export_page
     from roadtorch.run.folder import output_lock
     from roadtorch.settings import parse_assignments
 
     detector = load_detector(name, **parse_assignments(assignments))
-    with output_lock(out if kind == "web" else out.parent):
+    with output_lock(out if kind in ("web", "hub") else out.parent):
+        if kind == "hub":
+            for file in export_folder(detector, out):
+                click.echo(f"{file}: {file.stat().st_size / 1e6:.2f} MB")
+            click.echo(f"load it: load_detector({str(out)!r})")
+            return
         if kind == "web":
             exported = export_page(detector, out)
         else:

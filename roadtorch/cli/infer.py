@@ -2,6 +2,7 @@
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -19,6 +20,9 @@ from roadtorch.cli.options import (
     with_detector,
     with_frames,
 )
+
+if TYPE_CHECKING:
+    from roadtorch.annotate.viewer import Viewer
 
 KINDS = ("likelihood", "mask", "overlay", "cues", "npy", "polygons", "json")
 FOOTAGE_KINDS = ("overlay-frames", "mask-video", "likelihood-video", "bag")
@@ -57,6 +61,20 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
     return start, end
 
 
+def opened_viewer() -> "Viewer":
+    """The page that shows footage, its address printed; ConfigError where its extra is missing."""
+    from roadtorch.errors import ConfigError
+
+    try:
+        from roadtorch.annotate.viewer import Viewer
+    except ImportError:
+        remedy = "pip install 'roadtorch[annotate]'"
+        raise ConfigError("--view", "needs Starlette and uvicorn", remedy) from None
+    viewer = Viewer()
+    click.echo(f"Open {viewer.address.url}  (Ctrl-C ends it)")
+    return viewer
+
+
 @click.command(cls=Sectioned)
 @click.argument("inputs", metavar="INPUT...", nargs=-1, shell_complete=suggest_files)
 @with_detector
@@ -73,6 +91,7 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
     default=True,
     help="In footage, carry what earlier frames said along the motion.",
 )
+@click.option("--view", is_flag=True, help="Show footage in a page of this computer meanwhile.")
 @click.option("--gif", callback=_stretch, metavar="START:END", help="Seconds to show as a GIF.")
 @CAMERA
 @click.option("--threshold", type=float, help="Likelihood from which a pixel is road.")
@@ -92,6 +111,7 @@ def infer(
     save: tuple[str, ...] | None,
     frames: FrameSelection,
     steady: bool,
+    view: bool,
     gif: tuple[float, float] | None,
     camera: Path | None,
     threshold: float | None,
@@ -121,7 +141,7 @@ def infer(
     if not inputs and not print_config:
         raise click.UsageError("Missing argument 'INPUT...'", context)
 
-    from roadtorch.inputs.pictures import label_and_picture
+    from roadtorch.inputs.pictures import are_label_maps, label_and_picture
     from roadtorch.io.urls import is_url
     from roadtorch.run.folder import result_folder
     from roadtorch.run.ledger import INDEX, open_ledger
@@ -146,11 +166,16 @@ def infer(
     bits = 16 if depth == "16" else 8
     stage = place if isinstance(place, Path) else Path()
     maps = Maps(stage, frozenset(kinds), detector.name, detector.settings.threshold, bits)
-    todo = plan(found, place, maps.suffixes, MapOutput(maps, save, gif, frames.topic))
+    viewer = context.with_resource(opened_viewer()) if view else None
+    output = MapOutput(maps, save, gif, frames.topic, viewer)
+    todo = plan(found, place, maps.suffixes, output)
     if pair := label_and_picture(found.pictures):
         label, picture = pair
         what = f"{label.origin} looks like a label of {picture.origin}"
         click.echo(f"roadtorch: {what}; give the folder of the pictures alone", err=True)
+    elif are_label_maps(found.pictures):
+        what = f"{found.pictures[0].origin} looks like a label map"
+        click.echo(f"roadtorch: {what}; give the folder of the pictures", err=True)
     workers = context.with_resource(compute.started(todo.count))
     folder = context.with_resource(result_folder(out, effective, overwrite))
     of_frames = {**asdict(frames), "gif": gif, "steady": steady}

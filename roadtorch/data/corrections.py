@@ -23,7 +23,7 @@ from roadtorch.data.correction_labels import (
     road_layer,
 )
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth
-from roadtorch.data.events import ENDING, EventLog, read_log, read_logs, reviewers
+from roadtorch.data.events import ENDING, EventLog, click_count, read_log, read_logs, reviewers
 from roadtorch.errors import DatasetError
 from roadtorch.layout.classes import UNLABELLED
 
@@ -34,7 +34,7 @@ class Correction:
 
     picture: its file. name: relative to the folder of pictures, with ending. labels: uint8 (H,W),
     numbers of ``LABELS``. confirmed: somebody said that it is right as it is, so that every
-    pixel's road is known. users: sorted. seconds: at work on it, of all of them. clicks: events of
+    pixel's road is known. users: sorted. seconds: at work on it, of all of them. clicks: strokes of
     all of them, those taken back among them. agreement: share of the pixels that two or more
     spoke of on which all of them agree about the road; None where there are none. reviewers: who
     called the work of another right. logs: where it was said.
@@ -104,7 +104,7 @@ def corrected(picture: Path, name: str, logs: Sequence[EventLog]) -> Correction:
         any(log.confirmed for log in logs),
         tuple(sorted(log.head.user for log in logs)),
         sum(event.seconds for event in events),
-        len({event.id for event in events}),
+        click_count(events),
         agreement_share(labels),
         tuple(sorted({person for log in logs for person in reviewers(log.standing)})),
         tuple(log.path for log in logs),

@@ -223,6 +223,11 @@ def taken_back(events: Iterable[AnyEvent]) -> list[str]:
     return stack
 
 
+def click_count(events: Iterable[Event]) -> int:
+    """How many strokes were made, those that were taken back included, each counted once."""
+    return len({event.id for event in events if isinstance(event, Stroke)})
+
+
 def reviewers(events: Iterable[LastingEvent]) -> tuple[str, ...]:
     """Who called the work right since it was changed last, of the events that hold; sorted."""
     people: set[str] = set()

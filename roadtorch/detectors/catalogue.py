@@ -5,8 +5,10 @@ each entry point names an ``Entry`` or a sequence of them.
 """
 
 import fnmatch
+import os
 from collections.abc import Iterable
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 from roadtorch.camera.camera import Camera
@@ -16,9 +18,12 @@ from roadtorch.errors import ConfigError, unknown_name
 from roadtorch.io.image import Order
 from roadtorch.runtime.device import check_device
 from roadtorch.runtime.plugins import load_plugins
-from roadtorch.settings import merge
+from roadtorch.settings import merge, read_settings_file
 
 ENTRY_POINT_GROUP = "roadtorch.detectors"
+
+CONFIG = "detector.toml"
+"""In a folder that holds a detector: its name, its settings, and the name of its weights' file."""
 
 ENTRIES: tuple[Entry, ...] = (
     *fusion.ENTRIES,
@@ -41,6 +46,7 @@ def load_detector(
 ) -> Detector:
     """Make a detector; settings that are not given keep their defaults.
 
+    name: of a detector, or a folder that ``roadtorch export --format hub`` wrote.
     Nested settings are dictionaries: ``load_detector("cpf", texture={"bins": 64})``.
     camera: the one whose pictures it will see, such as ``Camera.read("camera.toml")``; it sets
     the ego car and, where the detector has one, the horizon, unless they are given.
@@ -54,6 +60,9 @@ def load_detector(
         >>> detector("street.jpg").mask.shape
         torch.Size([240, 320])
     """
+    if os.path.isdir(name):
+        stored = read_settings_file(Path(name, CONFIG))
+        name, settings = str(stored.pop("detector", "")), merge(stored, settings)
     entry = detector_entry(name)
     if camera is not None:
         settings = merge(camera.settings_for(entry.settings), settings)

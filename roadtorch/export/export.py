@@ -64,6 +64,15 @@ def exportable(detector: Detector) -> Exportable:
 
     Raises ConfigError for a detector that has none, and for settings that have no part in it.
     """
+    part, usual = part_of(detector), detector_entry(detector.name).configured({}).model_dump()
+    for key, value in detector.settings.model_dump().items():
+        if key not in part.settings and value != usual[key]:
+            raise ConfigError(key, "has no part in what is exported", "leave it out")
+    return part
+
+
+def part_of(detector: Detector) -> Exportable:
+    """The same whatever its settings; ConfigError for a detector that has none."""
     analysis, settings = detector.analysis, detector.settings
     if isinstance(analysis, Fusion) and isinstance(settings, FusionSettings):
         part = Exportable(
@@ -97,10 +106,6 @@ def exportable(detector: Detector) -> Exportable:
         )
     else:
         raise ConfigError(detector.name, "cannot be exported", f"those that can: {', '.join(CAN)}")
-    usual = detector_entry(detector.name).configured({}).model_dump()
-    for key, value in settings.model_dump().items():
-        if key not in part.settings and value != usual[key]:
-            raise ConfigError(key, "has no part in what is exported", "leave it out")
     return part
 
 

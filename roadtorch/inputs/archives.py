@@ -20,6 +20,7 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO
+from urllib.parse import urlsplit
 
 from torch import Tensor
 
@@ -31,7 +32,7 @@ from roadtorch.inputs.video import VIDEO_SUFFIXES
 from roadtorch.io.bounded import MAX_BYTES, printable, reason
 from roadtorch.io.decoding import LARGE, check_bytes
 from roadtorch.io.image import READABLE, decode_image, undecodable
-from roadtorch.io.urls import file_system, is_url
+from roadtorch.io.urls import WEB, fetched, file_system, is_url, scheme_of, without_password
 
 ZIPS = (".zip",)
 SCHEMES = ("zip", "tar")
@@ -70,9 +71,11 @@ def is_archive(given: str) -> bool:
 
 def _kind(given: str) -> str:
     scheme = given.partition("://")[0].lower()
-    if scheme in SCHEMES or scheme in STREAMS:
-        return "" if scheme in STREAMS else scheme
+    if scheme in SCHEMES or scheme in {*STREAMS} - {*WEB}:
+        return scheme if scheme in SCHEMES else ""
     name = given.partition("::")[0].lower()
+    if scheme in WEB:
+        name = urlsplit(name).path
     return "zip" if name.endswith(ZIPS) else "tar" if name.endswith(TARS) else ""
 
 
@@ -91,7 +94,7 @@ def archive_source(given: str, selection: Selection = Selection()) -> Source:  #
         if not url:
             remedy = f"write {_kind(given)}://MEMBER::ARCHIVE"
             raise InputError(given, "names no archive", remedy)
-    if is_url(url):
+    if is_url(url) and scheme_of(url) not in WEB:
         file_system(url)
     stem = posixpath.basename(url.rstrip("/"))
     name = re.sub(r"(\.tar)?\.\w+$", "", stem) or stem or _kind(given)
@@ -160,11 +163,14 @@ def _members(given: str, url: str, stack: ExitStack) -> tuple[list[Member], Inpu
 
     stack: closes the archive.
     """
+    address = without_password(url)
     try:
         file = stack.enter_context(_opened(url))
         if _kind(given) == "zip":
-            return _zip_members(stack.enter_context(zipfile.ZipFile(file)), url), None
-        members, problem = _tar_members(file, url, stack)
+            return _zip_members(stack.enter_context(zipfile.ZipFile(file)), address), None
+        members, problem = _tar_members(file, address, stack)
+    except InputError:
+        raise
     except FileNotFoundError:
         raise InputError(given, "does not exist", "check the name") from None
     except Exception as problem:  # file systems of others raise anything
@@ -175,6 +181,8 @@ def _members(given: str, url: str, stack: ExitStack) -> tuple[list[Member], Inpu
 
 def _opened(url: str) -> IO[bytes]:
     """A file to seek in; OSError for what is no file."""
+    if scheme_of(url) in WEB:
+        return fetched(url)
     if is_url(url):
         system, path = file_system(url)
         return system.open(path, "rb")

@@ -6,8 +6,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from itertools import groupby, islice
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import NamedTuple, TextIO
+from urllib.parse import urlsplit
 
 from torch import Tensor
 
@@ -17,7 +18,13 @@ from roadtorch.inputs.bags import bag_source, is_bag
 from roadtorch.inputs.files import File, files_at
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.inputs.live import STREAMS, Patience, camera_source, stream_source
-from roadtorch.inputs.pictures import each_once, picture_source, pictures_at
+from roadtorch.inputs.pictures import (
+    each_once,
+    names_picture,
+    picture_item,
+    picture_source,
+    pictures_at,
+)
 from roadtorch.inputs.video import (
     VIDEO_SUFFIXES,
     count_frames,
@@ -26,7 +33,7 @@ from roadtorch.inputs.video import (
     video_source,
 )
 from roadtorch.io.image import READABLE, read_image
-from roadtorch.io.urls import scheme_of, without_password
+from roadtorch.io.urls import WEB, answer, scheme_of, without_password
 
 CAMERA = re.compile(r"(?:camera:)?(\d+)")
 """A camera's number; a file of that name goes before ``0``, never before ``camera:0``."""
@@ -73,6 +80,10 @@ def find_inputs(
     sources: list[Source] = []
     for given in named(inputs, sys.stdin if names is None else names):
         scheme = scheme_of(given)
+        if scheme in WEB and is_picture_of_web(given):
+            name = PurePosixPath(urlsplit(given).path).with_suffix("")
+            pictures.append(picture_item(given, slug(name.as_posix())))
+            continue
         if source := _alone(given, scheme, selection, options):
             sources.append(source)
             continue
@@ -96,17 +107,36 @@ def _alone(given: str, scheme: str, selection: Selection, options: SourceOptions
         return camera_source(number, selection, options.patience)
     if WHOLE.match(given):
         return video_source(given, slug(given), selection)
+    if is_archive(given) and (not scheme or scheme in WEB):
+        return archive_source(given, selection)
     if scheme in STREAMS:
         return stream_source(given, slug(given), selection, options.patience)
     if is_bag(given):
         return bag_source(given, options.topic, selection)
-    if is_archive(given) and not scheme:
-        return archive_source(given, selection)
     path = Path(given)
     is_named = path.name.lower().endswith(VIDEO_SUFFIXES) and not scheme
     if is_named and isinstance(files_at(given, names_video), File):
         return video_source(path, path.stem, selection)
     return None
+
+
+def is_picture_of_web(url: str) -> bool:
+    """Whether the server calls what is behind an address a picture, or else its name does.
+
+    A camera's endless series of pictures (``multipart/…``) is none. Raises InputError where there
+    is no answer and the name is a picture's; other addresses may be streams, which are waited for.
+    """
+    by_name = names_picture(PurePosixPath(urlsplit(url).path).name)
+    if not by_name and (is_archive(url) or WHOLE.match(url)):
+        return False
+    try:
+        with answer(url) as response:
+            kind = response.headers.get_content_maintype()
+    except InputError:
+        if by_name:
+            raise
+        return False
+    return kind == "image" or (by_name and kind != "multipart")
 
 
 def named(inputs: Iterable[str], names: TextIO) -> Iterator[str]:

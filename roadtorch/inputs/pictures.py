@@ -18,17 +18,28 @@ from roadtorch.inputs.files import files_at
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.io.atomic import digest_of
 from roadtorch.io.image import READABLE, SUFFIXES, decode_image, read_image
-from roadtorch.io.urls import file_system, url_bytes, url_errors, without_password
+from roadtorch.io.urls import (
+    WEB,
+    file_system,
+    scheme_of,
+    url_bytes,
+    url_errors,
+    without_password,
+)
 
 LABEL = re.compile(r"[-_.]?(mask|label|labels|labelIds|gt|gtFine|road|seg)$", re.IGNORECASE)
 """What the names of labels end with beside those of their pictures."""
+
+FIRST, CLASSES = 5, 48
+"""How many pictures are looked at for whether they are label maps, and how many values those have
+at most; ours: Cityscapes has 34 classes, a photograph hundreds of colours."""
 
 RESULTS = (".likelihood.png", ".mask.png", ".overlay.jpg")  # ours; never pictures to look at
 
 
 def picture_item(origin: Path | str, name: str) -> Item:
     """A picture as an item of its own: a file of this machine, or, as text, a URL."""
-    suffix = PurePosixPath(str(origin).partition("::")[0]).suffix
+    suffix = PurePosixPath(re.split(r"::|(?<=\w)[?#]", str(origin))[0]).suffix
     if isinstance(origin, Path):
         read, digest = partial(read_image, origin), partial(digest_of, origin)
         return Item(name, str(origin), read, digest, suffix, origin)
@@ -58,6 +69,8 @@ def _exists(picture: Item) -> bool:
     """Whether it is there; InputError or ConfigError for a URL that cannot be used."""
     if picture.file is not None:
         return picture.file.exists()
+    if scheme_of(picture.origin) in WEB:
+        return True  # the server has been asked
     system, path = file_system(picture.origin)
     with url_errors(picture.origin):
         return system.exists(path)
@@ -106,6 +119,19 @@ def label_and_picture(pictures: Iterable[Item]) -> tuple[Item, Item] | None:
                     if header.mode in ("1", "L", "P"):
                         return label, other
     return None
+
+
+def are_label_maps(pictures: Sequence[Item]) -> bool:
+    """Whether the first pictures are all PNGs of one channel with few values, as label maps are."""
+    files = [picture.file for picture in pictures[:FIRST] if picture.file is not None]
+    return bool(files) and all(map(_is_label_map, files))
+
+
+def _is_label_map(path: Path) -> bool:
+    with suppress(OSError), Image.open(path) as image:
+        if image.format == "PNG" and image.mode in ("1", "L", "P"):
+            return image.getcolors(CLASSES) is not None
+    return False
 
 
 def pictures_at(given: str | os.PathLike[str], apart: Path | None = None) -> list[Item]:

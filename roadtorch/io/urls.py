@@ -1,12 +1,25 @@
-"""URLs of fsspec: ``s3://bucket/drive``, ``https://…``, ``zip://INSIDE::ARCHIVE``."""
+"""URLs: of the web by urllib; of fsspec ``s3://bucket/drive``, ``zip://INSIDE::ARCHIVE``."""
 
+import base64
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any
+from contextlib import ExitStack, closing, contextmanager
+from http.client import HTTPException
+from tempfile import TemporaryFile
+from typing import IO, Any
+from urllib.error import HTTPError
+from urllib.parse import unquote
+from urllib.request import Request, urlopen
 
 from roadtorch.errors import ConfigError, InputError, unknown_name
 from roadtorch.io.bounded import MAX_BYTES
+
+WEB = ("http", "https")
+
+ANSWER = 10.0
+"""Seconds that a server of the web may be silent; ours: as ``Patience`` has it."""
+
+CHUNK = 2**20  # bytes that are fetched at once
 
 
 def scheme_of(given: str) -> str:
@@ -63,9 +76,64 @@ def url_bytes(url: str) -> bytes:
 
     Raises InputError naming it when they cannot be had.
     """
+    if scheme_of(url) in WEB:
+        with fetched(url) as file:
+            return file.read()
     system, path = file_system(url)
     with url_errors(url):
         data = system.cat_file(path, end=MAX_BYTES + 1)
     if len(data) > MAX_BYTES:
-        raise InputError(url, f"has more than {MAX_BYTES:,} bytes", "make it smaller")
+        raise too_large(url)
     return data
+
+
+# --- the web ----------------------------------------------------------------------------
+
+
+@contextmanager
+def answer(url: str) -> Iterator[Any]:
+    """A server's answer, after redirections: its headers, and its body to read.
+
+    Raises InputError for one that does not come, comes late, or is no success.
+    """
+    address = without_password(url)
+    headers = {"User-Agent": "roadtorch"}
+    if (user := re.match(r"\w+://([^/@]*)@", url)) is not None:  # basic access, RFC 7617
+        told = base64.b64encode(unquote(user[1]).encode()).decode()
+        headers["Authorization"] = f"Basic {told}"
+    try:
+        with closing(urlopen(Request(address, headers=headers), timeout=ANSWER)) as response:
+            yield response
+    except HTTPError as problem:
+        problem.close()
+        what = f"is answered with {problem.code} {problem.reason}"
+        raise InputError(address, what, "check the address") from None
+    except (OSError, HTTPException, ValueError) as problem:
+        cause = getattr(problem, "reason", problem)
+        late = isinstance(cause, TimeoutError)
+        what = f"{ANSWER:g} seconds without an answer" if late else str(cause) or "no answer"
+        raise InputError(address, f"cannot be fetched: {what}", "check the address") from None
+
+
+def fetched(url: str) -> IO[bytes]:
+    """The body of an answer as a file without a name, at its start, at most 1 GiB.
+
+    InputError as for ``answer``, for more, and for one that is cut.
+    """
+    with ExitStack() as stack, answer(url) as response:
+        file = stack.enter_context(TemporaryFile())
+        while data := response.read(CHUNK):
+            if file.write(data) and file.tell() > MAX_BYTES:
+                raise too_large(url)
+        length = response.headers.get("Content-Length", "")
+        if length.isdigit() and file.tell() < int(length):
+            raise ValueError(f"it is cut after {file.tell():,} of {int(length):,} bytes")
+        file.seek(0)
+        stack.pop_all()  # whoever asked for the file closes it
+    return file
+
+
+def too_large(url: str) -> InputError:
+    """The error for a file of more than ``MAX_BYTES``."""
+    what = f"has more than {MAX_BYTES:,} bytes"
+    return InputError(without_password(url), what, "make it smaller")

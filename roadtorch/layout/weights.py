@@ -139,7 +139,7 @@ def terms_of(path: Path) -> str:
 
     WeightsError for a card that cannot be read.
     """
-    row = TERMS.search(_card_of(path))
+    row = TERMS.search(card_of(path))
     return row[1] if row else ""
 
 
@@ -229,7 +229,7 @@ def _read(path: Path) -> tuple[_Header, dict[str, Tensor]]:
     if header.sha256 is not None and header.sha256 != tensors_hash(tensors):
         message = "is damaged: its weights are not those that its header states"
         raise WeightsError(path, message, "fetch or train it again")
-    row = STATED.search(_card_of(path))
+    row = STATED.search(card_of(path))
     if row is not None and row[1] != digest_of(path):
         message = f"is not the file whose SHA-256 {path.stem}.md states"
         raise WeightsError(path, message, "fetch it again, or remove the card")
@@ -250,8 +250,8 @@ def _header(path: Path, text: str | None) -> _Header:
     raise WeightsError(path, "has a header that makes no sense", "fetch or train it again")
 
 
-def _card_of(path: Path) -> str:
-    """The card beside a weight file; nothing where there is none."""
+def card_of(path: Path) -> str:
+    """The card beside a weight file; nothing where there is none. WeightsError where unreadable."""
     card = path.with_suffix(".md")
     if not card.is_file():
         return ""

@@ -110,6 +110,7 @@ def render_page(
     values: dict[str, Any] = {
         "evaluation": evaluation,
         "dataset": dataset,
+        "title": dataset.root.resolve().name if dataset.name == "folder" else dataset.name,
         "view": "the picture" if dataset.view is None else dataset.view.name,
         "series": series,
         "groups": {group: scored[group] for group in sorted(groups)},

@@ -36,6 +36,7 @@ from roadtorch.writers.bag import CONFIDENCE, GRIDS, LABELS, MASK, OVERLAY, pixe
 NAME = "roadtorch"
 
 SECOND = 1.0  # between diagnostics
+ENDING = 0.5  # seconds for callbacks that are running at the end
 STALE = 2.0  # seconds without an image from which diagnostics warn
 
 
@@ -77,8 +78,10 @@ def spin(words: Sequence[str], stop: Stop) -> None:
         thread.start()
         road.work(stop)
     finally:
-        executor.shutdown(timeout_sec=0.5)
+        executor.shutdown(timeout_sec=ENDING)
         rclpy.try_shutdown()
+        if thread.is_alive():  # a thread that Python ends within rclpy's C++ aborts the process
+            thread.join(ENDING)
 
 
 def _spun(executor: Any) -> None:

@@ -15,7 +15,7 @@ from roadtorch.errors import RoadtorchError, fault
 from roadtorch.inputs.bags import camera_info, image_topic, is_bag
 from roadtorch.inputs.item import Source
 from roadtorch.run.loop import Detected, Look, detections
-from roadtorch.run.plan import Output, Writers
+from roadtorch.run.plan import Output, Writer, Writers
 from roadtorch.run.workers import ThisProcess
 from roadtorch.writers.bag import BagWriter
 from roadtorch.writers.grid import Grids
@@ -87,13 +87,15 @@ class MapOutput:
 
     maps: of a picture. asked: the kinds of ``--save``, None where it is not given: of a moving
     source ``overlay`` is a video and ``overlay-frames`` are pictures. gif: its start and end in
-    seconds. topic: of the images in bags; None where they have one.
+    seconds. topic: of the images in bags; None where they have one. view: what else gets the
+    frames of moving sources.
     """
 
     maps: Maps
     asked: tuple[str, ...] | None
     gif: tuple[float, float] | None = None
     topic: str | None = None
+    view: Writer | None = None
 
     def __call__(self, source: Source) -> Output:
         """What is written of that source."""
@@ -122,7 +124,7 @@ class MapOutput:
         draws: dict[str, Callable[[Detection], np.ndarray]] = {"overlay": overlay}
         draws |= {"mask-video": mask_pixels, "likelihood-video": likelihood_pixels}
         with ExitStack() as stack:
-            streams = []
+            streams = [self.view] if self.view else []
             for kind in sorted(own, key=["gif", *VIDEOS, "bag"].index):
                 path = stem.with_name(stem.name + own[kind])
                 if kind == "gif":

@@ -1,7 +1,8 @@
 """P2, Figs. 4b and 4c (layout of CNN-7 and of its teacher), 6a and 6b (road)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -11,20 +12,24 @@ import torch
 from torch import Tensor
 
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import Dataset, every_kth
+from roadtorch.data.dataset import Dataset, LabelledItem, every_kth
+from roadtorch.detector import Detection
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.curves import Curve, area, roc
 from roadtorch.evaluation.evaluate import evaluated
-from roadtorch.evaluation.methods import named_detector
+from roadtorch.evaluation.methods import Contender, Look, named_detector
 from roadtorch.evaluation.metrics import auc
 from roadtorch.evaluation.tally import Part, Tally, of_groups
 from roadtorch.io.atomic import atomic
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
+from roadtorch.road.seed_area import seed_rectangle
 from roadtorch.runtime.progress import watched
 from scripts.figures.chart import tell
 
 EVERY = 16
-"""Figures look at every so-manieth picture."""
+"""Figures look at every so-manieth picture of CamVid; Fig. 6a at twice as many."""
+
+IDD_PICTURES = 50
 
 
 def streets(data: Path, every: int = EVERY) -> Dataset:
@@ -38,14 +43,16 @@ def streets(data: Path, every: int = EVERY) -> Dataset:
 
 
 def scored(
-    dataset: Dataset, detectors: Mapping[str, tuple[str, Mapping[str, Any]]]
+    dataset: Dataset,
+    detectors: Mapping[str, tuple[str, Mapping[str, Any]]],
+    changed: Callable[[Contender], Contender] = lambda contender: contender,
 ) -> Mapping[str, Tally]:
-    """What is counted of detectors; by title, their names and settings.
+    """What is counted of detectors; by title, their names and settings. changed: of each one.
 
     RuntimeError for a picture that fails.
     """
     entries = [
-        replace(named_detector(name, settings), name=title)
+        replace(changed(named_detector(name, settings)), name=title)
         for title, (name, settings) in detectors.items()
     ]
     run = evaluated(dataset, entries, measures=(), watch=watched)
@@ -150,31 +157,76 @@ GAINS = {TEXTURE: "8 %", COMBINED: "24 %"}
 printed in the figure alone.)"""
 
 
+WHOLE = " (isolated areas kept)"
+"""Behind the titles of lines whose likelihood is taken as it is."""
+
+
 def roc_curves(data: Path, out: Path) -> None:
-    """Fig. 6a: ROC curves and their areas, of texture, layout and their product."""
-    tallies = scored(streets(data), LINES)
-    rows = area_rows(tallies)
+    """Fig. 6a: ROC curves and their areas, isolated areas discarded, on CamVid and IDD."""
+    sets = {"camvid": streets(data, EVERY // 2)}
+    if (data / "idd_lite").is_dir():
+        sets["idd"] = every_kth(open_dataset("idd-lite", data / "idd_lite"), IDD_PICTURES)
+    rows = []
+    for name, dataset in sets.items():
+        tallies = {**scored(dataset, LINES, discarding), **scored(dataset, _kept())}
+        rows += [{"set": name, **row} for row in area_rows(tallies)]
+        lines = {title: roc(pooled(tallies[title]).road) for title in LINES}
+        draw_roc(lines, out / f"p2-fig6a-{name}.png")
     tell(out / "p2-fig6a.csv", list(rows[0]), rows)
-    lines = {title: roc(pooled(tally).road) for title, tally in tallies.items()}
-    draw_roc(lines, out / "p2-fig6a.png")
+
+
+def _kept() -> dict[str, tuple[str, Mapping[str, Any]]]:
+    return {title + WHOLE: line for title, line in LINES.items()}
+
+
+def discarding(contender: Contender) -> Contender:
+    """The same with every area discarded that does not touch the seed area, at every threshold."""
+    return replace(contender, prepare=partial(_discarding, contender.prepare))
+
+
+def _discarding(prepare: Callable[[Dataset], Look], dataset: Dataset) -> Look:
+    detect = prepare(dataset)
+
+    def look(image: Tensor, item: LabelledItem) -> Detection:
+        detection = detect(image, item)
+        return replace(detection, likelihood=reaching_seed(detection.likelihood))
+
+    return look
+
+
+def reaching_seed(likelihood: Tensor) -> Tensor:
+    """The highest threshold at which each pixel of a map (H,W) is joined to the seed area.
+
+    Thresholded, it is what is left of the map, thresholded, when isolated areas are discarded
+    (P2, section 6.2): the greyscale reconstruction of the map from its seed area (Vincent 1993).
+    """
+    from skimage.morphology import reconstruction
+
+    values = likelihood.numpy()
+    marker = np.where(seed_rectangle(likelihood.shape).numpy(), values, 0)
+    cross = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]])
+    return torch.from_numpy(reconstruction(marker, values, footprint=cross).astype(np.float32))
 
 
 def area_rows(tallies: Mapping[str, Tally]) -> list[dict[str, str]]:
-    """AUC pooled and by drives, and the gain over the baseline, of each line."""
-    base = float(auc(pooled(tallies[BASELINE]).road))
-    rows = []
-    for title, tally in tallies.items():
-        value = float(auc(pooled(tally).road))
-        mean = fmean(float(auc(drive)) for drive in tally.road.values())
-        rows.append(
-            {
-                "method": title,
-                "AUC, pooled": f"{value:.3f}",
-                "mean of drives": f"{mean:.3f}",
-                "over the baseline": f"{100 * (value / base - 1):+.0f} %",
-                "P2's gain": GAINS.get(title, ""),
-            }
-        )
+    """AUC of each line pooled and by drives, the gains over the baseline, and P2's."""
+
+    def areas(title: str) -> tuple[float, float]:
+        road = tallies[title].road
+        return float(auc(pooled(tallies[title]).road)), fmean(map(float, map(auc, road.values())))
+
+    rows, bases = [], {kind: areas(BASELINE + kind) for kind in ("", WHOLE)}
+    for title in (title for title in tallies if not title.endswith(WHOLE)):
+        row = {"method": title}
+        for kind, base in bases.items():
+            names = ("AUC, pooled", "over LBP", "mean of drives", "over LBP by drives")
+            values = [
+                text
+                for area, of_base in zip(areas(title + kind), base, strict=True)
+                for text in (f"{area:.3f}", f"{100 * (area / of_base - 1):+.0f} %")
+            ]
+            row |= {name + kind: value for name, value in zip(names, values, strict=True)}
+        rows.append(row | {"P2's gain": GAINS.get(title, "")})
     return rows
 
 

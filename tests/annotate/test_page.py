@@ -144,7 +144,7 @@ def test_correct_undo_redo_reload(visit: Open, server: Server) -> None:
     at_version(page, 3)
     page.reload()
     at_version(page, 3)
-    assert "3 clicks" in page.locator("#facts").inner_text()
+    assert "1 click " in page.locator("#facts").inner_text()
     assert (server.corrections()[0].labels == one.labels).all()
 
 
@@ -249,6 +249,18 @@ def test_same_as_last_frame(visit: Open, server: Server) -> None:
     shown(page, "street_2.png")
     first, second = server.corrections()
     assert (first.road == second.road).all()
+
+
+@pytest.mark.slow
+def test_the_last_that_is_right_says_what_learns_from_them(visit: Open, server: Server) -> None:
+    page = visit(server)
+    names = ("street_0.png", "street_1.png", "street_2.png")
+    for count, name in enumerate(names, 1):
+        shown(page, name)
+        press(page, "Enter")
+        tells(page, "progress", f"{count} of 3 right")
+
+    tells(page, "notice", "All done: 3 of 3 right. To learn from them: roadtorch train --config")
 
 
 @pytest.mark.slow

@@ -75,7 +75,7 @@ def test_two_at_once_are_refused(call: Call, footage: Path) -> None:
 def test_report_export_and_import(call: Call, corrected: Path, tmp_path: Path) -> None:
     result = call("annotate", corrected, "--report")
     assert result.exit_code == 0, result.stderr
-    assert "1 pictures, 1 confirmed; 1 clicks, 0.2 minutes" in result.stdout
+    assert "1 pictures, 1 confirmed; 0 clicks, 0.2 minutes" in result.stdout
     result = call("annotate", corrected, "--export", "coco", "--to", tmp_path / "coco")
     assert result.stdout == f"1 pictures written to {tmp_path / 'coco'}\n"
     second = tmp_path / "second"

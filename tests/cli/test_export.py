@@ -33,8 +33,7 @@ def test_export_tells_what_it_wrote_and_nothing_else(
         "  threshold          0.4",
         "parity with Python on 6 rendered pictures: at most 2.0e-05 off (road at 16×16), "
         "1.0e-07 in the mean; allowed 0.0001",
-        "The file is the network alone. It lacks: a soul, trust. "
-        "What it scores beside the detector: docs/export.md",
+        "It lacks: a soul, trust. What that costs: docs/export.md",
     ]
 
 

@@ -191,7 +191,7 @@ def test_logs_of_earlier_versions_are_read(tmp_path: Path) -> None:
     (correction,) = read_corrections(tmp_path)
     assert correction.confirmed
     assert correction.road.tolist() == [[254, 0, 0], [1, 1, 0]]
-    assert (correction.seconds, correction.clicks) == (4.5, 3)
+    assert (correction.seconds, correction.clicks) == (4.5, 1)
 
 
 # --- corrections ------------------------------------------------------------------------

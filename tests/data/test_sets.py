@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import Dataset, Kind, LabelledItem, leave_out
+from roadtorch.data.dataset import Dataset, Kind, leave_out
 from roadtorch.data.folder import with_conditions
 from roadtorch.errors import ConfigError, DatasetError
 from tests.data.conftest import write
@@ -200,14 +200,3 @@ def test_the_documented_set(tmp_path):
     assert found.groups() == ["pass", "valley"]
     assert truth.road[0].tolist() == [False, True, True, False]
     assert truth.valid[0].tolist() == [True, True, True, False]
-
-
-def test_the_documented_reader(tmp_path):
-    write(tmp_path / "a.png", np.array([[0, 100, 255]], np.uint8))
-
-    truth = documented("Probability")().truth(
-        LabelledItem("a", tmp_path / "a.png", tmp_path / "a.png")
-    )
-
-    assert truth.road[0].tolist() == [False, False, True]
-    assert truth.valid[0].tolist() == [True, False, True]

@@ -1,10 +1,12 @@
 """Exported files: what they say, what they say about themselves, and what is refused."""
 
+import os
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -259,3 +261,39 @@ def test_the_example_makes_maps_with_neither_torch_nor_roadtorch(
         expected = exportable(load_detector("fusion")).reference(image)["likelihood"]
         likelihood = read_image((tmp_path / "maps" / "sub" / name).with_suffix(".png"))[0]
         assert torch.allclose(likelihood, expected, atol=1 / 255)
+
+
+# --- C++ ----------------------------------------------------------------------------------
+
+HEADERS = [
+    folder
+    for folder in (os.environ.get("ONNXRUNTIME_INCLUDE", ""), "/usr/include/onnxruntime")
+    if (Path(folder) / "onnxruntime_cxx_api.h").is_file()
+]
+"""Of ONNX Runtime's C++ interface; the library is that of the wheel."""
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="there is no g++")
+@pytest.mark.skipif(not HEADERS, reason="there are no headers (Debian 13: libonnxruntime-dev)")
+def test_the_example_in_cpp_says_what_python_says(fusion: Exported, tmp_path: Path) -> None:
+    runtime = find_spec("onnxruntime")
+    assert runtime is not None
+    (library,) = Path(str(runtime.origin)).parent.glob("capi/libonnxruntime.so.*")
+    program, map_ = tmp_path / "infer", tmp_path / "road.pgm"
+    code = ROOT / "docs" / "examples" / "cpp" / "infer.cpp"
+    compiler = ["g++", "-std=c++17", "-Wall", "-Werror", str(code), "-I", HEADERS[0]]
+    linked = [str(library), "-o", str(program)]
+    (tmp_path / "libonnxruntime.so.1").symlink_to(library)  # the name that it has for programs
+    subprocess.run([*compiler, *linked], check=True)
+    (picture,) = pictures(120, 160)
+    Image.fromarray(picture).save(tmp_path / "street.ppm")
+
+    words = [str(program), str(fusion.files[0]), str(tmp_path / "street.ppm"), str(map_)]
+    environment = {**os.environ, "LD_LIBRARY_PATH": str(tmp_path)}
+    said = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
+
+    outputs = open_onnx(fusion.files[0], 1)(picture[None])
+    share, trust = (outputs["likelihood"] >= 0.5).mean(), float(outputs["trust"][0])
+    assert said.stdout == f"160x120, road {int(100 * share)} %, trust {round(trust, 2):g}\n"
+    read = np.asarray(Image.open(map_)) / 255
+    np.testing.assert_allclose(read, outputs["likelihood"][0], atol=0.51 / 255)

@@ -135,7 +135,7 @@ def check_parity(page: "Page", paths: list[Path]) -> None:
 def test_masks_and_trust_are_those_of_python(visit: Visit, tmp_path: Path) -> None:
     paths = [tmp_path / name for name in ("a.png", "b.png", "wide.png")]
     for path, size in zip(paths, ((240, 320), (333, 500), (120, 400)), strict=True):
-        write_pixels(path, to_pixels(street(*size, seed=len(path.name))))
+        write_pixels(path, to_pixels(street(*size, len(path.name))))
 
     check_parity(visit(), paths)
 

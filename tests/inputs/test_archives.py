@@ -130,8 +130,8 @@ def test_urls_of_folders_files_globs_and_archives(
 
 
 def test_what_is_an_archive() -> None:
-    others = ["rtsp://camera/1", "http://host/a.zip", "a.png", "s3://bucket/set", "folder"]
-    known = ["A.ZIP", "s3://bucket/set.zip", "a.tar.gz"]
+    others = ["rtsp://camera/1", "http://host/a.zip/live", "a.png", "s3://bucket/set", "folder"]
+    known = ["A.ZIP", "http://host/a.zip?key=1", "s3://bucket/set.zip", "a.tar.gz"]
     assert [given for given in (*others, *known) if is_archive(given)] == known
 
 

@@ -2,12 +2,19 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from roadtorch.errors import InputError
 from roadtorch.inputs.item import Item
-from roadtorch.inputs.pictures import find_pictures, label_and_picture, picture_item
+from roadtorch.inputs.pictures import (
+    are_label_maps,
+    find_pictures,
+    label_and_picture,
+    picture_item,
+)
 from roadtorch.io.image import write_colours, write_mask
 
 
@@ -99,3 +106,17 @@ def test_links_to_themselves_are_files_like_others(footage: Path) -> None:
     assert names(find_pictures([footage], apart=footage / "loop.png")) == [
         *("a", "b", "loop", "sub/c", "sub/deep/d")
     ]
+
+
+@pytest.mark.parametrize(
+    ("mode", "values", "expected"),
+    [("L", 34, True), ("P", 20, True), ("L", 200, False), ("RGB", 2, False)],
+)
+def test_a_folder_of_label_maps_is_known_by_its_few_values(
+    mode: str, values: int, expected: bool, tmp_path: Path
+) -> None:
+    levels = np.arange(48 * 64).reshape(48, 64) % values
+    for number in range(3):
+        Image.fromarray(levels.astype(np.uint8)).convert(mode).save(tmp_path / f"{number}.png")
+
+    assert are_label_maps(find_pictures([tmp_path])) == expected

@@ -18,6 +18,7 @@ from roadtorch.evaluation.metrics import auc, count_levels
 from roadtorch.evaluation.result import Evaluation
 from roadtorch.evaluation.tally import Score, Tally
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
+from roadtorch.road.seed_area import remove_isolated, seed_rectangle
 from roadtorch.scenes.street import render_scene
 from scripts.figures import FIGURES, p1, p2, p3_light, p3_table3
 from scripts.figures.chart import apart, middle, spread
@@ -27,7 +28,7 @@ WRITTEN = {
     "p1-table1": {"p1-table1.csv"},
     "p2-fig4b": {"p2-fig4b.csv", "p2-fig4b.png"},
     "p2-fig4c": {"p2-fig4c.csv", "p2-fig4c.png"},
-    "p2-fig6a": {"p2-fig6a.csv", "p2-fig6a.png"},
+    "p2-fig6a": {"p2-fig6a.csv", "p2-fig6a-camvid.png"},
     "p2-fig6b": {"p2-fig6b.csv"},
 }
 """By name of a figure that is made in seconds, the files that it writes."""
@@ -126,6 +127,7 @@ def test_areas_are_pooled_and_by_drive_and_gains_are_over_the_baseline() -> None
         p2.BASELINE: counts(a=base), p2.TEXTURE: counts(a=good),
         "both": counts(a=good, b=([0.1, 0.9], [True, False])),
     }  # fmt: skip
+    tallies |= {title + p2.WHOLE: counts(a=base) for title in tallies}
 
     rows = p2.area_rows(tallies)
 
@@ -133,7 +135,19 @@ def test_areas_are_pooled_and_by_drive_and_gains_are_over_the_baseline() -> None
     # and two ties.
     assert [row["AUC, pooled"] for row in rows] == ["0.500", "1.000", "0.556"]
     assert rows[2]["mean of drives"] == "0.500"
-    assert (rows[1]["over the baseline"], rows[1]["P2's gain"]) == ("+100 %", "8 %")
+    assert (rows[1]["over LBP"], rows[1]["P2's gain"]) == ("+100 %", "8 %")
+    assert {row[f"AUC, pooled{p2.WHOLE}"] for row in rows} == {"0.500"}
+
+
+def test_at_every_threshold_isolated_areas_are_discarded() -> None:
+    likelihood = torch.rand(24, 32, generator=torch.Generator().manual_seed(3))
+    seed = seed_rectangle(likelihood.shape)
+
+    joined = p2.reaching_seed(likelihood)
+
+    for threshold in likelihood[seed].sort().values[:-1].tolist():
+        mask = likelihood >= threshold
+        assert torch.equal(joined >= threshold, remove_isolated(mask, seed))
 
 
 def test_road_accuracy_is_recall_and_its_cost_stands_beside() -> None:

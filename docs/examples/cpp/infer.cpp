@@ -4,13 +4,14 @@
 //   g++ -std=c++17 -O2 infer.cpp -I ORT/include -L ORT/lib -lonnxruntime -o infer
 //   ./infer road.onnx street.ppm road.pgm
 //
-// ORT is a release of ONNX Runtime. Pictures are binary PPM (P6), which any program for pictures
+// ORT is a release of ONNX Runtime (Debian 13: libonnxruntime-dev). Pictures are binary PPM (P6), which any program for pictures
 // writes, so that nothing else is needed; with OpenCV, image.data of a cv::Mat in RGB takes the
 // place of `rgb`.
 
 #include <onnxruntime_cxx_api.h>
 
 #include <array>
+#include <cmath>
 #include <cstdint>
 #include <cstdlib>
 #include <fstream>
@@ -58,9 +59,10 @@ int main(int count, char** words) try {
         memory, picture.rgb.data(), picture.rgb.size(), shape.data(), shape.size());
 
     const char* given[] = {"image"};
-    const char* wanted[] = {"likelihood"};
-    auto found = session.Run(Ort::RunOptions{nullptr}, given, &input, 1, wanted, 1);
+    const char* wanted[] = {"likelihood", "trust"};  // trust: of fusion and fusion:large alone
+    auto found = session.Run(Ort::RunOptions{nullptr}, given, &input, 1, wanted, 2);
     const float* likelihood = found[0].GetTensorData<float>();  // height × width, 0 to 1
+    const float trust = found[1].GetTensorData<float>()[0];
 
     std::ofstream map(words[3], std::ios::binary);
     map << "P5\n" << picture.width << " " << picture.height << "\n255\n";
@@ -71,7 +73,7 @@ int main(int count, char** words) try {
         map.put(static_cast<char>(likelihood[at] * 255 + 0.5f));
     }
     std::cout << picture.width << "x" << picture.height << ", road " << 100 * road / pixels
-              << " %\n";
+              << " %, trust " << std::round(100 * trust) / 100 << "\n";
 } catch (const std::exception& problem) {
     std::cerr << "infer: error: " << problem.what() << "\n";
     return 1;

@@ -22,6 +22,7 @@ const loaded = new Map(); // pictures by name: promises, the last few
 let user = localStorage.roadtorchUser ?? "";
 let pictures = [];
 let stamp = "";
+let learn = ""; // the command that learns from the corrections
 let current = null; // the picture that is shown
 let state = null; // what the server told about it
 let seconds = 0; // at work since the last act
@@ -121,7 +122,7 @@ function tell(found) {
     found.confirmed ? "right ✓" : "",
     found.reviewed.length ? `reviewed by ${found.reviewed.join(", ")}` : "",
     found.trust === null ? "" : `trust ${found.trust.toFixed(2)}`,
-    `${found.clicks} clicks`, `${Math.round(found.seconds)} s`,
+    `${found.clicks} ${found.clicks === 1 ? "click" : "clicks"}`, `${Math.round(found.seconds)} s`,
     found.agreement === null ? "" : `agreement ${(100 * found.agreement).toFixed(1)} %`,
   ];
   by("facts").textContent = facts.filter(Boolean).join(" · ");
@@ -164,6 +165,7 @@ async function refresh() {
     if (answer.status === 204) return;
     const found = await answer.json();
     stamp = found.stamp;
+    learn = found.learn;
     await listed(found.pictures, found.hasty[user]);
   } catch (problem) {
     failed(problem);
@@ -238,7 +240,9 @@ async function right() {
   if (!current) return;
   if (reviewing) return judge(verdict(state, user, true), true);
   const next = following();
+  const last = pictures.every((one) => done(one) || one.name === current.name);
   await send({ kind: "right" });
+  if (last) return notice(`All done: ${pictures.length} of ${pictures.length} right. To learn from them: ${learn}`);
   if (next && next !== current.name) open(next);
 }
 

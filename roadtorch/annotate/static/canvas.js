@@ -9,6 +9,16 @@ export const ROADS = { // the first as infer draws it
   blue: [86, 180, 233], green: [0, 158, 115], yellow: [240, 228, 66],
 };
 
+const TINT = 120, TINT_OF_DARK = 220; // of 255, of the machine's road
+const DARK = 60; // mean grey level of a picture below which a weak tint is not seen
+
+function isDark(bitmap) {
+  const pen = new OffscreenCanvas(16, 16).getContext("2d");
+  pen.drawImage(bitmap, 0, 0, 16, 16);
+  const { data } = pen.getImageData(0, 0, 16, 16);
+  return data.reduce((sum, value, i) => sum + (i % 4 < 3 ? value : 0), 0) / (3 * 256) < DARK;
+}
+
 export class Stage {
   constructor(canvas) {
     Object.assign(this, {
@@ -33,6 +43,7 @@ export class Stage {
     }
     if (!same) {
       Object.assign(this, { hover: -1, drag: new Set(), drawn: [], polygon: [], pending: [] });
+      this.tinted = isDark(picture.bitmap) ? TINT_OF_DARK : TINT;
       this.cross = [picture.size[0] / 2, picture.size[1] * 0.75];
       this.fit();
     }
@@ -114,7 +125,7 @@ export class Stage {
         const right = i % width < width - 1 ? (layers[i + 1] >> 3) & 1 : road;
         const below = i + width < layers.length ? (layers[i + width] >> 3) & 1 : road;
         if (said) [colour, strength] = [SAID[said] ?? this.road, said === 6 ? 90 : 200];
-        else if (road) [colour, strength] = [this.road, 120];
+        else if (road) [colour, strength] = [this.road, this.tinted];
         if (road !== right || road !== below) [colour, strength] = [[255, 255, 255], 255];
       } else {
         const layout = layers[i] >> 4;

@@ -1,0 +1,75 @@
+"""The free pictures that the weights learned from, gathered into one folder.
+
+    python -m train.free_pictures DATA --out PICTURES [--count 500] [--without RECORDING ...]
+
+train/free_pictures.csv has each picture with its SHA-256, source and licence. DATA is searched for
+files of those names; one with other bytes does not count. They are dealt from one recording after
+the other until there are enough, so that no long recording outweighs the others, and are called
+RECORDING_NUMBER, as ``roadtorch train`` tells recordings apart. It ends with 1 where one is
+missing.
+"""
+
+import argparse
+import csv
+import shutil
+import sys
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import chain, islice, zip_longest
+from pathlib import Path
+
+from roadtorch.io.atomic import digest_of
+
+MANIFEST = Path(__file__).with_suffix(".csv")
+
+
+def recordings(manifest: Path = MANIFEST) -> dict[str, list[Mapping[str, str]]]:
+    """The rows of each recording: a file's folder, or its name up to the last ``_``."""
+    rows: dict[str, list[Mapping[str, str]]] = {}
+    with manifest.open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            folder, _, name = row["file"].rpartition("/")
+            rows.setdefault(folder or name.rpartition("_")[0], []).append(row)
+    return rows
+
+
+def dealt(
+    rows: Mapping[str, Sequence[Mapping[str, str]]], count: int | None, without: Collection[str]
+) -> Iterator[tuple[str, Mapping[str, str]]]:
+    """(recording, row), one of each recording in turn; so many, or all where count is None."""
+    hands = [[(name, row) for row in rows[name]] for name in sorted({*rows} - {*without})]
+    return islice(filter(None, chain.from_iterable(zip_longest(*hands))), count)
+
+
+def gathered(data: Path, out: Path, chosen: Iterator[tuple[str, Mapping[str, str]]]) -> list[str]:
+    """Copy pictures from wherever they lie below a folder; the files that are not there."""
+    there: dict[str, list[Path]] = {}
+    for path in data.rglob("*.*"):
+        there.setdefault(path.name, []).append(path)
+    missing, numbers = [], dict[str, int]()
+    out.mkdir(parents=True, exist_ok=True)
+    for recording, row in chosen:
+        named = there.get(Path(row["file"]).name, [])
+        path = next((path for path in named if digest_of(path) == row["sha256"]), None)
+        if path is None:
+            missing.append(row["file"])
+            continue
+        number = numbers[recording] = numbers.get(recording, 0) + 1
+        shutil.copyfile(path, out / f"{recording}_{number:04d}{path.suffix}")
+    return missing
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Gather; the exit status."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("data", type=Path, metavar="DATA")
+    parser.add_argument("--out", type=Path, required=True, metavar="PICTURES")
+    parser.add_argument("--count", type=int)
+    parser.add_argument("--without", nargs="*", default=[], metavar="RECORDING")
+    given = parser.parse_args(words)
+    missing = gathered(given.data, given.out, dealt(recordings(), given.count, given.without))
+    print("\n".join([*(f"missing {name}" for name in missing), f"{len(missing)} missing"]))
+    return int(bool(missing))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
