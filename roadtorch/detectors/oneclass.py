@@ -45,9 +45,10 @@ PAPER = DetectorGrid(
     "oneclass:<classifier>:<planes>:paper",
     "those of which the default is ours, as P3 has them to the letter",
     {
-        f"{_name(classifier, planes)}:paper": "is P3's to the letter without that"
-        for classifier, planes in product(CLASSIFIERS.values(), REPRESENTATIONS)
-        if not classifier.paper
+        f"{_name(classifier, planes)}:paper": reason or "is P3's to the letter without that"
+        for classifier in CLASSIFIERS.values()
+        for planes, names in REPRESENTATIONS.items()
+        if (reason := classifier.refuses(len(names))) or not classifier.paper
     },
 )
 
@@ -136,11 +137,11 @@ def _entries() -> Iterator[Entry]:
         build = partial(Analysis, partial(judged, classifier=classifier, planes=planes))
         if name not in GRID.refused:
             yield Entry(name, summary, kind, build, GRID)
-        if classifier.paper:
+        if f"{name}:paper" not in PAPER.refused:
             letter, values = f"{summary}, to the letter", {"classifier": classifier.paper}
             yield Entry(f"{name}:paper", letter, kind, build, PAPER, values=values)
 
 
 ENTRIES = tuple(_entries())
-"""17 classifiers on 19 representations, but PCA on a single plane: 310. And of the five whose
+"""17 classifiers on 19 representations, but PCA on a single plane: 310. And of the six whose
 defaults are ours P3's own."""

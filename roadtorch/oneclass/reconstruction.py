@@ -177,6 +177,7 @@ PCA = Classifier(
     ComponentSettings,
     fit_components,
     single="one plane has a single principal component, and without it nothing is left",
+    paper={"full": "strict"},
 )
 K_MEANS = Classifier("kmeans", "distance to the nearest of a few means", CentreSettings, fit_means)
 K_CENTRES = Classifier(

@@ -10,10 +10,7 @@ from roadtorch.camera.ground_grid import Grid
 from roadtorch.errors import ConfigError
 from roadtorch.writers.bag import CLASSES
 
-REMEDY = (
-    "source the setup.bash of ROS 2 first, or pip install ros-kilted-rclpy ros-kilted-sensor-msgs "
-    "ros-kilted-nav-msgs ros-kilted-diagnostic-msgs ros-kilted-rmw-fastrtps-cpp"
-)
+REMEDY = "source the setup.bash of ROS 2 first, or pip install 'roadtorch[ros]'"
 
 OK, WARN = 0, 1
 """diagnostic_msgs/DiagnosticStatus, as numbers: its constants are bytes."""

@@ -43,28 +43,69 @@ def mahalanobis(points: Array, mean: Array, covariance: Array) -> Array:
 
 
 def mog2(samples: Array, pixels: Array) -> tuple[Array, float]:
-    """-ln Σ P_n exp(-(x-μ)ᵀ Σ⁻¹ (x-μ)) of pixels (n,d): no ½ and no determinant.
+    """-ln Σ P_n exp(-(x-μ)ᵀ Σ⁻¹ (x-μ)) of pixels (n,d), two Gaussians: no ½ and no determinant."""
+    return formula(likeliest_mixture(samples, 2)[1], samples, pixels)
 
-    Expectation maximisation from 20 random pairs of samples, of which the likeliest stays.
+
+def mog4(samples: Array, pixels: Array) -> tuple[Array, float]:
+    """The same with four Gaussians."""
+    return formula(likeliest_mixture(samples, 4)[1], samples, pixels)
+
+
+def mog_opt(samples: Array, pixels: Array) -> tuple[Array, float]:
+    """The same with as many of one to six as Schwarz's criterion asks for, which P3 leaves open."""
+    count, dimensions = samples.shape
+    each = dimensions + dimensions * (dimensions + 1) // 2
+    found = []
+    for number in range(1, 7):
+        likelihood, mixture = likeliest_mixture(samples, number)
+        found.append((np.log(count) * (number - 1 + number * each) - 2 * likelihood, mixture))
+    return formula(min(found, key=lambda pair: pair[0])[1], samples, pixels)
+
+
+def likeliest_mixture(samples: Array, number: int) -> tuple[float, tuple[Array, Array, Array]]:
+    """Log-likelihood, and shares, means, covariances of so many Gaussians.
+
+    Expectation maximisation from 20 times as many random samples, of which the likeliest stays.
     """
     random = np.random.default_rng(0)
     widening = 0.01 * ((samples - samples.mean(0)) ** 2).mean() + ROUNDING * np.ones(3)
     found = []
-    for _ in range(20):
-        pair = samples[random.choice(len(samples), 2, replace=False)]
-        nearest = distance_matrix(pair, samples).argmin(0)
-        if 2 < nearest.sum() < len(samples) - 2:
-            start = np.stack([nearest == 0, nearest == 1]).astype(float)
+    for _ in range(20 if number > 1 else 1):
+        centres = samples[random.choice(len(samples), number, replace=False)]
+        nearest = distance_matrix(centres, samples).argmin(0)
+        start = np.stack([nearest == one for one in range(number)]).astype(float)
+        if start.sum(1).min() > 0:
             mixture = density.expectation_maximisation(samples, start, widening, 100)
-            found.append((density.log_sum(density.log_parts(samples, *mixture)).sum(), mixture))
-    shares, means, covariances = max(found, key=lambda pair: pair[0])[1]
+            likelihood = density.log_sum(density.log_parts(samples, *mixture)).sum()
+            found.append((float(likelihood), mixture))
+    return max(found, key=lambda pair: pair[0])
+
+
+def formula(
+    mixture: tuple[Array, Array, Array], samples: Array, pixels: Array
+) -> tuple[Array, float]:
+    """P3's formula of a mixture, of pixels, and its boundary."""
 
     def distance(points: Array) -> Array:
         parts = [
             np.log(share) - mahalanobis(points, mean, covariance) ** 2
-            for share, mean, covariance in zip(shares, means, covariances, strict=True)
+            for share, mean, covariance in zip(*mixture, strict=True)
         ]
         return -density.log_sum(np.stack(parts))
+
+    return distance(pixels), rejecting_distance(distance(samples), REJECTED)
+
+
+def pca(samples: Array, pixels: Array) -> tuple[Array, float]:
+    """|(x-μ) - PPᵀ(x-μ)|, P the eigenvectors with 95 % of the variance, all if it takes all."""
+    mean = samples.mean(0)
+    values, vectors = np.linalg.eigh(np.cov(samples.T))
+    shares = np.cumsum(values[::-1]) / values.sum()
+    kept = vectors[:, ::-1][:, : int(np.argmax(shares >= 0.95)) + 1]
+
+    def distance(points: Array) -> Array:
+        return np.linalg.norm((points - mean) - (points - mean) @ kept @ kept.T, axis=1)
 
     return distance(pixels), rejecting_distance(distance(samples), REJECTED)
 
