@@ -34,7 +34,6 @@ from typing import Any, NamedTuple
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
 
 from roadtorch.detectors.catalogue import list_detectors
-from roadtorch.layout.weights import load_network, shipped_weights
 from roadtorch.oneclass import CLASSIFIERS
 from scripts.readme_tables import FUSIONS, MINUS, ROAD, SLOW, TABLES, Records, restated
 
@@ -172,13 +171,9 @@ def _ends(own: str, intervals: Mapping[str, Sequence[float] | None]) -> dict[str
 def records() -> dict[str, float | str]:
     """All records that are kept, and what the code itself says."""
     grid = {name.rpartition(":")[2] for name in list_detectors("oneclass:*")}
-    pictures = (ROOT / "train" / "pictures.csv").read_text(encoding="utf-8").splitlines()
-    weights = load_network(shipped_weights("layout-free")).parameters()
     values: dict[str, float | str] = {
         "facts.classifiers": len(CLASSIFIERS),
         "facts.representations": len(grid),
-        "facts.network.weights": sum(weight.numel() for weight in weights),
-        "facts.training_pictures": len(pictures) - 1,
     }
     for path in sorted(FIGURES.glob("*.json")):
         values |= json.loads(path.read_text(encoding="utf-8"))["values"]

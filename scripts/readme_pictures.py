@@ -1,25 +1,34 @@
-"""The picture of README: what `fusion` makes of free pictures, with their sources.
+"""The pictures of README: what `fusion` makes of free pictures and of a free drive.
 
-    python scripts/readme_pictures.py DATA    # docs/pictures/steps.jpg and sources.csv
+    python scripts/readme_pictures.py DATA    # docs/pictures: steps.jpg, drive.gif, made.json
 
-DATA holds unlabelled_free/. How the drive beside it was made is in the history: train/README.md.
+DATA holds unlabelled_free/ and clips/. docs/pictures/sources.csv says where they are from, and
+made.json has the hashes of the weights and settings that made them, to which a test holds them.
 """
 
 import argparse
-import csv
+import json
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 
 import cv2
 import numpy as np
+from PIL import Image
 
-from roadtorch import load_detector, read_image
+from roadtorch import detect_stream, load_detector, read_image
 from roadtorch.detector import Detection, Detector
+from roadtorch.io.atomic import digest_of
 from roadtorch.io.image import to_pixels
+from roadtorch.layout.weights import FOR_PICTURES, shipped_weights
 from roadtorch.report.montage import TILE_WIDTH, captioned, cue_tiles, heat
 
 CHOSEN = ("udadv_test5.jpg", "mcubes_h07.jpg", "comma10k_0008.jpg", "cat_v11.jpg")
 """A motorway under trees, a street, a bonnet in view, a track: one of each recording."""
+
+DRIVE, DRIVE_SECONDS, DRIVE_WIDTH = "california_tree_shadows.mp4", (3.0, 6.0), 320
+
+EVERY, DURATION, COLOURS = 2, 133, 64  # of 15 frames a second; milliseconds; of the palette
 
 QUALITY = 85  # of JPEG
 OUT = Path(__file__).resolve().parents[1] / "docs" / "pictures"
@@ -52,19 +61,36 @@ def tiles_of(pixels: np.ndarray, detection: Detection) -> dict[str, np.ndarray]:
     }
 
 
-def write_sources(folder: Path, path: Path) -> None:
-    """Repository, path and licence of the chosen pictures."""
-    with (folder / "pictures.csv").open(newline="", encoding="utf-8") as file:
-        rows = [row for row in csv.reader(file)]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows(
-            [rows[0], *(r for r in rows if r[0] in CHOSEN)]
-        )
+def write_drive(clip: Path, path: Path) -> None:
+    """A few seconds of a drive, steadied."""
+    start, end = DRIVE_SECONDS
+    frames = [
+        Image.fromarray(small(detection.overlay())).quantize(COLOURS, dither=Image.Dither.NONE)
+        for detection in detect_stream(clip, load_detector("fusion"))
+        if detection.seconds is not None and start <= detection.seconds < end
+    ][::EVERY]
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=DURATION, loop=0)
+
+
+def small(pixels: np.ndarray) -> np.ndarray:
+    """Pixels (H,W,3) at the width of the drive."""
+    height = round(pixels.shape[0] * DRIVE_WIDTH / pixels.shape[1])
+    return cv2.resize(pixels, (DRIVE_WIDTH, height), interpolation=cv2.INTER_AREA)
+
+
+def made_with() -> dict[str, str]:
+    """Hashes of the weights and settings of `fusion`."""
+    settings = load_detector("fusion").settings.model_dump_json()
+    return {
+        "weights": digest_of(shipped_weights(FOR_PICTURES)),
+        "settings": sha256(settings.encode()).hexdigest(),
+    }
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="The picture of README.")
+    parser = argparse.ArgumentParser(description="The pictures of README.")
     parser.add_argument("data", type=Path)
-    free = parser.parse_args().data / "unlabelled_free"
-    write_steps(free, OUT / "steps.jpg")
-    write_sources(free, OUT / "sources.csv")
+    data = parser.parse_args().data
+    write_steps(data / "unlabelled_free", OUT / "steps.jpg")
+    write_drive(data / "clips" / DRIVE, OUT / "drive.gif")
+    (OUT / "made.json").write_text(f"{json.dumps(made_with(), indent=0)}\n", encoding="utf-8")

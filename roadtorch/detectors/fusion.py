@@ -131,7 +131,7 @@ class PaperFusionSettings(WorkingSettings):
     and tests a uniform one alone. The other two priors are baselines of ours.
     """
 
-    threshold: Threshold = Field(default=0.154, description=TUNED)
+    threshold: Threshold = Field(default=0.131, description=TUNED)
     superpixels: Superpixels = Superpixels()
     weights: WeightsFile = WeightsFile()
     texture: TextureSettings = TextureSettings()

@@ -99,7 +99,7 @@ ENTRIES = (
         "the same, trained to the letter of the paper",
         Cnn7Settings,
         Cnn7,
-        values={"threshold": 0.267, "weights": {"file": "cnn-7-paper"}},
+        values={"threshold": 0.211, "weights": {"file": "cnn-7-paper"}},
     ),
     Entry(
         "labeller",

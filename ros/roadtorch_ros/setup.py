@@ -6,7 +6,7 @@ NAME = "roadtorch_ros"
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version="1.0.0",
     packages=[NAME],
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),

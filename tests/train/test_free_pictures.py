@@ -1,0 +1,51 @@
+"""The free pictures: gathered by their bytes, dealt recording by recording."""
+
+from hashlib import sha256
+from pathlib import Path
+
+import pytest
+
+from roadtorch.layout.weights import read_origin, shipped_weights
+from train import free_pictures
+from train.free_pictures import dealt, main, recordings
+
+
+@pytest.fixture
+def manifest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Three pictures of one recording, two of a folder; data in which one of them has changed."""
+    files = {"one_1.jpg": b"a", "one_2.jpg": b"b", "one_3.jpg": b"c", "two/x.jpg": b"d"}
+    rows = [f"{name},{sha256(data).hexdigest()},r,p,MIT" for name, data in files.items()]
+    path = tmp_path / "told.csv"
+    path.write_text("\n".join(["file,sha256,repo,path,licence", *rows]) + "\n")
+    for name, data in files.items():
+        place = tmp_path / "data" / "deep" / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_bytes(b"changed" if name == "one_3.jpg" else data)
+    monkeypatch.setattr(free_pictures, "recordings", lambda: recordings(path))
+    return tmp_path
+
+
+def test_pictures_are_gathered_under_the_name_of_their_recording(
+    manifest: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status = main([str(manifest / "data"), "--out", str(manifest / "out")])
+
+    assert status == 1
+    assert capsys.readouterr().out.splitlines() == ["missing one_3.jpg", "1 missing"]
+    found = {path.name: path.read_bytes() for path in (manifest / "out").iterdir()}
+    assert found == {"one_0001.jpg": b"a", "one_0002.jpg": b"b", "two_0001.jpg": b"d"}
+
+
+def test_they_are_dealt_one_of_each_recording_in_turn() -> None:
+    rows = {name: [{"file": f"{name}{n}"} for n in range(3)] for name in ("b", "a", "c")}
+
+    hand = [row["file"] for _, row in dealt(rows, 5, {"c"})]
+
+    assert hand == ["a0", "b0", "a1", "b1", "a2"]
+
+
+def test_the_weights_to_the_letter_saw_as_many_as_the_paper_has() -> None:
+    chosen = list(dealt(recordings(), 500, {"vineyard_it", "dnit_br", "comma10k"}))
+
+    assert read_origin(shipped_weights("cnn-7-paper"))["pictures"] == len(chosen) == 500
+    assert sum("/" in row["file"] for _, row in chosen) == 142
