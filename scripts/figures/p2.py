@@ -148,6 +148,7 @@ LINES = {
     "CNN-7, trained as we do": ("layout:cnn-7", {}),
     COMBINED: ("fusion:paper", {}),
     "CNN-7 × CPFv2": ("fusion:paper", {"descriptor": "cpf:v2"}),
+    "CNN-7, trained as we do, × CPF": ("fusion:paper", {"weights": {"file": "cnn-7"}}),
     "row / height (baseline)": ("prior:rows", {}),
 }
 """What Fig. 6a compares; the baseline and the grey one (Fig. 7) are ours to add."""
