@@ -11,46 +11,69 @@ import shutil
 import statistics
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from playwright.sync_api import Page, sync_playwright
 
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.io.image import read_image
 
-ALONE = {
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Cross-Origin-Embedder-Policy": "require-corp",
-}
-STATE = "(({mask, width, trust, ms}) => ({mask: [...mask], width, trust, ms}))(roadtorch.state())"
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+PATIENCE = 60_000  # milliseconds
+
+ALONE = (
+    ("Cross-Origin-Opener-Policy", "same-origin"),
+    ("Cross-Origin-Embedder-Policy", "require-corp"),
+)
 
 
-class Handler(SimpleHTTPRequestHandler):
-    """Serves a folder; ``headers`` go with every file."""
+@contextmanager
+def served(folder: Path, *headers: tuple[str, str]) -> Iterator[str]:
+    """The address of a folder, on the loopback."""
 
-    headers_of_all: dict[str, str]
+    class Handler(SimpleHTTPRequestHandler):
+        def end_headers(self) -> None:
+            for name, value in headers:
+                self.send_header(name, value)
+            super().end_headers()
 
-    def end_headers(self) -> None:
-        """Add the headers."""
-        for name, value in self.headers_of_all.items():
-            self.send_header(name, value)
-        super().end_headers()
+        def log_message(self, *_: object) -> None:
+            pass
 
-    def log_message(self, *_: object) -> None:
-        """Say nothing."""
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(folder)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://localhost:{server.server_port}/"
+    server.shutdown()
+    server.server_close()
 
 
-def status(page: Page, begins: str) -> None:
+def wait_for_status(page: "Page", begins: str) -> None:
     """Wait until the page's status begins with a text."""
     script = "begins => document.getElementById('status').textContent.startsWith(begins)"
-    page.wait_for_function(script, arg=begins, timeout=120_000)
+    page.wait_for_function(script, arg=begins)
 
 
-def measured(page: Page, paths: list[Path]) -> list[tuple[float, float, float, float]]:
+def looked_at(page: "Page", path: Path) -> dict[str, Any]:
+    """What the page finds in a file: mask bool (H,W), trust, and ms that it took."""
+    page.set_input_files("#file", path)
+    wait_for_status(page, path.name)
+    script = "(({mask, width, trust, ms}) => ({mask: [...mask], width, trust, ms}))"
+    state = page.evaluate(f"{script}(roadtorch.state())")
+    state["mask"] = np.array(state["mask"], dtype=bool).reshape(-1, state["width"])
+    return state
+
+
+def measured(page: "Page", paths: list[Path]) -> list[tuple[float, float, float, float]]:
     """Of each picture: share of pixels that differ, trust's difference, both times in ms."""
     detector, rows = load_detector("fusion"), []
     torch.set_num_threads(1)
@@ -59,17 +82,16 @@ def measured(page: Page, paths: list[Path]) -> list[tuple[float, float, float, f
         start = time.perf_counter()
         detection = detector.detect(image)
         elapsed = 1000 * (time.perf_counter() - start)
-        page.set_input_files("#file", path)
-        status(page, path.name)
-        state = page.evaluate(STATE)
-        mask = np.array(state["mask"], dtype=bool).reshape(-1, state["width"])
-        apart = float((mask != detection.mask.numpy()).mean())
+        state = looked_at(page, path)
+        apart = float((state["mask"] != detection.mask.numpy()).mean())
         rows.append((apart, abs(state["trust"] - (detection.trust or 0)), state["ms"], elapsed))
     return rows
 
 
 def main() -> None:
     """Print what was measured."""
+    from playwright.sync_api import sync_playwright
+
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
@@ -77,16 +99,16 @@ def main() -> None:
     parser.add_argument("pictures", type=Path, nargs="+")
     parser.add_argument("--threads", action="store_true")
     options = parser.parse_args()
-    Handler.headers_of_all = ALONE if options.threads else {}
-    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(options.page)))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+    with (
+        served(options.page, *(ALONE if options.threads else ())) as address,
+        sync_playwright() as playwright,
+    ):
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         page = browser.new_page()
+        page.set_default_timeout(PATIENCE)
         start = time.perf_counter()
-        page.goto(f"http://localhost:{server.server_port}/")
-        status(page, "Ready")
+        page.goto(address)
+        wait_for_status(page, "Ready")
         ready = time.perf_counter() - start
         threads = page.inner_text("#status")
         rows = measured(page, options.pictures)

@@ -45,7 +45,7 @@ class Viewer:
         self._listening, token = bound_socket(None, None), secrets.token_urlsafe(24)
         self.address = Address(port=self._listening.getsockname()[1], token=token)
         self._changed, self._number, self._ended = Condition(), 0, False
-        self._pixels, self._about = np.zeros((1, 1, 3), np.uint8), dict[str, str]()
+        self._newest: tuple[Item, Detection] | None = None
         self._times = deque[float](maxlen=RATED)
         routes = [
             Route("/", lambda _: Response(PAGE["view.html"], media_type=TYPES[".html"])),
@@ -75,16 +75,9 @@ class Viewer:
 
     def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
         """Show a frame."""
-        self._times.append(time.monotonic())
-        behind = self._times[-1] - self._times[0]
-        about = {
-            "X-Frame": str(item.number),
-            "X-Trust": "" if detection.trust is None else f"{detection.trust:.2f}",
-            "X-Rate": f"{(len(self._times) - 1) / behind:.1f}" if behind else "",
-        }
         with self._changed:
-            self._pixels, self._about = detection.overlay(), about
-            self._number += 1
+            self._times.append(time.monotonic())
+            self._newest, self._number = (item, detection), self._number + 1
             self._changed.notify_all()
         return {}
 
@@ -96,8 +89,16 @@ class Viewer:
         seen = request.query_params.get("after", "")
         with self._changed:
             self._changed.wait_for(lambda: self._ended or str(self._number) != seen, NEXT)
-            pixels, number, about = self._pixels, str(self._number), self._about
-        if number == seen or not about:
+            newest, number, times = self._newest, str(self._number), [*self._times]
+        if number == seen or newest is None:
             return Response(status_code=410 if self._ended else 204)
-        data = cv2.imencode(".jpg", np.ascontiguousarray(pixels[..., ::-1]))[1].tobytes()
-        return Response(data, headers={**about, "X-Number": number}, media_type="image/jpeg")
+        (item, detection), behind = newest, times[-1] - times[0]
+        about = {
+            "X-Number": number,
+            "X-Frame": str(item.number),
+            "X-Trust": "" if detection.trust is None else f"{detection.trust:.2f}",
+            "X-Rate": f"{(len(times) - 1) / behind:.1f}" if behind else "",
+        }
+        pixels = np.ascontiguousarray(detection.overlay()[..., ::-1])  # drawn for who looks alone
+        data = cv2.imencode(".jpg", pixels)[1].tobytes()
+        return Response(data, headers=about, media_type="image/jpeg")

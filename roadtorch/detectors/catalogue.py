@@ -60,7 +60,7 @@ def load_detector(
         >>> detector("street.jpg").mask.shape
         torch.Size([240, 320])
     """
-    if os.path.isdir(name):
+    if name not in _catalogue() and os.path.isdir(name):
         stored = read_settings_file(Path(name, CONFIG))
         name, settings = str(stored.pop("detector", "")), merge(stored, settings)
     entry = detector_entry(name)

@@ -169,15 +169,12 @@ def roc_curves(data: Path, out: Path) -> None:
         sets["idd"] = every_kth(open_dataset("idd-lite", data / "idd_lite"), IDD_PICTURES)
     rows = []
     for name, dataset in sets.items():
-        tallies = {**scored(dataset, LINES, discarding), **scored(dataset, _kept())}
+        whole = {title + WHOLE: line for title, line in LINES.items()}
+        tallies = {**scored(dataset, LINES, discarding), **scored(dataset, whole)}
         rows += [{"set": name, **row} for row in area_rows(tallies)]
         lines = {title: roc(pooled(tallies[title]).road) for title in LINES}
         draw_roc(lines, out / f"p2-fig6a-{name}.png")
     tell(out / "p2-fig6a.csv", list(rows[0]), rows)
-
-
-def _kept() -> dict[str, tuple[str, Mapping[str, Any]]]:
-    return {title + WHOLE: line for title, line in LINES.items()}
 
 
 def discarding(contender: Contender) -> Contender:

@@ -2,8 +2,6 @@
 
 import io
 import json
-import subprocess
-import sys
 import urllib.error
 import urllib.request
 from email.message import Message
@@ -17,7 +15,10 @@ from PIL import Image
 from roadtorch import Detection
 from roadtorch.annotate.viewer import Viewer
 from roadtorch.inputs.item import Item
+from tests.command import Call, call
 from tests.videos import write_video
+
+__all__ = ["call"]
 
 
 def frame(number: int) -> Item:
@@ -80,19 +81,11 @@ def test_a_stranger_sees_nothing() -> None:
     assert "token: is missing or wrong" in json.loads(body)["error"]
 
 
-def test_infer_prints_the_address_and_ends_as_ever(tmp_path: Path) -> None:
-    write_video(tmp_path / "drive.mp4")
-    command = [sys.executable, "-m", "roadtorch", "infer", "drive.mp4", "--view"]
+def test_infer_prints_the_address_and_ends_as_ever(call: Call, tmp_path: Path) -> None:
+    drive, out = write_video(tmp_path / "drive.mp4"), tmp_path / "roads"
 
-    ended = subprocess.run(
-        [*command, "--detector", "prior:rows"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
+    ended = call("infer", drive, "--view", "--detector", "prior:rows", "--out", out)
 
-    assert ended.returncode == 0, ended.stderr
+    assert ended.exit_code == 0, ended.stderr
     assert ended.stdout.startswith("Open http://127.0.0.1:")
-    assert (tmp_path / "roads" / "drive.overlay.mp4").exists()
+    assert (out / "drive.overlay.mp4").exists()

@@ -31,6 +31,15 @@ def test_the_folder_is_the_detector_wherever_it_lies(folder: Path) -> None:
     assert load_detector(str(folder), threshold=0.7).settings.threshold == 0.7
 
 
+def test_a_folder_that_is_called_as_a_detector_is_not_looked_into(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "fusion").mkdir()
+    monkeypatch.chdir(tmp_path)
+
+    assert load_detector("fusion").name == "fusion"
+
+
 def test_its_cards_say_the_terms_and_link_to_nothing_that_is_not_there(folder: Path) -> None:
     names = {path.name for path in folder.iterdir()}
     assert names == {"model.safetensors", "detector.toml", "README.md", "model.md"}

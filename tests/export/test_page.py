@@ -1,17 +1,12 @@
 """The page for browsers, in a real one: headless Chromium, a plain server of a folder."""
 
-import http.server
 import os
 import shutil
 import subprocess
-import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
 from PIL import Image
 
@@ -21,6 +16,7 @@ from roadtorch.export import page as page_module
 from roadtorch.export.page import RUNTIME_VERSION, export_page
 from roadtorch.io.image import read_image, to_pixels, write_pixels
 from roadtorch.testing import street
+from scripts.browser import CHROMIUM, PATIENCE, looked_at, served, wait_for_status
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -28,10 +24,6 @@ if TYPE_CHECKING:
 sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
 for package in ("onnx", "onnxscript", "onnxruntime"):
     pytest.importorskip(package, reason="the extra onnx is not installed")
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-
-PATIENCE = 60_000  # milliseconds
 
 BROWSER = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium (apt: chromium)")
 
@@ -55,28 +47,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     finally:
         os.chdir(before)
     return root / "page"
-
-
-@contextmanager
-def served(folder: Path, *headers: tuple[str, str]) -> Iterator[str]:
-    """The address of a folder, on the loopback."""
-
-    class Handler(http.server.SimpleHTTPRequestHandler):
-        def end_headers(self) -> None:
-            for name, value in headers:
-                self.send_header(name, value)
-            super().end_headers()
-
-        def log_message(self, *_: object) -> None:
-            pass
-
-    server = http.server.ThreadingHTTPServer(
-        ("127.0.0.1", 0), partial(Handler, directory=str(folder))
-    )
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield f"http://localhost:{server.server_port}/"
-    server.shutdown()
-    server.server_close()
 
 
 @pytest.fixture(scope="module")
@@ -105,21 +75,6 @@ def visit(browser: "Browser", folder: Path) -> Iterator[Visit]:
 
         yield opened
         context.close()
-
-
-def wait_for_status(page: "Page", begins: str) -> None:
-    script = "begins => document.getElementById('status').textContent.startsWith(begins)"
-    page.wait_for_function(script, arg=begins)
-
-
-def looked_at(page: "Page", path: Path) -> dict[str, Any]:
-    """What the page finds in a file: mask bool (H,W) and trust."""
-    page.set_input_files("#file", path)
-    wait_for_status(page, path.name)
-    script = "(({mask, width, height, trust}) => ({mask: [...mask], width, height, trust}))"
-    state = page.evaluate(f"{script}(roadtorch.state())")
-    state["mask"] = np.array(state["mask"], dtype=bool).reshape(state["height"], state["width"])
-    return state
 
 
 def check_parity(page: "Page", paths: list[Path]) -> None:
