@@ -2,7 +2,7 @@
 
     python scripts/readme_figures.py evaluate DATA   # score, keep the records, write the documents
     python scripts/readme_figures.py write           # documents as docs/figures have them
-    python scripts/readme_figures.py check           # is every figure as its record has it?
+    python scripts/readme_figures.py check           # is every number bound, and as recorded?
 
 DATA holds many/, camvid/ and idd_lite/. ``evaluate`` takes about ten minutes on two quiet cores;
 --only NAME… does some of it (camvid-slow, idd-slow: detectors of seconds a picture). A figure is
@@ -11,7 +11,11 @@ bound by a comment right after it, which no reader sees, with the name of a reco
     F of the mask is .827<!-- figure: many.fusion.f_mask --> on average
     the worst camera is `dn_tas500`<!-- figure: many.fusion.f_mask.worst.camera -->
 
-It is said with as many digits as it has there. What stands between ``<!-- table: NAME -->`` and
+It is said with as many digits as it has there. What the code itself says is a record, too:
+``code:MODULE:NAME``, ``setting:DETECTOR:KEY``, ``config:NAME:KEY`` of configs/NAME.toml and
+``card:NAME:SOME_WORDS``, the first number before these words on a card of weights; ``/GiB``
+behind it divides. Every other number that was measured names the study that it is of
+(scripts/readme_numbers.py). What stands between ``<!-- table: NAME -->`` and
 ``<!-- end -->`` is written whole. A file of records is {"command": …, "values": {name: value}};
 names are RUN.DETECTOR.MEASURE, with ``.low`` and ``.high`` its interval, ``@GROUP`` one camera,
 drive or condition, ``.worst`` and ``.worst.camera`` the lowest of the groups, ``.less`` the
@@ -21,20 +25,26 @@ difference to ``fusion``, ``.iou`` that of an F.
 import argparse
 import csv
 import difflib
+import importlib
 import json
 import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 from statistics import fmean
 from typing import Any, NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
 
-from roadtorch.detectors.catalogue import list_detectors
+from roadtorch.detectors.catalogue import detector_entry, list_detectors
+from roadtorch.layout.weights import shipped_weights
 from roadtorch.oneclass import CLASSIFIERS
+from roadtorch.settings import build_settings
+from scripts.readme_numbers import unbound
 from scripts.readme_tables import FUSIONS, MINUS, ROAD, SLOW, TABLES, Records, restated
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -168,15 +178,51 @@ def _ends(own: str, intervals: Mapping[str, Sequence[float] | None]) -> dict[str
     }
 
 
-def records() -> dict[str, float | str]:
+class _Known(dict[str, float | str]):
+    """Records by name, and what the code, settings and cards say where they are asked."""
+
+    def __missing__(self, key: str) -> float | str:
+        kind, _, place = key.partition(":")
+        if kind not in STATED:
+            raise KeyError(key)
+        place, _, unit = place.partition("/")
+        value = STATED[kind](*place.rsplit(":", 1))
+        self[key] = value / SIZES[unit] if unit else value
+        return self[key]
+
+
+def _constant(module: str, name: str) -> Any:
+    return attrgetter(name)(importlib.import_module(module))
+
+
+def _setting(detector: str, key: str) -> Any:
+    entry = detector_entry(detector)
+    return attrgetter(key)(build_settings(entry.settings, entry.values))
+
+
+def _config(name: str, key: str) -> Any:
+    value: Any = tomllib.loads((ROOT / "configs" / f"{name}.toml").read_text(encoding="utf-8"))
+    for part in key.split("."):
+        value = value[part]
+    return value
+
+
+def _on_card(name: str, words: str) -> float:
+    card = shipped_weights(name).with_suffix(".md").read_text(encoding="utf-8")
+    number = re.findall(rf"\b([\d,]*\d) {words.replace('_', ' ')}\b", card)[0]
+    return float(number.replace(",", ""))
+
+
+STATED = {"code": _constant, "setting": _setting, "config": _config, "card": _on_card}
+SIZES = {"GiB": 2**30, "MB": 1e6}
+
+
+def records() -> _Known:
     """All records that are kept, and what the code itself says."""
     grid = {name.rpartition(":")[2] for name in list_detectors("oneclass:*")}
-    values: dict[str, float | str] = {
-        "facts.classifiers": len(CLASSIFIERS),
-        "facts.representations": len(grid),
-    }
+    values = _Known({"facts.classifiers": len(CLASSIFIERS), "facts.representations": len(grid)})
     for path in sorted(FIGURES.glob("*.json")):
-        values |= json.loads(path.read_text(encoding="utf-8"))["values"]
+        values.update(json.loads(path.read_text(encoding="utf-8"))["values"])
     return values
 
 
@@ -238,8 +284,15 @@ def stale() -> Iterator[tuple[Path, str, str]]:
             yield path, before, after
 
 
+def loose() -> Iterator[tuple[Path, list[str]]]:
+    """Documents with numbers that neither a record nor a study stands behind."""
+    for path in documents():
+        if numbers := unbound(path.read_text(encoding="utf-8")):
+            yield path, numbers
+
+
 def main(words: Sequence[str] | None = None) -> int:
-    """Do what is asked; 1 where ``check`` finds a stale figure."""
+    """Do what is asked; 1 where ``check`` finds a stale or a loose figure."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -261,7 +314,10 @@ def main(words: Sequence[str] | None = None) -> int:
         print("\n".join(lines))
         if options.task != "check":
             path.write_text(after, encoding="utf-8")
-    return 1 if changed and options.task == "check" else 0
+    bare = list(loose())
+    for path, numbers in bare:
+        print(f"{path}: of no record and no study: {', '.join(numbers)}")
+    return 1 if options.task == "check" and (changed or bare) else 0
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import argparse
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -26,7 +26,12 @@ from roadtorch.imaging.color import brightened
 from roadtorch.imaging.resize import WorkingSize, at_work, resized, size_of
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, pooled
 from roadtorch.layout.labeller import EXPOSURE, segment_layout
-from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, picture_network_of
+from roadtorch.layout.weights import (
+    FOR_PICTURES,
+    WeightsFile,
+    WholePictureNetwork,
+    picture_network_of,
+)
 from roadtorch.road.ego import continued, ego_found
 from roadtorch.road.fusion import RULES, log_odds, seed_log_odds, segment_road
 from roadtorch.road.seed_area import likely_seed
@@ -59,12 +64,12 @@ VARIANTS = {"all cues": Variant()} | {
 }
 
 
-def odds_of(image: Tensor, networks: Mapping[float, Any]) -> Iterator[tuple[str, Tensor, float]]:
+def odds_of(image: Tensor, network: WholePictureNetwork) -> Iterator[tuple[str, Tensor, float]]:
     """Name, log odds (h,w) and seconds of each way to find the road of an image (3,h,w)."""
     settings = ScratchFusionSettings()
-    for scale, network in networks.items():
+    for scale in SCALES:
         begun = perf_counter()
-        cues = network.cues(image)
+        cues = network.cues(image, scale)
         seconds = perf_counter() - begun
         yield f"network at {scale:g}" if scale != 1 else ALONE, hidden(cues), seconds
         if scale == 1:
@@ -116,15 +121,14 @@ class Counted(NamedTuple):
 @torch.no_grad()
 def counted(many: Path, weights: str) -> tuple[dict[str, Counted], np.ndarray]:
     """Pixels of road and not, by log odds of each way; the cameras of the pictures (n,)."""
-    file = WeightsFile(file=weights)
-    networks = {scale: picture_network_of(file, FOR_PICTURES, scale) for scale in SCALES}
+    network = picture_network_of(WeightsFile(file=weights), FOR_PICTURES, SCALES)
     dataset, rows, cameras = open_dataset("folder", many), {}, []
     for item in tqdm([item for item in dataset.items if item.group not in TOO_FEW], disable=None):
         image, truth = dataset.read(item)
         small = at_work(image, WorkingSize(pixels=256 * 192))
         planes = torch.stack([truth.valid, truth.road & truth.valid]).float()
         valid, road = resized(planes, size_of(small)) > 0.5
-        for name, odds, seconds in odds_of(small, networks):
+        for name, odds, seconds in odds_of(small, network):
             counts = counts_between(odds, Truth(road, valid))
             rows.setdefault(name, []).append((counts, seconds))
         cameras.append(str(item.group))

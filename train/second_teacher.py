@@ -33,7 +33,7 @@ from roadtorch.layout.backbone_network import (
     SamePadded,
 )
 from roadtorch.layout.classes import CLASSES
-from roadtorch.layout.picture_network import EGO, ROAD, mirrored_mean
+from roadtorch.layout.picture_network import EGO, ROAD
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.run.memo import keep, kept
 from roadtorch.settings import read_settings_file
@@ -297,8 +297,9 @@ def taught(
 
     The ego car is known where both say the same.
     """
-    own, found = mirrored_mean(network.cues, image), fusion.detect(image)
-    mirrored = fusion.detect(image.flip(-1))
+    found, mirrored = fusion.detect(image), fusion.detect(image.flip(-1))
+    views = network.cues(image), network.cues(image.flip(-1))
+    own = {name: (views[0][name] + views[1][name].flip(-1)) / 2 for name in views[0]}
     road = (found.likelihood + mirrored.likelihood.flip(-1)) / 2
     layout = (found.cues["layout"] + mirrored.cues["layout"].flip(-1)) / 2
     car = (found.cues["ego"] & mirrored.cues["ego"].flip(-1)).float()

@@ -23,7 +23,7 @@ from roadtorch.imaging.resize import WorkingSize
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, Share, pooled
 from roadtorch.layout.labeller import EXPOSURE, HorizonSettings, decide_layout, segment_layout
 from roadtorch.layout.patch_network import PatchNetwork
-from roadtorch.layout.picture_network import mirrored_mean
+from roadtorch.layout.picture_network import NetworkScale
 from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of, picture_network_of
 from roadtorch.road.ego import continued, ego_found, is_anywhere
 from roadtorch.road.fusion import (
@@ -78,14 +78,12 @@ class FusionSettings(WorkingSettings):
     working: WorkingSize = WorkingSize(pixels=256 * 192)
     outlines: Outlines = "guided"
     weights: WeightsFile = WeightsFile()
-    network_scale: float = Field(
-        default=1.0,
-        ge=0.5,
-        le=4,
-        description="size at which the network sees pictures, against that at which it learned",
-    )
-    views: Literal["one", "mirrored"] = Field(
-        default="one", description="of each picture: itself, or the mean with its mirror image"
+    scales: tuple[NetworkScale, ...] = Field(
+        strict=False,
+        default=(1.0,),
+        min_length=1,
+        max_length=8,
+        description="sizes at which the network sees a picture, against its own; the mean counts",
     )
     calibration: RoadCalibration = RoadCalibration()
     trust: TrustSettings = TrustSettings()
@@ -177,7 +175,7 @@ class Fusion(nn.Module):
     def __init__(self, settings: FusionSettings) -> None:
         super().__init__()
         self.settings = settings
-        self.network = picture_network_of(settings.weights, FOR_PICTURES, settings.network_scale)
+        self.network = picture_network_of(settings.weights, FOR_PICTURES, settings.scales)
 
     @lean
     def forward(self, image: Tensor) -> Mapping[str, Cue]:
@@ -200,9 +198,10 @@ class Fusion(nn.Module):
 
     def learned(self, image: Tensor) -> Mapping[str, Tensor]:
         """What is known from other streets of an image (3,H,W): ``layout``, ``road``, ``ego``."""
-        if self.settings.views == "one":
-            return self.network.cues(image)
-        return mirrored_mean(self.network.cues, image)
+        seen = [self.network.cues(image, scale) for scale in self.settings.scales]
+        if len(seen) == 1:
+            return seen[0]
+        return {name: torch.stack([maps[name] for maps in seen]).mean(0) for name in seen[0]}
 
     def judge(self, mask: Tensor, cues: Mapping[str, Tensor]) -> Judgement:
         """How far a mask bool (H,W) can be trusted; the likelihood is one of the cues."""
@@ -332,12 +331,11 @@ ENTRIES = (
     ),
     Entry(
         "fusion:large",
-        "the same at a third more pixels a side, and mirrored: more often right",
+        "the same, and at a third more pixels a side as well: more often right",
         FusionSettings,
         Fusion,
         values={
-            "network_scale": 4 / 3,
-            "views": "mirrored",
+            "scales": (1.0, 4 / 3),
             "working": {"pixels": 352 * 256},
         },
     ),

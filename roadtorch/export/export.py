@@ -81,7 +81,7 @@ def part_of(detector: Detector) -> Exportable:
             FusedRoad(analysis.network, settings),
             partial(fused_maps, analysis, settings),
             (
-                *("weights", "threshold", "calibration", "network_scale", "views"),
+                *("weights", "threshold", "calibration", "scales"),
                 *("working", "seed_area"),
             ),
             weights_path(settings.weights.file or FOR_PICTURES),

@@ -26,7 +26,7 @@ from roadtorch.layout.patch_network import (
     Normalisation,
     PatchNetwork,
 )
-from roadtorch.layout.picture_network import EGO, potentials_of
+from roadtorch.layout.picture_network import EGO, potentials_of, scaled
 from roadtorch.layout.weights import WholePictureNetwork
 from roadtorch.road.ego import MIN_FREE, MIN_MEAN, PER_SHARE, SOLID, STRIP
 from roadtorch.road.fusion import log_odds
@@ -94,10 +94,9 @@ class FusedRoad(nn.Module):
         planes = planes_of(image)
         full = (planes.shape[-2], planes.shape[-1])
         small = averaged(planes, *size_at_work(planes, settings.working)).clamp(0, 1)
-        maps = potentials(self.network, small)
-        if settings.views == "mirrored":
-            maps = (maps + potentials(self.network, small.flip(-1)).flip(-1)) / 2
-        maps = averaged(maps, *small.shape[-2:]).clamp(0, 1)
+        size = (small.shape[-2], small.shape[-1])
+        seen = [potentials(self.network, small, scale) for scale in settings.scales]
+        maps = torch.stack([averaged(maps, *size).clamp(0, 1) for maps in seen]).mean(0)
         ego = ego_columns(maps[:, EGO])
         layout, road, _ = continued_down(maps, ego).split([CLASSES, 1, 1], 1)
         odds = log_odds(road[:, 0])
@@ -140,10 +139,10 @@ Graph = LearnedLayout | FusedRoad | EveryPixel
 # --- before and behind the network ------------------------------------------------------
 
 
-def potentials(network: WholePictureNetwork, images: Tensor) -> Tensor:
+def potentials(network: WholePictureNetwork, images: Tensor, scale: float = 1.0) -> Tensor:
     """Potentials (N,5,h,w) of images (N,3,H,W) in [0,1], at the size at which the network sees."""
     settings = network.settings
-    seen = averaged(images, settings.height, settings.width).clamp(0, 1)
+    seen = averaged(images, *scaled(settings.height, settings.width, scale)).clamp(0, 1)
     return potentials_of(network(normalised(seen, settings.normalisation)))
 
 

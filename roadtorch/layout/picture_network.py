@@ -7,8 +7,8 @@ half of the size with what the early stages kept (added, after Lin et al., "Feat
 Networks", 2017). One head says sky, vertical, horizontal, the others road and ego car.
 """
 
-from collections.abc import Callable, Mapping
-from typing import ClassVar, cast
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, cast
 
 import torch
 from pydantic import Field
@@ -30,6 +30,12 @@ ROAD, EGO = CLASSES, CLASSES + 1
 """Places of the further outputs, after the classes of the layout."""
 
 OUTPUTS = CLASSES + 2
+
+NetworkScale = Annotated[float, Field(ge=0.25, le=4)]
+"""Of the size at which a network sees pictures, against that for which it is written."""
+
+STEP = 32
+"""Pixels by which the sides differ at which networks see pictures: halved five times."""
 
 
 class PictureNetworkSettings(Settings):
@@ -88,10 +94,14 @@ class PictureNetwork(nn.Module):
         return self.heads(half)
 
     @torch.no_grad()
-    def cues(self, image: Tensor) -> Mapping[str, Tensor]:
-        """Of an image (3,H,W): ``layout`` (3,H,W), ``road`` and ``ego`` (H,W), all in [0,1]."""
+    def cues(self, image: Tensor, scale: float = 1.0) -> Mapping[str, Tensor]:
+        """Of an image (3,H,W): ``layout`` (3,H,W), ``road`` and ``ego`` (H,W), all in [0,1].
+
+        scale: size at which the image is seen, against that for which the network is written.
+        """
         settings = self.settings
-        return cues_of(self, image, (settings.height, settings.width), settings.normalisation)
+        size = scaled(settings.height, settings.width, scale)
+        return cues_of(self, image, size, settings.normalisation)
 
 
 def cues_of(
@@ -105,12 +115,12 @@ def cues_of(
     return {"layout": potentials[:CLASSES], "road": potentials[ROAD], "ego": potentials[EGO]}
 
 
-def mirrored_mean(
-    cues: Callable[[Tensor], Mapping[str, Tensor]], image: Tensor
-) -> Mapping[str, Tensor]:
-    """What ``cues`` says of an image (3,H,W): the mean with what it says of its mirror image."""
-    own, mirrored = cues(image), cues(image.flip(-1))
-    return {name: (maps + mirrored[name].flip(-1)) / 2 for name, maps in own.items()}
+def scaled(height: int, width: int, scale: float) -> tuple[int, int]:
+    """A height and width so many times as large, as multiples of ``STEP``; at 1 as they are."""
+    if scale == 1:
+        return height, width
+    rows, columns = (max(1, round(scale * side / STEP)) * STEP for side in (height, width))
+    return rows, columns
 
 
 class Stage(nn.Sequential):

@@ -4,7 +4,7 @@ import copy
 import json
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
@@ -42,9 +42,6 @@ STATED = re.compile(r"^\|\s*sha256\s*\|\s*`([0-9a-f]{64})`\s*\|", re.MULTILINE)
 
 TERMS = re.compile(r"^\|\s*terms\s*\|\s*(.+?)\s*\|$", re.MULTILINE)
 """The row of a card that says in a few words what the weights may be used for."""
-
-STEP = 32
-"""Pixels by which the sides differ at which networks see pictures: halved five times."""
 
 MAX_CARD_BYTES = 2**20
 """Bytes; ours: cards have thousands."""
@@ -297,16 +294,15 @@ def network_of(weights: WeightsFile, shipped: str, *kinds: type[Network]) -> Net
 
 
 def picture_network_of(
-    weights: WeightsFile, shipped: str, scale: float = 1.0
+    weights: WeightsFile, shipped: str, scales: Sequence[float] = (1.0,)
 ) -> WholePictureNetwork:
-    """The same for a network that sees whole pictures, so many times as large as it learned them.
+    """The same for a network that sees whole pictures, and will at these scales.
 
-    It has run once: torch makes the programs of its convolutions in the first run, which takes
-    twice as long as a later one.
+    It has run once at each: torch makes the programs of its convolutions in the first run, which
+    takes twice as long as a later one.
     """
     network = network_of(weights, shipped, PictureNetwork, BackboneNetwork)
-    learned = (network.settings.height, network.settings.width)
-    height, width = (max(1, round(scale * side / STEP)) * STEP for side in learned)
-    sized = network_at(network, height, width) if scale != 1 else network
-    sized.cues(torch.zeros(3, *learned))
-    return sized
+    nothing = torch.zeros(3, network.settings.height, network.settings.width)
+    for scale in scales:
+        network.cues(nothing, scale)
+    return network

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field, create_model
 
@@ -11,7 +11,7 @@ from roadtorch.imaging.resize import WorkingSize
 from roadtorch.layout.backbone_network import BackboneNetworkSettings
 from roadtorch.layout.labeller import LabellerSettings
 from roadtorch.layout.patch_network import PatchNetworkSettings
-from roadtorch.layout.picture_network import PictureNetworkSettings
+from roadtorch.layout.picture_network import NetworkScale, PictureNetworkSettings
 from roadtorch.settings import Settings, build_settings
 from roadtorch.superpixels.slic import Superpixels
 from roadtorch.train.augmentation import Augmentation, Fraction, GreyLevels
@@ -202,9 +202,6 @@ class HeadWeights(Settings):
 
     road: float = Field(default=1.0, ge=0, le=100, description="of the road's loss")
     ego: float = Field(default=0.5, ge=0, le=100, description="of the ego car's loss")
-
-
-NetworkScale = Annotated[float, Field(ge=0.25, le=4)]
 
 
 class Rounds(Settings):

@@ -17,8 +17,14 @@ from roadtorch.inputs.item import Item
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, SKY
 from roadtorch.layout.patch_network import normalise
-from roadtorch.layout.picture_network import EGO, ROAD, PictureNetwork, PictureNetworkSettings
-from roadtorch.layout.weights import STEP, WholePictureNetwork
+from roadtorch.layout.picture_network import (
+    EGO,
+    ROAD,
+    PictureNetwork,
+    PictureNetworkSettings,
+    scaled,
+)
+from roadtorch.layout.weights import WholePictureNetwork
 from roadtorch.run.memo import Arrays, cached_arrays, file_digests
 from roadtorch.runtime.signals import Stop
 from roadtorch.train import augmentation
@@ -89,8 +95,7 @@ class PictureSamples:
         scales = training.scales
         scale = scales[int(torch.randint(len(scales), (), generator=generator))]
         if scale != 1:
-            height, width = (max(1, round(scale * side / STEP)) * STEP for side in size)
-            images, targets = (resized(maps, (height, width)) for maps in (images, targets))
+            images, targets = (resized(maps, scaled(*size, scale)) for maps in (images, targets))
         yield Batch(images, targets, torch.ones(len(images)))
 
     def _one(self, member: int, frame: Tensor, seed: int) -> tuple[Tensor, Tensor]:

@@ -13,9 +13,10 @@ from roadtorch.detectors import fusion
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.fusion import RoadCalibration, ScratchFusionSettings, calibrated
 from roadtorch.errors import WeightsError
+from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import label_layout
-from roadtorch.layout.weights import FOR_PICTURES, load_network, shipped_weights
+from roadtorch.layout.weights import FOR_PICTURES, load_network, network_at, shipped_weights
 from roadtorch.road.fusion import RULES, Exponents, log_odds, prior_rows, segment_road
 from tests.networks import write_ego_network
 from tests.streets import lost_highlights
@@ -95,22 +96,23 @@ def test_what_the_network_has_learned_about_the_road_counts_pixel_by_pixel() -> 
     np.testing.assert_allclose(fine.likelihood, odds.sigmoid(), atol=2e-4, rtol=0.0)
 
 
-def test_the_likelihood_is_the_network_road_calibrated_and_of_both_views_when_told() -> None:
+def test_the_likelihood_is_the_network_road_calibrated_and_the_mean_of_its_scales() -> None:
     usual = {"centre": 0.5, "temperature": 2.0}
     plain = {"calibration": usual, "outlines": "smooth", "working": {"pixels": 96 * 128}}
     image = street()
 
     once = load_detector("fusion", **plain).detect(image)
-    both = load_detector("fusion", views="mirrored", **plain).detect(image)
+    both = load_detector("fusion", scales=(1.0, 1.5), **plain).detect(image)
 
-    def road(of: Tensor) -> Tensor:
-        return load_network(shipped_weights(FOR_PICTURES)).cues(of)["road"]
+    network = load_network(shipped_weights(FOR_PICTURES))
+    assert isinstance(network, BackboneNetwork)
+    larger = network_at(network, 288, 384)
 
     calibration = RoadCalibration(**usual)
-    wanted = calibrated(log_odds(road(image)), calibration)
+    wanted = calibrated(log_odds(network.cues(image)["road"]), calibration)
     free = ~once.cues["ego"]
     np.testing.assert_allclose(once.likelihood[free], wanted[free], atol=2e-3, rtol=0.0)
-    mean = (road(image) + road(image.flip(-1)).flip(-1)) / 2
+    mean = (network.cues(image)["road"] + larger.cues(image)["road"]) / 2
     wanted = calibrated(log_odds(mean), calibration)
     free = ~both.cues["ego"]
     np.testing.assert_allclose(both.likelihood[free], wanted[free], atol=2e-3, rtol=0.0)

@@ -115,6 +115,8 @@ def candidates(name: str, path: tuple[str, ...], default: Any) -> Iterator[Any]:
         yield [0.5, 0.8]
     elif path == ("working", "pixels"):
         yield 2000
+    elif path == ("scales",):
+        yield [1.0, 2.0]
     elif isinstance(default, tuple):
         yield list(default[:2])
     elif isinstance(default, str):

@@ -6,8 +6,6 @@ import pytest
 import torch
 from torch.nn import functional as F
 
-from roadtorch import load_detector
-from roadtorch.detectors.fusion import Fusion
 from roadtorch.layout.backbone_network import (
     BLOCKS,
     Backbone,
@@ -21,6 +19,7 @@ from roadtorch.layout.picture_network import (
     PictureNetworkSettings,
     place_planes,
     potentials_of,
+    scaled,
 )
 from roadtorch.layout.weights import (
     WholePictureNetwork,
@@ -159,13 +158,16 @@ def test_the_shipped_weights_say_what_the_backbone_has_seen() -> None:
     assert path.stat().st_size < 6_000_000
 
 
-def test_fusion_large_sees_a_third_more_pixels_a_side() -> None:
-    networks = []
-    for name in ("fusion", "fusion:large"):
-        analysis = load_detector(name).analysis
-        assert isinstance(analysis, Fusion)
-        networks.append(analysis.network.settings)
-    usual, large = networks
-    assert (usual.height, usual.width) == (192, 256)
-    assert (large.height, large.width) == (256, 352)  # multiples of 32
-    assert large.model_copy(update={"height": usual.height, "width": usual.width}) == usual
+@pytest.mark.parametrize(
+    ("size", "scale", "seen"),
+    [
+        ((192, 256), 1.0, (192, 256)),
+        ((192, 256), 4 / 3, (256, 352)),  # multiples of 32
+        ((120, 160), 1.0, (120, 160)),  # its own, which is none
+        ((32, 32), 0.5, (32, 32)),  # never nothing
+    ],
+)
+def test_a_network_sees_multiples_of_32_pixels(
+    size: tuple[int, int], scale: float, seen: tuple[int, int]
+) -> None:
+    assert scaled(*size, scale) == seen

@@ -2,6 +2,7 @@
 
 import json
 import re
+import subprocess
 from pathlib import Path
 
 import cv2
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from roadtorch.scenes.street import render_scene, write_picture
-from scripts import readme_figures, readme_tables
+from scripts import readme_figures, readme_numbers, readme_tables
 from scripts.readme_tables import Table, restated
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -18,6 +19,78 @@ KNOWN = {"many.f": 0.82708, "many.f.low": 0.8, "many.f.high": 0.84, "b.f": 0.9, 
 
 def test_every_bound_figure_is_as_its_record_has_it() -> None:
     assert [path for path, _, _ in readme_figures.stale()] == []
+
+
+def test_every_number_of_a_page_about_today_is_bound() -> None:
+    assert list(readme_figures.loose()) == []
+
+
+PAGES = ("README", *(f"docs/{name}" for name in ("adapting", "bags", "camera", "export", "faq")))
+PAGES += tuple(f"docs/{name}" for name in ("footage", "grid", "how/index", "limits", "results"))
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_a_changed_figure_and_a_new_one_are_noticed(page: str) -> None:
+    text = (ROOT / f"{page}.md").read_text("utf-8")
+    figure = next(match for match in readme_figures.MARK.finditer(text) if match["said"][-1] != "`")
+    digit = re.search(r"\d(?=\D*$)", figure["said"])
+    assert digit
+    place = figure.start() + digit.start()
+    other = str((int(digit[0]) + 1) % 10)
+
+    changed = text[:place] + other + text[place + 1 :]
+
+    assert readme_figures.rewritten(changed, readme_figures.records()) == text
+    assert readme_numbers.unbound(f"{text}\n## News\n\nF is .731 now.\n") == [".731"]
+
+
+def test_a_study_names_a_commit_of_the_history_and_its_date() -> None:
+    told = {
+        study
+        for path in readme_figures.documents()
+        for study in readme_numbers.studies(path.read_text("utf-8"))
+    }
+    history = subprocess.run(
+        ["git", "log", "--all", "--format=%h %cs", "--abbrev=7"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    ).stdout.split("\n")
+    if len(history) < 100:
+        pytest.skip("the history is not here")
+
+    assert {f"{commit} {date}" for commit, date in told} <= set(history)
+
+
+@pytest.mark.parametrize(
+    ("page", "numbers"),
+    [
+        ("F is .9 here, and 5 % is lost in 3 ms.", [".9", "5 %", "3 ms"]),
+        ("F is .9<!-- figure: many.f --> here, 5 %<!-- figure: lost --> lost.", []),
+        ("Python 3.11, 3.12 or 3.13, arXiv 1412.3506, eq. 2.1, 127.0.0.1: 4 classes, `.5`", []),
+        ("A formula, $x = .5$, and code:\n\n```\nF .5\n```\n", []),
+        ("It rose by .1 (at 1234567, 2026-01-02).\n\nIt fell by .2.", [".2"]),
+        ("- It rose by .1 (at 1234567, 2026-01-02).\n- It fell by .2.", [".2"]),
+        ("# Page\n\nMeasured at 1234567, 2026-01-02.\n\n## Part\n\nF .1", []),
+        ("# Page\n\n## One\n\nMeasured at 1234567, 2026-01-02.\n\n.1\n\n## Two\n\n.2", [".2"]),
+    ],
+)
+def test_a_number_is_bound_of_a_study_or_alone(page: str, numbers: list[str]) -> None:
+    assert readme_numbers.unbound(page) == numbers
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("code:roadtorch.io.bounded:MAX_BYTES/GiB", 1),
+        ("setting:fusion:working.pixels", 256 * 192),
+        ("setting:fusion:paper:descriptor", "cpf"),
+        ("config:adapt:stopping.epochs", 6),
+    ],
+)
+def test_what_the_code_says_is_a_record(key: str, value: float | str) -> None:
+    assert readme_figures.records()[key] == value
 
 
 def test_no_record_is_kept_that_no_document_uses() -> None:
