@@ -32,7 +32,8 @@ HIDDEN = (
 
 UNITS = (
     *("ms", "s", "seconds?", "minutes?", "hours?", "[KMG]i?B", "bytes", "Hz", "fps"),
-    *("cm", "m", "degrees", "times", "pixels", "pictures", "images", "frames", "worlds"),
+    *("cm", "m", "degrees", "times", "pixels", "images", "frames", "worlds", "weights"),
+    r"(?:(?:real|rendered|free) )?(?:pictures|streets)",
 )
 MEASURED = re.compile(
     r"(?<![\w.,/-])"

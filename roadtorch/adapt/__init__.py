@@ -1,1 +1,1 @@
-"""Adaptation: a network that goes on learning from one's own footage, and whether it paid."""
+"""Adaptation: fine-tune a network on one's own footage, and judge whether that helped."""

@@ -1,9 +1,9 @@
-"""What teaches: a larger look at each frame, and what the frames around say of the same places.
+"""The teacher: a larger detector's prediction for each frame, averaged over neighbouring frames.
 
-The larger look is a detector's, from outside what learns. It wavers from frame to frame; a place
-that is seen in ten frames is looked at ten times, from near and from far. So log odds of road are
-carried there and back along the motion of the picture (``road.steady``). Where pictures do not
-follow one another nothing is carried, and the look stays as it is. Ours.
+The teacher's predictions waver from frame to frame, and a place
+that ten frames show is predicted ten times, from near and from far. So log odds of road are
+carried there and back along the motion of the picture (``road.steady``). Pictures that are not
+consecutive keep their own predictions. Ours.
 """
 
 from pathlib import Path
@@ -30,7 +30,7 @@ def write_taught(
 ) -> Signals | None:
     """Write what training needs of all frames into the folder ``prepared``.
 
-    looks: the folder of the larger looks; what is in either, of these
+    looks: the folder of its predictions; what is in either, of these
     frames and settings, is kept. Gives the signal that cut
     it short. Memory is linear in the frames, 0.5 MB each.
     """

@@ -84,16 +84,16 @@ class Verdict(NamedTuple):
             return f"{self.word}: {self.reason}"
         change = self.change
         outcome = {
-            "adopt": "comes closer",
-            "do not adopt": "does not come closer",
-            "cannot tell": "may or may not come closer",
+            "adopt": "agrees better",
+            "do not adopt": "agrees less",
+            "cannot tell": "may or may not agree better",
         }[self.word]
         text = (
-            f"{self.word}: on {self.frames} frames that it had not seen, the mask {outcome} to "
-            f"what a larger look says: F {self.before:.3f} to {self.after:.3f}, "
+            f"{self.word}: on {self.frames} held-out frames the mask {outcome} with the teacher: "
+            f"F {self.before:.3f} to {self.after:.3f}, "
             f"{self.after - self.before:+.3f} ({change.low:+.3f} to {change.high:+.3f})"
         )
-        return text + (f"; both halves together {self.both:.3f}" if change.high < 0 else "")
+        return text + (f"; averaged network {self.both:.3f}" if change.high < 0 else "")
 
 
 def judged_half(

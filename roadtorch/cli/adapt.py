@@ -1,4 +1,4 @@
-"""roadtorch adapt: a network that goes on learning from footage, and whether it paid."""
+"""roadtorch adapt: fine-tune the network of fusion on footage, without labels."""
 
 from pathlib import Path
 
@@ -14,7 +14,9 @@ SHOWN = 60
 
 @click.command()
 @FOOTAGE
-@click.option("--out", type=PATH, required=True, help="Folder of this run; a second run goes on.")
+@click.option(
+    "--out", type=PATH, required=True, help="Folder of this run; a second run resumes it."
+)
 @click.option(
     "--frames",
     "most",
@@ -39,10 +41,10 @@ def adapt(
     threads: int | None,
     quiet: bool,
 ) -> None:
-    """Adapt the network of fusion to footage, without labels, and say whether it paid.
+    """Fine-tune the network of fusion on footage, without labels, and report whether it helped.
 
     FOOTAGE: pictures, folders, quoted globs, videos, bags; some minutes of one camera. Each half
-    of it teaches a network that is judged on the other half; the last line says adopt, do not
+    of it trains a network that is judged on the other half; the last line says adopt, do not
     adopt, or cannot tell, and why.
 
     \b
@@ -50,8 +52,8 @@ def adapt(
       weights.safetensors  for infer --set weights.file=OUT/weights.safetensors
       camera.toml          what stays the same, for infer --camera; where the footage shows it
       adaptation.html      before and after, on pictures
-      frames/, looks/      the frames that were learned from, and what a larger look says of each
-      prepared/            the same, and what the frames around say
+      frames/, looks/      the sampled frames, and the teacher's prediction for each
+      prepared/            the same, averaged with those of the frames around
       first/, second/      the run of each half
     """
     import torch
@@ -71,13 +73,13 @@ def adapt(
     values = merge(read_settings_file(config_file(CONFIG)), parse_assignments(assignments))
     training = build_training(values)
     if not isinstance(training, PictureTraining) or not training.start:
-        message = "adaptation goes on with a network for whole pictures"
+        message = "adaptation starts from a network for whole pictures"
         raise ConfigError("kind, start", message, "leave kind as it is, and give start=WEIGHTS")
     scored = None if labelled is None else open_named(labelled)
     done = run(footage, out, training, most, quiet)
     outcome, verdict, frames = done.outcome, str(done.verdict), done.frames
     if outcome.interrupted:
-        text = f"roadtorch: stopped by {outcome.interrupted.name}; the same command goes on"
+        text = f"roadtorch: stopped by {outcome.interrupted.name}; run the same command again to resume"
         click.echo(text, err=True)
         context.exit(128 + outcome.interrupted)
     request = Request(frames.glob(), out, prepared=done.prepared, quiet=quiet)

@@ -46,7 +46,7 @@ def annotate(
     """Correct the machine's labels of the pictures in FOLDER, in a page in your browser.
 
     The page is served to this computer alone, to whoever has its address. Every stroke is on disk
-    at once; a second run goes on where the first one stopped.
+    at once; a second run resumes where the first one stopped.
     """
     out = out or folder / "corrections"
     if reports:

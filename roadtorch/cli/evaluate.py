@@ -59,7 +59,7 @@ def evaluate(
     Every picture is read once and shown to every detector. Beside them stand blind
     baselines, which never look at the picture: prior:rows, prior:triangle and, where other
     groups can teach it, prior:mean.
-    A run that is interrupted goes on where it was when it is started again.
+    Start an interrupted run again to resume it.
     """
     from roadtorch.data.catalogue import open_named
     from roadtorch.data.folder import with_conditions

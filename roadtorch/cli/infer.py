@@ -152,7 +152,7 @@ def infer(
     NAME.mp4 gives NAME.overlay.mp4, and on demand these files for each frame,
     NAME/000123.mask.png. Each bag gives NAME.overlay.mp4 and the bag NAME.road
     (of ROS 1: NAME.road.bag). index.csv lists every picture and frame, run.json
-    says how it was made. A second run goes on where the first one stopped.
+    says how it was made. A second run resumes where the first one stopped.
     """
     if not inputs and not print_config:
         raise click.UsageError("Missing argument 'INPUT...'", context)

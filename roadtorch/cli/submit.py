@@ -32,7 +32,7 @@ def submit(
     ROOT holds image_2 and calib, or testing/image_2 and testing/calib. The picture
     um_000012 gives um_road_000012.png, its likelihood in bird's-eye view (800 by 400, 8
     bits), and all of them submission.zip once every picture is done. index.csv lists the
-    pictures. A second run goes on where the first one stopped.
+    pictures. A second run resumes where the first one stopped.
     """
     from roadtorch.data.kitti import base_folder, calib_folder
     from roadtorch.inputs.find import Inputs

@@ -69,7 +69,7 @@ def train(
       weights.safetensors  the network; also after an interruption, as far as it is
       log.csv, curve.png   the error of each epoch
       pictures.csv         which pictures were used, and why others were not
-      checkpoint.pt        where --resume goes on; Ctrl-C and SIGTERM leave one
+      checkpoint.pt        for --resume; Ctrl-C and SIGTERM leave one
       prepared/            small copies of the pictures with their labels, made once
       weights.md           with --corrections: the card that says so
       adaptation.html      with start in the config: pictures, trust, agreement before and after
@@ -97,7 +97,7 @@ def train(
     request = Request(images, out, resume, prepared, quiet, people)
     outcome = run(training, request)
     if outcome.interrupted:
-        text = f"roadtorch: stopped by {outcome.interrupted.name}; go on with --resume"
+        text = f"roadtorch: stopped by {outcome.interrupted.name}; resume with --resume"
         click.echo(text, err=True)
         context.exit(128 + outcome.interrupted)
     if not quiet:

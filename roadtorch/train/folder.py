@@ -103,7 +103,7 @@ class RunFolder:
                     raise ConfigError(self.path, message, ELSEWHERE)
             return
         if not resume:
-            remedy = "go on with --resume, or give another --out"
+            remedy = "continue it with --resume, or give another --out"
             raise ConfigError(self.path, "holds a run already", remedy)
         then, now = flat(before["config"]), flat(record["config"])
         for key in {**now, **then}:

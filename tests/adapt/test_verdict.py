@@ -145,11 +145,11 @@ def test_a_verdict_needs_a_change_on_frames_that_were_not_seen(
 @pytest.mark.parametrize(
     ("half", "sentence"),
     [
-        (([50] * 24, [60] * 24, [60] * 24), "adopt: on 24 frames that it had not seen, the mask "
-         "comes closer to what a larger look says: F 0.667 to 0.750, +0.083 (+0.083 to +0.083)"),
-        (([60] * 24, [50] * 24, [70] * 24), "cannot tell: on 24 frames that it had not seen, the "
-         "mask may or may not come closer to what a larger look says: F 0.750 to 0.667, -0.083 "
-         "(-0.083 to -0.083); both halves together 0.824"),
+        (([50] * 24, [60] * 24, [60] * 24), "adopt: on 24 held-out frames the mask agrees better "
+         "with the teacher: F 0.667 to 0.750, +0.083 (+0.083 to +0.083)"),
+        (([60] * 24, [50] * 24, [70] * 24), "cannot tell: on 24 held-out frames the mask may or "
+         "may not agree better with the teacher: F 0.750 to 0.667, -0.083 "
+         "(-0.083 to -0.083); averaged network 0.824"),
         (([10] * 15, [90] * 15, [90] * 15), "cannot tell: 15 frames are too few to judge by"),
     ],
 )  # fmt: skip

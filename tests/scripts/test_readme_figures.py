@@ -44,11 +44,13 @@ def test_a_changed_figure_and_a_new_one_are_noticed(page: str) -> None:
     assert readme_numbers.unbound(f"{text}\n## News\n\nF is .731 now.\n") == [".731"]
 
 
-def test_a_study_names_a_commit_of_the_history_and_its_date() -> None:
-    told = {
-        study
-        for path in readme_figures.documents()
-        for study in readme_numbers.studies(path.read_text("utf-8"))
+def test_pages_name_commits_of_the_history_and_their_dates() -> None:
+    pages = [path.read_text("utf-8") for path in readme_figures.documents()]
+    told = {study for page in pages for study in readme_numbers.studies(page)}
+    named = {
+        commit
+        for page in pages
+        for commit in re.findall(r"\b(?:at|by|of|to|in) ([0-9a-f]{7})\b", page)
     }
     history = subprocess.run(
         ["git", "log", "--all", "--format=%h %cs", "--abbrev=7"],
@@ -61,6 +63,7 @@ def test_a_study_names_a_commit_of_the_history_and_its_date() -> None:
         pytest.skip("the history is not here")
 
     assert {f"{commit} {date}" for commit, date in told} <= set(history)
+    assert named <= {line.partition(" ")[0] for line in history}
 
 
 @pytest.mark.parametrize(

@@ -217,7 +217,7 @@ def test_the_status_of_the_command_names_the_signal(
         main(["train", *map(str, words)])
 
     assert left.value.code == 143
-    assert capsys.readouterr().err.endswith("stopped by SIGTERM; go on with --resume\n")
+    assert capsys.readouterr().err.endswith("stopped by SIGTERM; resume with --resume\n")
     assert (out / "checkpoint.pt").exists()
     assert load_network(out / "weights.safetensors")
     assert read_origin(out / "weights.safetensors")["finished"] is False
