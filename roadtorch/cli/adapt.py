@@ -79,7 +79,8 @@ def adapt(
     done = run(footage, out, training, most, quiet)
     outcome, verdict, frames = done.outcome, str(done.verdict), done.frames
     if outcome.interrupted:
-        text = f"roadtorch: stopped by {outcome.interrupted.name}; run the same command again to resume"
+        signal = outcome.interrupted.name
+        text = f"roadtorch: stopped by {signal}; run the same command again to resume"
         click.echo(text, err=True)
         context.exit(128 + outcome.interrupted)
     request = Request(frames.glob(), out, prepared=done.prepared, quiet=quiet)
