@@ -9,7 +9,7 @@ import click
 @click.option("--json", "machine_readable", is_flag=True, help="For programs.")
 @click.pass_context
 def doctor(context: click.Context, machine_readable: bool) -> None:
-    """Look at this installation and try it on a rendered street, in about five seconds.
+    """Check this installation and run it on a rendered street, in about five seconds.
 
     Versions, threads, picture and video formats, extras, the weights' hashes, and of the street:
     F, time and memory. Paste what it prints into a report. The exit code is 1 when something is

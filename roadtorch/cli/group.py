@@ -20,14 +20,14 @@ from roadtorch.version import __version__
 
 # name: (module:attribute, summary). The summary is here so that help imports no command.
 COMMANDS = {
-    "adapt": ("roadtorch.cli.adapt:adapt", "Adapt the network to footage, and say if it paid."),
+    "adapt": ("roadtorch.cli.adapt:adapt", "Fine-tune the network on footage, without labels."),
     "annotate": ("roadtorch.cli.annotate:annotate", "Correct machine labels in a page."),
-    "camera": ("roadtorch.cli.camera:camera", "Find what stays the same in one camera's footage."),
+    "camera": ("roadtorch.cli.camera:camera", "Find ego car and horizon in a camera's footage."),
     "compare": ("roadtorch.cli.compare:compare", "Compare two weights, configs or map folders."),
     "detectors": ("roadtorch.cli.detectors:detectors", "List the detectors, or explain one."),
-    "doctor": ("roadtorch.cli.doctor:doctor", "Look at this installation, and try it."),
+    "doctor": ("roadtorch.cli.doctor:doctor", "Check this installation."),
     "evaluate": ("roadtorch.cli.evaluate:evaluate", "Score detectors on labelled pictures."),
-    "export": ("roadtorch.cli.export:export", "Write a network as a file that needs no Python."),
+    "export": ("roadtorch.cli.export:export", "Export a network: ONNX, OpenVINO, a web page."),
     "grid": ("roadtorch.cli.grid:grid", "Map the road in pictures onto the ground, in metres."),
     "infer": ("roadtorch.cli.infer:infer", "Find the road in pictures."),
     "label": ("roadtorch.cli.label:label", "Label pictures as sky, vertical and horizontal."),

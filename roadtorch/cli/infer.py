@@ -105,9 +105,9 @@ def opened_viewer() -> "Viewer":
 @click.option(
     "--steady/--no-steady",
     default=True,
-    help="In footage, carry what earlier frames said along the motion.",
+    help="In footage, smooth the likelihood over time.",
 )
-@click.option("--view", is_flag=True, help="Show footage in a page of this computer meanwhile.")
+@click.option("--view", is_flag=True, help="Show footage live on a local page.")
 @click.option("--gif", callback=_stretch, metavar="START:END", help="Seconds to show as a GIF.")
 @CAMERA
 @click.option("--threshold", type=float, help="Likelihood from which a pixel is road.")

@@ -206,7 +206,7 @@ CAMERA = click.option(
 JOBS = click.option(
     "--jobs",
     type=click.IntRange(min=1),
-    help="Processes side by side; the results do not depend on it. [one a processor]",
+    help="Parallel processes; results do not depend on it. [one for each processor]",
 )
 OVERWRITE = click.option("--overwrite", is_flag=True, help="Redo pictures that are done.")
 QUIET = click.option("--quiet", is_flag=True, help="No progress, only failures.")
@@ -306,14 +306,14 @@ with_frames = _gathered(
         type=click.IntRange(min=1),
         default=1,
         show_default=False,
-        help="Look at one frame in this many.",
+        help="Take one frame in this many.",
     ),
     click.option(
         "--start",
         type=click.FloatRange(min=0),
         default=0.0,
         show_default=False,
-        help="Where to begin in footage, in seconds.",
+        help="Where to start in footage, in seconds.",
     ),
     click.option(
         "--end",

@@ -104,7 +104,7 @@ SUMMARIES = ("0.5 everywhere", "row / height", "a triangle ahead of the car")
 ENTRIES = (
     Entry(
         "kmeans-road",
-        "K-means features in clusters, parted by a graph cut (Xia et al.)",
+        "clustered K-means features, separated by a graph cut (Xia et al.)",
         KmeansRoadSettings,
         partial(Analysis, kmeans_road),
     ),

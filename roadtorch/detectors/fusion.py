@@ -325,13 +325,13 @@ class PaperFusion(nn.Module):
 ENTRIES = (
     Entry(
         "fusion",
-        "the road that a network has learned, along the picture's outlines: the best we know",
+        "a network trained on rendered worlds and machine labels, refined at edges: our best",
         FusionSettings,
         Fusion,
     ),
     Entry(
         "fusion:large",
-        "the same, and at a third more pixels a side as well: more often right",
+        "the same network at two sizes, averaged: more accurate, slower",
         FusionSettings,
         Fusion,
         values={
@@ -341,13 +341,13 @@ ENTRIES = (
     ),
     Entry(
         "fusion:scratch",
-        "layout, texture and more fused with a network that saw no label, not even ImageNet's",
+        "layout, texture and more fused with a network trained without any human label",
         ScratchFusionSettings,
         ScratchFusion,
     ),
     Entry(
         "fusion:untrained",
-        "layout, texture and more fused, without a network: nothing was trained",
+        "layout, texture and more fused, without a network or training",
         UntrainedFusionSettings,
         partial(Analysis, untrained),
     ),

@@ -112,6 +112,6 @@ ENTRIES = (
         UFL,
         values={"smoothing": {"sigma": 2.5}},
     ),
-    Entry("ufl:paper", "the same as the paper's text has it", UflSettings, UFL, values=TEXT),
-    Entry("ufl:original", "the same as the authors' program has it", UflSettings, UFL),
+    Entry("ufl:paper", "the same after the text of the paper", UflSettings, UFL, values=TEXT),
+    Entry("ufl:original", "the same after the authors' program", UflSettings, UFL),
 )
