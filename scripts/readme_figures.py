@@ -31,7 +31,6 @@ import re
 import shlex
 import subprocess
 import sys
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
@@ -41,9 +40,9 @@ from typing import Any, NamedTuple
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
 
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
-from roadtorch.layout.weights import shipped_weights
+from roadtorch.layout.weights import card_of, shipped_weights
 from roadtorch.oneclass import CLASSIFIERS
-from roadtorch.settings import build_settings
+from roadtorch.settings import build_settings, read_settings_file
 from scripts.readme_numbers import unbound
 from scripts.readme_tables import FUSIONS, MINUS, ROAD, SLOW, TABLES, Records, restated
 
@@ -201,15 +200,16 @@ def _setting(detector: str, key: str) -> Any:
 
 
 def _config(name: str, key: str) -> Any:
-    value: Any = tomllib.loads((ROOT / "configs" / f"{name}.toml").read_text(encoding="utf-8"))
+    value: Any = read_settings_file(ROOT / "configs" / f"{name}.toml")
     for part in key.split("."):
         value = value[part]
     return value
 
 
 def _on_card(name: str, words: str) -> float:
-    card = shipped_weights(name).with_suffix(".md").read_text(encoding="utf-8")
-    number = re.findall(rf"\b([\d,]*\d) {words.replace('_', ' ')}\b", card)[0]
+    number = re.findall(
+        rf"\b([\d,]*\d) {words.replace('_', ' ')}\b", card_of(shipped_weights(name))
+    )[0]
     return float(number.replace(",", ""))
 
 

@@ -37,6 +37,14 @@ def write_camvid(root: Path, split: str, scenes: dict[str, RenderedScene]) -> No
         cv2.imwrite(str(root / f"{split}annot" / f"{name}.png"), scene.classes.numpy())
 
 
+def write_drives(root: Path) -> None:
+    """CamVid's three development drives, one small picture each, into ``root/camvid``."""
+    names = ("0001TP_0", "0006R0_1")
+    scenes = {name: render_scene(seed, 48, 64) for seed, name in enumerate(names)}
+    write_camvid(root / "camvid", "train", scenes)
+    write_camvid(root / "camvid", "val", {"0016E5_7959": render_scene(2, 48, 64)})
+
+
 def bonnet(height: int, width: int, rise: float = 0.18) -> Tensor:
     """An ego car bool (H,W): an arch at the bottom edge, as high as ``rise`` in its middle."""
     rows = (torch.arange(height) + 0.5) / height

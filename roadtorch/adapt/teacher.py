@@ -1,9 +1,9 @@
 """The teacher: a larger detector's prediction for each frame, averaged over neighbouring frames.
 
-The teacher's predictions waver from frame to frame, and a place
-that ten frames show is predicted ten times, from near and from far. So log odds of road are
-carried there and back along the motion of the picture (``road.steady``). Pictures that are not
-consecutive keep their own predictions. Ours.
+The teacher's predictions waver from frame to frame, and a place that ten frames show is predicted
+ten times, from near and from far. So log odds of road are carried there and back along the motion
+of the picture (``road.steady``). Pictures that are not consecutive keep their own predictions.
+Ours.
 """
 
 from pathlib import Path
@@ -30,7 +30,7 @@ def write_taught(
 ) -> Signals | None:
     """Write what training needs of all frames into the folder ``prepared``.
 
-    looks: the folder of its predictions; what is in either, of these
+    looks: the folder of the teacher's predictions; what is in either, of these
     frames and settings, is kept. Gives the signal that cut
     it short. Memory is linear in the frames, 0.5 MB each.
     """

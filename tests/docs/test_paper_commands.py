@@ -11,7 +11,7 @@ from roadtorch.scenes.street import render_scene, write_picture
 from scripts.figures import FIGURES, __main__, p1, p3_light, p3_table3
 from tests.command import Call, call
 from tests.data.test_kitti import add_frame, street
-from tests.streets import write_camvid
+from tests.streets import write_drives
 
 __all__ = ["call"]
 
@@ -45,11 +45,7 @@ WRITTEN = {
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder like that of the data, with a picture of each drive and category."""
     root = tmp_path_factory.mktemp("data")
-    drives = {
-        name: render_scene(seed, 48, 64) for seed, name in enumerate(("0001TP_0", "0006R0_1"))
-    }
-    write_camvid(root / "camvid", "train", drives)
-    write_camvid(root / "camvid", "val", {"0016E5_7959": render_scene(2, 48, 64)})
+    write_drives(root)
     (root / "kitti_road/image_2").mkdir(parents=True)
     add_frame(root / "kitti_road", "um_000000", street())
     write_picture(root / "street.png", render_scene(1, 96, 128))

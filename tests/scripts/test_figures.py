@@ -22,7 +22,7 @@ from roadtorch.road.seed_area import remove_isolated, seed_rectangle
 from roadtorch.scenes.street import render_scene
 from scripts.figures import FIGURES, p1, p2, p3_light, p3_table3
 from scripts.figures.chart import apart, middle, spread
-from tests.streets import as_bytes, scene, write_camvid
+from tests.streets import as_bytes, scene, write_camvid, write_drives
 
 WRITTEN = {
     "p1-table1": {"p1-table1.csv"},
@@ -37,10 +37,7 @@ WRITTEN = {
 @pytest.fixture
 def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder like that of the development data, with three rendered streets."""
-    names = ("0001TP_0", "0006R0_1")
-    scenes = {name: render_scene(seed, 48, 64) for seed, name in enumerate(names)}
-    write_camvid(tmp_path / "camvid", "train", scenes)
-    write_camvid(tmp_path / "camvid", "val", {"0016E5_7959": render_scene(2, 48, 64)})
+    write_drives(tmp_path)
     monkeypatch.setattr(p1, "SETS", {"camvid": ("camvid", 1)})
     monkeypatch.setattr(p1, "TABLE", ("ufl", "prior:triangle"))
     return tmp_path
