@@ -6,7 +6,8 @@
 writes WORLDS/images/NUMBER_KIND_HOUR.jpg and WORLDS/truth/….png (0 sky, 1 vertical, 2 horizontal
 without road, 3 road, 4 ego car, 255 void). What is there is kept; a number gives the same picture.
 Several at a time: ``--every 2 --from 1`` takes every second number. Numbers from 10000 on are
-towns, from 20000 on places without any road.
+towns, from 12000 on roads with shoulders and ramps, from 14000 on trails in woods, from 20000 on
+places without any road.
 
     python -m train.worlds 5000 5012 --out DRIVES --frames 60
 
@@ -41,10 +42,18 @@ from train.worlds.vehicles import build_traffic
 SEASONS = {"green": 6, "dry": 3, "earth": 2, "litter": 3, "snow": 2}
 """Of the land, and how often each is drawn."""
 
-TOWNS, NOWHERE = 10000, 20000
-"""Worlds from these numbers on are towns, and places without road."""
+NOWHERE = 20000
+"""Worlds from this number on are places without road."""
 
-SAMPLES = 8
+RANGES = {
+    0: {name: kind.often for name, kind in KINDS.items()},
+    10000: {"town": 1},
+    12000: {"ramp": 3, "motorway": 2, "rural": 2},
+    14000: {"litter": 1},
+}
+"""Kinds of road from a number on, and how often each is drawn."""
+
+SAMPLES = 6
 """Paths a pixel; the rest is the denoiser's."""
 
 TONES = {SKY: (255, 160, 60), ROAD: (0, 255, 0), EGO: (0, 0, 255), HORIZONTAL: (0, 200, 255)}
@@ -60,10 +69,10 @@ def build_world(number: int) -> tuple[Stage, Road | None, str]:
     if number >= NOWHERE:
         build_light(stage, hour)
         return stage, None, f"{number:05d}_{build_nowhere(stage)}_{hour}"
-    kind = at.choices(list(KINDS), [each.often for each in KINDS.values()])[0]
+    kinds = RANGES[max(first for first in RANGES if first <= number)]
+    kind = at.choices(list(kinds), list(kinds.values()))[0]
     season = at.choices(list(SEASONS), list(SEASONS.values()))[0]
-    if number >= TOWNS:
-        kind = "town"
+    if kind == "town":
         draw_weather(stage)
     build_light(stage, hour)
     if kind == "town":
@@ -78,7 +87,7 @@ def build_world(number: int) -> tuple[Stage, Road | None, str]:
 
 
 def render(stage: Stage, number: int, place: Path) -> np.ndarray:
-    """Linear light float32 (240,320,3) BGR."""
+    """Linear light float32 (288,384,3) BGR."""
     scene, cycles = stage.scene, stage.scene.cycles
     scene.render.engine = "CYCLES"
     scene.render.threads_mode, scene.render.threads = "FIXED", 1
@@ -92,7 +101,7 @@ def render(stage: Stage, number: int, place: Path) -> np.ndarray:
 
 
 def render_truth(stage: Stage, place: Path) -> np.ndarray:
-    """What each pixel is, uint8 (240,320): flat colours, one path through each pixel's middle.
+    """What each pixel is, uint8 (288,384): flat colours, one path through each pixel's middle.
 
     The scene has no light any more afterwards.
     """

@@ -12,7 +12,7 @@ from train.worlds.roads import SPACING, START, UNPAVED, Road
 from train.worlds.stage import COLOURS, EGO, VERTICAL, Parts, Shape, Stage, box
 from train.worlds.vehicles import PAINTS
 
-WIDTH, HEIGHT = 320, 240
+WIDTH, HEIGHT = 384, 288
 """Of the pictures: what other shapes are squeezed to, as the networks do."""
 
 SHAPES = [4 / 3, 4 / 3, 1.5, 16 / 9, 16 / 9, 1.9, 2.4, 3.3]

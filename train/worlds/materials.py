@@ -129,11 +129,52 @@ def ground(
 ) -> Material:
     """Grass, earth, leaves, snow: a colour that goes over into another in patches."""
     nodes = new_surface()
+    look, fine = _patches(stage, nodes, (colour, other), grain, contrast)
+    return finished(stage, nodes, look, 0.95, {"Normal": nodes.bump(fine, bump, 0.05)})
+
+
+def trodden(
+    stage: Stage,
+    colours: tuple[Colour, Colour],
+    grain: float,
+    contrast: float,
+    bare: Colour,
+    wear: tuple[float, float],
+) -> Material:
+    """The ground beside (its two colours, grain and contrast) where wheels have laid it bare.
+
+    wear: shares of ``bare`` over its whole width, and in the two wheel tracks.
+    """
+    at, nodes = stage.at, new_surface()
+    look, fine = _patches(stage, nodes, colours, grain, contrast)
+    share = nodes.math("MULTIPLY", _wheel_tracks(stage, nodes, _across(nodes)), wear[1])
+    share = nodes.math("ADD", share, wear[0])
+    share = nodes.math("MULTIPLY", share, nodes.step(nodes.noise(at.uniform(0.4, 2)), 0.2, 0.7))
+    look = nodes.mix(share, look, tuple(bare))
+    return finished(stage, nodes, look, 0.95, {"Normal": nodes.bump(fine, 0.3, 0.05)})
+
+
+def _patches(
+    stage: Stage, nodes: Nodes, colours: tuple[Colour, Colour], grain: float, contrast: float
+) -> tuple[Any, Any]:
+    """A colour that goes over into another, with its grain; the look and the grain's height."""
     fine = nodes.noise(grain, 4)
     wide = nodes.step(nodes.noise(stage.at.uniform(0.05, 0.6)), 0.1, 0.9)
-    look = nodes.mix(wide, tuple(colour), tuple(other))
-    look = nodes.mix(nodes.step(fine, 0.3, 0.7), nodes.mix(contrast, look, BLACK), look)
-    return finished(stage, nodes, look, 0.95, {"Normal": nodes.bump(fine, bump, 0.05)})
+    look = nodes.mix(wide, tuple(colours[0]), tuple(colours[1]))
+    return nodes.mix(nodes.step(fine, 0.3, 0.7), nodes.mix(contrast, look, BLACK), look), fine
+
+
+def _across(nodes: Nodes) -> Any:
+    """Metres from the middle of the road, the first UV."""
+    across = nodes.add("ShaderNodeTexCoord", {}, "UV")
+    return nodes.math("ABSOLUTE", nodes.add("ShaderNodeSeparateXYZ", {0: across}, 0))
+
+
+def _wheel_tracks(stage: Stage, nodes: Nodes, across: Any) -> Any:
+    """Where wheels roll, 0 to 1."""
+    gauge = stage.at.uniform(1.5, 1.9)
+    wave = nodes.math("COSINE", nodes.math("MULTIPLY", across, 6.28 / gauge))
+    return nodes.step(wave, 0.4, -0.8)
 
 
 def paved(
@@ -152,8 +193,7 @@ def paved(
     stones: their size in metres. ruts: how dark or light wheel tracks are.
     """
     at, nodes = stage.at, new_surface()
-    across = nodes.add("ShaderNodeTexCoord", {}, "UV")
-    across = nodes.math("ABSOLUTE", nodes.add("ShaderNodeSeparateXYZ", {0: across}, 0))
+    across = _across(nodes)
     fine, wide = nodes.noise(at.uniform(15, 60)), nodes.noise(at.uniform(0.1, 0.5))
     dark = tuple(c * at.uniform(0.75, 1) for c in colour)
     look: Any = nodes.mix(nodes.step(wide, 0.3, 0.7), dark, tuple(colour))
@@ -164,8 +204,7 @@ def paved(
         look = nodes.mix(joints, look, nodes.mix(at.uniform(0.3, 0.75), look, BLACK))
     elif stage.chance(0.3):
         look = _cracked(nodes, look, at.uniform(0.15, 0.6), at.uniform(0.004, 0.012))
-    wave = nodes.math("COSINE", nodes.math("MULTIPLY", across, 6.28 / at.uniform(1.5, 1.9)))
-    track = nodes.step(wave, 0.4, -0.8)
+    track = _wheel_tracks(stage, nodes, across)
     if ruts:
         tone = BLACK if ruts > 0 else (0.9, 0.85, 0.75)
         look = nodes.mix(nodes.math("MULTIPLY", track, abs(ruts)), look, tone)

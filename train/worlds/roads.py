@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from mathutils import Vector, noise
 
-from train.worlds.materials import Colour, drawn, ground, palette, paved, plain
+from train.worlds.materials import Colour, drawn, ground, palette, paved, plain, trodden
 from train.worlds.stage import HORIZONTAL, ROAD, VERTICAL, VOID, Material, Stage
 
 SPACING = 1.5
@@ -54,17 +54,24 @@ KINDS = {
     "overgrown": Kind(10, (1.3, 3.0), 1.0, 0.25, 0.3, (0, 70), (0, 0, 0, 1)),
     "yard": Kind(2, (7, 20), bend=0.0, steepest=0.0, vehicles=(2, 6, 12)),
     "bazaar": Kind(3, (2.5, 6), ragged=0.3),
+    "ramp": Kind(0, (2.8, 5.5), bend=1.6, vehicles=(0, 1, 3)),  # by number
+    "litter": Kind(0, (1.1, 2.0), 1.0, 0.1, 0.25, (15, 70), (0, 0, 0, 1)),  # by number
     "lane": Kind(2, (1.6, 2.6), ragged=0.1, trees=(4, 40), vehicles=(0, 0, 1)),
     "town": Kind(0, (2.75, 14), bend=1.3, steepest=0.05),  # by number; train.worlds.towns
 }
 
-UNPAVED = ("track", "trail", "overgrown")
-"""The last is a trail with grass on it between tall grass and bushes."""
+UNPAVED = ("track", "trail", "overgrown", "litter")
+"""The third is a trail with grass on it between tall grass and bushes, the last one in a wood, of
+the ground beside it but for where wheels have laid it bare."""
+
+MOTORWAYS = ("motorway", "ramp")
+"""Paved, between rails and barriers, with lanes and a shoulder beyond the edge line."""
 
 EARTHS = palette("32 24 16, 40 36 30, 20 16 12, 30 30 29, 50 47 42, 40 20 11")
 GREENS = palette("10 17 5, 16 20 7, 30 26 13, 7 11 4, 38 33 20")
 LITTER = palette("20 13 7, 28 20 12, 15 12 8, 35 30 25")
 SNOW = palette("75 78 84, 60 62 66")
+WALL = palette("45 44 42, 30 29 27, 55 52 46")
 PAVINGS = palette("40 38 35, 28 28 28, 40 30 24, 18 18 18, 50 49 46")
 
 
@@ -201,7 +208,7 @@ def build_road(stage: Stage, kind: str, season: str) -> Road:
     gaps = [(where, where + at.randint(4, 7))] if crossing else []
     length = at.randint(START + 12, START + 45) if kind == "yard" else END
     road = Road(kind, course, course.half, season, gaps, length, {})
-    surface, soil = _surface(stage, road), soil_of(stage, season)
+    surface, soil = _wood(stage, season) if kind == "litter" else _looks(stage, road)
     flat = [(course.half * (k / 4 - 1), 0.03) for k in range(9)]
     bumps = 0.04 * (kind in UNPAVED)
     swept(stage, course, flat, surface, ROAD, KINDS[kind].ragged, (0, min(FAR, length)), bumps)
@@ -215,6 +222,8 @@ def build_road(stage: Stage, kind: str, season: str) -> Road:
     road = road._replace(land=_bound(stage, road, surface))
     if kind == "yard":
         _mark_bays(stage, road)
+    elif kind in MOTORWAYS:
+        _mark_motorway(stage, road)
     elif kind not in (*UNPAVED, "lane"):
         _mark(stage, road)
     if kind == "street" and stage.chance(0.2):  # tram tracks
@@ -224,6 +233,23 @@ def build_road(stage: Stage, kind: str, season: str) -> Road:
             painted(stage, road, rail, 0.05, steel)
     _land(stage, road, soil)
     return road
+
+
+def _looks(stage: Stage, road: Road) -> tuple[Material, Material]:
+    """Of the road and of the land beside it."""
+    return _surface(stage, road), soil_of(stage, road.season)
+
+
+def _wood(stage: Stage, season: str) -> tuple[Material, Material]:
+    """A trail and the ground of a wood, which are the same but for wear."""
+    at = stage.at
+    mine = {"snow": LITTER + SNOW[1:], "green": LITTER + GREENS}.get(season, LITTER)
+    colours = (drawn(stage, mine, 0.35), drawn(stage, mine, 0.35))
+    grain, contrast = at.uniform(3, 30), at.uniform(0.2, 0.65)
+    bare = drawn(stage, EARTHS + LITTER, 0.35)
+    wear = (at.choice([0.0, at.uniform(0, 0.5)]), at.uniform(0.25, 0.9))
+    beside = ground(stage, *colours, grain, contrast)
+    return trodden(stage, colours, grain, contrast, bare, wear), beside
 
 
 def _surface(stage: Stage, road: Road) -> Material:
@@ -272,11 +298,16 @@ def _bound(stage: Stage, road: Road, surface: Material) -> float:
                 swept_between(stage, road, edge, kerb)
                 swept_between(stage, road, [(inner, high), (outer, high + 0.02)], paving)
         return half + wide
-    if road.kind == "motorway":
+    if road.kind in MOTORWAYS:
         metal = plain(stage, drawn(stage, palette("45 45 47, 50 49 46")), 0.5)
         for side in (-1, 1):
-            if stage.chance(0.75):
-                out = side * (half + at.uniform(0.4, 1.5))
+            if stage.chance(0.3):  # a barrier of concrete on the edge
+                a, b = side * half, side * (half + 0.5)
+                wall = [(a, 0.0), (a + 0.15 * side, 0.3), (a + 0.2 * side, at.uniform(0.7, 1.1))]
+                wall += [(b, wall[-1][1]), (b, 0.0)]
+                swept(stage, road.course, wall, plain(stage, drawn(stage, WALL), 0.9), VERTICAL)
+            elif stage.chance(0.75):
+                out = side * (half + at.uniform(0.1, 1.5))
                 rail = [(out, at.choice([0.0, 0.5])), (out, 0.8), (out + 0.2 * side, 0.8)]
                 swept(stage, road.course, rail, metal, VERTICAL)
         return half + at.uniform(0.3, 3)
@@ -304,19 +335,70 @@ def _cross(stage: Stage, road: Road, surface: Material) -> None:
 def _mark(stage: Stage, road: Road) -> None:
     """Lines between lanes and along edges, a zebra crossing, all worn more or less."""
     at, half = stage.at, road.course.half
-    white = plain(stage, drawn(stage, palette("75 75 73, 70 68 60, 70 50 10")), 0.7, vary=0.5)
+    white = _paint(stage)
     if stage.chance(0.75):
-        for lane in [-half / 3, half / 3] if road.kind == "motorway" else [at.uniform(-0.2, 0.2)]:
-            if stage.chance(0.7):
-                for first in range(0, FAR, 7):
-                    painted(stage, road, lane, 0.07, white, (first, first + at.choice([3, 4])))
-            else:
-                painted(stage, road, lane, 0.07, white)
+        _mark_line(stage, road, at.uniform(-0.2, 0.2), white, 0.7)
     if stage.chance(0.5):
         for side in (-1, 1):
-            painted(stage, road, side * (half - at.uniform(0.15, 0.6)), 0.06, white)
+            painted(stage, road, side * (half - _verge(stage, half)), 0.06, white)
     if road.kind == "street" and stage.chance(0.3):
         mark_zebra(stage, road, at.randint(START + 3, START + 20), white)
+
+
+def _paint(stage: Stage) -> Material:
+    colours = palette("75 75 73, 70 68 60, 70 50 10")
+    return plain(stage, drawn(stage, colours), 0.7, vary=0.5)
+
+
+def _verge(stage: Stage, half: float) -> float:
+    """Metres of road beyond an edge line: little, or a shoulder on which one may stop."""
+    at = stage.at
+    return min(at.uniform(1.2, 3.2) if stage.chance(0.35) else at.uniform(0.15, 0.7), half - 1)
+
+
+def _mark_line(stage: Stage, road: Road, across: float, look: Material, dashed: float) -> None:
+    """A line between lanes, dashed with some chance."""
+    if not stage.chance(dashed):
+        painted(stage, road, across, 0.07, look)
+        return
+    for first in range(0, FAR, 7):
+        span = (first, first + stage.at.choice([3, 4]))
+        painted(stage, road, across, 0.07, look, span)
+
+
+def _mark_motorway(stage: Stage, road: Road) -> None:
+    """Edge lines with shoulders beyond them, lines between lanes, hatched areas before exits."""
+    at, half = stage.at, road.course.half
+    left, right = at.sample([_verge(stage, half), at.uniform(0.15, 1.2)], 2)
+    low, high, white = left - half, half - right, _paint(stage)
+    for inner, outer in ((low, -half), (high, half)):
+        if abs(outer - inner) > 1 and stage.chance(0.4):  # a shoulder of another asphalt
+            tone = at.uniform(0.05, 0.35)
+            look = paved(stage, (tone, tone, tone), half)
+            strip = sorted([(inner, 0.033), (outer, 0.033)])
+            swept(stage, road.course, strip, look, ROAD, span=(0, FAR))
+        painted(stage, road, inner, at.uniform(0.06, 0.14), at.choice([white, _paint(stage)]))
+    lanes = max(1, round((high - low) / at.uniform(3.3, 4.2)))
+    for lane in range(1, lanes):
+        _mark_line(stage, road, low + (high - low) * lane / lanes, white, 0.85)
+    if stage.chance(0.35):
+        _hatch(stage, road, at.choice([(low, -half), (high, half), (high, low)]), white)
+
+
+def _hatch(stage: Stage, road: Road, sides: tuple[float, float], look: Material) -> None:
+    """Oblique stripes in a wedge that opens from the first side towards the second."""
+    at, (near, far) = stage.at, sides
+    first, count = at.randint(START + 2, START + 25), at.randint(5, 14)
+    wide = (far - near) * at.uniform(0.4, 1.0)
+    for k in range(count):
+        out = near + wide * (k + 1) / count
+        index = first + k
+        points = [road.course.at(index + step, near, 0.037) for step in (0, 1)]
+        points += [road.course.at(index + 1 + step, out, 0.037) for step in (0, 1)]
+        thin = [Vector(points[0]).lerp(Vector(points[1]), 0.4)]
+        thin += [Vector(points[2]).lerp(Vector(points[3]), 0.4)]
+        corners = [points[0], tuple(thin[0]), tuple(thin[1]), points[2]]
+        stage.put(stage.mesh([((corners, [(0, 1, 2, 3)]), look)]), ROAD)
 
 
 def mark_zebra(stage: Stage, road: Road, first: int, white: Material) -> None:

@@ -7,7 +7,18 @@ import bpy
 from mathutils import Vector, noise
 
 from train.worlds.materials import drawn, facade, ground, lamp, palette, plain
-from train.worlds.roads import EARTHS, GREENS, KINDS, LITTER, SNOW, START, UNPAVED, Road, swept
+from train.worlds.roads import (
+    EARTHS,
+    GREENS,
+    KINDS,
+    LITTER,
+    MOTORWAYS,
+    SNOW,
+    START,
+    UNPAVED,
+    Road,
+    swept,
+)
 from train.worlds.stage import (
     HORIZONTAL,
     ROAD,
@@ -45,7 +56,7 @@ def build_surroundings(stage: Stage, road: Road) -> None:
     build_posts(stage, road, at.choice([0, 0, 3] if road.kind in UNPAVED else [0, 4, 9]))
     if town:
         _people(stage, road, at.choice([0, 2, 6]) if road.kind != "bazaar" else at.randint(3, 16))
-    if road.kind in ("motorway", "street", "rural") and stage.chance(0.16):
+    if road.kind in (*MOTORWAYS, "street", "rural") and stage.chance(0.16):
         build_bridge(stage, road)
     if road.kind == "yard":
         _end_of_yard(stage, road, leaf)
@@ -97,12 +108,13 @@ def build_trees(stage: Stage, road: Road, leaf: Any, count: int) -> None:
     """Broad, bare and fir trees; near ones throw their shadows on the road."""
     at = stage.at
     bark = plain(stage, drawn(stage, palette("12 9 6, 20 17 14, 30 28 25")), 0.95, vary=0.5)
-    bare = road.season == "snow" or stage.chance(0.12)
+    wood = road.kind == "litter"
+    bare = road.season == "snow" or stage.chance(0.5 if wood else 0.12)
     crowns = [_bare(stage) if bare else crown(stage, 1500, 0.1) for _ in range(2)]
     meshes = [stage.mesh([(shape, bark if bare else leaf)]) for shape in crowns]
     fir = stage.mesh([(_fir(stage), leaf)])
     trunk = stage.mesh([(turned([(0.5, 0), (0.35, 1)], 7), bark)])
-    near, firs = at.uniform(0.4, 3), at.choice([0.0, 0.2, 1.0])
+    near, firs = at.uniform(0.4, 5 if wood else 3), at.choice([0.0, 0.2, 1.0])
     for _ in range(count):
         side, index = at.choice((-1, 1)), at.randint(START + 1, 110)
         if not road.open(index):
@@ -115,7 +127,7 @@ def build_trees(stage: Stage, road: Road, leaf: Any, count: int) -> None:
             continue
         wide, foot = at.uniform(1.5, 3.5), at.uniform(1.5, 4)
         tall = wide * at.uniform(0.8, 1.6)
-        thick = at.uniform(0.25, 0.6)
+        thick = at.uniform(0.06, 0.4) if wood else at.uniform(0.25, 0.6)
         stage.put(trunk, VERTICAL, where, turn, (thick, thick, foot + tall))
         top = (where[0], where[1], where[2] + foot + tall * 0.8)
         stage.put(at.choice(meshes), VERTICAL, top, turn, (wide, wide, tall))
@@ -135,7 +147,9 @@ def _bushes(stage: Stage, road: Road, leaf: Any, count: int) -> None:
 def _grass(stage: Stage, road: Road, count: int) -> None:
     """Tufts of blades, most of them near the road's edge; low ones on a road that is overgrown."""
     at = stage.at
-    overgrown = road.kind == "overgrown" or (road.kind in UNPAVED and stage.chance(0.45))
+    overgrown = road.kind == "overgrown" or (
+        road.kind in UNPAVED and stage.chance(0.15 if road.kind == "litter" else 0.45)
+    )
     tall = at.uniform(0.6, 1.6) if overgrown else at.uniform(0.08, 0.5)
     count = max(count, 1400 if road.kind == "overgrown" else 700) if overgrown else count
     mesh, truth = _tuft(stage, road, tall), VERTICAL if overgrown else HORIZONTAL
