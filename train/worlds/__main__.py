@@ -188,6 +188,16 @@ def sheet(out: Path, first: int, last: int, columns: int = 8) -> np.ndarray:
     return np.concatenate(rows, 0)
 
 
+def stay_on_one_processor(number: int) -> None:
+    """Where the system can: a world is one thread's work, and others of Blender's would spin.
+
+    Six towns took 30.6 seconds of processors so, 58 without, and the same time by the clock.
+    """
+    if hasattr(os, "sched_setaffinity"):
+        mine = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {mine[number % len(mine)]})
+
+
 def main() -> None:
     """Render numbers, or draw a sheet of them."""
     parser = argparse.ArgumentParser(description="Render path-traced worlds with their truth.")
@@ -199,6 +209,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, help="of a drive through each world")
     parser.add_argument("--sheet", type=Path)
     given = parser.parse_args()
+    stay_on_one_processor(given.offset)
     if given.sheet:
         cv2.imwrite(str(given.sheet), sheet(given.out, given.first, given.last))
         return
