@@ -71,7 +71,7 @@ EARTHS = palette("32 24 16, 40 36 30, 20 16 12, 30 30 29, 50 47 42, 40 20 11")
 GREENS = palette("10 17 5, 16 20 7, 30 26 13, 7 11 4, 38 33 20")
 LITTER = palette("20 13 7, 28 20 12, 15 12 8, 35 30 25")
 SNOW = palette("75 78 84, 60 62 66")
-WALL = palette("45 44 42, 30 29 27, 55 52 46")
+CONCRETE = palette("45 44 42, 30 29 27, 55 52 46")
 PAVINGS = palette("40 38 35, 28 28 28, 40 30 24, 18 18 18, 50 49 46")
 
 
@@ -208,7 +208,10 @@ def build_road(stage: Stage, kind: str, season: str) -> Road:
     gaps = [(where, where + at.randint(4, 7))] if crossing else []
     length = at.randint(START + 12, START + 45) if kind == "yard" else END
     road = Road(kind, course, course.half, season, gaps, length, {})
-    surface, soil = _wood(stage, season) if kind == "litter" else _looks(stage, road)
+    if kind == "litter":
+        surface, soil = _wood(stage, season)
+    else:
+        surface, soil = _surface(stage, road), soil_of(stage, season)
     flat = [(course.half * (k / 4 - 1), 0.03) for k in range(9)]
     bumps = 0.04 * (kind in UNPAVED)
     swept(stage, course, flat, surface, ROAD, KINDS[kind].ragged, (0, min(FAR, length)), bumps)
@@ -233,11 +236,6 @@ def build_road(stage: Stage, kind: str, season: str) -> Road:
             painted(stage, road, rail, 0.05, steel)
     _land(stage, road, soil)
     return road
-
-
-def _looks(stage: Stage, road: Road) -> tuple[Material, Material]:
-    """Of the road and of the land beside it."""
-    return _surface(stage, road), soil_of(stage, road.season)
 
 
 def _wood(stage: Stage, season: str) -> tuple[Material, Material]:
@@ -305,7 +303,7 @@ def _bound(stage: Stage, road: Road, surface: Material) -> float:
                 a, b = side * half, side * (half + 0.5)
                 wall = [(a, 0.0), (a + 0.15 * side, 0.3), (a + 0.2 * side, at.uniform(0.7, 1.1))]
                 wall += [(b, wall[-1][1]), (b, 0.0)]
-                swept(stage, road.course, wall, plain(stage, drawn(stage, WALL), 0.9), VERTICAL)
+                swept(stage, road.course, wall, plain(stage, drawn(stage, CONCRETE), 0.9), VERTICAL)
             elif stage.chance(0.75):
                 out = side * (half + at.uniform(0.1, 1.5))
                 rail = [(out, at.choice([0.0, 0.5])), (out, 0.8), (out + 0.2 * side, 0.8)]
@@ -391,14 +389,11 @@ def _hatch(stage: Stage, road: Road, sides: tuple[float, float], look: Material)
     first, count = at.randint(START + 2, START + 25), at.randint(5, 14)
     wide = (far - near) * at.uniform(0.4, 1.0)
     for k in range(count):
-        out = near + wide * (k + 1) / count
-        index = first + k
-        points = [road.course.at(index + step, near, 0.037) for step in (0, 1)]
-        points += [road.course.at(index + 1 + step, out, 0.037) for step in (0, 1)]
-        thin = [Vector(points[0]).lerp(Vector(points[1]), 0.4)]
-        thin += [Vector(points[2]).lerp(Vector(points[3]), 0.4)]
-        corners = [points[0], tuple(thin[0]), tuple(thin[1]), points[2]]
-        stage.put(stage.mesh([((corners, [(0, 1, 2, 3)]), look)]), ROAD)
+        corners = []
+        for index, out in ((first + k, near), (first + k + 1, near + wide * (k + 1) / count)):
+            start, end = (Vector(road.course.at(index + step, out, 0.037)) for step in (0, 1))
+            corners += [start, start.lerp(end, 0.4)]
+        stage.put(stage.mesh([((corners, [(0, 1, 3, 2)]), look)]), ROAD)
 
 
 def mark_zebra(stage: Stage, road: Road, first: int, white: Material) -> None:
