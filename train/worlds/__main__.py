@@ -209,10 +209,10 @@ def main() -> None:
     parser.add_argument("--frames", type=int, help="of a drive through each world")
     parser.add_argument("--sheet", type=Path)
     given = parser.parse_args()
-    stay_on_one_processor(given.offset)
     if given.sheet:
         cv2.imwrite(str(given.sheet), sheet(given.out, given.first, given.last))
         return
+    stay_on_one_processor(given.offset)
     if not given.frames:
         for name in ("images", "truth"):
             (given.out / name).mkdir(parents=True, exist_ok=True)
