@@ -120,7 +120,7 @@ TABLES: Mapping[str, Table] = {
         "detector | fourteen cameras, F | the worst of them | CamVid, MaxF | IDD, MaxF",
         {
             "`fusion`": "fusion",
-            "`fusion:large`, at a third more pixels a side as well": "fusion:large",
+            "`fusion:large`, two networks and a closer look": "fusion:large",
             "`fusion:scratch`, whose network has seen no label of any kind": "fusion:scratch",
             "`fusion:untrained`, which needs no weights": "fusion:untrained",
             "`ufl`, after Zhang et al.": "ufl",

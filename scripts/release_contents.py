@@ -18,6 +18,7 @@ PACKAGE = "roadtorch"
 NEEDED = (
     "py.typed",
     *(f"weights/backbone-free.{end}" for end in ("safetensors", "md")),
+    *(f"weights/rendered-free.{end}" for end in ("safetensors", "md")),
     "configs/adapt.toml",
 )
 """Looked for by name as well: a checkout that lacks them is no source of a release."""

@@ -11,6 +11,15 @@ CRISP = 40.0
 """Log odds by which the potential of the ego car rises from row to row where it begins."""
 
 
+def write_random_network(path: Path, seed: int) -> Path:
+    """Weights of a small network that nobody trained."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        small = PictureNetworkSettings(height=48, width=64, narrow=8, wide=8)
+        save_network(path, PictureNetwork(small), {})
+    return path
+
+
 @torch.no_grad()
 def write_ego_network(path: Path, bottom: float) -> Path:
     """Weights of a network that calls a share of the height, at the bottom, the ego car.

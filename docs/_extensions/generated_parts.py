@@ -219,6 +219,7 @@ PAGES = {
     "train/README.md": "/studies",
     "roadtorch/weights/layout-free.md": "/weights_layout-free",
     "roadtorch/weights/backbone-free.md": "/weights_backbone-free",
+    "roadtorch/weights/rendered-free.md": "/weights_rendered-free",
     "roadtorch/weights/cnn-7.md": "/weights_cnn-7",
 }
 """Files outside of docs/ that are pages of the site."""

@@ -1,8 +1,8 @@
 """The fused detectors: naive Bayes over layout, texture and, in ours, more (P2 section 5)."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Literal
+from typing import Annotated, Literal
 
 import torch
 from pydantic import Field
@@ -23,8 +23,13 @@ from roadtorch.imaging.resize import WorkingSize
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, Share, pooled
 from roadtorch.layout.labeller import EXPOSURE, HorizonSettings, decide_layout, segment_layout
 from roadtorch.layout.patch_network import PatchNetwork
-from roadtorch.layout.picture_network import NetworkScale
-from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of, picture_network_of
+from roadtorch.layout.weights import (
+    FOR_PICTURES,
+    WeightsFile,
+    WholePictureNetwork,
+    network_of,
+    picture_network_of,
+)
 from roadtorch.road.ego import continued, ego_found, is_anywhere
 from roadtorch.road.fusion import (
     PRIORS,
@@ -71,6 +76,19 @@ class RoadCalibration(Settings):
     )
 
 
+class SecondNetwork(Settings):
+    """Another network beside the first: it began elsewhere, so that it errs elsewhere.
+
+    Road and layout are the mean of both; the ego car is the first one's.
+    """
+
+    file: str = Field(
+        default="",
+        description="its weights, or the name of shipped ones, such as rendered-free; empty: none",
+    )
+    share: float = Field(default=0.4, gt=0, lt=1, description="of it in the mean of both")
+
+
 class FusionSettings(WorkingSettings):
     """The road as a network has learned it from other streets, along the picture's own outlines."""
 
@@ -78,13 +96,14 @@ class FusionSettings(WorkingSettings):
     working: WorkingSize = WorkingSize(pixels=256 * 192)
     outlines: Outlines = "guided"
     weights: WeightsFile = WeightsFile()
-    scales: tuple[NetworkScale, ...] = Field(
+    cuts: tuple[Annotated[float, Field(gt=0, le=0.9)], ...] = Field(
         strict=False,
-        default=(1.0,),
-        min_length=1,
+        default=(),
         max_length=8,
-        description="sizes at which the network sees a picture, against its own; the mean counts",
+        description="shares of the height that are cut off at the top for further looks, from "
+        "closer by, at what is left; the mean of all looks counts",
     )
+    second: SecondNetwork = SecondNetwork()
     calibration: RoadCalibration = RoadCalibration()
     trust: TrustSettings = TrustSettings()
 
@@ -175,7 +194,9 @@ class Fusion(nn.Module):
     def __init__(self, settings: FusionSettings) -> None:
         super().__init__()
         self.settings = settings
-        self.network = picture_network_of(settings.weights, FOR_PICTURES, settings.scales)
+        self.network = picture_network_of(settings.weights, FOR_PICTURES)
+        file = settings.second.file
+        self.second = picture_network_of(WeightsFile(file=file), file) if file else None
 
     @lean
     def forward(self, image: Tensor) -> Mapping[str, Cue]:
@@ -198,15 +219,48 @@ class Fusion(nn.Module):
 
     def learned(self, image: Tensor) -> Mapping[str, Tensor]:
         """What is known from other streets of an image (3,H,W): ``layout``, ``road``, ``ego``."""
-        seen = [self.network.cues(image, scale) for scale in self.settings.scales]
-        if len(seen) == 1:
-            return seen[0]
-        return {name: torch.stack([maps[name] for maps in seen]).mean(0) for name in seen[0]}
+        learned = seen_closer(self.network, image, self.settings.cuts)
+        if self.second is None:
+            return learned
+        other = seen_closer(self.second, image, self.settings.cuts)
+        share = self.settings.second.share
+        pooled = {
+            name: torch.lerp(learned[name], other[name], share) for name in ("layout", "road")
+        }
+        return {**learned, **pooled}
 
     def judge(self, mask: Tensor, cues: Mapping[str, Tensor]) -> Judgement:
         """How far a mask bool (H,W) can be trusted; the likelihood is one of the cues."""
         signs = signs_of(cues["likelihood"], mask, cues)
         return judgement(signs, bool(mask.any()), self.settings.trust)
+
+
+def seen_closer(
+    network: WholePictureNetwork, image: Tensor, cuts: Sequence[float]
+) -> Mapping[str, Tensor]:
+    """``cues`` of an image (3,H,W), and of what is left of it below each cut; their mean.
+
+    The ego car is that of the whole image: its place tells it.
+    """
+    rows = [lower_rows(image.shape[-2], cut) for cut in cuts]
+    looks = [network.cues(part) for part in (image, *(image[:, -count:] for count in rows))]
+    means = {name: mean_of_looks(*(look[name] for look in looks)) for name in ("layout", "road")}
+    return {**looks[0], **means}
+
+
+def lower_rows(height: int, cut: float) -> int:
+    """Rows that are left of a picture when a share of its height is cut off at the top."""
+    return max(1, round(height * (1 - cut)))
+
+
+def mean_of_looks(whole: Tensor, *lower: Tensor) -> Tensor:
+    """The mean of maps (…,H,W) of a picture and those (…,h,W) of its lowest h rows, row by row."""
+    total, looks = whole.clone(), whole.new_ones(whole.shape[-2], 1)
+    for maps in lower:
+        rows = maps.shape[-2]
+        total[..., -rows:, :] += maps
+        looks[-rows:] += 1
+    return total / looks
 
 
 def calibrated(odds: Tensor, calibration: RoadCalibration) -> Tensor:
@@ -331,11 +385,12 @@ ENTRIES = (
     ),
     Entry(
         "fusion:large",
-        "the same network at two sizes, averaged: more accurate, slower",
+        "two networks, each looking twice, the second time closer: more accurate, slower",
         FusionSettings,
         Fusion,
         values={
-            "scales": (1.0, 4 / 3),
+            "cuts": (0.3,),
+            "second": {"file": "rendered-free"},
             "working": {"pixels": 352 * 256},
         },
     ),

@@ -48,7 +48,7 @@ class Exportable:
     what: which part, in words. lacks: what Python does beside it.
     module: pictures uint8 (N,H,W,3) RGB → its ``outputs``.
     reference: what each of these has to equal. settings: those that have a part in it.
-    weights: the file of the network's weights.
+    weights: the files of its networks' weights.
     """
 
     what: str
@@ -56,7 +56,7 @@ class Exportable:
     module: Graph
     reference: Reference
     settings: tuple[str, ...]
-    weights: Path
+    weights: tuple[Path, ...]
 
 
 def exportable(detector: Detector) -> Exportable:
@@ -78,13 +78,17 @@ def part_of(detector: Detector) -> Exportable:
         part = Exportable(
             "its road, layout, ego car and trust",
             f"filling of thin holes, {ISOLATED}",
-            FusedRoad(analysis.network, settings),
+            FusedRoad(analysis.network, analysis.second, settings),
             partial(fused_maps, analysis, settings),
             (
-                *("weights", "threshold", "calibration", "scales"),
-                *("working", "seed_area"),
+                *("weights", "second", "threshold", "calibration"),
+                *("cuts", "working", "seed_area"),
             ),
-            weights_path(settings.weights.file or FOR_PICTURES),
+            tuple(
+                weights_path(file)
+                for file in (settings.weights.file or FOR_PICTURES, settings.second.file)
+                if file
+            ),
         )
     elif isinstance(analysis, Layout) and isinstance(settings, LayoutSettings):
         part = Exportable(
@@ -93,7 +97,7 @@ def part_of(detector: Detector) -> Exportable:
             LearnedLayout(analysis.network),
             partial(learned_maps, analysis.network),
             ("weights", "threshold"),
-            weights_path(settings.weights.file or FOR_PICTURES),
+            (weights_path(settings.weights.file or FOR_PICTURES),),
         )
     elif isinstance(analysis, Cnn7) and isinstance(settings, Cnn7Settings):
         part = Exportable(
@@ -102,7 +106,7 @@ def part_of(detector: Detector) -> Exportable:
             EveryPixel(analysis.network, settings.working),
             partial(detected_maps, detector),
             ("weights", "threshold", "working"),
-            weights_path(settings.weights.file or "cnn-7"),
+            (weights_path(settings.weights.file or "cnn-7"),),
         )
     else:
         raise ConfigError(detector.name, "cannot be exported", f"those that can: {', '.join(CAN)}")
@@ -141,8 +145,6 @@ def detected_maps(detector: Detector, image: Tensor) -> dict[str, Tensor]:
 
 def notes_of(detector: Detector, part: Exportable) -> dict[str, str]:
     """What the file says about itself, by name."""
-    stated = terms_of(part.weights)
-    terms = f"{stated} (see {part.weights.stem}.md beside the weights)" if stated else OWN_TERMS
     return {
         "roadtorch": __version__,
         "detector": detector.name,
@@ -154,10 +156,16 @@ def notes_of(detector: Detector, part: Exportable) -> dict[str, str]:
         "smallest_side": str(MIN_SIDE),
         **{f"output.{name}": OUTPUTS[name] for name in part.module.outputs},
         "threshold": f"{detector.settings.threshold:g}",
-        "weights": part.weights.name,
-        "weights_sha256": digest_of(part.weights),
-        "terms": f"{terms}; the code is Apache-2.0",
+        "weights": ", ".join(file.name for file in part.weights),
+        "weights_sha256": ", ".join(map(digest_of, part.weights)),
+        "terms": f"{'; '.join(map(terms_with_card, part.weights))}; the code is Apache-2.0",
     }
+
+
+def terms_with_card(weights: Path) -> str:
+    """What weights may be used for, and where that is said."""
+    stated = terms_of(weights)
+    return f"{stated} (see {weights.stem}.md beside the weights)" if stated else OWN_TERMS
 
 
 # --- whether a file says what Python says -----------------------------------------------

@@ -9,7 +9,7 @@ torch does, OpenVINO's reads the same file and does not (up to 0.45 off in a tri
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -26,7 +26,7 @@ from roadtorch.layout.patch_network import (
     Normalisation,
     PatchNetwork,
 )
-from roadtorch.layout.picture_network import EGO, potentials_of, scaled
+from roadtorch.layout.picture_network import EGO, potentials_of
 from roadtorch.layout.weights import WholePictureNetwork
 from roadtorch.road.ego import MIN_FREE, MIN_MEAN, PER_SHARE, SOLID, STRIP
 from roadtorch.road.fusion import log_odds
@@ -83,9 +83,15 @@ class FusedRoad(nn.Module):
 
     outputs = ("likelihood", "layout", "ego", "seed_area", "trust")
 
-    def __init__(self, network: WholePictureNetwork, settings: FusionSettings) -> None:
+    def __init__(
+        self,
+        network: WholePictureNetwork,
+        second: WholePictureNetwork | None,
+        settings: FusionSettings,
+    ) -> None:
         super().__init__()
         self.network = network
+        self.second = second
         self.settings = settings
 
     def forward(self, image: Tensor) -> tuple[Tensor, ...]:
@@ -94,9 +100,11 @@ class FusedRoad(nn.Module):
         planes = planes_of(image)
         full = (planes.shape[-2], planes.shape[-1])
         small = averaged(planes, *size_at_work(planes, settings.working)).clamp(0, 1)
-        size = (small.shape[-2], small.shape[-1])
-        seen = [potentials(self.network, small, scale) for scale in settings.scales]
-        maps = torch.stack([averaged(maps, *size).clamp(0, 1) for maps in seen]).mean(0)
+        maps = looks(self.network, small, settings.cuts)
+        if self.second is not None:
+            other = looks(self.second, small, settings.cuts)
+            pooled = torch.lerp(maps, other, settings.second.share)
+            maps = torch.cat([pooled[:, :EGO], maps[:, EGO:]], 1)
         ego = ego_columns(maps[:, EGO])
         layout, road, _ = continued_down(maps, ego).split([CLASSES, 1, 1], 1)
         odds = log_odds(road[:, 0])
@@ -139,11 +147,27 @@ Graph = LearnedLayout | FusedRoad | EveryPixel
 # --- before and behind the network ------------------------------------------------------
 
 
-def potentials(network: WholePictureNetwork, images: Tensor, scale: float = 1.0) -> Tensor:
+def potentials(network: WholePictureNetwork, images: Tensor) -> Tensor:
     """Potentials (N,5,h,w) of images (N,3,H,W) in [0,1], at the size at which the network sees."""
     settings = network.settings
-    seen = averaged(images, *scaled(settings.height, settings.width, scale)).clamp(0, 1)
+    seen = averaged(images, settings.height, settings.width).clamp(0, 1)
     return potentials_of(network(normalised(seen, settings.normalisation)))
+
+
+def looks(network: WholePictureNetwork, images: Tensor, cuts: Sequence[float]) -> Tensor:
+    """``fusion.seen_closer`` of images (N,3,H,W) in [0,1]: potentials (N,5,H,W)."""
+    height, width = images.shape[-2], images.shape[-1]
+    whole = averaged(potentials(network, images), height, width).clamp(0, 1)
+    maps, count = whole, torch.ones(height, 1)
+    for cut in cuts:
+        rows = _length(torch.scalar_tensor(height, dtype=torch.float64) * (1 - cut), 1)
+        place = torch.arange(height) - (height - rows)
+        lower = images.index_select(2, torch.arange(rows) + (height - rows))
+        seen = averaged(potentials(network, lower), rows, width).clamp(0, 1)
+        there = (place >= 0).to(maps.dtype)[:, None]
+        maps = maps + seen.index_select(2, place.clamp(min=0)) * there
+        count = count + there
+    return torch.cat([(maps / count)[:, :EGO], whole[:, EGO:]], 1)
 
 
 def planes_of(image: Tensor) -> Tensor:

@@ -11,7 +11,10 @@ from roadtorch.io.atomic import atomic, make_folder, write_text
 from roadtorch.layout.weights import card_of, terms_of
 from roadtorch.settings import to_toml
 
-WEIGHTS, CARD, README = "model.safetensors", "model.md", "README.md"
+README = "README.md"
+
+NAMES = {"weights": "model", "second": "second"}
+"""What the files of a network are called: its group of settings, and their name in the folder."""
 
 LINK = re.compile(r"\[([^\]]*)\]\((?!https?:)[^)]*\)")
 """A link of a card to a file of roadtorch's repository, which is not beside it on a hub."""
@@ -41,18 +44,24 @@ def export_folder(detector: Detector, out: Path) -> tuple[Path, ...]:
 
     Returns the files. Raises ConfigError for a detector without a network of its own.
     """
-    source, settings = part_of(detector).weights, detector.settings
+    sources, settings = part_of(detector).weights, detector.settings
     make_folder(out)
-    with atomic(out / WEIGHTS) as temporary:
-        shutil.copyfile(source, temporary)
-    # ``part_of`` takes detectors alone that have a group of settings for their weights.
-    weights = settings.weights.model_copy(update={"file": WEIGHTS})  # type: ignore[attr-defined]
-    stored = settings.model_copy(update={"weights": weights})
+    stored, files, cards = settings, [], []
+    for (group, name), source in zip(NAMES.items(), sources, strict=False):
+        own = getattr(settings, group).model_copy(update={"file": f"{name}.safetensors"})
+        stored = stored.model_copy(update={group: own})
+        files.append(out / own.file)
+        with atomic(files[-1]) as temporary:
+            shutil.copyfile(source, temporary)
+        if card := card_of(source):
+            cards.append(out / f"{name}.md")
+            write_text(cards[-1], LINK.sub(r"\1", card).replace(source.name, own.file))
     write_text(out / CONFIG, to_toml(detector.name, stored))
-    licence = "apache-2.0" if terms_of(source).startswith("anything") else "other"
-    text, files = FRONT.format(licence=licence, name=f"roadtorch {detector.name}"), []
-    if card := card_of(source):
-        write_text(out / CARD, LINK.sub(r"\1", card).replace(source.name, WEIGHTS))
-        text, files = f"{text}\nWhat the weights learned from: [{CARD}]({CARD}).\n", [out / CARD]
+    free = all(terms_of(source).startswith("anything") for source in sources)
+    licence = "apache-2.0" if free else "other"
+    text = FRONT.format(licence=licence, name=f"roadtorch {detector.name}")
+    if cards:
+        links = ", ".join(f"[{card.name}]({card.name})" for card in cards)
+        text = f"{text}\nWhat the weights learned from: {links}.\n"
     write_text(out / README, text)
-    return (out / WEIGHTS, out / CONFIG, out / README, *files)
+    return (*files, out / CONFIG, out / README, *cards)

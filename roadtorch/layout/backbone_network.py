@@ -17,7 +17,7 @@ from torch.nn import functional as F
 
 from roadtorch.imaging.resize import size_of
 from roadtorch.layout.patch_network import Normalisation
-from roadtorch.layout.picture_network import OUTPUTS, cues_of, place_planes, scaled
+from roadtorch.layout.picture_network import OUTPUTS, cues_of, place_planes
 from roadtorch.settings import Settings
 
 
@@ -207,11 +207,8 @@ class BackboneNetwork(nn.Module):
         return torch.stack([head(features) for head in self.heads]).mean(0)
 
     @torch.no_grad()
-    def cues(self, image: Tensor, scale: float = 1.0) -> Mapping[str, Tensor]:
-        """Of an image (3,H,W): ``layout`` (3,H,W), ``road`` and ``ego`` (H,W), all in [0,1].
-
-        scale: size at which the image is seen, against that for which the network is written.
-        """
+    def cues(self, image: Tensor) -> Mapping[str, Tensor]:
+        """Of an image (3,H,W): ``layout`` (3,H,W), ``road`` and ``ego`` (H,W), all in [0,1]."""
         settings = self.settings
-        size = scaled(settings.height, settings.width, scale)
+        size = (settings.height, settings.width)
         return cues_of(self, image, size, settings.normalisation)

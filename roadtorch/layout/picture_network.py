@@ -94,13 +94,10 @@ class PictureNetwork(nn.Module):
         return self.heads(half)
 
     @torch.no_grad()
-    def cues(self, image: Tensor, scale: float = 1.0) -> Mapping[str, Tensor]:
-        """Of an image (3,H,W): ``layout`` (3,H,W), ``road`` and ``ego`` (H,W), all in [0,1].
-
-        scale: size at which the image is seen, against that for which the network is written.
-        """
+    def cues(self, image: Tensor) -> Mapping[str, Tensor]:
+        """Of an image (3,H,W): ``layout`` (3,H,W), ``road`` and ``ego`` (H,W), all in [0,1]."""
         settings = self.settings
-        size = scaled(settings.height, settings.width, scale)
+        size = (settings.height, settings.width)
         return cues_of(self, image, size, settings.normalisation)
 
 

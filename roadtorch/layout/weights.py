@@ -4,7 +4,7 @@ import copy
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
@@ -157,11 +157,10 @@ def people_behind(path: str | os.PathLike[str]) -> list[Mapping[str, Any]]:
 
 def corrected_pictures(settings: Mapping[str, Any]) -> int:
     """How many pictures that people corrected are behind a detector's settings; 0: label-free."""
-    weights = settings.get("weights")
-    file = weights.get("file") if isinstance(weights, Mapping) else None
-    if not file:
-        return 0
-    return sum(int(run.get("pictures", 0)) for run in people_behind(weights_path(file)))
+    groups = [settings.get(name) for name in ("weights", "second")]
+    files = [group.get("file") for group in groups if isinstance(group, Mapping)]
+    runs = [run for file in files if file for run in people_behind(weights_path(file))]
+    return sum(int(run.get("pictures", 0)) for run in runs)
 
 
 def fill(network: nn.Module, tensors: Mapping[str, Tensor], path: str | os.PathLike[str]) -> None:
@@ -293,16 +292,12 @@ def network_of(weights: WeightsFile, shipped: str, *kinds: type[Network]) -> Net
     return network
 
 
-def picture_network_of(
-    weights: WeightsFile, shipped: str, scales: Sequence[float] = (1.0,)
-) -> WholePictureNetwork:
-    """The same for a network that sees whole pictures, and will at these scales.
+def picture_network_of(weights: WeightsFile, shipped: str) -> WholePictureNetwork:
+    """The same for a network that sees whole pictures.
 
-    It has run once at each: torch makes the programs of its convolutions in the first run, which
-    takes twice as long as a later one.
+    It has run once: torch makes the programs of its convolutions in the first run, which takes
+    twice as long as a later one.
     """
     network = network_of(weights, shipped, PictureNetwork, BackboneNetwork)
-    nothing = torch.zeros(3, network.settings.height, network.settings.width)
-    for scale in scales:
-        network.cues(nothing, scale)
+    network.cues(torch.zeros(3, network.settings.height, network.settings.width))
     return network

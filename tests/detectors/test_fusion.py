@@ -16,7 +16,7 @@ from roadtorch.errors import WeightsError
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import label_layout
-from roadtorch.layout.weights import FOR_PICTURES, load_network, network_at, shipped_weights
+from roadtorch.layout.weights import FOR_PICTURES, load_network, shipped_weights
 from roadtorch.road.fusion import RULES, Exponents, log_odds, prior_rows, segment_road
 from tests.networks import write_ego_network
 from tests.streets import lost_highlights
@@ -96,26 +96,42 @@ def test_what_the_network_has_learned_about_the_road_counts_pixel_by_pixel() -> 
     np.testing.assert_allclose(fine.likelihood, odds.sigmoid(), atol=2e-4, rtol=0.0)
 
 
-def test_the_likelihood_is_the_network_road_calibrated_and_the_mean_of_its_scales() -> None:
+def test_the_likelihood_is_the_network_road_calibrated_and_the_mean_of_its_looks() -> None:
     usual = {"centre": 0.5, "temperature": 2.0}
     plain = {"calibration": usual, "outlines": "smooth", "working": {"pixels": 96 * 128}}
     image = street()
 
     once = load_detector("fusion", **plain).detect(image)
-    both = load_detector("fusion", scales=(1.0, 1.5), **plain).detect(image)
+    both = load_detector("fusion", cuts=(0.25,), **plain).detect(image)
 
     network = load_network(shipped_weights(FOR_PICTURES))
     assert isinstance(network, BackboneNetwork)
-    larger = network_at(network, 288, 384)
-
     calibration = RoadCalibration(**usual)
     wanted = calibrated(log_odds(network.cues(image)["road"]), calibration)
     free = ~once.cues["ego"]
     np.testing.assert_allclose(once.likelihood[free], wanted[free], atol=2e-3, rtol=0.0)
-    mean = (network.cues(image)["road"] + larger.cues(image)["road"]) / 2
+    upper = image.shape[-2] // 4
+    mean = network.cues(image)["road"].clone()
+    mean[upper:] = (mean[upper:] + network.cues(image[:, upper:])["road"]) / 2
     wanted = calibrated(log_odds(mean), calibration)
     free = ~both.cues["ego"]
     np.testing.assert_allclose(both.likelihood[free], wanted[free], atol=2e-3, rtol=0.0)
+
+
+def test_a_second_network_has_its_share_of_the_mean() -> None:
+    image = street()
+    plain = {"outlines": "smooth", "working": {"pixels": 96 * 128}}
+
+    alone = load_detector("fusion", **plain).detect(image).cues
+    other = load_detector("fusion", weights={"file": "layout-free"}, **plain).detect(image).cues
+    second = {"file": "layout-free", "share": 0.25}
+    both = load_detector("fusion", second=second, **plain).detect(image).cues
+
+    assert torch.equal(both["ego"], alone["ego"])
+    for name in ("layout", "learned_road"):
+        wanted = 0.75 * alone[name] + 0.25 * other[name]
+        free = ~(alone["ego"] | other["ego"])
+        np.testing.assert_allclose(both[name][..., free], wanted[..., free], atol=1e-4, rtol=0.0)
 
 
 def test_the_paper_takes_another_descriptor_and_a_prior_where_told() -> None:

@@ -63,6 +63,7 @@ USUAL = {
     "vanishing-point": {"working": {"pixels": 3000}, "gabor": {"orientations": 16, "scales": 2}},
     "oneclass:mog_opt:HS": {},
     "oneclass:dlp:HS": {},
+    "fusion": {},
     "fusion:paper": {},
 }
 """What is set throughout, to be quick."""
@@ -73,6 +74,7 @@ NEEDS: dict[str, dict] = {
     "road.base": {"road": {"place": "ahead"}},
     "road.whole": {"tree": {"nodes": "runs", "least": 1000}},
     "saturation": {"descriptor": "cpf:v2"},
+    "second.share": {"second": {"file": "rendered-free"}},
     "classifier.threshold": {"classifier": {"rejected": 0.3}},
 }
 """What else has to be set for a setting to matter, in the detectors of ``USUAL``."""
@@ -115,8 +117,10 @@ def candidates(name: str, path: tuple[str, ...], default: Any) -> Iterator[Any]:
         yield [0.5, 0.8]
     elif path == ("working", "pixels"):
         yield 2000
-    elif path == ("scales",):
-        yield [1.0, 2.0]
+    elif path == ("cuts",):
+        yield [0.3]
+    elif path == ("second", "file"):
+        yield "rendered-free"
     elif isinstance(default, tuple):
         yield list(default[:2])
     elif isinstance(default, str):

@@ -32,7 +32,7 @@ from roadtorch.io.atomic import digest_of
 from roadtorch.io.image import read_image, to_pixels
 from roadtorch.layout.weights import shipped_weights
 from roadtorch.testing import street
-from tests.networks import write_ego_network
+from tests.networks import write_ego_network, write_random_network
 
 onnx = pytest.importorskip("onnx", reason="the extra onnx is not installed")
 openvino = pytest.importorskip("openvino", reason="the extra openvino is not installed")
@@ -118,6 +118,23 @@ def test_layout_gives_the_ground_and_weights_of_ones_own_are_taken(
     assert ground.notes["weights_sha256"] == digest_of(weights)
     assert ground.notes["threshold"] == "0.3"
     assert "non-commercial" not in ground.notes["terms"]
+
+
+def test_a_second_network_and_closer_looks_are_inside(tmp_path: Path) -> None:
+    weights = [write_random_network(tmp_path / f"{seed}.safetensors", seed) for seed in (0, 1)]
+    first, second = ({"file": str(file)} for file in weights)
+    detector = load_detector(
+        "fusion",
+        weights=first,
+        second=second,
+        cuts=(0.3, 0.55),
+        threshold=0.9,  # networks that know nothing say one half, around which masks flip
+    )
+
+    exported = export_detector(detector, tmp_path / "both.onnx", "onnx")  # which checks parity
+
+    assert exported.notes["weights"] == "0.safetensors, 1.safetensors"
+    assert exported.notes["weights_sha256"] == ", ".join(map(digest_of, weights))
 
 
 def test_the_same_detector_gives_the_same_bytes(

@@ -49,6 +49,17 @@ def test_its_cards_say_the_terms_and_link_to_nothing_that_is_not_there(folder: P
     assert terms_of(folder / "model.safetensors").startswith("anything")
 
 
+def test_both_networks_of_a_detector_are_in_the_folder(tmp_path: Path) -> None:
+    export_folder(load_detector("fusion:large"), tmp_path)
+
+    names = {path.name for path in tmp_path.iterdir()}
+    assert {"model.safetensors", "model.md", "second.safetensors", "second.md"} < names
+    image = street(120, 160, 3)
+    expected = load_detector("fusion:large")(image)
+    assert torch.equal(load_detector(str(tmp_path))(image).likelihood, expected.likelihood)
+    assert 'file = "second.safetensors"' in (tmp_path / "detector.toml").read_text()
+
+
 def test_weights_without_a_card_have_terms_of_their_own(tmp_path: Path) -> None:
     weights = write_ego_network(tmp_path / "own.safetensors", bottom=0.25)
 

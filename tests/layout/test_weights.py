@@ -193,7 +193,9 @@ def test_shipped_weights_are_what_their_cards_state(name: str, tmp_path: Path) -
 def test_the_cards_of_shipped_weights_say_what_they_may_be_used_for() -> None:
     terms = {name: terms_of(shipped_weights(name)) for name in list_shipped_weights()}
     assert [name for name in terms if not terms[name].startswith("anything: Apache-2.0")] == []
-    assert terms.keys() == {"backbone-free", "cnn-7", "cnn-7-paper", "layout-free"}
+    assert terms.keys() == {
+        *("backbone-free", "cnn-7", "cnn-7-paper", "layout-free", "rendered-free")
+    }
 
 
 def test_the_free_weights_began_with_nothing_else() -> None:

@@ -177,6 +177,7 @@ def test_weights_say_that_people_corrected_pictures(kind: str, runs: dict[str, O
     assert (summary["pictures"], summary["people"], summary["pixels"]) == (1, 1, 3 * 60 * 80 // 4)
     assert "not label-free" in weights.with_suffix(".md").read_text()
     assert corrected_pictures({"weights": {"file": str(weights)}}) == 1
+    assert corrected_pictures({"weights": {"file": ""}, "second": {"file": str(weights)}}) == 1
     assert json.loads((weights.parent / "run.json").read_text())["corrections"] == summary
     config = weights.parent / FUSION
     assert config.exists() == (kind == "pictures")
