@@ -1,22 +1,27 @@
 """Networks whose answers are known without training."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import torch
 
 from roadtorch.layout.picture_network import EGO, PictureNetwork, PictureNetworkSettings
-from roadtorch.layout.weights import save_network
+from roadtorch.layout.weights import LayoutNetwork, save_network
 
 CRISP = 40.0
 """Log odds by which the potential of the ego car rises from row to row where it begins."""
 
 
-def write_random_network(path: Path, seed: int) -> Path:
-    """Weights of a small network that nobody trained."""
+SMALL = PictureNetworkSettings(height=48, width=64, narrow=8, wide=8)
+
+
+def write_random_network(
+    path: Path, seed: int, make: Callable[[], LayoutNetwork] = lambda: PictureNetwork(SMALL)
+) -> Path:
+    """Weights of a network that nobody trained."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        small = PictureNetworkSettings(height=48, width=64, narrow=8, wide=8)
-        save_network(path, PictureNetwork(small), {})
+        save_network(path, make(), {})
     return path
 
 
@@ -27,7 +32,7 @@ def write_ego_network(path: Path, bottom: float) -> Path:
     ``bottom`` is below 0.45; 0 is no ego car. It sees nothing else: every class of the layout is
     as likely, and road as likely as not, whatever the picture.
     """
-    network = PictureNetwork(PictureNetworkSettings(height=48, width=64, narrow=8, wide=8))
+    network = PictureNetwork(SMALL)
     for name, values in network.named_parameters():
         if values.ndim == 4 or name.endswith("bias"):  # the normalisation stays
             values.zero_()

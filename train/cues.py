@@ -26,11 +26,12 @@ from roadtorch.imaging.color import brightened
 from roadtorch.imaging.resize import WorkingSize, at_work, resized, size_of
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, pooled
 from roadtorch.layout.labeller import EXPOSURE, segment_layout
-from roadtorch.layout.picture_network import cues_of, scaled
+from roadtorch.layout.picture_network import scaled
 from roadtorch.layout.weights import (
     FOR_PICTURES,
     WeightsFile,
     WholePictureNetwork,
+    network_at,
     picture_network_of,
 )
 from roadtorch.road.ego import continued, ego_found
@@ -65,14 +66,17 @@ VARIANTS = {"all cues": Variant()} | {
 }
 
 
-def odds_of(image: Tensor, network: WholePictureNetwork) -> Iterator[tuple[str, Tensor, float]]:
-    """Name, log odds (h,w) and seconds of each way to find the road of an image (3,h,w)."""
+def odds_of(
+    image: Tensor, networks: Mapping[float, WholePictureNetwork]
+) -> Iterator[tuple[str, Tensor, float]]:
+    """Name, log odds (h,w) and seconds of each way to find the road of an image (3,h,w).
+
+    networks: by scale.
+    """
     settings = ScratchFusionSettings()
-    sees = network.settings
-    for scale in SCALES:
-        size = scaled(sees.height, sees.width, scale)
+    for scale, network in networks.items():
         begun = perf_counter()
-        cues = cues_of(network, image, size, sees.normalisation)
+        cues = network.cues(image)
         seconds = perf_counter() - begun
         yield f"network at {scale:g}" if scale != 1 else ALONE, hidden(cues), seconds
         if scale == 1:
@@ -125,13 +129,15 @@ class Counted(NamedTuple):
 def counted(many: Path, weights: str) -> tuple[dict[str, Counted], np.ndarray]:
     """Pixels of road and not, by log odds of each way; the cameras of the pictures (n,)."""
     network = picture_network_of(WeightsFile(file=weights), FOR_PICTURES)
+    size = (network.settings.height, network.settings.width)
+    networks = {scale: network_at(network, *scaled(*size, scale)) for scale in SCALES}
     dataset, rows, cameras = open_dataset("folder", many), {}, []
     for item in tqdm([item for item in dataset.items if item.group not in TOO_FEW], disable=None):
         image, truth = dataset.read(item)
         small = at_work(image, WorkingSize(pixels=256 * 192))
         planes = torch.stack([truth.valid, truth.road & truth.valid]).float()
         valid, road = resized(planes, size_of(small)) > 0.5
-        for name, odds, seconds in odds_of(small, network):
+        for name, odds, seconds in odds_of(small, networks):
             counts = counts_between(odds, Truth(road, valid))
             rows.setdefault(name, []).append((counts, seconds))
         cameras.append(str(item.group))

@@ -267,7 +267,7 @@ def preparation_of(config: Path) -> Mapping[str, Any]:
 
 
 def teach(given: argparse.Namespace) -> None:
-    """Write real pictures as training runs prepare them, taught by `fusion:large`."""
+    """Write real pictures as training runs prepare them, taught by both teachers."""
     network = load_network(given.teacher)
     assert isinstance(network, BackboneNetwork)
     first = {"file": str(given.beside or given.teacher)}

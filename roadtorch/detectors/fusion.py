@@ -242,15 +242,13 @@ def seen_closer(
 
     The ego car is that of the whole image: its place tells it.
     """
-    rows = [lower_rows(image.shape[-2], cut) for cut in cuts]
-    looks = [network.cues(part) for part in (image, *(image[:, -count:] for count in rows))]
+    whole, height = network.cues(image), image.shape[-2]
+    if not cuts:
+        return whole
+    rows = [max(1, round(height * (1 - cut))) for cut in cuts]
+    looks = [whole, *(network.cues(image[:, -count:]) for count in rows)]
     means = {name: mean_of_looks(*(look[name] for look in looks)) for name in ("layout", "road")}
-    return {**looks[0], **means}
-
-
-def lower_rows(height: int, cut: float) -> int:
-    """Rows that are left of a picture when a share of its height is cut off at the top."""
-    return max(1, round(height * (1 - cut)))
+    return {**whole, **means}
 
 
 def mean_of_looks(whole: Tensor, *lower: Tensor) -> Tensor:

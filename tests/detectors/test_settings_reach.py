@@ -16,9 +16,9 @@ from roadtorch.errors import ConfigError
 from roadtorch.io.image import write_mask
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
-from roadtorch.layout.weights import save_network
 from roadtorch.oneclass import CLASSIFIERS
 from roadtorch.settings import Settings, build_settings, group_at, merge
+from tests.networks import write_random_network
 from tests.representatives import ways_of_working
 from tests.streets import lost_highlights
 
@@ -33,11 +33,7 @@ FILES = TemporaryDirectory()
 
 def other_weights(kind: type[PatchNetwork] | type[PictureNetwork]) -> str:
     """A file with weights that nobody trained."""
-    path = Path(FILES.name) / f"{kind.kind}.safetensors"
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(0)
-        save_network(path, kind(), {})
-    return str(path)
+    return str(write_random_network(Path(FILES.name) / f"{kind.kind}.safetensors", 0, kind))
 
 
 def ego_mask_file() -> str:
