@@ -95,7 +95,7 @@ class Band(NamedTuple):
     weights: Tensor
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=256)  # a picture of another size asks for eight
 @torch.inference_mode(False)  # kept for callers in any mode
 def averaging_bands(before: int, after: int, old: int) -> tuple[Band, ...]:
     """How a side of ``before`` pixels becomes one of ``after``; about ``old`` of them in a band.
