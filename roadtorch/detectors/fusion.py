@@ -79,7 +79,7 @@ class RoadCalibration(Settings):
 class SecondNetwork(Settings):
     """Another network beside the first: it began elsewhere, so that it errs elsewhere.
 
-    Road and layout are the mean of both; the ego car is the first one's.
+    Road and layout are the mean of both; the ego car is the first one's, which may have adapted.
     """
 
     file: str = Field(
@@ -238,17 +238,13 @@ class Fusion(nn.Module):
 def seen_closer(
     network: WholePictureNetwork, image: Tensor, cuts: Sequence[float]
 ) -> Mapping[str, Tensor]:
-    """``cues`` of an image (3,H,W), and of what is left of it below each cut; their mean.
-
-    The ego car is that of the whole image: its place tells it.
-    """
+    """``cues`` of an image (3,H,W), and of what is left of it below each cut; their mean."""
     whole, height = network.cues(image), image.shape[-2]
     if not cuts:
         return whole
     rows = [max(1, round(height * (1 - cut))) for cut in cuts]
     looks = [whole, *(network.cues(image[:, -count:]) for count in rows)]
-    means = {name: mean_of_looks(*(look[name] for look in looks)) for name in ("layout", "road")}
-    return {**whole, **means}
+    return {name: mean_of_looks(*(look[name] for look in looks)) for name in whole}
 
 
 def mean_of_looks(whole: Tensor, *lower: Tensor) -> Tensor:

@@ -109,8 +109,9 @@ class FusedRoad(nn.Module):
         layout, road, _ = continued_down(maps, ego).split([CLASSES, 1, 1], 1)
         odds = log_odds(road[:, 0])
         likelihood = calibrated(odds, settings.calibration)
-        before = averaged(likelihood[:, None], *full)[:, 0]
-        fine = followed_by_all(likelihood, continued_down(small, ego), planes)
+        free = likelihood.masked_fill(ego, 0)
+        before = averaged(free[:, None], *full)[:, 0]
+        fine = followed_by_all(free, small, planes)
         same = (fine >= settings.threshold) == (before >= settings.threshold)
         hidden = nearest(ego, *full)
         fine = torch.where(same, before, fine).masked_fill(hidden, 0)
@@ -157,8 +158,8 @@ def potentials(network: WholePictureNetwork, images: Tensor) -> Tensor:
 def looks(network: WholePictureNetwork, images: Tensor, cuts: Sequence[float]) -> Tensor:
     """``fusion.seen_closer`` of images (N,3,H,W) in [0,1]: potentials (N,5,H,W)."""
     height, width = images.shape[-2], images.shape[-1]
-    whole = averaged(potentials(network, images), height, width).clamp(0, 1)
-    maps, count = whole, torch.ones(height, 1)
+    maps = averaged(potentials(network, images), height, width).clamp(0, 1)
+    count = torch.ones(height, 1)
     for cut in cuts:
         rows = _length(torch.scalar_tensor(height, dtype=torch.float64) * (1 - cut), 1)
         place = torch.arange(height) - (height - rows)
@@ -167,7 +168,7 @@ def looks(network: WholePictureNetwork, images: Tensor, cuts: Sequence[float]) -
         there = (place >= 0).to(maps.dtype)[:, None]
         maps = maps + seen.index_select(2, place.clamp(min=0)) * there
         count = count + there
-    return torch.cat([(maps / count)[:, :EGO], whole[:, EGO:]], 1)
+    return maps / count
 
 
 def planes_of(image: Tensor) -> Tensor:

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from roadtorch.imaging.levels import at_least
 from roadtorch.imaging.resize import Maps, WorkingSize, at_work, resized, size_of
-from roadtorch.road.ego import continued, is_anywhere
 from roadtorch.road.seed_area import remove_isolated
 
 Outlines = Annotated[
@@ -47,8 +46,8 @@ def guided(
 
     It follows the picture where that decides otherwise, and stays as it is elsewhere: smoothed all
     over, MaxF on the fourteen cameras falls by .004. At most ``MAX_ENLARGEMENT`` times the working
-    size's pixels: beyond that, an image shows but grain. Where the ego car is, the ground above
-    goes on, so that its looks change nothing.
+    size's pixels: beyond that, an image shows but grain. The ego car is no road here, in its own
+    looks: so what is left of its bonnet above the map of it does not become road.
     """
     return filled(outlined(maps, small, image, working, threshold), threshold)
 
@@ -59,12 +58,13 @@ def outlined(
     """The same but for its last step: thin holes are still there."""
     more = working.model_copy(update={"pixels": MAX_ENLARGEMENT * working.pixels})
     larger = image if image[0].numel() <= more.pixels else at_work(image, more)
-    if "ego" in maps and is_anywhere(maps["ego"]):
-        small = continued(small, maps["ego"])
-    likelihood = followed(maps["likelihood"], small, larger)
-    before = resized(maps["likelihood"], size_of(larger))
-    same = at_least(likelihood, threshold) == at_least(before, threshold)
-    return torch.where(same, before, likelihood)
+    likelihood = maps["likelihood"]
+    if "ego" in maps:
+        likelihood = likelihood.masked_fill(maps["ego"], 0)
+    fine = followed(likelihood, small, larger)
+    before = resized(likelihood, size_of(larger))
+    same = at_least(fine, threshold) == at_least(before, threshold)
+    return torch.where(same, before, fine)
 
 
 def followed(likelihood: Tensor, image: Tensor, larger: Tensor) -> Tensor:

@@ -67,6 +67,16 @@ def test_the_ego_car_is_where_the_network_sees_it_and_above_it_there_is_road(
     assert right.sum() > 0.7 * detected.mask.sum() > 0
 
 
+def test_the_ego_car_is_the_mean_of_all_looks(tmp_path: Path) -> None:
+    bottom, cut = 0.4, 0.3  # of what a look sees, so of a closer one the lowest 28 % of the picture
+    weights = {"file": str(write_ego_network(tmp_path / "seeing.safetensors", bottom))}
+    detector = load_detector("fusion", weights=weights, cuts=(cut, cut))  # two against one
+
+    free = ~detector.detect(scene(3, 200, 200, shadows=0).image).cues["ego"]
+
+    assert free.sum(0).unique().tolist() == pytest.approx([200 * (1 - bottom * (1 - cut))], abs=6)
+
+
 @pytest.mark.parametrize("seed", [6, 9])
 def test_road_that_does_not_reach_the_ego_car_is_isolated(seed: int, weights: Path) -> None:
     """These have some; the seed area is in the ground that the ego car hides."""
@@ -108,7 +118,9 @@ def test_it_holds_at_any_size(name: str, size: tuple[int, int], weights: Path) -
 
     detection = seeing.detect(resized(street(), size).clamp(0, 1))
 
-    ego = detection.cues["ego"]
-    assert (ego != car(*size)).float().mean() <= 0.02
+    ego, cuts = detection.cues["ego"], getattr(seeing.settings, "cuts", ())
+    least = BOTTOM * (1 - max(cuts, default=0))  # the lowest quarter of what each look sees
+    assert least - 0.02 <= ego.double().mean() <= BOTTOM + 0.02
+    assert not ego[: int((1 - BOTTOM - 0.02) * size[0])].any()
     assert not (detection.cues["seed_area"] & ego).any()
     assert list(flaws(detection, size, "a street")) == []  # neither road nor likelihood

@@ -7,8 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from roadtorch.imaging.resize import resized
-from roadtorch.road.outlines import BARELY, filled, followed
+from roadtorch.imaging.resize import Maps, WorkingSize, at_work, resized, size_of
+from roadtorch.road.ego import continued
+from roadtorch.road.outlines import BARELY, filled, followed, outlined
 
 
 def halves(height: int, width: int) -> Tensor:
@@ -49,6 +50,23 @@ def test_what_says_the_same_everywhere_says_it_in_any_picture(height, width, val
     assert found.shape == (height, width)
     assert 0 <= float(found.min()) <= float(found.max()) <= 1
     np.testing.assert_allclose(found, torch.full_like(found, value), atol=1e-3, rtol=0.0)
+
+
+def test_what_the_ego_car_map_leaves_of_a_bonnet_like_the_road_stays_no_road() -> None:
+    working, begins, missed = WorkingSize(pixels=256 * 192), 400, 4
+    noise = torch.randn(3, 480, 640, generator=torch.Generator().manual_seed(0))
+    level = torch.where(torch.arange(480)[:, None] < begins, 0.5, 0.4)
+    image = (level + 0.04 * noise).clamp(0, 1)
+    small = at_work(image, working)
+    below = (torch.arange(len(small[0]))[:, None] + 0.5) * 480 / len(small[0]) - begins
+    below = below.expand(size_of(small))
+    ego = below > missed
+    likelihood = continued(0.9 - 0.8 * (below / 12 + 0.5).clamp(0, 1), ego)
+
+    found = outlined(Maps({"likelihood": likelihood, "ego": ego}), small, image, working, 0.5)
+
+    assert (found[begins : begins + missed] > 0.5).double().mean() < 0.05
+    assert (found[: begins - 12] > 0.5).double().mean() > 0.99
 
 
 ROAD, NOT = 0.8, 0.1
