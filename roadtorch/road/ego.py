@@ -24,10 +24,10 @@ MIN_FREE = 0.1  # share of the picture that an ego car must leave free
 STRIP = 0.08
 """Share of the picture's side that is mirrored at most: near ground, never the sky above it."""
 
-MIN_MEAN, PER_SHARE = 0.6, 0.8
+MIN_MEAN, PER_SHARE = 0.7, 0.5
 """Mean potential from which an ego car is one, and what is added for its share of the picture:
 lines near the lower edge are half believed, bonnets mostly not, and more ground lost by mistake
-needs more certainty."""
+needs more certainty (train/README.md, "The ego car's edge")."""
 
 SOLID = 0.6  # share of the pixels below that must be ego car
 

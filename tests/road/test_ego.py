@@ -245,8 +245,8 @@ LIT[33:36, 20:30] = 0.2
         pytest.param(potential(BONNET, high=0.85), [BONNET], id="believed"),
         pytest.param(potential(low=0.5), [], id="undecided"),
         # The larger, the surer it has to be.
-        pytest.param(0.75 * potential((slice(37, None), EVERY)), [(slice(37, None), EVERY)]),
-        pytest.param(0.75 * potential((slice(20, None), EVERY)), []),
+        pytest.param(0.85 * potential((slice(37, None), EVERY)), [(slice(37, None), EVERY)]),
+        pytest.param(0.85 * potential((slice(20, None), EVERY)), []),
     ],
 )
 def test_the_ego_car_is_what_goes_down_to_the_lower_edge(
