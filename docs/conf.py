@@ -11,7 +11,7 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE / "_extensions"))
 sys.path.insert(0, str(HERE.parent))
 
-from roadtorch.version import __version__  # noqa: E402
+from roadtorch.base.version import __version__  # noqa: E402
 
 project = "roadtorch"
 author = "the roadtorch authors"

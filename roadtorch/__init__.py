@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import lazy_loader
 
-from roadtorch.version import __version__
+from roadtorch.base.version import __version__
 
 if TYPE_CHECKING:
-    from roadtorch.detection import Detection
+    from roadtorch.base.image import read_image
     from roadtorch.detectors.catalogue import list_detectors, load_detector
-    from roadtorch.io.image import read_image
+    from roadtorch.detectors.detection import Detection
     from roadtorch.run.loop import detect_stream
 
 __all__ = [
@@ -29,9 +29,9 @@ __all__ = [
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "detection": ["Detection"],
+        "detectors.detection": ["Detection"],
         "detectors.catalogue": ["list_detectors", "load_detector"],
-        "io.image": ["read_image"],
+        "base.image": ["read_image"],
         "run.loop": ["detect_stream"],
     },
 )

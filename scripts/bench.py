@@ -33,8 +33,8 @@ from torch import Tensor
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
 
 from roadtorch.detectors.catalogue import list_detectors, load_detector
-from roadtorch.scenes.street import render_scene
-from roadtorch.superpixels.slic import slic
+from roadtorch.imaging.slic import slic
+from roadtorch.testing.scenes import render_scene
 from scripts.readme_tables import TIMED
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -75,7 +75,7 @@ def ratio(one: Sequence[float], other: Sequence[float]) -> float:
 
 def lraspp(image: Tensor) -> Callable[[], Any]:
     """torchvision's small network for segmentation on this image, with random weights."""
-    from roadtorch.runtime.vision import import_torchvision
+    from roadtorch.base.vision import import_torchvision
 
     torch.manual_seed(0)
     segmentation = import_torchvision().models.segmentation

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from roadtorch.base.image import read_image
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.io.image import read_image
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

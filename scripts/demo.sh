@@ -8,7 +8,7 @@ prepare_venv
 out=$PWD/out/demo
 if [ $# -eq 0 ]; then
   out=$PWD/out/demo-scenes
-  "$PYTHON" -m roadtorch.scenes.street --out out/scenes --count 6
+  "$PYTHON" -m roadtorch.testing.scenes --out out/scenes --count 6
   set -- "$PWD/out/scenes"
 fi
 

@@ -28,10 +28,10 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
 
+from roadtorch.base.image import write_mask
 from roadtorch.cli import main
 from roadtorch.data.events import BrushStroke, LogHead, append_event, log_path, read_logs
-from roadtorch.io.image import write_mask
-from roadtorch.scenes.street import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_picture
 from scripts.torture import ADAPTING, ASKED, OUT, TRAINING, become, differences, ended, load
 
 KINDS = ("open", "write", "fsync", "rename", "close")
@@ -55,8 +55,8 @@ IMAGES = "../work/image_2"
 def annotate() -> None:
     """Draw as the page does, three strokes on two pictures; each is noted once it is taken."""
     from roadtorch.annotate.session import opened_session
+    from roadtorch.base.errors import RoadtorchError
     from roadtorch.detectors.catalogue import load_detector
-    from roadtorch.errors import RoadtorchError
 
     out = Path(OUT)
     out.mkdir(exist_ok=True)

@@ -69,7 +69,7 @@ for number, found in enumerate(detector.detect_many(pictures, jobs=2)):
     found.save(f"street_{number}.mask.png")
     print(found)
 PYTHON
-step 0 python -m roadtorch.scenes.street --out street --count 4
+step 0 python -m roadtorch.testing.scenes --out street --count 4
 step 4 python arrays.py
 step 2 roadtorch export fusion --out road.onnx
 step 0 python "$root/docs/examples/infer.py" road.onnx street maps '*.png'
@@ -90,7 +90,7 @@ TOML
 cat >plug-in/blueish.py <<'PYTHON'
 from torch import nn
 
-from roadtorch.detector import DetectorSettings, Entry
+from roadtorch.detectors.detector import DetectorSettings, Entry
 
 
 class Blueish(nn.Module):

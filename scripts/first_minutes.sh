@@ -47,7 +47,7 @@ cd "$place"
 PATH=$place/env/bin:$PATH
 step 1 roadtorch --version
 step 60 roadtorch doctor
-step 1 python -m roadtorch.scenes.street --out scenes --count 6
+step 1 python -m roadtorch.testing.scenes --out scenes --count 6
 step 3 roadtorch infer scenes --out roads
 step 1 roadtorch infer scenes --out roads-cpf --config thresholds/cpf
 step 1 roadtorch train --config adapt --set start=layout-free --set stopping.epochs=1 \

@@ -33,7 +33,7 @@ from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_typestore
 
 from roadtorch import list_detectors, load_detector, read_image
-from roadtorch.scenes.street import render_scene
+from roadtorch.testing.scenes import render_scene
 
 CELLS = (
     *("oneclass:nn:RGB", "oneclass:hist64_s:HS", "oneclass:gaussian:Lab"),

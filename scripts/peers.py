@@ -26,10 +26,10 @@ from torch import Tensor
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
 
 from roadtorch import load_detector
+from roadtorch.base.image import to_pixels
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.detector import Detector
+from roadtorch.detectors.detector import Detector
 from roadtorch.evaluation.metrics import RoadCounts, count_levels, decisions_at, f_measure, max_f
-from roadtorch.io.image import to_pixels
 from scripts.readme_figures import FIGURES, used
 from scripts.readme_tables import CAMERAS
 

@@ -39,10 +39,10 @@ from typing import Any, NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
 
+from roadtorch.base.settings import build_settings, read_settings_file
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
 from roadtorch.layout.weights import card_of, shipped_weights
 from roadtorch.oneclass import CLASSIFIERS
-from roadtorch.settings import build_settings, read_settings_file
 from scripts.readme_numbers import unbound
 from scripts.readme_tables import FUSIONS, MINUS, ROAD, SLOW, TABLES, Records, restated
 

@@ -17,11 +17,11 @@ import numpy as np
 from PIL import Image
 
 from roadtorch import detect_stream, load_detector, read_image
-from roadtorch.detector import Detection, Detector
-from roadtorch.io.atomic import digest_of
-from roadtorch.io.image import to_pixels
+from roadtorch.base.atomic import digest_of
+from roadtorch.base.image import to_pixels
+from roadtorch.detectors.detector import Detection, Detector
+from roadtorch.evaluation.report.montage import TILE_WIDTH, captioned, cue_tiles, heat
 from roadtorch.layout.weights import FOR_PICTURES, shipped_weights
-from roadtorch.report.montage import TILE_WIDTH, captioned, cue_tiles, heat
 
 CHOSEN = ("udadv_test5.jpg", "mcubes_h07.jpg", "comma10k_0008.jpg", "cat_v11.jpg")
 """A motorway under trees, a street, a bonnet in view, a track: one of each recording."""

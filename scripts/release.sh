@@ -31,9 +31,9 @@ section() { # TITLE: the entries of a section of the changelog
     inside && NF' CHANGELOG.md
 }
 
-version=$(sed -n 's/^__version__ = "\(.*\)"$/\1/p' roadtorch/version.py)
+version=$(sed -n 's/^__version__ = "\(.*\)"$/\1/p' roadtorch/base/version.py)
 [[ $version =~ ^[0-9]+\.[0-9]+\.[0-9]+((a|b|rc)[0-9]+)?$ ]] ||
-  refuse roadtorch/version.py "'$version' is no version" "write MAJOR.MINOR.PATCH"
+  refuse roadtorch/base/version.py "'$version' is no version" "write MAJOR.MINOR.PATCH"
 grep -qx "version: $version" CITATION.cff ||
   refuse CITATION.cff "states another version than $version" "change it there too"
 [ -n "$(section "$version")" ] ||
@@ -67,7 +67,7 @@ here=$PWD
 cd "$place" # away from the checkout: what is imported is what was installed
 env/bin/python -c "import roadtorch; print('release: imported from', roadtorch.__file__.partition('/env/')[2])"
 env/bin/roadtorch doctor | tail -n 1
-env/bin/python -m roadtorch.scenes.street --out scenes --count 2
+env/bin/python -m roadtorch.testing.scenes --out scenes --count 2
 env/bin/roadtorch infer scenes --out roads --config thresholds/fusion --quiet
 for result in config.toml index.csv scene_0{0,1}.{likelihood.png,mask.png,overlay.jpg}; do
   [ -s "roads/$result" ] || refuse "roads/$result" "was not made by the demonstration" "mend it"

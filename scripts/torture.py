@@ -35,23 +35,31 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package 
 
 import torch
 
+from roadtorch.base.image import write_mask
 from roadtorch.cli import main
-from roadtorch.detection import Detection
 from roadtorch.detectors.catalogue import list_detectors
+from roadtorch.detectors.detection import Detection
 from roadtorch.evaluation import evaluate
 from roadtorch.inputs.item import Item
-from roadtorch.io.image import write_mask
 from roadtorch.run.folder import RUN
-from roadtorch.scenes.street import render_scene, write_picture
+from roadtorch.run.writers.video import VideoWriter
+from roadtorch.testing.scenes import render_scene, write_picture
 from roadtorch.train import loop
-from roadtorch.writers.video import VideoWriter
 
 LOADED = (
     *("roadtorch.camera.camera", "roadtorch.run.run", "roadtorch.run.record"),
-    *("roadtorch.cli.evaluate", "roadtorch.writers.choice", "roadtorch.writers.coco"),
+    *("roadtorch.cli.evaluate", "roadtorch.run.writers.choice", "roadtorch.run.writers.coco"),
     *("roadtorch.inputs.find", "roadtorch.inputs.video", "roadtorch.run.workers"),
-    *("roadtorch.data.catalogue", "roadtorch.evaluation.evaluate", "roadtorch.report.files"),
-    *("roadtorch.report.screen", "roadtorch.train.run", "roadtorch.adapt.adapt"),
+    *(
+        "roadtorch.data.catalogue",
+        "roadtorch.evaluation.evaluate",
+        "roadtorch.evaluation.report.files",
+    ),
+    *(
+        "roadtorch.evaluation.report.screen",
+        "roadtorch.train.run",
+        "roadtorch.train.adaptation.adapt",
+    ),
 )
 """What the commands import when they are used."""
 

@@ -25,10 +25,10 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
 
 from roadtorch.annotate.server import Address, bound_socket, keep_address
+from roadtorch.base.atomic import LEFTOVER
 from roadtorch.cli import main
 from roadtorch.data.events import log_path, read_log
-from roadtorch.io.atomic import LEFTOVER
-from roadtorch.scenes.street import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_picture
 from scripts.torture import ASKED, SIGNALS, become, ended
 
 WRITERS, PICTURES = 4, 3

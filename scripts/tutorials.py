@@ -264,7 +264,7 @@ def prepare() -> None:
 
     import roadtorch.detectors.catalogue
     import roadtorch.evaluation.evaluate
-    import roadtorch.scenes.street  # noqa: F401
+    import roadtorch.testing.scenes  # noqa: F401
 
     torch.set_num_threads(1)
 

@@ -6,9 +6,9 @@ import torch
 from pydantic import Field
 from torch import nn
 
-from roadtorch.detector import DetectorSettings, Entry
 from roadtorch.detectors.catalogue import list_detectors, register
-from roadtorch.scenes.street import render_scene
+from roadtorch.detectors.detector import DetectorSettings, Entry
+from roadtorch.testing.scenes import render_scene
 from tests.streets import write_camvid
 
 ORACLE = "test-oracle"

@@ -14,6 +14,7 @@ from roadtorch.evaluation.document import DetectorCurves, RunCurves
 from roadtorch.evaluation.measure import Figures
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.methods import Contender, Look
+from roadtorch.evaluation.report.montage import on_page
 from roadtorch.evaluation.result import (
     Comparison,
     DetectorFigures,
@@ -24,7 +25,6 @@ from roadtorch.evaluation.result import (
     PictureRow,
 )
 from roadtorch.layout.classes import NAMES as CLASSES
-from roadtorch.report.montage import on_page
 
 GROUPS = ("0001TP", "0006R0", "0016E5")
 NAMES = ("fusion", "labeller", "prior:mean", "cpf:v2", "prior:rows")

@@ -7,7 +7,7 @@ import cv2
 import torch
 from torch import Tensor
 
-from roadtorch.scenes.street import RenderedScene, render_scene, write_picture
+from roadtorch.testing.scenes import RenderedScene, render_scene, write_picture
 
 scene = cache(render_scene)
 """A rendered street with its truth: ``scene(seed, height, width, dusk=…)``, each made once.

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from roadtorch import Detection
-from roadtorch.detection import to_pandas
-from roadtorch.errors import ConfigError
+from roadtorch.base.errors import ConfigError
+from roadtorch.detectors.detection import to_pandas
 
 ROAD = ((0, 0, 0, 0, 0, 0, 0), (0, 1, 1, 1, 1, 0, 0), (0, 1, 0, 0, 1, 0, 1), (0, 1, 1, 1, 1, 0, 1))
 

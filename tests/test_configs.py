@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from roadtorch.base.settings import read_settings_file
 from roadtorch.cli.options import DetectorOptions
 from roadtorch.detectors.catalogue import detector_entry
 from roadtorch.layout.patch_network import Topology
-from roadtorch.settings import read_settings_file
 from roadtorch.train.config import PatchTraining, build_training
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"

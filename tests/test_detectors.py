@@ -11,15 +11,10 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-import roadtorch.runtime.plugins
-from roadtorch.detector import (
-    Detector,
-    DetectorGrid,
-    DetectorSettings,
-    Entry,
-    WorkingSettings,
-    checked_image,
-)
+import roadtorch.base.plugins
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.settings import Settings
+from roadtorch.base.threads import one_thread
 from roadtorch.detectors import catalogue as catalogue_module
 from roadtorch.detectors.catalogue import (
     detector_entry,
@@ -28,11 +23,16 @@ from roadtorch.detectors.catalogue import (
     load_detector,
     register,
 )
+from roadtorch.detectors.detector import (
+    Detector,
+    DetectorGrid,
+    DetectorSettings,
+    Entry,
+    WorkingSettings,
+    checked_image,
+)
 from roadtorch.detectors.fusion import Fusion
-from roadtorch.errors import ConfigError, InputError
 from roadtorch.road.seed_area import SeedArea
-from roadtorch.runtime.threads import one_thread
-from roadtorch.settings import Settings
 from roadtorch.testing import broken_promises, street
 from tests.representatives import quick, representatives
 
@@ -238,7 +238,7 @@ class Point:
 
 def offered(monkeypatch: pytest.MonkeyPatch, *points: Any) -> list[str]:
     """The detectors on offer when other packages have these entry points."""
-    monkeypatch.setattr(roadtorch.runtime.plugins, "entry_points", lambda group: points)
+    monkeypatch.setattr(roadtorch.base.plugins, "entry_points", lambda group: points)
     return sorted(catalogue_module._catalogue.__wrapped__())
 
 

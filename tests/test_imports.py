@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 import roadtorch
-from roadtorch.detector import Detector
-from roadtorch.scenes.street import render_scene, write_picture
+from roadtorch.detectors.detector import Detector
+from roadtorch.testing.scenes import render_scene, write_picture
 
 HEAVY = ("torch", "cv2", "skimage", "sklearn", "matplotlib", "scipy", "PIL", "pydantic")
 

@@ -7,7 +7,7 @@ import sys
 DETECT = """
 import json, resource, torch
 from roadtorch import load_detector
-from roadtorch.scenes.street import render_scene
+from roadtorch.testing.scenes import render_scene
 detector, small, peaks = load_detector("fusion"), render_scene(0, 240, 320).image, []
 for height in (480, 1200):
     width = height * 4 // 3

@@ -7,7 +7,7 @@ from pathlib import Path
 import av
 import numpy as np
 
-from roadtorch.io.image import to_pixels
+from roadtorch.base.image import to_pixels
 from tests.streets import scene
 
 

@@ -28,7 +28,7 @@ from tqdm import tqdm
 from roadtorch import Detection, load_detector, read_image
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth
-from roadtorch.detector import Detector
+from roadtorch.detectors.detector import Detector
 from roadtorch.evaluation.metrics import (
     RoadCounts,
     count_levels,

@@ -24,6 +24,7 @@ from roadtorch.data.dataset import Truth
 from roadtorch.detectors.fusion import ScratchFusionSettings, seen_from
 from roadtorch.imaging.color import brightened
 from roadtorch.imaging.resize import WorkingSize, at_work, resized, size_of
+from roadtorch.imaging.segments import measure_segments, paint, segment_mean
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, pooled
 from roadtorch.layout.labeller import EXPOSURE, segment_layout
 from roadtorch.layout.picture_network import scaled
@@ -37,7 +38,6 @@ from roadtorch.layout.weights import (
 from roadtorch.road.ego import continued, ego_found
 from roadtorch.road.fusion import RULES, log_odds, seed_log_odds, segment_road
 from roadtorch.road.seed_area import likely_seed
-from roadtorch.superpixels.segments import measure_segments, paint, segment_mean
 from train.calibrate import TOO_FEW, as_others_choose, counts_between, f_by_level
 
 SCALES = (0.67, 1.0, 1.33)

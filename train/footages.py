@@ -14,9 +14,9 @@ from pathlib import Path
 
 import torch
 
+from roadtorch.base.atomic import make_folder
+from roadtorch.base.image import write_labels
 from roadtorch.data.catalogue import open_named
-from roadtorch.io.atomic import make_folder
-from roadtorch.io.image import write_labels
 
 
 def main() -> None:

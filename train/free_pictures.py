@@ -17,7 +17,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import chain, islice, zip_longest
 from pathlib import Path
 
-from roadtorch.io.atomic import digest_of
+from roadtorch.base.atomic import digest_of
 
 MANIFEST = Path(__file__).with_suffix(".csv")
 

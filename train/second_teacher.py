@@ -25,7 +25,8 @@ from torch.nn import functional as F
 from tqdm import tqdm
 
 from roadtorch import load_detector, read_image
-from roadtorch.detector import Detector
+from roadtorch.base.settings import read_settings_file
+from roadtorch.detectors.detector import Detector
 from roadtorch.imaging.resize import resized
 from roadtorch.layout.backbone_network import (
     BackboneNetwork,
@@ -37,7 +38,6 @@ from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.picture_network import EGO, ROAD
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.run.memo import keep, kept
-from roadtorch.settings import read_settings_file
 from roadtorch.train.augmentation import reframed
 from roadtorch.train.config import PictureTraining, build_training
 from roadtorch.train.pictures import PictureRecipe

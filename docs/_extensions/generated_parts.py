@@ -27,9 +27,9 @@ from pathlib import Path
 import click
 from sphinx.application import Sphinx
 
+from roadtorch.base.settings import Settings
 from roadtorch.cli.detectors import setting_rows
 from roadtorch.cli.group import COMMANDS
-from roadtorch.settings import Settings
 
 DOCS = Path(__file__).resolve().parents[1]
 ROOT = DOCS.parent

@@ -12,7 +12,7 @@ from typing import Any
 
 from sphinx.application import Sphinx
 
-from roadtorch.settings import Settings
+from roadtorch.base.settings import Settings
 
 BULLET = re.compile(r"[-*] |\d+\. ")
 CODE = re.compile(r"(``.+?``)")

@@ -13,6 +13,8 @@ from roadtorch.annotate.propagation import (
     propagated,
     segment_graph,
 )
+from roadtorch.base.image_cache import image_cache
+from roadtorch.base.settings import Settings
 from roadtorch.data.correction_labels import (
     NOT_ROAD,
     OPEN,
@@ -21,14 +23,12 @@ from roadtorch.data.correction_labels import (
     layout_layer,
     road_layer,
 )
-from roadtorch.detector import Detector
+from roadtorch.detectors.detector import Detector
 from roadtorch.imaging.resize import WorkingSize, at_picture_size, resized, size_of, working_size
+from roadtorch.imaging.segments import measure_segments, segment_mean
+from roadtorch.imaging.slic import Superpixels
 from roadtorch.layout.classes import CLASSES, UNLABELLED
 from roadtorch.road.fusion import log_odds
-from roadtorch.runtime.image_cache import image_cache
-from roadtorch.settings import Settings
-from roadtorch.superpixels.segments import measure_segments, segment_mean
-from roadtorch.superpixels.slic import Superpixels
 
 BARELY = 0.05
 """Log odds of what the threshold says road and the mask leaves out, so that it stays out."""

@@ -15,10 +15,10 @@ import torch
 from torch import Tensor
 
 from roadtorch.annotate.machine import PictureView
+from roadtorch.base.image import read_image
 from roadtorch.imaging.resize import resized
-from roadtorch.io.image import read_image
+from roadtorch.imaging.segments import paint
 from roadtorch.layout.classes import CLASSES
-from roadtorch.superpixels.segments import paint
 
 GRID = (4, 5)
 """Rows and columns of the cells over which a picture's features are averaged."""

@@ -14,8 +14,8 @@ from scipy import sparse
 from scipy.sparse.linalg import cg
 from torch import Tensor
 
-from roadtorch.settings import Settings
-from roadtorch.superpixels.segments import Segments
+from roadtorch.base.settings import Settings
+from roadtorch.imaging.segments import Segments
 
 
 class PropagationSettings(Settings):

@@ -12,8 +12,8 @@ from roadtorch.data.correction_labels import ROAD_SAID
 from roadtorch.data.corrections import Correction, read_corrections
 from roadtorch.data.events import read_logs
 from roadtorch.evaluation.metrics import count_mask, f_measure
+from roadtorch.evaluation.report.table import aligned
 from roadtorch.imaging.resize import resized
-from roadtorch.report.table import aligned
 
 TEN_MINUTES = 600.0  # seconds
 

@@ -38,12 +38,12 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from roadtorch.annotate.session import Session, look_at_all
+from roadtorch.base.atomic import atomic
+from roadtorch.base.errors import ConfigError, RoadtorchError
+from roadtorch.base.image import read_image, to_pixels
+from roadtorch.base.settings import Settings
 from roadtorch.data.events import parse_event
-from roadtorch.errors import ConfigError, RoadtorchError
 from roadtorch.imaging.resize import WorkingSize, resized, size_of, working_size
-from roadtorch.io.atomic import atomic
-from roadtorch.io.image import read_image, to_pixels
-from roadtorch.settings import Settings
 
 HOST = "127.0.0.1"  # and never another one
 

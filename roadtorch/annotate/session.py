@@ -26,6 +26,9 @@ from roadtorch.annotate.machine import (
 )
 from roadtorch.annotate.next_pictures import PictureOrder
 from roadtorch.annotate.views import VIEWS, ViewStore
+from roadtorch.base.atomic import remove_leftovers
+from roadtorch.base.bounded import printable
+from roadtorch.base.errors import InputError
 from roadtorch.data.correction_formats import FORMATS
 from roadtorch.data.correction_labels import LABELS
 from roadtorch.data.corrections import agreement_share
@@ -51,11 +54,8 @@ from roadtorch.data.events import (
     taken_back,
 )
 from roadtorch.data.labelme import picture_size
-from roadtorch.detector import Detector
-from roadtorch.errors import InputError
+from roadtorch.detectors.detector import Detector
 from roadtorch.inputs.pictures import find_pictures
-from roadtorch.io.atomic import remove_leftovers
-from roadtorch.io.bounded import printable
 
 HELD = 2**26  # bytes of labels in memory, and one picture's in any case
 

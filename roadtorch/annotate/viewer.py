@@ -25,7 +25,7 @@ from roadtorch.annotate.server import (
     bound_socket,
     static_file,
 )
-from roadtorch.detection import Detection
+from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item
 
 NEXT = 5.0  # seconds that a request waits for a newer frame

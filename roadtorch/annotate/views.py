@@ -11,11 +11,11 @@ import torch
 from scipy import sparse
 
 from roadtorch.annotate.machine import AnnotationSettings, PictureView, look_at_picture
-from roadtorch.detector import Detector
-from roadtorch.io.image import read_image
+from roadtorch.base.image import read_image
+from roadtorch.detectors.detector import Detector
+from roadtorch.imaging.segments import segment_mean, segment_size
 from roadtorch.run.loop import method_of_detector
 from roadtorch.run.memo import keep, kept, key_of
-from roadtorch.superpixels.segments import segment_mean, segment_size
 
 VIEWS = ".machine"
 """The folder of views in the folder of corrections."""

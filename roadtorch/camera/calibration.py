@@ -11,10 +11,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from roadtorch.base.bounded import read_regular, reason
+from roadtorch.base.errors import ConfigError, DatasetError, InputError
+from roadtorch.base.settings import build_settings
 from roadtorch.camera.ground import COEFFICIENTS, GroundCamera, Lens, pose_of
-from roadtorch.errors import ConfigError, DatasetError, InputError
-from roadtorch.io.bounded import read_regular, reason
-from roadtorch.settings import build_settings
 
 MAX_BYTES = 2**20  # of a camera_info file; ours: they have a thousand
 

@@ -12,13 +12,13 @@ from pydantic import Field, model_validator
 from torch import Tensor
 from torch.nn import functional as F
 
+from roadtorch.base.atomic import write_text
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.image import ORANGE, SKY_BLUE, tint_mask, to_pixels
+from roadtorch.base.settings import Settings, build_settings, group_at, read_settings_file
 from roadtorch.camera.gradients import Stillness, gradient_of, small_grey, small_size, softened
-from roadtorch.errors import ConfigError, InputError
 from roadtorch.imaging.resize import resized
-from roadtorch.io.atomic import write_text
-from roadtorch.io.image import ORANGE, SKY_BLUE, tint_mask, to_pixels
 from roadtorch.road.ego import Ego, ego_car, is_given
-from roadtorch.settings import Settings, build_settings, group_at, read_settings_file
 
 # --- the look of the ego car ----------------------------------------------------------
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from roadtorch.base.errors import InputError
 from roadtorch.camera.camera import (
     MAX_LIKENESS,
     MIN_LIKENESS,
@@ -30,7 +31,6 @@ from roadtorch.camera.gradients import (
     stillness,
     vanishing_point,
 )
-from roadtorch.errors import InputError
 from roadtorch.imaging.resize import at_picture_size, size_of
 from roadtorch.road.ego import Ego
 

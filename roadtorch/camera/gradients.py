@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.errors import InputError
+from roadtorch.base.errors import InputError
 from roadtorch.layout.classes import HORIZONTAL
 
 SMALL_WIDTH = 320  # pixels in a row of a small frame

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
-from roadtorch.errors import ConfigError, InputError
-from roadtorch.settings import Settings
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.settings import Settings
 
 MIN_PITCH, MAX_PITCH = -30.0, 89.0
 """Degrees; upwards less ground is seen, and straight down the picture has no forward."""

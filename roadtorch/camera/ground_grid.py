@@ -16,9 +16,9 @@ import torch
 from pydantic import Field, ValidationInfo, field_validator
 from torch import Tensor
 
+from roadtorch.base.errors import InputError
+from roadtorch.base.settings import Settings
 from roadtorch.camera.ground import GroundCamera
-from roadtorch.errors import InputError
-from roadtorch.settings import Settings
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1  # values of cells, those of nav_msgs/OccupancyGrid
 ALONG, ACROSS = 2, 4  # samples per cell, along a ray and, at the farthest, from ray to ray

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.camera.calibration import (
     Calibration,
     kitti_ground_camera,
@@ -26,7 +27,6 @@ from roadtorch.camera.ground import (
     mounted,
     pitch_of_horizon,
 )
-from roadtorch.errors import ConfigError, InputError
 
 
 @dataclass(frozen=True)

@@ -58,11 +58,11 @@ def adapt(
     """
     import torch
 
-    from roadtorch.adapt.adapt import adapt as run
+    from roadtorch.base.errors import ConfigError
+    from roadtorch.base.settings import merge, parse_assignments, read_settings_file
+    from roadtorch.base.shipped_configs import config_file
     from roadtorch.data.catalogue import open_named
-    from roadtorch.errors import ConfigError
-    from roadtorch.runtime.shipped_configs import config_file
-    from roadtorch.settings import merge, parse_assignments, read_settings_file
+    from roadtorch.train.adaptation.adapt import adapt as run
     from roadtorch.train.before_after import write_page
     from roadtorch.train.config import PictureTraining, build_training
     from roadtorch.train.folder import PAGE

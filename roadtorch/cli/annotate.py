@@ -54,9 +54,9 @@ def annotate(
 
         click.echo(corrections_report(out, folder))
     elif exported:
+        from roadtorch.base.atomic import shared
         from roadtorch.data.correction_formats import FORMATS as KNOWN
         from roadtorch.data.corrections import read_corrections
-        from roadtorch.io.atomic import shared
 
         if to is None:
             raise click.UsageError("Missing option '--to'")
@@ -76,7 +76,7 @@ def annotate(
     else:
         from roadtorch.annotate.next_pictures import PictureOrder
         from roadtorch.annotate.session import opened_session
-        from roadtorch.errors import ConfigError
+        from roadtorch.base.errors import ConfigError
         from roadtorch.inputs.pictures import find_pictures
         from roadtorch.run.folder import output_lock
 

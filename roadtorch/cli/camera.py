@@ -26,12 +26,12 @@ def camera(footage: tuple[str, ...], out: Path, most: int) -> None:
     places. Writes --out for infer --camera, and beside it a picture to check: the mean of
     the frames and one of them, with the ego car tinted, the horizon blue, the seed row orange.
     """
+    from roadtorch.base.image import write_jpeg
+    from roadtorch.base.progress import Progress
     from roadtorch.camera.camera import check_picture
     from roadtorch.camera.footage import camera_of
     from roadtorch.inputs.find import frame_places, read_frames
-    from roadtorch.io.image import write_jpeg
     from roadtorch.road.ego import is_given, outline_rows
-    from roadtorch.runtime.progress import Progress
 
     picture = out.with_suffix(".jpg")
     places = frame_places(footage, most)
@@ -54,8 +54,8 @@ def camera(footage: tuple[str, ...], out: Path, most: int) -> None:
 
 def _refuse_replacing(out: Path, picture: Path, inputs: set[Path]) -> None:
     """Refuse to write over what is not ours: ConfigError."""
+    from roadtorch.base.errors import ConfigError, RoadtorchError
     from roadtorch.camera.camera import Camera
-    from roadtorch.errors import ConfigError, RoadtorchError
 
     if picture == out or {out.resolve(), picture.resolve()} & inputs:
         raise ConfigError(out, "would replace footage, or its own picture", "name it camera.toml")

@@ -86,17 +86,17 @@ def _score(
     limit: int | None,
     jobs: int | None,
 ) -> int:
+    from roadtorch.base.progress import watched
     from roadtorch.cli.evaluate import tell_failures
     from roadtorch.evaluation.evaluate import evaluated
-    from roadtorch.report.screen import screen
-    from roadtorch.runtime.progress import watched
+    from roadtorch.evaluation.report.screen import screen
 
     against = methods[0].name
     evaluation = evaluated(dataset, methods, limit=limit, against=against, jobs=jobs, watch=watched)
     click.echo(screen(evaluation))
     tell_failures(evaluation)
     if (out := context.params["out"]) is not None:
-        from roadtorch.report.files import write
+        from roadtorch.evaluation.report.files import write
 
         write(evaluation, out, command_line(context), context.params["worst"])
     return 1 if evaluation.failures else 0
@@ -110,11 +110,11 @@ def _disagree(
     jobs: int | None,
     quiet: bool,
 ) -> int:
+    from roadtorch.base.errors import InputError
     from roadtorch.data.dataset import every_kth
-    from roadtorch.errors import InputError
     from roadtorch.evaluation.disagreement import disagreements, unlabelled_set
+    from roadtorch.evaluation.report.disagreement import disagreement_text, write_disagreement
     from roadtorch.inputs.pictures import find_pictures
-    from roadtorch.report.disagreement import disagreement_text, write_disagreement
 
     out = context.params["out"]
     dataset = every_kth(unlabelled_set(find_pictures(images, out)), limit)

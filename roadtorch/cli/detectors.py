@@ -11,7 +11,7 @@ import click
 from roadtorch.cli.completion import suggest_detectors
 
 if TYPE_CHECKING:
-    from roadtorch.detector import Entry
+    from roadtorch.detectors.detector import Entry
 
 WIDTH = 100  # letters in a line
 CELL = 14  # letters in a line of an inner column

@@ -61,16 +61,16 @@ def evaluate(
     groups can teach it, prior:mean.
     Start an interrupted run again to resume it.
     """
+    from roadtorch.base.progress import watched
+    from roadtorch.base.settings import merge, parse_assignments
     from roadtorch.data.catalogue import open_named
     from roadtorch.data.folder import with_conditions
     from roadtorch.data.kitti import birds_eye
     from roadtorch.data.maps import parse_maps
     from roadtorch.evaluation.evaluate import evaluate as score
-    from roadtorch.report.screen import screen
+    from roadtorch.evaluation.report.screen import screen
     from roadtorch.run.folder import output_lock
     from roadtorch.run.workers import settle
-    from roadtorch.runtime.progress import watched
-    from roadtorch.settings import merge, parse_assignments
 
     settle(threads=1)
     if out is not None:
@@ -99,7 +99,7 @@ def evaluate(
     tell_failures(evaluation)
     if out is not None:
         from roadtorch.evaluation.evaluate import forget
-        from roadtorch.report.files import write  # with what draws, which takes a while
+        from roadtorch.evaluation.report.files import write  # with what draws, which takes a while
 
         write(evaluation, out, command_line(context), montage)
         forget(out)  # the progress that was saved for an interruption
@@ -122,14 +122,14 @@ def tune(
     Shown beside it is how well such a choice carries over: F and IoU of each group at the
     threshold that the other groups choose.
     """
+    from roadtorch.base.atomic import write_text
+    from roadtorch.base.progress import watched
+    from roadtorch.base.settings import parse_assignments
     from roadtorch.evaluation.evaluate import choose_threshold, forget
     from roadtorch.evaluation.evaluate import evaluate as score
-    from roadtorch.io.atomic import write_text
-    from roadtorch.report.screen import choice_text, provenance
+    from roadtorch.evaluation.report.screen import choice_text, provenance
     from roadtorch.run.folder import output_lock
     from roadtorch.run.workers import settle
-    from roadtorch.runtime.progress import watched
-    from roadtorch.settings import parse_assignments
 
     settle(threads=1)
     context.with_resource(output_lock(out))
@@ -165,8 +165,8 @@ def camera_settings(path: Path | None, names: Sequence[str]) -> dict[str, Any]:
     Raises as ``Camera.read`` and ``expand_names`` do.
     """
     from roadtorch.camera.camera import Camera
-    from roadtorch.detector import DetectorSettings
     from roadtorch.detectors.catalogue import detector_entry
+    from roadtorch.detectors.detector import DetectorSettings
     from roadtorch.evaluation.methods import expand_names
 
     if path is None:

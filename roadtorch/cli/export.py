@@ -32,12 +32,12 @@ def export(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> Non
     that size: all that happens before and behind the network is inside, but what needs connected
     regions. What it says is compared with Python before it is written.
     """
+    from roadtorch.base.settings import parse_assignments
     from roadtorch.detectors.catalogue import load_detector
     from roadtorch.export.export import BOUND, export_detector
     from roadtorch.export.hub import export_folder
     from roadtorch.export.page import export_page
     from roadtorch.run.folder import output_lock
-    from roadtorch.settings import parse_assignments
 
     detector = load_detector(name, **parse_assignments(assignments))
     with output_lock(out if kind in ("web", "hub") else out.parent):

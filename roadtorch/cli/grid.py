@@ -24,7 +24,7 @@ def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, fl
     """The two numbers of ``X,Y``."""
     from math import isfinite
 
-    from roadtorch.errors import ConfigError
+    from roadtorch.base.errors import ConfigError
 
     try:
         x, y = map(float, value.split(","))
@@ -99,15 +99,15 @@ def grid(
     once for all frames of a video or bag.
     What lies behind the first cell that is no road is unknown.
     """
+    from roadtorch.base.settings import build_settings
     from roadtorch.camera.ground_grid import GridSettings
     from roadtorch.camera.mounting import Mounting, placing_of
     from roadtorch.run.loop import Look, Task, method_of_detector
     from roadtorch.run.plan import plan
     from roadtorch.run.run import open_run
     from roadtorch.run.workers import settle, workers_for
-    from roadtorch.settings import build_settings
-    from roadtorch.writers.choice import GridOutput, is_from_bag
-    from roadtorch.writers.grid import Grids
+    from roadtorch.run.writers.choice import GridOutput, is_from_bag
+    from roadtorch.run.writers.grid import Grids
 
     settle(threads=1)
     found = frames.inputs(inputs, out)

@@ -14,9 +14,9 @@ from typing import Any, NoReturn
 
 import click
 
-from roadtorch.errors import ExitCode, RoadtorchError, fault, lacks_memory
-from roadtorch.runtime.signals import Terminated, interruption_first, terminated_in_words
-from roadtorch.version import __version__
+from roadtorch.base.errors import ExitCode, RoadtorchError, fault, lacks_memory
+from roadtorch.base.signals import Terminated, interruption_first, terminated_in_words
+from roadtorch.base.version import __version__
 
 # name: (module:attribute, summary). The summary is here so that help imports no command.
 COMMANDS = {

@@ -33,7 +33,7 @@ FOOTAGE_KINDS = ("overlay-frames", "mask-video", "likelihood-video", "bag")
 
 def _kinds(_: click.Context, __: click.Parameter, value: str | None) -> tuple[str, ...] | None:
     """The kinds of results in a comma-separated list, each once, in the order of KINDS."""
-    from roadtorch.errors import ConfigError, unknown_name
+    from roadtorch.base.errors import ConfigError, unknown_name
 
     if value is None:
         return None
@@ -51,8 +51,8 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
     """Start and end of a stretch, in seconds, of START:END."""
     if value is None:
         return None
-    from roadtorch.errors import ConfigError
-    from roadtorch.writers.video import GIF_SECONDS
+    from roadtorch.base.errors import ConfigError
+    from roadtorch.run.writers.video import GIF_SECONDS
 
     try:
         start, end = map(float, value.split(":"))
@@ -79,7 +79,7 @@ def warn_of_labels(pictures: "Sequence[Item]") -> None:
 
 def opened_viewer() -> "Viewer":
     """The page that shows footage, its address printed; ConfigError where its extra is missing."""
-    from roadtorch.errors import ConfigError
+    from roadtorch.base.errors import ConfigError
 
     try:
         from roadtorch.annotate.viewer import Viewer
@@ -157,7 +157,7 @@ def infer(
     if not inputs and not print_config:
         raise click.UsageError("Missing argument 'INPUT...'", context)
 
-    from roadtorch.io.urls import is_url
+    from roadtorch.base.urls import is_url
     from roadtorch.run.folder import result_folder
     from roadtorch.run.ledger import INDEX, open_ledger
     from roadtorch.run.loop import Look, Task, method_of_detector
@@ -165,9 +165,9 @@ def infer(
     from roadtorch.run.record import RunRecord
     from roadtorch.run.run import Run, RunOptions
     from roadtorch.run.workers import settle
-    from roadtorch.writers.choice import OF_PICTURES, MapOutput
-    from roadtorch.writers.coco import write_coco
-    from roadtorch.writers.maps import Maps
+    from roadtorch.run.writers.choice import OF_PICTURES, MapOutput
+    from roadtorch.run.writers.coco import write_coco
+    from roadtorch.run.writers.maps import Maps
 
     settle(compute.threads, compute.device)
     detector, known = choice.loaded(camera, threshold)

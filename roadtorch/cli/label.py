@@ -34,6 +34,7 @@ def label(
 
     Each picture gives NAME.png in the folder --out. No weights and no labels are needed.
     """
+    from roadtorch.base.settings import build_settings, parse_assignments
     from roadtorch.inputs.find import Inputs
     from roadtorch.inputs.pictures import find_pictures
     from roadtorch.layout.labeller import LabellerSettings
@@ -42,8 +43,7 @@ def label(
     from roadtorch.run.plan import plan
     from roadtorch.run.run import open_run
     from roadtorch.run.workers import settle, workers_for
-    from roadtorch.settings import build_settings, parse_assignments
-    from roadtorch.writers.labels import Labelling, Labels
+    from roadtorch.run.writers.labels import Labelling, Labels
 
     settle(threads=1)
     values = {"support": support} | parse_assignments(assignments)

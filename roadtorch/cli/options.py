@@ -13,13 +13,13 @@ import click
 from roadtorch.cli.completion import suggest_datasets, suggest_detectors, suggest_files
 
 if TYPE_CHECKING:
+    from roadtorch.base.settings import Settings
     from roadtorch.camera.camera import Camera
     from roadtorch.data.dataset import Dataset
-    from roadtorch.detector import Detector
+    from roadtorch.detectors.detector import Detector
     from roadtorch.inputs.find import Inputs
     from roadtorch.run.run import RunOptions
     from roadtorch.run.workers import Workers
-    from roadtorch.settings import Settings
 
 PATH = click.Path(path_type=Path)
 Command = Callable[..., Any]
@@ -46,8 +46,8 @@ class DetectorOptions:
         The file's values yield to the assignments, and those to ``threshold``. The file may name
         the detector under ``detector``. Raises ConfigError for what is no setting or no file.
         """
-        from roadtorch.errors import ConfigError
-        from roadtorch.settings import merge, parse_assignments, read_settings_file
+        from roadtorch.base.errors import ConfigError
+        from roadtorch.base.settings import merge, parse_assignments, read_settings_file
 
         values = read_settings_file(self.config) if self.config else {}
         named = values.pop("detector", DEFAULT_DETECTOR)
@@ -75,7 +75,7 @@ class DetectorOptions:
 
 def as_toml(detector: str, settings: "Settings") -> str:
     """A file for ``--config`` that gives this detector with these settings."""
-    from roadtorch.settings import to_toml
+    from roadtorch.base.settings import to_toml
 
     return to_toml(detector, settings).removesuffix("\n")
 
@@ -134,7 +134,7 @@ class ComputeOptions:
 
         Raises ConfigError where Ray is not there, or ``--address`` is given without it.
         """
-        from roadtorch.errors import ConfigError
+        from roadtorch.base.errors import ConfigError
         from roadtorch.run.workers import workers_for
 
         if self.engine == "local":
@@ -185,7 +185,7 @@ class ConfigFile(click.ParamType):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         """The file; ConfigError for a name that is neither."""
-        from roadtorch.runtime.shipped_configs import config_file
+        from roadtorch.base.shipped_configs import config_file
 
         return config_file(str(value))
 

@@ -18,11 +18,11 @@ def ros(words: tuple[str, ...]) -> None:
     Parameters and names are given as to every node:
       roadtorch ros --ros-args -p detector:=fusion -p height:=1.2 -r image:=/front/image_raw
     """
-    from roadtorch.errors import ConfigError
+    from roadtorch.base.errors import ConfigError
+    from roadtorch.base.signals import stop_on_signals
     from roadtorch.ros.messages import ros_module
     from roadtorch.ros.node import spin
     from roadtorch.run.workers import settle
-    from roadtorch.runtime.signals import stop_on_signals
 
     others = ros_module("rclpy.utilities").remove_ros_args(["roadtorch", *words])[1:]
     if others:

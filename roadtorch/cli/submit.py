@@ -40,7 +40,7 @@ def submit(
     from roadtorch.run.plan import plan
     from roadtorch.run.run import open_run
     from roadtorch.run.workers import settle, workers_for
-    from roadtorch.writers.kitti import ARCHIVE, BirdsEyeMaps, pack, pictures_to_submit
+    from roadtorch.run.writers.kitti import ARCHIVE, BirdsEyeMaps, pack, pictures_to_submit
 
     settle(threads=1)
     detector, _ = choice.loaded()

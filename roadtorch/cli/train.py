@@ -76,10 +76,10 @@ def train(
     """
     import torch
 
+    from roadtorch.base.errors import ConfigError
+    from roadtorch.base.settings import merge, parse_assignments, read_settings_file
     from roadtorch.data.catalogue import open_named
     from roadtorch.data.corrections import read_corrections
-    from roadtorch.errors import ConfigError
-    from roadtorch.settings import merge, parse_assignments, read_settings_file
     from roadtorch.train.before_after import write_page
     from roadtorch.train.config import build_training
     from roadtorch.train.folder import PAGE

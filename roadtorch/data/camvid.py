@@ -13,9 +13,9 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
+from roadtorch.base.errors import DatasetError
 from roadtorch.data.dataset import Dataset, Kind, LabelledItem
 from roadtorch.data.labels import ColourLabels, NumberLabels, pairs
-from roadtorch.errors import DatasetError
 from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 
 DRIVE_LETTERS = 6  # CamVid names begin with the drive: 0001TP, 0006R0, 0016E5, Seq05V

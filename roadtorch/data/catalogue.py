@@ -8,12 +8,12 @@ from collections.abc import Mapping
 from functools import cache, partial
 from pathlib import Path
 
+from roadtorch.base.errors import ConfigError, DatasetError, unknown_name
+from roadtorch.base.plugins import load_plugins
 from roadtorch.data import camvid, kitti
 from roadtorch.data.dataset import Dataset, Kind
 from roadtorch.data.folder import open_cityscapes, open_folder, open_idd_lite
 from roadtorch.data.labelme import open_labelme
-from roadtorch.errors import ConfigError, DatasetError, unknown_name
-from roadtorch.runtime.plugins import load_plugins
 
 ENTRY_POINT_GROUP = "roadtorch.datasets"
 

@@ -15,15 +15,15 @@ import numpy as np
 import torch
 from pydantic import Discriminator, Field, Tag
 
+from roadtorch.base.atomic import make_folder, write_text
+from roadtorch.base.errors import DatasetError
+from roadtorch.base.image import write_labels
 from roadtorch.data.correction_labels import LABELS
 from roadtorch.data.corrections import Correction
 from roadtorch.data.imported import Coordinate, Imported, Side, imported
 from roadtorch.data.labelme import labelme_document, read_annotation
 from roadtorch.data.labels import read_labels
 from roadtorch.data.polygons import coco_region, filled_shapes
-from roadtorch.errors import DatasetError
-from roadtorch.io.atomic import make_folder, write_text
-from roadtorch.io.image import write_labels
 
 DRAWN = ("ignore", *LABELS[1:])
 """What labels are called in files of polygons, by their number."""

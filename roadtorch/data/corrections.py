@@ -13,6 +13,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 import torch
 
+from roadtorch.base.errors import DatasetError
 from roadtorch.data.correction_labels import (
     NOT_ROAD,
     OPEN,
@@ -24,7 +25,6 @@ from roadtorch.data.correction_labels import (
 )
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth
 from roadtorch.data.events import ENDING, EventLog, click_count, read_log, read_logs, reviewers
-from roadtorch.errors import DatasetError
 from roadtorch.layout.classes import UNLABELLED
 
 

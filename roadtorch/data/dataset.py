@@ -12,8 +12,8 @@ from typing import Protocol
 
 from torch import Tensor
 
-from roadtorch.errors import ConfigError, DatasetError, unknown_name
-from roadtorch.io.image import read_image
+from roadtorch.base.errors import ConfigError, DatasetError, unknown_name
+from roadtorch.base.image import read_image
 
 
 @dataclass(frozen=True)

@@ -24,13 +24,13 @@ import numpy as np
 import pydantic
 from pydantic import Field, model_validator
 
+from roadtorch.base.atomic import make_folder
+from roadtorch.base.decoding import check_pixels
+from roadtorch.base.errors import DatasetError, InputError
+from roadtorch.base.settings import Settings
 from roadtorch.data.correction_labels import LABELS, after_saying
 from roadtorch.data.imported import Side, first_mistake, imported
 from roadtorch.data.polygons import fill_polygon
-from roadtorch.errors import DatasetError, InputError
-from roadtorch.io.atomic import make_folder
-from roadtorch.io.decoding import check_pixels
-from roadtorch.settings import Settings
 
 ENDING = ".strokes.jsonl"
 

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from roadtorch.base.bounded import read_regular, reason
+from roadtorch.base.errors import DatasetError
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth
 from roadtorch.data.labels import (
     NumberLabels,
@@ -16,8 +18,6 @@ from roadtorch.data.labels import (
     read_labels,
     require_labels,
 )
-from roadtorch.errors import DatasetError
-from roadtorch.io.bounded import read_regular, reason
 from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 
 # --- folder -----------------------------------------------------------------------------

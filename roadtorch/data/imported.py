@@ -14,8 +14,8 @@ import pydantic
 from defusedxml import DefusedXmlException
 from pydantic import Field
 
-from roadtorch.errors import DatasetError, RoadtorchError, shortened
-from roadtorch.io.bounded import read_regular, reason
+from roadtorch.base.bounded import read_regular, reason
+from roadtorch.base.errors import DatasetError, RoadtorchError, shortened
 
 MAX_BYTES = 2**28  # of one file; ours: a COCO file of a thousand pictures has as many
 

@@ -12,11 +12,11 @@ from typing import ClassVar
 
 from torch import Tensor
 
+from roadtorch.base.errors import ConfigError, DatasetError
 from roadtorch.camera.birds_eye import to_birds_eye
 from roadtorch.camera.calibration import read_calibration
 from roadtorch.data.dataset import Dataset, LabelledItem
 from roadtorch.data.labels import ColourLabels, NumberLabels, is_picture, require_labels
-from roadtorch.errors import ConfigError, DatasetError
 
 NAME = "kitti-road"
 

@@ -24,6 +24,10 @@ from defusedxml import ElementTree
 from PIL.ExifTags import Base as ExifTag
 from pydantic import BeforeValidator, StringConstraints
 
+from roadtorch.base.bounded import read_regular, reason
+from roadtorch.base.decoding import open_picture, without_warnings
+from roadtorch.base.errors import ConfigError, DatasetError
+from roadtorch.base.image import SUFFIXES
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth
 from roadtorch.data.imported import Coordinate, Imported, Side, imported
 from roadtorch.data.labels import is_picture
@@ -41,10 +45,6 @@ from roadtorch.data.polygons import (
     filled_shapes,
     outlines,
 )
-from roadtorch.errors import ConfigError, DatasetError
-from roadtorch.io.bounded import read_regular, reason
-from roadtorch.io.decoding import open_picture, without_warnings
-from roadtorch.io.image import SUFFIXES
 
 ENDINGS = (".xml", ".json")
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from roadtorch.base.bounded import read_regular, reason
+from roadtorch.base.decoding import open_picture, without_warnings
+from roadtorch.base.errors import ConfigError, DatasetError
+from roadtorch.base.image import SUFFIXES
 from roadtorch.data.dataset import LabelledItem, Truth
-from roadtorch.errors import ConfigError, DatasetError
-from roadtorch.io.bounded import read_regular, reason
-from roadtorch.io.decoding import open_picture, without_warnings
-from roadtorch.io.image import SUFFIXES
 from roadtorch.layout.classes import UNLABELLED
 
 SHOWN = 5  # unknown values or colours named in an error

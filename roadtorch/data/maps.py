@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.detector import DetectorSettings, decide
-from roadtorch.errors import ConfigError, InputError
-from roadtorch.io.bounded import printable, read_regular, reason
-from roadtorch.io.image import read_image
-from roadtorch.settings import build_settings, read_settings_file
+from roadtorch.base.bounded import printable, read_regular, reason
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.image import read_image
+from roadtorch.base.settings import build_settings, read_settings_file
+from roadtorch.detectors.detector import DetectorSettings, decide
 
 ENDINGS = (".png", ".likelihood.png", ".npy", ".likelihood.npy")
 

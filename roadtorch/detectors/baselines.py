@@ -5,7 +5,13 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from roadtorch.detector import Analysis, DetectorSettings, Entry, Isolated, WorkingSettings
+from roadtorch.detectors.detector import (
+    Analysis,
+    DetectorSettings,
+    Entry,
+    Isolated,
+    WorkingSettings,
+)
 from roadtorch.imaging.color import plane
 from roadtorch.imaging.resize import WorkingSize, full_size
 from roadtorch.road.fusion import PRIORS, Prior
@@ -21,7 +27,7 @@ from roadtorch.ufl.region_cut import (
     cut_road,
 )
 from roadtorch.ufl.road import map_to_image, mask_to_image
-from roadtorch.vanishing import (
+from roadtorch.ufl.vanishing import (
     BorderSettings,
     GaborBank,
     VotingSettings,

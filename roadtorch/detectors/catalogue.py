@@ -11,14 +11,14 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from roadtorch.base.device import check_device
+from roadtorch.base.errors import ConfigError, unknown_name
+from roadtorch.base.image import Order
+from roadtorch.base.plugins import load_plugins
+from roadtorch.base.settings import merge, read_settings_file
 from roadtorch.camera.camera import Camera
-from roadtorch.detector import Detector, DetectorSettings, Entry
 from roadtorch.detectors import baselines, fusion, layout, oneclass, texture, ufl
-from roadtorch.errors import ConfigError, unknown_name
-from roadtorch.io.image import Order
-from roadtorch.runtime.device import check_device
-from roadtorch.runtime.plugins import load_plugins
-from roadtorch.settings import merge, read_settings_file
+from roadtorch.detectors.detector import Detector, DetectorSettings, Entry
 
 ENTRY_POINT_GROUP = "roadtorch.detectors"
 

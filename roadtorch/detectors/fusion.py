@@ -8,7 +8,8 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from roadtorch.detector import (
+from roadtorch.base.settings import Settings
+from roadtorch.detectors.detector import (
     TUNED,
     Analysis,
     Cue,
@@ -20,6 +21,8 @@ from roadtorch.detector import (
 )
 from roadtorch.imaging.color import brightened
 from roadtorch.imaging.resize import WorkingSize
+from roadtorch.imaging.segments import Segments, measure_segments, paint, segment_mean
+from roadtorch.imaging.slic import Superpixels
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, Share, pooled
 from roadtorch.layout.labeller import EXPOSURE, HorizonSettings, decide_layout, segment_layout
 from roadtorch.layout.patch_network import PatchNetwork
@@ -57,9 +60,6 @@ from roadtorch.road.texture import (
     unsaturated_uniformity,
 )
 from roadtorch.road.trust import Judgement, TrustSettings, judgement, signs_of
-from roadtorch.settings import Settings
-from roadtorch.superpixels.segments import Segments, measure_segments, paint, segment_mean
-from roadtorch.superpixels.slic import Superpixels
 
 
 class RoadCalibration(Settings):

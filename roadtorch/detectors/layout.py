@@ -5,12 +5,12 @@ from functools import partial
 from pydantic import Field
 from torch import Tensor, nn
 
-from roadtorch.detector import TUNED, Analysis, Entry, Threshold, WorkingSettings, lean
+from roadtorch.detectors.detector import TUNED, Analysis, Entry, Threshold, WorkingSettings, lean
+from roadtorch.imaging.slic import Superpixels
 from roadtorch.layout.classes import HORIZONTAL, Share, pooled
 from roadtorch.layout.labeller import HorizonSettings, decide_layout, label_whole
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of, picture_network_of
-from roadtorch.superpixels.slic import Superpixels
 
 
 class LabellerDetectorSettings(WorkingSettings):

@@ -9,7 +9,14 @@ import torch
 from pydantic import Field, create_model
 from torch import Tensor
 
-from roadtorch.detector import Analysis, DetectorGrid, Entry, Isolated, Threshold, WorkingSettings
+from roadtorch.detectors.detector import (
+    Analysis,
+    DetectorGrid,
+    Entry,
+    Isolated,
+    Threshold,
+    WorkingSettings,
+)
 from roadtorch.imaging.color import REPRESENTATIONS
 from roadtorch.imaging.resize import WorkingSize
 from roadtorch.oneclass import CLASSIFIERS

@@ -6,8 +6,10 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.detector import TUNED, Analysis, Entry, Threshold, WorkingSettings, lean
+from roadtorch.detectors.detector import TUNED, Analysis, Entry, Threshold, WorkingSettings, lean
 from roadtorch.imaging.color import plane
+from roadtorch.imaging.segments import paint, segment_histogram
+from roadtorch.imaging.slic import Superpixels, squares
 from roadtorch.road.seed_area import seed_area, seed_rectangle
 from roadtorch.road.texture import (
     PATTERNS,
@@ -21,8 +23,6 @@ from roadtorch.road.texture import (
     uniformity_likelihood,
     unsaturated_uniformity,
 )
-from roadtorch.superpixels.segments import paint, segment_histogram
-from roadtorch.superpixels.slic import Superpixels, squares
 
 
 class CpfSettings(WorkingSettings):

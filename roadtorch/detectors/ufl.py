@@ -7,7 +7,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.detector import Analysis, DetectorSettings, Entry, Threshold
+from roadtorch.detectors.detector import Analysis, DetectorSettings, Entry, Threshold
 from roadtorch.imaging.resize import full_size
 from roadtorch.road.seed_area import remove_isolated, seed_rectangle
 from roadtorch.ufl.features import DictionarySettings

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.runtime.image_cache import cached_per_image
+from roadtorch.base.image_cache import cached_per_image
 
 THREE_PIXELS = 0.00375
 """At 640x480: the one that tables of cameras show."""

@@ -9,16 +9,16 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from roadtorch.base.errors import DatasetError, InputError, RoadtorchError
+from roadtorch.base.image import read_image
+from roadtorch.base.image_cache import image_cache
+from roadtorch.base.progress import Progress
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth
-from roadtorch.errors import DatasetError, InputError, RoadtorchError
 from roadtorch.evaluation.methods import Contender
 from roadtorch.evaluation.result import Failure
 from roadtorch.evaluation.scoring import Looks
 from roadtorch.inputs.item import Item
-from roadtorch.io.image import read_image
 from roadtorch.run.workers import DIED, workers_for
-from roadtorch.runtime.image_cache import image_cache
-from roadtorch.runtime.progress import Progress
 
 
 @dataclass(frozen=True)

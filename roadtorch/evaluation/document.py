@@ -7,6 +7,7 @@ from typing import Any, TypedDict
 import torch
 from torch import Tensor
 
+from roadtorch.base.version import __version__
 from roadtorch.evaluation import curves
 from roadtorch.evaluation.curves import Curve
 from roadtorch.evaluation.measure import Figures, Measure
@@ -19,7 +20,6 @@ from roadtorch.evaluation.result import (
 )
 from roadtorch.evaluation.tally import WHOLE, Tally, mean_rates
 from roadtorch.evaluation.trust import Trusted, risk_coverage, trusted
-from roadtorch.version import __version__
 
 SHOWN = 10  # best, median and worst pictures in metrics.json
 

@@ -13,10 +13,11 @@ from typing import Any
 
 import torch
 
+from roadtorch.base.atomic import digest_of
+from roadtorch.base.errors import DatasetError, UnscorableError, unknown_name
 from roadtorch.data.dataset import Dataset, every_kth
-from roadtorch.detector import DetectorSettings
 from roadtorch.detectors.catalogue import detector_entry
-from roadtorch.errors import DatasetError, UnscorableError, unknown_name
+from roadtorch.detectors.detector import DetectorSettings
 from roadtorch.evaluation.measure import Figures, Measure
 from roadtorch.evaluation.measures import IOU, MEASURES, F
 from roadtorch.evaluation.methods import Contender, contenders
@@ -24,7 +25,6 @@ from roadtorch.evaluation.result import Evaluation, Failure, summarise
 from roadtorch.evaluation.scoring import score
 from roadtorch.evaluation.tally import Scored, Tally
 from roadtorch.evaluation.uncertainty import compare, intervals, resample
-from roadtorch.io.atomic import digest_of
 from roadtorch.run.memo import keep, kept, key_of
 
 Watch = Callable[[Iterator[Scored], int, int], Iterable[Scored]]

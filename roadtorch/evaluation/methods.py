@@ -11,25 +11,25 @@ from pydantic import BaseModel, Field, ValidationError
 from torch import Tensor
 from torch.nn import functional
 
+from roadtorch.base.bounded import printable, read_regular, reason
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.settings import read_settings_file
+from roadtorch.base.shipped_configs import SUFFIX, THRESHOLDS, config_file
 from roadtorch.data import maps
 from roadtorch.data.dataset import Dataset, LabelledItem
-from roadtorch.detector import Detection, DetectorSettings
 from roadtorch.detectors.catalogue import (
     detector_entry,
     is_pattern,
     list_detectors,
     load_detector,
 )
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.detectors.detector import Detection, DetectorSettings
 from roadtorch.imaging.resize import size_of
-from roadtorch.io.bounded import printable, read_regular, reason
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import load_network
 from roadtorch.run.memo import key_of, paths_in
-from roadtorch.runtime.shipped_configs import SUFFIX, THRESHOLDS, config_file
-from roadtorch.settings import read_settings_file
 
 BASELINES = ("prior:rows", "prior:triangle")  # in every run; prior:mean joins where it can
 

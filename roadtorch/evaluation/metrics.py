@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.errors import InputError
+from roadtorch.base.errors import InputError
 from roadtorch.layout.classes import CLASSES
 
 LEVELS = 65_536

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+from roadtorch.base.errors import InputError, RoadtorchError
+from roadtorch.base.image_cache import ImageCache, image_cache
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth
-from roadtorch.errors import InputError, RoadtorchError
 from roadtorch.evaluation.boundary import count_boundary
 from roadtorch.evaluation.methods import Contender, Look
 from roadtorch.evaluation.metrics import count_layout, count_levels, count_mask
 from roadtorch.evaluation.tally import Score, Scored
 from roadtorch.run.workers import DIED, workers_for
-from roadtorch.runtime.image_cache import ImageCache, image_cache
 
 # --- one picture ------------------------------------------------------------------------
 

@@ -12,21 +12,21 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.detector import MIN_SIDE, Detector
+from roadtorch.base.atomic import atomic, digest_of, make_folder
+from roadtorch.base.errors import ConfigError, InputError, unknown_name
+from roadtorch.base.image import from_pixels, to_pixels
+from roadtorch.base.version import __version__
 from roadtorch.detectors.catalogue import detector_entry
+from roadtorch.detectors.detector import MIN_SIDE, Detector
 from roadtorch.detectors.fusion import Fusion, FusionSettings
 from roadtorch.detectors.layout import Cnn7, Cnn7Settings, Layout, LayoutSettings
-from roadtorch.errors import ConfigError, InputError, unknown_name
 from roadtorch.export.files import Run, open_onnx, open_openvino, write_onnx, write_openvino
 from roadtorch.export.graph import OUTPUTS, EveryPixel, FusedRoad, Graph, LearnedLayout
 from roadtorch.imaging.resize import Maps, at_picture_size, at_work, resized, size_of
-from roadtorch.io.atomic import atomic, digest_of, make_folder
-from roadtorch.io.image import from_pixels, to_pixels
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.weights import FOR_PICTURES, WholePictureNetwork, terms_of, weights_path
 from roadtorch.road.outlines import outlined
-from roadtorch.scenes.street import render_scene
-from roadtorch.version import __version__
+from roadtorch.testing.scenes import render_scene
 
 # --- what of a detector can be exported --------------------------------------------------
 

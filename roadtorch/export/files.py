@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from roadtorch.base.version import __version__
 from roadtorch.export.graph import Graph
-from roadtorch.version import __version__
 
 OPSET = 18
 

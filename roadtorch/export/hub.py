@@ -4,12 +4,12 @@ import re
 import shutil
 from pathlib import Path
 
-from roadtorch.detector import Detector
+from roadtorch.base.atomic import atomic, make_folder, write_text
+from roadtorch.base.settings import to_toml
 from roadtorch.detectors.catalogue import CONFIG
+from roadtorch.detectors.detector import Detector
 from roadtorch.export.export import part_of
-from roadtorch.io.atomic import atomic, make_folder, write_text
 from roadtorch.layout.weights import card_of, terms_of
-from roadtorch.settings import to_toml
 
 README = "README.md"
 

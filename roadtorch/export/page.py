@@ -6,12 +6,12 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-from roadtorch.detector import Detector
-from roadtorch.errors import ConfigError
+from roadtorch.base.atomic import atomic, digest_of
+from roadtorch.base.errors import ConfigError
+from roadtorch.base.image import to_pixels, write_pixels
+from roadtorch.detectors.detector import Detector
 from roadtorch.export.export import Exported, export_detector
-from roadtorch.io.atomic import atomic, digest_of
-from roadtorch.io.image import to_pixels, write_pixels
-from roadtorch.scenes.street import render_scene
+from roadtorch.testing.scenes import render_scene
 
 STATIC = Path(__file__).with_name("static")
 

@@ -13,10 +13,10 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.errors import InputError, unknown_name
+from roadtorch.base.errors import InputError, unknown_name
+from roadtorch.base.image_cache import cached_per_image
+from roadtorch.base.settings import Settings
 from roadtorch.imaging.levels import order_statistic
-from roadtorch.runtime.image_cache import cached_per_image
-from roadtorch.settings import Settings
 
 LUMA = (0.299, 0.587, 0.114)
 """Rec. 601: what OpenCV, Pillow and MATLAB call grey."""

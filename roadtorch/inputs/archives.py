@@ -24,15 +24,15 @@ from urllib.parse import urlsplit
 
 from torch import Tensor
 
-from roadtorch.errors import InputError
+from roadtorch.base.bounded import MAX_BYTES, printable, reason
+from roadtorch.base.decoding import LARGE, check_bytes
+from roadtorch.base.errors import InputError
+from roadtorch.base.image import READABLE, decode_image, undecodable
+from roadtorch.base.urls import WEB, fetched, file_system, is_url, scheme_of, without_password
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.inputs.live import STREAMS
 from roadtorch.inputs.pictures import names_picture
 from roadtorch.inputs.video import VIDEO_SUFFIXES
-from roadtorch.io.bounded import MAX_BYTES, printable, reason
-from roadtorch.io.decoding import LARGE, check_bytes
-from roadtorch.io.image import READABLE, decode_image, undecodable
-from roadtorch.io.urls import WEB, fetched, file_system, is_url, scheme_of, without_password
 
 ZIPS = (".zip",)
 SCHEMES = ("zip", "tar")

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from torch import Tensor
 
-from roadtorch.errors import ConfigError, InputError, unknown_name
+from roadtorch.base.bounded import reason
+from roadtorch.base.errors import ConfigError, InputError, unknown_name
 from roadtorch.inputs.image_messages import COMPRESSED, RAW, image_of
 from roadtorch.inputs.item import Item, Selection, Source
-from roadtorch.io.bounded import reason
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader

@@ -14,7 +14,7 @@ from os.path import basename
 from pathlib import Path
 from typing import NamedTuple
 
-from roadtorch.io.urls import file_system, is_url, url_errors
+from roadtorch.base.urls import file_system, is_url, url_errors
 
 
 class File(NamedTuple):

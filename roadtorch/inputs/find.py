@@ -12,7 +12,9 @@ from urllib.parse import urlsplit
 
 from torch import Tensor
 
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.image import READABLE, read_image
+from roadtorch.base.urls import WEB, answer, scheme_of, without_password
 from roadtorch.inputs.archives import archive_source, is_archive
 from roadtorch.inputs.bags import bag_source, is_bag
 from roadtorch.inputs.files import File, files_at
@@ -32,8 +34,6 @@ from roadtorch.inputs.video import (
     video_frames,
     video_source,
 )
-from roadtorch.io.image import READABLE, read_image
-from roadtorch.io.urls import WEB, answer, scheme_of, without_password
 
 CAMERA = re.compile(r"(?:camera:)?(\d+)")
 """A camera's number; a file of that name goes before ``0``, never before ``camera:0``."""

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 from torch import Tensor
 
-from roadtorch.errors import InputError
-from roadtorch.io.bounded import reason
-from roadtorch.io.decoding import check_pixels
-from roadtorch.io.image import decode_image, from_pixels, undecodable
+from roadtorch.base.bounded import reason
+from roadtorch.base.decoding import check_pixels
+from roadtorch.base.errors import InputError
+from roadtorch.base.image import decode_image, from_pixels, undecodable
 
 RAW = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"

@@ -11,9 +11,9 @@ from typing import TypeVar
 
 from torch import Tensor
 
-from roadtorch.errors import ConfigError, InputError
-from roadtorch.io.atomic import digest_of, digest_of_folder
-from roadtorch.io.bounded import printable
+from roadtorch.base.atomic import digest_of, digest_of_folder
+from roadtorch.base.bounded import printable
+from roadtorch.base.errors import ConfigError, InputError
 
 Value = TypeVar("Value")
 

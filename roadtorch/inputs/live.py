@@ -12,13 +12,13 @@ import cv2
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.errors import InputError
+from roadtorch.base.decoding import quiet_opencv
+from roadtorch.base.errors import InputError
+from roadtorch.base.image import from_pixels
+from roadtorch.base.settings import Settings
+from roadtorch.base.urls import without_password
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.inputs.video import import_av, moving_pictures, reason_of, upright
-from roadtorch.io.decoding import quiet_opencv
-from roadtorch.io.image import from_pixels
-from roadtorch.io.urls import without_password
-from roadtorch.settings import Settings
 
 Connection = Callable[[], Generator[Callable[[], Tensor]]]
 """Connects, and gives what reads picture after picture; raises InputError when it cannot, or can no

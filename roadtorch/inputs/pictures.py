@@ -13,12 +13,10 @@ from pathlib import Path, PurePosixPath
 from PIL import Image
 from torch import Tensor
 
-from roadtorch.errors import InputError, RoadtorchError
-from roadtorch.inputs.files import files_at
-from roadtorch.inputs.item import Item, Selection, Source
-from roadtorch.io.atomic import digest_of
-from roadtorch.io.image import READABLE, SUFFIXES, decode_image, read_image
-from roadtorch.io.urls import (
+from roadtorch.base.atomic import digest_of
+from roadtorch.base.errors import InputError, RoadtorchError
+from roadtorch.base.image import READABLE, SUFFIXES, decode_image, read_image
+from roadtorch.base.urls import (
     WEB,
     file_system,
     scheme_of,
@@ -26,6 +24,8 @@ from roadtorch.io.urls import (
     url_errors,
     without_password,
 )
+from roadtorch.inputs.files import files_at
+from roadtorch.inputs.item import Item, Selection, Source
 
 LABEL = re.compile(r"[-_.]?(mask|label|labels|labelIds|gt|gtFine|road|seg)$", re.IGNORECASE)
 """What the names of labels end with beside those of their pictures."""

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from torch import Tensor
 
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.base.decoding import check_pixels, most_megapixels
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.image import from_pixels, undecodable
 from roadtorch.inputs.item import Item, Selection, Source
-from roadtorch.io.decoding import check_pixels, most_megapixels
-from roadtorch.io.image import from_pixels, undecodable
 
 if TYPE_CHECKING:
     from av.container import InputContainer

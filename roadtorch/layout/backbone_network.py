@@ -15,10 +15,10 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from roadtorch.base.settings import Settings
 from roadtorch.imaging.resize import size_of
 from roadtorch.layout.patch_network import Normalisation
 from roadtorch.layout.picture_network import OUTPUTS, cues_of, place_planes
-from roadtorch.settings import Settings
 
 
 class Block(NamedTuple):

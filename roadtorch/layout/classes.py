@@ -6,7 +6,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.io.image import SKY_BLUE
+from roadtorch.base.image import SKY_BLUE
 
 SKY, VERTICAL, HORIZONTAL = range(3)
 

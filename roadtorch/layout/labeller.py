@@ -15,12 +15,11 @@ from pydantic import Field
 from scipy.linalg import block_diag
 from torch import Tensor
 
+from roadtorch.base.image_cache import cached_per_image
+from roadtorch.base.settings import Settings
 from roadtorch.imaging.color import Exposure, brightened
 from roadtorch.imaging.resize import WorkingSize, at_working_size
-from roadtorch.layout.classes import CLASSES, HORIZONTAL, SKY, UNLABELLED, VERTICAL
-from roadtorch.runtime.image_cache import cached_per_image
-from roadtorch.settings import Settings
-from roadtorch.superpixels.segments import (
+from roadtorch.imaging.segments import (
     Bandwidths,
     Segments,
     class_log_density,
@@ -28,7 +27,8 @@ from roadtorch.superpixels.segments import (
     measure_segments,
     paint,
 )
-from roadtorch.superpixels.slic import Superpixels
+from roadtorch.imaging.slic import Superpixels
+from roadtorch.layout.classes import CLASSES, HORIZONTAL, SKY, UNLABELLED, VERTICAL
 
 UNSCALED = 32
 """Rows of a chain, of at least 1e-4 each, whose product a float64 still holds; two of them."""

@@ -15,11 +15,11 @@ from pydantic import Field, model_validator
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from roadtorch.errors import ConfigError
+from roadtorch.base.errors import ConfigError
+from roadtorch.base.settings import Settings
 from roadtorch.imaging.color import Exposure, brightened, plane
 from roadtorch.imaging.resize import WorkingSize, at_working_size
 from roadtorch.layout.classes import CLASSES
-from roadtorch.settings import Settings
 
 MIN_KERNEL, MAX_KERNEL = 5, 13
 

@@ -15,10 +15,10 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from roadtorch.base.settings import Settings
 from roadtorch.imaging.resize import resized, size_of
 from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.patch_network import Normalisation, normalise
-from roadtorch.settings import Settings
 
 DILATIONS = (1, 2, 4, 8, 1)
 """Of the middle's convolutions, in eighths of the picture: 15×20 cells are seen whole."""

@@ -16,13 +16,13 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from roadtorch.errors import ConfigError, WeightsError
-from roadtorch.io.atomic import atomic, digest_of
-from roadtorch.io.bounded import read_regular, reason, regular_size
+from roadtorch.base.atomic import atomic, digest_of
+from roadtorch.base.bounded import read_regular, reason, regular_size
+from roadtorch.base.errors import ConfigError, WeightsError
+from roadtorch.base.settings import Settings, build_settings
 from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
-from roadtorch.settings import Settings, build_settings
 
 FORMAT = 1
 """Of the metadata; raised when older code could not read it."""

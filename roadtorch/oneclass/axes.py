@@ -14,7 +14,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from roadtorch.errors import unknown_name
+from roadtorch.base.errors import unknown_name
 from roadtorch.imaging.color import PLANES
 
 Hue = Literal["unrolled", "linear"]

@@ -28,9 +28,9 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.settings import Settings
 from roadtorch.oneclass.axes import Axes, Hue, arranged, arranged_axes, mean_hues
-from roadtorch.settings import Settings
 
 CHUNK = 700_000
 """Floats of the largest tensor while pixels are scored: 2.8 MB, which stays in the cache."""

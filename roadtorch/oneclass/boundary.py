@@ -13,7 +13,7 @@ from pydantic import Field
 from scipy.sparse import eye_array, hstack
 from torch import Tensor
 
-from roadtorch.errors import InputError
+from roadtorch.base.errors import InputError
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, Road
 from roadtorch.oneclass.neighbours import few_distinct, squared_distances
 

@@ -10,7 +10,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.errors import ConfigError
+from roadtorch.base.errors import ConfigError
 from roadtorch.oneclass.axes import Axes
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, Road
 

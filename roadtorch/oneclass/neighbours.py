@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import minimum_spanning_tree
 from torch import Tensor
 
-from roadtorch.errors import InputError
+from roadtorch.base.errors import InputError
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, Road
 
 MAX_DISTINCT = 4096

@@ -12,13 +12,13 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from roadtorch.base.image_cache import cached_per_image
+from roadtorch.base.settings import Settings
 from roadtorch.imaging.color import PLANES, plane
+from roadtorch.imaging.segments import segment_median
+from roadtorch.imaging.slic import slic
 from roadtorch.oneclass.axes import circular_mean, unrolled
 from roadtorch.road.seed_area import FRAME, SeedArea, seed_area
-from roadtorch.runtime.image_cache import cached_per_image
-from roadtorch.settings import Settings
-from roadtorch.superpixels.segments import segment_median
-from roadtorch.superpixels.slic import slic
 
 MIN_SIDE = 8
 """Pixels that the seed area has on each side, where the picture has them: a few samples."""

@@ -13,11 +13,11 @@ import torch
 from pydantic import Field, field_validator
 from torch import Tensor
 
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.image import read_image
+from roadtorch.base.image_cache import cached_per_image
+from roadtorch.base.settings import Settings
 from roadtorch.imaging.levels import above
-from roadtorch.io.image import read_image
-from roadtorch.runtime.image_cache import cached_per_image
-from roadtorch.settings import Settings
 
 MIN_FREE = 0.1  # share of the picture that an ego car must leave free
 

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.imaging.levels import otsu_threshold
-from roadtorch.superpixels.segments import Bandwidths, Segments, class_log_density, likeness
+from roadtorch.imaging.segments import Bandwidths, Segments, class_log_density, likeness
 
 SUREST = 1e-4
 """Likelihoods count as at least this far from 0 and 1: no cue alone can veto the others."""

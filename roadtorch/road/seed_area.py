@@ -10,9 +10,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
+from roadtorch.base.settings import Settings
 from roadtorch.imaging.resize import at_picture_size, resized
-from roadtorch.settings import Settings
-from roadtorch.superpixels.segments import Segments
+from roadtorch.imaging.segments import Segments
 
 FRAME = (240, 320)  # height and width in pixels of the frame in which a seed area is described
 

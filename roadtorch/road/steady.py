@@ -24,10 +24,10 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from roadtorch.base.settings import Settings
 from roadtorch.imaging.motion import FAST, dense_flow, flow_picture, forward_backward_error, warp
 from roadtorch.imaging.resize import resized, size_of
 from roadtorch.road.fusion import log_odds
-from roadtorch.settings import Settings
 
 AROUND = 5  # pixels at the flow's size over which differences of the picture are averaged
 

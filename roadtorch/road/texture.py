@@ -12,11 +12,11 @@ from pydantic import AfterValidator, Field
 from torch import Tensor
 from torch.nn import functional
 
-from roadtorch.errors import unknown_name
+from roadtorch.base.errors import unknown_name
+from roadtorch.base.settings import Settings
 from roadtorch.imaging.color import PLANES, each_plane, planes
 from roadtorch.imaging.levels import above, at_least, order_statistic
-from roadtorch.settings import Settings
-from roadtorch.superpixels.segments import segment_histogram, segment_size
+from roadtorch.imaging.segments import segment_histogram, segment_size
 
 VARIANCE_FLOOR = 1e-12
 """Added to the diagonal of Σ, so that a constant area has weights too (equal ones)."""

@@ -16,8 +16,8 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from roadtorch.base.settings import Settings
 from roadtorch.imaging.levels import above
-from roadtorch.settings import Settings
 
 
 class Signs(NamedTuple):

@@ -6,9 +6,9 @@ from functools import partial
 from threading import Condition
 from typing import Any
 
+from roadtorch.base.signals import Stop
 from roadtorch.inputs.image_messages import image_of
 from roadtorch.inputs.item import Item, Source
-from roadtorch.runtime.signals import Stop
 
 WAIT = 0.1  # seconds after which a request to stop is looked for
 

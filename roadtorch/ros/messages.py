@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from roadtorch.base.errors import ConfigError
 from roadtorch.camera.ground_grid import Grid
-from roadtorch.errors import ConfigError
-from roadtorch.writers.bag import CLASSES
+from roadtorch.run.writers.bag import CLASSES
 
 REMEDY = "source the setup.bash of ROS 2 first, or pip install 'roadtorch[ros]'"
 

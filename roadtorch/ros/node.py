@@ -11,13 +11,15 @@ from typing import Any
 
 from pydantic import Field
 
+from roadtorch.base.errors import ConfigError, RoadtorchError
+from roadtorch.base.settings import Settings, build_settings, parse_assignments
+from roadtorch.base.signals import Stop
 from roadtorch.camera.calibration import lens_of_info
 from roadtorch.camera.camera import Camera
 from roadtorch.camera.ground_grid import GridSettings, ground_grid
 from roadtorch.camera.mounting import Mounting, Placing, placing_of
-from roadtorch.detection import Detection
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.errors import ConfigError, RoadtorchError
+from roadtorch.detectors.detection import Detection
 from roadtorch.road.steady import Steady, SteadySettings
 from roadtorch.ros.inbox import Inbox
 from roadtorch.ros.messages import (
@@ -29,9 +31,7 @@ from roadtorch.ros.messages import (
 )
 from roadtorch.run.loop import Detected, Look, detections
 from roadtorch.run.workers import ThisProcess
-from roadtorch.runtime.signals import Stop
-from roadtorch.settings import Settings, build_settings, parse_assignments
-from roadtorch.writers.bag import CONFIDENCE, GRIDS, LABELS, MASK, OVERLAY, pixels_of
+from roadtorch.run.writers.bag import CONFIDENCE, GRIDS, LABELS, MASK, OVERLAY, pixels_of
 
 NAME = "roadtorch"
 

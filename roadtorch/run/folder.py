@@ -12,11 +12,11 @@ from typing import Any
 
 from upath import UPath
 
+from roadtorch.base.atomic import LEFTOVER, locked, make_folder, remove_leftovers, write_text
+from roadtorch.base.bounded import printable, read_regular
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.urls import is_url, url_errors
 from roadtorch.data.maps import CONFIG
-from roadtorch.errors import ConfigError, InputError
-from roadtorch.io.atomic import LEFTOVER, locked, make_folder, remove_leftovers, write_text
-from roadtorch.io.bounded import printable, read_regular
-from roadtorch.io.urls import is_url, url_errors
 from roadtorch.run.ledger import BAG_LIST, FRAME_NUMBER, INDEX
 
 ELSEWHERE = "give another --out"

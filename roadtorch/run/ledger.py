@@ -14,10 +14,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import monotonic
 
-from roadtorch.errors import ExitCode, InputError
-from roadtorch.io.atomic import csv_text, from_cell, unwritable, write_text
-from roadtorch.io.bounded import printable, read_regular
-from roadtorch.version import __version__
+from roadtorch.base.atomic import csv_text, from_cell, unwritable, write_text
+from roadtorch.base.bounded import printable, read_regular
+from roadtorch.base.errors import ExitCode, InputError
+from roadtorch.base.version import __version__
 
 INDEX = "index.csv"
 DONE, DOUBTFUL, PARTIAL, FAILED = "done", "doubtful", "partial", "failed"

@@ -16,19 +16,19 @@ from typing import NamedTuple, Protocol, TypeVar
 
 from torch import Tensor
 
+from roadtorch.base.atomic import make_folder
+from roadtorch.base.errors import InputError, RoadtorchError, fault
+from roadtorch.base.signals import Stop
 from roadtorch.camera.camera import Camera
-from roadtorch.detector import Detection, Detector, Evidence
-from roadtorch.errors import InputError, RoadtorchError, fault
+from roadtorch.detectors.detector import Detection, Detector, Evidence
 from roadtorch.inputs.find import open_source
 from roadtorch.inputs.item import Item, Selection, Source
-from roadtorch.io.atomic import make_folder
 from roadtorch.layout.weights import tensors_hash
 from roadtorch.road.steady import Steady
 from roadtorch.run.folder import ELSEWHERE, ResultFolder
 from roadtorch.run.ledger import DONE, DOUBTFUL, Method, Row, failed_row, method_of
 from roadtorch.run.memo import file_digests
 from roadtorch.run.workers import DIED, ThisProcess, Workers
-from roadtorch.runtime.signals import Stop
 
 Value = TypeVar("Value")
 

@@ -10,11 +10,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.errors import InputError
-from roadtorch.io.atomic import atomic, digest_of, make_folder
-from roadtorch.io.bounded import read_regular
+from roadtorch.base.atomic import atomic, digest_of, make_folder
+from roadtorch.base.bounded import read_regular
+from roadtorch.base.errors import InputError
+from roadtorch.base.version import __version__
 from roadtorch.layout.weights import weights_path
-from roadtorch.version import __version__
 
 Arrays = dict[str, Tensor]
 

@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import NamedTuple
 
-from roadtorch.errors import ConfigError
+from roadtorch.base.errors import ConfigError
 from roadtorch.inputs.find import Inputs
 from roadtorch.inputs.item import Item, Source
 from roadtorch.run.folder import ELSEWHERE, Owners

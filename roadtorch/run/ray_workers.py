@@ -13,9 +13,9 @@ from contextlib import contextmanager, suppress
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
-from roadtorch.errors import ConfigError
+from roadtorch.base.errors import ConfigError
+from roadtorch.base.threads import Threads
 from roadtorch.run.workers import ordered, worked
-from roadtorch.runtime.threads import Threads
 
 Given = TypeVar("Given")
 Result = TypeVar("Result")

@@ -12,15 +12,15 @@ import cv2
 import numpy as np
 import torch
 
-from roadtorch.detector import Detector
-from roadtorch.errors import ExitCode, RoadtorchError
-from roadtorch.io.atomic import digest_of, write_json
+from roadtorch.base.atomic import digest_of, write_json
+from roadtorch.base.errors import ExitCode, RoadtorchError
+from roadtorch.base.signals import Terminated
+from roadtorch.base.threads import Threads
+from roadtorch.base.version import __version__
+from roadtorch.detectors.detector import Detector
 from roadtorch.layout.weights import corrected_pictures, tensors_hash
 from roadtorch.run.folder import RUN, ResultFolder
 from roadtorch.run.ledger import INDEX, read_index
-from roadtorch.runtime.signals import Terminated
-from roadtorch.runtime.threads import Threads
-from roadtorch.version import __version__
 
 
 @dataclass(frozen=True)

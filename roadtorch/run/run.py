@@ -14,9 +14,11 @@ from typing import Any
 import click
 from torch import Tensor
 
-from roadtorch.errors import ConfigError, InputError, RoadtorchError
+from roadtorch.base.atomic import make_folder, remove_leftovers
+from roadtorch.base.errors import ConfigError, InputError, RoadtorchError
+from roadtorch.base.progress import Progress
+from roadtorch.base.signals import Stop, stop_on_signals
 from roadtorch.inputs.item import Item, Source
-from roadtorch.io.atomic import make_folder, remove_leftovers
 from roadtorch.road.steady import Steady, SteadySettings
 from roadtorch.run.folder import ELSEWHERE, Owners, ResultFolder, result_folder
 from roadtorch.run.ledger import (
@@ -45,8 +47,6 @@ from roadtorch.run.loop import (
 )
 from roadtorch.run.plan import Output, Plan, Writers
 from roadtorch.run.workers import Workers
-from roadtorch.runtime.progress import Progress
-from roadtorch.runtime.signals import Stop, stop_on_signals
 
 LEAST_TRUSTED = 5
 """Pictures that are named at the end of a run, to be looked at first."""

@@ -21,11 +21,11 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import torch
 
-from roadtorch.errors import InputError
-from roadtorch.runtime.device import check_device
-from roadtorch.runtime.memory import keep_freed_memory
-from roadtorch.runtime.signals import SIGNALS, end_with_parent, interrupting_none_started
-from roadtorch.runtime.threads import Threads
+from roadtorch.base.device import check_device
+from roadtorch.base.errors import InputError
+from roadtorch.base.memory import keep_freed_memory
+from roadtorch.base.signals import SIGNALS, end_with_parent, interrupting_none_started
+from roadtorch.base.threads import Threads
 
 Given = TypeVar("Given")
 Result = TypeVar("Result")

@@ -19,10 +19,10 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn import functional as F
 
+from roadtorch.base.settings import Settings
+from roadtorch.base.vision import import_torchvision
 from roadtorch.layout.classes import CLASSES
 from roadtorch.run.memo import read_arrays
-from roadtorch.runtime.vision import import_torchvision
-from roadtorch.settings import Settings
 from roadtorch.train.prepared import from_bytes
 
 GRAIN_CELLS = (4, 12, 40)

@@ -11,10 +11,10 @@ from roadtorch.evaluation.disagreement import (
 )
 from roadtorch.evaluation.evaluate import evaluated
 from roadtorch.evaluation.methods import candidate
+from roadtorch.evaluation.report.adaptation import Adaptation, score_line, write_adaptation
 from roadtorch.inputs.item import spread
 from roadtorch.inputs.pictures import find_pictures
 from roadtorch.layout.weights import WholePictureNetwork, load_network, weights_path
-from roadtorch.report.adaptation import Adaptation, score_line, write_adaptation
 from roadtorch.train.config import PictureTraining, Training
 from roadtorch.train.folder import PAGE, RunFolder
 from roadtorch.train.prepared import name_of

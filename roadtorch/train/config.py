@@ -6,14 +6,14 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field, create_model
 
-from roadtorch.errors import ConfigError, unknown_name
+from roadtorch.base.errors import ConfigError, unknown_name
+from roadtorch.base.settings import Settings, build_settings
 from roadtorch.imaging.resize import WorkingSize
+from roadtorch.imaging.slic import Superpixels
 from roadtorch.layout.backbone_network import BackboneNetworkSettings
 from roadtorch.layout.labeller import LabellerSettings
 from roadtorch.layout.patch_network import PatchNetworkSettings
 from roadtorch.layout.picture_network import NetworkScale, PictureNetworkSettings
-from roadtorch.settings import Settings, build_settings
-from roadtorch.superpixels.slic import Superpixels
 from roadtorch.train.augmentation import Augmentation, Fraction, GreyLevels
 
 

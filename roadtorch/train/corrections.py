@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import tomli_w
 
+from roadtorch.base.atomic import make_folder, write_text
+from roadtorch.base.errors import InputError
 from roadtorch.data.correction_labels import NOT_ROAD, ROAD_SAID
 from roadtorch.data.corrections import Correction
 from roadtorch.data.labelme import picture_size
-from roadtorch.errors import InputError
 from roadtorch.inputs.item import Item
-from roadtorch.io.atomic import make_folder, write_text
 from roadtorch.layout.weights import people_behind, weights_path
 from roadtorch.run.memo import Arrays, write_arrays
 from roadtorch.train.config import Descent, PictureTraining, Training

@@ -12,9 +12,7 @@ from typing import Any
 
 import torch
 
-from roadtorch.errors import ConfigError, InputError, WeightsError
-from roadtorch.inputs.item import Item
-from roadtorch.io.atomic import (
+from roadtorch.base.atomic import (
     atomic,
     csv_text,
     digest_of,
@@ -23,11 +21,13 @@ from roadtorch.io.atomic import (
     remove_leftovers,
     write_text,
 )
-from roadtorch.io.bounded import printable, read_regular, regular_size
-from roadtorch.io.decoding import without_warnings
+from roadtorch.base.bounded import printable, read_regular, regular_size
+from roadtorch.base.decoding import without_warnings
+from roadtorch.base.errors import ConfigError, InputError, WeightsError
+from roadtorch.base.version import __version__
+from roadtorch.inputs.item import Item
 from roadtorch.run.memo import file_digests
 from roadtorch.train.prepared import PreparedPicture, name_of
-from roadtorch.version import __version__
 
 FORMAT = 2
 """Of checkpoints; raised when older code could not go on with them."""
@@ -195,7 +195,7 @@ class RunFolder:
         """Draw the loss of the epochs, one line a round."""
         from matplotlib.figure import Figure
 
-        from roadtorch.report.adaptation import draw_losses
+        from roadtorch.evaluation.report.adaptation import draw_losses
 
         figure = Figure(figsize=(6, 4), layout="constrained")
         draw_losses(figure, rows)

@@ -14,10 +14,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from roadtorch.errors import ConfigError, WeightsError
+from roadtorch.base.errors import ConfigError, WeightsError
+from roadtorch.base.progress import Progress
+from roadtorch.base.signals import Stop
 from roadtorch.layout.weights import LayoutNetwork, fill
-from roadtorch.runtime.progress import Progress
-from roadtorch.runtime.signals import Stop
 from roadtorch.train.config import Descent, Stopping
 from roadtorch.train.folder import CHECKPOINT, NO_CHECKPOINT, RunFolder
 

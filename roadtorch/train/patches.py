@@ -14,18 +14,18 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from roadtorch.base.errors import InputError
+from roadtorch.base.signals import Stop
 from roadtorch.data.correction_labels import VOID_SAID
 from roadtorch.data.corrections import Correction
-from roadtorch.errors import InputError
 from roadtorch.imaging.resize import at_picture_size, at_work, working_size
+from roadtorch.imaging.segments import segment_mean, segment_size
 from roadtorch.inputs.item import Item
 from roadtorch.layout.classes import CLASSES, UNLABELLED
 from roadtorch.layout.labeller import label_layout
 from roadtorch.layout.patch_network import PatchNetwork, normalise
 from roadtorch.layout.weights import LayoutNetwork
 from roadtorch.run.memo import Arrays, cached_arrays, read_arrays
-from roadtorch.runtime.signals import Stop
-from roadtorch.superpixels.segments import segment_mean, segment_size
 from roadtorch.train.augmentation import uniform
 from roadtorch.train.config import PatchAugmentation, PatchCentres, PatchTraining
 from roadtorch.train.folder import RunFolder

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from roadtorch.base.signals import Stop
 from roadtorch.data.correction_labels import NOT_ROAD, ROAD_SAID, VOID_SAID
 from roadtorch.data.corrections import Correction
 from roadtorch.imaging.resize import resized
@@ -26,7 +27,6 @@ from roadtorch.layout.picture_network import (
 )
 from roadtorch.layout.weights import WholePictureNetwork
 from roadtorch.run.memo import Arrays, cached_arrays, file_digests
-from roadtorch.runtime.signals import Stop
 from roadtorch.train import augmentation
 from roadtorch.train.config import HeadWeights, PictureTraining
 from roadtorch.train.folder import RunFolder

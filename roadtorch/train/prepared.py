@@ -10,15 +10,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from roadtorch.detector import checked_image
-from roadtorch.errors import InputError, RoadtorchError
+from roadtorch.base.errors import InputError, RoadtorchError
+from roadtorch.base.progress import Progress
+from roadtorch.base.signals import Stop
+from roadtorch.base.threads import single_threaded
+from roadtorch.detectors.detector import checked_image
 from roadtorch.inputs.item import Item
 from roadtorch.run.loop import until_asked
 from roadtorch.run.memo import Arrays, keep, kept, key_of
 from roadtorch.run.workers import DIED, workers_for
-from roadtorch.runtime.progress import Progress
-from roadtorch.runtime.signals import Stop
-from roadtorch.runtime.threads import single_threaded
 
 
 def to_bytes(values: Tensor) -> Tensor:

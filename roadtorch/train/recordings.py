@@ -7,15 +7,15 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from roadtorch.base.errors import InputError
+from roadtorch.base.image import read_image
+from roadtorch.base.progress import Progress
+from roadtorch.base.signals import Stop
 from roadtorch.camera.footage import still_ego
-from roadtorch.errors import InputError
 from roadtorch.imaging.resize import WorkingSize, at_picture_size, at_work, size_of
 from roadtorch.inputs.item import Item, spread
-from roadtorch.io.image import read_image
 from roadtorch.run.loop import until_asked
 from roadtorch.run.memo import Arrays, keep, kept, key_of
-from roadtorch.runtime.progress import Progress
-from roadtorch.runtime.signals import Stop
 from roadtorch.train.config import Recordings
 
 MAX_FRAMES = 120

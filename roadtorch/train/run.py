@@ -9,11 +9,14 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
+from roadtorch.base.atomic import shared, write_text
+from roadtorch.base.errors import InputError, WeightsError
+from roadtorch.base.progress import Progress
+from roadtorch.base.signals import Stop, stop_on_signals
+from roadtorch.base.version import __version__
 from roadtorch.data.corrections import Correction
-from roadtorch.errors import InputError, WeightsError
 from roadtorch.inputs.item import Item
 from roadtorch.inputs.pictures import find_pictures
-from roadtorch.io.atomic import shared, write_text
 from roadtorch.layout.weights import (
     LayoutNetwork,
     WholePictureNetwork,
@@ -22,8 +25,6 @@ from roadtorch.layout.weights import (
     save_network,
     weights_path,
 )
-from roadtorch.runtime.progress import Progress
-from roadtorch.runtime.signals import Stop, stop_on_signals
 from roadtorch.train.config import PictureTraining, Training, as_values
 from roadtorch.train.corrections import (
     card_of,
@@ -46,7 +47,6 @@ from roadtorch.train.loop import Loop, RoundStart, TrainingProgress
 from roadtorch.train.patches import PatchRecipe
 from roadtorch.train.pictures import PictureRecipe
 from roadtorch.train.prepared import Preparation, PreparedPicture, prepare
-from roadtorch.version import __version__
 
 Recipe = PatchRecipe | PictureRecipe
 

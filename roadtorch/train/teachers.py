@@ -11,9 +11,11 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from roadtorch.detector import Detector
+from roadtorch.base.errors import ConfigError
+from roadtorch.base.progress import Progress
+from roadtorch.base.signals import Stop
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.errors import ConfigError
+from roadtorch.detectors.detector import Detector
 from roadtorch.evaluation.disagreement import Agreement
 from roadtorch.imaging.resize import resized, size_of
 from roadtorch.layout.classes import CLASSES
@@ -24,8 +26,6 @@ from roadtorch.road.ego import continued
 from roadtorch.road.fusion import centred_odds, log_odds
 from roadtorch.run.loop import until_asked
 from roadtorch.run.memo import Arrays, keep, kept, key_of, read_arrays
-from roadtorch.runtime.progress import Progress
-from roadtorch.runtime.signals import Stop
 from roadtorch.train.config import PictureTraining, Rounds, Teacher
 from roadtorch.train.prepared import from_bytes, to_bytes
 

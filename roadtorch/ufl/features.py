@@ -11,7 +11,7 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn import functional as F
 
-from roadtorch.settings import Settings
+from roadtorch.base.settings import Settings
 
 BLOCK = 2048
 """Patches that are compared with all bases at a time: the products stay in the cache."""

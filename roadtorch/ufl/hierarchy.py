@@ -14,7 +14,7 @@ from pydantic import Field
 from scipy.ndimage import label
 from torch import Tensor
 
-from roadtorch.settings import Settings
+from roadtorch.base.settings import Settings
 
 TopLevel = Literal["included", "left_out"]
 Nodes = Literal["runs", "regions"]

@@ -12,7 +12,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.settings import Settings
+from roadtorch.base.settings import Settings
 from roadtorch.ufl.features import DictionarySettings, learn_dictionary, white_patches
 from roadtorch.ufl.preprocess import Smoothing, equalised
 

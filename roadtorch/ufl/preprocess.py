@@ -7,7 +7,7 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn import functional as F
 
-from roadtorch.settings import Settings
+from roadtorch.base.settings import Settings
 
 GREY_WEIGHTS = (0.298936021, 0.587043074, 0.114020904)
 """Of R, G and B, as in the authors' program (ITU-R BT.601)."""

@@ -12,9 +12,9 @@ from pydantic import Field
 from scipy.sparse import coo_array
 from torch import Tensor
 
+from roadtorch.base.settings import Settings
+from roadtorch.imaging.segments import segment_histogram
 from roadtorch.road.texture import similarity
-from roadtorch.settings import Settings
-from roadtorch.superpixels.segments import segment_histogram
 
 CAPACITY = 1000
 """Steps of a capacity for each pixel: the maximum flow is one of whole numbers."""

@@ -8,9 +8,9 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn import functional as F
 
+from roadtorch.base.settings import Settings
 from roadtorch.imaging.resize import at_picture_size
 from roadtorch.road.fusion import TRIANGLE_APEX
-from roadtorch.settings import Settings
 from roadtorch.ufl.hierarchy import (
     NodeChoice,
     Tree,

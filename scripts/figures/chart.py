@@ -11,15 +11,15 @@ from matplotlib.figure import Figure
 from PIL import Image
 from torch import Tensor
 
+from roadtorch.base.atomic import atomic, csv_text, write_text
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation.metrics import auc, count_levels
+from roadtorch.evaluation.report.svg import STYLE
+from roadtorch.evaluation.report.table import aligned
 from roadtorch.imaging.color import PLANES
-from roadtorch.io.atomic import atomic, csv_text, write_text
 from roadtorch.oneclass.axes import circular_mean, unrolled
-from roadtorch.report.svg import STYLE
-from roadtorch.report.table import aligned
 
 DOTS = 100  # per inch
 COLOURS = 128  # of a chart's file: lines and their soft edges need no more

@@ -11,6 +11,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from roadtorch.base.progress import Progress, watched
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth, every_kth
 from roadtorch.data.kitti import birds_eye
@@ -18,7 +19,6 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation.evaluate import Evaluation, evaluate
 from roadtorch.evaluation.measures import SCORES
 from roadtorch.evaluation.metrics import Decisions, count_mask, f_measure, precision, recall
-from roadtorch.runtime.progress import Progress, watched
 from roadtorch.ufl.preprocess import WorkingShape, bicubic
 from scripts.figures.chart import tell
 

@@ -11,19 +11,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from roadtorch.base.atomic import atomic
+from roadtorch.base.progress import watched
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, LabelledItem, every_kth
-from roadtorch.detector import Detection
+from roadtorch.detectors.detector import Detection
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.curves import Curve, area, roc
 from roadtorch.evaluation.evaluate import evaluated
 from roadtorch.evaluation.methods import Contender, Look, named_detector
 from roadtorch.evaluation.metrics import auc
 from roadtorch.evaluation.tally import Part, Tally, of_groups
-from roadtorch.io.atomic import atomic
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
 from roadtorch.road.seed_area import seed_rectangle
-from roadtorch.runtime.progress import watched
 from scripts.figures.chart import tell
 
 EVERY = 16

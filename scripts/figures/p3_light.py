@@ -16,7 +16,7 @@ from torch import Tensor
 
 from roadtorch.data.dataset import Dataset, every_kth
 from roadtorch.imaging.color import plane
-from roadtorch.scenes.street import RenderedScene, render_scene
+from roadtorch.testing.scenes import RenderedScene, render_scene
 from scripts.figures.chart import apart, area_of, chart, middle, open_sets, spread, tell
 
 NAMES = ("R", "G", "B", "nr", "ng", "O1", "O2", "L", "a", "b", "H", "S")

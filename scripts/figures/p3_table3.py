@@ -17,17 +17,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
+from roadtorch.base.progress import watched
 from roadtorch.data.dataset import every_kth
 from roadtorch.detectors.catalogue import list_detectors
 from roadtorch.evaluation.curves import vertical_average
 from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.measures import AUC_MEAN
+from roadtorch.evaluation.report.svg import COLOURS, DASHES, GRID, INK, WIDTH, Series
 from roadtorch.evaluation.result import Evaluation
 from roadtorch.evaluation.tally import mean_rates
 from roadtorch.imaging.color import REPRESENTATIONS
 from roadtorch.oneclass import CLASSIFIERS
-from roadtorch.report.svg import COLOURS, DASHES, GRID, INK, WIDTH, Series
-from roadtorch.runtime.progress import watched
 from scripts.figures.chart import chart, open_sets, tell
 
 PICTURES = 24

@@ -7,7 +7,7 @@ import pytest
 
 from roadtorch.annotate.session import Session, opened_session
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.scenes.street import write_picture
+from roadtorch.testing.scenes import write_picture
 from tests.streets import scene
 
 

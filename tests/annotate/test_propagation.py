@@ -15,10 +15,10 @@ from roadtorch.annotate.machine import (
 )
 from roadtorch.annotate.propagation import PropagationSettings, propagated, segment_graph
 from roadtorch.data.correction_labels import LABELS
-from roadtorch.detector import Detector
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.superpixels.segments import Segments, measure_segments
-from roadtorch.superpixels.slic import Superpixels
+from roadtorch.detectors.detector import Detector
+from roadtorch.imaging.segments import Segments, measure_segments
+from roadtorch.imaging.slic import Superpixels
 from tests.streets import scene
 
 SETTINGS = PropagationSettings()

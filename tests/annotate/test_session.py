@@ -13,6 +13,7 @@ import pytest
 from roadtorch.annotate.report import corrections_report
 from roadtorch.annotate.server import Address, bound_socket, keep_address, last_address
 from roadtorch.annotate.session import Session, import_labels, look_at_all, opened_session
+from roadtorch.base.errors import ConfigError, DatasetError, InputError
 from roadtorch.data.correction_formats import FORMATS
 from roadtorch.data.corrections import read_corrections
 from roadtorch.data.events import (
@@ -27,8 +28,7 @@ from roadtorch.data.events import (
     read_logs,
 )
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.errors import ConfigError, DatasetError, InputError
-from roadtorch.scenes.street import write_picture
+from roadtorch.testing.scenes import write_picture
 from tests.streets import scene
 
 NAME = "street_0.png"

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from roadtorch.base.errors import DatasetError
 from roadtorch.camera.birds_eye import (
     cell_pixels,
     cell_to_road,
@@ -16,7 +17,6 @@ from roadtorch.camera.birds_eye import (
     to_birds_eye,
 )
 from roadtorch.camera.calibration import Calibration, read_calibration, road_to_image
-from roadtorch.errors import DatasetError
 from tests.reference import bev as reference
 
 HEIGHT, WIDTH = 120, 160

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from roadtorch.base.errors import InputError, RoadtorchError
 from roadtorch.camera.birds_eye import cell_to_road, project
 from roadtorch.camera.calibration import (
     Calibration,
@@ -13,7 +14,6 @@ from roadtorch.camera.calibration import (
     read_camera_info,
     road_to_image,
 )
-from roadtorch.errors import InputError, RoadtorchError
 from tests.reference import bev as reference
 
 WRITTEN = """

@@ -6,14 +6,14 @@ import pytest
 import torch
 from torch import Tensor
 
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.image import read_image
 from roadtorch.camera.camera import Camera, check_picture
 from roadtorch.camera.footage import best_path, camera_of, still_ego
-from roadtorch.detector import DetectorSettings
 from roadtorch.detectors.catalogue import load_detector
+from roadtorch.detectors.detector import DetectorSettings
 from roadtorch.detectors.fusion import UntrainedFusionSettings
-from roadtorch.errors import ConfigError, InputError
 from roadtorch.imaging.resize import resized
-from roadtorch.io.image import read_image
 from roadtorch.road.ego import ego_car
 from tests.streets import bonnet, drive, scene
 
@@ -133,24 +133,18 @@ def test_a_foreign_file_is_refused(text: str, told: str, tmp_path: Path) -> None
 
 
 def frames_of(data_root: Path, prefix: str, most: int = 20) -> list[Tensor]:
-    files = sorted((data_root / "unlabelled").glob(f"{prefix}_*.jpg"))
+    files = sorted((data_root / "unlabelled_free").glob(f"{prefix}_*.jpg"))
     return [read_image(path) for path in files[:most]]
 
 
 @pytest.mark.data
-@pytest.mark.parametrize(
-    ("prefix", "row"),
-    [("culane", 0.84), ("rusroad", 0.86), ("plain", 0.90), ("dusk", 0.92), ("udhwy", 0.95)],
-)
-def test_real_bonnets_are_found_where_they_were_seen(
-    prefix: str, row: float, data_root: Path
-) -> None:
-    camera = camera_of(frames_of(data_root, prefix))
+def test_a_real_bonnet_is_found_where_it_was_seen(data_root: Path) -> None:
+    camera = camera_of(frames_of(data_root, "udhwy"))
 
-    assert camera.seed_row == pytest.approx(row, abs=0.025)
+    assert camera.seed_row == pytest.approx(0.95, abs=0.025)
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("prefix", ["usrural", "forest", "mtroad", "evening", "vntraf", "udlane"])
+@pytest.mark.parametrize("prefix", ["udlane", "driveai_us", "dnit_br", "s2tld", "lund"])
 def test_real_cameras_without_one_get_none(prefix: str, data_root: Path) -> None:
     assert camera_of(frames_of(data_root, prefix)).ego.outline == ()

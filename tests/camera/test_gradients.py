@@ -5,10 +5,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from roadtorch.base.errors import InputError
 from roadtorch.camera.gradients import horizon_of
-from roadtorch.errors import InputError
 from roadtorch.layout.classes import HORIZONTAL
-from roadtorch.scenes.street import draw_street, render_scene
+from roadtorch.testing.scenes import draw_street, render_scene
 
 
 def potentials(layout: Tensor) -> Tensor:

@@ -8,6 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.settings import build_settings
 from roadtorch.camera.ground import (
     GroundCamera,
     Lens,
@@ -17,8 +19,6 @@ from roadtorch.camera.ground import (
     pitch_of_horizon,
     undistorted,
 )
-from roadtorch.errors import ConfigError, InputError
-from roadtorch.settings import build_settings
 
 LENS = lens_of_view(640, 480, 60)
 BENT = {

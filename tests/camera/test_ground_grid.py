@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from roadtorch.base.errors import InputError
 from roadtorch.camera.ground import GroundCamera, lens_of_view, mounted
 from roadtorch.camera.ground_grid import FREE, OCCUPIED, UNKNOWN, Grid, GridSettings, ground_grid
-from roadtorch.errors import InputError
 
 WIDTH, HEIGHT = 240, 180
 CAMERA = GroundCamera(lens_of_view(WIDTH, HEIGHT, 60), mounted(1.4, 12))

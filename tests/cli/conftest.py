@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from roadtorch.io.image import write_colours
+from roadtorch.base.image import write_colours
 from tests.command import call, footage
 from tests.streets import drive
 

@@ -6,10 +6,10 @@ from unittest.mock import Mock
 import pytest
 from click.testing import CliRunner, Result
 
+from roadtorch.base.image import read_image, write_colours
 from roadtorch.camera.camera import Camera
 from roadtorch.cli import main
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.io.image import read_image, write_colours
 from roadtorch.layout.weights import load_network, read_origin
 from roadtorch.train.run import TrainingRun
 

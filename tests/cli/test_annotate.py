@@ -7,12 +7,12 @@ import pytest
 
 from roadtorch.annotate.server import PageServer, bound_socket
 from roadtorch.annotate.session import opened_session
+from roadtorch.base.atomic import locked
 from roadtorch.cli.annotate import FORMATS
 from roadtorch.data import correction_formats
 from roadtorch.data.corrections import read_corrections
 from roadtorch.data.events import Confirm
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.io.atomic import locked
 from tests.command import Call
 
 QUICK = ("--detector", "prior:triangle")

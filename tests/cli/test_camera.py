@@ -10,10 +10,10 @@ import pytest
 import torch
 from click.testing import CliRunner, Result
 
+from roadtorch.base.image import read_image, write_colours
 from roadtorch.camera.camera import Camera
 from roadtorch.cli import main
 from roadtorch.inputs.find import frame_places, read_frames
-from roadtorch.io.image import read_image, write_colours
 from roadtorch.road.ego import ego_car
 from tests.command import Call
 from tests.streets import drive, scene

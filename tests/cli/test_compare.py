@@ -9,16 +9,16 @@ import pytest
 import torch
 
 from roadtorch.annotate.session import import_event
+from roadtorch.base.errors import ConfigError, DatasetError, WeightsError
+from roadtorch.base.image import write_npy
 from roadtorch.cli.compare import compare
 from roadtorch.data.corrections import open_corrections
 from roadtorch.data.events import EventLog, LogHead, log_path
-from roadtorch.errors import ConfigError, DatasetError, WeightsError
 from roadtorch.evaluation.disagreement import disagreement, unlabelled_set
 from roadtorch.inputs.pictures import picture_item
-from roadtorch.io.image import write_npy
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import save_network
-from roadtorch.scenes.street import write_picture
+from roadtorch.testing.scenes import write_picture
 from tests.command import invoked
 from tests.streets import scene
 

@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 from click.testing import Result
 
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.image import read_image
 from roadtorch.cli.evaluate import evaluate
-from roadtorch.errors import ConfigError, InputError
 from roadtorch.evaluation import scoring, uncertainty
 from roadtorch.evaluation.evaluate import FILE
-from roadtorch.io.image import read_image
-from roadtorch.report import files
+from roadtorch.evaluation.report import files
 from tests.command import Call, invoked
 from tests.oracle import DECISION, GROUPS, ORACLE, SCENES, know_oracle, write_set
 

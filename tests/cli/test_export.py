@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from roadtorch.detector import Detector
+from roadtorch.detectors.detector import Detector
 from roadtorch.export import export
 from roadtorch.export.export import Exported, Parity
 from tests.command import Call

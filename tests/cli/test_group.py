@@ -8,8 +8,8 @@ import click
 import pytest
 
 import roadtorch
+from roadtorch.base.errors import InputError
 from roadtorch.cli import group
-from roadtorch.errors import InputError
 from tests.command import Call
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from roadtorch.cli.group import BRIEF_WAITS
-from roadtorch.scenes.street import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_picture
 
 COMMAND = [sys.executable, "-m", "roadtorch"]
 

@@ -12,8 +12,8 @@ from torch import nn
 
 from roadtorch.cli.options import DetectorOptions
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.detector import DetectorSettings, Entry
 from roadtorch.detectors.catalogue import list_detectors, load_detector, register
+from roadtorch.detectors.detector import DetectorSettings, Entry
 from roadtorch.evaluation import uncertainty
 from roadtorch.evaluation.evaluate import FILE, choose_threshold, evaluate
 from roadtorch.evaluation.metrics import decisions_at, f_measure

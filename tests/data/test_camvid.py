@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
+from roadtorch.base.errors import DatasetError
 from roadtorch.data.camvid import CLASSES11, COLOURS32, split_of
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.errors import DatasetError
 from tests.data.conftest import write
 from tests.streets import scene, write_camvid
 

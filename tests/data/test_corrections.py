@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from roadtorch.base.errors import InputError
 from roadtorch.data.correction_labels import (
     LABELS,
     SAYINGS,
@@ -31,7 +32,6 @@ from roadtorch.data.events import (
     runs_of,
     stroke_mask,
 )
-from roadtorch.errors import InputError
 
 SIZE = (20, 30)
 

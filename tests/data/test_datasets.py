@@ -8,11 +8,11 @@ import pytest
 import torch
 from PIL import Image
 
+import roadtorch.base.plugins
 import roadtorch.data.catalogue
-import roadtorch.runtime.plugins
+from roadtorch.base.errors import DatasetError
 from roadtorch.data.catalogue import dataset_kind, list_datasets, open_dataset
 from roadtorch.data.dataset import Dataset, Kind, LabelledItem, Truth
-from roadtorch.errors import DatasetError
 
 
 def test_the_sets_that_come_along():
@@ -59,7 +59,7 @@ def offer(monkeypatch: pytest.MonkeyPatch, **points: str) -> dict[str, Kind]:
         EntryPoint(name, f"tests.data.test_datasets:{value}", "roadtorch.datasets")
         for name, value in points.items()
     ]
-    monkeypatch.setattr(roadtorch.runtime.plugins, "entry_points", lambda group: found)
+    monkeypatch.setattr(roadtorch.base.plugins, "entry_points", lambda group: found)
     kinds = roadtorch.data.catalogue._catalogue.__wrapped__()
     monkeypatch.setattr(roadtorch.data.catalogue, "_catalogue", lambda: kinds)
     return kinds

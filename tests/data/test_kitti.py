@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
+from roadtorch.base.errors import DatasetError
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, LabelledItem
 from roadtorch.data.kitti import BirdsEye, birds_eye, open_kitti_road, result_name
-from roadtorch.errors import DatasetError
 from roadtorch.evaluation.metrics import average_precision, count_levels, max_f
 from tests.data.conftest import write
 from tests.reference import bev as reference

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from roadtorch.base.errors import DatasetError
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import LabelledItem, Truth
 from roadtorch.data.labelme import PolygonLabels, read_annotation
-from roadtorch.errors import DatasetError
 from tests.data.conftest import (
     BLOB,
     SIZE,

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from roadtorch.base.errors import ConfigError, DatasetError, InputError, RoadtorchError
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.correction_formats import FORMATS
 from roadtorch.data.corrections import read_corrections
@@ -21,7 +22,6 @@ from roadtorch.data.kitti import birds_eye
 from roadtorch.data.labelme import PolygonLabels, read_annotation
 from roadtorch.data.labels import ColourLabels, NumberLabels, pairs
 from roadtorch.data.maps import map_likelihood, parse_maps
-from roadtorch.errors import ConfigError, DatasetError, InputError, RoadtorchError
 from tests.data.conftest import (
     BLOB,
     SIZE,

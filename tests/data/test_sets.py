@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from roadtorch.base.errors import ConfigError, DatasetError
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, Kind, leave_out
 from roadtorch.data.folder import with_conditions
-from roadtorch.errors import ConfigError, DatasetError
 from tests.data.conftest import write
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs/evaluation.md"

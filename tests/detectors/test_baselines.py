@@ -3,10 +3,10 @@
 import pytest
 import torch
 
-from roadtorch.detector import Detection
 from roadtorch.detectors.baselines import ENTRIES
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.scenes.street import render_scene
+from roadtorch.detectors.detector import Detection
+from roadtorch.testing.scenes import render_scene
 from tests.representatives import quick
 
 NAMES = [entry.name for entry in ENTRIES if not entry.baseline]

@@ -9,10 +9,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from roadtorch.base.errors import WeightsError
 from roadtorch.detectors import fusion
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.fusion import RoadCalibration, ScratchFusionSettings, calibrated
-from roadtorch.errors import WeightsError
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import label_layout

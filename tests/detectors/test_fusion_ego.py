@@ -8,8 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from roadtorch.detector import Detection, Detector
 from roadtorch.detectors.catalogue import load_detector
+from roadtorch.detectors.detector import Detection, Detector
 from roadtorch.imaging.resize import resized
 from roadtorch.road.ego import continued
 from roadtorch.testing import flaws

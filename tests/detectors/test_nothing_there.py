@@ -3,8 +3,8 @@
 import pytest
 import skimage.data
 
-from roadtorch.detector import Detection
 from roadtorch.detectors.catalogue import load_detector
+from roadtorch.detectors.detector import Detection
 
 THINGS = (
     *("astronaut", "brick", "cat", "cell", "checkerboard", "clock", "coffee", "coins"),

@@ -10,18 +10,18 @@ import pytest
 import torch
 from torch import Tensor
 
+from roadtorch.base.errors import ConfigError
+from roadtorch.base.image_cache import image_cache
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth
-from roadtorch.detector import Detection, Detector
 from roadtorch.detectors.catalogue import list_detectors, load_detector
+from roadtorch.detectors.detector import Detection, Detector
 from roadtorch.detectors.oneclass import ENTRIES
-from roadtorch.errors import ConfigError
 from roadtorch.evaluation import metrics
 from roadtorch.imaging.color import REPRESENTATIONS, planes
 from roadtorch.oneclass import CLASSIFIERS, Fitted, axes_of, fit, samples
 from roadtorch.oneclass.samples import AllSampleSettings, SampleSettings, road_samples
-from roadtorch.runtime.image_cache import image_cache
-from roadtorch.scenes.street import render_scene
+from roadtorch.testing.scenes import render_scene
 from tests.representatives import representatives
 
 BY_NAME = {entry.name: entry for entry in ENTRIES}

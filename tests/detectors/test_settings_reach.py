@@ -11,13 +11,13 @@ import pytest
 import torch
 from torch import Tensor
 
+from roadtorch.base.errors import ConfigError
+from roadtorch.base.image import write_mask
+from roadtorch.base.settings import Settings, build_settings, group_at, merge
 from roadtorch.detectors.catalogue import detector_entry, load_detector
-from roadtorch.errors import ConfigError
-from roadtorch.io.image import write_mask
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.oneclass import CLASSIFIERS
-from roadtorch.settings import Settings, build_settings, group_at, merge
 from tests.networks import write_random_network
 from tests.representatives import ways_of_working
 from tests.streets import lost_highlights

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.imaging.color import plane
+from roadtorch.imaging.slic import squares
 from roadtorch.road.seed_area import SeedArea, seed_rectangle
 from roadtorch.road.texture import (
     Saturation,
@@ -18,7 +19,6 @@ from roadtorch.road.texture import (
     unsaturated_uniformity,
     value_range,
 )
-from roadtorch.superpixels.slic import squares
 from tests.streets import lost_highlights
 
 

@@ -7,11 +7,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from roadtorch.detector import Detection, Detector
+from roadtorch.detectors.detector import Detection, Detector
 from roadtorch.detectors.ufl import ENTRIES
 from roadtorch.imaging.resize import resized, size_of
-from roadtorch.scenes.street import render_scene
 from roadtorch.testing import flaws
+from roadtorch.testing.scenes import render_scene
 from roadtorch.ufl.maps import dictionary_picture, mosaic
 from roadtorch.ufl.preprocess import Smoothing
 from roadtorch.ufl.road import AS_CHOSEN

@@ -9,9 +9,9 @@ from types import ModuleType
 
 import pytest
 
+from roadtorch.base.errors import RoadtorchError
+from roadtorch.base.settings import parse_assignments
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
-from roadtorch.errors import RoadtorchError
-from roadtorch.settings import parse_assignments
 from scripts.figures import FIGURES
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from roadtorch.scenes.street import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_picture
 from scripts.figures import FIGURES, __main__, p1, p3_light, p3_table3
 from tests.command import Call, call
 from tests.data.test_kitti import add_frame, street

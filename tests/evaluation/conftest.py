@@ -9,14 +9,14 @@ from torch import Tensor
 
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset
-from roadtorch.detector import Detection
+from roadtorch.detectors.detector import Detection
 from roadtorch.evaluation import metrics, uncertainty
 from roadtorch.evaluation.methods import Contender, Look
 from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.result import DetectorFigures, summarise
 from roadtorch.evaluation.scoring import score
 from roadtorch.evaluation.tally import Tally
-from roadtorch.scenes.street import RenderedScene, render_scene
+from roadtorch.testing.scenes import RenderedScene, render_scene
 from tests.streets import write_camvid
 
 GROUPS = ("0001TP", "0006R0", "0016E5")

@@ -7,7 +7,7 @@ import pytest
 
 from roadtorch.data.dataset import LabelledItem
 from roadtorch.evaluation.disagreement import Disagreement, Disagreements, most_and_spread
-from roadtorch.report.adaptation import Adaptation, summary_table
+from roadtorch.evaluation.report.adaptation import Adaptation, summary_table
 from tests.reports import made_contender, scored
 
 

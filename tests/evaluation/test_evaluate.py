@@ -7,19 +7,19 @@ import cv2
 import pytest
 import torch
 
+from roadtorch.base.atomic import write_json
+from roadtorch.base.errors import ConfigError, DatasetError, InputError, UnscorableError
+from roadtorch.base.image import read_image, write_colours
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, leave_out
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.errors import ConfigError, DatasetError, InputError, UnscorableError
 from roadtorch.evaluation import metrics, scoring
 from roadtorch.evaluation.document import defined, document
 from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.methods import expand_names
 from roadtorch.evaluation.result import Evaluation
 from roadtorch.evaluation.tally import WHOLE
-from roadtorch.io.atomic import write_json
-from roadtorch.io.image import read_image, write_colours
-from roadtorch.scenes.street import write_picture
+from roadtorch.testing.scenes import write_picture
 from tests.oracle import DECISION, GROUPS, ORACLE, SCENES, know_oracle, write_set
 
 

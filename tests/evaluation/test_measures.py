@@ -11,8 +11,8 @@ from roadtorch.evaluation.document import document
 from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import MAXF, MEASURES
-from roadtorch.report.files import write
-from roadtorch.report.screen import screen
+from roadtorch.evaluation.report.files import write
+from roadtorch.evaluation.report.screen import screen
 from tests.oracle import GROUPS, ORACLE, know_oracle, write_set
 
 DOCUMENT = Path(__file__).parents[2] / "docs/evaluation.md"

@@ -7,7 +7,7 @@ import pytest
 import torch
 from sklearn.metrics import confusion_matrix, jaccard_score, roc_auc_score
 
-from roadtorch.errors import InputError
+from roadtorch.base.errors import InputError
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
 from tests.evaluation.conftest import count, random_map, stack

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from roadtorch.base.image import read_image
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, every_kth, leave_out
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation import uncertainty
 from roadtorch.evaluation.evaluate import evaluate
-from roadtorch.io.image import read_image
 
 DRAWS = 2000
 DETECTORS = ("prior:triangle", "grey-uniformity")

@@ -10,11 +10,12 @@ import torch
 from scipy.stats import spearmanr
 
 from roadtorch.data.dataset import LabelledItem
-from roadtorch.detector import Detection
+from roadtorch.detectors.detector import Detection
 from roadtorch.evaluation import boundary, metrics
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.methods import Contender
 from roadtorch.evaluation.metrics import RoadCounts
+from roadtorch.evaluation.report.files import rows_csv
 from roadtorch.evaluation.result import (
     choose_thresholds,
     held_out_thresholds,
@@ -23,7 +24,6 @@ from roadtorch.evaluation.result import (
 )
 from roadtorch.evaluation.tally import Score, Tally
 from roadtorch.layout.classes import NAMES
-from roadtorch.report.files import rows_csv
 from tests.evaluation.conftest import GROUPS, counted, looking, summarised
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import torch
 
-from roadtorch.detector import Detection
+from roadtorch.detectors.detector import Detection
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.methods import Contender
 from roadtorch.evaluation.scoring import score

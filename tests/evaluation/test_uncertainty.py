@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.data.dataset import Dataset
-from roadtorch.detector import Detection
+from roadtorch.detectors.detector import Detection
 from roadtorch.evaluation import uncertainty
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.result import DetectorFigures

@@ -16,9 +16,11 @@ import torch
 from PIL import Image
 
 import roadtorch.export.export as export_module
-from roadtorch.detector import Detector
+from roadtorch.base.atomic import digest_of
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.image import read_image, to_pixels
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.detectors.detector import Detector
 from roadtorch.export.export import (
     BOUND,
     Exported,
@@ -28,8 +30,6 @@ from roadtorch.export.export import (
     parity,
 )
 from roadtorch.export.files import Run, open_onnx, open_openvino, write_onnx
-from roadtorch.io.atomic import digest_of
-from roadtorch.io.image import read_image, to_pixels
 from roadtorch.layout.weights import shipped_weights
 from roadtorch.testing import street
 from tests.networks import write_ego_network, write_random_network

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from roadtorch import load_detector
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.export.hub import export_folder
 from roadtorch.layout.weights import terms_of
 from roadtorch.testing import street

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import pytest
 from PIL import Image
 
+from roadtorch.base.errors import ConfigError
+from roadtorch.base.image import read_image, to_pixels, write_pixels
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.errors import ConfigError
 from roadtorch.export import page as page_module
 from roadtorch.export.page import RUNTIME_VERSION, export_page
-from roadtorch.io.image import read_image, to_pixels, write_pixels
 from roadtorch.testing import street
 from scripts.browser import CHROMIUM, PATIENCE, looked_at, served, wait_for_status
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roadtorch.errors import InputError
+from roadtorch.base.errors import InputError
 from roadtorch.inputs.archives import archive_source
 from roadtorch.inputs.bags import bag_source
 from roadtorch.inputs.item import Selection, Source

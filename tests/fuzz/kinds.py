@@ -13,6 +13,8 @@ import torch
 from hypothesis import strategies as st
 from PIL import Image
 
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.settings import build_settings, parse_assignments, to_toml
 from roadtorch.camera.birds_eye import to_birds_eye
 from roadtorch.camera.calibration import read_calibration
 from roadtorch.camera.camera import Camera, EgoLook
@@ -26,7 +28,6 @@ from roadtorch.data.folder import FolderLabels, with_conditions
 from roadtorch.data.labelme import PolygonLabels
 from roadtorch.data.maps import CONFIG, deciding_settings, map_likelihood, map_mask, read_map
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
-from roadtorch.errors import ConfigError, InputError
 from roadtorch.evaluation.methods import Contender, earlier_thresholds, named_detector
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
@@ -35,7 +36,6 @@ from roadtorch.road.ego import Ego, ego_car, read_ego_mask
 from roadtorch.run.folder import result_folder
 from roadtorch.run.ledger import Row, read_index, write_index
 from roadtorch.run.memo import read_arrays, write_arrays
-from roadtorch.settings import build_settings, parse_assignments, to_toml
 from roadtorch.train.config import PatchTraining, as_values, build_training
 from roadtorch.train.folder import CHECKPOINT, FORMAT, RUN, RunFolder
 from tests.data.conftest import write

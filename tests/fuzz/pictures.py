@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from roadtorch.io.image import read_image
-from roadtorch.scenes.street import render_scene
+from roadtorch.base.image import read_image
+from roadtorch.testing.scenes import render_scene
 from tests.fuzz.tampered import OF_BYTES, Draw, one_of
 
 OF_PICTURES = (*OF_BYTES, "size")

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from random import Random
 
-from roadtorch.io.bounded import printable
+from roadtorch.base.bounded import printable
 from tests.fuzz.pictures import scene
 
 SUFFIXES = (".jpg", ".png", ".tif", ".webp", ".bmp")

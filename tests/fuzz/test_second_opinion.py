@@ -18,12 +18,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image, ImageOps
 
-from roadtorch.errors import InputError
-from roadtorch.io.image import read_image
+from roadtorch.base.errors import InputError
+from roadtorch.base.image import read_image
+from tests.base.test_decoding import SAMPLES, tiff_of_layout
+from tests.base.test_image import TURNS
 from tests.fuzz.pictures import OF_PICTURES, scene, whole_picture
 from tests.fuzz.tampered import Draw, one_of, tampered, unhurried
-from tests.io.test_decoding import SAMPLES, tiff_of_layout
-from tests.io.test_image import TURNS
 
 CLOSE = 1.5 / 255  # on average; decoders round otherwise, and Pillow reads 16 bits of RGB as 8
 

@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from skimage.color import rgb2lab
 
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.imaging.color import PLANES, REPRESENTATIONS, plane, planes
 from tests.reference.color import planes_of_pixel
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from roadtorch.imaging.motion import dense_flow, flow_picture, forward_backward_error, warp
-from roadtorch.scenes.street import render_scene
+from roadtorch.testing.scenes import render_scene
 
 
 def everywhere(right: float, down: float, height: int = 40, width: int = 60) -> torch.Tensor:

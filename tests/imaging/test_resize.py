@@ -16,7 +16,7 @@ from roadtorch.imaging.resize import (
     resized,
     working_size,
 )
-from roadtorch.superpixels.slic import Superpixels
+from roadtorch.imaging.slic import Superpixels
 
 SIDES = st.integers(16, 4000)
 

@@ -15,12 +15,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.base import decoding
+from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.inputs import archives
 from roadtorch.inputs.archives import archive_source, is_archive
 from roadtorch.inputs.find import open_source
 from roadtorch.inputs.item import Selection
-from roadtorch.io import decoding
 
 
 def picture(seed: int) -> np.ndarray:

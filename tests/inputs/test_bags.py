@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.inputs.bags import bag_source, camera_info, image_topic, is_bag
 from roadtorch.inputs.image_messages import image_of
 from roadtorch.inputs.item import Selection

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.inputs.item import Item, Selection, Source, spread
 
 

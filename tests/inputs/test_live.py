@@ -11,7 +11,7 @@ from threading import Event, Thread
 
 import pytest
 
-from roadtorch.errors import InputError
+from roadtorch.base.errors import InputError
 from roadtorch.inputs import live
 from roadtorch.inputs.item import Item, Selection
 from roadtorch.inputs.live import Patience, camera_source, newest_frames, stream_source

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.inputs.find import (
     SourceOptions,
     camera_number,

@@ -7,7 +7,8 @@ import pytest
 import torch
 from PIL import Image
 
-from roadtorch.errors import InputError
+from roadtorch.base.errors import InputError
+from roadtorch.base.image import write_colours, write_mask
 from roadtorch.inputs.item import Item
 from roadtorch.inputs.pictures import (
     are_label_maps,
@@ -15,7 +16,6 @@ from roadtorch.inputs.pictures import (
     label_and_picture,
     picture_item,
 )
-from roadtorch.io.image import write_colours, write_mask
 
 
 @pytest.fixture

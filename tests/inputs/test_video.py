@@ -10,11 +10,11 @@ import torch
 from av.error import FFmpegError
 from av.video.reformatter import VideoReformatter
 
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.base.decoding import MEGAPIXELS_VARIABLE
+from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.inputs import video
 from roadtorch.inputs.item import Item, Selection
 from roadtorch.inputs.video import count_frames, video_frames, video_source
-from roadtorch.io.decoding import MEGAPIXELS_VARIABLE
 from tests.videos import street_pixels, write_sound, write_video
 
 FORTY = [n / 10 for n in range(40)]  # seconds of frames

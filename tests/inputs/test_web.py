@@ -14,10 +14,10 @@ import torch
 from PIL import Image
 
 from roadtorch import load_detector
-from roadtorch.errors import InputError
+from roadtorch.base import urls
+from roadtorch.base.errors import InputError
+from roadtorch.base.image import decode_image, read_image, to_pixels
 from roadtorch.inputs.find import find_inputs
-from roadtorch.io import urls
-from roadtorch.io.image import decode_image, read_image, to_pixels
 from roadtorch.testing import street
 
 Answer = Callable[[BaseHTTPRequestHandler], None]

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from roadtorch.evaluation.metrics import class_recalls, count_layout
 from roadtorch.imaging.resize import WorkingSize
+from roadtorch.imaging.segments import Segments, measure_segments
 from roadtorch.layout import labeller
 from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 from roadtorch.layout.labeller import (
@@ -27,8 +28,7 @@ from roadtorch.layout.labeller import (
     place_prior,
     sky_look,
 )
-from roadtorch.scenes.street import RenderedScene
-from roadtorch.superpixels.segments import Segments, measure_segments
+from roadtorch.testing.scenes import RenderedScene
 from tests.draws import seeded
 from tests.reference import layout as reference
 from tests.streets import scene

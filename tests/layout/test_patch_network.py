@@ -6,7 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roadtorch.errors import ConfigError
+from roadtorch.base.errors import ConfigError
+from roadtorch.base.settings import build_settings
 from roadtorch.imaging.color import plane
 from roadtorch.layout.patch_network import (
     Normalisation,
@@ -17,7 +18,6 @@ from roadtorch.layout.patch_network import (
     normalise,
     reflected,
 )
-from roadtorch.settings import build_settings
 from tests.draws import seeded
 from tests.reference import network as reference
 from tests.streets import scene

@@ -9,7 +9,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.errors import ConfigError
+from roadtorch.base.errors import ConfigError
 from roadtorch.oneclass import base
 from roadtorch.oneclass.axes import (
     Axes,

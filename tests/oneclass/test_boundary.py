@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from roadtorch.errors import InputError
+from roadtorch.base.errors import InputError
 from roadtorch.oneclass import boundary
 from roadtorch.oneclass.boundary import (
     DISSIMILARITIES,

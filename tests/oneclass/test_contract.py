@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.oneclass import CLASSIFIERS, Fitted, axes_of, base, fit
 from roadtorch.oneclass.axes import Hue
 from roadtorch.oneclass.base import Classifier

@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from roadtorch.errors import ConfigError
+from roadtorch.base.errors import ConfigError
 from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
 from roadtorch.oneclass.histogram import HistogramSettings, bin_of, with_noisy_copy
 from tests.draws import random, seeded

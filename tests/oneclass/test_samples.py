@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.imaging.color import REPRESENTATIONS, planes
+from roadtorch.imaging.segments import segment_median
 from roadtorch.oneclass.samples import (
     AllSampleSettings,
     SampleSettings,
@@ -16,7 +17,6 @@ from roadtorch.oneclass.samples import (
     road_samples,
     sample_area,
 )
-from roadtorch.superpixels.segments import segment_median
 from tests.draws import random, seeded
 from tests.streets import scene
 

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor, nn
 
-from roadtorch.detector import Detector, DetectorSettings, Entry
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.image import write_mask
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.errors import ConfigError, InputError
-from roadtorch.io.image import write_mask
+from roadtorch.detectors.detector import Detector, DetectorSettings, Entry
 from roadtorch.road.ego import MIN_FREE, SOLID, Ego, continued, ego_car, ego_found, outline_rows
 from roadtorch.testing import check_detector
 from tests.streets import bonnet, scene

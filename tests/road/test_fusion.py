@@ -11,6 +11,8 @@ from torch import Tensor
 
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation.metrics import count_levels, count_mask, f_measure, max_f
+from roadtorch.imaging.segments import Segments, likeness, measure_segments
+from roadtorch.imaging.slic import slic
 from roadtorch.road.fusion import (
     PRIORS,
     STRONGEST_LOOK,
@@ -27,8 +29,6 @@ from roadtorch.road.fusion import (
     segment_road,
 )
 from roadtorch.road.seed_area import FAINTEST, distance_likelihood, seed_area, seed_distance
-from roadtorch.superpixels.segments import Segments, likeness, measure_segments
-from roadtorch.superpixels.slic import slic
 from tests.draws import random
 from tests.reference import fusion as reference
 from tests.streets import scene

@@ -6,6 +6,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roadtorch.imaging.slic import squares
 from roadtorch.road.seed_area import (
     SeedArea,
     distances,
@@ -15,7 +16,6 @@ from roadtorch.road.seed_area import (
     seed_rectangle,
     seed_segments,
 )
-from roadtorch.superpixels.slic import squares
 
 SIDES = st.integers(16, 2000)
 

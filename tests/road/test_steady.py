@@ -9,7 +9,7 @@ from torch import Tensor
 from roadtorch.imaging.motion import flow_picture
 from roadtorch.road.fusion import log_odds
 from roadtorch.road.steady import Steady, SteadySettings, flow_confidence, smoothed
-from roadtorch.scenes.street import render_scene
+from roadtorch.testing.scenes import render_scene
 
 STREET = render_scene(1, 120, 160, noise=0.0).image
 OTHER = render_scene(2, 120, 160, noise=0.0).image

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import torch
 
+from roadtorch.base.errors import ConfigError
+from roadtorch.base.signals import Stop
 from roadtorch.cli.ros import ros
-from roadtorch.detection import Detection
-from roadtorch.errors import ConfigError
+from roadtorch.detectors.detection import Detection
 from roadtorch.ros.inbox import Inbox
-from roadtorch.runtime.signals import Stop
-from roadtorch.writers.bag import pixels_of
+from roadtorch.run.writers.bag import pixels_of
 from tests.command import invoked
 
 

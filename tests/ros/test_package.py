@@ -4,8 +4,8 @@ import ast
 from pathlib import Path
 from xml.etree import ElementTree
 
+from roadtorch.base.version import __version__
 from roadtorch.ros.node import NodeParameters
-from roadtorch.version import __version__
 
 PACKAGE = Path(__file__).resolve().parents[2] / "ros" / "roadtorch_ros"
 

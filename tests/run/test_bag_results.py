@@ -11,8 +11,8 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.inputs.bags import bag_source
 from tests.command import ROWS, Call, files_in, rows_of
 from tests.inputs.bags import FIRST, STEP, write_drive
+from tests.run.writers.test_bags import read_bag
 from tests.videos import street_pixels, write_video
-from tests.writers.test_bags import read_bag
 
 GREY = ("--detector", "grey-uniformity")
 TOPICS = {f"/segmentation/{name}" for name in ("mask", "confidence", "overlay", "label_info")}

@@ -19,14 +19,14 @@ import pytest
 import torch
 
 from roadtorch.annotate.session import opened_session
+from roadtorch.base import progress
+from roadtorch.base.image import write_colours, write_mask
 from roadtorch.camera.camera import Camera, Ego
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.io.image import write_colours, write_mask
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import save_network
 from roadtorch.run.memo import file_digests, paths_in
-from roadtorch.runtime import progress
-from roadtorch.scenes.street import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_picture
 from roadtorch.train.run import TrainingRun
 from tests.command import Call, bytes_in, files_in
 from tests.reference import bev

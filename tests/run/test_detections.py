@@ -11,14 +11,14 @@ import torch
 from torch import Tensor
 
 from roadtorch import detect_stream, load_detector
+from roadtorch.base.errors import InputError, RoadtorchError
+from roadtorch.base.signals import Stop
 from roadtorch.camera.camera import Camera
-from roadtorch.detector import Evidence
-from roadtorch.errors import InputError, RoadtorchError
+from roadtorch.detectors.detector import Evidence
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.road.steady import Steady, SteadySettings
 from roadtorch.run.loop import Detected, Look, Missed, detections, loaded
 from roadtorch.run.workers import Processes, ThisProcess, Workers
-from roadtorch.runtime.signals import Stop
 from tests.command import save_picture
 from tests.streets import scene
 from tests.videos import write_video

@@ -9,9 +9,9 @@ from pathlib import Path
 import fsspec
 import pytest
 
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.urls import is_url, url_bytes
 from roadtorch.inputs.pictures import find_pictures, picture_item
-from roadtorch.io.urls import is_url, url_bytes
 from roadtorch.run.folder import Owners, ResultFolder, result_folder
 
 

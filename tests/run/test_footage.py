@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from roadtorch.detection import Detection
+from roadtorch.base.errors import ExitCode, InputError
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.errors import ExitCode, InputError
+from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item, Selection
 from roadtorch.inputs.video import video_source
-from roadtorch.writers.video import VideoWriter
+from roadtorch.run.writers.video import VideoWriter
 from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
 from tests.inputs.bags import write_drive
 from tests.videos import pixels_of, stamps_of, street_pixels, write_sound, write_video

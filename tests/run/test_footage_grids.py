@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roadtorch.io.image import to_pixels
+from roadtorch.base.image import to_pixels
 from tests.command import Call, bytes_in, rows_of
 from tests.inputs.bags import FIRST, ROS2, STEP, raw_image, write_bag, write_drive
 from tests.run.test_grids import TRIANGLE, VIEW
+from tests.run.writers.test_bags import read_bag
 from tests.streets import scene
 from tests.videos import write_video
-from tests.writers.test_bags import read_bag
 
 HEIGHT, WIDTH, HORIZON = 120, 160, 0.42
 FOCAL = 0.95 * WIDTH  # that of the rendered streets

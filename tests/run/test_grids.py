@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from roadtorch.camera.camera import Camera
-from roadtorch.scenes.street import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_picture
 from tests.command import Call, rows_of
-from tests.writers.test_grid import loaded
+from tests.run.writers.test_grid import loaded
 
 VIEW = ("--height", 1.35, "--fov", 55, "--range", 20, "--side", 8, "--resolution", 0.2)
 

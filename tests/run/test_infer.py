@@ -11,12 +11,12 @@ import pytest
 import torch
 from PIL import Image
 
-from roadtorch.detection import Detection
+from roadtorch.base.image import read_image, write_jpeg
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.io.image import read_image, write_jpeg
+from roadtorch.detectors.detection import Detection
 from roadtorch.run.loop import Look
-from roadtorch.scenes.street import render_scene
-from roadtorch.writers.maps import cue_picture
+from roadtorch.run.writers.maps import cue_picture
+from roadtorch.testing.scenes import render_scene
 from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
 
 GREY = ("--detector", "grey-uniformity")

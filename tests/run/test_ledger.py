@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from roadtorch.errors import InputError
+from roadtorch.base.errors import InputError
 from roadtorch.run import ledger as module
 from roadtorch.run.ledger import (
     COLUMNS,

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from roadtorch.errors import InputError
+from roadtorch.base.errors import InputError
 from roadtorch.run import memo
 from roadtorch.run.memo import cached_arrays, keep, kept, key_of, read_arrays
 

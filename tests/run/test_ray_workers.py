@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 from roadtorch.cli import main
-from roadtorch.scenes.street import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_picture
 from tests.command import bytes_in, rows_of
 
 COMMAND = [sys.executable, "-m", "roadtorch", "infer"]

@@ -16,9 +16,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from roadtorch.base.image import write_mask
 from roadtorch.detectors import catalogue
 from roadtorch.inputs.item import Item
-from roadtorch.io.image import write_mask
 from roadtorch.run import ledger
 from roadtorch.run.ledger import Row
 from roadtorch.run.loop import Task

@@ -9,9 +9,9 @@ import pytest
 import torch
 from PIL import Image
 
+from roadtorch.base.threads import Threads
 from roadtorch.data.labelme import open_labelme
-from roadtorch.runtime.threads import Threads
-from roadtorch.scenes.street import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_picture
 from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
 
 # --- polygons and facts -----------------------------------------------------------------

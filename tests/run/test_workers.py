@@ -12,7 +12,8 @@ from functools import partial
 import pytest
 import torch
 
-from roadtorch.errors import InputError
+from roadtorch.base.errors import InputError
+from roadtorch.base.threads import Threads
 from roadtorch.run import workers
 from roadtorch.run.workers import (
     AHEAD,
@@ -22,7 +23,6 @@ from roadtorch.run.workers import (
     processors,
     workers_for,
 )
-from roadtorch.runtime.threads import Threads
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="workers are copies of a process")
 

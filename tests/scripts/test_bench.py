@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from roadtorch.scenes.street import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_picture
 from scripts import bench, bench_throughput
 from tests.scripts.conftest import PrintedBy
 
@@ -46,7 +46,7 @@ def test_a_checkout_has_its_own_package_and_others_stay_loaded() -> None:
     detects = bench.detects_of(CHECKOUT, ["prior:rows"])
 
     own = type(getattr(detects["prior:rows"], "__self__"))  # noqa: B009
-    assert own is not sys.modules["roadtorch.detector"].Detector
+    assert own is not sys.modules["roadtorch.detectors.detector"].Detector
     assert sys.modules["roadtorch"] is before["roadtorch"]
 
 

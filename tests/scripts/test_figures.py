@@ -19,7 +19,7 @@ from roadtorch.evaluation.result import Evaluation
 from roadtorch.evaluation.tally import Score, Tally
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
 from roadtorch.road.seed_area import remove_isolated, seed_rectangle
-from roadtorch.scenes.street import render_scene
+from roadtorch.testing.scenes import render_scene
 from scripts.figures import FIGURES, p1, p2, p3_light, p3_table3
 from scripts.figures.chart import apart, middle, spread
 from tests.streets import as_bytes, scene, write_camvid, write_drives

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from roadtorch.scenes.street import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_picture
 from scripts import readme_figures, readme_numbers, readme_tables
 from scripts.readme_tables import Table, restated
 
@@ -86,7 +86,7 @@ def test_a_number_is_bound_of_a_study_or_alone(page: str, numbers: list[str]) ->
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("code:roadtorch.io.bounded:MAX_BYTES/GiB", 1),
+        ("code:roadtorch.base.bounded:MAX_BYTES/GiB", 1),
         ("setting:fusion:working.pixels", 256 * 192),
         ("setting:fusion:paper:descriptor", "cpf"),
         ("config:adapt:stopping.epochs", 6),

@@ -15,12 +15,12 @@ pytestmark = pytest.mark.skipif(shutil.which("git") is None, reason="git is not 
 def checkout(tmp_path: Path) -> Path:
     """A repository with what the script looks at first, in which version 1.2.3 can be released."""
     files = {
-        "roadtorch/version.py": '__version__ = "1.2.3"\n',
+        "roadtorch/base/version.py": '__version__ = "1.2.3"\n',
         "CITATION.cff": "version: 1.2.3\n",
         "CHANGELOG.md": "# Changelog\n\n## Unreleased\n\n## 1.2.3 (2026-01-01)\n\n- All of it.\n",
     }
     for name, text in files.items():
-        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text, encoding="utf-8")
     (tmp_path / "scripts").mkdir()
     for name in ("release.sh", "venv.sh"):
@@ -85,10 +85,10 @@ def test_an_unknown_argument_is_wrong_usage(checkout: Path) -> None:
     ("name", "old", "new", "message"),
     [
         (
-            "roadtorch/version.py",
+            "roadtorch/base/version.py",
             "1.2.3",
             "1.2",
-            "roadtorch/version.py: '1.2' is no version (write MAJOR.MINOR.PATCH)",
+            "roadtorch/base/version.py: '1.2' is no version (write MAJOR.MINOR.PATCH)",
         ),
         (
             "CITATION.cff",

@@ -8,8 +8,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from roadtorch.scenes.street import write_picture
-from roadtorch.settings import merge, parse_assignments
+from roadtorch.base.settings import merge, parse_assignments
+from roadtorch.testing.scenes import write_picture
 from roadtorch.train.config import Training, build_training
 from tests.streets import scene
 

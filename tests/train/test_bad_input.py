@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from roadtorch.base.atomic import locked
+from roadtorch.base.errors import ConfigError, InputError, RoadtorchError, WeightsError
 from roadtorch.cli import main
-from roadtorch.errors import ConfigError, InputError, RoadtorchError, WeightsError
-from roadtorch.io.atomic import locked
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import save_network
 from roadtorch.train.config import Training, build_training

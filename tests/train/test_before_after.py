@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import torch
 
+from roadtorch.base.errors import ConfigError, RoadtorchError
 from roadtorch.cli.train import train as train_command
-from roadtorch.errors import ConfigError, RoadtorchError
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import save_network
 from roadtorch.run.memo import write_arrays
-from roadtorch.scenes.street import write_picture
+from roadtorch.testing.scenes import write_picture
 from roadtorch.train.config import PictureTraining
 from roadtorch.train.teachers import teacher_agreement
 from tests.command import invoked

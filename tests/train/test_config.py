@@ -2,7 +2,7 @@
 
 import pytest
 
-from roadtorch.errors import ConfigError
+from roadtorch.base.errors import ConfigError
 from roadtorch.train.config import (
     Descent,
     PatchTraining,

@@ -10,13 +10,13 @@ import torch
 from click.testing import CliRunner
 
 from roadtorch.annotate.session import import_event
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.settings import read_settings_file
 from roadtorch.cli.train import train as command_of_train
 from roadtorch.data.corrections import Correction
 from roadtorch.data.events import EventLog, LogHead, log_path
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.errors import ConfigError, InputError
 from roadtorch.layout.weights import corrected_pictures, load_network, people_behind
-from roadtorch.settings import read_settings_file
 from roadtorch.train.config import Descent, PatchTraining, Training, build_training
 from roadtorch.train.corrections import corrections_summary, paced, write_corrected
 from roadtorch.train.loop import RoundStart

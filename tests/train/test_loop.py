@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import nn
 
+from roadtorch.base.signals import Stop
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
-from roadtorch.runtime.signals import Stop
 from roadtorch.train.config import Descent, PictureTraining, Stopping
 from roadtorch.train.folder import RunFolder
 from roadtorch.train.loop import (

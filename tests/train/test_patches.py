@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from roadtorch.errors import InputError
+from roadtorch.base.errors import InputError
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, reflected
 from roadtorch.run.memo import write_arrays

@@ -7,8 +7,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roadtorch.base.signals import Stop
 from roadtorch.run.memo import write_arrays
-from roadtorch.runtime.signals import Stop
 from roadtorch.train.config import HeadWeights, PictureTraining, build_training
 from roadtorch.train.folder import RunFolder
 from roadtorch.train.loop import Batch, RoundStart

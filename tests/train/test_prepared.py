@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from roadtorch.errors import ConfigError, InputError
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.signals import Stop
 from roadtorch.inputs.item import Item
 from roadtorch.inputs.pictures import find_pictures
 from roadtorch.run.memo import Arrays, read_arrays, write_arrays
-from roadtorch.runtime.signals import Stop
 from roadtorch.train.prepared import (
     Preparation,
     PreparedPicture,

@@ -6,10 +6,10 @@ import cv2
 import pytest
 import torch
 
+from roadtorch.base.image import read_image
+from roadtorch.base.signals import Stop
 from roadtorch.inputs.item import Item
 from roadtorch.inputs.pictures import find_pictures
-from roadtorch.io.image import read_image
-from roadtorch.runtime.signals import Stop
 from roadtorch.train import recordings
 from roadtorch.train.config import Recordings
 from roadtorch.train.recordings import ego_of, find_ego_cars, is_line, recording_of, shape_of

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from roadtorch.base.errors import ConfigError
 from roadtorch.cli import main
-from roadtorch.errors import ConfigError
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import LayoutNetwork, load_network, read_origin, save_network
 from roadtorch.run.memo import read_arrays

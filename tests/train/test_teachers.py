@@ -6,15 +6,15 @@ import pytest
 import torch
 from torch import nn
 
-from roadtorch.detector import Detector, DetectorSettings, Entry
+from roadtorch.base.errors import ConfigError
+from roadtorch.base.signals import Stop
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.errors import ConfigError
+from roadtorch.detectors.detector import Detector, DetectorSettings, Entry
 from roadtorch.imaging.levels import otsu_threshold
 from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.picture_network import OUTPUTS, PictureNetwork, PictureNetworkSettings
 from roadtorch.road.fusion import log_odds
 from roadtorch.run.memo import read_arrays, write_arrays
-from roadtorch.runtime.signals import Stop
 from roadtorch.train.config import PictureTraining, Rounds, Teacher, build_training
 from roadtorch.train.teachers import (
     Targets,

@@ -13,7 +13,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from roadtorch.io.image import read_image
+from roadtorch.base.image import read_image
 from roadtorch.ufl import features, hierarchy, maps, preprocess, road
 
 pytestmark = pytest.mark.data

@@ -1,0 +1,197 @@
+"""Settings: frozen pydantic models whose mistakes read like sentences."""
+
+import math
+import os
+import re
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pydantic
+import tomli_w
+
+from roadtorch.base.bounded import read_regular
+from roadtorch.base.errors import ConfigError, InputError, shortened, unknown_name
+
+MAX_PARTS = 32
+"""Of a key, and levels of a value: far more than any setting has; deeper ones take minutes."""
+
+MAX_BYTES = 2**20  # of a file of settings; ours: they have thousands
+
+SHOWN = 200  # letters of what was given that a refusal repeats
+
+_LONG_KEY = re.compile(
+    rf"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{MAX_PARTS}}}"""
+)
+
+
+class Settings(pydantic.BaseModel):
+    """The base of every group of settings: frozen, and unknown keys are refused."""
+
+    model_config = pydantic.ConfigDict(
+        frozen=True, extra="forbid", strict=True, validate_default=True, allow_inf_nan=False
+    )
+
+
+AnySettings = TypeVar("AnySettings", bound=Settings)
+
+
+def build_settings(kind: type[AnySettings], values: Mapping[str, Any]) -> AnySettings:
+    """Make settings of one kind from nested values.
+
+    Raises ConfigError naming the full key (``texture.bins``), what was given and
+    what is allowed.
+    """
+    try:
+        return kind.model_validate(dict(values))
+    except pydantic.ValidationError as problem:
+        raise _first_mistake(kind, problem) from None
+
+
+def _first_mistake(kind: type[Settings], problem: pydantic.ValidationError) -> ConfigError:
+    error = problem.errors()[0]
+    path = [str(part) for part in error["loc"]]
+    key = ".".join(path)
+    if error["type"] == "extra_forbidden":
+        known = group_at(kind, path[:-1]).model_fields
+        return unknown_name("setting", key, [".".join([*path[:-1], name]) for name in known])
+    if error["type"] == "missing":
+        return ConfigError(key, "is missing", "give it a value")
+    given = f"{shortened(repr(error['input']), SHOWN)} was given"
+    if error["type"] == "model_type":
+        known = ", ".join(group_at(kind, path).model_fields)
+        return ConfigError(key, f"{given} for a group of settings", f"set one of its keys: {known}")
+    reasons = getattr(error.get("ctx", {}).get("error"), "args", ())
+    if reasons and isinstance(reasons[0], ConfigError):  # a validator's own words
+        what = f"{reasons[0].what} {shortened(repr(error['input']), SHOWN)}"
+        return ConfigError(key, what, reasons[0].remedy)
+    message = error["msg"].removeprefix("Value error, ")
+    return ConfigError(key, given, message[0].lower() + message[1:])
+
+
+def group_at(kind: type[Settings], path: Sequence[str]) -> type[Settings]:
+    """The innermost group of settings on ``path`` from ``kind``.
+
+    What is no group, as the place in a list or the kind of a union, is passed over.
+    """
+    for name in path:
+        field = kind.model_fields.get(name)
+        annotation = field.annotation if field else None
+        if isinstance(annotation, type) and issubclass(annotation, Settings):
+            kind = annotation
+    return kind
+
+
+def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
+    """Turn ``["texture.bins=64"]`` into ``{"texture": {"bins": 64}}``.
+
+    A value is read as TOML (numbers, true/false, quoted strings, lists); what is
+    not TOML is a plain string. Raises ConfigError for an item without ``=``, with a key of
+    too many parts or a value that is nested too deep.
+    """
+    tree: dict[str, Any] = {}
+    for item in assignments:
+        key, equals, text = item.partition("=")
+        names = key.strip().split(".", MAX_PARTS)
+        if len(names) > MAX_PARTS:
+            raise ConfigError(item, "has too many parts", _FEWER_PARTS)
+        if not equals or not all(names):
+            raise ConfigError(
+                item, "is not a setting", "write key=value, for example texture.bins=64"
+            )
+        branch = tree
+        for name in names[:-1]:
+            branch = branch.setdefault(name, {})
+            if not isinstance(branch, dict):
+                raise ConfigError(key, f"{name} is already set to a value", "give each key once")
+        if isinstance(branch.get(names[-1]), dict):
+            raise ConfigError(key, "is a group of settings", "set one key inside it")
+        branch[names[-1]] = _toml_value(key, text.strip())
+    return tree
+
+
+def _toml_value(key: str, text: str) -> Any:
+    try:
+        value = _parsed(key, f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+    return text if isinstance(value, float) and not math.isfinite(value) else value
+
+
+_FEWER_PARTS = f"no setting has more than {MAX_PARTS}"
+
+
+def _parsed(where: object, text: str) -> dict[str, Any]:
+    """TOML as nested values; ConfigError for what is nested too deep, or a number too long.
+
+    Raises TOMLDecodeError for what is no TOML.
+    """
+    if _LONG_KEY.search(text):  # the parser's time grows with their square
+        raise ConfigError(where, "has a key of too many parts", _FEWER_PARTS)
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        raise
+    except RecursionError:
+        raise ConfigError(where, "is nested too deep", "give plain values") from None
+    except ValueError as problem:
+        raise ConfigError(where, f"cannot be read: {problem}", "give a shorter number") from None
+    _check_values(where, values, MAX_PARTS + 1)
+    return values
+
+
+def _check_values(where: object, value: Any, levels: int) -> None:
+    """ConfigError for more levels, and for whole numbers that TOML (64 bits) does not know."""
+    if not levels:
+        raise ConfigError(where, "is nested too deep", "give plain values")
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise ConfigError(where, "has a number of more than 64 bits", "give a shorter number")
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    for part in inner:
+        _check_values(where, part, levels - 1)
+
+
+def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested values with changes on top; groups are merged, everything else replaced."""
+    merged = dict(base)
+    for key, value in changes.items():
+        old = merged.get(key)
+        both = isinstance(old, Mapping) and isinstance(value, Mapping)
+        merged[key] = merge(old, value) if both else value  # type: ignore[arg-type]
+    return merged
+
+
+def read_settings_file(path: Path) -> dict[str, Any]:
+    """The nested values of a TOML file; InputError when it cannot be read or parsed.
+
+    A name of a file with a suffix that lies beside it becomes its path: folders can be moved.
+    """
+    try:
+        return _found_beside(path, _parsed(path, read_regular(path, MAX_BYTES).decode()))
+    except OSError as problem:
+        what = f"cannot be read: {problem.strerror}"
+        raise InputError(path, what, "give a TOML file") from None
+    except UnicodeDecodeError:
+        raise InputError(path, "is not UTF-8 text", "give a TOML file") from None
+    except tomllib.TOMLDecodeError as problem:
+        raise ConfigError(path, f"is not TOML: {problem}", "mend that line") from None
+
+
+def _found_beside(path: Path, values: dict[str, Any]) -> dict[str, Any]:
+    """Nested values, the names of files in the folder of ``path`` as paths."""
+
+    def beside(value: Any) -> Any:
+        if isinstance(value, dict):
+            return _found_beside(path, value)
+        if not isinstance(value, str) or not Path(value).suffix:
+            return value
+        file = os.path.join(path.parent, value)
+        return file if os.path.isfile(file) else value  # Path.is_file raises for names too long
+
+    return {key: beside(value) for key, value in values.items()}
+
+
+def to_toml(detector: str, settings: Settings) -> str:
+    """The text of a file for ``--config`` that gives this detector with these settings."""
+    return tomli_w.dumps({"detector": detector, **settings.model_dump(exclude_none=True)})

@@ -1,0 +1,187 @@
+"""The page at the end of an adaptation: before and after, on one page."""
+
+import math
+import statistics
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from roadtorch.base.atomic import write_text
+from roadtorch.evaluation.disagreement import Disagreement, Disagreements, Taught
+from roadtorch.evaluation.measures import F_MASK
+from roadtorch.evaluation.report.disagreement import both_sheets
+from roadtorch.evaluation.report.svg import BASELINE, COLOURS, DASHES, Series, to_svg
+from roadtorch.evaluation.report.table import (
+    MINUS,
+    NONE,
+    Cell,
+    Table,
+    page_text,
+    percent,
+    share,
+    signed,
+)
+from roadtorch.evaluation.result import Evaluation, Interval
+
+
+@dataclass(frozen=True)
+class Adaptation:
+    """What a run changed.
+
+    seen: the pictures as the detectors before and after see them; files: their weights. shown:
+    the pictures on the page. taught: None for networks without a teacher's maps. rows: round,
+    epoch and error of each epoch. labelled: None without labels. verdict: whether to adopt it, and
+    why; empty where nobody judged.
+    """
+
+    seen: Disagreements
+    files: tuple[Path, Path]
+    shown: Sequence[Disagreement]
+    taught: Taught | None
+    rows: Sequence[Mapping[str, Any]]
+    labelled: Evaluation | None
+    verdict: str = ""
+
+
+def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> None:
+    """Write the page: one file that asks for no other."""
+    items = [picture.item for picture in adaptation.shown]
+    caption = "only before blue, only after orange"
+    sheets = both_sheets(adaptation.seen, items, caption)
+    is_part = len(items) < len(adaptation.seen.pictures)
+    draw = partial(draw_losses, rows=adaptation.rows)
+    loss_chart = to_svg("loss", "Mean loss of the epochs", 260, draw)
+    differs = [picture.differs for picture in adaptation.seen.pictures]
+    values = {
+        "one": adaptation,
+        "mean": statistics.fmean(differs),
+        "median": statistics.median(differs),
+        "most": max(differs),
+        "shown": list(zip(adaptation.shown, sheets, strict=True)),
+        "half": len(items) - len(items) // 2 if is_part else len(items),
+        "summary": summary_table(adaptation),
+        "scores": score_table(adaptation.labelled) if adaptation.labelled else None,
+        "charts": [Markup(svg) for svg in (loss_chart, trust_chart(adaptation))],
+    }
+    write_text(path, page_text("adaptation.html", command, values))
+
+
+def summary_table(adaptation: Adaptation) -> Table:
+    """What can be said without a label: road, trust and agreement before and after."""
+    pictures, rows = adaptation.seen.pictures, {}
+    road = [(picture.first, picture.second) for picture in pictures]
+    rows["share of road"] = _row(*map(statistics.fmean, zip(*road, strict=True)))
+    if trusts := [
+        (picture.first_trust, picture.second_trust) for picture in pictures if picture.has_trust
+    ]:
+        before, after = map(statistics.fmean, zip(*trusts, strict=True))
+        rose = sum(second > first for first, second in trusts)
+        fell = sum(second < first for first, second in trusts)
+        change = Cell(signed(after - before), note=f"rose on {rose}, fell on {fell} pictures")
+        rows["trust"] = (Cell(share(before)), Cell(share(after)), change)
+    if adaptation.taught is not None:
+        before, after = adaptation.taught.before, adaptation.taught.after
+        rows["agrees with the teacher on road"] = _row(before.road, after.road)
+        rows["agrees with the teacher on layout"] = _row(before.layout, after.layout)
+    return _table(rows)
+
+
+def score_table(evaluation: Evaluation) -> Table:
+    """Measures of both on labels, with intervals, and the difference on the same pictures."""
+    names = list(evaluation.detectors)
+    differences = evaluation.comparison.differences[names[1]]
+    rows = {}
+    for measure in evaluation.shown_in("pairs"):
+        if measure.key in differences:
+            of_both = [evaluation.detectors[name] for name in names]
+            before, after = (
+                _score(
+                    measure.of(figures.headline),
+                    figures.intervals.get(measure.key, Interval()),
+                    share,
+                )
+                for figures in of_both
+            )
+            change = differences[measure.key]
+            under = measure.key.rpartition("/")[0].replace("/", ", ")
+            title = f"{under}, {measure.line}" if under else measure.line
+            rows[title] = (before, after, _score(change.value, change.interval, signed))
+    return _table(rows)
+
+
+def score_line(adaptation: Adaptation) -> str:
+    """F of the mask on labels before and after, with the interval of the change, in a line."""
+    if adaptation.labelled is None:
+        return ""
+    before, after = (figures.headline for figures in adaptation.labelled.detectors.values())
+    change = adaptation.labelled.comparison.differences["after"][F_MASK.key]
+    ends = f"{signed(change.interval.low)} to {signed(change.interval.high)}"
+    scores = f"F {share(F_MASK.of(before))} to {share(F_MASK.of(after))}"
+    images = adaptation.labelled.images
+    return f"on labels, {images} pictures: {scores}, {signed(change.value)} ({ends})"
+
+
+Row = tuple[Cell, Cell, Cell]
+"""Before, after, and the change."""
+
+
+def _row(before: float, after: float) -> Row:
+    """Two shares, and what lies between them in points of a per cent."""
+    change = NONE if math.isnan(before + after) else f"{100 * (after - before):+.1f} points"
+    return Cell(percent(before)), Cell(percent(after)), Cell(change.replace("-", MINUS))
+
+
+def _score(value: float, ends: Interval, text: Callable[[float], str]) -> Cell:
+    note = f"{text(ends.low)} to {text(ends.high)}" if ends.is_known else ""
+    return Cell(text(value), note=note)
+
+
+def _table(rows: Mapping[str, Row]) -> Table:
+    table = Table(list(rows))
+    for place, header in enumerate(("before", "after", "change")):
+        table.add(header, "", [row[place] for row in rows.values()])
+    return table
+
+
+# --- charts ------------------------------------------------------------------------------
+
+
+def draw_losses(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Draw the mean loss of the epochs, one line a round."""
+    axes = figure.subplots()
+    rounds = sorted({row["round"] for row in rows})
+    for place, number in enumerate(rounds):
+        own = [row for row in rows if row["round"] == number]
+        line = place % len(COLOURS)
+        series = Series(f"round {number}", COLOURS[line], DASHES[line])
+        epochs, losses = ([row[key] for row in own] for key in ("epoch", "loss"))
+        axes.plot(epochs, losses, marker=".", label=series.name, **series.line(1.5))
+    axes.set(xlabel="epoch", ylabel="mean loss of the epoch")
+    if len(rounds) > 1:
+        axes.legend()
+
+
+def trust_chart(adaptation: Adaptation) -> str:
+    """Trust after over trust before, a mark a picture, as SVG text; empty without trust."""
+    pairs = [
+        (picture.first_trust, picture.second_trust)
+        for picture in adaptation.seen.pictures
+        if picture.has_trust
+    ]
+    if not pairs:
+        return ""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        axes.plot([0, 1], [0, 1], color=BASELINE, linewidth=1)
+        before, after = zip(*pairs, strict=True)
+        axes.plot(before, after, "o", color=COLOURS[0], mfc="none", markersize=5)
+        low = max(0.0, min(*before, *after) - 0.05)
+        axes.set(xlabel="trust before", ylabel="trust after", xlim=(low, 1), ylim=(low, 1))
+
+    return to_svg("trust", "Trust of each picture before and after", 260, draw)

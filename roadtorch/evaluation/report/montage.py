@@ -1,0 +1,155 @@
+"""Sheets of pictures to look at: what a detector saw, and what it made of it."""
+
+import base64
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from roadtorch.base.bounded import printable
+from roadtorch.base.image import to_pixels, write_pixels
+from roadtorch.data.dataset import Dataset, LabelledItem, Truth
+from roadtorch.detectors.detection import Detection
+from roadtorch.evaluation.methods import Look
+from roadtorch.evaluation.result import Evaluation, best_median_worst, pictures_by_f
+from roadtorch.evaluation.scoring import LabelledPicture
+from roadtorch.evaluation.tally import WHOLE
+from roadtorch.layout.classes import layout_colours
+
+MAX_DETECTORS = 8  # detectors with sheets
+
+TILE_WIDTH = 320  # pixels
+
+CAPTION = 18  # pixels of height
+
+MAX_WIDTH = 1200  # pixels of a sheet on the page; ours: as wide as it is shown
+
+JPEG_QUALITY = 80  # on pages; ours: no artefact is seen at the size they are shown
+
+BLUE, VERMILLION, WHITE = (0, 114, 178), (213, 94, 0), (255, 255, 255)  # Okabe and Ito
+
+
+def write_montages(
+    out: Path, evaluation: Evaluation, count: int
+) -> dict[str, dict[str, dict[str, str]]]:
+    """Write ``montage.NAME.best.jpg``, ``.median`` and ``.worst`` for the best detectors.
+
+    Baselines get none, and of many detectors only the ``MAX_DETECTORS`` with the highest MaxF do.
+    Returns what the page shows of them, by detector and part.
+    """
+    detectors = evaluation.detectors
+    shown = [name for name in evaluation.ranked() if not detectors[name].is_baseline]
+    sheets: dict[str, dict[str, dict[str, str]]] = {}
+    for name in shown[:MAX_DETECTORS]:
+        thresholds = detectors[name].thresholds
+        look = detectors[name].contender.prepare(evaluation.dataset)
+        order = pictures_by_f(evaluation.tallies[name], detectors[name])
+        for part, pictures in best_median_worst(order, count).items():
+            if pictures:
+                path = out / f"montage.{name.replace(':', '-')}.{part}.jpg"
+                made = sheet(evaluation.dataset, look, pictures, thresholds)
+                write_pixels(path, made)
+                sheets.setdefault(name, {})[part] = on_page(made)
+    return sheets
+
+
+def sheet(
+    dataset: Dataset,
+    look: Look,
+    chosen: Sequence[tuple[float, str]],
+    thresholds: Mapping[str, float],
+) -> np.ndarray:
+    """One sheet, uint8 RGB (H,W,3): a row of tiles for each chosen (F, picture name)."""
+    by_name = {item.name: item for item in dataset.items}
+    rows = []
+    for value, name in chosen:
+        item = by_name[name]
+        rows.append(sheet_row(dataset, look, item, thresholds[item.group or WHOLE], value))
+    width = max(row.shape[1] for row in rows)
+    rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows]
+    return np.concatenate(rows)
+
+
+def sheet_row(
+    dataset: Dataset, look: Look, item: LabelledItem, threshold: float, value: float
+) -> np.ndarray:
+    """Image, layout, uniformity, likelihood and decision of one item, side by side.
+
+    A map that was made for another view, as KITTI's are, is shown in that view.
+    """
+    image, truth = dataset.read(item)
+    shown, detection = image, look(image, item)
+    if detection.likelihood.shape != truth.road.shape:
+        scene = LabelledPicture(dataset, item, image, truth)
+        shown, truth = scene.seen(image), scene.seen_truth()
+    decided = detection.likelihood >= threshold
+    tiles = {
+        f"{item.name}  F {value:.3f}": to_pixels(image),
+        **cue_tiles(detection),
+        "likelihood": heat(detection.likelihood),
+        "decision (blue), truth (line)": decision_tile(shown, decided, truth),
+    }
+    height = round(image.shape[1] * TILE_WIDTH / image.shape[2])
+    return np.concatenate([captioned(tile, text, height) for text, tile in tiles.items()], axis=1)
+
+
+def cue_tiles(detection: Detection) -> dict[str, np.ndarray]:
+    """Tiles of the cues that a detection has, among layout and uniformity."""
+    tiles, cues = {}, detection.cues
+    if "layout_labels" in cues or "layout" in cues:
+        labels = cues["layout_labels"] if "layout_labels" in cues else cues["layout"].argmax(0)
+        tiles["layout"] = to_pixels(layout_colours(labels))
+    if "uniformity" in cues:
+        uniformity = cues["uniformity"].to(torch.float32)
+        low, high = uniformity.min(), uniformity.max()
+        tiles["uniformity"] = heat((uniformity - low) / (high - low).clamp(min=1e-9))
+    return tiles
+
+
+def heat(values: Tensor) -> np.ndarray:
+    """A map (H,W) in [0,1] as colours from dark blue to yellow, uint8 RGB (H,W,3)."""
+    levels = (values * 255).round().to(torch.uint8).contiguous().numpy()
+    return np.ascontiguousarray(cv2.applyColorMap(levels, cv2.COLORMAP_CIVIDIS)[..., ::-1])
+
+
+def decision_tile(image: Tensor, decided: Tensor, truth: Truth) -> np.ndarray:
+    """The image with the decided road tinted blue, void black, the true road outlined."""
+    tint = torch.tensor(BLUE)[:, None, None] / 255
+    tinted = torch.where(decided, 0.45 * image + 0.55 * tint, image) * truth.valid
+    pixels = to_pixels(tinted)
+    outlines, _ = cv2.findContours(
+        truth.road.numpy().astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE
+    )
+    width = max(1, round(pixels.shape[1] / TILE_WIDTH))
+    return cv2.drawContours(pixels, outlines, -1, VERMILLION, 2 * width)
+
+
+def captioned(tile: np.ndarray, text: str, height: int) -> np.ndarray:
+    """A tile of the sheet's width and that height, black where it is of another shape."""
+    scale = min(TILE_WIDTH / tile.shape[1], height / tile.shape[0])
+    size = (max(1, round(tile.shape[1] * scale)), max(1, round(tile.shape[0] * scale)))
+    small = cv2.resize(tile, size, interpolation=cv2.INTER_AREA)
+    canvas = np.zeros((CAPTION + height, TILE_WIDTH, 3), np.uint8)
+    text = printable(text)  # OpenCV crashes on other names
+    cv2.putText(canvas, text, (4, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.4, WHITE, 1, cv2.LINE_AA)
+    left = (TILE_WIDTH - size[0]) // 2
+    canvas[CAPTION : CAPTION + size[1], left : left + size[0]] = small
+    return canvas
+
+
+def on_page(sheet: np.ndarray) -> dict[str, str]:
+    """A sheet, uint8 RGB (H,W,3), as the attributes of a picture on the page."""
+    scale = min(1.0, MAX_WIDTH / sheet.shape[1])
+    small = cv2.resize(sheet, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    height, width = small.shape[:2]
+    return {"uri": jpeg_uri(small), "width": str(width), "height": str(height)}
+
+
+def jpeg_uri(pixels: np.ndarray) -> str:
+    """Pixels uint8 RGB (H,W,3) as a JPEG inside a page."""
+    options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+    encoded = cv2.imencode(".jpg", np.ascontiguousarray(pixels[..., ::-1]), options)[1]
+    return f"data:image/jpeg;base64,{base64.b64encode(encoded.tobytes()).decode()}"

@@ -1,0 +1,128 @@
+"""What is written of one picture: likelihood, mask, overlay, cues, outlines, figures."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from roadtorch.base.atomic import make_folder, write_json
+from roadtorch.base.image import write_colours, write_map, write_mask, write_npy, write_overlay
+from roadtorch.base.version import __version__
+from roadtorch.data.labelme import labelme_document
+from roadtorch.data.maps import MASK
+from roadtorch.detectors.detector import Detection
+from roadtorch.inputs.item import Item
+from roadtorch.layout.classes import LAYOUT_COLOURS, layout_colours
+from roadtorch.run.folder import ELSEWHERE
+from roadtorch.run.writers.coco import POLYGONS
+
+SUFFIXES = {
+    "likelihood": ".likelihood.png",
+    "mask": MASK,
+    "overlay": ".overlay.jpg",
+    "npy": ".likelihood.npy",
+    "polygons": POLYGONS,
+    "json": ".json",
+}
+
+CUE_SUFFIXES = {"cues": ".cue.{}.png", "npy": ".{}.npy"}
+"""Of the kinds that write a file a cue."""
+
+GOLDEN = 0.6180339887  # the fractional step that spreads neighbouring labels over the colours
+
+
+@dataclass(frozen=True)
+class Maps:
+    """The files of a picture.
+
+    kinds: see ``SUFFIXES`` and ``CUE_SUFFIXES``. detector, threshold: what made them. depth: bits
+    of likelihoods.
+    """
+
+    folder: Path
+    kinds: frozenset[str]
+    detector: str
+    threshold: float
+    depth: Literal[8, 16] = 8
+
+    @property
+    def suffixes(self) -> Sequence[str]:
+        """How the names of its files end, ``{}`` standing for those of the cues."""
+        tables = (SUFFIXES, CUE_SUFFIXES)
+        return [table[kind] for table in tables for kind in table if kind in self.kinds]
+
+    def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
+        """Write the files; the names of the cues of a picture that stands alone."""
+        kinds, stem = self.kinds, self.folder / item.name
+
+        def path(suffix: str) -> Path:
+            return stem.with_name(stem.name + suffix)
+
+        if kinds:
+            make_folder(stem.parent, ELSEWHERE)
+        if "likelihood" in kinds:
+            write_map(path(SUFFIXES["likelihood"]), detection.likelihood, self.depth)
+        if "mask" in kinds:
+            write_mask(path(SUFFIXES["mask"]), detection.mask)
+        if "overlay" in kinds:
+            assert detection.image is not None
+            image, ego = detection.image, detection.cues.get("ego")
+            overlay = path(SUFFIXES["overlay"])
+            write_overlay(overlay, image, detection.mask, ego, detection.caption)
+        if "npy" in kinds:
+            write_npy(path(SUFFIXES["npy"]), detection.likelihood)
+        for name, cue in detection.cues.items() if kinds & CUE_SUFFIXES.keys() else ():
+            if "cues" in kinds:
+                write_colours(path(CUE_SUFFIXES["cues"].format(name)), cue_picture(name, cue.cpu()))
+            if "npy" in kinds:
+                write_npy(path(CUE_SUFFIXES["npy"].format(name)), cue)
+        if "polygons" in kinds:
+            outline = labelme_document(detection.mask.cpu().numpy(), PurePath(item.row_name).name)
+            write_json(path(SUFFIXES["polygons"]), outline)
+        if "json" in kinds:
+            write_json(path(SUFFIXES["json"]), self._figures(item.row_name, detection))
+        return {} if item.digest is None else {"cues": "/".join(detection.cues)}
+
+    def _figures(self, file: str, detection: Detection) -> dict[str, object]:
+        """The figures of a picture alone; nothing in them depends on the run."""
+        height, width = detection.mask.shape
+        return {
+            "file": file,
+            "width": width,
+            "height": height,
+            "road_share": round(float(detection.mask.double().mean()), 6),
+            "trust": None if detection.trust is None else round(detection.trust, 4),
+            "doubt": detection.doubt,
+            "threshold": self.threshold,
+            "detector": self.detector,
+            "roadtorch": __version__,
+        }
+
+
+def cue_picture(name: str, cue: Tensor) -> Tensor:
+    """A cue (H,W), (C,H,W) or labels int (H,W) as an image (3,H,W) to look at.
+
+    ``layout_labels`` and three potentials named ``layout…`` get the colours of sky, vertical
+    and horizontal, other labels unlike colours where they are neighbours. Of the rest, three
+    channels are red, green and blue, and of any other number the mean is shown; values are
+    stretched from the least (black) to the greatest (white), those that are not finite black.
+    """
+    if name == "layout_labels":
+        return layout_colours(cue)
+    is_label = not cue.is_floating_point() and cue.dtype != torch.bool
+    if cue.ndim == 2 and is_label:  # each channel a different irrational stride
+        strides = torch.tensor([GOLDEN, GOLDEN**2, GOLDEN**3]).view(3, 1, 1)
+        return ((cue.float() + 1) * strides).frac()
+    if cue.ndim == 3 and len(cue) == 3 and name.startswith("layout"):  # a mixture of their colours
+        colours = torch.tensor(LAYOUT_COLOURS) / 255
+        return torch.einsum("chw,cd->dhw", cue.clamp(0, 1).float(), colours).clamp(0, 1)
+    if cue.ndim == 3 and len(cue) != 3:
+        cue = cue.float().mean(0)
+    values = cue.float()
+    is_finite = values.isfinite()
+    low, high = values[is_finite].aminmax() if is_finite.any() else values.new_zeros(2)
+    stretched = ((values - low) / (high - low).clamp_min(1e-12)).where(is_finite, 0)
+    return stretched if cue.ndim == 3 else stretched.expand(3, -1, -1)

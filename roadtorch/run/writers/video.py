@@ -1,0 +1,166 @@
+"""Videos as results: H.264 in MP4 where the encoder is there, with the frames' time stamps; GIF."""
+
+import warnings
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from fractions import Fraction
+from pathlib import Path
+
+import cv2
+import numpy as np
+from PIL import Image
+
+from roadtorch.base.atomic import atomic, unwritable
+from roadtorch.detectors.detector import Detection
+from roadtorch.inputs.item import Item
+from roadtorch.inputs.video import import_av
+
+TICKS = 60_000
+"""Time stamps a second: a multiple of 24, 25, 30 and 30000/1001; MPEG-4 part 2 has up to 65,535."""
+
+USUAL_RATE = 10.0  # frames a second where neither a clock nor a rate is known
+
+ENCODERS = {
+    "libx264": {"preset": "veryfast", "crf": "20", "x264-params": "mbtree=0"},
+    "mpeg4": {"qscale": "3"},
+}
+"""By preference, with options; ours: the outline stays sharp. With its macroblock tree x264 gives
+other bytes from run to run, as memory happens to lie."""
+
+
+GIF_WIDTH = 480  # pixels at most
+
+GIF_RATE = 10  # frames a second
+
+GIF_SECONDS = 60.0
+"""At most; its frames are held in memory until the end."""
+
+GIF_COLOURS = 128
+
+
+Draw = Callable[[Detection], np.ndarray]
+"""What is shown of a detection: pixels uint8 (H,W,3) RGB, or (H,W) grey."""
+
+
+class VideoWriter:
+    """A video that is written frame by frame, and has its name once it is closed.
+
+    path: of the MP4 file; rate: frames a second, where they have no time stamps. The first frame
+    is at 0 seconds, the others as far behind it as they were; all have the size of the first,
+    padded to even sides by repeating the last row or column. One thread encodes: the bytes do not
+    depend on the machine's number of cores.
+    """
+
+    def __init__(self, path: Path, draw: Draw, rate: float | None = None) -> None:
+        self.path = path
+        self._draw, self._rate = draw, rate or USUAL_RATE
+        self._size: tuple[int, int] | None = None
+        self._first, self._last = 0.0, -1
+        self._open = ExitStack()
+
+    def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
+        """Add a frame; one without a clock follows at the rate. InputError on a full disk."""
+        pixels, seconds = self._draw(detection), item.seconds
+        if seconds is None:
+            behind = self._last / TICKS + 1 / self._rate
+            seconds = 0.0 if self._size is None else self._first + behind
+        try:
+            if self._size is None:
+                self._begin(pixels, seconds)
+            pixels = self._fitted(pixels)
+            kind = "gray" if pixels.ndim == 2 else "rgb24"
+            frame = self._av.VideoFrame.from_ndarray(pixels, kind)
+            frame = self._reformatter.reformat(frame, format="yuv420p")
+            self._last = max(round((seconds - self._first) * TICKS), self._last + 1)
+            frame.pts, frame.time_base = self._last, self._stream.time_base
+            self._container.mux(self._stream.encode(frame))
+        except OSError as problem:
+            raise unwritable(self.path, problem) from None
+        return {}
+
+    def close(self) -> None:
+        """Finish the video; there is none where no frame was written. InputError on a full disk."""
+        with self._open:
+            if self._size is not None:
+                self._size = None
+                try:
+                    self._container.mux(self._stream.encode(None))
+                finally:
+                    self._container.close()
+
+    def _begin(self, pixels: np.ndarray, seconds: float) -> None:
+        self._av = import_av()
+        self._reformatter = self._av.video.reformatter.VideoReformatter()  # makes its tables once
+        with ExitStack() as stack:
+            temporary = stack.enter_context(atomic(self.path))
+            self._container = self._av.open(str(temporary), "w", format="mp4")
+            self._stream = self._encoder(pixels.shape[1], pixels.shape[0])
+            self._open = stack.pop_all()
+        self._size, self._first = (pixels.shape[1], pixels.shape[0]), seconds
+
+    def _encoder(self, width: int, height: int):
+        name = next(name for name in ENCODERS if name in self._av.codecs_available)
+        if name != "libx264":
+            what = f"{self.path.name}: PyAV has no libx264 here; written as {name}"
+            warnings.warn(what, stacklevel=2)
+        rate = Fraction(self._rate).limit_denominator(1001)
+        stream = self._container.add_stream(name, rate=rate, options=ENCODERS[name])
+        stream.width, stream.height = width + width % 2, height + height % 2
+        stream.pix_fmt = "yuv420p"
+        stream.time_base = stream.codec_context.time_base = Fraction(1, TICKS)
+        stream.codec_context.thread_count = 1
+        return stream
+
+    def _fitted(self, pixels: np.ndarray) -> np.ndarray:
+        """Pixels at the size of the first frame, with even sides."""
+        size = self._size
+        if size is not None and (pixels.shape[1], pixels.shape[0]) != size:
+            pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+        below, right = pixels.shape[0] % 2, pixels.shape[1] % 2
+        if below or right:
+            pixels = cv2.copyMakeBorder(pixels, 0, below, 0, right, cv2.BORDER_REPLICATE)
+        return np.ascontiguousarray(pixels)
+
+
+class GifWriter:
+    """The frames from ``start`` to ``end`` seconds, at most 480 pixels wide and ten a second."""
+
+    def __init__(self, path: Path, draw: Draw, start: float, end: float) -> None:
+        self.path = path
+        self._draw, self._start, self._end = draw, start, end
+        self._frames: list[Image.Image] = []
+        self._seconds: list[float] = []
+
+    def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
+        """Add a frame whose time has come; one without a clock is left out."""
+        due = self._seconds[-1] + 1 / GIF_RATE if self._seconds else self._start
+        seconds = -1.0 if item.seconds is None else item.seconds
+        if not (self._start <= seconds < self._end and seconds >= due - 0.2 / GIF_RATE):
+            return {}
+        pixels = self._draw(detection)
+        height, width = pixels.shape[:2]
+        if width > GIF_WIDTH:
+            size = GIF_WIDTH, max(1, round(height * GIF_WIDTH / width))
+            pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+        picture = Image.fromarray(pixels).quantize(GIF_COLOURS, dither=Image.Dither.NONE)
+        self._frames.append(picture)
+        self._seconds.append(seconds)
+        return {}
+
+    def close(self) -> None:
+        """Write the file; there is none where no frame lies in the stretch."""
+        if not self._frames:
+            return
+        steps = np.diff([*self._seconds, self._seconds[-1] + 1 / GIF_RATE])
+        durations = [max(20, round(float(step) * 100) * 10) for step in steps]  # whole 10 ms
+        first, *others = self._frames
+        self._frames = []
+        with atomic(self.path) as temporary, temporary.open("wb") as file:
+            first.save(
+                file,
+                format="GIF",
+                save_all=True,
+                append_images=others,
+                duration=durations,
+                loop=0,
+            )

@@ -1,1 +1,0 @@
-"""Around the computation: signals, plug-ins, work shared on one image, shipped configs."""

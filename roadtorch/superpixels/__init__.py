@@ -1,1 +1,0 @@
-"""Superpixels: SLIC, connectivity, statistics and features of segments."""

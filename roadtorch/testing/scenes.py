@@ -1,0 +1,394 @@
+"""Rendered street scenes with exact truth, seen from a camera in a car.
+
+A scene is painted back to front on a canvas of twice the size: sky, ground (every pixel
+below the horizon is traced to its place on the road plane, in metres), houses and trees,
+cars, one unknown object. The same strokes paint the picture and the class map, so the
+truth is exact to half a pixel. Class numbers are CamVid's.
+
+``python -m roadtorch.testing.scenes --out DIR --count 6`` writes pictures to look at.
+"""
+
+import argparse
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from roadtorch.layout import classes as layout
+
+SKY, BUILDING, ROAD, PAVEMENT, TREE, CAR, VOID = 0, 1, 3, 4, 5, 8, 11
+
+LAYOUT_OF_CLASS = np.full(12, layout.VERTICAL, np.uint8)
+LAYOUT_OF_CLASS[[SKY, ROAD, PAVEMENT]] = layout.SKY, layout.HORIZONTAL, layout.HORIZONTAL
+CAMERA_HEIGHT = 1.35  # metres above the road
+MAX_DISTANCE = 90.0  # metres: nothing upright stands farther away
+
+
+@dataclass(frozen=True)
+class RenderedScene:
+    """A picture and everything that is true about it."""
+
+    image: Tensor  # float32 (3,H,W) in [0,1], sRGB
+    road: Tensor  # bool (H,W)
+    layout: Tensor  # uint8 (H,W): 0 sky, 1 vertical, 2 horizontal
+    void: Tensor  # bool (H,W): the unknown object
+    classes: Tensor  # uint8 (H,W): CamVid's class numbers
+
+
+@dataclass(frozen=True)
+class RenderedStreet:
+    """What is being looked at; lengths in metres, light in [0, 1]."""
+
+    horizon: float  # share of the height above the horizon
+    curvature: float  # lateral metres per squared metre ahead
+    heading: float  # lateral metres per metre ahead
+    road_width: float
+    pavement: float  # width of each pavement
+    offset: float  # of the camera from the road's middle
+    shadows: float  # how many bands
+    cars: float  # how many
+    dusk: float  # 0 noon, 1 late dusk
+    noise: float  # standard deviation of the sensor's noise
+
+    def middle(self, ahead: np.ndarray | float) -> np.ndarray | float:
+        """Lateral place of the road's middle, metres to the right of the camera."""
+        return self.heading * ahead + self.curvature * ahead**2 - self.offset
+
+
+def draw_street(generator: np.random.Generator, **options: float) -> RenderedStreet:
+    """A random street; any field of RenderedStreet can be fixed by name."""
+    chosen: dict[str, float] = {
+        "horizon": generator.uniform(0.36, 0.56),
+        "curvature": generator.uniform(-0.005, 0.005),
+        "heading": generator.uniform(-0.03, 0.03),
+        "road_width": generator.uniform(6.0, 9.5),
+        "pavement": generator.uniform(1.6, 3.2),
+        "offset": generator.uniform(-1.8, 0.6),
+        "shadows": int(generator.integers(0, 4)),
+        "cars": int(generator.integers(0, 4)),
+        "dusk": float(generator.choice([0.0, 0.15, 0.3, 0.8])),
+        "noise": generator.uniform(0.004, 0.02),
+    }
+    return RenderedStreet(**{**chosen, **options})  # an unknown option is a TypeError
+
+
+class Canvas:
+    """A picture and its class map, painted together."""
+
+    def __init__(self, height: int, width: int, street: RenderedStreet) -> None:
+        self.height, self.width = height, width
+        self.street = street
+        self.focal = 0.95 * max(width, height * 4 / 3)  # pixels
+        self.horizon = street.horizon * height
+        self.rgb = np.zeros((height, width, 3), np.float32)
+        self.classes = np.full((height, width), SKY, np.uint8)
+
+    def project(self, right: float, up: float, ahead: float) -> tuple[float, float]:
+        """The pixel (x, y) of a point in metres from the camera's foot on the road."""
+        x = self.width / 2 + self.focal * right / ahead
+        return x, self.horizon + self.focal * (CAMERA_HEIGHT - up) / ahead
+
+    def polygon(self, points: Iterable[tuple[float, float]], colour: np.ndarray, kind: int) -> None:
+        """Fill a polygon of pixel points with a colour (3,) or a picture (H,W,3)."""
+        mask = np.zeros((self.height, self.width), np.uint8)
+        corners = np.clip(np.array(list(points)) * 16, -3e5, 3e5)  # 4 fractional bits
+        cv2.fillPoly(mask, [np.round(corners).astype(np.int32)], 1, shift=4)
+        inside = around(corners / 16)
+        chosen = mask[inside].astype(bool)
+        self.rgb[inside][chosen] = colour[inside][chosen] if np.ndim(colour) == 3 else colour
+        self.classes[inside][chosen] = kind
+
+    def fill(self, mask: np.ndarray, colour: np.ndarray, kind: int) -> None:
+        """Give the pixels of a mask a colour and a class."""
+        self.rgb[mask] = colour[mask] if np.ndim(colour) == 3 else colour
+        self.classes[mask] = kind
+
+
+def around(corners: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns of a picture that hold a polygon of pixel points (n,2), and some more."""
+    first = np.maximum(np.floor(corners.min(0)).astype(int) - 1, 0)
+    last = np.maximum(np.ceil(corners.max(0)).astype(int) + 2, 0)
+    return slice(first[1], last[1]), slice(first[0], last[0])
+
+
+def cloth(generator: np.random.Generator, size: int = 256, octaves: int = 5) -> np.ndarray:
+    """Tileable fractal noise (size, size) with mean 0 and standard deviation 1."""
+    total = np.zeros((size, size), np.float32)
+    for octave in range(octaves):
+        cells = 2 ** (octave + 3)
+        coarse = generator.standard_normal((cells, cells)).astype(np.float32)
+        tiled = np.pad(coarse, 2, mode="wrap")
+        scale = size // cells
+        smooth = cv2.resize(tiled, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+        total += 0.75**octave * smooth[2 * scale : -2 * scale, 2 * scale : -2 * scale]
+    return (total - total.mean()) / total.std()
+
+
+def developed(canvas: Canvas, generator: np.random.Generator) -> RenderedScene:
+    """A canvas as the camera sees it, at half its size, with light, lens, noise and eight bits."""
+    dusk = canvas.street.dusk
+    light = np.array([1.0, 1 - 0.08 * dusk, 1 - 0.05 * dusk]) * (1 - 0.5 * dusk)
+    rgb = canvas.rgb * light
+    if dusk:  # the sky stays brighter than the street
+        rgb = np.where((canvas.classes == SKY)[..., None], canvas.rgb * (1 - 0.25 * dusk), rgb)
+    rgb = cv2.GaussianBlur(rgb, (0, 0), 1.1)
+    rgb = rgb.reshape(canvas.height // 2, 2, canvas.width // 2, 2, 3).mean((1, 3))
+    rgb = rgb + generator.normal(0, canvas.street.noise, rgb.shape) * (0.4 + np.sqrt(np.abs(rgb)))
+    levels = np.round(np.clip(rgb, 0, 1) * 255).astype(np.uint8)
+    classes = canvas.classes[::2, ::2].copy()
+    return RenderedScene(
+        image=torch.from_numpy(levels.transpose(2, 0, 1).astype(np.float32) / 255),
+        road=torch.from_numpy(classes == ROAD),
+        layout=torch.from_numpy(LAYOUT_OF_CLASS[classes]),
+        void=torch.from_numpy(classes == VOID),
+        classes=torch.from_numpy(classes),
+    )
+
+
+# --- what is painted -----------------------------------------------------------------------
+
+
+def paint_sky(canvas: Canvas, generator: np.random.Generator) -> None:
+    """A gradient, pale at the horizon, with soft clouds."""
+    dusk = canvas.street.dusk
+    zenith = np.array([0.36, 0.55, 0.86]) * (1 - dusk) + dusk * np.array([0.34, 0.38, 0.52])
+    pale = np.array([0.86, 0.88, 0.92]) - dusk * np.array([0.1, 0.2, 0.22])
+    depth = np.clip(np.arange(canvas.height) / canvas.horizon, 0, 1)[:, None, None]
+    canvas.rgb[:] = zenith + (pale - zenith) * depth**0.8
+    clouds = cv2.resize(cloth(generator, octaves=3), (canvas.width, canvas.height))
+    cover = np.clip(0.35 * clouds - generator.uniform(-0.3, 0.3), 0, 0.8)[..., None]
+    canvas.rgb[:] = canvas.rgb * (1 - cover) + cover * (pale * 1.04)
+
+
+def paint_ground(canvas: Canvas, generator: np.random.Generator) -> None:
+    """Road with lane marks, kerbs, pavements, verges and shadows, on the road plane.
+
+    Every pixel below the horizon has its place there: metres to the right of the camera and ahead
+    of it, and across the road, to the right of its middle.
+    """
+    street = canvas.street
+    rows = np.arange(canvas.height)[:, None] + 0.5
+    columns = np.arange(canvas.width)[None, :] + 0.5
+    ground = np.broadcast_to(rows > canvas.horizon, canvas.classes.shape)
+    below = np.maximum(rows - canvas.horizon, 1e-3)
+    ahead = np.broadcast_to(canvas.focal * CAMERA_HEIGHT / below, canvas.classes.shape)
+    right = (columns - canvas.width / 2) * ahead / canvas.focal
+    across = right - street.middle(ahead)
+    grain = sample(cloth(generator), right * 23, ahead * 23) * np.clip(8 / ahead, 0.15, 1)
+    patches = sample(cloth(generator, octaves=3), right * 5, ahead * 5)
+    beside = np.abs(across) - street.road_width / 2
+    colours = ground_colours(generator)
+    for colour, kind, where in (
+        (colours["verge"], PAVEMENT, ground),
+        (colours["pavement"], PAVEMENT, ground & (beside < street.pavement)),
+        (colours["kerb"], PAVEMENT, ground & (beside < 0.22)),
+        (colours["road"], ROAD, ground & (beside < 0)),
+    ):
+        canvas.fill(where, colour, kind)
+    slabs = ground & (beside > 0.22) & (beside < street.pavement)
+    joints = ((across / 0.75) % 1 < 0.05) | ((ahead / 0.75) % 1 < 0.07)
+    canvas.rgb[slabs & joints & (ahead < 25)] *= 0.86
+    canvas.rgb[ground] *= (1 + 0.05 * grain + 0.04 * patches)[ground][:, None]
+    marks = np.abs(across) < 0.07 + ahead / 700
+    marks &= (ahead + generator.uniform(0, 7)) % 7 < 3.2
+    marks |= np.abs(beside + 0.35) < 0.06
+    canvas.rgb[ground & marks] = colours["mark"] * (1 + 0.05 * patches[ground & marks][:, None])
+    shade = shadow(generator, street, across, ahead)
+    canvas.rgb[ground] *= shade[ground][:, None] ** np.array([1.08, 1.0, 0.88])  # bluish
+
+
+def ground_colours(generator: np.random.Generator) -> dict[str, np.ndarray]:
+    """Colours of the ground's parts: greys that differ in lightness and a little in hue."""
+    base = generator.uniform(0.3, 0.46)
+    tint = generator.normal(0, 0.008, 3)
+    paving = np.array([1.0, 0.95, 0.87]) * min(base + generator.uniform(0.14, 0.26), 0.75)
+    grass = np.array([0.34, 0.44, 0.2]) * generator.uniform(0.8, 1.2)
+    return {
+        "road": np.array([1.0, 1.0, 1.02]) * base + tint,
+        "pavement": paving,
+        "kerb": paving * 1.12,
+        "verge": grass if generator.random() < 0.5 else paving * 0.9,
+        "mark": np.array([0.86, 0.86, 0.82]),
+    }
+
+
+def sample(texture: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Look a tileable texture up at (x, y), nearest cell."""
+    size = texture.shape[0]
+    return texture[y.astype(np.int64) % size, x.astype(np.int64) % size]
+
+
+def shadow(
+    generator: np.random.Generator, street: RenderedStreet, across: np.ndarray, ahead: np.ndarray
+) -> np.ndarray:
+    """How much light reaches the ground, (H,W) in (0,1]: bands that cross the road."""
+    light = np.ones_like(across)
+    for _ in range(int(street.shadows)):
+        near = generator.uniform(4.5, 22)
+        length = generator.uniform(1.5, 6.0)
+        lean = generator.uniform(-0.6, 0.6)
+        reach = generator.uniform(-2.0, 2.0)
+        side = generator.choice([-1.0, 1.0])
+        wobble = 0.3 * np.sin(across * generator.uniform(1, 3))
+        inside = np.abs(ahead - near - lean * across + wobble) < length / 2
+        inside &= side * across < reach + street.road_width / 2
+        light[inside] = np.minimum(light[inside], generator.uniform(0.4, 0.65))
+    return light
+
+
+def paint_side(canvas: Canvas, side: float, generator: np.random.Generator) -> None:
+    """Houses and trees along one side of the street, the farthest first."""
+    street = canvas.street
+    begin = MAX_DISTANCE
+    gap = street.road_width / 2 + street.pavement
+    while begin > 5:
+        depth = generator.uniform(5, 13)
+        back = generator.uniform(0.2, 3)
+        if generator.random() < 0.68:
+            near = max(begin - depth, 2.5)
+            paint_house(canvas, side, gap + back, (near, begin), generator)
+        else:
+            paint_tree(canvas, side * (gap + back * 0.5), begin - depth / 2, generator)
+        begin -= depth * generator.uniform(0.8, 1.1)
+
+
+def paint_house(
+    canvas: Canvas,
+    side: float,
+    distance: float,
+    span: tuple[float, float],
+    generator: np.random.Generator,
+) -> None:
+    """One house: the wall along the street, with dark panes, and its front wall."""
+    near, far = span
+    height = generator.uniform(4, 12)
+    palette = [(0.62, 0.42, 0.34), (0.78, 0.74, 0.66), (0.55, 0.5, 0.45), (0.7, 0.66, 0.62)]
+    colour = np.array(palette[generator.integers(len(palette))]) * generator.uniform(0.75, 1.1)
+    here = float(canvas.street.middle(near)) + side * distance
+    there = float(canvas.street.middle(far)) + side * distance
+    out = here + side * 14
+    front = [(here, 0, near), (out, 0, near), (out, height, near), (here, height, near)]
+    wall = [(here, 0, near), (there, 0, far), (there, height, far), (here, height, near)]
+    for points, light in ((front, 0.8), (wall, 1.0 if side > 0 else 0.72)):
+        canvas.polygon((canvas.project(*p) for p in points), colour * light, BUILDING)
+    pane = np.array([0.2, 0.24, 0.3])
+    lamp = (0.25 if canvas.street.dusk > 0.5 else 0.0) * np.array([1.0, 0.8, 0.3])
+    for floor in np.arange(1.0, height - 1.6, 2.7):
+        for ahead in np.arange(near + 0.8, far - 1.2, 2.2):
+            left, right = (
+                here + (there - here) * ((end - near) / (far - near))
+                for end in (float(ahead), float(ahead) + 1.1)
+            )
+            corners = [(left, floor, ahead), (right, floor, ahead + 1.1)]
+            corners += [(right, floor + 1.4, ahead + 1.1), (left, floor + 1.4, ahead)]
+            glass = pane + lamp * (int(ahead * 7 + floor) % 3 == 0)
+            canvas.polygon((canvas.project(*p) for p in corners), glass, BUILDING)
+
+
+def paint_tree(canvas: Canvas, across: float, ahead: float, generator: np.random.Generator) -> None:
+    """A trunk under a crown of leafy blobs."""
+    ahead = max(ahead, 4.0)
+    right = float(canvas.street.middle(ahead)) + across
+    corners = [(-0.15, 0), (0.15, 0), (0.12, 3), (-0.12, 3)]
+    trunk = [canvas.project(right + dx, up, ahead) for dx, up in corners]
+    canvas.polygon(trunk, np.array([0.27, 0.2, 0.14]), TREE)
+    green = np.array([0.22, 0.34, 0.13]) * generator.uniform(0.7, 1.2)
+    leaves = cv2.resize(cloth(generator, 128, 4), (canvas.width, canvas.height))
+    picture = (green * (1 + 0.25 * leaves[..., None])).astype(np.float32)
+    turn = np.linspace(0, 2 * np.pi, 15)[:-1]
+    for _ in range(7):
+        middle = right + generator.normal(0, 0.9), 4 + generator.normal(0, 0.8)
+        radius = generator.uniform(0.8, 1.5) * (1 + 0.15 * generator.standard_normal(turn.size))
+        x, y = middle[0] + radius * np.cos(turn), middle[1] + radius * np.sin(turn)
+        ring = [canvas.project(*point, ahead) for point in zip(x, y, strict=True)]
+        canvas.polygon(ring, picture, TREE)
+
+
+def paint_cars(canvas: Canvas, generator: np.random.Generator) -> None:
+    """Cars ahead and parked cars, the farthest first, each with its shadow on the road."""
+    half = canvas.street.road_width / 2
+    lanes = [-half / 2, half / 2, half - 1.0, -half + 1.0]
+    for ahead in sorted(generator.uniform(9, 32, int(canvas.street.cars)), reverse=True):
+        across = lanes[generator.integers(len(lanes))]
+        paint_car(canvas, float(canvas.street.middle(ahead)) + across, ahead, generator)
+
+
+def paint_car(canvas: Canvas, right: float, ahead: float, generator: np.random.Generator) -> None:
+    """The back of a car: wheels, body, cabin, rear window, lamps; its long side behind."""
+    palette = [(0.7, 0.12, 0.1), (0.12, 0.2, 0.45), (0.82, 0.82, 0.84), (0.1, 0.1, 0.11)]
+    colour = np.array(palette[generator.integers(len(palette))])
+    shade = [(-0.95, -0.35), (0.95, -0.35), (0.95, 4), (-0.95, 4)]
+    mask = np.zeros(canvas.classes.shape, np.uint8)
+    corners = [canvas.project(right + x, 0, ahead + z) for x, z in shade]
+    cv2.fillPoly(mask, [np.round(corners).astype(np.int32)], 1)
+    canvas.rgb[(mask > 0) & (canvas.classes == ROAD)] *= 0.35  # a shadow: still road
+    boxes: list[tuple[tuple[float, ...], tuple[float, float], float, np.ndarray]] = [
+        ((-0.85, -0.6, -0.6, -0.85), (0.0, 0.4), 0.0, np.full(3, 0.06)),
+        ((0.6, 0.85, 0.85, 0.6), (0.0, 0.4), 0.0, np.full(3, 0.06)),
+        ((-0.8, 0.8, 0.62, -0.62), (0.9, 1.5), 1.2, colour * 0.8),
+        ((-0.88, 0.88, 0.88, -0.88), (0.25, 0.95), 0.0, colour),
+        ((-0.66, 0.66, 0.56, -0.56), (0.98, 1.4), 0.6, np.array([0.16, 0.19, 0.24])),
+        ((-0.86, -0.66, -0.66, -0.86), (0.7, 0.85), 0.0, np.array([0.8, 0.1, 0.08])),
+        ((0.66, 0.86, 0.86, 0.66), (0.7, 0.85), 0.0, np.array([0.8, 0.1, 0.08])),
+    ]
+    for xs, (low, high), behind, tone in boxes:
+        corners = zip(xs, (low, low, high, high), strict=True)
+        canvas.polygon(
+            [canvas.project(right + x, u, ahead + behind) for x, u in corners], tone, CAR
+        )
+
+
+def paint_unknown(canvas: Canvas, generator: np.random.Generator) -> None:
+    """Something on the pavement that nobody named: the void of the truth."""
+    street = canvas.street
+    ahead = generator.uniform(14, 22)
+    side = generator.choice([-1.0, 1.0])
+    right = float(street.middle(ahead)) + side * (street.road_width / 2 + 0.9)
+    corners = [(-0.35, 0), (0.35, 0), (0.4, 1.1), (-0.4, 1.1)]
+    points = [canvas.project(right + x, up, ahead) for x, up in corners]
+    canvas.polygon(points, np.array([0.25, 0.3, 0.22]), VOID)
+
+
+def render_scene(seed: int, height: int = 240, width: int = 320, **options: float) -> RenderedScene:
+    """The scene of a seed; any field of RenderedStreet can be fixed by name (dusk=0.8, cars=0)."""
+    generator = np.random.default_rng(seed)
+    street = draw_street(generator, **options)
+    canvas = Canvas(2 * height, 2 * width, street)
+    # A generator for each part: fixing one part leaves the others as they were.
+    sky, ground, *sides, cars, unknown, camera = generator.spawn(7)
+    paint_sky(canvas, sky)
+    paint_ground(canvas, ground)
+    for side, drawn in zip((-1.0, 1.0), sides, strict=True):
+        paint_side(canvas, side, drawn)
+    paint_unknown(canvas, unknown)
+    paint_cars(canvas, cars)
+    return developed(canvas, camera)
+
+
+def write_picture(path: Path, scene: RenderedScene) -> None:
+    """Write the scene's image as PNG."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    rgb = (scene.image * 255).round().to(torch.uint8).permute(1, 2, 0).numpy()
+    if not cv2.imwrite(str(path), np.ascontiguousarray(rgb[..., ::-1])):
+        raise OSError(f"{path} cannot be written")
+
+
+def write_scenes() -> None:
+    """Write scenes as PNG files."""
+    parser = argparse.ArgumentParser(description="Write rendered street scenes as PNG files.")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--count", type=int, default=6)
+    parser.add_argument("--height", type=int, default=240)
+    parser.add_argument("--width", type=int, default=320)
+    options = parser.parse_args()
+    for seed in range(options.count):
+        scene = render_scene(seed, options.height, options.width)
+        write_picture(options.out / f"scene_{seed:02d}.png", scene)
+
+
+if __name__ == "__main__":
+    write_scenes()

@@ -1,0 +1,152 @@
+"""A whole adaptation: frames, camera, two networks from the halves, their mean, a verdict. Ours.
+
+Each half of the footage teaches a network of its own and says how bold that should be; it is judged
+on the half that it has not seen. The network that comes out is the mean of both: networks that
+begin alike and learn a little lie in one valley (Wortsman et al., Model soups, ICML 2022).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import torch
+
+from roadtorch.base.atomic import remove_leftovers, write_text
+from roadtorch.base.errors import InputError
+from roadtorch.camera.footage import StillError, camera_of
+from roadtorch.inputs.item import spread
+from roadtorch.layout.picture_network import ROAD
+from roadtorch.layout.weights import (
+    WholePictureNetwork,
+    load_network,
+    read_origin,
+    save_network,
+    weights_path,
+)
+from roadtorch.train.adaptation.frames import HALVES, KeptFrames, keep_frames
+from roadtorch.train.adaptation.teacher import write_taught
+from roadtorch.train.adaptation.verdict import (
+    Verdict,
+    fitted_bias,
+    judged_half,
+    unknown,
+    verdict_of,
+)
+from roadtorch.train.config import PictureTraining
+from roadtorch.train.corrections import card_of, corrections_behind
+from roadtorch.train.folder import WEIGHTS, RunFolder
+from roadtorch.train.recordings import MAX_FRAMES
+from roadtorch.train.run import Outcome, Request, train
+
+CAMERA, FRAMES, LOOKS, PREPARED = "camera.toml", "frames", "looks", "prepared"
+CALIBRATED = "calibrated.safetensors"
+"""Of each half: what it learned, as bold as the teacher."""
+
+
+@dataclass(frozen=True)
+class Adapted:
+    """The result of an adaptation.
+
+    outcome: the weights, or the signal that cut it short. camera: its file, None where there is
+    none. missing: parts that the footage could not give, and why, a line each.
+    """
+
+    frames: KeptFrames
+    camera: Path | None
+    missing: Sequence[str]
+    outcome: Outcome
+    verdict: Verdict | None = None
+
+    @property
+    def prepared(self) -> Path:
+        """The folder of the frames made ready."""
+        return self.frames.folder.with_name(PREPARED)
+
+
+def adapt(
+    inputs: Sequence[str], out: Path, training: PictureTraining, most: int, quiet: bool = False
+) -> Adapted:
+    """Adapt the network that ``training`` starts from to footage; results in the folder ``out``.
+
+    A run that was cut short is resumed. Raises InputError for footage with fewer than two frames,
+    ConfigError where ``out`` holds another run.
+    """
+    with RunFolder(out).held():
+        remove_leftovers([out, out / FRAMES])
+        frames = keep_frames(inputs, out / FRAMES, most, quiet)
+        problem = _camera_problem(frames, out / CAMERA, inputs[0])
+        missing = [f"no {CAMERA}: {problem.where} {problem.what}"] if problem else []
+        if not frames.moving:
+            missing.append("pictures have no times: they are taken in the order of their names")
+        adapted = partial(Adapted, frames, None if problem else out / CAMERA, missing)
+        if stopped := write_taught(frames, out / LOOKS, out / PREPARED, training, quiet):
+            return adapted(Outcome(None, stopped, 0))
+        skipped = 0
+        for number, half in enumerate(HALVES, 1):
+            part = (number, len(HALVES))
+            request = Request(frames.glob(half), out / half, True, out / PREPARED, quiet, part=part)
+            outcome = train(training, request)
+            if outcome.interrupted:
+                return adapted(outcome)
+            skipped += outcome.skipped
+        halves = _write_mean(frames, out, training, quiet)
+        if isinstance(problem, StillError):
+            reason = "the footage stands still: both halves show the same"
+            verdict = unknown(reason, frames.count)
+        else:
+            before = weights_path(training.start)
+            judged = []
+            for half, other in zip(HALVES, reversed(halves), strict=True):
+                weights = (before, other, out / WEIGHTS)
+                pictures = frames.pictures(half)
+                judged.append(judged_half(pictures, weights, out / PREPARED, training, quiet))
+            verdict = verdict_of(judged)
+        return adapted(Outcome(out / WEIGHTS, None, skipped), verdict)
+
+
+def _write_mean(
+    frames: KeptFrames, out: Path, training: PictureTraining, quiet: bool
+) -> list[Path]:
+    """Write the mean of the halves' calibrated networks, its card and its log.
+
+    Returns the files of the calibrated networks, in the order of the halves.
+    """
+    files, rows = [out / half / CALIBRATED for half in HALVES], []
+    for number, (half, file) in enumerate(zip(HALVES, files, strict=True), 1):
+        learned = file.with_name(WEIGHTS)
+        bias = fitted_bias(frames.pictures(half), learned, out / PREPARED, training, quiet)
+        write_shifted(learned, file, bias)
+        rows += [{**row, "round": number} for row in RunFolder(out / half).read_log()]
+    networks = [load_network(file) for file in files]
+    mean = {
+        name: torch.stack([each.state_dict()[name].float() for each in networks]).mean(0).to(value)
+        for name, value in networks[0].state_dict().items()
+    }
+    networks[0].load_state_dict(mean)
+    save_network(out / WEIGHTS, networks[0], {**read_origin(files[0]), "pictures": frames.count})
+    if behind := corrections_behind(training):
+        write_text((out / WEIGHTS).with_suffix(".md"), card_of(behind))
+    RunFolder(out).write_log(rows)
+    return files
+
+
+def write_shifted(learned: Path, file: Path, bias: float) -> None:
+    """Write a network with so much more log odds of road everywhere."""
+    network = load_network(learned)
+    assert isinstance(network, WholePictureNetwork)
+    with torch.no_grad():
+        for layer in network.last_layers():
+            assert layer.bias is not None
+            layer.bias[ROAD] += bias
+    save_network(file, network, read_origin(learned))
+
+
+def _camera_problem(frames: KeptFrames, file: Path, where: str) -> InputError | None:
+    """Write the file of the camera; why there is none, where there is none."""
+    some = spread(frames.pictures(), MAX_FRAMES)
+    try:
+        camera_of((picture.read() for picture in some), where).write(file)
+    except InputError as problem:
+        return problem
+    return None

@@ -1,0 +1,187 @@
+"""Whether an adaptation paid: what another, better look at frames that it has not seen says. Ours.
+
+Nothing here has labels. A network is judged on the half of the footage that it did not learn from,
+by maps of a detector from outside the loop, where that is sure of itself: does the mask come closer
+to them than the mask before did? It need not: what a half taught may be of that half alone. So the
+half's network says too little of the mean of both, which comes out, and the mean itself too much,
+for it has seen these frames: a gain has to show with the first, a loss with either. Trust has no
+part in it, for agreement with what was learned raises it.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from functools import reduce
+from operator import add
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from roadtorch.base.progress import Progress
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.detectors.fusion import FusionSettings
+from roadtorch.evaluation.metrics import (
+    Decisions,
+    RoadCounts,
+    count_levels,
+    count_mask,
+    f_measure,
+    max_f,
+)
+from roadtorch.evaluation.result import Interval
+from roadtorch.evaluation.uncertainty import bootstrap_weights, interval
+from roadtorch.imaging.resize import resized, size_of
+from roadtorch.inputs.item import Item, spread
+from roadtorch.run.memo import read_arrays
+from roadtorch.train.adaptation.frames import STRETCH
+from roadtorch.train.config import PictureTraining
+from roadtorch.train.prepared import from_bytes, name_of
+from roadtorch.train.teachers import targets_of
+
+MAX_JUDGED = 150
+"""Frames of each half that are looked at, evenly spread."""
+
+MIN_FRAMES = 16
+"""Frames, of both halves, below which nothing is said."""
+
+MIN_GAIN = 0.002
+"""Of F: less is not worth another file."""
+
+SEED = 36
+
+
+class Judged(NamedTuple):
+    """The fields of ``Decisions``, a row a frame: int64 (frames,4).
+
+    after: of a network that has not seen the frames. both: of the mean of both, which has.
+    """
+
+    before: Tensor
+    after: Tensor
+    both: Tensor
+
+
+class Verdict(NamedTuple):
+    """Whether to adopt an adaptation, by F before and after and the interval of their difference.
+
+    before, after: on frames that the network has not seen. both: of the mean of both networks on
+    the same frames, which it has seen. reason: why there is no judgement, where it is not for the
+    figures.
+    """
+
+    word: Literal["adopt", "do not adopt", "cannot tell"]
+    before: float
+    after: float
+    change: Interval
+    both: float
+    frames: int
+    reason: str = ""
+
+    def __str__(self) -> str:
+        """One sentence, with its reason."""
+        if self.reason:
+            return f"{self.word}: {self.reason}"
+        change = self.change
+        outcome = {
+            "adopt": "agrees better",
+            "do not adopt": "agrees less",
+            "cannot tell": "may or may not agree better",
+        }[self.word]
+        text = (
+            f"{self.word}: on {self.frames} held-out frames the mask {outcome} with the teacher: "
+            f"F {self.before:.3f} to {self.after:.3f}, "
+            f"{self.after - self.before:+.3f} ({change.low:+.3f} to {change.high:+.3f})"
+        )
+        return text + (f"; averaged network {self.both:.3f}" if change.high < 0 else "")
+
+
+def judged_half(
+    pictures: Sequence[Item],
+    weights: tuple[Path, Path, Path],
+    prepared: Path,
+    training: PictureTraining,
+    quiet: bool = False,
+) -> Judged:
+    """How the masks with the weights of ``Judged`` fit the teacher's maps of prepared frames."""
+    detectors = [load_detector("fusion", weights={"file": str(file)}) for file in weights]
+    counts: list[list[Tensor]] = [[] for _ in weights]
+    for image, road, sure in _taught_frames(pictures, prepared, training, "judging", quiet):
+        for rows, detector in zip(counts, detectors, strict=True):
+            mask = resized(detector.detect(image).mask.float()[None], size_of(road))[0] >= 0.5
+            rows.append(torch.stack(tuple(count_mask(mask, road, sure))))
+    return Judged(*(torch.stack(rows) if rows else torch.empty(0, 4) for rows in counts))
+
+
+def fitted_bias(
+    pictures: Sequence[Item],
+    file: Path,
+    prepared: Path,
+    training: PictureTraining,
+    quiet: bool = False,
+) -> float:
+    """The log odds of road that a network lacks for its mask to fit the teacher's best, by F. Ours.
+
+    A network that goes on learning from soft labels ranks pixels better, and is less bold or
+    bolder than the one that `fusion` is calibrated for: one number of a whole footage mends that
+    without a label. 0 where no frame can tell.
+    """
+    detector = load_detector("fusion", weights={"file": str(file)})
+    settings = detector.settings
+    assert isinstance(settings, FusionSettings)
+    counts: list[RoadCounts] = []
+    for image, road, sure in _taught_frames(pictures, prepared, training, "calibrating", quiet):
+        likelihood = resized(detector.detect(image).likelihood[None], size_of(road))[0]
+        counts.append(count_levels(likelihood.clamp(0, 1), road, sure, levels=256))
+    if not counts:
+        return 0.0
+    best, threshold = max_f(reduce(add, counts))
+    if best.isnan():  # the teacher is sure of no road
+        return 0.0
+    lacking = torch.tensor(settings.threshold).logit() - threshold.clamp(0.05, 0.95).logit()
+    return float(lacking * settings.calibration.temperature)
+
+
+def _taught_frames(
+    pictures: Sequence[Item], prepared: Path, training: PictureTraining, title: str, quiet: bool
+) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+    """Frames (3,H,W), and of each the teacher's road and where it is sure of it, bool (h,w)."""
+    some = spread(pictures, MAX_JUDGED)
+    for picture in Progress(some, desc=title, unit="frame", quiet=quiet):
+        file = prepared / f"{name_of(picture)}.npz"
+        if not file.exists():
+            continue  # it was skipped, and reported
+        arrays = read_arrays(file, "maps", "ego")
+        maps, ego = (from_bytes(arrays[name])[None] for name in ("maps", "ego"))
+        targets = targets_of(maps, ego[None], None, training.teacher, training.rounds)
+        yield picture.read(), targets.road[0, 0] >= 0.5, targets.road_weight[0, 0] > 0
+
+
+def _f_measure(counts: Tensor) -> Tensor:
+    """F of the fields of ``Decisions`` (…,4), float64."""
+    return f_measure(Decisions(*counts.unbind(-1)))
+
+
+def unknown(reason: str, frames: int) -> Verdict:
+    """A verdict without a judgement, and why."""
+    return Verdict("cannot tell", math.nan, math.nan, Interval(), math.nan, frames, reason)
+
+
+def verdict_of(judged: Sequence[Judged]) -> Verdict:
+    """The verdict on the frames of both halves, pooled; the interval draws stretches of them."""
+    counts = [torch.cat(halves) for halves in zip(*judged, strict=True)]
+    frames = len(counts[0])
+    if frames < MIN_FRAMES:
+        return unknown(f"{frames} frames are too few to judge by", frames)
+    generator = torch.Generator().manual_seed(SEED)
+    blocks = [torch.stack([part.sum(0) for part in rows.split(STRETCH)]) for rows in counts]
+    weights = bootstrap_weights(len(blocks[0]), generator).to(torch.float64)
+    before, after, both = (float(_f_measure(sums.sum(0))) for sums in blocks)
+    draws = [_f_measure(weights @ sums.to(weights)) for sums in blocks]
+    change = interval(draws[1] - draws[0])
+    word = "cannot tell"
+    if change.low > 0 and after - before >= MIN_GAIN:
+        word = "adopt"
+    elif change.high < 0 and both - before < MIN_GAIN:
+        word = "do not adopt"
+    return Verdict(word, before, after, change, both, frames)

@@ -1,0 +1,127 @@
+"""Files that are never half-written, and texts for them that any reader takes apart again."""
+
+import csv
+import io
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from roadtorch.base import atomic as files
+from roadtorch.base.atomic import (
+    atomic,
+    csv_text,
+    locked,
+    remove_leftovers,
+    shared,
+    write_text,
+)
+from roadtorch.base.errors import InputError
+from roadtorch.base.image import write_mask, write_npy
+from roadtorch.detectors.detection import Detection
+from roadtorch.inputs.item import Item
+from roadtorch.run.writers.video import GifWriter
+
+
+def test_csv_comes_back_as_it_was_written() -> None:
+    rows = [{"file": 'a, "b".png', "status": "two\nlines"}, {"file": "ö.png", "status": ""}]
+
+    text = csv_text(["file", "status"], rows)
+
+    assert list(csv.DictReader(io.StringIO(text, newline=""))) == rows
+    assert text.startswith("file,status\n")
+    assert "\r" not in text
+
+
+def test_csv_has_the_columns_that_are_named_in_their_order() -> None:
+    assert csv_text(["b", "a"], [{"a": 1, "b": 2.5}, {"b": None}]) == "b,a\n2.5,1\n,\n"
+    assert csv_text(["a"], []) == "a\n"
+    with pytest.raises(ValueError, match="'c'"):
+        csv_text(["a"], [{"c": 1}])
+
+
+# --- whole or not at all ----------------------------------------------------------------
+
+
+def test_a_name_as_long_as_the_file_system_allows_can_be_written(tmp_path: Path) -> None:
+    write_text(tmp_path / ("x" * 255), "whole")
+
+    assert (tmp_path / ("x" * 255)).read_text() == "whole"
+
+
+def test_a_name_that_is_too_long_is_blamed_on_the_name(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"File name too long \(give it a shorter name\)"):
+        write_text(tmp_path / ("x" * 256), "whole")
+
+    assert list(tmp_path.iterdir()) == []
+
+
+def write_gif(path: Path) -> None:
+    black = torch.zeros(9, 9)
+    writer = GifWriter(path, lambda _: np.zeros((9, 9, 3), np.uint8), 0, 1)
+    writer.write(Item("x", "x", torch.rand, seconds=0.5), Detection(black, black > 0, {}))
+    writer.close()
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda path: write_text(path, "whole"),
+        lambda path: write_npy(path, torch.rand(50, 50)),
+        lambda path: write_mask(path, torch.ones(50, 50) > 0),
+        write_gif,
+    ],
+)
+def test_a_full_disk_is_blamed_on_the_room(
+    write: Callable[[Path], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = io.open
+    monkeypatch.setattr(io, "open", lambda _, *rest, **more: full("/dev/full", *rest, **more))
+
+    with pytest.raises(InputError, match=r"x: cannot be written: No space left .* \(make room"):
+        write(tmp_path / "x")
+
+
+def test_an_error_without_a_number_is_blamed_on_the_disk(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"encoder error \(see whether"), atomic(tmp_path / "x"):
+        raise OSError("encoder error")
+
+
+def test_who_shares_a_folder_removes_leftovers_when_alone(tmp_path: Path) -> None:
+    left = tmp_path / "made" / "below" / ".roadtorch.0123abcd.part"
+
+    with shared(tmp_path / "made"):
+        left.parent.mkdir()
+        left.touch()
+        with shared(tmp_path / "made"):  # not alone: the first one may be writing it
+            assert left.exists()
+    with locked(left.parent), shared(tmp_path / "made"):  # a run may be writing it
+        assert left.exists()
+    with shared(tmp_path / "made"):
+        assert not left.exists()
+        assert left.parent.is_dir()
+
+
+def test_no_library_writes_under_names_of_its_own() -> None:
+    """``save_file`` of safetensors makes .tmpXXXXXX, which stays where it is killed."""
+    package = Path(files.__file__).parents[1]
+
+    modules = [path for path in package.rglob("*.py") if "save_file" in path.read_text()]
+
+    assert modules == []
+
+
+def test_leftovers_of_killed_processes_go_and_all_else_stays(tmp_path: Path) -> None:
+    with atomic(tmp_path / "x") as temporary:
+        left = tmp_path / f"{temporary.name}"
+        left.write_text("half")
+        os.link(left, tmp_path / ".a.mask.png.0123abcd.part")  # of earlier versions
+    os.link(tmp_path / "x", left)  # as if it had been killed
+    (tmp_path / "mine.part").touch()
+
+    remove_leftovers([tmp_path, tmp_path / "none"])
+
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.part", "x"]

@@ -1,0 +1,344 @@
+"""Pictures in and out: what is read, and what is written."""
+
+import io
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+from torch import Tensor
+
+from roadtorch.base.atomic import atomic
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.image import (
+    ORANGE,
+    as_image,
+    png_bytes,
+    read_image,
+    tint_mask,
+    with_caption,
+    write_colours,
+    write_labels,
+    write_map,
+    write_mask,
+    write_npy,
+    write_overlay,
+)
+
+# Every channel differs, and no turn or flip leaves it as it is.
+PIXELS = (np.arange(5 * 7 * 3).reshape(5, 7, 3) * 2).astype(np.uint8)
+
+
+def as_tensor(pixels: np.ndarray, levels: int = 255) -> Tensor:
+    return torch.from_numpy(pixels.astype(np.float32) / levels).permute(2, 0, 1)
+
+
+def save(path: Path, picture: Image.Image, **options: Any) -> Path:
+    picture.save(path, **options)
+    return path
+
+
+# --- reading ----------------------------------------------------------------------------
+
+
+EXACT = {".png": {}, ".bmp": {}, ".tif": {}, ".webp": {"lossless": True, "exact": True}}
+"""How formats keep every pixel as it is."""
+
+
+@pytest.mark.parametrize("suffix", EXACT)
+@pytest.mark.parametrize("mode", ["RGB", "L", "P", "1", "LA", "RGBA"])
+def test_every_mode_looks_as_pillow_shows_it_over_black(
+    tmp_path: Path, suffix: str, mode: str
+) -> None:
+    mode = mode.removesuffix("A") if suffix == ".bmp" else mode  # which keeps no alpha
+    alpha = np.full((5, 7, 1), 255, np.uint8)
+    alpha[0], alpha[1:, :3] = 51, 0
+    picture = Image.fromarray(np.dstack([PIXELS, alpha]) if "A" in mode else PIXELS).convert(mode)
+    shown = as_tensor(np.asarray(picture.convert("RGBA")))
+
+    image = read_image(save(tmp_path / f"a{suffix}", picture, **EXACT[suffix]))
+
+    assert image.dtype == torch.float32
+    assert image.is_contiguous()
+    np.testing.assert_allclose(image, shown[:3] * shown[3:], rtol=1.3e-6, atol=1e-5)
+    assert torch.equal(as_image(picture), image)
+
+
+def test_tiff_of_lzw_a_transparent_palette_and_one_pixel(tmp_path: Path) -> None:
+    lzw = save(tmp_path / "a.tif", Image.fromarray(PIXELS), compression="tiff_lzw")
+    palette = Image.new("P", (4, 4), 1)
+    palette.putpalette([255, 255, 255, 10, 20, 30])
+
+    assert torch.equal(read_image(lzw), as_tensor(PIXELS))
+    see_through = read_image(save(tmp_path / "b.png", palette, transparency=1))
+    assert torch.equal(see_through, torch.zeros(3, 4, 4))
+    pixel = save(tmp_path / "pixel.png", Image.fromarray(PIXELS[:1, :1]))
+    assert read_image(pixel).shape == (3, 1, 1)
+
+
+@pytest.mark.parametrize("colour", [(200, 90, 20), 77])
+@pytest.mark.parametrize("suffix", [".jpg", ".webp"])
+def test_lossy_formats_are_close_and_rgb(tmp_path: Path, suffix: str, colour: Any) -> None:
+    plain = Image.new("RGB" if isinstance(colour, tuple) else "L", (48, 32), colour)
+
+    image = read_image(save(tmp_path / f"a{suffix}", plain, quality=95))
+
+    assert (image - as_tensor(np.asarray(plain.convert("RGB")))).abs().max() < 3.5 / 255
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
+@pytest.mark.parametrize("kind", ["rgb", "grey"])
+def test_sixteen_bits_are_kept(tmp_path: Path, suffix: str, kind: str) -> None:
+    deep = PIXELS.astype(np.uint16) * 257 + 13
+    stored = deep if kind == "rgb" else deep[..., 0]
+    path = tmp_path / f"a{suffix}"
+    cv2.imwrite(str(path), stored[..., ::-1] if kind == "rgb" else stored)
+
+    expected = deep if kind == "rgb" else np.repeat(deep[..., :1], 3, axis=2)
+    np.testing.assert_allclose(read_image(path), as_tensor(expected, 65535), rtol=0, atol=1e-7)
+
+
+TURNS = {  # EXIF 2.3, tag 274: what has to be done to the stored pixels
+    1: lambda a: a,
+    2: np.fliplr,
+    3: lambda a: np.rot90(a, 2),
+    4: np.flipud,
+    5: lambda a: a.swapaxes(0, 1),
+    6: lambda a: np.rot90(a, -1),
+    7: lambda a: np.rot90(a, 2).swapaxes(0, 1),
+    8: np.rot90,
+}
+
+
+@pytest.mark.parametrize("orientation", TURNS)
+def test_exif_orientation_is_applied(tmp_path: Path, orientation: int) -> None:
+    blocks = np.kron(PIXELS[:2, :3], np.ones((16, 16, 1), np.uint8))
+    exif = Image.Exif()
+    exif[274] = orientation
+    for suffix, options, within in (
+        (".png", {"exif": exif}, 0),
+        (".webp", {"exif": exif, "lossless": True}, 0),
+        (".tif", {"tiffinfo": {274: orientation}}, 0),
+        (".jpg", {"exif": exif, "quality": 98, "subsampling": 0}, 4 / 255),
+    ):
+        path = save(tmp_path / f"a{suffix}", Image.fromarray(blocks), **options)
+        image = read_image(path)
+        assert (image - as_tensor(TURNS[orientation](blocks))).abs().max() <= within, suffix
+        with Image.open(path) as picture:
+            assert (as_image(picture) - image).abs().max() <= within, suffix
+    tags = [(274, 3, 1, orientation, True)]
+    deep = tmp_path / "deep.tif"
+    tifffile.imwrite(deep, PIXELS.astype(np.uint16), photometric="rgb", extratags=tags)
+    expected = as_tensor(TURNS[orientation](PIXELS), 65535)
+    np.testing.assert_allclose(read_image(deep), expected, rtol=1.3e-6, atol=1e-5)
+
+
+# --- what programs have -------------------------------------------------------------------
+
+
+def test_arrays_tensors_pillow_images_and_paths_give_the_same_image(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.png", Image.fromarray(PIXELS))
+    expected = as_tensor(PIXELS)
+
+    for picture in (path, str(path), Image.open(path), torch.from_numpy(PIXELS).permute(2, 0, 1)):
+        assert torch.equal(as_image(picture), expected)
+    bgr = np.asarray(cv2.imread(str(path)))
+    assert torch.equal(as_image(PIXELS, "rgb"), expected)
+    for array in (
+        bgr,
+        cv2.cvtColor(bgr, cv2.COLOR_BGR2BGRA),
+        bgr.astype(np.uint16) * 257,
+        bgr.astype(np.float32) / 255,
+    ):
+        assert torch.equal(as_image(array, "bgr"), expected)
+    np.testing.assert_allclose(
+        as_image(bgr.astype(np.float64) / 255, "bgr"), expected, rtol=1.3e-6, atol=1e-5
+    )
+    assert as_image(expected) is expected
+    assert torch.equal(read_image(path.as_uri()), expected)
+
+
+def test_grey_arrays_need_no_order_and_alpha_darkens_them_as_files() -> None:
+    grey = as_tensor(PIXELS[..., :1].repeat(3, 2))
+
+    assert torch.equal(as_image(PIXELS[..., 0]), grey)
+    assert torch.equal(as_image(PIXELS[..., :1]), grey)
+    see_through = np.dstack([PIXELS, 0 * PIXELS[..., 0]])
+    assert torch.equal(as_image(see_through, "rgb"), torch.zeros(3, 5, 7))
+
+
+@pytest.mark.parametrize(
+    "mode", ["1", "L", "P", "LA", "PA", "RGBA", "CMYK", "YCbCr", "HSV", "I;16"]
+)
+def test_pillow_images_of_any_mode_are_converted(mode: str) -> None:
+    grey = Image.fromarray(np.full((20, 24), 51, np.uint8))
+    deep = Image.fromarray(np.full((20, 24), 51 * 257, np.uint16))
+    picture = deep if mode == "I;16" else grey.convert("RGB").convert(mode)
+
+    image = as_image(picture)
+
+    assert picture.mode == mode
+    assert image.shape == (3, 20, 24)
+    if mode not in ("1", "CMYK"):  # black and white only; inks
+        assert torch.allclose(image, torch.full((3, 20, 24), 0.2), atol=0.005)
+
+
+@pytest.mark.parametrize(
+    ("picture", "order", "what"),
+    [
+        (PIXELS, None, "whose order of colours is not told"),
+        (PIXELS.astype(np.int64), "rgb", "is an array of int64"),
+        (PIXELS[..., 0] > 9, "rgb", "is an array of bool"),
+        (PIXELS.transpose(2, 0, 1), "rgb", "shape (3, 5, 7)"),
+        (PIXELS[None], "bgr", "give all of them to detect_many"),
+        ([PIXELS, PIXELS], "bgr", "image: is a list, not one picture (give one, or all of them to"),
+        (Image.new("F", (20, 20)), None, "mode F has no agreed white"),
+        (Image.new("I", (20, 20)), None, "mode I has no agreed white"),
+        (b"\x89PNG", None, "is not a picture"),
+        (io.BytesIO(b""), None, "is empty"),
+        (io.StringIO("text"), None, 'is a file of text (open it with "rb")'),
+        (None, "bgr", "is None (check its path: cv2.imread gives that"),
+        ("missing.png", None, "does not exist"),
+        ("file:///missing.png", None, "file:///missing.png: does not exist"),
+        (PIXELS, "RGB", "RGB: unknown order of colours"),
+    ],
+)
+def test_what_a_program_has_that_is_no_picture_is_refused(
+    picture: Any, order: Any, what: str
+) -> None:
+    with pytest.raises((InputError, ConfigError)) as caught:
+        as_image(picture, order)
+
+    assert what in str(caught.value)
+
+
+def test_a_pillow_image_that_cannot_be_decoded_is_refused(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.png", Image.fromarray(PIXELS.repeat(20, 0).repeat(20, 1)))
+    path.write_bytes(path.read_bytes()[:90])
+
+    with Image.open(path) as picture, pytest.raises(InputError, match="cannot be decoded"):
+        as_image(picture)
+
+
+# --- writing ------------------------------------------------------------------------------
+
+
+def stored(path: Path) -> np.ndarray:
+    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert pixels is not None
+    return pixels
+
+
+def test_maps_are_rounded_to_the_nearest_level(tmp_path: Path) -> None:
+    likelihood = torch.tensor([[0, 1, 0.5], [0.25, 1 / 255 * 1.6, 1 / 65535 * 2.4]])
+
+    write_map(tmp_path / "8.png", likelihood)
+    write_map(tmp_path / "16.png", likelihood, depth=16)
+
+    assert stored(tmp_path / "8.png").tolist() == [[0, 255, 128], [64, 2, 0]]
+    deep = stored(tmp_path / "16.png")
+    assert deep.dtype == np.uint16
+    assert deep.tolist() == [[0, 65535, 32768], [16384, 411, 2]]
+
+
+@settings(max_examples=25)
+@given(st.lists(st.floats(0, 1, width=32), min_size=1, max_size=40))
+def test_a_map_comes_back_within_half_a_level(values: list[float]) -> None:
+    likelihood = torch.tensor([values])
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.png"
+        write_map(path, likelihood, depth=16)
+        back = read_image(path)[0]
+
+    np.testing.assert_allclose(back, likelihood, rtol=0, atol=0.5001 / 65535)
+
+
+def test_masks_labels_colours_and_arrays_keep_their_values(tmp_path: Path) -> None:
+    image = as_tensor(PIXELS)
+
+    write_mask(tmp_path / "mask.png", torch.tensor([[True, False]]))
+    write_labels(tmp_path / "labels.png", torch.tensor([[0, 2, 255]]))
+    write_colours(tmp_path / "image.png", image)
+    write_npy(tmp_path / "image.npy", image)
+    write_overlay(tmp_path / "overlay.jpg", image, torch.ones(5, 7, dtype=torch.bool))
+
+    assert stored(tmp_path / "mask.png").tolist() == [[255, 0]]
+    assert stored(tmp_path / "labels.png").tolist() == [[0, 2, 255]]
+    assert torch.equal(read_image(tmp_path / "image.png"), image)
+    assert np.array_equal(np.load(tmp_path / "image.npy"), image.numpy())
+    assert stored(tmp_path / "overlay.jpg").shape == (5, 7, 3)
+
+
+def test_labels_beyond_a_byte_are_refused_and_nothing_is_written(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="do not fit one byte"):
+        write_labels(tmp_path / "a.png", torch.tensor([[256]]))
+
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("longest", "size"), [(100, (7, 5)), (4, (4, 3))])
+def test_a_png_in_memory_is_no_larger_than_asked(longest: int, size: tuple[int, int]) -> None:
+    shown = Image.open(io.BytesIO(png_bytes(PIXELS, longest)))
+
+    assert shown.size == size
+    if size == (7, 5):
+        assert np.array_equal(np.array(shown), PIXELS)
+
+
+@pytest.mark.parametrize("grey", [0, 60, 128, 200, 255])
+def test_the_overlay_shows_on_any_grey_road(grey: int) -> None:
+    pixels = np.full((240, 320, 3), grey, np.uint8)
+    mask = np.zeros((240, 320), bool)
+    mask[100:, 80:240] = True
+
+    shown = tint_mask(pixels, mask).astype(int)
+
+    assert (shown[~mask] == grey).all()  # the rest of the picture is left alone
+    assert np.abs(shown[200, 160] - grey).max() > 20  # the tint
+    assert shown[100, 160].tolist() == list(ORANGE)  # the outline
+    assert shown[239, 160].tolist() == shown[200, 160].tolist()  # none at the picture's rim
+
+
+@pytest.mark.parametrize(("height", "width", "tall"), [(180, 320, 9), (720, 1280, 20), (5, 7, 0)])
+def test_captions_can_be_read_in_small_pictures_and_are_the_same_twice(
+    height: int, width: int, tall: int
+) -> None:
+    grey = np.full((height, width, 3), 128, np.uint8)
+
+    shown = with_caption(grey, "trust 0.91")
+
+    assert shown.shape == grey.shape
+    white = (shown.min(2) > 250).any(1).nonzero()[0]  # from the top of a letter to its foot
+    assert not tall or np.ptp(white) >= tall
+    assert (grey == 128).all()
+    assert np.array_equal(with_caption(grey, "trust 0.91"), shown)
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+
+    def write_half() -> None:
+        with atomic(path) as temporary:
+            temporary.write_text("half of the n")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_half()
+
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.txt"]
+    assert path.read_text() == "old"
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+
+    with pytest.raises(InputError, match=r"a\.png: cannot be written: Not a directory"):
+        write_mask(tmp_path / "file" / "a.png", torch.ones(2, 2, dtype=torch.bool))

@@ -1,0 +1,104 @@
+"""Work is shared inside a block, never outside it, and never between images or settings."""
+
+import time
+
+import pytest
+import torch
+from torch import Tensor
+
+from roadtorch.base.image_cache import cached_per_image, image_cache
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.testing.scenes import render_scene
+
+calls: list[tuple[int, int]] = []
+
+
+@cached_per_image
+def doubled(image: Tensor, times: int = 1) -> Tensor:
+    """The image times a power of two."""
+    calls.append((id(image), times))
+    time.sleep(0.002)
+    return image * 2**times
+
+
+@cached_per_image
+def summed(image: Tensor) -> Tensor:
+    """Of the doubled image, which is shared itself."""
+    time.sleep(0.002)
+    return doubled(image, 1).sum()
+
+
+@pytest.fixture(autouse=True)
+def _no_calls_yet() -> None:
+    calls.clear()
+
+
+def test_outside_a_block_every_call_computes():
+    image = torch.ones(3, 4, 4)
+
+    assert doubled(image, 1) is not doubled(image, 1)
+    assert len(calls) == 2
+
+
+def test_inside_a_block_the_same_question_is_answered_once():
+    image, other = torch.ones(3, 4, 4), torch.ones(3, 4, 4)
+
+    with image_cache():
+        first = doubled(image, 1)
+        assert doubled(image, 1) is first
+        assert doubled(image, 2)[0, 0, 0] == 4
+        assert doubled(other, 1) is not first  # equal, but not the same image
+
+    assert calls == [(id(image), 1), (id(image), 2), (id(other), 1)]
+
+
+def test_a_block_forgets_and_images_that_are_gone_leave_nothing_behind():
+    with image_cache():
+        results = [doubled(torch.full((1,), float(value)), 1) for value in range(100)]
+
+    assert [int(result) for result in results] == list(range(0, 200, 2))
+    image = torch.ones(1)
+    with image_cache():
+        first = doubled(image, 1)
+    with image_cache():
+        assert doubled(image, 1) is not first
+
+
+def test_saved_time_is_what_the_work_would_have_taken_with_all_its_parts():
+    image = torch.ones(3, 4, 4)
+
+    with image_cache() as shared:
+        doubled(image, 1)
+        assert shared.saved == 0
+        summed(image)  # takes 2 ms of its own and saves 2 ms
+        once = shared.saved
+        summed(image)
+
+    assert once >= 0.002
+    assert shared.saved - once >= 0.004
+
+
+@pytest.mark.parametrize("name", ["fusion", "cpf", "cpf:v2", "labeller", "grey-uniformity", "lbp"])
+def test_shared_work_changes_no_result(name):
+    image = render_scene(3, 96, 128).image
+    alone = load_detector(name).detect(image)
+
+    with image_cache():
+        for other in ("fusion", "cpf:v2", "labeller"):
+            load_detector(other).detect(image)
+        beside = load_detector(name).detect(image)
+
+    assert torch.equal(alone.likelihood, beside.likelihood)
+    assert alone.cues.keys() == beside.cues.keys()
+    assert all(torch.equal(alone.cues[cue], beside.cues[cue]) for cue in alone.cues)
+
+
+def test_detectors_cut_a_picture_once():
+    image = render_scene(3, 96, 128).image
+
+    with image_cache() as shared:
+        load_detector("cpf").detect(image)
+        assert shared.saved == 0
+        load_detector("cpf:v2").detect(image)
+
+    assert shared.saved > 0

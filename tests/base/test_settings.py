@@ -1,0 +1,168 @@
+from pathlib import Path
+from typing import Annotated, Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import AfterValidator, Field
+
+from roadtorch.base.errors import ConfigError, InputError, unknown_name
+from roadtorch.base.settings import (
+    Settings,
+    build_settings,
+    parse_assignments,
+    read_settings_file,
+    to_toml,
+)
+
+
+class Texture(Settings):
+    bins: int = Field(default=64, ge=2)
+
+
+def _known_plane(name: str) -> str:
+    if name != "R":
+        raise ValueError(unknown_name("plane", name, ["R"]))
+    return name
+
+
+class Example(Settings):
+    threshold: float = Field(default=0.5, ge=0, le=1)
+    plane: Annotated[str, AfterValidator(_known_plane)] = "R"
+    texture: Texture = Texture()
+    several: tuple[Texture, ...] = ()
+
+
+def test_defaults_stay_where_nothing_is_given() -> None:
+    assert build_settings(Example, {"texture": {"bins": 8}}) == Example(texture=Texture(bins=8))
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"texture": {"bin": 1}}, "texture.bin: unknown setting (did you mean texture.bins?)"),
+        ({"several": ({"wide": 2},)}, "several.0.wide: unknown setting"),
+        ({"treshold": 0.1}, "treshold: unknown setting (did you mean threshold?)"),
+        ({"texture": {"bins": 1}}, "texture.bins: 1 was given (input should be greater than or"),
+        ({"texture": {"bins": "many"}}, "texture.bins: 'many' was given (input should be a valid"),
+        ({"texture": {"bins": 2.5}}, "texture.bins: 2.5 was given"),
+        ({"threshold": float("nan")}, "threshold: nan was given"),
+        ({"texture": 3}, "texture: 3 was given for a group of settings (set one of its keys: bins"),
+        ({"plane": "X"}, "plane: unknown plane 'X' (known: R)"),
+    ],
+)
+def test_a_mistake_names_the_full_key_and_what_was_given(
+    values: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ConfigError) as caught:
+        build_settings(Example, values)
+
+    assert str(caught.value).startswith(message)
+
+
+def test_assignments_become_nested_values_of_their_toml_type() -> None:
+    given = ["texture.bins=64", "a=0.5", "b=true", "c=drop", 'd="7"', "e=[1, 2]", "f=x=y"]
+
+    assert parse_assignments(given) == {
+        "texture": {"bins": 64},
+        "a": 0.5,
+        "b": True,
+        "c": "drop",
+        "d": "7",
+        "e": [1, 2],
+        "f": "x=y",
+    }
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_numbers_survive_the_way_through_text(value: float) -> None:
+    assert parse_assignments([f"x={value!r}"]) == {"x": value}
+
+
+@pytest.mark.parametrize(
+    ("items", "what"),
+    [
+        *(([item], "is not a setting") for item in ("", "bins", "=3", "a..b=1", ".a=1")),
+        (["a=1", "a.b=2"], "a is already set to a value"),
+        (["a.b=2", "a=1"], "is a group of settings"),
+    ],
+)
+def test_what_is_no_assignment_is_refused(items: list[str], what: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse_assignments(items)
+
+    assert caught.value.what == what
+
+
+def test_what_is_written_is_read_again_and_none_is_left_out(tmp_path: Path) -> None:
+    class Written(Settings):
+        limit: int | None = None
+        text: str = 'a "b" \\ ß'
+        shares: tuple[float, ...] = (0.5, 1e-05)
+        texture: Texture = Texture(bins=9)
+
+    (tmp_path / "a.toml").write_text(to_toml("cpf:v2", Written()), encoding="utf-8")
+
+    assert read_settings_file(tmp_path / "a.toml") == {
+        "detector": "cpf:v2",
+        "text": 'a "b" \\ ß',
+        "shares": [0.5, 1e-05],
+        "texture": {"bins": 9},
+    }
+
+
+def test_a_missing_or_broken_settings_file_is_named(tmp_path: Path) -> None:
+    broken = tmp_path / "b.toml"
+    broken.write_text("threshold = = 1")
+
+    with pytest.raises(InputError, match=r"none\.toml: cannot be read"):
+        read_settings_file(tmp_path / "none.toml")
+    with pytest.raises(ConfigError, match=r"b\.toml: is not TOML"):
+        read_settings_file(broken)
+
+
+def test_only_names_of_files_with_a_suffix_are_those_beside_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "config.toml"
+    for name in ("ego.png", "fusion"):
+        (tmp_path / name).touch()
+    long = f"{'x' * 300}.png"
+    file.write_text(f'detector = "fusion"\nlong = "{long}"\n[ego]\nmask = "ego.png"\nno = "a.png"')
+
+    values = read_settings_file(file)
+
+    assert values["detector"] == "fusion"
+    assert values["long"] == long
+    assert values["ego"] == {"mask": str(tmp_path / "ego.png"), "no": "a.png"}
+
+
+DEEP_LIST, LONG_NUMBER = "[" * 3_000, "9" * 5_000
+
+
+@pytest.mark.parametrize(
+    "item",
+    [
+        f"threshold={DEEP_LIST}",
+        f"threshold={DEEP_LIST}{']' * 3_000}",
+        f"threshold={'[' * 50}{']' * 50}",
+        f"threshold={LONG_NUMBER}",
+        f"threshold=0x{'f' * 5_000}",
+        f"threshold={{{'a.' * 50_000}a = 1}}",
+        f"{'a.' * 50_000}a=1",
+    ],
+)
+def test_values_without_end_are_refused_in_a_line(item: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as caught:
+        build_settings(Example, parse_assignments([item]))
+    assert len(str(caught.value)) < 500
+
+    path = tmp_path / "a.toml"
+    path.write_text(item)
+    with pytest.raises(ConfigError, match=r"a\.toml: ") as caught:
+        read_settings_file(path)
+    assert len(str(caught.value)) < 500
+
+
+def test_lists_of_many_numbers_are_no_long_keys() -> None:
+    numbers = [number + 0.5 for number in range(100)]
+
+    assert parse_assignments([f"weights={numbers}"]) == {"weights": numbers}

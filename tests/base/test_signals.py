@@ -1,0 +1,105 @@
+"""Signals that meet foreign code: told as what they are, handled by whom they were before."""
+
+import os
+import select
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from roadtorch.base.errors import InputError
+from roadtorch.base.signals import (
+    Terminated,
+    interruption_first,
+    noted_signals,
+    stop_on_signals,
+    terminated_in_words,
+)
+
+
+def send(number: signal.Signals) -> None:
+    os.kill(os.getpid(), number)
+
+
+@pytest.mark.parametrize(
+    ("number", "raised"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, Terminated)]
+)
+def test_what_a_library_makes_of_an_interruption_is_an_interruption(
+    number: signal.Signals, raised: type[KeyboardInterrupt]
+) -> None:
+    def read() -> None:
+        try:
+            send(number)
+        except KeyboardInterrupt:
+            raise InputError("weights", "is damaged", "remove it") from None
+
+    with pytest.raises(raised), terminated_in_words(), interruption_first():
+        read()
+
+
+def test_an_error_of_its_own_stays_what_it_is() -> None:
+    with pytest.raises(InputError, match="is damaged"), interruption_first():
+        raise InputError("weights", "is damaged", "remove it")
+
+
+def test_a_signal_that_is_only_asked_about_is_not_noted() -> None:
+    with stop_on_signals() as stop, noted_signals() as noted:
+        send(signal.SIGINT)
+
+    assert stop.asked
+    assert not noted.asked
+
+
+PROCESSES = """
+import multiprocessing, os, time
+from roadtorch.base.signals import end_with_parent, interrupting_none_started
+
+def work():
+    end_with_parent()
+    print(os.getpid(), flush=True)
+    time.sleep(60)
+
+if __name__ == "__main__":
+    with interrupting_none_started():
+        process = multiprocessing.get_context("spawn").Process(target=work)
+        process.start()
+    print(os.getpid(), flush=True)
+    process.join()
+"""
+
+
+def test_processes_do_not_see_ctrl_c_and_end_with_the_one_that_started_them(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "start.py").write_text(PROCESSES)
+    words = [sys.executable, "start.py"]
+
+    with subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.PIPE) as first:
+        assert first.stdout is not None
+        told = {int(first.stdout.readline()), int(first.stdout.readline())}
+        (started,) = told - {first.pid}
+        os.kill(started, signal.SIGINT)
+        assert not select.select([first.stdout], [], [], 0.5)[0]
+        assert first.poll() is None
+        first.kill()
+        assert first.communicate(timeout=30) == (b"", None)  # nobody has stdout open any more
+
+
+def test_handlers_come_back_but_for_those_that_the_block_set() -> None:
+    def theirs(*_: object) -> None: ...
+
+    before: Callable[..., object] | int | None = signal.getsignal(signal.SIGINT)
+    try:
+        with noted_signals():
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        assert signal.getsignal(signal.SIGINT) is before
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+        with noted_signals():
+            signal.signal(signal.SIGINT, theirs)
+        assert signal.getsignal(signal.SIGINT) is theirs
+    finally:
+        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)

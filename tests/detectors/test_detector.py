@@ -1,0 +1,307 @@
+"""What a detector takes and gives, and how the maps of an analysis are made."""
+
+import io
+import pickle
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image, ImageShow
+from torch import Tensor, nn
+
+from roadtorch import load_detector
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.image import overlay_pixels, read_image
+from roadtorch.detectors.detector import Detection, lean
+from roadtorch.imaging import slic as superpixels
+from roadtorch.imaging.resize import Maps, averaging_bands
+from roadtorch.oneclass import base
+from roadtorch.oneclass.axes import axes_of
+from roadtorch.oneclass.density import floor_of
+from roadtorch.testing.scenes import write_picture
+from tests.streets import scene
+
+
+class Doubling(nn.Module):
+    """Twice the first plane, at once and when asked for."""
+
+    @lean
+    def forward(self, image: Tensor) -> Mapping[str, Tensor | Callable[[], Tensor]]:
+        return {"now": 2 * image[0], "later": lambda: 2 * image[0]}
+
+
+@pytest.mark.parametrize("name", ["now", "later"])
+def test_without_gradients_maps_are_ordinary_tensors_all_the_same(name: str) -> None:
+    with torch.no_grad():
+        found = Doubling()(torch.ones(3, 4, 4))
+
+    weight = torch.ones((), requires_grad=True)
+    (weight * found[name].add_(1)).sum().backward()  # neither is allowed in inference mode
+
+    assert weight.grad == 16 * 3
+    assert torch.equal(found[name], torch.full((4, 4), 2.0))  # the change was the caller's own
+
+
+def test_gradients_that_are_asked_for_flow() -> None:
+    image = torch.ones(3, 4, 4, requires_grad=True)
+
+    Doubling()(image)["now"].sum().backward()
+
+    assert image.grad is not None
+    assert image.grad.sum() == 2 * 16
+
+
+def test_deferred_maps_are_made_anew_and_only_when_asked_for() -> None:
+    calls = []
+    maps = Maps({"made": torch.zeros(2), "waiting": lambda: calls.append(1) or torch.ones(2)})
+
+    assert list(maps) == ["made", "waiting"]
+    assert len(maps) == 2
+    assert calls == []
+    assert torch.equal(maps["waiting"], maps["waiting"])
+    assert calls == [1, 1]
+    with pytest.raises(KeyError, match="missing"):
+        maps["missing"]
+    assert list(maps.without("waiting").but(other=torch.ones(1))) == ["made", "other"]
+    assert list(maps.only("waiting", "missing")) == ["waiting"]
+    assert calls == [1, 1]  # still none but those two
+
+
+def test_deferred_maps_are_made_to_cross_the_border_of_a_process() -> None:
+    image = scene(1, 48, 64).image
+    evidence = load_detector("fusion:untrained").find(image)
+
+    sent = pickle.loads(pickle.dumps(evidence))
+
+    for maps, copies in ((evidence.analysed, sent.analysed), (evidence.maps, sent.maps)):
+        assert list(copies) == list(maps)
+        assert all(torch.equal(copies[name], maps[name]) for name in maps)
+
+
+@pytest.mark.parametrize("name", ["fusion", "layout", "labeller", "cpf", "lbp", "prior:rows"])
+def test_detections_hold_ordinary_tensors(name: str) -> None:
+    image = scene(1, 48, 64).image  # below the working size: nothing is resized
+
+    detection = load_detector(name).detect(image)
+
+    for maps in (detection.likelihood, detection.mask, *detection.cues.values()):
+        assert not maps.is_inference()
+    detection.likelihood.mul_(0.5)
+    assert float(detection.likelihood.max()) <= 0.5
+
+
+def test_what_is_kept_for_later_calls_is_no_tensor_of_inference_mode() -> None:
+    grid, axes = superpixels._grid(17, 23, 6), axes_of(("R", "G"))  # nobody has asked for these
+    with torch.inference_mode():
+        kept = [
+            *(band.weights for band in averaging_bands(41, 23, 8)),
+            superpixels._places(grid, 1),
+            *superpixels._moves(grid, 0.0123, 1),
+            base._moves(axes),
+            floor_of(axes),
+        ]
+
+    assert [tensor.is_inference() for tensor in kept] == [False] * len(kept)
+
+
+@pytest.mark.parametrize("name", ["fusion", "layout", "ufl", "oneclass:gaussian:RGB"])
+def test_numbers_are_float32_whatever_autocast_is_around(name: str) -> None:
+    image, detector = scene(1, 48, 64).image, load_detector(name)
+
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        detection = detector(image)
+
+    assert same(detection, detector(image))
+
+
+def test_a_network_can_be_compiled_and_a_detector_says_so() -> None:
+    image, detector = scene(1, 48, 64).image, load_detector("layout")
+    with pytest.raises(ConfigError, match=r"torch\.compile: takes no detector"):
+        torch.compile(detector, backend="eager")(image)
+    before = detector(image)
+
+    analysis: Any = detector.analysis
+    analysis.network = torch.compile(analysis.network, backend="eager")
+
+    assert same(detector(image), before)
+
+
+# --- pictures in --------------------------------------------------------------------------
+
+BGR = [
+    (255 * scene(seed, 48, 64).image[:, :, 4 * seed :]).byte().numpy()[::-1].transpose(1, 2, 0)
+    for seed in range(4)
+]
+"""Pictures of four sizes, as OpenCV has them."""
+
+
+def same(one: Detection, other: Detection) -> bool:
+    return one.trust == other.trust and all(
+        map(np.array_equal, one.numpy().values(), other.numpy().values())
+    )
+
+
+def test_several_pictures_give_what_each_gives_by_itself() -> None:
+    detector = load_detector("fusion:untrained", order="bgr")
+    singles = [detector.detect(picture) for picture in BGR]
+    square = [picture[:, :50] for picture in BGR[:2]]
+    alike = detector(square)
+    images = torch.stack([detection.image for detection in alike])  # type: ignore[misc]
+
+    assert all(map(same, detector(BGR), singles))
+    assert all(map(same, detector.detect_many(iter(BGR)), singles))
+    for stack in (np.stack(square), images):
+        assert isinstance(detector(stack), list)  # type: ignore[arg-type]
+        assert all(map(same, detector(stack), alike))  # type: ignore[call-overload]
+    assert same(detector(BGR[0]), load_detector("fusion:untrained").detect(BGR[0], "bgr"))
+    likelihoods = torch.stack([detection.likelihood for detection in alike])
+    assert torch.equal(detector.forward(images), likelihoods)
+    assert detector([]) == []
+
+
+def test_the_bytes_of_a_file_and_the_open_file_are_pictures(tmp_path: Path) -> None:
+    path, detector = tmp_path / "street.png", load_detector("prior:triangle")
+    write_picture(path, scene(1, 48, 64))
+
+    with path.open("rb") as file:
+        found = [
+            detector(path.read_bytes()),
+            detector(file),
+            *detector([io.BytesIO(path.read_bytes())]),
+        ]
+
+    assert all(same(detection, detector(path)) for detection in found)
+
+
+def test_a_generator_is_asked_when_a_picture_is_needed_and_left_where_one_is_wrong() -> None:
+    asked = []
+
+    def pictures() -> Iterator[Any]:
+        for number, picture in enumerate([*BGR[:2], None, BGR[3]]):
+            asked.append(number)
+            yield picture
+
+    found = load_detector("prior:rows", order="bgr").detect_many(pictures())
+
+    assert asked == []
+    assert [next(found).mask.shape[1], next(found).mask.shape[1]] == [64, 60]
+    assert asked == [0, 1]
+    with pytest.raises(InputError, match=r"images\[2\]: is None"):
+        next(found)
+    assert asked == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("pictures", "options", "what"),
+    [
+        ("x.jpg", {}, "x.jpg: does not exist"),
+        (None, {}, "image: is None"),
+        (3.5, {}, "image: is float"),
+        (["x.jpg", "y.jpg"], {}, "x.jpg: does not exist"),
+        ([torch.rand(3, 20, 20)], {"order": "bgr"}, "order: is of NumPy arrays"),
+        ([np.full((20, 20, 3), 200.0)], {"order": "rgb"}, "images[0]: has values from 200 to 200"),
+        ([BGR[0]], {"order": "gbr"}, "gbr: unknown order of colours"),
+    ],
+)
+def test_what_cannot_be_looked_at_is_refused_in_the_words_of_the_caller(
+    pictures: Any, options: dict[str, Any], what: str
+) -> None:
+    with pytest.raises((InputError, ConfigError)) as caught:
+        load_detector("prior:rows")(pictures, **options)
+
+    assert what in str(caught.value)
+
+
+def test_one_picture_is_no_list_and_an_order_is_checked_at_once() -> None:
+    with pytest.raises(InputError, match=r"images: are str \(give a list"):
+        load_detector("prior:rows").detect_many("street.jpg")
+    with pytest.raises(ConfigError, match="BGR: unknown order of colours"):
+        load_detector("prior:rows", order="BGR")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"images: have the shape \(3, 32, 32\)"):
+        load_detector("prior:rows").forward(torch.zeros(3, 32, 32))
+
+
+# --- detections out -----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def found() -> Detection:
+    detection = load_detector("prior:rows", ego={"bottom": 0.1}).detect(scene(1, 48, 64).image)
+    return replace(detection, trust=0.75)
+
+
+def test_a_detection_is_saved_as_its_name_says(found: Detection, tmp_path: Path) -> None:
+    for end in ("mask.png", "likelihood.png", "overlay.jpg", "overlay.png", "npz"):
+        found.save(tmp_path / f"street.{end}")
+
+    assert torch.equal(read_image(tmp_path / "street.mask.png")[0] == 1, found.mask)
+    levels = read_image(tmp_path / "street.likelihood.png")[0]
+    np.testing.assert_allclose(levels, found.likelihood, rtol=0, atol=0.5001 / 255)
+    with Image.open(tmp_path / "street.overlay.png") as overlay:
+        assert np.array_equal(np.array(overlay), found.overlay())
+    with Image.open(tmp_path / "street.overlay.jpg") as overlay:
+        assert overlay.format == "JPEG"
+    with np.load(tmp_path / "street.npz") as stored:
+        assert set(stored) == {"likelihood", "mask", "trust", *found.cues}
+        assert all(np.array_equal(stored[name], map) for name, map in found.numpy().items())
+    with pytest.raises(ConfigError, match=r"street\.png: does not say what to write \(end it with"):
+        found.save(tmp_path / "street.png")
+
+
+def test_a_detection_shows_itself_in_a_notebook_or_a_window(
+    found: Detection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown: list[object] = []
+
+    class Window(ImageShow.Viewer):
+        def show(self, image: Image.Image, **_: Any) -> int:
+            shown.append(np.asarray(image))
+            return 1
+
+    monkeypatch.setattr(ImageShow, "_viewers", [Window()])
+    found.show()
+    assert np.array_equal(shown.pop(), found.overlay())  # type: ignore[arg-type]
+
+    monkeypatch.setattr(ImageShow, "_viewers", [])
+    with pytest.raises(InputError, match=r"show\(\): finds no display \(use save\(\)"):
+        found.show()
+
+    monkeypatch.setitem(sys.modules, "ipykernel", SimpleNamespace())
+    monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=shown.append))
+    found.show()
+    assert shown == [found]
+
+
+def test_an_overlay_is_what_infer_draws(found: Detection) -> None:
+    assert found.image is not None
+    drawn = found.overlay()
+
+    assert (drawn.dtype, drawn.shape) == (np.uint8, (48, 64, 3))
+    wanted = overlay_pixels(found.image, found.mask, found.cues["ego"], "trust 0.75")
+    assert np.array_equal(drawn, wanted)
+
+
+def test_a_detection_without_its_image_has_no_overlay() -> None:
+    detection = Detection(torch.zeros(16, 16), torch.zeros(16, 16).bool(), {})
+
+    assert detection._repr_png_() is None
+    with pytest.raises(InputError, match="is not part of this detection"):
+        detection.overlay()
+
+
+def test_notebooks_show_a_line_and_the_overlay() -> None:
+    detection = load_detector("prior:rows").detect(torch.full((3, 40, 2000), 0.4))
+    shown = detection._repr_png_()
+
+    assert re.fullmatch(r"<Detection 2000×40, road \d+%>", repr(detection))
+    assert shown is not None
+    assert Image.open(io.BytesIO(shown)).size == (960, 19)
+    doubtful = replace(detection, trust=0.314, doubt="no road found")
+    assert repr(doubtful).endswith(", trust 0.31 (no road found)>")

@@ -1,0 +1,210 @@
+"""What is measured of segments, their likeness, and kernel densities."""
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from roadtorch.imaging.color import planes
+from roadtorch.imaging.segments import (
+    Bandwidths,
+    borders,
+    class_log_density,
+    gradient_length,
+    likeness,
+    measure_segments,
+    paint,
+    segment_histogram,
+    segment_mean,
+    segment_median,
+    segment_size,
+)
+from roadtorch.imaging.slic import slic
+from tests.draws import random, seeded
+from tests.reference import superpixels as reference
+
+
+def noise(height: int, width: int) -> Tensor:
+    return random(3, height, width, dtype=torch.float32)
+
+
+# --- statistics over segments -------------------------------------------------------------
+
+
+def means_of(values: Tensor, labels: Tensor, count: int) -> Tensor:
+    """Means of values (C,H,W) over each of ``count`` segments of labels (H,W): (C,count)."""
+    return segment_mean(values, labels, segment_size(labels, count))
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_statistics_over_segments_are_those_of_loops(seed: int) -> None:
+    generator = seeded(seed)
+    channels, height, width, count, bins = torch.randint(1, 7, (5,), generator=generator).tolist()
+    values = torch.randn(channels, height, width, generator=generator).mul(3).round()
+    labels = torch.randint(count, (height, width), generator=generator)  # some may be empty
+
+    levels = (values[0].abs() * 2).long().clamp_max(bins - 1)
+    histogram = segment_histogram(levels, labels, count, bins)
+    pairs, means = borders(labels, values[0])
+    painted = paint(torch.arange(2.0 * count).reshape(2, count), labels)
+
+    for number in range(count):
+        inside = values[:, labels == number]
+        size = inside.shape[1]
+        mean = inside.mean(1) if size else torch.zeros(channels)
+        median = inside.sort(1).values[:, (size - 1) // 2] if size else torch.zeros(channels)
+        np.testing.assert_allclose(means_of(values, labels, count)[:, number], mean, atol=1e-5)
+        assert torch.equal(segment_median(values, labels, count)[:, number], median)
+        shares = levels[labels == number].bincount(minlength=bins)
+        assert histogram[number].tolist() == shares.tolist()
+        assert (torch.tensor([number, count + number]) == painted[:, labels == number].T).all()
+    expected = reference.borders(labels.numpy(), values[0].numpy())
+    assert (pairs.dtype, pairs.shape) == (torch.int64, (2, len(expected)))
+    found = {tuple(pair): mean for pair, mean in zip(pairs.T.tolist(), means.tolist(), strict=True)}
+    assert found == pytest.approx(expected, abs=1e-5)
+
+
+def test_pixels_that_are_not_usable_do_not_enter_a_histogram() -> None:
+    levels, labels = torch.tensor([[0, 1], [1, 1]]), torch.tensor([[0, 0], [1, 1]])
+    usable = torch.tensor([[True, False], [True, True]])
+
+    counts = segment_histogram(levels, labels, 3, 2, usable)
+
+    assert counts.dtype == torch.float32
+    assert counts.tolist() == [[1, 0], [0, 2], [0, 0]]
+
+
+def test_the_mean_over_a_million_pixels_is_exact_to_five_digits() -> None:
+    labels = torch.zeros(1000, 1000, dtype=torch.int64)
+
+    mean = means_of(torch.full((1, 1000, 1000), 0.1), labels, 1)
+
+    assert float(mean) == pytest.approx(0.1, abs=1e-6)
+
+
+@pytest.mark.parametrize("statistic", [means_of, segment_median])
+def test_statistics_keep_the_dtype(statistic) -> None:
+    assert (
+        statistic(random(2, 4, 4), torch.zeros(4, 4, dtype=torch.int64), 1).dtype == torch.float64
+    )
+
+
+# --- measures -----------------------------------------------------------------------------
+
+
+def test_gradients_are_those_of_numpy_but_0_at_the_edges() -> None:
+    plane = noise(6, 5)[0]
+
+    down, across = np.gradient(plane.numpy())
+
+    down[[0, -1]], across[:, [0, -1]] = 0, 0
+    np.testing.assert_allclose(gradient_length(plane), np.hypot(across, down), atol=1e-6)
+
+
+def test_segments_are_measured_by_their_pixels() -> None:
+    image = noise(24, 36)
+    labels = slic(image, 12)
+
+    segments = measure_segments(image, labels)
+
+    lab = planes(image, ("L", "a", "b"))
+    gradient = gradient_length(lab[0])
+    for number in range(int(labels.max()) + 1):
+        inside = labels == number
+        rows, columns = inside.nonzero().T
+        expected = {
+            "gradient": gradient[inside].mean(),
+            "contrast": lab[0][inside].std(unbiased=False),
+            "row": (rows + 0.5).mean() / 24,
+            "column": (columns + 0.5).mean() / 36,
+            "size": inside.float().mean(),
+        }
+        np.testing.assert_allclose(segments.color[:, number], lab[:, inside].mean(1), atol=1e-5)
+        for name, value in expected.items():
+            measured = float(getattr(segments, name)[number])
+            assert measured == pytest.approx(float(value), abs=2e-3 if name == "contrast" else 1e-5)
+    assert float(segments.size.sum()) == pytest.approx(1, abs=1e-5)
+    assert torch.equal(segments.pairs, borders(labels, gradient)[0])
+    assert segments.contrast_between.shape == (segments.pairs.shape[1],)
+
+
+@pytest.mark.parametrize("other", [(0.2, 0.2, 0.2), (0.3, 0.6, 0.3), (0.5, 0.5, 0.6)])
+def test_the_contrast_between_segments_is_that_of_the_edge_between_them(
+    other: tuple[float, float, float],
+) -> None:
+    image = torch.full((3, 20, 40), 0.5)
+    image[:, :, 20:] = torch.tensor(other).view(3, 1, 1)
+    labels = torch.arange(40).div(10, rounding_mode="floor").expand(20, 40)
+
+    segments = measure_segments(image, labels)
+
+    assert segments.pairs.tolist() == [[0, 1, 2], [1, 2, 3]]
+    first, edge, last = segments.contrast_between.tolist()
+    assert max(first, last) < 1e-5
+    assert edge > 0.005
+
+
+@pytest.mark.parametrize("grey", [0.0, 0.5, 1.0])
+def test_a_flat_picture_has_no_contrast_anywhere(grey: float) -> None:
+    image = torch.full((3, 16, 16), grey)
+
+    segments = measure_segments(image, slic(image, 6))
+
+    for values in (segments.gradient, segments.contrast_between):
+        assert values.abs().max() == 0
+    assert segments.contrast.max() < 2e-3  # the root of a rounding error
+    assert segments.color[1:].abs().max() < 1e-4
+
+
+# --- likeness and densities ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [9, 60])
+def test_likeness_is_a_product_of_gaussians(count: int) -> None:
+    image = noise(40, 60) * 0.5
+    segments = measure_segments(image, slic(image, count))
+    widths = Bandwidths(0.135, 0.045, 0.07, 0.09, 0.4, 0.3)
+
+    alike = likeness(segments, widths)
+
+    squared = torch.zeros(len(segments.size), len(segments.size), dtype=torch.float64)
+    for values, width in (
+        (segments.color[0], widths.lightness),
+        (segments.color[1], widths.chroma),
+        (segments.color[2], widths.chroma),
+        (segments.gradient, widths.gradient),
+        (segments.contrast, widths.contrast),
+        (segments.row, widths.row),
+        (segments.column, widths.column),
+    ):
+        squared += ((values[:, None] - values[None]).double() / width).square()
+    np.testing.assert_allclose(alike, (squared / -2).exp(), atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("apart", [0.5, 3.0, 20.0])
+def test_the_density_of_a_class_is_the_weighted_mean_of_the_likeness_to_its_segments(
+    seed: int, apart: float
+) -> None:
+    count, classes = seed % 6 + 1, seed % 3 + 1
+    points = random(count, 2, seed=seed) * apart
+    alike = torch.exp(-torch.cdist(points, points).square() / 2)
+    posterior, size = random(count, classes, seed=seed + 1), random(count, seed=seed + 2) + 0.1
+
+    found = class_log_density(alike, posterior, size / size.sum())
+
+    weights = posterior * (size / size.sum())[:, None]
+    for segment, kind in np.ndindex(count, classes):
+        total = sum(float(weights[other, kind] * alike[segment, other]) for other in range(count))
+        support = float(weights[:, kind].sum())
+        expected = np.log(max(total / max(support, 1e-3), 1e-8))
+        assert float(found[segment, kind]) == pytest.approx(expected, abs=1e-3)
+
+
+def test_a_class_without_support_has_a_finite_density_lower_than_any_other() -> None:
+    posterior = torch.tensor([[1.0, 0.0]]).expand(4, 2)
+
+    density = class_log_density(torch.eye(4), posterior, torch.full((4,), 0.25))
+
+    assert density.isfinite().all()
+    assert (density[:, 1] < density[:, 0]).all()

@@ -1,0 +1,156 @@
+"""Submissions to the KITTI road benchmark, from real files to the archive."""
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from roadtorch.base.image import read_image
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.testing.scenes import render_scene, write_picture
+from tests.command import Call, rows_of
+from tests.reference import bev as reference
+
+HEIGHT, WIDTH = 120, 160
+GREY = ("--detector", "grey-uniformity")
+MAPS = ["um_road_000000.png", "umm_road_000003.png", "uu_road_000012.png"]
+
+
+@pytest.fixture
+def kitti(tmp_path: Path) -> Path:
+    """ROOT/image_2 and ROOT/calib with a picture of each category."""
+    root = tmp_path / "kitti"
+    (root / "calib").mkdir(parents=True)
+    for seed, name in enumerate(("um_000000", "umm_000003", "uu_000012")):
+        write_picture(root / "image_2" / f"{name}.png", render_scene(seed, HEIGHT, WIDTH))
+        rows = reference.made_up_rows(pitch=0.02 + 0.01 * seed)
+        (root / "calib" / f"{name}.txt").write_text(reference.calibration_text(rows))
+    return root
+
+
+def test_each_picture_gives_its_map_and_all_of_them_the_archive(
+    call: Call, kitti: Path, out: Path
+) -> None:
+    result = call("submit", kitti, *GREY, "--out", out)
+
+    assert result.exit_code == 0
+    assert result.stdout == ""
+    assert result.stderr.splitlines() == [
+        f"roadtorch: 3 done; results in {out}",
+        f"roadtorch: 3 maps in {out}/submission.zip",
+    ]
+    assert sorted(path.name for path in out.glob("*.png")) == MAPS
+    rows = rows_of(out)
+    assert {name: row["status"] for name, row in rows.items()} == dict.fromkeys(MAPS, "done")
+    with zipfile.ZipFile(out / "submission.zip") as archive:
+        assert archive.namelist() == MAPS
+        assert archive.testzip() is None
+        for name in MAPS:
+            assert archive.read(name) == (out / name).read_bytes()
+
+
+def test_maps_are_the_detectors_from_above(call: Call, kitti: Path, out: Path) -> None:
+    call("submit", kitti, *GREY, "--set", "threshold=0.9", "--out", out)
+
+    image = read_image(kitti / "image_2/umm_000003.png")
+    likelihood = load_detector("grey-uniformity").detect(image).likelihood.double().numpy()
+    picture = np.round(255 * likelihood).astype(np.uint8)
+    with Image.open(out / "umm_road_000003.png") as written:
+        assert (written.mode, written.size) == ("L", (400, 800))
+        cells = np.asarray(written)
+    rows = reference.made_up_rows(pitch=0.03)
+    places = [(r, c) for r in range(0, 800, 19) for c in range(0, 400, 17)]
+    expected = [int(reference.cell_value(picture, rows, r, c)) for r, c in places]
+    assert [int(cells[place]) for place in places] == expected
+    assert len(set(expected)) > 10
+
+
+def test_the_archives_own_folder_is_found_and_jobs_do_not_matter(
+    call: Call, kitti: Path, tmp_path: Path
+) -> None:
+    one, two = tmp_path / "one", tmp_path / "two"
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data/testing").symlink_to(kitti)
+
+    call("submit", kitti, *GREY, "--out", one)
+    result = call("submit", tmp_path / "data", *GREY, "--out", two, "--jobs", "2", "--quiet")
+
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert (one / "submission.zip").read_bytes() == (two / "submission.zip").read_bytes()
+
+
+def test_broken_pictures_are_listed_and_mended_by_a_second_run(
+    call: Call, kitti: Path, out: Path
+) -> None:
+    picture, calibration = kitti / "image_2/um_000000.png", kitti / "calib/uu_000012.txt"
+    whole, text = picture.read_bytes(), calibration.read_text()
+    picture.write_bytes(whole[:1000])
+    calibration.unlink()
+
+    result = call("submit", kitti, *GREY, "--out", out)
+
+    assert result.exit_code == 1
+    assert "um_000000.png: cannot be decoded" in result.stderr
+    assert "calib/uu_000012.txt: is missing" in result.stderr
+    assert result.stderr.splitlines()[-1].endswith(
+        "submission.zip not written, as maps are missing"
+    )
+    assert [path.name for path in out.glob("*.png")] == ["umm_road_000003.png"]
+    assert not (out / "submission.zip").exists()
+    rows = rows_of(out)
+    assert rows["umm_road_000003.png"]["status"] == "done"
+    assert rows["uu_road_000012.png"]["status"].startswith("failed: ")
+
+    picture.write_bytes(whole)
+    calibration.write_text(text)
+    again = call("submit", kitti, *GREY, "--out", out)
+
+    assert again.exit_code == 0
+    assert again.stderr.startswith("roadtorch: 2 done, 1 skipped (done before)")
+    with zipfile.ZipFile(out / "submission.zip") as archive:
+        assert archive.namelist() == MAPS
+
+
+def test_a_calibration_that_changed_is_looked_at_anew(call: Call, kitti: Path, out: Path) -> None:
+    call("submit", kitti, *GREY, "--out", out)
+    before = (out / MAPS[0]).read_bytes()
+    rows = reference.made_up_rows(pitch=0.05)
+    (kitti / "calib/um_000000.txt").write_text(reference.calibration_text(rows))
+
+    again = call("submit", kitti, *GREY, "--out", out)
+    third = call("submit", kitti, *GREY, "--out", out)
+
+    assert again.stderr.startswith("roadtorch: 1 done (1 anew), 2 skipped")
+    assert (out / MAPS[0]).read_bytes() != before
+    assert third.stderr.startswith("roadtorch: 0 done, 3 skipped")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "line"),
+    [
+        ("calib", "{root}/calib: does not exist (bird's-eye view needs calibration files)"),
+        ("image_2", "{root}/image_2: does not exist (give the folder that holds image_2 or "),
+        ("name", "thumb: is not the name of a KITTI road picture (name pictures CATEGORY_NUMBER"),
+        ("detector", "fusoin: unknown detector (did you mean fusion, "),
+        ("twice", "{root}/image_2/um_000000.jpg and {root}/image_2/um_000000.png: both would "),
+    ],
+)
+def test_mistakes_are_one_line_before_any_work(
+    call: Call, kitti: Path, out: Path, spoil: str, line: str
+) -> None:
+    picture = kitti / "image_2/um_000000.png"
+    if spoil in ("calib", "image_2"):
+        (kitti / spoil).rename(kitti / "elsewhere")
+    elif spoil in ("name", "twice"):
+        name = "thumb.png" if spoil == "name" else "um_000000.jpg"
+        (kitti / "image_2" / name).write_bytes(picture.read_bytes())
+    detector = "fusoin" if spoil == "detector" else "prior:rows"
+
+    result = call("submit", kitti, "--detector", detector, "--out", out)
+
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"roadtorch: error: {line.format(root=kitti)}")
+    assert result.stderr.count("\n") == 1
+    assert not out.exists()

@@ -1,0 +1,62 @@
+"""roadtorch label, from real files to real files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from roadtorch.base.image import read_image
+from roadtorch.base.settings import build_settings
+from roadtorch.layout.labeller import LabellerSettings, label_layout
+from roadtorch.testing.scenes import render_scene, write_picture
+from tests.command import Call
+
+
+@pytest.mark.parametrize("support", ["margin", "maximum"])
+def test_labels_are_written_as_one_byte_a_pixel(
+    call: Call, tmp_path: Path, out: Path, support: str
+) -> None:
+    street = tmp_path / "in" / "sub" / "street.png"
+    write_picture(street, render_scene(1, 96, 128))
+    options = [] if support == "margin" else ["--support", support, "--overlay"]
+
+    result = call("label", tmp_path / "in", "--out", out, *options)
+
+    assert result.exit_code == 0, result.stderr
+    assert result.stderr == f"roadtorch: 1 done; results in {out}\n"
+    labels = label_layout(
+        read_image(street), build_settings(LabellerSettings, {"support": support})
+    ).labels
+    with Image.open(out / "sub" / "street.png") as written:
+        assert written.mode == "L"
+        assert np.array_equal(np.asarray(written), labels.numpy())
+    assert set(labels.unique().tolist()) <= ({0, 1, 2} if options else {0, 1, 2, 255})
+    overlay = out / "sub" / "street.overlay.jpg"
+    assert overlay.is_file() == bool(options)
+    if options:
+        assert read_image(overlay).shape == (3, 96, 128)
+
+
+def test_labels_never_replace_the_pictures(call: Call, footage: Path) -> None:
+    before = (footage / "b.png").read_bytes()
+
+    result = call("label", footage, "--out", footage)
+
+    assert result.exit_code == 2
+    assert "b.png: is one of the pictures" in result.stderr
+    assert (footage / "b.png").read_bytes() == before
+
+
+def test_broken_pictures_do_not_hold_up_the_others_and_settings_are_checked(
+    call: Call, footage: Path, out: Path
+) -> None:
+    (footage / "empty.png").touch()
+
+    result = call("label", footage, "--out", out)
+    wrong = call("label", footage, "--out", out, "--set", "segment=3")
+
+    assert result.exit_code == 1
+    assert "3 done, 1 failed" in result.stderr
+    assert wrong.exit_code == 2
+    assert "segment: unknown setting" in wrong.stderr

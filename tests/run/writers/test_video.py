@@ -1,0 +1,146 @@
+import errno
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from roadtorch.base.errors import InputError
+from roadtorch.base.image import to_pixels
+from roadtorch.detectors.detection import Detection
+from roadtorch.inputs.item import Item
+from roadtorch.run.writers import video
+from roadtorch.run.writers.video import GifWriter, VideoWriter
+from roadtorch.testing.scenes import render_scene
+from tests.videos import pixels_of, stamps_of, street_pixels
+
+
+def frame(number: int, seconds: float | None = None) -> Item:
+    return Item(f"x/{number}", f"x {number}", torch.rand, number=number, seconds=seconds)
+
+
+def detection(pixels: np.ndarray) -> Detection:
+    """One that is shown as these pixels."""
+    likelihood = torch.zeros(pixels.shape[:2])
+    return Detection(likelihood, likelihood > 0, {"pixels": torch.from_numpy(pixels)})
+
+
+def shown(seen: Detection) -> np.ndarray:
+    return seen.cues["pixels"].numpy()
+
+
+def write(
+    path: Path, seconds: Sequence[float | None], size: tuple[int, int] = (48, 64), rate: float = 10
+) -> Path:
+    with closing(VideoWriter(path, shown, rate)) as writer:
+        for number, at in enumerate(seconds):
+            writer.write(frame(number, at), detection(street_pixels(number % 3, *size)))
+    return path
+
+
+def test_time_stamps_are_kept_from_the_first_frame_on(tmp_path: Path) -> None:
+    path = write(tmp_path / "x.mp4", [5.0, 5.04, 5.3, 7.0, 7.0 + 1001 / 30000])
+
+    assert stamps_of(path) == pytest.approx([0, 0.04, 0.3, 2.0, 2 + 1001 / 30000], abs=2e-5)
+    assert [one.name for one in tmp_path.iterdir()] == ["x.mp4"]
+    still = write(tmp_path / "x.mp4", [0, 0.1, 0.1, 0.05, 0.2])
+    assert len(stamps_of(still)) == 5  # time that stands still gives every frame
+
+
+def test_without_a_clock_frames_follow_at_the_rate(tmp_path: Path) -> None:
+    path = write(tmp_path / "x.mp4", [None] * 3, rate=4)
+
+    assert stamps_of(path) == pytest.approx([0, 0.25, 0.5])
+
+
+@pytest.mark.parametrize("size", [(47, 64), (48, 63), (47, 63)])
+def test_odd_sides_are_padded(size: tuple[int, int], tmp_path: Path) -> None:
+    frames = pixels_of(write(tmp_path / "x.mp4", [0, 0.1], size))
+
+    assert frames[0].shape == (48, 64, 3)
+    inside = frames[0][: size[0], : size[1]].astype(int)
+    assert np.abs(inside - street_pixels(0, *size)).mean() < 8
+
+
+def test_masks_stay_masks_and_other_sizes_become_the_first(tmp_path: Path) -> None:
+    mask = np.zeros((48, 64), np.uint8)
+    mask[20:40, 10:50] = 255
+    with closing(VideoWriter(tmp_path / "x.mp4", shown, 10)) as writer:
+        writer.write(frame(0, 0.0), detection(mask))
+        writer.write(frame(1, 0.1), detection(street_pixels(1, 96, 128)))
+
+    frames = pixels_of(tmp_path / "x.mp4")
+    assert ((frames[0][..., 0] > 127) == (mask > 0)).mean() > 0.99
+    assert [one.shape for one in frames] == [(48, 64, 3)] * 2
+
+
+def test_no_frame_gives_no_file(tmp_path: Path) -> None:
+    write(tmp_path / "x.mp4", [])
+    with closing(GifWriter(tmp_path / "x.gif", shown, 5.0, 6.0)) as gif:
+        gif.write(frame(0, 1.0), detection(street_pixels(0)))
+
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_libx264_it_is_mpeg4_with_a_word(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(video, "ENCODERS", {"mpeg4": video.ENCODERS["mpeg4"]})
+
+    with pytest.warns(UserWarning, match=r"x.mp4: PyAV has no libx264 here; written as mpeg4"):
+        path = write(tmp_path / "x.mp4", [0, 0.04, 0.3])
+
+    assert stamps_of(path) == pytest.approx([0, 0.04, 0.3], abs=1e-4)
+
+
+def test_a_disk_that_takes_no_more_leaves_nothing_half_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer = VideoWriter(tmp_path / "x.mp4", shown, 10)
+    writer.write(frame(0), detection(street_pixels(0)))
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    full_container = SimpleNamespace(mux=full, close=writer._container.close)
+    monkeypatch.setattr(writer, "_container", full_container)
+    with pytest.raises(InputError, match=r"x.mp4: cannot be written: No space left .*\(make room"):
+        writer.write(frame(1), detection(street_pixels(1)))
+    with pytest.raises(InputError, match=r"x.mp4: cannot be written: No space left"):
+        writer.close()
+
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_same_frames_give_the_same_bytes_wherever_memory_lies(tmp_path: Path) -> None:
+    frames = [to_pixels(render_scene(seed, 136, 240).image) for seed in range(3)] * 6
+    written = set()
+
+    for number in range(2):
+        _ = [np.full(200_000 + 3_000 * number, 77, np.uint8) for _ in range(30 + 7 * number)]
+        with closing(VideoWriter(tmp_path / "drive.mp4", shown, 15.0)) as writer:
+            for at, pixels in enumerate(frames):
+                writer.write(frame(at, at / 15), detection(pixels))
+        written.add((tmp_path / "drive.mp4").read_bytes())
+
+    assert len(written) == 1
+
+
+# --- GIF --------------------------------------------------------------------------------
+
+
+def test_a_stretch_is_small_and_ten_a_second(tmp_path: Path) -> None:
+    with closing(GifWriter(tmp_path / "x.gif", shown, 1.0, 2.0)) as writer:
+        for number in range(90):
+            pixels = np.tile(street_pixels(number // 3 % 3), (10, 10, 1))
+            writer.write(frame(number, number / 30), detection(pixels))
+
+    with Image.open(tmp_path / "x.gif") as gif:
+        assert gif.size == (480, 360)
+        assert gif.n_frames == 10  # pyright: ignore[reportAttributeAccessIssue]
+        assert gif.info["duration"] == pytest.approx(100, abs=10)
+        assert gif.info["loop"] == 0

@@ -1,0 +1,166 @@
+"""What teaches, how a network is calibrated to it, and the verdict."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from roadtorch import load_detector
+from roadtorch.base.image import write_jpeg
+from roadtorch.base.settings import merge, read_settings_file
+from roadtorch.base.shipped_configs import config_file
+from roadtorch.evaluation.metrics import Decisions, count_mask, f_measure
+from roadtorch.inputs.item import Item
+from roadtorch.inputs.pictures import find_pictures
+from roadtorch.layout.classes import CLASSES
+from roadtorch.layout.weights import weights_path
+from roadtorch.run.memo import read_arrays, write_arrays
+from roadtorch.testing.scenes import render_scene
+from roadtorch.train.adaptation.adapt import write_shifted
+from roadtorch.train.adaptation.frames import keep_frames
+from roadtorch.train.adaptation.teacher import write_taught
+from roadtorch.train.adaptation.verdict import Judged, fitted_bias, judged_half, verdict_of
+from roadtorch.train.config import PictureTraining, build_training
+from roadtorch.train.prepared import from_bytes, name_of, to_bytes
+from tests.draws import seeded
+
+SHIPPED = weights_path("backbone-free")
+
+
+def training_of(**changes: object) -> PictureTraining:
+    training = build_training(merge(read_settings_file(config_file("adapt")), changes))
+    assert isinstance(training, PictureTraining)
+    return training
+
+
+# --- the teacher ---------------------------------------------------------------------------
+
+
+def roads(files: list[Path]) -> Tensor:
+    return torch.stack([from_bytes(read_arrays(file, "maps")["maps"][CLASSES]) for file in files])
+
+
+def test_looks_at_one_place_become_alike_and_other_pictures_stay_as_they_are(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "drive").mkdir()
+    street, generator = render_scene(1, 120, 160).image, seeded(0)
+    for number in range(4):
+        noise = 0.05 * torch.randn(street.shape, generator=generator)
+        write_jpeg(tmp_path / f"drive/{number}.jpg", (street + noise).clamp(0, 1))
+    write_jpeg(tmp_path / "drive/4.jpg", render_scene(2, 120, 160).image)
+    frames = keep_frames([str(tmp_path / "drive")], tmp_path / "frames", 10, quiet=True)
+    looks, prepared = tmp_path / "looks", tmp_path / "prepared"
+    training = training_of(teacher={"views": "one", "detector": "labeller"})
+
+    assert write_taught(frames, looks, prepared, training, quiet=True) is None
+
+    files = [sorted(folder.rglob("*.npz")) for folder in (looks, prepared)]
+    before, after = map(roads, files)
+    assert after[:4].var(0).mean() < 0.2 * before[:4].var(0).mean()
+    assert torch.allclose(after[4], before[4], atol=1 / 255)
+    look, taught = (read_arrays(names[0], "image", "ego") for names in files)
+    assert all(look[name].equal(taught[name]) for name in look)
+
+
+# --- the bias ------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def streets(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Item], Path]:
+    """Streets, and a folder with the masks of `fusion` as if it were the teacher."""
+    folder, teacher = tmp_path_factory.mktemp("streets"), load_detector("fusion")
+    (folder / "prepared").mkdir()
+    for number in range(2):
+        write_jpeg(folder / f"{number}.jpg", render_scene(number, 96, 128).image)
+    pictures = find_pictures([str(folder / "*.jpg")])
+    for picture in pictures:
+        road = teacher.detect(picture.read()).mask.float()[None]
+        layout = torch.cat([torch.zeros(2, 96, 128), torch.ones(1, 96, 128)])
+        arrays = {"maps": to_bytes(torch.cat([layout, road])), "ego": to_bytes(0 * road[0])}
+        write_arrays(folder / "prepared" / f"{name_of(picture)}.npz", arrays)
+    return pictures, folder / "prepared"
+
+
+@pytest.mark.parametrize("shift", [-2.0, 2.0], ids=["timid", "bold"])
+def test_the_bias_undoes_a_shift_of_the_road(
+    shift: float, streets: tuple[list[Item], Path], tmp_path: Path
+) -> None:
+    shifted, mended = tmp_path / "s.file", tmp_path / "m.file"
+    pictures, prepared = streets
+    write_shifted(SHIPPED, shifted, shift)
+
+    bias = fitted_bias(pictures, shifted, prepared, training_of(), quiet=True)
+    write_shifted(shifted, mended, bias)
+
+    assert bias == pytest.approx(-shift, abs=1)
+    files = (shifted, mended, mended)
+    judged = judged_half(pictures, files, prepared, training_of(), quiet=True)
+    before, after, _ = (float(f_measure(Decisions(*rows.sum(0)))) for rows in judged)
+    assert after > max(before, 0.97)
+
+
+def test_without_a_frame_that_can_tell_nothing_is_shifted(
+    streets: tuple[list[Item], Path], tmp_path: Path
+) -> None:
+    assert fitted_bias(streets[0], SHIPPED, tmp_path / "nothing", training_of(), quiet=True) == 0
+
+
+# --- the verdict ---------------------------------------------------------------------------
+
+Half = tuple[list[int], list[int], list[int]]
+"""Of 100 pixels of road in each frame, those that are found: before, after, by the mean."""
+
+
+def judged(half: Half) -> Judged:
+    return Judged(*(torch.tensor([[hit, 0, 100 - hit, 0] for hit in hits]) for hits in half))
+
+
+@pytest.mark.parametrize(
+    ("halves", "word"),
+    [
+        ([([50] * 12, [60] * 12, [60] * 12)] * 2, "adopt"),
+        ([([60] * 24, [50] * 24, [50] * 24)], "do not adopt"),
+        # a loss of the half that both together make good
+        ([([60] * 24, [50] * 24, [70] * 24)], "cannot tell"),
+        # what was seen is no reason to adopt
+        ([([60] * 24, [60] * 24, [90] * 24)], "cannot tell"),
+        # the judge errs too
+        ([([60] * 24, [60] * 24, [60] * 24)], "cannot tell"),
+        # one stretch alone may be chance
+        ([([60] * 24, [60] * 20 + [90] * 4, [60] * 24)], "cannot tell"),
+        # few frames, however large the gain
+        ([([10] * 15, [90] * 15, [90] * 15)], "cannot tell"),
+        # a half that loses weighs against one that gains
+        ([([50] * 12, [60] * 12, [60] * 12), ([60] * 12, [50] * 12, [50] * 12)], "cannot tell"),
+    ],
+)
+def test_a_verdict_needs_a_change_on_frames_that_were_not_seen(
+    halves: list[Half], word: str
+) -> None:
+    assert verdict_of([judged(half) for half in halves]).word == word
+
+
+@pytest.mark.parametrize(
+    ("half", "sentence"),
+    [
+        (([50] * 24, [60] * 24, [60] * 24), "adopt: on 24 held-out frames the mask agrees better "
+         "with the teacher: F 0.667 to 0.750, +0.083 (+0.083 to +0.083)"),
+        (([60] * 24, [50] * 24, [70] * 24), "cannot tell: on 24 held-out frames the mask may or "
+         "may not agree better with the teacher: F 0.750 to 0.667, -0.083 "
+         "(-0.083 to -0.083); averaged network 0.824"),
+        (([10] * 15, [90] * 15, [90] * 15), "cannot tell: 15 frames are too few to judge by"),
+    ],
+)  # fmt: skip
+def test_a_verdict_is_a_sentence_with_its_figures(half: Half, sentence: str) -> None:
+    assert str(verdict_of([judged(half)])) == sentence
+
+
+def test_known_pixels_alone_are_counted() -> None:
+    mask, road, known = torch.tensor([[[1, 1, 0, 1]], [[1, 0, 1, 1]], [[1, 1, 1, 0]]]).bool()
+
+    counts = count_mask(mask, road, known)
+
+    assert [counts.true_positive, counts.false_positive, counts.false_negative] == [1, 1, 1]
+    assert float(f_measure(counts)) == 0.5

@@ -1,0 +1,193 @@
+"""Gabor filters, the vote for the vanishing point, and the borders that run from it."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from roadtorch.ufl.vanishing import (
+    CANDIDATES,
+    OCTAVES,
+    Borders,
+    BorderSettings,
+    GaborBank,
+    VotingSettings,
+    angle_between,
+    angles_from,
+    colour_difference,
+    consistency,
+    dominant_orientation,
+    filter_spectrum,
+    find_borders,
+    gabor_responses,
+    road_between,
+    soft_votes,
+    vote_vanishing_point,
+)
+from tests.draws import random
+
+SIZE = (90, 120)
+POINT = torch.tensor([25.0, 60.0])
+AIMING = angles_from(POINT, SIZE).remainder(180)  # all texture aims at the point
+
+
+# --- which way texture runs -------------------------------------------------------------
+
+
+@pytest.mark.parametrize("angle", [0, 20, 90, 130])
+def test_stripes_run_the_way_they_run(angle: int) -> None:
+    row, column = np.indices((48, 48))
+    across = row * math.cos(math.radians(angle)) - column * math.sin(math.radians(angle))
+    stripes = torch.from_numpy(0.5 + 0.5 * np.cos(2 * math.pi * across / 6)).float()
+
+    found, sure = dominant_orientation(gabor_responses(stripes, GaborBank()))
+
+    assert (angle_between(found[16:32, 16:32], torch.tensor(angle)) <= 5).all()
+    assert sure.shape == (48, 48)
+
+
+def test_the_spectrum_is_that_of_the_filter_as_it_is_written() -> None:
+    # Kong et al., pixel by pixel, and its discrete Fourier transform.
+    size, angle, frequency = 96, 30.0, 0.7
+    y, x = np.indices((size, size)) - size // 2
+    turn = math.radians(angle)
+    a, b = x * math.cos(turn) + y * math.sin(turn), y * math.cos(turn) - x * math.sin(turn)
+    envelope = np.exp(-(frequency**2) * (4 * a**2 + b**2) / (8 * OCTAVES**2))
+    wave = np.exp(1j * frequency * a) - math.exp(-(OCTAVES**2) / 2)
+    filtered = frequency / (math.sqrt(2 * math.pi) * OCTAVES) * envelope * wave
+
+    expected = np.fft.fft2(np.fft.ifftshift(filtered))
+
+    found = filter_spectrum((size, size), angle, frequency).numpy()
+    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
+
+
+def test_confidence_is_one_less_the_middle_responses_over_the_greatest() -> None:
+    responses = torch.linspace(1, 2, 36)[:, None, None].repeat(1, 1, 2)
+    responses[:35, 0, 1] = 0.1  # one response stands out
+
+    angle, sure = dominant_orientation(responses)
+
+    assert angle.tolist() == [[175.0, 175.0]]
+    assert sure.tolist() == [[0.0, 1.0]]  # scaled to the picture
+
+
+def test_where_there_is_no_texture_nothing_is_sure() -> None:
+    _, sure = dominant_orientation(gabor_responses(torch.full((20, 30), 0.3), GaborBank()))
+
+    assert not sure.any()
+
+
+# --- the vote ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "degrees"), [(0, 179, 1), (10, 100, 90), (-30, 150, 0), (170, 20, 30)]
+)
+def test_angles_are_between_lines_without_a_sense(left: int, right: int, degrees: int) -> None:
+    assert float(angle_between(torch.tensor(left), torch.tensor(right))) == degrees
+
+
+@pytest.mark.parametrize(
+    ("place", "angle", "votes"),  # of the point in row 20, column 50; the diagonal is 200
+    [
+        ((60.0, 50.0), 93.0, 1 / (1 + (3 * 40 / 200) ** 2)),
+        ((60.0, 50.0), 96.0, 0),
+        ((100.0, 50.0), 90.0, 0),
+        ((10.0, 50.0), 90.0, 0),
+    ],
+    ids=["misses by 3 degrees", "by more than 5/(1 + 2d)", "beyond the radius", "above the point"],
+)
+def test_a_voter_gives_the_less_the_more_and_the_farther_it_misses(
+    place: tuple[float, float], angle: float, votes: float
+) -> None:
+    voters = torch.tensor([place]), torch.tensor([angle])
+
+    found = soft_votes(torch.tensor([[20.0, 50.0]]), *voters, 200.0, VotingSettings())
+
+    assert found.tolist() == [pytest.approx(votes)]
+
+
+@pytest.mark.parametrize("left_out", [0, 40])
+def test_sure_pixels_that_aim_at_a_point_elect_it(left_out: int) -> None:
+    orientation, sure = AIMING.clone(), torch.ones(SIZE)
+    sure[:, :left_out] = 0
+    orientation[:, :left_out] = angles_from(torch.tensor([50.0, 20.0]), SIZE)[:, :left_out]
+
+    found = vote_vanishing_point(orientation, sure, VotingSettings())
+
+    assert found is not None
+    assert math.dist(found.tolist(), POINT.tolist()) <= 2
+
+
+def test_where_nobody_votes_there_is_no_point() -> None:
+    assert vote_vanishing_point(torch.zeros(20, 30), torch.zeros(20, 30), VotingSettings()) is None
+
+
+# --- the borders ------------------------------------------------------------------------
+
+
+def wedge(first: float, second: float) -> Tensor:
+    """A picture (3,H,W) of a grey road between two rays from the point, green elsewhere."""
+    angle = angles_from(POINT, SIZE)
+    road = (angle > first) & (angle < second)
+    grey, green = torch.full((3, 1, 1), 0.5), torch.tensor([0.2, 0.5, 0.2])[:, None, None]
+    return torch.where(road, grey, green) + 0.1 * random(3, *SIZE, dtype=torch.float32)
+
+
+def test_rays_are_29_from_20_to_160_degrees() -> None:
+    assert CANDIDATES.tolist() == list(range(20, 161, 5))
+
+
+def test_a_ray_along_which_all_texture_runs_is_consistent() -> None:
+    along, none = (
+        consistency(POINT[None], orientation, BorderSettings())[0]
+        for orientation in (AIMING, (AIMING + 90).remainder(180))
+    )
+
+    assert (along > 0.95).all()
+    assert not none.any()
+
+
+def test_rays_that_leave_the_picture_soon_are_none() -> None:
+    corner = torch.tensor([[60.0, 118.0]])
+
+    found = consistency(corner, angles_from(corner[0], SIZE), BorderSettings())[0]
+
+    assert not found[0]  # 20°, to the right
+    assert found[-1] > 0.9  # 160°, to the left
+
+
+def test_colours_differ_most_at_the_borders() -> None:
+    found = colour_difference(wedge(50, 125), POINT, BorderSettings())
+
+    assert sorted(CANDIDATES[found.topk(2).indices].tolist()) == [50, 125]
+
+
+@pytest.mark.parametrize(("first", "second"), [(45, 130), (70, 140)])
+def test_both_borders_of_a_road_are_found(first: int, second: int) -> None:
+    found = find_borders(wedge(first, second), AIMING, POINT, BorderSettings())
+
+    assert sorted((found.first, found.second)) == [first, second]
+    assert torch.equal(found.point, POINT)
+
+
+def test_the_point_moves_along_the_first_border_to_where_texture_aims() -> None:
+    angle = torch.tensor(130).deg2rad()
+    high = POINT - 12 * torch.stack([angle.sin(), angle.cos()])
+
+    found = find_borders(wedge(45, 130), AIMING, high, BorderSettings())
+
+    assert found.first == 130
+    assert math.dist(found.point.tolist(), POINT.tolist()) < 3
+
+
+def test_road_lies_between_the_borders_and_below_the_point() -> None:
+    found = road_between(Borders(POINT, 120, 60), SIZE)
+
+    assert found[89, 60]
+    assert not found[:25].any()
+    assert not found[30, 40]
+    assert not found[30, 80]
