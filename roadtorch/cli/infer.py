@@ -22,10 +22,7 @@ from roadtorch.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from roadtorch.annotate.viewer import Viewer
-    from roadtorch.inputs.item import Item
 
 KINDS = ("likelihood", "mask", "overlay", "cues", "npy", "polygons", "json")
 FOOTAGE_KINDS = ("overlay-frames", "mask-video", "likelihood-video", "bag")
@@ -62,19 +59,6 @@ def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[
         remedy = f"give a stretch of at most {GIF_SECONDS:g} seconds"
         raise ConfigError("--gif", f"{value!r} is no stretch to show", remedy)
     return start, end
-
-
-def warn_of_labels(pictures: "Sequence[Item]") -> None:
-    """Say where label maps are among the pictures, or are all that there is."""
-    from roadtorch.inputs.pictures import are_label_maps, label_and_picture
-
-    if pair := label_and_picture(pictures):
-        label, picture = pair
-        what = f"{label.origin} looks like a label of {picture.origin}"
-        click.echo(f"roadtorch: {what}; give the folder of the pictures alone", err=True)
-    elif are_label_maps(pictures):
-        what = f"{pictures[0].origin} looks like a label map"
-        click.echo(f"roadtorch: {what}; give the folder of the pictures", err=True)
 
 
 def opened_viewer() -> "Viewer":
@@ -184,7 +168,6 @@ def infer(
     viewer = context.with_resource(opened_viewer()) if view else None
     output = MapOutput(maps, save, gif, frames.topic, viewer)
     todo = plan(found, place, maps.suffixes, output)
-    warn_of_labels(found.pictures)
     workers = context.with_resource(compute.started(todo.count))
     folder = context.with_resource(result_folder(out, effective, overwrite))
     of_frames = {**asdict(frames), "gif": gif, "steady": steady}

@@ -4,13 +4,10 @@ import hashlib
 import os
 import re
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache, partial
-from itertools import permutations
 from pathlib import Path, PurePosixPath
 
-from PIL import Image
 from torch import Tensor
 
 from roadtorch.base.atomic import digest_of
@@ -26,13 +23,6 @@ from roadtorch.base.urls import (
 )
 from roadtorch.inputs.files import files_at
 from roadtorch.inputs.item import Item, Selection, Source
-
-LABEL = re.compile(r"[-_.]?(mask|label|labels|labelIds|gt|gtFine|road|seg)$", re.IGNORECASE)
-"""What the names of labels end with beside those of their pictures."""
-
-FIRST, CLASSES = 5, 48
-"""How many pictures are looked at for whether they are label maps, and how many values those have
-at most; ours: Cityscapes has 34 classes, a photograph hundreds of colours."""
 
 RESULTS = (".likelihood.png", ".mask.png", ".overlay.jpg")  # ours; never pictures to look at
 
@@ -101,37 +91,6 @@ def each_once(pictures: Sequence[Item]) -> list[Item]:
     if pictures and not any(map(_exists, pictures)):
         raise InputError(pictures[0].origin, "does not exist", "check the name")
     return list(dict.fromkeys(pictures))
-
-
-def label_and_picture(pictures: Iterable[Item]) -> tuple[Item, Item] | None:
-    """The first picture that looks like the label of another, and that one; None without any.
-
-    It has the other's name, ``_mask`` or the like left out, and is a PNG of one channel.
-    """
-    namesakes: dict[str, list[Item]] = {}
-    for picture in pictures:
-        if picture.file is not None:
-            namesakes.setdefault(LABEL.sub("", picture.file.stem), []).append(picture)
-    for group in namesakes.values():
-        for label, other in permutations(group, 2):
-            if label.suffix.lower() == ".png":
-                with suppress(OSError), Image.open(label.path) as header:
-                    if header.mode in ("1", "L", "P"):
-                        return label, other
-    return None
-
-
-def are_label_maps(pictures: Sequence[Item]) -> bool:
-    """Whether the first pictures are all PNGs of one channel with few values, as label maps are."""
-    files = [picture.file for picture in pictures[:FIRST] if picture.file is not None]
-    return bool(files) and all(map(_is_label_map, files))
-
-
-def _is_label_map(path: Path) -> bool:
-    with suppress(OSError), Image.open(path) as image:
-        if image.format == "PNG" and image.mode in ("1", "L", "P"):
-            return image.getcolors(CLASSES) is not None
-    return False
 
 
 def pictures_at(given: str | os.PathLike[str], apart: Path | None = None) -> list[Item]:

@@ -2,20 +2,11 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
-import torch
-from PIL import Image
 
 from roadtorch.base.errors import InputError
-from roadtorch.base.image import write_colours, write_mask
 from roadtorch.inputs.item import Item
-from roadtorch.inputs.pictures import (
-    are_label_maps,
-    find_pictures,
-    label_and_picture,
-    picture_item,
-)
+from roadtorch.inputs.pictures import find_pictures, picture_item
 
 
 @pytest.fixture
@@ -62,29 +53,6 @@ def test_own_results_and_the_output_folder_are_not_looked_at(footage: Path) -> N
     assert names(find_pictures([footage / "b.mask.png"])) == ["b.mask"]  # asked for by name
 
 
-@pytest.mark.parametrize(
-    ("other", "label", "is_one"),
-    [
-        ("images/a.jpg", "masks/a.png", True),
-        ("a.png", "a_mask.png", True),
-        ("images/a.jpg", "more/b.png", False),
-        ("images/a.jpg", "a.webp", False),
-    ],
-)
-def test_a_label_beside_its_picture_is_seen(
-    tmp_path: Path, other: str, label: str, is_one: bool
-) -> None:
-    for name in (other, label):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-    write_colours(tmp_path / other, torch.rand(3, 16, 16))
-    write_mask(tmp_path / label, torch.rand(16, 16) > 0.5)
-
-    found = label_and_picture(find_pictures([tmp_path]))
-
-    wanted = (tmp_path / label, tmp_path / other)
-    assert (found and tuple(one.path for one in found)) == (wanted if is_one else None)
-
-
 def test_nothing_found_is_an_error_that_names_the_input(footage: Path) -> None:
     (footage / "bare").mkdir()
 
@@ -106,17 +74,3 @@ def test_links_to_themselves_are_files_like_others(footage: Path) -> None:
     assert names(find_pictures([footage], apart=footage / "loop.png")) == [
         *("a", "b", "loop", "sub/c", "sub/deep/d")
     ]
-
-
-@pytest.mark.parametrize(
-    ("mode", "values", "expected"),
-    [("L", 34, True), ("P", 20, True), ("L", 200, False), ("RGB", 2, False)],
-)
-def test_a_folder_of_label_maps_is_known_by_its_few_values(
-    mode: str, values: int, expected: bool, tmp_path: Path
-) -> None:
-    levels = np.arange(48 * 64).reshape(48, 64) % values
-    for number in range(3):
-        Image.fromarray(levels.astype(np.uint8)).convert(mode).save(tmp_path / f"{number}.png")
-
-    assert are_label_maps(find_pictures([tmp_path])) == expected

@@ -1,8 +1,10 @@
 """roadtorch infer on pictures: what is written, when it is written again, what is refused."""
 
 import os
+import struct
 import sys
 import tomllib
+import zlib
 from hashlib import sha256
 from pathlib import Path
 
@@ -315,3 +317,34 @@ def test_names_in_any_encoding_and_files_that_are_none_cost_nobody_else(
         assert set(rows) - set(done) == {"loop.png", "pipe.png"}
         assert skipped in result.stderr
     assert (out / os.fsdecode(b"z\xff.mask.png")).exists()
+
+
+@pytest.mark.parametrize(
+    ("kind", "reason"),
+    [
+        ("pipe", "cannot be read: it is a pipe or a device, not a file"),
+        ("damaged", "cannot be decoded: "),
+        ("oversized", "has more than "),
+    ],
+)
+def test_a_first_image_that_cannot_be_read_is_a_failed_row(
+    kind: str, reason: str, call: Call, tmp_path: Path, out: Path
+) -> None:
+    path = tmp_path / "in" / "x.png"
+    path.parent.mkdir()
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        Image.new("L", (64, 48)).save(path)
+        data = bytearray(path.read_bytes())
+        if kind == "oversized":
+            data[16:24] = struct.pack(">2I", 30_000, 6_000)
+            data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+        else:
+            data[data.index(b"IDAT") - 1] -= 8  # its length
+        path.write_bytes(data)
+
+    result = call("infer", path.parent, *ROWS, "--out", out)
+
+    assert result.exit_code == 1, result.stderr
+    assert rows_of(out)["x.png"]["status"].startswith(f"failed: {path}: {reason}")
