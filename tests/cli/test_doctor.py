@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from roadtorch.cli import doctor
 from roadtorch.base import decoding
+from roadtorch.cli import doctor
 from roadtorch.cli.doctor import Check
 from roadtorch.detectors.detector import Detector
 from roadtorch.layout import weights
