@@ -1,0 +1,88 @@
+"""The size of the project: lines by folder, names at the top, dependencies, options, commands.
+
+What is cut gets refilled, so each number here is a limit. Raise one only in the commit that needs
+it, and state the reason in that commit's message; lower it when a folder shrinks.
+"""
+
+import tomllib
+from pathlib import Path
+
+import click
+import pytest
+
+from roadtorch.cli.group import COMMANDS, main
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCES = {".py", ".sh", ".c", ".js", ".css", ".html"}
+LINES = {
+    "roadtorch/annotate": 2_900,
+    "roadtorch/base": 2_100,
+    "roadtorch/camera": 1_700,
+    "roadtorch/cli": 2_400,
+    "roadtorch/data": 2_700,
+    "roadtorch/detectors": 1_900,
+    "roadtorch/evaluation": 5_200,
+    "roadtorch/export": 1_300,
+    "roadtorch/imaging": 1_200,
+    "roadtorch/inputs": 1_800,
+    "roadtorch/layout": 1_300,
+    "roadtorch/oneclass": 1_800,
+    "roadtorch/road": 1_300,
+    "roadtorch/ros": 400,
+    "roadtorch/run": 3_200,
+    "roadtorch/testing": 700,
+    "roadtorch/train": 3_400,
+    "roadtorch/ufl": 1_400,
+    "scripts": 4_900,
+    "tests": 31_900,
+    "train": 3_700,
+}
+"""The lines of source code that each folder may have."""
+
+TOP_NAMES = 18
+DEPENDENCIES = 22
+OPTIONS = 153
+COMMAND_COUNT = 16
+
+REASON = "cut something, or raise the number and state the reason in the same commit"
+
+
+def lines_in(folder: Path) -> int:
+    """Count the lines of all source files below a folder."""
+    files = [path for path in folder.rglob("*") if path.suffix in SOURCES and path.is_file()]
+    return sum(path.read_bytes().count(b"\n") for path in files)
+
+
+@pytest.mark.parametrize(("folder", "limit"), LINES.items())
+def test_a_folder_is_no_larger_than_it_may_be(folder: str, limit: int) -> None:
+    lines = lines_in(ROOT / folder)
+
+    assert lines <= limit, f"{folder} has {lines} lines, {limit} are allowed: {REASON}"
+
+
+def test_every_package_has_a_limit_and_the_top_stays_small() -> None:
+    packages = {f"roadtorch/{path.parent.name}" for path in ROOT.glob("roadtorch/*/__init__.py")}
+
+    assert packages == {folder for folder in LINES if folder.startswith("roadtorch/")}
+    assert len(packages) <= TOP_NAMES, REASON
+
+
+def test_mandatory_dependencies_stay_few() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+    assert len(project["dependencies"]) <= DEPENDENCIES, REASON
+
+
+def test_commands_and_their_options_stay_few() -> None:
+    context = click.Context(main)
+    commands = [main.get_command(context, name) for name in COMMANDS]
+    options = [
+        parameter.name
+        for command in commands
+        if command is not None
+        for parameter in command.params
+        if isinstance(parameter, click.Option)
+    ]
+
+    assert len(commands) <= COMMAND_COUNT, REASON
+    assert len(options) <= OPTIONS, REASON
