@@ -88,7 +88,7 @@ COMMANDS: Mapping[str, Callable[[], None]] = {
     "evaluate": called("evaluate", "folder", "../work", *DETECTOR, "--out", OUT),
     "annotate": annotate,
     "import": called(
-        *("annotate", IMAGES, "--out", OUT, "--import", "labelme", "--from", "../work/drawn")
+        *("annotate", IMAGES, "--out", OUT, "--import", "png", "--from", "../work/drawn")
     ),
     "corrections": called(
         *("annotate", IMAGES, "--out", "../work/corrections", "--export", "coco", "--to", OUT)
@@ -128,7 +128,7 @@ def prepare(work: Path) -> None:
         text = text.replace(old, new)
     (work / "training.toml").write_text(text)
     words = ["annotate", str(work / "image_2"), "--out", str(work / "corrections")]
-    main([*words, "--export", "labelme", "--to", str(work / "drawn")], standalone_mode=False)
+    main([*words, "--export", "png", "--to", str(work / "drawn")], standalone_mode=False)
 
 
 def run(command: Callable[[], None], place: Path, kind: str, number: int, fault: int) -> int | None:

@@ -31,7 +31,7 @@ from roadtorch.base.bounded import printable
 from roadtorch.base.errors import InputError
 from roadtorch.data.correction_formats import FORMATS
 from roadtorch.data.correction_labels import LABELS
-from roadtorch.data.corrections import agreement_share
+from roadtorch.data.corrections import agreement_share, picture_size
 from roadtorch.data.events import (
     ENDING,
     AnyEvent,
@@ -53,7 +53,6 @@ from roadtorch.data.events import (
     runs_of,
     taken_back,
 )
-from roadtorch.data.labelme import picture_size
 from roadtorch.detectors.detector import Detector
 from roadtorch.inputs.pictures import find_pictures
 

@@ -8,7 +8,7 @@ from roadtorch.cli.options import PATH, DetectorOptions, Sectioned, with_detecto
 
 ORDERS = ("least-trust", "random", "different")
 
-FORMATS = ("labelme", "png", "coco")
+FORMATS = ("png", "coco")
 
 
 @click.command(cls=Sectioned)

@@ -5,7 +5,7 @@ point's name is the set's, and it names a ``Kind``.
 """
 
 from collections.abc import Mapping
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 
 from roadtorch.base.errors import ConfigError, DatasetError, unknown_name
@@ -13,7 +13,6 @@ from roadtorch.base.plugins import load_plugins
 from roadtorch.data import camvid, kitti
 from roadtorch.data.dataset import Dataset, Kind
 from roadtorch.data.folder import open_cityscapes, open_folder, open_idd_lite
-from roadtorch.data.labelme import open_labelme
 
 ENTRY_POINT_GROUP = "roadtorch.datasets"
 
@@ -24,9 +23,6 @@ KINDS: Mapping[str, Kind] = {
     "folder": Kind(("all",), open_folder),
     "idd-lite": Kind(("all",), open_idd_lite),
     kitti.NAME: Kind(kitti.SPLITS, kitti.open_kitti_road),
-    "labelme": Kind(("all",), open_labelme),
-    "labelme:intersection": Kind(("all",), partial(open_labelme, agreement="intersection")),
-    "labelme:union": Kind(("all",), partial(open_labelme, agreement="union")),
 }
 
 

@@ -1,8 +1,4 @@
-"""Corrections out to other programs and in again, by the name of the format.
-
-In labelme's JSON untouched pixels are an object called ``ignore``: they are void to whoever reads
-the files as truth, and untouched again when they come back.
-"""
+"""Corrections out to other programs and in again: label images, and COCO's JSON."""
 
 import json
 import math
@@ -21,14 +17,8 @@ from roadtorch.base.image import write_labels
 from roadtorch.data.correction_labels import LABELS
 from roadtorch.data.corrections import Correction
 from roadtorch.data.imported import Coordinate, Imported, Side, imported
-from roadtorch.data.labelme import labelme_document, read_annotation
 from roadtorch.data.labels import read_labels
-from roadtorch.data.polygons import coco_region, filled_shapes
-
-DRAWN = ("ignore", *LABELS[1:])
-"""What labels are called in files of polygons, by their number."""
-
-NOTHING = 255  # no label: every pixel is drawn, untouched ones as well
+from roadtorch.data.polygons import coco_region
 
 Sizes = Mapping[str, tuple[int, int]]
 """(height, width) of pictures by their relative name with ending."""
@@ -46,37 +36,6 @@ class CorrectionFormat(NamedTuple):
     read: Callable[[Path, Sizes], dict[str, np.ndarray]]
 
 
-def file_per_picture(
-    ending: str,
-    write_one: Callable[[Correction, Path], None],
-    read_one: Callable[[Path, tuple[int, int]], np.ndarray],
-    below: str = "",
-) -> CorrectionFormat:
-    """A format of one file a picture: its name with another ending, in the folder ``below``.
-
-    write_one: a correction to a path. read_one: labels uint8 (H,W) of a path and a picture's size.
-    DatasetError where two pictures would have one file, or none has any.
-    """
-
-    def write(corrections: Sequence[Correction], folder: Path) -> None:
-        _check_stems(correction.name for correction in corrections)
-        for correction in corrections:
-            path = (folder / below / correction.name).with_suffix(ending)
-            make_folder(path.parent)
-            write_one(correction, path)
-
-    def read(path: Path, sizes: Sizes) -> dict[str, np.ndarray]:
-        files = {name: (path / below / name).with_suffix(ending) for name in sizes}
-        present = {name: file for name, file in files.items() if file.is_file()}
-        if not present:
-            remedy = "give the folder that holds the labels"
-            raise DatasetError(path / below, "has no file for any of the pictures", remedy)
-        _check_stems(present)
-        return {name: read_one(file, sizes[name]) for name, file in present.items()}
-
-    return CorrectionFormat(write, read)
-
-
 def _check_stems(names: Iterable[str]) -> None:
     """DatasetError for two pictures of one name without ending."""
     owners: dict[str, str] = {}
@@ -87,21 +46,36 @@ def _check_stems(names: Iterable[str]) -> None:
             raise DatasetError(f"{other} and {name}", message, "rename one of the pictures")
 
 
-# --- label pictures ---------------------------------------------------------------------
+# --- label images -----------------------------------------------------------------------
 
 
-def write_layers(correction: Correction, path: Path) -> None:
-    """FOLDER/labels/NAME.png, numbers of ``LABELS``; FOLDER/road and FOLDER/layout as sets have it.
+def write_png(corrections: Sequence[Correction], folder: Path) -> None:
+    """Write FOLDER/labels/NAME.png, numbers of ``LABELS``; FOLDER/road and /layout as sets have it.
 
     In road 0 is not road, 1 road, 255 void or untouched; in layout 255 is unknown.
     """
-    write_labels(path, torch.from_numpy(correction.labels))
-    folder = path.parents[len(PurePath(correction.name).parts)]
-    road = np.where(correction.road > 1, 255, correction.road)
-    for layer, values in (("road", road), ("layout", correction.layout)):
-        beside = (folder / layer / correction.name).with_suffix(path.suffix)
-        make_folder(beside.parent)
-        write_labels(beside, torch.from_numpy(values))
+    _check_stems(correction.name for correction in corrections)
+    for correction in corrections:
+        road = np.where(correction.road > 1, 255, correction.road)
+        layers = {"labels": correction.labels, "road": road, "layout": correction.layout}
+        for layer, values in layers.items():
+            path = (folder / layer / correction.name).with_suffix(".png")
+            make_folder(path.parent)
+            write_labels(path, torch.from_numpy(values))
+
+
+def read_png(path: Path, sizes: Sizes) -> dict[str, np.ndarray]:
+    """Read labels uint8 (H,W) by image from PATH/labels/NAME.png.
+
+    DatasetError for other numbers and sizes, two images of one name, and a folder without any.
+    """
+    files = {name: (path / "labels" / name).with_suffix(".png") for name in sizes}
+    present = {name: file for name, file in files.items() if file.is_file()}
+    if not present:
+        remedy = "give the folder that holds the labels"
+        raise DatasetError(path / "labels", "has no file for any of the pictures", remedy)
+    _check_stems(present)
+    return {name: read_numbers(file, sizes[name]) for name, file in present.items()}
 
 
 def read_numbers(path: Path, size: tuple[int, int]) -> np.ndarray:
@@ -111,26 +85,6 @@ def read_numbers(path: Path, size: tuple[int, int]) -> np.ndarray:
         message = f"has other values than 0 to {len(LABELS) - 1}"
         raise DatasetError(path, message, f"0 is {LABELS[0]}, 1 {LABELS[1]}, …")
     return labels.astype(np.uint8)
-
-
-# --- drawn shapes -----------------------------------------------------------------------
-
-
-def write_labelme(correction: Correction, path: Path) -> None:
-    """Labels as the program labelme has them."""
-    file = Path(correction.name).name
-    document = labelme_document(correction.labels, file, DRAWN, NOTHING)
-    write_text(path, json.dumps(document) + "\n")
-
-
-def read_drawn(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """Labels uint8 (H,W); objects of other names than ours are not road, as everywhere."""
-    other = LABELS.index("not_road")
-    shapes = [
-        (shape.fill, DRAWN.index(shape.name) if shape.name in DRAWN else other)
-        for shape in read_annotation(path, size)
-    ]
-    return filled_shapes(shapes, size)
 
 
 # --- COCO -------------------------------------------------------------------------------
@@ -297,7 +251,6 @@ def fill_area(points: np.ndarray, canvas: np.ndarray, value: int) -> None:
 
 
 FORMATS: Mapping[str, CorrectionFormat] = {
-    "labelme": file_per_picture(".json", write_labelme, read_drawn),
-    "png": file_per_picture(".png", write_layers, read_numbers, "labels"),
+    "png": CorrectionFormat(write_png, read_png),
     "coco": CorrectionFormat(write_coco, read_coco),
 }

@@ -12,7 +12,10 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 import torch
+from PIL.ExifTags import Base as ExifTag
 
+from roadtorch.base.bounded import read_regular, reason
+from roadtorch.base.decoding import open_picture, without_warnings
 from roadtorch.base.errors import DatasetError
 from roadtorch.data.correction_labels import (
     NOT_ROAD,
@@ -26,6 +29,8 @@ from roadtorch.data.correction_labels import (
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth
 from roadtorch.data.events import ENDING, EventLog, click_count, read_log, read_logs, reviewers
 from roadtorch.layout.classes import UNLABELLED
+
+TURNED = (5, 6, 7, 8)  # EXIF orientations that swap width and height
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +114,20 @@ def corrected(picture: Path, name: str, logs: Sequence[EventLog]) -> Correction:
         tuple(sorted({person for log in logs for person in reviewers(log.standing)})),
         tuple(log.path for log in logs),
     )
+
+
+def picture_size(path: Path) -> tuple[int, int]:
+    """Return (height, width) of a picture as it is shown, from its header.
+
+    Raises DatasetError when it cannot be opened.
+    """
+    try:
+        with open_picture(read_regular(path)) as picture, without_warnings():
+            turned = picture.getexif().get(ExifTag.Orientation) in TURNED
+            return (picture.width, picture.height) if turned else (picture.height, picture.width)
+    except Exception as problem:
+        message = f"cannot be opened: {reason(problem)}"
+        raise DatasetError(path, message, "replace the file") from None
 
 
 # --- several people ---------------------------------------------------------------------

@@ -34,7 +34,7 @@ class LabelledItem:
     """One picture with its label file.
 
     group: the camera, drive or city it is from, if known. extra: further files that its
-    truth or view is made of, such as other people's annotations or a calibration.
+    truth or view is made of, such as a calibration.
     conditions: under which it was taken, in words ("night", "rain").
     """
 

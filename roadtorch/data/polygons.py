@@ -1,36 +1,31 @@
-"""Drawn shapes: filling them, agreeing over people; outlines of labels, and regions as in COCO.
+"""Polygons of masks: filling them, outlines as labelme stores them, regions as COCO does.
 
-Boundary pixels belong to a shape: corners are rounded to the nearest pixel, and a pixel is
-filled when its centre is inside or on the polygon through them, or on a border drawn one
-pixel wide. Rasterisers differ by up to one pixel along borders; labelme's own fills with
-the outline too.
+Border pixels belong to a polygon: corners are rounded to the nearest pixel, and a pixel is filled
+when its centre is inside or on the polygon through them, or on a border drawn one pixel wide.
+Coordinates are x to the right and y down, pixel centres at whole numbers.
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
 
 import cv2
 import numpy as np
-import torch
+from pydantic import Field
 
-from roadtorch.data.dataset import Truth
-
-OTHER, ROAD, VOID = 0, 1, 2  # what a person says about a pixel
+from roadtorch.data.imported import Coordinate, Imported, Side, imported
 
 CORNERS = 3  # a polygon needs as many, even that of one pixel
 
-Agreement = Literal["majority", "union", "intersection"]
-
-Fill = Callable[[np.ndarray, int], None]
-"""Writes a value to the pixels of a shape in a canvas uint8 (H,W); clipped there.
-
-x is to the right, y down, pixel centres at whole numbers.
-"""
+NAMES = ("not road", "road")
+"""Labels of outlines. A hole is drawn behind the road around it and cuts it."""
 
 
 def fill_polygon(points: np.ndarray, canvas: np.ndarray, value: int) -> None:
-    """Fill a closed polygon and its border; points (N,2), N ≥ 1, as (x, y)."""
+    """Fill a closed polygon and its border in a canvas uint8 (H,W).
+
+    points: (N,2), N ≥ 1, as (x, y); they may lie outside the canvas.
+    """
     corners = np.floor(points + 0.5).astype(np.int32)
     low = np.minimum(corners.min(0), 0)
     # OpenCV moves borders that leave its canvas, hence one that holds every corner.
@@ -41,78 +36,97 @@ def fill_polygon(points: np.ndarray, canvas: np.ndarray, value: int) -> None:
     canvas[wide[-low[1] :, -low[0] :][:rows, :columns] > 0] = value
 
 
-def fill_disc(x: float, y: float, radius: float, canvas: np.ndarray, value: int) -> None:
-    """Fill all pixels whose centre is at most ``radius`` from (x, y)."""
-    rows, columns = np.ogrid[: canvas.shape[0], : canvas.shape[1]]
-    canvas[(columns - x) ** 2 + (rows - y) ** 2 <= radius**2] = value
-
-
-def fill_stamp(left: int, top: int, mask: np.ndarray, canvas: np.ndarray, value: int) -> None:
-    """Fill where a mask bool (h,w) is true, its upper left pixel on column left and row top."""
-    row, column = max(top, 0), max(left, 0)
-    inside = mask[row - top :, column - left :]
-    target = canvas[row : row + inside.shape[0], column : column + inside.shape[1]]
-    target[inside[: target.shape[0], : target.shape[1]]] = value
-
-
-def filled_shapes(shapes: Sequence[tuple[Fill, int]], size: tuple[int, int]) -> np.ndarray:
-    """Paint one person's shapes one over the other: uint8 (H,W), ``OTHER`` where nothing is.
-
-    Each shape comes with what it stands for, so that a later object of another class cuts
-    a hole into an earlier one, and blobs of the same class are united.
-    """
-    canvas = np.full(size, OTHER, np.uint8)
-    for fill, value in shapes:
-        fill(canvas, value)
-    return canvas
-
-
-def agree(people: Sequence[np.ndarray], size: tuple[int, int], agreement: Agreement) -> Truth:
-    """The truth (H,W) that follows from what several people said, each uint8 (H,W).
-
-    A pixel is road when more than half of the people say so (``majority``), any of them
-    (``union``) or all (``intersection``). Who said void at a pixel is not counted there,
-    and it is void where all of them did [ours: one person's blur is no verdict]. Without
-    anybody nothing is road and nothing void.
-    """
-    values = torch.from_numpy(np.stack(people or [np.full(size, OTHER, np.uint8)]))
-    votes, known = (values == ROAD).sum(0), (values != VOID).sum(0)
-    valid = known > 0
-    road = {"majority": 2 * votes > known, "union": votes > 0, "intersection": votes == known}
-    return Truth(road[agreement] & valid, valid)
-
-
 # --- outlines ---------------------------------------------------------------------------
 
 
 class Outline(NamedTuple):
-    """A closed polygon int (N,2), N ≥ 3, through centres of border pixels, as (x, y); its label."""
+    """A closed polygon int (N,2), N ≥ 3, through centres of border pixels, as (x, y).
+
+    label: 1 for road, 0 for a hole in it.
+    """
 
     label: int
     points: np.ndarray
 
 
-def outlines(labels: np.ndarray, ground: int = 0) -> list[Outline]:
-    """The outlines of labels uint8 (H,W) that, filled one over the other, give them back exactly.
+def outlines(mask: np.ndarray) -> list[Outline]:
+    """Return the outlines that, filled one over the other, give a mask bool (H,W) back exactly.
 
-    ground: what a pixel is that nothing is drawn over. Regions first, then what lies in their
-    holes, and so on: each drawing covers what it should and perhaps more, and the next one takes
-    back the surplus. Suzuki and Abe, "Topological structural analysis of digitized binary images"
-    (1985), follow the borders. Polygons of one or two pixels repeat their last corner.
+    Regions come first, then their holes, then the islands in these. Each polygon covers at least
+    its region; the next ones take back the surplus. Suzuki and Abe, "Topological structural
+    analysis of digitized binary images" (1985), follow the borders. Polygons of one or two pixels
+    repeat their last corner.
     """
-    drawing: list[Outline] = []
-    wanted, drawn = labels.astype(np.uint8), np.full(labels.shape, ground, np.uint8)
+    polygons: list[Outline] = []
+    wanted, drawn = mask.astype(np.uint8), np.zeros(mask.shape, np.uint8)
     while (missing := drawn != wanted).any():
-        for label in reversed(np.unique(wanted[missing]).tolist()):
+        for label in (1, 0):
             region = (missing & (wanted == label)).astype(np.uint8)
             borders = cv2.findContours(region, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
             for border in sorted(borders, key=lambda border: tuple(border.reshape(-1, 2)[0])):
                 points = border.reshape(-1, 2)
                 lacking = max(CORNERS - len(points), 0)
                 points = np.concatenate([points, np.repeat(points[-1:], lacking, 0)])
-                drawing.append(Outline(label, points))
+                polygons.append(Outline(label, points))
                 cv2.fillPoly(drawn, [border], label)
-    return drawing
+    return polygons
+
+
+def labelme_document(mask: np.ndarray, file: str) -> dict[str, Any]:
+    """Return the outlines of a mask bool (H,W) as the program labelme stores them.
+
+    file: name of the image, which belongs beside the document.
+    """
+    height, width = mask.shape
+    shapes = [
+        {
+            "label": NAMES[outline.label],
+            "points": outline.points.tolist(),
+            "group_id": None,
+            "description": "",
+            "shape_type": "polygon",
+            "flags": {},
+            "mask": None,
+        }
+        for outline in outlines(mask)
+    ]
+    return {
+        "version": "5.5.0",
+        "flags": {},
+        "shapes": shapes,
+        "imagePath": file,
+        "imageData": None,
+        "imageHeight": height,
+        "imageWidth": width,
+    }
+
+
+class _Shape(Imported):
+    label: str
+    points: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(min_length=CORNERS)]
+
+
+class _Document(Imported):
+    shapes: tuple[_Shape, ...]
+    imageHeight: Side  # noqa: N815, as labelme has it
+    imageWidth: Side  # noqa: N815
+
+
+def read_outlined_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
+    """Read the mask bool (H,W) of a ``labelme_document``.
+
+    DatasetError for a file that is none, or is for an image of another size.
+    """
+    mask = np.zeros(size, np.uint8)
+    with imported(path, "remove it and infer the image again") as data:
+        document = _Document.model_validate_json(data)
+        if (document.imageHeight, document.imageWidth) != size:
+            given = f"{document.imageWidth} by {document.imageHeight}"
+            raise ValueError(f"it is for {given} pixels, its picture has {size[1]} by {size[0]}")
+        for shape in document.shapes:
+            points = np.array(shape.points).round().astype(np.int32)
+            cv2.fillPoly(mask, [points], int(shape.label == NAMES[1]))
+    return mask > 0
 
 
 # --- COCO -------------------------------------------------------------------------------

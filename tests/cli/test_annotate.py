@@ -93,9 +93,9 @@ def test_report_export_and_import(call: Call, corrected: Path, tmp_path: Path) -
     [
         (("--export", "coco"), "Missing option '--to'"),
         (("--import", "coco"), "Missing option '--from'"),
-        (("--export", "xml", "--to", "x"), "'xml' is not one of 'labelme', 'png', 'coco'"),
-        (("--import", "labelme", "--from", "x", "--user", "a b"), "is no name for a user"),
-        (("--import", "labelme", "--from", "x"), "has no file for any of the pictures"),
+        (("--export", "xml", "--to", "x"), "'xml' is not one of 'png', 'coco'"),
+        (("--import", "png", "--from", "x", "--user", "a b"), "is no name for a user"),
+        (("--import", "png", "--from", "x"), "has no file for any of the pictures"),
         (("--report", "--out", "nowhere"), "nowhere: is no folder"),
         ((*QUICK, "--out", "{}/a.jpg"), "a.jpg: cannot be made a folder"),
         ((*QUICK, "--out", "{}/a.jpg"), "give another --out"),

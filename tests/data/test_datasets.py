@@ -19,7 +19,6 @@ def test_the_sets_that_come_along():
     assert list_datasets() == [
         *("camvid", "camvid32", "camvid32:literal", "camvid32:literal-ignore"),
         *("cityscapes", "folder", "idd-lite", "kitti-road"),
-        *("labelme", "labelme:intersection", "labelme:union"),
     ]
     assert all(dataset_kind(name).splits for name in list_datasets())
 

@@ -1,13 +1,11 @@
 """What cannot be read is refused in one line that names the file: a table for all readers."""
 
-import base64
 import io
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,21 +17,9 @@ from roadtorch.data.correction_formats import FORMATS
 from roadtorch.data.corrections import read_corrections
 from roadtorch.data.dataset import LabelledItem
 from roadtorch.data.kitti import birds_eye
-from roadtorch.data.labelme import PolygonLabels, read_annotation
 from roadtorch.data.labels import ColourLabels, NumberLabels, pairs
 from roadtorch.data.maps import map_likelihood, parse_maps
-from tests.data.conftest import (
-    BLOB,
-    SIZE,
-    SIZE_XML,
-    Content,
-    document,
-    object_xml,
-    polygon_xml,
-    shape,
-    write,
-    xml,
-)
+from tests.data.conftest import Content, write
 
 Files = Mapping[str, Content]
 Read = Callable[[Path], object]
@@ -134,14 +120,6 @@ SETS: Rows = [
      "thumb", "is not the name of a KITTI road picture"),
     (lambda folder: birds_eye(open_dataset("kitti-road", folder)), KITTI, "calib",
      "does not exist"),
-    (partial(open_dataset, "labelme"),
-     {"images/a.png": BLACK, "images/b.png": BLACK, "annotations/b.xml": ""},
-     "annotations/a.xml", "missing, .* 1 of 2 annotations"),
-    (partial(open_dataset, "labelme"),
-     {"images/a.png": BLACK, "annotations/a.xml": "", "annotations/a.json": ""},
-     "a.xml", r"and a\.json are both for the picture a"),
-    (partial(open_dataset, "labelme"), {"images/a.png": BLACK, "images/a.bmp": BLACK},
-     "a.png", r"has the name of a\.bmp"),
     (lambda folder: open_dataset("camvid", folder / "nowhere"), {}, "nowhere", "is not a folder"),
 ]  # fmt: skip
 
@@ -167,94 +145,6 @@ CONDITIONS: Rows = [
         (b"name,file,condition\n\xff\xfe,a,b\n", "csv", "cannot be read: 'utf-8' codec"),
     ]
 ]
-
-# --- drawn shapes -----------------------------------------------------------------------
-
-
-def road_xml(*points: tuple[object, object]) -> str:
-    return xml(object_xml(polygon_xml(points)))
-
-
-BOMB = (
-    '<?xml version="1.0"?><!DOCTYPE lolz [<!ENTITY lol "lol">'
-    + "".join(
-        f'<!ENTITY lol{i} "{f"&lol{i - 1};" * 10}">'.replace("lol0", "lol") for i in range(1, 9)
-    )
-    + "]><annotation><filename>&lol8;</filename></annotation>"
-)
-OUTSIDE = '<!DOCTYPE a [<!ENTITY e SYSTEM "file:///etc/passwd">]><annotation>&e;</annotation>'
-
-XML: Rows = [
-    (lambda folder: read_annotation(folder / "a.xml", SIZE), {"a.xml": text}, "a.xml", what)
-    for text, what in [
-        ("<annotation><object>", "is not XML: no element found"),
-        ("", "is not XML"),
-        ('<?xml version="1.0" encoding="klingon"?><annotation/>', "unknown encoding"),
-        (BOMB, "declares entities, which can be a bomb"),
-        (OUTSIDE, "declares entities"),
-        ("<html></html>", "not a LabelMe annotation: .* 'html'"),
-        *(
-            (road_xml((1, word), *BLOB), rf"shapes\.0\.points\.0\.1: .* '{word}' was given")
-            for word in ("nan", "inf", "", "1e300")
-        ),
-        (road_xml((-17, 3), *BLOB), r"'road' from \(-17, 3\) .*far outside"),
-        (road_xml((1, 25), *BLOB), "far outside its picture of 16 by 12"),
-        (xml(size=SIZE_XML.replace("12", "24")), "is for 16 by 24 pixels, .* has 16 by 12"),
-        (xml(size=SIZE_XML.replace("12", "-1")), "imageHeight: .* equal to 1, '-1' was given"),
-        (xml(size=SIZE_XML.replace("12", "many")), "imageHeight: .* 'many' was given"),
-        (xml("<object><segm><mask>m.png</mask></segm></object>"), r"is a mask file \(segm\)"),
-    ]
-]  # fmt: skip
-
-
-def mask_shape(kind: str = "PNG", **more: Any) -> dict[str, Any]:
-    file = io.BytesIO()
-    Image.new("RGB", (3, 2)).save(file, kind)
-    mask = base64.b64encode(file.getvalue()).decode()
-    return shape([[1, 2], [3, 3]], "mask", mask=mask) | more
-
-
-JSON: Rows = [
-    (lambda folder: read_annotation(folder / "a.json", SIZE), {"a.json": text}, "a.json", what)
-    for text, what in [
-        ("{", "is not JSON"),
-        ("[" * 100_000, "is not JSON"),
-        ("[]", "it: input should be an object"),
-        ('{"shapes": {}}', "shapes: input should be a valid array"),
-        (document({"points": []}), r"shapes\.0\.label is missing"),
-        (document(shape([(1, 2), (3, 4)])), "'road' of type 'polygon' with 2 points"),
-        (document(shape(BLOB, "star")), "'road' of type 'star'"),
-        (document(shape([1, 2, 3])), r"shapes\.0\.points\.0: .* array, 1 was given"),
-        (document(shape([(0, 0), (1, 1), (1, float("nan"))])),
-         r"shapes\.0\.points\.2\.1: .*, nan was given"),
-        (document(shape([(0, 0), (1, 1), (1, True)])), r"points\.2\.1: .*, True was given"),
-        (document(shape([(0, 0), (1, 1), (1e9, 1)])), r"points\.2\.0: .* 1000000000.0 was"),
-        (document(shape([(0, 0), (1, 1), (1e6, 1)])), "far outside"),
-        (document(shape([(5, 5), (5, 40)], "circle")), r"from \(-30, -30\) to \(40, 40\), far"),
-        (document(shape([(0, 0), (1e308, 1e308)], "circle")), "1e\\+308 was given"),
-        (document(imageHeight=2**70), "imageHeight: .* was given"),
-        (document(imageHeight=8), "is for 16 by 8 pixels"),
-        (document(mask_shape(mask="?")), "mask 'road' that cannot be decoded"),
-        (document(mask_shape(mask=None)), "mask 'road' that cannot be decoded"),
-        (document(mask_shape(points=[[1, 2], [4, 3]])), "is 3 by 2, its box 4 by 2"),
-        *((document(mask_shape(kind)), "mask 'road' that cannot be decoded")
-          for kind in ("EPS", "GIF", "TIFF", "BMP")),
-    ]
-]  # fmt: skip
-
-BLOB_XML = xml(object_xml(polygon_xml(BLOB, "anna")))
-
-
-def carls(folder: Path) -> object:
-    return PolygonLabels(user="carl").truth(
-        LabelledItem("a", folder / "a.png", folder / "a.xml", extra=(folder / "a.ben.xml",))
-    )
-
-
-PEOPLE: Rows = [
-    (carls, {"a.png": np.zeros(SIZE, np.uint8), "a.xml": BLOB_XML, "a.ben.xml": BLOB_XML},
-     "a.xml", "has nothing from the user carl .*by anna, ben"),
-]  # fmt: skip
 
 # --- corrections ------------------------------------------------------------------------
 
@@ -338,11 +228,7 @@ LOGS: Rows = [
      r"has other values than 0 to 7 \(0 is untouched, 1 road"),
     (partial(read_format, "png"), {"labels/a.png": grey(0, 0, 0)}, "labels/a.png",
      r"has 3 by 1 pixels \(its picture has 2 by 1"),
-    (partial(read_format, "labelme"), {"a.json": document()}, "a.json", "is for 16 by 12 pixels"),
-    *(
-        (partial(read_format, name), {}, "", "has no file for any of the pictures")
-        for name in ("labelme", "png")
-    ),
+    (partial(read_format, "png"), {}, "", "has no file for any of the pictures"),
 ]  # fmt: skip
 
 # --- maps -------------------------------------------------------------------------------
@@ -394,7 +280,6 @@ OPTIONS: Rows = [
     (lambda folder: open_dataset("camvit", folder), {}, "camvit", "unknown data set .*camvid"),
     (lambda folder: open_dataset("camvid", folder, "trian"), {}, "trian",
      "unknown split of camvid .*train"),
-    (lambda _: PolygonLabels(agreement="most"), {}, "most", "unknown agreement .*majority"),  # pyright: ignore
     (lambda folder: birds_eye(open_dataset("camvid32", folder)), FRAME, "camvid32",
      "has no bird's-eye view"),
     (lambda _: parse_maps(["net=nothing"]), {}, "nothing", "is not a folder"),
@@ -417,7 +302,7 @@ OPTIONS: Rows = [
 ]  # fmt: skip
 
 REFUSALS = [
-    *((DatasetError, row) for row in (*LABEL_PICTURES, *SETS, *CONDITIONS, *XML, *JSON, *PEOPLE)),
+    *((DatasetError, row) for row in (*LABEL_PICTURES, *SETS, *CONDITIONS)),
     *((DatasetError, row) for row in (*COCO, *LOGS)),
     *((InputError, row) for row in MAPS),
     *((ConfigError, row) for row in OPTIONS),

@@ -1,6 +1,5 @@
 """Every kind of file that the package reads: one of ours that was tampered with, and its reader."""
 
-import base64
 import io
 import json
 import tempfile
@@ -25,8 +24,8 @@ from roadtorch.data.corrections import Correction
 from roadtorch.data.dataset import LabelledItem
 from roadtorch.data.events import read_log
 from roadtorch.data.folder import FolderLabels, with_conditions
-from roadtorch.data.labelme import PolygonLabels
 from roadtorch.data.maps import CONFIG, deciding_settings, map_likelihood, map_mask, read_map
+from roadtorch.data.polygons import labelme_document, read_outlined_mask
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
 from roadtorch.evaluation.methods import Contender, earlier_thresholds, named_detector
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
@@ -196,45 +195,9 @@ def read_camera(path: Path) -> bool:
 # --- labels -------------------------------------------------------------------------------
 
 
-def make_labelme(draw: Draw, folder: Path) -> bytes:
-    """JSON beside its picture, with a mask inside."""
-    Image.new("RGB", (WIDTH, HEIGHT)).save(folder / "a.png")
-    data = io.BytesIO()
-    kind = one_of(draw, "PNG", "PNG", "JPEG", "GIF", "TIFF", "EPS")
-    Image.new("L", (4, 3), 255).save(data, kind)
-    mask = data.getvalue()
-    mask = tampered(draw, mask, OF_PICTURES) if one_of(draw, 0, 1, 2) else mask
-    shapes = [
-        ([[1, 1], [9, 1], [9, 8]], "polygon", {}),
-        ([[2, 3], [9, 8]], "rectangle", {}),
-        ([[5, 5], [7, 7]], "circle", {}),
-        ([[3, 3], [6, 5]], "mask", {"mask": base64.b64encode(mask).decode()}),
-        ([[1, 1]], "point", {}),
-    ]
-    drawn = [
-        {"label": "road", "points": points, "shape_type": name, "group_id": None, **more}
-        for points, name, more in draw(st.lists(st.sampled_from(shapes), min_size=1, max_size=5))
-    ]
-    document = {"version": "5.5.0", "shapes": drawn, "imageHeight": HEIGHT, "imageWidth": WIDTH}
-    return tampered_json(draw, document)
-
-
-XML = f"""<?xml version='1.0' encoding='utf-8'?>
-<annotation><imagesize><nrows>{HEIGHT}</nrows><ncols>{WIDTH}</ncols></imagesize>
-<object><name>road</name><deleted>0</deleted><polygon><username>anna</username>
-<pt><x>2</x><y>3</y></pt><pt><x>9</x><y>3</y></pt><pt><x>9</x><y>8</y></pt>
-</polygon></object></annotation>"""
-
-
-def make_xml(draw: Draw, folder: Path) -> bytes:
-    """LabelMe's XML beside its picture."""
-    Image.new("RGB", (WIDTH, HEIGHT)).save(folder / "a.png")
-    return tampered(draw, XML.encode(), OF_TEXT)
-
-
-def read_truth(path: Path) -> bool:
-    truth = PolygonLabels().truth(LabelledItem("a", path.parent / "a.png", path))
-    return truth.road.shape == truth.valid.shape == (HEIGHT, WIDTH)
+def make_outlines(draw: Draw, _: Path) -> bytes:
+    """Outlines of a mask as ``infer`` writes them."""
+    return tampered_json(draw, labelme_document(NUMBERS > 3, "a.png"))
 
 
 def make_labels(draw: Draw, _: Path) -> bytes:
@@ -402,12 +365,14 @@ KINDS: Mapping[str, Kind] = {
     "configs": Kind("config.toml", make_config, read_config),
     "sets": Kind("sets.txt", make_assignments, read_assignments),
     "camera": Kind("camera.toml", of_file(CAMERA.write, OF_TEXT), read_camera),
-    "labelme": Kind("a.json", make_labelme, read_truth),
-    "xml": Kind("a.xml", make_xml, read_truth),
+    "outlines": Kind(
+        "a.labelme.json",
+        make_outlines,
+        lambda path: read_outlined_mask(path, (HEIGHT, WIDTH)).shape == (HEIGHT, WIDTH),
+    ),
     "labels": Kind("label.png", make_labels, read_labels),
     "ego": Kind("ego.png", make_labels, lambda path: read_ego_mask(str(path)).dtype == torch.bool),
     "imported coco": imported("coco", "coco.json"),
-    "imported json": imported("labelme", "a.json"),
     "journals": Kind("a.png.ann.strokes.jsonl", make_journal, read_journal),
     "conditions": Kind("conditions.csv", of_text(CONDITIONS), read_conditions),
     "calibration": Kind("calib.txt", make_calibration, read_from_above),

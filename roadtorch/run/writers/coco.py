@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roadtorch.base.atomic import atomic
-from roadtorch.data.labelme import NAMES, read_annotation
-from roadtorch.data.polygons import coco_region, filled_shapes
+from roadtorch.data.polygons import coco_region, read_outlined_mask
 from roadtorch.run.folder import COCO, ResultFolder
 from roadtorch.run.ledger import INDEX, read_index
 
@@ -50,9 +49,7 @@ def write_coco(folder: ResultFolder) -> None:
                 annotation = Path(scratch, "annotation.json")
                 annotation.write_bytes(folder.read(name) or b"")
             size = int(ready[file].height), int(ready[file].width)
-            drawings = read_annotation(annotation, size)
-            shapes = [(drawing.fill, int(drawing.name == NAMES[1])) for drawing in drawings]
-            return filled_shapes(shapes, size) > 0
+            return read_outlined_mask(annotation, size)
 
         path = folder.path / COCO
         with atomic(path) as temporary, temporary.open("w", encoding="utf-8") as text:

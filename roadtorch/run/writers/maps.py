@@ -11,8 +11,8 @@ from torch import Tensor
 from roadtorch.base.atomic import make_folder, write_json
 from roadtorch.base.image import write_colours, write_map, write_mask, write_npy, write_overlay
 from roadtorch.base.version import __version__
-from roadtorch.data.labelme import labelme_document
 from roadtorch.data.maps import MASK
+from roadtorch.data.polygons import labelme_document
 from roadtorch.detectors.detector import Detection
 from roadtorch.inputs.item import Item
 from roadtorch.layout.classes import LAYOUT_COLOURS, layout_colours

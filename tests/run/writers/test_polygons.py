@@ -1,4 +1,4 @@
-"""Polygons are the mask, to the pixel, for our reader of labelme's files and for COCO's rules."""
+"""Polygons are the mask, to the pixel, for the reader of outlines and for COCO's rules."""
 
 import json
 from pathlib import Path
@@ -8,11 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
-from PIL import Image
 from skimage.draw import polygon2mask
 
-from roadtorch.data.labelme import labelme_document, open_labelme
-from roadtorch.data.polygons import coco_polygons
+from roadtorch.base.errors import DatasetError
+from roadtorch.data.polygons import coco_polygons, labelme_document, read_outlined_mask
 from roadtorch.run.writers.coco import CocoPicture, coco_text
 
 MASKS = arrays(bool, array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=14))
@@ -28,11 +27,8 @@ def nested(size: int = 60) -> np.ndarray:
 
 
 def reread(mask: np.ndarray, folder: Path) -> np.ndarray:
-    """The mask as roadtorch's labelme data set draws it."""
-    Image.new("RGB", mask.shape[::-1]).save(folder / "x.png")
-    (folder / "x.labelme.json").write_text(json.dumps(labelme_document(mask, "x.png")))
-    dataset = open_labelme(folder, "all")
-    return dataset.reader.truth(dataset.items[0]).road.numpy()
+    (folder / "x.json").write_text(json.dumps(labelme_document(mask, "x.png")))
+    return read_outlined_mask(folder / "x.json", mask.shape)
 
 
 @settings(max_examples=40)
@@ -50,6 +46,21 @@ def test_nested_holes_and_dots_come_back(tmp_path: Path) -> None:
 
     assert np.array_equal(reread(mask, tmp_path), mask)
     assert set(labels) == {"road", "not road"}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"imageWidth": 61}, "it is for 61 by 60 pixels"),
+        ({"shapes": [{"label": "road", "points": [[1, 2], [3, 4]]}]}, "at least 3 items"),
+    ],
+)
+def test_outlines_of_another_image_are_refused(
+    change: dict[str, object], message: str, tmp_path: Path
+) -> None:
+    (tmp_path / "x.json").write_text(json.dumps(labelme_document(nested(), "x.png") | change))
+    with pytest.raises(DatasetError, match=message):
+        read_outlined_mask(tmp_path / "x.json", (60, 60))
 
 
 def drawn(polygons: list[list[int]], shape: tuple[int, int]) -> np.ndarray:
