@@ -58,7 +58,7 @@ OUTPUTS = {
     "footage/unsteady": "infer clip.mp4 --no-steady --start 2 --end 2.5",
     "footage/ros2": f"infer drive --save {FOOTAGE}",
     "footage/ros1": f"infer drive.bag --save {FOOTAGE}",
-    "footage/mixed": "infer pictures clip.mp4 drive.bag --detector layout --limit 3",
+    "footage/mixed": "infer pictures clip.mp4 drive.bag --detector labeller --limit 3",
     "grid/pictures": "grid pictures --height 1.5 --fov 60 --likelihood --picture",
     "grid/pitched": "grid pictures --height 1.5 --fov 60 --pitch 3 --likelihood",
     "grid/video": "grid clip.mp4 --height 1.5 --fov 60 --limit 8 --picture",

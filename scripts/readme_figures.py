@@ -87,7 +87,7 @@ def of_exported(words: str, root: str, detectors: Sequence[str], compared: str =
 
 
 RUNS = {
-    "many": Run("folder DATA/many --leave-out india_zed", (*FUSIONS, "layout", "labeller", "ufl")),
+    "many": Run("folder DATA/many --leave-out india_zed", (*FUSIONS, "labeller", "ufl")),
     "camvid": Run("camvid DATA/camvid", ROAD),
     "idd": Run(
         "idd-lite DATA/idd_lite --mean-from camvid:DATA/camvid "

@@ -13,7 +13,7 @@ from roadtorch.train.config import PatchTraining, build_training
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 THRESHOLDS = sorted((CONFIGS / "thresholds").glob("*.toml"))
 TRAINING = sorted(CONFIGS.glob("*.toml"))
-OWN = ("ufl", "ufl:kitti", "ufl:original", "fusion", "fusion:untrained", "layout", "labeller")
+OWN = ("ufl", "ufl:original", "fusion", "fusion:untrained", "labeller")
 """Their default is not CamVid's: it is the mask that the method chooses (ufl), or serves seventeen
 cameras (docs/many.md)."""
 

@@ -2,7 +2,7 @@
 
     python -m train.calibrate calibration DATA [--detector fusion:large] [--weights FILE]
     python -m train.calibrate trust DATA --worlds WORLDS [--detector fusion:large]
-    python -m train.calibrate threshold DATA --detector layout
+    python -m train.calibrate threshold DATA --detector layout:cnn-7
 
 DATA holds ``many/`` and ``camvid/``. A camera is a folder of many/ or a drive of CamVid (every
 fourth frame); each counts the same, and what is said of a camera was chosen on the others. IDD

@@ -26,7 +26,7 @@ from roadtorch.cli.options import PATH, SETTING
 )
 @SETTING
 def export(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> None:
-    """Write the part of a detector that runs without Python: fusion, layout, layout:cnn-7.
+    """Write the part of a detector that runs without Python: fusion, layout:cnn-7.
 
     The file takes pictures as bytes (N, height, width, 3) in RGB, of any size, and gives maps of
     that size: all that happens before and behind the network is inside, but what needs connected

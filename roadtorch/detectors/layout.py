@@ -7,10 +7,10 @@ from torch import Tensor, nn
 
 from roadtorch.detectors.detector import TUNED, Analysis, Entry, Threshold, WorkingSettings, lean
 from roadtorch.imaging.slic import Superpixels
-from roadtorch.layout.classes import HORIZONTAL, Share, pooled
-from roadtorch.layout.labeller import HorizonSettings, decide_layout, label_whole
+from roadtorch.layout.classes import HORIZONTAL
+from roadtorch.layout.labeller import HorizonSettings, label_whole
 from roadtorch.layout.patch_network import PatchNetwork
-from roadtorch.layout.weights import FOR_PICTURES, WeightsFile, network_of, picture_network_of
+from roadtorch.layout.weights import WeightsFile, network_of
 
 
 class LabellerDetectorSettings(WorkingSettings):
@@ -26,16 +26,6 @@ class Cnn7Settings(WorkingSettings):
 
     threshold: Threshold = Field(default=0.425, description=TUNED)
     weights: WeightsFile = WeightsFile()
-
-
-class LayoutSettings(WorkingSettings):
-    """The layout by a network for whole pictures and by the labeller."""
-
-    threshold: Threshold = Field(default=0.95, description=TUNED)
-    superpixels: Superpixels = Superpixels()
-    labeller: HorizonSettings = HorizonSettings()
-    weights: WeightsFile = WeightsFile()
-    share: Share = 0.8
 
 
 @lean
@@ -62,32 +52,7 @@ class Cnn7(nn.Module):
         return {"likelihood": potentials[HORIZONTAL], "layout": potentials}
 
 
-class Layout(nn.Module):
-    """The ground that a network for whole pictures and the labeller agree on. Ours."""
-
-    def __init__(self, settings: LayoutSettings) -> None:
-        super().__init__()
-        self.settings = settings
-        self.network = picture_network_of(settings.weights, FOR_PICTURES)
-
-    @lean
-    def forward(self, image: Tensor) -> dict[str, Tensor]:
-        """The cues of an image (3,H,W) in [0,1]."""
-        own = label_whole(image, self.settings.labeller, self.settings.superpixels)
-        learned = self.network.cues(image)
-        potentials = pooled(own.potentials, learned["layout"], self.settings.share)
-        return {
-            "likelihood": potentials[HORIZONTAL],
-            "layout": potentials,
-            "layout_labels": decide_layout(potentials.flatten(1).T).view(image.shape[1:]),
-            "learned_road": learned["road"],
-        }
-
-
 ENTRIES = (
-    Entry(
-        "layout", "layout by a network and the labeller: the best we know", LayoutSettings, Layout
-    ),
     Entry(
         "layout:cnn-7",
         "ground of the layout by CNN-7 (Álvarez 2012), trained as we do",

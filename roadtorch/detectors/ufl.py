@@ -105,13 +105,6 @@ ENTRIES = (
             "road": {"weight": 1.5, "place": "ahead", "dilation": 2},
         },
     ),
-    Entry(
-        "ufl:kitti",
-        "ufl:original with the blur of the paper's Table II",
-        UflSettings,
-        UFL,
-        values={"smoothing": {"sigma": 2.5}},
-    ),
     Entry("ufl:paper", "the same after the text of the paper", UflSettings, UFL, values=TEXT),
     Entry("ufl:original", "the same after the authors' program", UflSettings, UFL),
 )

@@ -19,19 +19,18 @@ from roadtorch.base.version import __version__
 from roadtorch.detectors.catalogue import detector_entry
 from roadtorch.detectors.detector import MIN_SIDE, Detector
 from roadtorch.detectors.fusion import Fusion, FusionSettings
-from roadtorch.detectors.layout import Cnn7, Cnn7Settings, Layout, LayoutSettings
+from roadtorch.detectors.layout import Cnn7, Cnn7Settings
 from roadtorch.export.files import Run, open_onnx, open_openvino, write_onnx, write_openvino
-from roadtorch.export.graph import OUTPUTS, EveryPixel, FusedRoad, Graph, LearnedLayout
+from roadtorch.export.graph import OUTPUTS, EveryPixel, FusedRoad, Graph
 from roadtorch.imaging.resize import Maps, at_picture_size, at_work, resized, size_of
-from roadtorch.layout.classes import HORIZONTAL
-from roadtorch.layout.weights import FOR_PICTURES, WholePictureNetwork, terms_of, weights_path
+from roadtorch.layout.weights import FOR_PICTURES, terms_of, weights_path
 from roadtorch.road.outlines import outlined
 from roadtorch.testing.scenes import render_scene
 
 # --- what of a detector can be exported --------------------------------------------------
 
 
-CAN = ("fusion", "layout", "layout:cnn-7")
+CAN = ("fusion", "layout:cnn-7")
 
 ISOLATED = "dropping of isolated road"
 
@@ -90,15 +89,6 @@ def part_of(detector: Detector) -> Exportable:
                 if file
             ),
         )
-    elif isinstance(analysis, Layout) and isinstance(settings, LayoutSettings):
-        part = Exportable(
-            "its learned layout and ego car",
-            f"the labeller, {ISOLATED}",
-            LearnedLayout(analysis.network),
-            partial(learned_maps, analysis.network),
-            ("weights", "threshold"),
-            (weights_path(settings.weights.file or FOR_PICTURES),),
-        )
     elif isinstance(analysis, Cnn7) and isinstance(settings, Cnn7Settings):
         part = Exportable(
             "its likelihood and layout",
@@ -128,13 +118,6 @@ def fused_maps(analysis: Fusion, settings: FusionSettings, image: Tensor) -> dic
         "seed_area": at_picture_size(cues["seed_area"], full).float(),
         "trust": torch.tensor(analysis.judge(mask, cues).trust),
     }
-
-
-def learned_maps(network: WholePictureNetwork, image: Tensor) -> dict[str, Tensor]:
-    """What ``LearnedLayout`` has to give of an image (3,H,W) in [0,1]: likelihood, layout, ego."""
-    cues = network.cues(image)
-    layout = cues["layout"]
-    return {"likelihood": layout[HORIZONTAL], "layout": layout, "ego": cues["ego"]}
 
 
 def detected_maps(detector: Detector, image: Tensor) -> dict[str, Tensor]:

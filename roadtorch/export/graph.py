@@ -57,23 +57,6 @@ OUTPUTS: Mapping[str, str] = {
 """What graphs give, by name."""
 
 
-class LearnedLayout(nn.Module):
-    """``cues`` of the network of ``layout``, for bytes: its horizontal, layout, ego."""
-
-    outputs = ("likelihood", "layout", "ego")
-
-    def __init__(self, network: WholePictureNetwork) -> None:
-        super().__init__()
-        self.network = network
-
-    def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Maps (N,H,W), (N,3,H,W) and (N,H,W) of pictures uint8 (N,H,W,3) RGB."""
-        planes = planes_of(image)
-        maps = averaged(potentials(self.network, planes), *planes.shape[-2:]).clamp(0, 1)
-        layout = maps[:, :CLASSES]
-        return layout[:, HORIZONTAL], layout, maps[:, EGO]
-
-
 class FusedRoad(nn.Module):
     """``fusion`` for bytes: likelihood, layout, ego, seed area, trust.
 
@@ -141,7 +124,7 @@ class EveryPixel(nn.Module):
         return layout[:, HORIZONTAL], layout
 
 
-Graph = LearnedLayout | FusedRoad | EveryPixel
+Graph = FusedRoad | EveryPixel
 """A module that can be exported; ``outputs`` are the names of what it gives."""
 
 

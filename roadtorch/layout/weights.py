@@ -264,7 +264,7 @@ def card_of(path: Path) -> str:
 Network = TypeVar("Network", bound=LayoutNetwork)
 
 FOR_PICTURES = "backbone-free"
-"""The shipped weights that `fusion` and `layout` take unless told otherwise."""
+"""The shipped weights that `fusion` takes unless told otherwise."""
 
 
 class WeightsFile(Settings):

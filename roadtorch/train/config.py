@@ -117,7 +117,7 @@ class Beginning(Settings):
     start: str = Field(
         default="",
         description="weight file of the same network to start from, or the name of one that is "
-        "shipped, such as layout; none: new weights",
+        "shipped, such as layout-free; none: new weights",
     )
     corrections: PeoplesShare = PeoplesShare()
 

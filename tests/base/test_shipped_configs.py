@@ -16,7 +16,7 @@ def test_every_file_has_a_name_that_leads_to_it() -> None:
     files = {config_file(name).resolve() for name in shipped_configs()}
 
     assert files == set((REPOSITORY / "configs").rglob("*.toml"))
-    assert {"adapt", "layout-free", "thresholds/layout"} <= {*shipped_configs()}
+    assert {"adapt", "layout-free", "thresholds/labeller"} <= {*shipped_configs()}
 
 
 def test_a_file_goes_before_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

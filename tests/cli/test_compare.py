@@ -152,6 +152,6 @@ def test_what_cannot_be_compared_is_told(
 
 def test_one_kind_of_pictures_is_asked_for(streets: Path, tmp_path: Path) -> None:
     assert run("fusion", "prior:rows").exit_code == 2
-    assert run("fusion", "layout", "--images", streets, "--labelled", "folder:x").exit_code == 2
+    assert run("fusion", "labeller", "--images", streets, "--labelled", "folder:x").exit_code == 2
     with pytest.raises(DatasetError, match="holds no corrections"):
         run("prior:rows", "prior:triangle", "--corrections", tmp_path)

@@ -43,5 +43,5 @@ def test_export_says_in_one_line_what_cannot_be_exported(call: Call, tmp_path: P
     assert result.exit_code == 2
     assert result.stdout == ""
     assert result.stderr == (
-        "roadtorch: error: lbp: cannot be exported (those that can: fusion, layout, layout:cnn-7)\n"
+        "roadtorch: error: lbp: cannot be exported (those that can: fusion, layout:cnn-7)\n"
     )

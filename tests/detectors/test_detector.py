@@ -85,7 +85,7 @@ def test_deferred_maps_are_made_to_cross_the_border_of_a_process() -> None:
         assert all(torch.equal(copies[name], maps[name]) for name in maps)
 
 
-@pytest.mark.parametrize("name", ["fusion", "layout", "labeller", "cpf", "lbp", "prior:rows"])
+@pytest.mark.parametrize("name", ["fusion", "labeller", "cpf", "lbp", "prior:rows"])
 def test_detections_hold_ordinary_tensors(name: str) -> None:
     image = scene(1, 48, 64).image  # below the working size: nothing is resized
 
@@ -111,7 +111,7 @@ def test_what_is_kept_for_later_calls_is_no_tensor_of_inference_mode() -> None:
     assert [tensor.is_inference() for tensor in kept] == [False] * len(kept)
 
 
-@pytest.mark.parametrize("name", ["fusion", "layout", "ufl", "oneclass:gaussian:RGB"])
+@pytest.mark.parametrize("name", ["fusion", "layout:cnn-7", "ufl", "oneclass:gaussian:RGB"])
 def test_numbers_are_float32_whatever_autocast_is_around(name: str) -> None:
     image, detector = scene(1, 48, 64).image, load_detector(name)
 
@@ -122,7 +122,7 @@ def test_numbers_are_float32_whatever_autocast_is_around(name: str) -> None:
 
 
 def test_a_network_can_be_compiled_and_a_detector_says_so() -> None:
-    image, detector = scene(1, 48, 64).image, load_detector("layout")
+    image, detector = scene(1, 48, 64).image, load_detector("fusion")
     with pytest.raises(ConfigError, match=r"torch\.compile: takes no detector"):
         torch.compile(detector, backend="eager")(image)
     before = detector(image)

@@ -148,25 +148,11 @@ def test_the_paper_takes_another_descriptor_and_a_prior_where_told() -> None:
     np.testing.assert_allclose(placed.likelihood, wanted, atol=1e-6, rtol=0.0)
 
 
-def test_the_layout_is_a_pool_of_two_opinions() -> None:
-    own = load_detector("labeller").detect(street()).cues["layout"]
-    network = load_network(shipped_weights(FOR_PICTURES))
-    learned = network.cues(street())["layout"]
-
-    ends = [load_detector("layout", share=share).detect(street()) for share in (0.0, 1.0)]
-
-    np.testing.assert_allclose(ends[0].cues["layout"], own, atol=1e-3, rtol=0.0)
-    np.testing.assert_allclose(ends[1].cues["layout"], learned, atol=1e-3, rtol=0.0)
-    middle = load_detector("layout", share=0.7).detect(street()).cues["layout"]
-    logs = 0.3 * own.clamp_min(1e-4).log() + 0.7 * learned.clamp_min(1e-4).log()
-    np.testing.assert_allclose(middle, logs.softmax(0), atol=2e-3, rtol=0.0)
-
-
 @pytest.mark.parametrize(
     ("name", "file", "what"),
     [
         ("fusion", lambda page: page, r"page\.safetensors: is damaged"),
-        ("layout", lambda _: shipped_weights("cnn-7"), "a network for patches, not for pictures"),
+        ("fusion", lambda _: shipped_weights("cnn-7"), "a network for patches, not for pictures"),
         ("layout:cnn-7", lambda _: "nowhere.safetensors", "is not a file"),
     ],
 )

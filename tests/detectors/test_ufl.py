@@ -13,7 +13,6 @@ from roadtorch.imaging.resize import resized, size_of
 from roadtorch.testing import flaws
 from roadtorch.testing.scenes import render_scene
 from roadtorch.ufl.maps import dictionary_picture, mosaic
-from roadtorch.ufl.preprocess import Smoothing
 from roadtorch.ufl.road import AS_CHOSEN
 
 BY_NAME = {entry.name: entry for entry in ENTRIES}
@@ -78,14 +77,6 @@ def test_where_no_selected_base_responds_the_likelihood_is_the_mask_alone() -> N
     nothing = cues["mean_map"] == 0
     assert nothing.any()
     assert set(cues["likelihood"][nothing].tolist()) <= {0.0, 0.5}
-
-
-def test_for_kitti_the_blur_is_wider_and_so_is_its_window() -> None:
-    kitti, plain = (detector(name).settings.model_dump() for name in ("ufl:kitti", "ufl:original"))
-
-    assert kitti.pop("smoothing") == {**plain.pop("smoothing"), "sigma": 2.5}
-    assert kitti == plain
-    assert (Smoothing(sigma=1.5).reach, Smoothing(sigma=2.5).reach) == (3, 5)
 
 
 def test_the_best_settings_find_the_road_of_a_plain_street() -> None:

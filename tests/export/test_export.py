@@ -32,7 +32,7 @@ from roadtorch.export.export import (
 from roadtorch.export.files import Run, open_onnx, open_openvino, write_onnx
 from roadtorch.layout.weights import shipped_weights
 from roadtorch.testing import street
-from tests.networks import write_ego_network, write_random_network
+from tests.networks import write_random_network
 
 onnx = pytest.importorskip("onnx", reason="the extra onnx is not installed")
 openvino = pytest.importorskip("openvino", reason="the extra openvino is not installed")
@@ -53,18 +53,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def weights(folder: Path) -> Path:
-    """Those of a small network."""
-    return write_ego_network(folder / "own.safetensors", bottom=0.25)
-
-
-def of_ground(weights: Path) -> Detector:
-    return load_detector("layout", weights={"file": str(weights)}, threshold=0.3)
+def own(folder: Path) -> Detector:
+    """Two networks that nobody trained, and closer looks."""
+    files = [write_random_network(folder / f"{seed}.safetensors", seed) for seed in (0, 1)]
+    first, second = ({"file": str(file)} for file in files)
+    # Networks that know nothing say one half, around which masks flip.
+    return load_detector("fusion", weights=first, second=second, cuts=(0.3, 0.55), threshold=0.9)
 
 
 @pytest.fixture(scope="module")
-def ground(folder: Path, weights: Path) -> Exported:
-    return export_detector(of_ground(weights), folder / "ground.onnx", "onnx")
+def exported(own: Detector, folder: Path) -> Exported:
+    return export_detector(own, folder / "own.onnx", "onnx")  # which checks parity
 
 
 @pytest.fixture(scope="module")
@@ -106,45 +105,22 @@ def test_an_openvino_file_says_what_the_detector_says(cnn7: Exported) -> None:
             assert np.abs(maps[name][0] - values.numpy()).max() < BOUND
 
 
-def test_layout_gives_the_ground_and_weights_of_ones_own_are_taken(
-    weights: Path, ground: Exported
-) -> None:
-    maps = open_onnx(ground.files[0], 1)(pictures(96, 128))
-
-    assert np.allclose(maps["likelihood"], 1 / 3)
-    assert (maps["ego"][0, 80:] > 0.9).all()
-    assert (maps["ego"][0, :64] < 0.1).all()
-    assert ground.notes["weights"] == "own.safetensors"
-    assert ground.notes["weights_sha256"] == digest_of(weights)
-    assert ground.notes["threshold"] == "0.3"
-    assert "non-commercial" not in ground.notes["terms"]
-
-
-def test_a_second_network_and_closer_looks_are_inside(tmp_path: Path) -> None:
-    weights = [write_random_network(tmp_path / f"{seed}.safetensors", seed) for seed in (0, 1)]
-    first, second = ({"file": str(file)} for file in weights)
-    detector = load_detector(
-        "fusion",
-        weights=first,
-        second=second,
-        cuts=(0.3, 0.55),
-        threshold=0.9,  # networks that know nothing say one half, around which masks flip
-    )
-
-    exported = export_detector(detector, tmp_path / "both.onnx", "onnx")  # which checks parity
-
+def test_both_networks_and_closer_looks_are_inside(exported: Exported, folder: Path) -> None:
+    digests = [digest_of(folder / name) for name in ("0.safetensors", "1.safetensors")]
     assert exported.notes["weights"] == "0.safetensors, 1.safetensors"
-    assert exported.notes["weights_sha256"] == ", ".join(map(digest_of, weights))
+    assert exported.notes["weights_sha256"] == ", ".join(digests)
+    assert exported.notes["threshold"] == "0.9"
+    assert exported.notes["terms"].startswith("those of whoever trained them")
 
 
 def test_the_same_detector_gives_the_same_bytes(
-    weights: Path, ground: Exported, tmp_path: Path
+    own: Detector, exported: Exported, tmp_path: Path
 ) -> None:
     again = tmp_path / "again.onnx"
 
-    write_onnx(exportable(of_ground(weights)).module, ground.notes, again)
+    write_onnx(exportable(own).module, exported.notes, again)
 
-    assert again.read_bytes() == ground.files[0].read_bytes()
+    assert again.read_bytes() == exported.files[0].read_bytes()
 
 
 # --- what they say about themselves -------------------------------------------------------
@@ -198,7 +174,6 @@ def test_shapes_are_named_and_no_path_of_this_machine_is_in_a_file(fusion: Expor
         ("lbp", {}, "a.onnx", "onnx", "lbp: cannot be exported"),
         ("fusion:untrained", {}, "a.onnx", "onnx", "cannot be exported"),
         ("fusion", {"ego": {"bottom": 0.2}}, "a.onnx", "onnx", "ego: has no part"),
-        ("layout", {"share": 0.5}, "a.onnx", "onnx", "share: has no part"),
         ("fusion", {}, "a.xml", "onnx", r"a.xml: does not end .* \(name it a.onnx\)"),
         ("fusion", {}, "a.onnx", "openvino", r"\(name it a.xml\)"),
         ("fusion", {}, "a.onnx", "tflite", "tflite: unknown format"),
@@ -214,16 +189,16 @@ def test_what_cannot_be_exported_is_told_before_any_work(
 
 
 def test_a_file_that_says_something_else_is_not_written(
-    ground: Exported, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    exported: Exported, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def write(module: object, notes: object, path: Path) -> None:
-        shutil.copyfile(ground.files[0], path)
+        shutil.copyfile(exported.files[0], path)
 
     form = replace(export_module.FORMATS["onnx"], write=write)
     monkeypatch.setattr(export_module, "FORMATS", {"onnx": form})
 
     with pytest.raises(InputError, match=r"would be .* off in its .* \(nothing was written"):
-        export_detector(load_detector("layout"), tmp_path / "a.onnx", "onnx")
+        export_detector(load_detector("fusion"), tmp_path / "a.onnx", "onnx")
 
     assert not any(tmp_path.iterdir())
 

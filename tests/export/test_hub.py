@@ -63,7 +63,7 @@ def test_both_networks_of_a_detector_are_in_the_folder(tmp_path: Path) -> None:
 def test_weights_without_a_card_have_terms_of_their_own(tmp_path: Path) -> None:
     weights = write_ego_network(tmp_path / "own.safetensors", bottom=0.25)
 
-    export_folder(load_detector("layout", weights={"file": str(weights)}), tmp_path / "hub")
+    export_folder(load_detector("fusion", weights={"file": str(weights)}), tmp_path / "hub")
 
     assert "license: other" in (tmp_path / "hub" / "README.md").read_text(encoding="utf-8")
     assert not (tmp_path / "hub" / "model.md").exists()

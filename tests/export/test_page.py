@@ -196,7 +196,7 @@ def test_it_takes_more_threads_where_headers_allow_it(browser: "Browser", folder
 @pytest.mark.parametrize(
     ("name", "what"),
     [
-        ("layout", "layout: has no page"),
+        ("layout:cnn-7", "layout:cnn-7: has no page"),
         ("fusion", r"is not there or incomplete \(npm install onnxruntime-web@"),
     ],
 )

@@ -112,7 +112,7 @@ def words_of(root: Path, line: str) -> list[str]:
 # --- a picture at a time -----------------------------------------------------------------
 
 EGO = "--set ego.mask=@ego.png"
-WEIGHTS = "--detector layout --set weights.file=@weights.safetensors"
+WEIGHTS = "--detector fusion --set weights.file=@weights.safetensors"
 ROWS = "--detector prior:rows"
 GREY = "--detector grey-uniformity"
 VIEW = f"{ROWS} --height 1.35 --range 10 --side 4"
@@ -189,7 +189,7 @@ SCORE = "camvid @camvid --split train"
         (f"evaluate {SCORE} {GREY}", "camvid/trainannot/0001TP_0.png"),
         (f"evaluate {SCORE} {GREY} {EGO}", "ego.png"),
         (f"evaluate {SCORE} {WEIGHTS}", "weights.safetensors"),
-        (f"evaluate {SCORE} --detector layout --camera @camera.toml", "camera.toml"),
+        (f"evaluate {SCORE} --detector fusion --camera @camera.toml", "camera.toml"),
         (f"evaluate {SCORE} --maps m=@maps", "maps/0001TP_0.png"),
         (f"tune {SCORE} {GREY}", "camvid/train/0001TP_0.png"),
         (f"tune {SCORE} {GREY}", "camvid/trainannot/0001TP_0.png"),
@@ -245,7 +245,7 @@ ADAPT = "adapt @drive --threads 1 --set network.height=64 --set network.width=96
     [
         (TRAIN, "streets/street_0.png", "holds a run on other pictures"),
         (
-            f"{TRAIN} --set teacher.detector=layout --set teacher.weights=@weights.safetensors",
+            f"{TRAIN} --set teacher.detector=fusion --set teacher.weights=@weights.safetensors",
             "weights.safetensors",
             "in/weights.safetensors: is not the file that the run in",
         ),
@@ -256,7 +256,7 @@ ADAPT = "adapt @drive --threads 1 --set network.height=64 --set network.width=96
         ),
         (f"{ADAPT} --set teacher.detector=labeller", "drive/00.png", "holds frames of other"),
         (
-            f"{ADAPT} --set teacher.detector=layout --set teacher.weights=@weights.safetensors",
+            f"{ADAPT} --set teacher.detector=fusion --set teacher.weights=@weights.safetensors",
             "weights.safetensors",
             "in/weights.safetensors: is not the file that the run in",
         ),
@@ -291,7 +291,7 @@ def test_a_training_with_another_file_is_refused(
 def test_the_page_shows_what_a_new_folder_would(root: Path, tmp_path: Path, name: str) -> None:
     def odds(out: str) -> torch.Tensor:
         weights, ego = str(root / "weights.safetensors"), str(root / "ego.png")
-        detector = load_detector("layout", weights={"file": weights}, ego={"mask": ego})
+        detector = load_detector("fusion", weights={"file": weights}, ego={"mask": ego})
         (tmp_path / out).mkdir(exist_ok=True)
         return opened_session(root / "streets", tmp_path / out, detector).view("street_0.png").odds
 
