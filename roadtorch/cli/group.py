@@ -190,6 +190,8 @@ def _settle_process() -> None:
         sys.stdin.reconfigure(errors="surrogateescape")
     if not any(name in os.environ for name in (*BRIEF_WAITS, "KMP_BLOCKTIME")):
         os.environ.update(BRIEF_WAITS)  # read by OpenMP when torch is loaded
+    # Python started anew for a worker takes no types.py beside the user's pictures for its own.
+    os.environ.setdefault("PYTHONSAFEPATH", "1")
     gc.set_threshold(ALLOCATIONS)
     atexit.register(gc.freeze)
     open_streams()

@@ -30,7 +30,7 @@ from roadtorch.ros.messages import (
     ros_module,
 )
 from roadtorch.run.loop import Detected, Look, detections
-from roadtorch.run.workers import ThisProcess
+from roadtorch.run.workers import Workers
 from roadtorch.run.writers.bag import CONFIDENCE, GRIDS, LABELS, MASK, OVERLAY, pixels_of
 
 NAME = "roadtorch"
@@ -142,9 +142,7 @@ class RoadNode:
         self.node.get_logger().info(f"{self.detector.name} looks at {topic}")
         self.node.create_timer(SECOND, self._diagnose)
         source = self.inbox.source(topic, stop)
-        with closing(
-            detections(source, self.look, ThisProcess(), self.steady, stop=stop)
-        ) as frames:
+        with closing(detections(source, self.look, Workers(), self.steady, stop=stop)) as frames:
             for frame in frames:
                 if isinstance(frame, Detected):
                     self._publish(frame.detection)

@@ -28,7 +28,7 @@ from roadtorch.road.steady import Steady
 from roadtorch.run.folder import ELSEWHERE, ResultFolder
 from roadtorch.run.ledger import DONE, DOUBTFUL, Method, Row, failed_row, method_of
 from roadtorch.run.memo import file_digests
-from roadtorch.run.workers import DIED, ThisProcess, Workers
+from roadtorch.run.workers import DIED, Workers
 
 Value = TypeVar("Value")
 
@@ -287,7 +287,7 @@ def detect_stream(
     """
     if not isinstance(source, Source):
         source = open_source(os.fspath(source), selection)
-    with closing(detections(source, Look(detector), ThisProcess(), steady)) as frames:
+    with closing(detections(source, Look(detector), Workers(), steady)) as frames:
         for done, frame in enumerate(frames, 1):
             if isinstance(frame, Detected):
                 yield frame.detection

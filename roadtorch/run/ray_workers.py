@@ -8,17 +8,16 @@ import signal
 import socket
 import threading
 import warnings
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import contextmanager, suppress
+from functools import partial
 from tempfile import TemporaryDirectory
-from typing import Any, TypeVar
+from typing import Any
 
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.threads import Threads
-from roadtorch.run.workers import ordered, worked
-
-Given = TypeVar("Given")
-Result = TypeVar("Result")
+from roadtorch.run.workers import Workers, pickled
 
 PATIENCE = 10.0  # seconds until a cluster has to answer; ours
 STORE = 100 * 2**20  # bytes of a local cluster's object store; rows and weights are small
@@ -38,21 +37,18 @@ class Actor:
         self._task: Callable[[Any], Any] = pickle.loads(task)
 
     def work(self, item: bytes) -> bytes:
-        """What the task made of a pickled item, see ``roadtorch.run.workers.worked``."""
-        return worked(self._task, item)
+        """Return the pickled result of the task on a pickled item."""
+        return pickled(self._task(pickle.loads(item)))
 
 
-class _Worker:
-    def __init__(self, actor: Any) -> None:
-        self.actor, self.answer = actor, None
-
-
-class RayTeam:
+class RayPool:
     """Actors with one processor each, and with a GPU each where the device is one."""
 
-    def __init__(self, task: Callable[[Any], Any], device: str, is_cluster: bool) -> None:
+    def __init__(self, device: str, is_cluster: bool, task: Callable[[Any], Any]) -> None:
         import ray
+        from ray.exceptions import OutOfMemoryError, RayActorError
 
+        self.crashes: tuple[type[Exception], ...] = (RayActorError, OutOfMemoryError)
         self._ray: Any = ray
         self._task = pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
         self._threads = Threads.of_now()
@@ -64,53 +60,23 @@ class RayTeam:
         options |= {"runtime_env": {"env_vars": variables}} if is_cluster else {}
         self._kind: Any = ray.remote(**options)(Actor)
 
-    def hire(self) -> _Worker:
-        """Another actor."""
-        return _Worker(self._kind.remote(self._task, self._threads))
+    def start(self) -> Any:
+        """As ``Pool.start``."""
+        return self._kind.remote(self._task, self._threads)
 
-    def send(self, worker: _Worker, data: bytes) -> None:
-        """Hand over a pickled item."""
-        worker.answer = worker.actor.work.remote(data)
+    def submit(self, worker: Any, item: bytes) -> Future[bytes]:
+        """As ``Pool.submit``."""
+        return worker.work.remote(item).future()
 
-    def ready(self, busy: Sequence[_Worker], seconds: float | None) -> Sequence[_Worker]:
-        """Those that are done, or dead; without ``seconds`` there is one."""
-        done, _ = self._ray.wait([worker.answer for worker in busy], timeout=seconds)
-        return [worker for worker in busy if worker.answer in done]
-
-    def receive(self, worker: _Worker) -> bytes:
-        """What ``worked`` gave there; EOFError where the actor is dead."""
-        from ray.exceptions import RayError
-
-        try:
-            return self._ray.get(worker.answer)
-        except RayError as problem:
-            raise EOFError(str(problem)) from None
-
-    def dismiss(self, workers: Sequence[_Worker]) -> None:
-        """End them."""
+    def end(self, workers: Sequence[Any]) -> None:
+        """As ``Pool.end``."""
         for worker in workers:
             with suppress(Exception):  # it, or the whole cluster, has ended
-                self._ray.kill(worker.actor)
-
-
-class RayWorkers:
-    """Workers of a cluster; see ``ray_workers``."""
-
-    def __init__(self, workers: int, device: str, is_cluster: bool) -> None:
-        self.workers, self.device, self.is_cluster = workers, device, is_cluster
-
-    def map(
-        self,
-        task: Callable[[Given], Result],
-        items: Iterable[Given],
-        died: Callable[[Given], Result],
-    ) -> Generator[Result]:
-        """As ``Workers.map``."""
-        return ordered(RayTeam(task, self.device, self.is_cluster), self.workers, items, died)
+                self._ray.kill(worker)
 
 
 @contextmanager
-def ray_workers(workers: int, address: str | None, device: str) -> Iterator[RayWorkers]:
+def ray_workers(workers: int, address: str | None, device: str) -> Iterator[Workers]:
     """So many workers of a cluster, which is left, or ended where it is a local one, at the end.
 
     address: of the cluster; None for one of this machine. Raises ConfigError where Ray is not
@@ -124,7 +90,7 @@ def ray_workers(workers: int, address: str | None, device: str) -> Iterator[RayW
         try:
             with _without_stderr(), _deaf_children():
                 _join(ray, workers, address, folder)
-            yield RayWorkers(workers, device, address is not None)
+            yield Workers(workers, partial(RayPool, device, address is not None))
         finally:
             ray.shutdown()
 

@@ -18,7 +18,7 @@ from roadtorch.detectors.detector import Evidence
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.road.steady import Steady, SteadySettings
 from roadtorch.run.loop import Detected, Look, Missed, detections, loaded
-from roadtorch.run.workers import Processes, ThisProcess, Workers
+from roadtorch.run.workers import Workers
 from tests.command import save_picture
 from tests.streets import scene
 from tests.videos import write_video
@@ -113,7 +113,7 @@ def test_progress_is_told_and_a_bad_frame_is_raised_or_told() -> None:
 # --- whoever works ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("workers", [ThisProcess(), Processes(3)])
+@pytest.mark.parametrize("workers", [Workers(), Workers(3)])
 def test_what_steadies_sees_the_frames_in_order_and_decides(workers: Workers) -> None:
     class Never:
         """There is no road, says it, and a car on the left."""
@@ -146,7 +146,7 @@ def test_what_steadies_sees_the_frames_in_order_and_decides(workers: Workers) ->
 def test_the_number_of_workers_changes_nothing(cues: bool) -> None:
     alone, side_by_side = (
         list(detections(of_scenes(7), Look(GREY), workers, Steady(SteadySettings()), cues))
-        for workers in (ThisProcess(), Processes(3))
+        for workers in (Workers(), Workers(3))
     )
 
     for first, second in zip(alone, side_by_side, strict=True):
@@ -159,7 +159,7 @@ def test_the_number_of_workers_changes_nothing(cues: bool) -> None:
         assert ("uniformity" in first.detection.cues) == cues
 
 
-@pytest.mark.parametrize("workers", [ThisProcess(), Processes(2)])
+@pytest.mark.parametrize("workers", [Workers(), Workers(2)])
 def test_a_frame_that_cannot_be_read_or_looked_at_is_missed(workers: Workers) -> None:
     source = of_scenes(4, bad=1)
     frames = list(detections(source, Look(ROWS), workers))
@@ -181,7 +181,7 @@ class Deadly(Look):
 
 
 def test_a_worker_that_dies_over_a_frame_costs_that_one() -> None:
-    frames = list(detections(of_scenes(6), Deadly(ROWS), Processes(2)))
+    frames = list(detections(of_scenes(6), Deadly(ROWS), Workers(2)))
 
     assert [frame.item.number for frame in frames] == [*range(6)]
     (missed,) = [frame for frame in frames if isinstance(frame, Missed)]
@@ -192,7 +192,7 @@ def test_a_worker_that_dies_over_a_frame_costs_that_one() -> None:
 def test_stopping_ends_the_frames() -> None:
     closed: list[bool] = []
     stop = Stop()
-    frames = detections(of_scenes(10**6, closed), Look(ROWS), ThisProcess(), stop=stop)
+    frames = detections(of_scenes(10**6, closed), Look(ROWS), Workers(), stop=stop)
     next(frames)
     stop.ask(signal.SIGINT)
     assert len(list(frames)) <= 1

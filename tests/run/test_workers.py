@@ -3,11 +3,14 @@
 import os
 import pickle
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
 from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
@@ -15,14 +18,8 @@ import torch
 from roadtorch.base.errors import InputError
 from roadtorch.base.threads import Threads
 from roadtorch.run import workers
-from roadtorch.run.workers import (
-    AHEAD,
-    MIN_ITEMS,
-    Processes,
-    ThisProcess,
-    processors,
-    workers_for,
-)
+from roadtorch.run.workers import AHEAD, MIN_ITEMS, Workers, processors, workers_for
+from tests.command import ROWS, save_picture
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="workers are copies of a process")
 
@@ -30,59 +27,38 @@ Result = tuple[int, int]
 """The number of an item, and the process that had it; 0 where that died."""
 
 
-def work(number: int) -> Result:
+def work(number: int, deadly: tuple[int, ...] = ()) -> Result:
+    if number in deadly:
+        os.kill(os.getpid(), signal.SIGKILL)
     time.sleep(0.002 * (number % 3))
     return number, os.getpid()
-
-
-def deadly(number: int, at: tuple[int, ...]) -> Result:
-    if number in at:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return work(number)
 
 
 def died(number: int) -> Result:
     return number, 0
 
 
-def limit_hires(monkeypatch: pytest.MonkeyPatch, most: int) -> list[int]:
-    """Let the system have no processes after so many; those that were asked for are noted."""
-    hire, asked = workers._Team.hire, []
-
-    def limited(self: workers._Team) -> workers._Worker:
-        asked.append(len(asked))
-        if len(asked) > most:
-            raise BlockingIOError(11, "Resource temporarily unavailable")
-        return hire(self)
-
-    monkeypatch.setattr(workers._Team, "hire", limited)
-    return asked
-
-
-@pytest.mark.parametrize("jobs", [1, 2, 3])
-def test_results_come_in_the_order_of_the_items_from_other_processes(jobs: int) -> None:
-    results = list(Processes(jobs).map(work, range(30), died))
+@pytest.mark.parametrize(("jobs", "pause"), [(1, 0), (2, 0), (3, 0), (2, 0.01)])
+def test_results_come_in_the_order_of_the_items_from_other_processes(
+    jobs: int, pause: float
+) -> None:
+    results: list[Result] = []
+    for result in Workers(jobs).map(work, range(30), died):
+        time.sleep(pause)
+        results.append(result)
 
     assert [number for number, _ in results] == [*range(30)]
     makers = {process for _, process in results}
     assert 0 < len(makers) <= jobs
-    assert not makers & {os.getpid(), 0}
+    assert (makers == {os.getpid()}) if jobs == 1 else not makers & {os.getpid(), 0}
 
 
-def test_this_process_does_one_item_after_the_other() -> None:
-    items = iter(range(5))
-    results = ThisProcess().map(work, items, died)
-
-    assert next(results) == (0, os.getpid())
-    assert list(items) == [1, 2, 3, 4]
-
-
-@pytest.mark.parametrize("at", [(0,), (7,), (29,), (3, 4, 5, 20)])
-def test_a_death_costs_exactly_the_item_in_hand(at: tuple[int, ...]) -> None:
-    results = list(Processes(2).map(partial(deadly, at=at), range(30), died))
+@pytest.mark.parametrize("deadly", [(0,), (29,), (3, 4, 5, 20)])
+def test_a_death_costs_exactly_the_item_in_hand(deadly: tuple[int, ...]) -> None:
+    results = list(Workers(2).map(partial(work, deadly=deadly), range(30), died))
 
     assert [number for number, _ in results] == [*range(30)]
-    assert tuple(number for number, process in results if not process) == at
+    assert tuple(number for number, process in results if not process) == deadly
 
 
 def test_reading_ahead_is_bounded() -> None:
@@ -93,22 +69,35 @@ def test_reading_ahead_is_bounded() -> None:
             taken.append(number)
             yield number
 
-    with closing(Processes(2).map(work, items(), died)) as results:
+    with closing(Workers(2).map(work, items(), died)) as results:
         for count, _ in enumerate(results, 1):
             assert len(taken) <= count + AHEAD * 2
             if count == 9:
                 break
 
 
-def test_what_a_task_raises_is_raised_and_an_exception_that_it_returns_is_a_result() -> None:
-    returned = list(Processes(2).map(ValueError, ["a", "b"], ValueError))
+def failing_behind(count: int) -> Iterator[int]:
+    yield from range(count)
+    raise InputError("drive.mp4", "ends early", "copy it again")
+
+
+@pytest.mark.parametrize("jobs", [1, 2, 3])
+def test_what_a_task_or_the_items_raise_is_raised_behind_the_results_before(jobs: int) -> None:
+    returned = list(Workers(jobs).map(ValueError, ["a", "b"], ValueError))
+    of_task = Workers(jobs).map(partial(divmod, 1), [2, 1, 0, 3], lambda _: (0, 0))
+    of_items = Workers(jobs).map(work, failing_behind(7), died)
+
     assert [str(problem) for problem in returned] == ["a", "b"]
+    assert [next(of_task) for _ in range(2)] == [(0, 1), (1, 0)]
     with pytest.raises(ZeroDivisionError):
-        list(Processes(2).map(partial(divmod, 1), [2, 1, 0, 3], lambda _: (0, 0)))
+        next(of_task)
+    assert [next(of_items)[0] for _ in range(7)] == [*range(7)]
+    with pytest.raises(InputError, match="ends early"):
+        next(of_items)
 
 
 def test_closing_ends_the_workers_at_once() -> None:
-    results = Processes(3).map(work, range(30), died)
+    results = Workers(3).map(work, range(30), died)
     makers = {next(results)[1] for _ in range(6)}
     start = time.monotonic()
 
@@ -120,40 +109,31 @@ def test_closing_ends_the_workers_at_once() -> None:
             os.kill(process, 0)
 
 
-@pytest.mark.parametrize("most", [1, 2])
-def test_where_no_more_processes_can_be_made_fewer_do_the_work(
-    monkeypatch: pytest.MonkeyPatch, most: int
+def test_a_worker_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "PATIENCE", 0.1)
+    results = Workers(2).map(time.sleep, [0, 600, 600], lambda _: None)
+    next(results)
+    start = time.monotonic()
+
+    results.close()
+
+    assert time.monotonic() - start < 60
+
+
+@pytest.mark.parametrize("problem", [BlockingIOError(11, "try again"), RuntimeError("try again")])
+def test_where_a_process_cannot_be_made_it_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, problem: Exception
 ) -> None:
-    asked = limit_hires(monkeypatch, most)
+    def refuse(*_: object) -> None:
+        raise problem
 
-    results = list(Processes(4).map(work, range(12), died))
-
-    assert [number for number, _ in results] == [*range(12)]
-    assert len({process for _, process in results}) <= most
-    assert len(asked) == most + 1  # it is not tried again and again
-
-
-def test_where_not_one_process_can_be_made_it_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    limit_hires(monkeypatch, 0)
+    monkeypatch.setattr(ProcessPoolExecutor, "submit", refuse)
 
     with pytest.raises(InputError) as caught:
-        list(Processes(4).map(work, range(12), died))
+        list(Workers(4).map(work, range(12), died))
 
-    assert str(caught.value) == (
-        "--jobs: no process can be started: Resource temporarily unavailable "
-        "(give --jobs 1, or end other programs)"
-    )
-
-
-def test_where_the_last_worker_died_and_there_is_no_other_it_is_told(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    limit_hires(monkeypatch, 1)
-    results = Processes(1).map(partial(deadly, at=(2,)), range(5), died)
-
-    assert [next(results)[0] for _ in range(2)] == [0, 1]
-    with pytest.raises(InputError, match="no process can be started"):
-        list(results)
+    told = "--jobs: no process can be started: try again (give --jobs 1, or end other programs)"
+    assert str(caught.value) == told
 
 
 def multiplied(number: int, factor: torch.Tensor) -> tuple[float, int]:
@@ -165,11 +145,32 @@ def test_beside_several_threads_workers_are_started_anew_with_as_many() -> None:
     task = partial(multiplied, factor=torch.tensor(2.0))
     try:
         Threads(2, 1).set()
-        results = list(Processes(1).map(task, range(3), lambda _: (0.0, 0)))
+        results = list(Workers(2).map(task, range(3), lambda _: (0.0, 0)))
     finally:
         before.set()
 
     assert results == [(0.0, 2), (2.0, 2), (4.0, 2)]
+
+
+def test_a_users_file_is_no_module_of_workers_that_are_started_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)  # of a command in this process
+    (tmp_path / "types.py").write_text("x = 1  # notes\n")
+    for name in "ab":
+        save_picture(tmp_path / f"{name}.jpg")
+    code = "import sys; sys.path.remove(''); from roadtorch.cli import main; main()"
+    words = ["infer", ".", *ROWS, "--out", "out", "--jobs", "2", "--threads", "2"]
+
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+    assert (done.returncode, done.stderr) == (0, "roadtorch: 2 done; results in out\n")
 
 
 @pytest.mark.parametrize(
@@ -186,25 +187,7 @@ def test_beside_several_threads_workers_are_started_anew_with_as_many() -> None:
 def test_workers_are_as_many_as_pay(
     jobs: int | None, count: int | None, device: str, expected: int
 ) -> None:
-    made = workers_for(jobs, count, device)
-
-    assert made == Processes(expected) if expected > 1 else isinstance(made, ThisProcess)
-
-
-def failing_behind(count: int) -> Iterator[int]:
-    yield from range(count)
-    raise InputError("drive.mp4", "ends early", "copy it again")
-
-
-@pytest.mark.parametrize("jobs", [1, 2, 3])
-def test_what_ends_the_items_is_raised_behind_the_results_of_those_before(jobs: int) -> None:
-    results = workers_for(jobs).map(work, failing_behind(7), died)
-
-    numbers = [next(results)[0] for _ in range(7)]
-
-    assert numbers == [*range(7)]
-    with pytest.raises(InputError, match="ends early"):
-        next(results)
+    assert workers_for(jobs, count, device) == Workers(expected)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from roadtorch.inputs.bags import camera_info, image_topic, is_bag
 from roadtorch.inputs.item import Source
 from roadtorch.run.loop import Detected, Look, detections
 from roadtorch.run.plan import Output, Writer, Writers
-from roadtorch.run.workers import ThisProcess
+from roadtorch.run.workers import Workers
 from roadtorch.run.writers.bag import BagWriter
 from roadtorch.run.writers.grid import Grids
 from roadtorch.run.writers.maps import CUE_SUFFIXES, SUFFIXES, Maps
@@ -186,7 +186,7 @@ def steadied(placing: Placing, look: Look, source: Source) -> Placing:
     """
     pitches: list[Pitch] = []
     problem: RoadtorchError | None = None
-    with closing(detections(source.sampled(MEDIAN_FRAMES), look, ThisProcess())) as frames:
+    with closing(detections(source.sampled(MEDIAN_FRAMES), look, Workers())) as frames:
         for frame in frames:
             try:
                 if not isinstance(frame, Detected):
