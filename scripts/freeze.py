@@ -21,7 +21,6 @@ import re
 import shutil
 import subprocess
 import sys
-import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby, product
 from pathlib import Path
@@ -53,7 +52,6 @@ EPOCH = "--quiet --threads 1 --set stopping.epochs=1"
 OUTPUTS = {
     "infer/folder": f"infer pictures --save {MAPS}",
     "infer/ufl": "infer pictures --detector ufl --save likelihood,cues --depth 16 --jobs 2",
-    "infer/zip": "infer pictures.zip --save likelihood,mask,polygons",
     "footage/video": f"infer clip.mp4 --save {FOOTAGE} --every 4 --limit 8 --gif 0:1",
     "footage/unsteady": "infer clip.mp4 --no-steady --start 2 --end 2.5",
     "footage/ros2": f"infer drive --save {FOOTAGE}",
@@ -110,7 +108,7 @@ def spread(data: Path) -> list[Path]:
 
 
 def make_inputs(data: Path, folder: Path) -> None:
-    """Two folders of pictures, a zip, a video, bags of ROS 1 and 2, and four pictures of KITTI."""
+    """Two folders of pictures, a video, bags of ROS 1 and 2, and four pictures of KITTI."""
     free = sorted((data / "unlabelled_free").rglob("*.jpg"))
     copies = {f"pictures/{file.name}": file for file in spread(data)[::3]}
     copies |= {f"footage/{file.name}": file for file in free[::5]}
@@ -122,9 +120,6 @@ def make_inputs(data: Path, folder: Path) -> None:
     for name, file in copies.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(file, folder / name)
-    with zipfile.ZipFile(folder / "pictures.zip", "w") as archive:
-        for file in sorted((folder / "pictures").iterdir()):
-            archive.writestr(zipfile.ZipInfo(file.name), file.read_bytes())
     write_bags(folder, slice(0, 24, 4))
 
 

@@ -24,7 +24,7 @@ from roadtorch.base.decoding import (
     pillow_pixels,
 )
 from roadtorch.base.errors import InputError, fault, lacks_memory, unknown_name
-from roadtorch.base.urls import is_url, url_bytes, without_password
+from roadtorch.base.urls import scheme_of, url_bytes, without_password
 
 READABLE = "JPEG, PNG, TIFF, WebP or BMP"
 
@@ -62,7 +62,7 @@ ImageLike = Tensor | np.ndarray | Image.Image | str | os.PathLike[str] | bytes |
 def read_image(path: str | os.PathLike[str]) -> Tensor:
     """Read a picture as float32 RGB (3,H,W) in [0,1], sRGB, upright.
 
-    path: of a file, or, as text, a URL that fsspec reads (``https://…``, ``s3://…``).
+    path: of a file, or, as text, an address of the web (``https://…``).
     JPEG, PNG, TIFF, WebP and BMP; 8 or 16 bits (65535 becomes 1), grey, palette. EXIF
     orientation is applied. Alpha is composited over black: see-through pixels of
     footage are the rims of rectified frames, where no light was measured. Of several
@@ -77,7 +77,7 @@ def read_image(path: str | os.PathLike[str]) -> Tensor:
         >>> read_image("street.jpg").shape
         torch.Size([3, 240, 320])
     """
-    if isinstance(path, str) and is_url(path):
+    if isinstance(path, str) and scheme_of(path):
         return decode_image(url_bytes(path), without_password(path))
     path = Path(path)
     try:

@@ -127,4 +127,4 @@ def grid(
     method = method_of_detector(detector, effective, kinds)
     parts = repr((frames, frame_id)).encode()
     of_footage = method_of_detector(detector, effective, (), parts)
-    context.exit(own.all(todo, Task(look, grids, own.folder, method), of_footage))
+    context.exit(own.all(todo, Task(look, grids, method), of_footage))

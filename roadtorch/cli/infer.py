@@ -10,6 +10,7 @@ from roadtorch.cli.completion import suggest_files
 from roadtorch.cli.options import (
     CAMERA,
     OVERWRITE,
+    PATH,
     QUIET,
     ComputeOptions,
     DetectorOptions,
@@ -78,7 +79,7 @@ def opened_viewer() -> "Viewer":
 @click.command(cls=Sectioned)
 @click.argument("inputs", metavar="INPUT...", nargs=-1, shell_complete=suggest_files)
 @with_detector
-@click.option("--out", default="roads", help="Folder or URL for results.")
+@click.option("--out", type=PATH, default="roads", help="Folder for results.")
 @click.option(
     "--save",
     callback=_kinds,
@@ -107,7 +108,7 @@ def infer(
     context: click.Context,
     inputs: tuple[str, ...],
     choice: DetectorOptions,
-    out: str,
+    out: Path,
     save: tuple[str, ...] | None,
     frames: FrameSelection,
     steady: bool,
@@ -121,13 +122,12 @@ def infer(
     quiet: bool,
     print_config: bool,
 ) -> None:
-    """Find the road in pictures, videos, cameras, streams, bags and archives.
+    """Find the road in pictures, videos, cameras, streams and bags.
 
     \b
     INPUT is a file, a folder (with all below), a quoted glob, a camera (0 or
-    camera:0), a stream (rtsp://, http://), a ROS bag, an archive of pictures,
-    a URL of fsspec (s3://bucket/drive), - for names on standard input, or
-    @list.txt. Each picture NAME.jpg gives, in the folder --out,
+    camera:0), a stream (rtsp://, http://), a picture by http, a ROS bag, - for
+    names on standard input, or @list.txt. Each picture NAME.jpg gives, in the folder --out,
       NAME.likelihood.png   how road-like each pixel is, 0 to white
       NAME.mask.png         road white, the rest black
       NAME.overlay.jpg      the picture with its road tinted and outlined
@@ -141,7 +141,6 @@ def infer(
     if not inputs and not print_config:
         raise click.UsageError("Missing argument 'INPUT...'", context)
 
-    from roadtorch.base.urls import is_url
     from roadtorch.run.folder import result_folder
     from roadtorch.run.ledger import INDEX, open_ledger
     from roadtorch.run.loop import Look, Task, method_of_detector
@@ -159,17 +158,15 @@ def infer(
     if print_config:
         click.echo(effective)
         return
-    place = out if is_url(out) else Path(out)
-    found = frames.inputs(inputs, place)
+    found = frames.inputs(inputs, out)
     kinds = OF_PICTURES if save is None else save
     bits = 16 if depth == "16" else 8
-    stage = place if isinstance(place, Path) else Path()
-    maps = Maps(stage, frozenset(kinds), detector.name, detector.settings.threshold, bits)
+    maps = Maps(out, frozenset(kinds), detector.name, detector.settings.threshold, bits)
     viewer = context.with_resource(opened_viewer()) if view else None
     output = MapOutput(maps, save, gif, frames.topic, viewer)
-    todo = plan(found, place, maps.suffixes, output)
+    todo = plan(found, out, maps.suffixes, output)
     workers = context.with_resource(compute.started(todo.count))
-    folder = context.with_resource(result_folder(out, effective, overwrite))
+    context.with_resource(result_folder(out, effective, overwrite))
     of_frames = {**asdict(frames), "gif": gif, "steady": steady}
     look = Look(detector, known, compute.device)
     method = method_of_detector(detector, effective, kinds, depth.encode())
@@ -178,12 +175,12 @@ def infer(
     def run() -> int:
         options = RunOptions(overwrite, quiet, compute.fail_fast)
         try:
-            with open_ledger(folder.path / INDEX, folder.publish) as ledger:
-                task = Task(look, maps, folder, method)
-                return Run(folder, ledger, workers, options).all(todo, task, of_footage, steady)
+            with open_ledger(out / INDEX) as ledger:
+                task = Task(look, maps, method)
+                return Run(out, ledger, workers, options).all(todo, task, of_footage, steady)
         finally:
             if "polygons" in kinds:
-                write_coco(folder)
+                write_coco(out)
 
     given = {**asdict(compute), **of_frames, "save": kinds, "depth": bits}
-    context.exit(RunRecord(folder, detector, todo.row_names, given).around(run))
+    context.exit(RunRecord(out, detector, todo.row_names, given).around(run))

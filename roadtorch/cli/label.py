@@ -53,5 +53,5 @@ def label(
     effective = as_toml("labeller", settings)
     workers = workers_for(run.jobs, todo.count)
     own = context.with_resource(open_run(out, effective, workers, run.options))
-    task = Task(Labelling(settings), labels, own.folder, method_of(labels.kinds, effective))
+    task = Task(Labelling(settings), labels, method_of(labels.kinds, effective))
     context.exit(own.pictures(todo.pictures, task))

@@ -95,7 +95,7 @@ class FrameSelection:
     topic: str | None
     patience: float
 
-    def inputs(self, inputs: tuple[str, ...], out: str | Path) -> "Inputs":
+    def inputs(self, inputs: tuple[str, ...], out: Path) -> "Inputs":
         """The pictures and sources that inputs and options choose, but those of ``out``.
 
         Raises as ``find_inputs`` and ``Selection.of_pictures`` do.
@@ -105,8 +105,7 @@ class FrameSelection:
         from roadtorch.inputs.live import Patience
 
         chosen = Selection(self.every, self.start, self.end, self.limit)
-        apart = out if isinstance(out, Path) else None
-        options = SourceOptions(apart, Patience(answer=self.patience), self.topic)
+        options = SourceOptions(out, Patience(answer=self.patience), self.topic)
         found = find_inputs(inputs, chosen, options)
         return found._replace(pictures=chosen.of_pictures(found.pictures))
 

@@ -52,7 +52,7 @@ def submit(
     workers = workers_for(run.jobs, todo.count)
     own = context.with_resource(open_run(out, effective, workers, run.options))
     method = method_of_detector(detector, effective, ["map"])
-    if failed := own.pictures(pictures, Task(Look(detector), maps, own.folder, method)):
+    if failed := own.pictures(pictures, Task(Look(detector), maps, method)):
         click.echo(f"roadtorch: {out / ARCHIVE} not written, as maps are missing", err=True)
         context.exit(failed)
     archive = pack(pictures, out)

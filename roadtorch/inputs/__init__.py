@@ -1,1 +1,1 @@
-"""Where items come from: pictures, archives, URLs, videos, cameras, streams, bags."""
+"""Where items come from: images, videos, cameras, streams, bags."""

@@ -85,7 +85,6 @@ def bag_source(
     return Source(
         name=_name(given),
         origin=given,
-        moving=True,
         items=lambda: selection.of(every()),
         rate=images.rate and images.rate / selection.every,
         count=count,
@@ -246,6 +245,8 @@ def _opened(given: str) -> "Iterator[AnyReader]":
     paths = [path]
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         paths = _recordings(path)
+    if not all(one.is_file() or one.is_dir() for one in paths):
+        raise InputError(given, "is or holds a pipe or a device", "give a bag")
     try:
         # Bags without definitions are older than ROS 2 Iron; images are the same in all of them.
         reader = AnyReader(paths, default_typestore=get_typestore(Stores.ROS2_HUMBLE))

@@ -4,7 +4,7 @@ import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import groupby, islice
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple, TextIO
@@ -15,17 +15,16 @@ from torch import Tensor
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import READABLE, read_image
 from roadtorch.base.urls import WEB, answer, scheme_of, without_password
-from roadtorch.inputs.archives import archive_source, is_archive
 from roadtorch.inputs.bags import bag_source, is_bag
-from roadtorch.inputs.files import File, files_at
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.inputs.live import STREAMS, Patience, camera_source, stream_source
 from roadtorch.inputs.pictures import (
+    File,
     each_once,
+    files_at,
     names_picture,
-    picture_item,
-    picture_source,
     pictures_at,
+    web_picture_item,
 )
 from roadtorch.inputs.video import (
     VIDEO_SUFFIXES,
@@ -70,7 +69,7 @@ def find_inputs(
     options: SourceOptions = SourceOptions(),
     names: TextIO | None = None,
 ) -> Inputs:
-    """The pictures and sources that inputs stand for, in their order; a folder may hold both.
+    """Return the images and sources that inputs stand for, in order; a folder may hold both.
 
     names: what ``-`` reads, standard input where it is None. Raises InputError for a list that
     cannot be read, for what holds neither, does not exist or cannot be opened.
@@ -79,45 +78,33 @@ def find_inputs(
     pictures: list[Item] = []
     sources: list[Source] = []
     for given in named(inputs, sys.stdin if names is None else names):
-        scheme = scheme_of(given)
+        scheme, number = scheme_of(given), camera_number(given)
         if scheme in WEB and is_picture_of_web(given):
             name = PurePosixPath(urlsplit(given).path).with_suffix("")
-            pictures.append(picture_item(given, slug(name.as_posix())))
-            continue
-        if source := _alone(given, scheme, selection, options):
-            sources.append(source)
-            continue
-        videos = [] if scheme else files_at(given, names_video, options.apart)
-        for video in videos if isinstance(videos, list) else ():
-            name = Path(video.name).with_suffix("").as_posix()
-            sources.append(video_source(Path(video.origin), name, selection))
-        here = pictures_at(given, options.apart)
-        if not here and not videos:
-            raise InputError(given, "holds no pictures", f"give {READABLE} files")
-        pictures += here
+            pictures.append(web_picture_item(given, slug(name.as_posix())))
+        elif number is not None:
+            sources.append(camera_source(number, selection, options.patience))
+        elif WHOLE.match(given):
+            sources.append(video_source(given, slug(given), selection))
+        elif scheme in STREAMS:
+            sources.append(stream_source(given, slug(given), selection, options.patience))
+        elif is_bag(given):
+            sources.append(bag_source(given, options.topic, selection))
+        elif isinstance(videos := files_at(given, names_video, options.apart), File):
+            if videos.name.lower().endswith(VIDEO_SUFFIXES):
+                sources.append(video_source(videos.path, videos.path.stem, selection))
+            else:
+                pictures += pictures_at(given)
+        else:
+            for video in videos:
+                name = Path(video.name).with_suffix("").as_posix()
+                sources.append(video_source(video.path, name, selection))
+            pictures += (here := pictures_at(given, options.apart))
+            if not here and not videos:
+                raise InputError(given, "holds no pictures", f"give {READABLE} files")
     if inputs and not pictures and not sources:
         raise InputError(inputs[0], "names nothing", "give names, one a line")
     return Inputs(each_once(pictures), sources)
-
-
-def _alone(given: str, scheme: str, selection: Selection, options: SourceOptions) -> Source | None:
-    """The source that an input is by itself, whatever it holds; None for all other inputs."""
-    number = camera_number(given)
-    if number is not None:
-        return camera_source(number, selection, options.patience)
-    if WHOLE.match(given):
-        return video_source(given, slug(given), selection)
-    if is_archive(given) and (not scheme or scheme in WEB):
-        return archive_source(given, selection)
-    if scheme in STREAMS:
-        return stream_source(given, slug(given), selection, options.patience)
-    if is_bag(given):
-        return bag_source(given, options.topic, selection)
-    path = Path(given)
-    is_named = path.name.lower().endswith(VIDEO_SUFFIXES) and not scheme
-    if is_named and isinstance(files_at(given, names_video), File):
-        return video_source(path, path.stem, selection)
-    return None
 
 
 def is_picture_of_web(url: str) -> bool:
@@ -127,7 +114,7 @@ def is_picture_of_web(url: str) -> bool:
     is no answer and the name is a picture's; other addresses may be streams, which are waited for.
     """
     by_name = names_picture(PurePosixPath(urlsplit(url).path).name)
-    if not by_name and (is_archive(url) or WHOLE.match(url)):
+    if not by_name and WHOLE.match(url):
         return False
     try:
         with answer(url) as response:
@@ -173,15 +160,16 @@ def camera_number(given: str) -> int | None:
 
 
 def open_source(given: str, selection: Selection) -> Source:
-    """The one source that an input stands for; pictures are one that does not move.
+    """Return the one source that an input stands for; images are one of frames without a clock.
 
     Raises InputError for what is not there, ConfigError for an input of several sources.
     """
-    if is_archive(given):
-        return archive_source(given, selection)
     pictures, sources = find_inputs([given], selection)
     if not sources:
-        return picture_source(given, selection)
+        numbered = [replace(picture, number=number) for number, picture in enumerate(pictures)]
+        chosen = list(selection.of(numbered))
+        name = Path(given).stem or "pictures"
+        return Source(name, given, lambda: iter(chosen), count=len(chosen))
     if len(sources) != 1 or pictures:
         what = f"holds {len(sources)} videos" + " and pictures" * bool(pictures)
         raise ConfigError(given, what, "give one of them")

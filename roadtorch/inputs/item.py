@@ -105,8 +105,7 @@ class Source:
     """Where frames come from.
 
     name: of the results, relative, without suffix. origin: as it was given, for messages.
-    moving: whether the items follow one another in time (video, camera, bag), else they are
-    pictures of their own (an archive's members). rate: items a second, where it is known.
+    rate: items a second, where it is known.
     count: how many ``items`` gives, where it is known.
     items: opens the source and gives its chosen items, each once, in order. Closing the iterator
     closes the source. It raises InputError naming ``origin`` when it cannot be opened, and, behind
@@ -117,7 +116,6 @@ class Source:
 
     name: str
     origin: str
-    moving: bool
     items: Callable[[], Iterator[Item]]
     rate: float | None = None
     count: int | None = None

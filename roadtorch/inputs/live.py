@@ -64,7 +64,7 @@ def live_source(
 ) -> Source:
     """The newest frames of a connection, which is made anew when it breaks."""
     newest = partial(newest_frames, connect, name, origin, patience)
-    return Source(name, origin, moving=True, items=lambda: selection.of(newest()), live=True)
+    return Source(name, origin, items=lambda: selection.of(newest()), live=True)
 
 
 def newest_frames(

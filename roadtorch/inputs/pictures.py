@@ -1,46 +1,109 @@
-"""Pictures: the files that names, folders, globs and URLs stand for."""
+"""Files that names, folders and globs stand for, and images among them; images by http."""
 
+import glob
 import hashlib
 import os
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache, partial
+from itertools import takewhile
+from os.path import basename
 from pathlib import Path, PurePosixPath
+from typing import NamedTuple
 
 from torch import Tensor
 
 from roadtorch.base.atomic import digest_of
 from roadtorch.base.errors import InputError, RoadtorchError
 from roadtorch.base.image import READABLE, SUFFIXES, decode_image, read_image
-from roadtorch.base.urls import (
-    WEB,
-    file_system,
-    scheme_of,
-    url_bytes,
-    url_errors,
-    without_password,
-)
-from roadtorch.inputs.files import files_at
-from roadtorch.inputs.item import Item, Selection, Source
+from roadtorch.base.urls import scheme_of, url_bytes, without_password
+from roadtorch.inputs.item import Item
 
 RESULTS = (".likelihood.png", ".mask.png", ".overlay.jpg")  # ours; never pictures to look at
 
 
-def picture_item(origin: Path | str, name: str) -> Item:
-    """A picture as an item of its own: a file of this machine, or, as text, a URL."""
-    suffix = PurePosixPath(re.split(r"::|(?<=\w)[?#]", str(origin))[0]).suffix
-    if isinstance(origin, Path):
-        read, digest = partial(read_image, origin), partial(digest_of, origin)
-        return Item(name, str(origin), read, digest, suffix, origin)
-    return Item(
-        name, origin, partial(_read_remote, origin), partial(_digest_remote, origin), suffix
-    )
+class File(NamedTuple):
+    """A file: its path, and its name, relative, with ending."""
+
+    path: Path
+    name: str
+
+
+def files_at(
+    given: str | os.PathLike[str], wanted: Callable[[str], bool], apart: Path | None = None
+) -> list[File] | File:
+    """Return the wanted files of a folder or glob, in a settled order; a single file as it is.
+
+    Folders are searched with all that is below them, hidden ones left out, and so is the folder
+    ``apart``. A glob stands for the files that it matches, or, without wanted ones among them,
+    for the folders. Names are relative to the folder, or to the one before the first wildcard.
+
+    Args:
+        given: a file, folder or glob, which need not exist.
+        wanted: tells whether a file is asked for, by its name without folders.
+        apart: a folder below which nothing is looked for.
+
+    Raises:
+        InputError: for an address.
+    """
+    path = os.fspath(given)
+    if scheme_of(path):
+        raise InputError(path, "is an address that is not read", "download it, or mount it")
+    if glob.has_magic(path) and not os.path.exists(path):
+        root = Path(*takewhile(lambda part: not glob.has_magic(part), Path(path).parts))
+        matches = {match: os.path.isdir(match) for match in sorted(glob.glob(path, recursive=True))}
+        files = [match for match in matches if not matches[match] and wanted(basename(match))]
+        folders = [match for match in matches if matches[match] and not files]
+    elif os.path.isdir(path):
+        root, files, folders = Path(path), [], [path]
+    else:
+        return File(Path(path), basename(path))
+    for folder in folders:
+        files += [file for file in _files_below(folder, apart) if wanted(basename(file))]
+    paths = map(Path, dict.fromkeys(files))
+    return [File(path, path.relative_to(root).as_posix()) for path in paths]
+
+
+def _files_below(folder: str, apart: Path | None) -> Iterator[str]:
+    """Yield every file below a folder but hidden folders and ``apart``, sorted, by folders."""
+    # Path.resolve raises for a link to itself, which is a file like any other here.
+    left_out = os.path.realpath(apart) if apart else None
+    if left_out == os.path.realpath(folder):
+        left_out = None
+    for top, folders, names in os.walk(folder):
+        folders[:] = sorted(
+            name
+            for name in folders
+            if name[0] != "." and os.path.realpath(os.path.join(top, name)) != left_out
+        )
+        yield from (os.path.join(top, name) for name in sorted(names))
+
+
+def names_picture(name: str) -> bool:
+    """Return whether a file of that name is an image to look at: not hidden, no result of ours."""
+    name = name.lower()
+    is_ours = name.endswith(RESULTS) or ".cue." in name
+    return name.endswith(SUFFIXES) and not name.startswith(".") and not is_ours
+
+
+def picture_item(path: Path, name: str) -> Item:
+    """Make an item of an image file."""
+    read, digest = partial(read_image, path), partial(digest_of, path)
+    return Item(name, str(path), read, digest, path.suffix, path)
+
+
+# --- images by http ---------------------------------------------------------------------
+
+
+def web_picture_item(url: str, name: str) -> Item:
+    """Make an item of an image behind an address."""
+    suffix = PurePosixPath(re.split(r"(?<=\w)[?#]", url)[0]).suffix
+    return Item(name, url, partial(_read_remote, url), partial(_digest_remote, url), suffix)
 
 
 @lru_cache(maxsize=1)
 def _remote_bytes(url: str) -> bytes:
-    """What was fetched last is kept, so that a picture and its digest take one transfer."""
+    """Fetch an image; the last one is kept, so that it and its digest take one transfer."""
     return url_bytes(url)
 
 
@@ -55,28 +118,30 @@ def _digest_remote(url: str) -> str:
         return ""
 
 
-def _exists(picture: Item) -> bool:
-    """Whether it is there; InputError or ConfigError for a URL that cannot be used."""
-    if picture.file is not None:
-        return picture.file.exists()
-    if scheme_of(picture.origin) in WEB:
-        return True  # the server has been asked
-    system, path = file_system(picture.origin)
-    with url_errors(picture.origin):
-        return system.exists(path)
+# --- several ----------------------------------------------------------------------------
+
+
+def pictures_at(given: str | os.PathLike[str], apart: Path | None = None) -> list[Item]:
+    """Return the images of a folder or glob, none where it holds none; a file is one as it is."""
+    files = files_at(given, names_picture, apart)
+    return [
+        picture_item(file.path, PurePosixPath(file.name).with_suffix("").as_posix())
+        for file in (files if isinstance(files, list) else [files])
+    ]
 
 
 def find_pictures(
     inputs: Iterable[str | os.PathLike[str]], apart: Path | None = None
 ) -> list[Item]:
-    """The pictures that files, folders, quoted globs and URLs stand for, in a settled order.
+    """Return the images that files, folders and quoted globs stand for, in a settled order.
 
     Folders are searched with all that is below them, hidden names and earlier results
     left out, and so is the folder ``apart``, where new results go. A single missing
     file stays in the list, so that the others are not held up by it; reading it fails.
 
-    Raises InputError, naming the input, for a folder or glob without pictures, and when
-    nothing that was named exists; InputError or ConfigError for a URL that cannot be used.
+    Raises:
+        InputError: naming the input, for a folder or glob without images, and when nothing that
+            was named exists.
     """
     pictures: list[Item] = []
     for given in inputs:
@@ -87,36 +152,7 @@ def find_pictures(
 
 
 def each_once(pictures: Sequence[Item]) -> list[Item]:
-    """The same pictures, none twice; InputError when there are some and none of them exists."""
-    if pictures and not any(map(_exists, pictures)):
+    """Drop repeated images; InputError when there are some and none of them exists."""
+    if pictures and not any(item.file is None or item.file.exists() for item in pictures):
         raise InputError(pictures[0].origin, "does not exist", "check the name")
     return list(dict.fromkeys(pictures))
-
-
-def pictures_at(given: str | os.PathLike[str], apart: Path | None = None) -> list[Item]:
-    """The pictures of a folder or glob, none where it holds none; a single file is one as it is.
-
-    Raises InputError or ConfigError for a URL that cannot be used.
-    """
-    files = files_at(given, names_picture, apart)
-    return [
-        picture_item(file.origin, PurePosixPath(file.name).with_suffix("").as_posix())
-        for file in (files if isinstance(files, list) else [files])
-    ]
-
-
-def picture_source(given: str, selection: Selection) -> Source:
-    """A picture file, folder, glob or URL as a source that does not move; errors as above."""
-    pictures = [
-        replace(picture, number=number) for number, picture in enumerate(find_pictures([given]))
-    ]
-    chosen = list(selection.of(pictures))
-    name = Path(given).stem or "pictures"
-    return Source(name, given, False, lambda: iter(chosen), count=len(chosen))
-
-
-def names_picture(name: str) -> bool:
-    """Whether a file of that name is a picture to look at: not hidden, no result of ours."""
-    name = name.lower()
-    is_ours = name.endswith(RESULTS) or ".cue." in name
-    return name.endswith(SUFFIXES) and not name.startswith(".") and not is_ours

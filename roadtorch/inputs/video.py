@@ -73,7 +73,6 @@ def video_source(path: Path | str, name: str, selection: Selection) -> Source:
     return Source(
         name=name,
         origin=str(path),
-        moving=True,
         items=frames,
         rate=None if rate is None else float(rate),
         path=path if isinstance(path, Path) else None,
@@ -88,7 +87,8 @@ def opened_video(path: Path | str) -> "Iterator[tuple[InputContainer, VideoStrea
     """The container and its first stream of moving pictures; InputError where there is none."""
     av = import_av()
     if isinstance(path, Path) and not path.is_file():
-        raise InputError(path, "does not exist", "check the name")
+        what = "is no file" if path.exists() else "does not exist"
+        raise InputError(path, what, "check the name")
     try:
         container = av.open(f"file:{path}" if isinstance(path, Path) else path, timeout=SILENCE)
     except (av.FFmpegError, UnicodeError) as problem:

@@ -55,4 +55,4 @@ class Inbox:
                     yield Item(f"{number:06d}", topic, read, number=number, stamp=stamp)
                     number += 1
 
-        return Source("ros", topic, True, frames, live=True)
+        return Source("ros", topic, frames, live=True)

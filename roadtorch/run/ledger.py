@@ -8,11 +8,10 @@ import csv
 import hashlib
 import io
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from time import monotonic
 
 from roadtorch.base.atomic import csv_text, from_cell, unwritable, write_text
 from roadtorch.base.bounded import printable, read_regular
@@ -22,9 +21,6 @@ from roadtorch.base.version import __version__
 INDEX = "index.csv"
 DONE, DOUBTFUL, PARTIAL, FAILED = "done", "doubtful", "partial", "failed"
 """What the status of a row begins with; after a colon it says why."""
-
-PUBLISH_EVERY = 5.0
-"""Seconds between copies of an index whose folder is behind a URL."""
 
 BAG_LIST = "metadata.yaml"
 
@@ -128,10 +124,9 @@ def write_index(path: Path, rows: Iterable[Row]) -> None:
 class Ledger:
     """The rows of a folder of results while a run adds to them; see ``open_ledger``."""
 
-    def __init__(self, path: Path, publish: Callable[[Path], None]) -> None:
-        self.path, self._publish = path, publish
+    def __init__(self, path: Path) -> None:
+        self.path = path
         self.rows = read_index(path)
-        self._due = 0.0
 
     def add(self, row: Row) -> None:
         """Keep one more row, with the kinds that the same method gave of the same bytes before.
@@ -151,9 +146,6 @@ class Ledger:
             error = unwritable(self.path, problem)
             error.exit_code = ExitCode.SOME_FAILED  # what was finished before stays
             raise error from None
-        if monotonic() > self._due:
-            self._publish(self.path)
-            self._due = monotonic() + PUBLISH_EVERY
 
     def forget_frames(self, name: str) -> None:
         """Leave out the rows of a source's frames: it is looked at anew."""
@@ -167,16 +159,14 @@ FRAME_NUMBER = r"\d{6,}"
 
 
 @contextmanager
-def open_ledger(path: Path, publish: Callable[[Path], None] = lambda _: None) -> Iterator[Ledger]:
+def open_ledger(path: Path) -> Iterator[Ledger]:
     """The ledger in a file, sorted at the end of the block, however that comes.
 
-    publish: is called with the file now and then, and at the end. Raises InputError for a file
-    that is no index, and for one that cannot be written.
+    Raises InputError for a file that is no index, and for one that cannot be written.
     """
-    ledger = Ledger(path, publish)
+    ledger = Ledger(path)
     write_index(path, ledger.rows.values())
     try:
         yield ledger
     finally:
         write_index(path, ledger.rows.values())
-        publish(path)

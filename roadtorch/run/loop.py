@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
-from functools import partial
+from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple, Protocol, TypeVar
 
@@ -25,7 +25,7 @@ from roadtorch.inputs.find import open_source
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.layout.weights import tensors_hash
 from roadtorch.road.steady import Steady
-from roadtorch.run.folder import ELSEWHERE, ResultFolder
+from roadtorch.run.folder import ELSEWHERE
 from roadtorch.run.ledger import DONE, DOUBTFUL, Method, Row, failed_row, method_of
 from roadtorch.run.memo import file_digests
 from roadtorch.run.workers import DIED, Workers
@@ -71,7 +71,12 @@ class Writer(Protocol):
 
 
 class FileWriter(Writer, Protocol):
-    """A dataclass that writes files of each item, below ``folder``."""
+    """What writes files of each item, below ``folder``."""
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the results."""
+        ...
 
     @property
     def suffixes(self) -> Sequence[str]:
@@ -94,7 +99,6 @@ class Task:
 
     look: Callable[[Tensor], Detection]
     writer: FileWriter
-    folder: ResultFolder
     method: Method
 
     def __call__(self, item: Item) -> Row:
@@ -102,10 +106,8 @@ class Task:
         start = perf_counter()
         try:
             detection = self.look(item.read())
-            with self.folder.staged() as place:
-                make_folder((place / item.name).parent, ELSEWHERE)
-                writer = replace(self.writer, folder=place)  # pyright: ignore[reportArgumentType]
-                changes = writer.write(item, detection)
+            make_folder((self.writer.folder / item.name).parent, ELSEWHERE)
+            changes = self.writer.write(item, detection)
             row = replace(row_of(item.row_name, detection), ms=elapsed(start), **changes)
             return self.method.made(replace(row, sha256=item.digest() if item.digest else ""))
         except Exception as problem:  # one that trips a detector must not cost the night's run
@@ -220,17 +222,6 @@ def _image_of(item: Item) -> Tensor | RoadtorchError:
         return item.read()
     except Exception as problem:
         return fault(item.origin, problem)
-
-
-def loaded(item: Item) -> Item:
-    """The item as it can be handed to another process: with its image, or why there is none."""
-    return replace(item, read=partial(_given, _image_of(item)))
-
-
-def _given(image: Tensor | RoadtorchError) -> Tensor:
-    if isinstance(image, RoadtorchError):
-        raise image
-    return image
 
 
 def _concluded(

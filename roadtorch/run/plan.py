@@ -1,4 +1,4 @@
-"""What a run does: pictures, sources and what is written of each; whose results have which name."""
+"""What a run does: pictures, sources and what is written of each."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -39,11 +39,10 @@ class Output(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """What a run does: pictures that stand alone, sources, and whose name is which."""
+    """What a run does: pictures that stand alone, and sources."""
 
     pictures: Sequence[Item]
     sources: Sequence[tuple[Source, Output]]
-    owners: Owners
 
     @property
     def count(self) -> int | None:
@@ -59,32 +58,28 @@ class Plan(NamedTuple):
 
 def plan(
     inputs: Inputs,
-    out: str | Path,
+    out: Path,
     suffixes: Sequence[str],
     output: Callable[[Source], Output] | None = None,
 ) -> Plan:
     """What is to be done; no file is written yet.
 
-    out: the folder of the results, or its URL as text. suffixes: of the results of a picture.
-    output: what is written of a source. Raises ConfigError when two pictures or sources share a
-    result, when one would replace a picture, and where results of footage would go behind a URL.
+    out: the folder of the results. suffixes: of the results of a picture. output: what is written
+    of a source. Raises ConfigError when two pictures or sources share a result, and when one would
+    replace a picture.
     """
     owners = Owners(out)
     results = [(item.name, suffixes) for item in inputs.pictures]
     for item in inputs.pictures:
         owners.take(item.name, suffixes, item.origin)
-    if inputs.sources and not isinstance(out, Path):
-        remedy = "give a folder of this machine, or pictures alone"
-        raise ConfigError(f"--out {out}", "takes no results of footage", remedy)
     sources = [(source, output(source)) for source in inputs.sources] if output else []
     for source, written in sources:
-        has_files = source.moving and bool(written.of_frames)
-        owners.take_source(source.name, source.origin, has_files)
+        owners.take_source(source.name, source.origin, has_files=bool(written.of_frames))
         results.append((source.name, written.suffixes))
     # Path.resolve raises for a link to itself.
     files = [item.file for item in inputs.pictures] + [source.path for source in inputs.sources]
     taken = {os.path.realpath(file) for file in files if file is not None}
     for result in (Path(out, name + suffix) for name, ends in results for suffix in ends):
-        if isinstance(out, Path) and os.path.realpath(result) in taken:
+        if os.path.realpath(result) in taken:
             raise ConfigError(result, "is one of the pictures", ELSEWHERE)
-    return Plan(inputs.pictures, sources, owners)
+    return Plan(inputs.pictures, sources)

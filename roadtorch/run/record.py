@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -19,7 +20,7 @@ from roadtorch.base.threads import Threads
 from roadtorch.base.version import __version__
 from roadtorch.detectors.detector import Detector
 from roadtorch.layout.weights import corrected_pictures, tensors_hash
-from roadtorch.run.folder import RUN, ResultFolder
+from roadtorch.run.folder import RUN
 from roadtorch.run.ledger import INDEX, read_index
 
 
@@ -31,7 +32,7 @@ class RunRecord:
     how it was started.
     """
 
-    folder: ResultFolder
+    folder: Path
     detector: Detector
     files: Sequence[str]
     options: Mapping[str, object]
@@ -48,13 +49,11 @@ class RunRecord:
             status = ExitCode.WRONG_USAGE
             raise
         finally:
-            path = self.folder.path / RUN
-            write_json(path, self._document(started, status))
-            self.folder.publish(path)
+            write_json(self.folder / RUN, self._document(started, status))
         return status
 
     def _document(self, started: str, status: int) -> dict[str, object]:
-        index = self.folder.path / INDEX
+        index = self.folder / INDEX
         rows = read_index(index)
         own = [rows[file] for file in self.files if file in rows]
         done = sorted((row for row in own if not row.failed), key=lambda row: row.file)

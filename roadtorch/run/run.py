@@ -1,26 +1,24 @@
 """A run of a command into one folder: what is left to do is done, and remembered."""
 
 import sys
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
 from heapq import nsmallest
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import click
-from torch import Tensor
 
 from roadtorch.base.atomic import make_folder, remove_leftovers
-from roadtorch.base.errors import ConfigError, InputError, RoadtorchError
+from roadtorch.base.errors import InputError, RoadtorchError
 from roadtorch.base.progress import Progress
 from roadtorch.base.signals import Stop, stop_on_signals
 from roadtorch.inputs.item import Item, Source
 from roadtorch.road.steady import Steady, SteadySettings
-from roadtorch.run.folder import ELSEWHERE, Owners, ResultFolder, result_folder
+from roadtorch.run.folder import ELSEWHERE, has_result, result_folder
 from roadtorch.run.ledger import (
     DONE,
     DOUBTFUL,
@@ -41,7 +39,6 @@ from roadtorch.run.loop import (
     detections,
     died_over,
     elapsed,
-    loaded,
     row_of,
     until_asked,
 )
@@ -65,7 +62,7 @@ class RunOptions:
 class Run:
     """A run into one folder: what it remembers, who works, how it goes."""
 
-    folder: ResultFolder
+    folder: Path
     ledger: Ledger
     workers: Workers
     options: RunOptions = RunOptions()
@@ -117,7 +114,7 @@ class Run:
     def footage(self, plan: Plan, task: Task, steady: bool) -> int:
         """Work through the sources that are not done yet; the exit code.
 
-        steady: whether the frames of one that moves are steadied. A source is done when index.csv
+        steady: whether frames are steadied. A source is done when index.csv
         says so, of this method and of the bytes that its file has now, and its files are there;
         live ones never are. One that fails becomes a failed row, a partial one where some frames
         were done, and the others go on. When interrupted, what was finished is kept, the videos
@@ -131,12 +128,7 @@ class Run:
             redo = self.options.overwrite
             if not redo and self._done([source], own.method, output.suffixes):
                 skipped += 1
-                if not source.moving:  # its results are there, and stay
-                    deque(_owned(source, output, plan.owners), maxlen=0)
                 continue
-            if not source.moving:
-                owned = partial(_owned, source, output, plan.owners)
-                source = replace(source, items=owned)
             row = _SourceRun(self, source, output, own, steady).row()
             ended[row.status.partition(":")[0]] += 1
         failed = ended[PARTIAL] + ended[FAILED]
@@ -164,7 +156,7 @@ class Run:
 
     def _refuse_removed(self, items: Iterable[Item], suffixes: Sequence[str]) -> None:
         """Failed rows for pictures whose results were removed while the run went on."""
-        for item in items if not self.folder.url else ():
+        for item in items:
             row = self.ledger.rows[item.row_name]
             if not row.failed and not has_all(self.folder, item, row, suffixes):
                 what = "results were removed while the run went on"
@@ -173,9 +165,8 @@ class Run:
                 click.echo(f"roadtorch: {row.status}", err=True)
 
     def _remove_leftovers(self, items: Iterable[Item]) -> None:
-        if not self.folder.url:
-            names = [*(item.name for item in items), *self.ledger.rows]
-            remove_leftovers({(self.folder.path / name).parent for name in names})
+        names = [*(item.name for item in items), *self.ledger.rows]
+        remove_leftovers({(self.folder / name).parent for name in names})
 
     # --- what is told -------------------------------------------------------------------
 
@@ -202,7 +193,7 @@ class Run:
 class _Unchanged:
     """Whether a row's files are there, and the bytes of its item still those."""
 
-    folder: ResultFolder
+    folder: Path
     suffixes: Sequence[str]
 
     def __call__(self, pair: tuple[Item | Source, Row]) -> bool:
@@ -212,26 +203,26 @@ class _Unchanged:
         return row.sha256 == item.digest() != ""
 
 
-def has_all(folder: ResultFolder, item: Item | Source, row: Row, suffixes: Sequence[str]) -> bool:
+def has_all(folder: Path, item: Item | Source, row: Row, suffixes: Sequence[str]) -> bool:
     """Whether all files exist, those of the cues that its row names among them."""
     cues = filter(None, row.cues.split("/"))
     named = [end.format(cue) for cue in cues for end in suffixes if "{}" in end]
     return is_complete(folder, item, [*suffixes, *named])
 
 
-def is_complete(folder: ResultFolder, item: Item | Source, suffixes: Iterable[str]) -> bool:
+def is_complete(folder: Path, item: Item | Source, suffixes: Iterable[str]) -> bool:
     """Whether all files exist whose names are known beforehand."""
-    return all(folder.has(item.name + end) for end in suffixes if "{}" not in end)
+    return all(has_result(folder, item.name + end) for end in suffixes if "{}" not in end)
 
 
 @contextmanager
 def open_run(out: Path, effective: str, workers: Workers, options: RunOptions) -> Iterator[Run]:
-    """A run into a folder of this machine; raises as ``result_folder`` and ``open_ledger``."""
+    """A run into a folder; raises as ``result_folder`` and ``open_ledger``."""
     with (
-        result_folder(str(out), effective, options.overwrite) as folder,
-        open_ledger(folder.path / INDEX) as ledger,
+        result_folder(out, effective, options.overwrite),
+        open_ledger(out / INDEX) as ledger,
     ):
-        yield Run(folder, ledger, workers, options)
+        yield Run(out, ledger, workers, options)
 
 
 def _trust(row: Row) -> float:
@@ -302,15 +293,14 @@ class _SourceRun:
     def row(self) -> Row:
         """Its row, once its frames were looked at as far as possible; the ledger has it."""
         run, source, count = self.run, self.source, _Count()
-        place = run.folder.path / source.name
+        place = run.folder / source.name
         remove_leftovers([place.parent, place])
         make_folder(place.parent, ELSEWHERE)
         run.ledger.forget_frames(source.name)
         problem: BaseException | None = None
         try:
             with stop_on_signals() as stop, self.output.open() as writers:
-                rows = self._moving(writers, stop) if source.moving else self._alone(writers, stop)
-                for row in run._recorded(rows, "frame", total=source.count):
+                for row in run._recorded(self._frames(writers, stop), "frame", total=source.count):
                     count.add(row)
             stop.interrupt()
         except (RoadtorchError, KeyboardInterrupt) as raised:
@@ -320,8 +310,7 @@ class _SourceRun:
         run.ledger.add(row)
         if not run.options.quiet:
             click.echo(f"roadtorch: {row.file}: {count}", err=True)
-            lines = least_trusted(count.least) if count.doubtful or not source.moving else []
-            for line in lines[1:]:
+            for line in least_trusted(count.least)[1:] if count.doubtful else []:
                 click.echo(line, err=True)
         if isinstance(problem, KeyboardInterrupt):
             raise problem
@@ -329,14 +318,7 @@ class _SourceRun:
             click.echo(f"roadtorch: {row.status}", err=True)
         return row
 
-    def _alone(self, writers: Writers, stop: Stop) -> Iterator[Row]:
-        """The rows of pictures that are together only in their archive."""
-        task = replace(self.task, writer=writers.files)
-        with closing(self.source.items()) as items:  # type: ignore[arg-type]
-            pictures = map(loaded, until_asked(items, stop))
-            yield from self.run.workers.map(task, pictures, died_over)
-
-    def _moving(self, writers: Writers, stop: Stop) -> Iterator[Row]:
+    def _frames(self, writers: Writers, stop: Stop) -> Iterator[Row]:
         """The rows of frames, which steady one another and go into the same files."""
         steady = Steady(SteadySettings()) if self.steady else None
         run, cues, look = self.run, self.output.cues, self.task.look
@@ -377,19 +359,3 @@ class _SourceRun:
         last = count.last
         row = Row(source.row_name, last.width, last.height, f"{count.ms:.0f}", status=status)
         return replace(row, seconds=last.seconds)
-
-
-def _owned(source: Source, output: Output, owners: Owners) -> Iterator[Item]:
-    """The items of a source; one whose results would be another's fails, as SOURCE!NAME.png."""
-
-    def refuse(problem: ConfigError) -> Tensor:
-        raise problem
-
-    with closing(source.items()) as items:  # type: ignore[arg-type]
-        for item in items:
-            try:
-                owners.take(item.name, output.of_frames, item.origin)
-            except ConfigError as problem:
-                name = f"{Path(source.origin).name}!{item.name}{Path(item.origin).suffix}"
-                item = replace(item, name=name, read=partial(refuse, problem))
-            yield item

@@ -1,6 +1,5 @@
-"""Videos, bags and archives: one of ours that was tampered with, and its reader."""
+"""Videos and bags: one of ours that was tampered with, and its reader."""
 
-import io
 import tempfile
 from collections.abc import Callable, Mapping
 from functools import cache
@@ -9,21 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from roadtorch.base.errors import InputError
-from roadtorch.inputs.archives import archive_source
 from roadtorch.inputs.bags import bag_source
 from roadtorch.inputs.item import Selection, Source
 from roadtorch.inputs.video import video_source
 from tests.fuzz.pictures import scene
 from tests.fuzz.tampered import Draw, one_of, tampered, written
 from tests.inputs.bags import FIRST, ROS1, ROS2, STEP, raw_image, write_bag
-from tests.inputs.test_archives import write_archive
 from tests.videos import write_video
 
 CODECS = {
     **{".mp4": "libx264", ".mov": "mpeg4", ".avi": "mjpeg", ".mkv": "libx264"},
     **{".webm": "libvpx", ".m4v": "mpeg4"},
 }
-ARCHIVES = (".zip", ".tar", ".tar.gz", ".tar.xz")
 SCENES = 3
 
 
@@ -42,12 +38,6 @@ def makes_sense(source: Source, is_right: Callable[[np.ndarray], bool]) -> bool:
             if not is_right(pixels):
                 return False
     return True
-
-
-def shows_a_scene(pixels: np.ndarray) -> bool:
-    """Whether it is a scene which was put in."""
-    scenes = [np.asarray(scene(seed)) for seed in range(SCENES)]
-    return any(np.array_equal(pixels, other) for other in scenes)
 
 
 @cache
@@ -110,29 +100,8 @@ def has_the_values_of_a_scene(pixels: np.ndarray) -> bool:
     return any(np.abs(counts[0] - other).sum() <= 0.02 * pixels.size for other in counts[1:])
 
 
-@cache
-def archive(suffix: str) -> bytes:
-    members = {}
-    for number in range(SCENES):
-        member = io.BytesIO()
-        scene(number).save(member, "PNG")
-        members[f"{number}.png"] = member.getvalue()
-    with tempfile.TemporaryDirectory() as folder:
-        return write_archive(Path(folder, f"many{suffix}"), members).read_bytes()
-
-
-def make_archive(draw: Draw, folder: Path) -> Path:
-    suffix = one_of(draw, *ARCHIVES)
-    return written(folder / f"many{suffix}", tampered(draw, archive(suffix)))
-
-
-def read_archive(path: Path) -> bool:
-    return makes_sense(archive_source(str(path)), shows_a_scene)
-
-
 FOOTAGE = {
     "videos": (make_video, read_video),
     "bags": (make_bag, read_bag),
-    "archives": (make_archive, read_archive),
 }
 """Kinds whose names vary: what makes one, and what reads it."""

@@ -309,7 +309,7 @@ def read_results(path: Path) -> bool:
     write_index(path.with_name("index.csv"), [])
     threshold = deciding_settings(path.parent).threshold
     try:
-        with result_folder(str(path.parent), "threshold = 0.123", overwrite=False):
+        with result_folder(path.parent, "threshold = 0.123", overwrite=False):
             return False
     except ConfigError:
         return 0 <= threshold <= 1

@@ -1,5 +1,6 @@
 """Images in bags: every format, every encoding, topics, time stamps, damage."""
 
+import os
 import sqlite3
 from collections import deque
 from collections.abc import Callable
@@ -54,7 +55,6 @@ def test_gives_the_images_with_their_time_stamps(tmp_path: Path, form: str):
     path = written(tmp_path, form)
     source = bag_source(str(path))
     assert is_bag(str(path))
-    assert source.moving
     assert source.count == 5
     assert source.rate == pytest.approx(10)
     frames = list(source.items())
@@ -299,3 +299,14 @@ def test_what_is_no_bag_is_one_line(tmp_path: Path, suffix: str, content: bytes)
     with pytest.raises(InputError, match="cannot be read as a bag") as caught:
         bag_source(str(path))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["x.bag", "x.db3", "drive/x.mcap"])
+def test_a_pipe_is_refused_unopened(tmp_path: Path, name: str):
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    os.mkfifo(path)
+    given = path.parent if name.startswith("drive") else path
+
+    with pytest.raises(InputError, match="is or holds a pipe or a device"):
+        next(bag_source(str(given)).items())

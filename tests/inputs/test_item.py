@@ -38,7 +38,7 @@ def test_sampled_items_are_evenly_spaced(count: int, known: bool, expected: list
             closed.append(True)
 
     opened = items()  # held here, so that it is not closed by itself
-    source = Source("a", "a", True, lambda: opened, count=count if known else None)
+    source = Source("a", "a", lambda: opened, count=count if known else None)
 
     assert [one.number for one in source.sampled(3).items()] == expected
     assert len(asked) <= (expected[-1] + 1 if expected else 0)

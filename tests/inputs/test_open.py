@@ -98,9 +98,9 @@ def test_addresses_give_names_without_passwords(url: str, name: str) -> None:
 
 
 def test_one_source_of_an_input(mixed: Path) -> None:
-    assert open_source(str(mixed / "drive.mp4"), Selection()).moving
+    assert open_source(str(mixed / "drive.mp4"), Selection()).rate == 10
     pictures = open_source(str(mixed / "a.jpg"), Selection())
-    assert not pictures.moving
+    assert (pictures.rate, pictures.count) == (None, 1)
     assert [frame.name for frame in pictures.items()] == ["a"]
     with pytest.raises(ConfigError, match="holds 2 videos and pictures"):
         open_source(str(mixed), Selection())

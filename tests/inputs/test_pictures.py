@@ -1,5 +1,6 @@
 """Finding pictures: files, folders, globs."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -36,6 +37,15 @@ def names(pictures: list[Item]) -> list[str]:
 )
 def test_folders_globs_and_files(footage: Path, ends: list[str], expected: list[str]) -> None:
     assert names(find_pictures([f"{footage}/{end}" for end in ends])) == expected
+
+
+def test_pipes_are_listed_and_never_opened(footage: Path) -> None:
+    os.mkfifo(footage / "sub" / "pipe.png")
+
+    for end in "sub", "sub/*.png":
+        (item,) = (one for one in find_pictures([footage / end]) if one.name.endswith("pipe"))
+        with pytest.raises(InputError, match="it is a pipe or a device"):
+            item.read()
 
 
 def test_a_name_with_brackets_that_exists_is_no_glob(footage: Path) -> None:

@@ -1,9 +1,8 @@
-"""Addresses of the web: pictures and archives are fetched, streams are not."""
+"""Addresses of the web: images are fetched, streams are not."""
 
 import base64
 import io
 import time
-import zipfile
 from collections.abc import Callable, Iterator
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -13,11 +12,12 @@ import pytest
 import torch
 from PIL import Image
 
-from roadtorch import load_detector
+from roadtorch import detect_stream, load_detector
 from roadtorch.base import urls
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import decode_image, read_image, to_pixels
 from roadtorch.inputs.find import find_inputs
+from roadtorch.inputs.pictures import find_pictures
 from roadtorch.testing import street
 
 Answer = Callable[[BaseHTTPRequestHandler], None]
@@ -26,14 +26,6 @@ Answer = Callable[[BaseHTTPRequestHandler], None]
 def picture(kind: str = "PNG") -> bytes:
     data = io.BytesIO()
     Image.fromarray(to_pixels(street(48, 64, 1))).save(data, kind)
-    return data.getvalue()
-
-
-def archive() -> bytes:
-    data = io.BytesIO()
-    with zipfile.ZipFile(data, "w") as file:
-        file.writestr("a.png", picture())
-        file.writestr("sub/b.png", picture())
     return data.getvalue()
 
 
@@ -68,7 +60,6 @@ ANSWERS: dict[str, Answer] = {
     "/plain.png": body(picture(), "application/octet-stream"),
     "/moved.png": moved,
     "/locked.png": locked,
-    "/pics.zip": body(archive(), "application/zip"),
     "/cut.png": body(picture(), "image/png", 10**6),
     "/late.png": lambda _: time.sleep(1),
     "/camera.png": body(b"", "multipart/x-mixed-replace; boundary=x"),
@@ -114,10 +105,20 @@ def test_a_picture_is_what_the_server_calls_one_or_else_its_name(
     assert torch.equal(found.read(), street_as_png())
 
 
-def test_a_detector_takes_an_address(host: str) -> None:
-    detection = load_detector("prior:rows")(f"http://{host}/a.png")
+def test_detectors_and_streams_take_an_address(host: str) -> None:
+    detector, url = load_detector("prior:rows"), f"http://{host}/a.png"
 
-    assert detection.mask.shape == (48, 64)
+    assert detector(url).mask.shape == (48, 64)
+    assert [detection.mask.shape for detection in detect_stream(url, detector)] == [(48, 64)]
+
+
+@pytest.mark.parametrize("url", ["s3://bucket/a.png", "file:///a.png", "zip://a.png"])
+def test_addresses_of_no_server_are_refused(url: str) -> None:
+    with pytest.raises(InputError, match=f"{url}: is not of the web"):
+        read_image(url)
+    for find in (find_inputs, find_pictures):
+        with pytest.raises(InputError, match=f"{url}: is an address that is not read"):
+            find([url])
 
 
 def test_a_password_is_sent_and_told_nobody(host: str) -> None:
@@ -127,15 +128,6 @@ def test_a_password_is_sent_and_told_nobody(host: str) -> None:
     with pytest.raises(InputError) as error:
         find_inputs([f"http://me:wrong@{host}/locked.png"])
     assert str(error.value).startswith(f"http://{host}/locked.png: is answered with 401")
-
-
-def test_an_archive_is_fetched_whole(host: str) -> None:
-    _, (source,) = find_inputs([f"http://{host}/pics.zip"])
-
-    found = {item.name: item.read() for item in source.items()}
-
-    assert [*found] == ["a", "sub/b"]
-    assert torch.equal(found["sub/b"], street_as_png())
 
 
 @pytest.mark.parametrize("path", ["camera.png", "live"])

@@ -17,7 +17,7 @@ from roadtorch.camera.camera import Camera
 from roadtorch.detectors.detector import Evidence
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.road.steady import Steady, SteadySettings
-from roadtorch.run.loop import Detected, Look, Missed, detections, loaded
+from roadtorch.run.loop import Detected, Look, Missed, detections
 from roadtorch.run.workers import Workers
 from tests.command import save_picture
 from tests.streets import scene
@@ -49,7 +49,7 @@ def of_scenes(count: int, closed: list[bool] | None = None, bad: int | None = No
             if closed is not None:
                 closed.append(True)
 
-    return Source("x", "x", True, items)
+    return Source("x", "x", items)
 
 
 def test_detections_have_names_time_stamps_and_images(tmp_path: Path) -> None:
@@ -197,11 +197,3 @@ def test_stopping_ends_the_frames() -> None:
     stop.ask(signal.SIGINT)
     assert len(list(frames)) <= 1
     assert closed == [True]
-
-
-def test_a_loaded_item_has_its_image_or_its_problem() -> None:
-    good, bad = map(loaded, of_scenes(2, bad=1).items())
-
-    assert torch.equal(good.read(), scene(0, 48, 64).image)
-    with pytest.raises(InputError, match="frame 1: is broken"):
-        bad.read()

@@ -110,24 +110,10 @@ def test_frames_of_a_source_are_forgotten_and_nothing_else(path: Path) -> None:
     assert [*read_index(path)] == sorted(names[2:5])
 
 
-def test_an_index_elsewhere_is_published_now_and_then_and_at_the_end(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    published: list[int] = []
-    for every, count in ((1e9, 2), (0.0, 4)):
-        published.clear()
-        monkeypatch.setattr(module, "PUBLISH_EVERY", every)
-        with open_ledger(path, lambda file: published.append(file.stat().st_size)) as ledger:
-            for name in "abc":
-                ledger.add(Row(name))
-        assert len(published) == count
-        assert published[-1] == path.stat().st_size
-
-
 def test_a_disk_that_is_full_is_one_error_and_the_rows_stay(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ledger = module.Ledger(path, lambda _: None)
+    ledger = module.Ledger(path)
     ledger.add(Row("a"))
     ledger.path = Path("/dev/full")
 

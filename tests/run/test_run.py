@@ -1,4 +1,4 @@
-"""What a run of ``infer`` leaves beside the pictures' files, where they are, and how it ends."""
+"""What a run of ``infer`` leaves beside the pictures' files, and how it ends."""
 
 import json
 from hashlib import sha256
@@ -12,7 +12,7 @@ from PIL import Image
 from roadtorch.base.threads import Threads
 from roadtorch.data.polygons import read_outlined_mask
 from roadtorch.testing.scenes import render_scene, write_picture
-from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
+from tests.command import ROWS, Call, bytes_in, rows_of, save_picture
 
 # --- polygons and facts -----------------------------------------------------------------
 
@@ -96,48 +96,3 @@ def test_fail_fast_ends_at_the_first_failure_and_goes_on_later(
     assert stopped.stderr.endswith(told)
     assert run("--jobs", jobs).exit_code == 1
     assert len(rows_of(out)) == 10
-
-
-# --- elsewhere --------------------------------------------------------------------------
-
-
-def test_urls_give_the_same_files_and_rows(
-    call: Call, run: Call, footage: Path, tmp_path: Path, out: Path
-) -> None:
-    (footage / "bad.png").write_bytes(b"no picture")
-    kinds = ("--save", "likelihood,mask,cues,polygons,json")
-    there = tmp_path / "there"
-    remote = ("infer", footage.as_uri(), *ROWS, "--out", there.as_uri(), *kinds)
-
-    run(*kinds)
-    result, again = call(*remote), call(*remote)
-
-    assert result.stderr.splitlines()[0] == (
-        f"roadtorch: failed: {footage.as_uri()}/bad.png: is not a picture "
-        "(give JPEG, PNG, TIFF, WebP or BMP)"
-    )
-    assert bytes_in(out) == bytes_in(there)
-    assert files_in(out) == files_in(there)
-    told, expected = rows_of(there), rows_of(out)
-    for name, row in expected.items():
-        ignored = {"ms", "status"} if row["status"].startswith("failed") else {"ms"}
-        assert {key for key in row if row[key] != told[name][key]} <= ignored
-    assert "3 skipped (done before), 1 failed" in again.stderr
-
-
-def test_what_changed_behind_a_url_is_done_anew_and_mistakes_are_refused(
-    call: Call, footage: Path, out: Path
-) -> None:
-    command = ("infer", footage, *ROWS, "--out", out.as_uri())
-    call(*command)
-    save_picture(footage / "a.jpg", 9)
-    save_picture(footage / "sub" / "a.jpg")
-
-    again = call(*command)
-    other = call(*command, "--threshold", "0.9")
-    twice = call("infer", footage.as_uri(), (footage / "sub").as_uri(), "--out", out / "o")
-
-    assert again.stderr.startswith("roadtorch: 2 done (1 anew), 2 skipped")
-    assert other.exit_code == twice.exit_code == 2
-    assert f"{out.as_uri()}: holds results of other settings" in other.stderr
-    assert "both would write" in twice.stderr

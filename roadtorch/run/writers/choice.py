@@ -71,7 +71,7 @@ VIDEOS = {
 
 def is_from_bag(source: Source) -> bool:
     """Whether the frames of a source are those of a bag."""
-    return source.moving and not source.live and is_bag(source.origin)
+    return not source.live and is_bag(source.origin)
 
 
 def bag_suffix(source: Source, suffix: str) -> str:
@@ -85,10 +85,10 @@ def bag_suffix(source: Source, suffix: str) -> str:
 class MapOutput:
     """What ``infer`` writes of a source: videos, a GIF, bags, and files for each frame.
 
-    maps: of a picture. asked: the kinds of ``--save``, None where it is not given: of a moving
+    maps: of a picture. asked: the kinds of ``--save``, None where it is not given: of a
     source ``overlay`` is a video and ``overlay-frames`` are pictures. gif: its start and end in
     seconds. topic: of the images in bags; None where they have one. view: what else gets the
-    frames of moving sources.
+    frames of sources.
     """
 
     maps: Maps
@@ -100,17 +100,14 @@ class MapOutput:
     def __call__(self, source: Source) -> Output:
         """What is written of that source."""
         usual = OF_BAGS if is_from_bag(source) else OF_FOOTAGE
-        usual = usual if source.moving else OF_PICTURES
         kinds = usual if self.asked is None else self.asked
-        own: dict[str, str] = {}
         of_frames = set(kinds)
-        if source.moving:
-            kinds = (*kinds, "gif") if self.gif else kinds
-            suffixes = {**VIDEOS, "gif": GIF, "bag": bag_suffix(source, ".road")}
-            own = {kind: suffixes[kind] for kind in kinds if kind in suffixes}
-            of_frames -= suffixes.keys()
-            if "overlay-frames" in kinds:
-                of_frames = of_frames - {"overlay-frames"} | {"overlay"}
+        kinds = (*kinds, "gif") if self.gif else kinds
+        suffixes = {**VIDEOS, "gif": GIF, "bag": bag_suffix(source, ".road")}
+        own = {kind: suffixes[kind] for kind in kinds if kind in suffixes}
+        of_frames -= suffixes.keys()
+        if "overlay-frames" in kinds:
+            of_frames = of_frames - {"overlay-frames"} | {"overlay"}
         maps = replace(self.maps, kinds=frozenset(of_frames))
         suffixes_of_frames = [SUFFIXES.get(kind, f".{kind}") for kind in of_frames]
         cues = not of_frames.isdisjoint(CUE_SUFFIXES)
@@ -169,7 +166,7 @@ class GridOutput:
             matrix, bent = info.matrix.ravel().tolist(), info.distortion.tolist()
             size = (info.width, info.height)
             placing = placing.through(lens_of_info(source.origin, size, matrix, bent, info.model))
-        if source.moving and placing.asks_pictures:
+        if placing.asks_pictures:
             placing = steadied(placing, self.look, source)
         if suffixes:
             stem = self.grids.folder / source.name

@@ -1,7 +1,6 @@
 """coco.json: the masks of all pictures whose outlines are kept, as one COCO file."""
 
 import json
-import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path, PurePath
 from typing import NamedTuple
@@ -10,26 +9,26 @@ import numpy as np
 
 from roadtorch.base.atomic import atomic
 from roadtorch.data.polygons import coco_region, read_outlined_mask
-from roadtorch.run.folder import COCO, ResultFolder
+from roadtorch.run.folder import COCO, has_result
 from roadtorch.run.ledger import INDEX, read_index
 
 POLYGONS = ".labelme.json"
 """How the name of the annotation file of a picture ends."""
 
 
-def write_coco(folder: ResultFolder) -> None:
+def write_coco(folder: Path) -> None:
     """Write the pictures whose polygons are kept, sorted by file, as one COCO file.
 
     A second run makes it anew of all that is there, so that it is whole whatever was
     interrupted. Raises InputError when it cannot be written, DatasetError for an annotation
     that cannot be read.
     """
-    rows = read_index(folder.path / INDEX).values()
+    rows = read_index(folder / INDEX).values()
     saved = [row for row in rows if not row.failed and "polygons" in row.saved.split()]
     ready = {
         row.file: row
         for row in sorted(saved, key=lambda row: row.file)
-        if folder.url or folder.has(_annotation(folder, row.file))
+        if has_result(folder, _annotation(folder, row.file))
     }
     pictures = [
         CocoPicture(
@@ -39,28 +38,20 @@ def write_coco(folder: ResultFolder) -> None:
         )
         for row in ready.values()
     ]
-    with tempfile.TemporaryDirectory(prefix="roadtorch-") as scratch:
 
-        def mask_of(file: str) -> np.ndarray:
-            """bool (H,W), as the annotation of a picture draws it."""
-            name = _annotation(folder, file)
-            annotation = folder.path / name
-            if folder.url:
-                annotation = Path(scratch, "annotation.json")
-                annotation.write_bytes(folder.read(name) or b"")
-            size = int(ready[file].height), int(ready[file].width)
-            return read_outlined_mask(annotation, size)
+    def mask_of(file: str) -> np.ndarray:
+        """bool (H,W), as the annotation of a picture draws it."""
+        size = int(ready[file].height), int(ready[file].width)
+        return read_outlined_mask(folder / _annotation(folder, file), size)
 
-        path = folder.path / COCO
-        with atomic(path) as temporary, temporary.open("w", encoding="utf-8") as text:
-            text.writelines(coco_text(pictures, mask_of))
-    folder.publish(path)
+    with atomic(folder / COCO) as temporary, temporary.open("w", encoding="utf-8") as text:
+        text.writelines(coco_text(pictures, mask_of))
 
 
-def _annotation(folder: ResultFolder, file: str) -> str:
+def _annotation(folder: Path, file: str) -> str:
     """The outline of what index.csv calls ``file``: a frame, without suffix, or a picture."""
     of_picture = PurePath(file).with_suffix("").as_posix() + POLYGONS
-    return file + POLYGONS if not folder.url and folder.has(file + POLYGONS) else of_picture
+    return file + POLYGONS if has_result(folder, file + POLYGONS) else of_picture
 
 
 class CocoPicture(NamedTuple):
