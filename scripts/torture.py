@@ -39,7 +39,6 @@ from roadtorch.base.image import write_mask
 from roadtorch.cli import main
 from roadtorch.detectors.catalogue import list_detectors
 from roadtorch.detectors.detection import Detection
-from roadtorch.evaluation import evaluate
 from roadtorch.inputs.item import Item
 from roadtorch.run.folder import RUN
 from roadtorch.run.writers.video import VideoWriter
@@ -290,7 +289,7 @@ def paint(folder: Path, count: int) -> None:
 def load() -> None:
     """Import what the runs need; stop the clock of results; save as often as that can be done."""
     torch.set_num_threads(1)
-    evaluate.SAVE_EVERY = loop.SAVE_EVERY = 0.0
+    loop.SAVE_EVERY = 0.0
     for name in LOADED:
         importlib.import_module(name)
     for module in [time, *(sys.modules[name] for name in sys.modules if "roadtorch" in name)]:

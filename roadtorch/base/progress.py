@@ -1,14 +1,10 @@
 """How far a long run is: a bar on a terminal, now and then a line where output is piped."""
 
 import sys
-from collections.abc import Iterable, Iterator
-from typing import Any, TypeVar
+from collections.abc import Iterable
+from typing import Any
 
 from tqdm import tqdm
-
-from roadtorch.base.signals import stop_on_signals
-
-Item = TypeVar("Item")
 
 LINE_EVERY = 30.0  # seconds between lines where there is no terminal; the first comes after as many
 
@@ -51,16 +47,3 @@ class Progress(tqdm):  # pyright: ignore[reportMissingTypeArgument]
         """Draw the bar again; a line is written when it is due, not after each message."""
         if not (self._lines and nolock):
             return super().refresh(nolock, lock_args)
-
-
-def watched(results: Iterator[Item], done: int, total: int) -> Iterator[Item]:
-    """The same results under a progress bar; KeyboardInterrupt after the one in hand.
-
-    done: how many were there before, of how many.
-    """
-    if done:
-        Progress.write(f"roadtorch: going on after {done} of {total} pictures", file=sys.stderr)
-    with stop_on_signals() as stop:
-        for result in Progress(results, initial=done, total=total, unit="image"):
-            yield result
-            stop.interrupt()

@@ -86,13 +86,12 @@ def _score(
     limit: int | None,
     jobs: int | None,
 ) -> int:
-    from roadtorch.base.progress import watched
     from roadtorch.cli.evaluate import tell_failures
     from roadtorch.evaluation.evaluate import evaluated
     from roadtorch.evaluation.report.screen import screen
 
     against = methods[0].name
-    evaluation = evaluated(dataset, methods, limit=limit, against=against, jobs=jobs, watch=watched)
+    evaluation = evaluated(dataset, methods, limit=limit, against=against, jobs=jobs, quiet=False)
     click.echo(screen(evaluation))
     tell_failures(evaluation)
     if (out := context.params["out"]) is not None:

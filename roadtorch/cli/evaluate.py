@@ -61,7 +61,6 @@ def evaluate(
     groups can teach it, prior:mean.
     Start an interrupted run again to resume it.
     """
-    from roadtorch.base.progress import watched
     from roadtorch.base.settings import merge, parse_assignments
     from roadtorch.data.catalogue import open_named
     from roadtorch.data.folder import with_conditions
@@ -92,17 +91,14 @@ def evaluate(
         threshold_from=threshold_from,
         against=against,
         jobs=labelled.jobs,
-        keep_in=out,
-        watch=watched,
+        quiet=False,
     )
     click.echo(screen(evaluation))
     tell_failures(evaluation)
     if out is not None:
-        from roadtorch.evaluation.evaluate import forget
         from roadtorch.evaluation.report.files import write  # with what draws, which takes a while
 
         write(evaluation, out, command_line(context), montage)
-        forget(out)  # the progress that was saved for an interruption
     context.exit(1 if evaluation.failures else 0)
 
 
@@ -123,9 +119,8 @@ def tune(
     threshold that the other groups choose.
     """
     from roadtorch.base.atomic import write_text
-    from roadtorch.base.progress import watched
     from roadtorch.base.settings import parse_assignments
-    from roadtorch.evaluation.evaluate import choose_threshold, forget
+    from roadtorch.evaluation.evaluate import choose_threshold
     from roadtorch.evaluation.evaluate import evaluate as score
     from roadtorch.evaluation.report.screen import choice_text, provenance
     from roadtorch.run.folder import output_lock
@@ -140,8 +135,7 @@ def tune(
         settings=settings,
         limit=labelled.limit,
         jobs=labelled.jobs,
-        keep_in=out,
-        watch=watched,
+        quiet=False,
     )
     choices = [
         choose_threshold(evaluation, name, settings)
@@ -155,7 +149,6 @@ def tune(
         write_text(path, f"{comment}\n{as_toml(choice.detector, choice.settings)}\n")
     click.echo(choice_text(choices))
     tell_failures(evaluation)
-    forget(out)
     context.exit(1 if evaluation.failures else 0)
 
 

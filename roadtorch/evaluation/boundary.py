@@ -23,8 +23,8 @@ from roadtorch.base.image_cache import cached_per_image
 THREE_PIXELS = 0.00375
 """At 640x480: the one that tables of cameras show."""
 
-TOLERANCES = (0.0025, THREE_PIXELS, 0.005, 0.0075)
-"""2, 3, 4 and 6 pixels at 640x480: Csurka's figure, and three that ask for more."""
+TOLERANCES = (THREE_PIXELS, 0.0075)
+"""3 and 6 pixels at 640x480: Csurka's, and half of it."""
 
 
 def count_boundary(

@@ -4,12 +4,11 @@ A curve is made from counts (`roadtorch.evaluation.metrics.RoadCounts`), never f
 scores, so the order of equal scores cannot matter: every level is one point, and several
 road and background pixels on one level make one slanted piece.
 
-P3 speaks of "average ROC curves" without saying which (Fawcett, An introduction to ROC
-analysis, 2006, knows two), and they differ:
+P3 speaks of "average ROC curves" without saying which. Two are here:
 
-- vertical: the mean TPR of the images at a given FPR (`vertical_sample` of each image,
-  summed by the caller, then `vertical_average`). The default; every image weighs the same.
-- threshold: the mean FPR and TPR of the images at a given threshold (`threshold_average`).
+- vertical: the mean TPR of the images at a given FPR (`vertical_sample` of each image, then
+  `vertical_average` of the mean; Fawcett, An introduction to ROC analysis, 2006). Every image
+  weighs the same.
 - pooled: `roc` of the summed counts; images with more road weigh more.
 """
 
@@ -103,17 +102,6 @@ def vertical_average(true_rates: Tensor) -> Curve:
         torch.nn.functional.pad(false_rates, (1, 0)).expand(*true_rates.shape[:-1], -1),
         torch.nn.functional.pad(true_rates, (1, 0)),
     )
-
-
-def threshold_average(counts: RoadCounts) -> Curve:
-    """Means of the images' operating points, threshold by threshold: (n,levels) → (levels+1,).
-
-    Images without road or without background are skipped; NaN when none is left. Likelihoods
-    must be comparable between images. The area is not the mean of the images' areas.
-    """
-    kept = (counts.road.sum(-1) > 0) & (counts.other.sum(-1) > 0)
-    points = operating_points(RoadCounts(counts.road[kept], counts.other[kept]))
-    return Curve(points.x.mean(0), points.y.mean(0))
 
 
 # --- precision and recall ---------------------------------------------------------------

@@ -18,7 +18,7 @@ from roadtorch.evaluation.result import (
     best_median_worst,
     pictures_by_f,
 )
-from roadtorch.evaluation.tally import WHOLE, Tally, mean_rates
+from roadtorch.evaluation.tally import WHOLE, Tally
 from roadtorch.evaluation.trust import Trusted, risk_coverage, trusted
 
 SHOWN = 10  # best, median and worst pictures in metrics.json
@@ -127,8 +127,7 @@ Curves = Mapping[str, Sequence[Sequence[float]] | None]
 """Lists of coordinates by kind of curve; None where a curve is not defined.
 
 ``roc`` (FPR, TPR) and ``pr`` (recall, precision) of pooled counts, ``reliability`` (predicted,
-observed, share of pixels); of groups also P3's averages over pictures, ``roc_vertical`` and
-``roc_threshold``; of all pictures, where the detector has trust, ``risk`` and
+observed, share of pixels); of all pictures, where the detector has trust, ``risk`` and
 ``risk_ideal`` (coverage, mean 1 - F).
 """
 
@@ -163,14 +162,12 @@ def group_curves(tally: Tally, counting: Sequence[str]) -> DetectorCurves:
 
 
 def _curves_of(tally: Tally, group: str) -> Curves:
-    counts, rates = tally.road[group], mean_rates(tally, [group])
+    counts = tally.road[group]
     bins = curves.reliability(counts)
     return {
         "roc": _thinned(curves.roc(counts)),
         "pr": _thinned(curves.precision_recall(counts)),
         "reliability": [_rounded(each) for each in (bins.predicted, bins.observed, bins.share)],
-        "roc_vertical": None if rates is None else _lists(curves.vertical_average(rates)),
-        "roc_threshold": _thinned(curves.threshold_average(tally.kept([group]).road)),
     }
 
 

@@ -1,20 +1,14 @@
-"""Score detectors on a labelled set: every picture once, then figures and comparisons.
+"""Score detectors on a labelled set: every picture once, then figures and comparisons."""
 
-A run that is interrupted goes on where it was: its counts so far are in one file.
-"""
-
-import io
 import math
-import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from roadtorch.base.atomic import digest_of
 from roadtorch.base.errors import DatasetError, UnscorableError, unknown_name
+from roadtorch.base.progress import Progress
 from roadtorch.data.dataset import Dataset, every_kth
 from roadtorch.detectors.catalogue import detector_entry
 from roadtorch.detectors.detector import DetectorSettings
@@ -23,17 +17,8 @@ from roadtorch.evaluation.measures import IOU, MEASURES, F
 from roadtorch.evaluation.methods import Contender, contenders
 from roadtorch.evaluation.result import Evaluation, Failure, summarise
 from roadtorch.evaluation.scoring import score
-from roadtorch.evaluation.tally import Scored, Tally
+from roadtorch.evaluation.tally import Tally
 from roadtorch.evaluation.uncertainty import compare, intervals, resample
-from roadtorch.run.memo import keep, kept, key_of
-
-Watch = Callable[[Iterator[Scored], int, int], Iterable[Scored]]
-"""Results as they come, how many pictures were done before, of how many → the same results."""
-
-
-def unwatched(results: Iterator[Scored], done: int, total: int) -> Iterable[Scored]:
-    """Nobody looks on."""
-    return results
 
 
 def evaluate(
@@ -48,8 +33,7 @@ def evaluate(
     against: str | None = None,
     measures: Sequence[Measure] = MEASURES,
     jobs: int | None = 1,
-    keep_in: Path | None = None,
-    watch: Watch = unwatched,
+    quiet: bool = True,
 ) -> Evaluation:
     """Score detectors beside the baselines ``prior:rows``, ``prior:triangle`` and ``prior:mean``.
 
@@ -59,16 +43,13 @@ def evaluate(
     ``prior:mean`` where the groups of this one cannot. threshold_from: the metrics.json of
     an earlier run whose thresholds are taken. against: the detector that all are compared
     with, the best one if not given. measures: what is measured. jobs: processes, None for what
-    pays; the figures do not depend on it.
-    keep_in: a folder that keeps what is counted, so that an interrupted run goes on when it
-    is started again; ``forget`` it when the result is safe. watch: sees the results pass,
-    and may raise to interrupt.
+    pays; the figures do not depend on it. quiet: no progress is shown.
 
     Raises ConfigError for what can be refused before the run, DatasetError when no picture
     could be scored, UnscorableError when no label has any road.
     """
     entries = contenders(dataset, detectors, settings or {}, maps or {}, mean_from, threshold_from)
-    return evaluated(dataset, entries, limit, against, measures, jobs, keep_in, watch)
+    return evaluated(dataset, entries, limit, against, measures, jobs, quiet)
 
 
 def evaluated(
@@ -78,8 +59,7 @@ def evaluated(
     against: str | None = None,
     measures: Sequence[Measure] = MEASURES,
     jobs: int | None = 1,
-    keep_in: Path | None = None,
-    watch: Watch = unwatched,
+    quiet: bool = True,
 ) -> Evaluation:
     """Score contenders as they are; the rest, and what it raises, as for ``evaluate``."""
     names = [entry.name for entry in entries]
@@ -87,7 +67,7 @@ def evaluated(
         raise unknown_name("detector of this run", against, names)
     pictures = every_kth(dataset, limit)
     conditions = pictures.by_condition()
-    tallies, failures = count_all(pictures, entries, jobs, keep_in, watch)
+    tallies, failures = count_pictures(pictures, entries, jobs, quiet)
     figures = {
         entry.name: summarise(entry, tallies[entry.name], measures, pictures.left_out, conditions)
         for entry in entries
@@ -104,88 +84,26 @@ def evaluated(
     )
 
 
-def count_all(
-    dataset: Dataset,
-    entries: Sequence[Contender],
-    jobs: int | None,
-    keep_in: Path | None,
-    watch: Watch,
+def count_pictures(
+    dataset: Dataset, entries: Sequence[Contender], jobs: int | None, quiet: bool
 ) -> tuple[Mapping[str, Tally], list[Failure]]:
-    """Run what is left of the pass; the tallies are saved whatever ends it."""
-    file = keep_in / FILE if keep_in else None
-    key, failures = key_of_run(dataset, entries) if file else "", list[Failure]()
-    tallies = read_progress(file, key) if file else {}
-    done = {name for tally in tallies.values() for name, _ in tally.pictures}
-    saved, pause = time.monotonic(), SAVE_EVERY
-    try:
-        for result in watch(score(dataset, entries, jobs, done), len(done), len(dataset.items)):
+    """Count every picture for every contender; a picture that fails counts for none of them."""
+    tallies, failures = {entry.name: Tally() for entry in entries}, list[Failure]()
+    with closing(score(dataset, entries, jobs)) as results:
+        for result in Progress(results, total=len(dataset.items), unit="image", quiet=quiet):
             if result.failure:
                 failures.append(Failure(result.item.name, result.item.group, result.failure))
             for name, counts in result.scores.items():
-                tallies.setdefault(name, Tally()).add(result.item, counts)
-            if file and tallies and time.monotonic() - saved > pause:
-                start = time.monotonic()
-                write_progress(file, key, tallies)
-                saved = time.monotonic()
-                pause = max(SAVE_EVERY, (saved - start) / SAVING)
-    except BaseException:
-        if file and tallies:
-            write_progress(file, key, tallies)
-        raise
-    order = [item.name for item in dataset.items]
-    for tally in tallies.values():
-        tally.sort(order)
-    counting = {group for tally in tallies.values() for _, group in tally.pictures}
-    if not counting - dataset.left_out:
+                tallies[name].add(result.item, counts)
+    roads = [counts.road for tally in tallies.values() for counts in tally.road.values()]
+    if not {group for tally in tallies.values() for group in tally.road} - dataset.left_out:
         first = failures[0].reason if failures else "all groups are left out"
-        what = f"none of its {len(dataset.items)} pictures could be scored; the first: {first}"
-        raise DatasetError(dataset.root, what, "mend that first")
-    roads = [road for tally in tallies.values() for road in tally.sums["road"].values()]
-    if not any(bool(road[0].any()) for road in roads):
-        what = "there is no road in any label"
-        raise UnscorableError(dataset.root, what, "check which numbers mean road in this set")
+        message = f"none of its {len(dataset.items)} pictures could be scored; the first: {first}"
+        raise DatasetError(dataset.root, message, "mend that first")
+    if not any(bool(road.any()) for road in roads):
+        message = "there is no road in any label"
+        raise UnscorableError(dataset.root, message, "check which numbers mean road in this set")
     return tallies, failures
-
-
-# --- a run that is interrupted ----------------------------------------------------------
-
-
-FILE = "progress.npz"
-SAVE_EVERY = 20.0  # seconds of work that a power cut may cost, at least
-SAVING = 0.05  # the share of the time that saving may take: hundreds of detectors are a gigabyte
-
-
-def key_of_run(dataset: Dataset, entries: Sequence[Contender]) -> str:
-    """A key of all that the counts depend on: pictures, labels, contenders, by their bytes."""
-    items = [
-        (item.name, item.group, digest_of(item.image), digest_of(item.label))
-        for item in dataset.items
-    ]
-    groups = sorted(dataset.left_out)  # they teach prior:mean nothing
-    made_of = [(entry.name, entry.settings, entry.threshold, entry.digest()) for entry in entries]
-    return key_of(dataset.name, dataset.split, items, groups, made_of)
-
-
-def read_progress(path: Path, key: str) -> dict[str, Tally]:
-    """The tallies that ``write_progress`` saved under that key; none of another run."""
-    arrays = kept(path, key)
-    if arrays is None:
-        return {}
-    saved = torch.load(io.BytesIO(arrays["tallies"].numpy().tobytes()), weights_only=True)
-    return {name: Tally(**parts) for name, parts in saved.items()}
-
-
-def write_progress(path: Path, key: str, tallies: Mapping[str, Tally]) -> None:
-    """Write everything counted so far, whole or not at all."""
-    file = io.BytesIO()
-    torch.save({name: vars(tally) for name, tally in tallies.items()}, file)
-    data = bytearray(file.getvalue())  # no view of it: see ``write_npy``
-    keep(path, key, {"tallies": torch.frombuffer(data, dtype=torch.uint8)})
-
-
-def forget(folder: Path) -> None:
-    """Remove what a run saved in a folder: its results are safe, and a new run starts anew."""
-    (folder / FILE).unlink(missing_ok=True)
 
 
 # --- the threshold of a config -----------------------------------------------------------

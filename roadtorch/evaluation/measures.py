@@ -42,15 +42,6 @@ def _of_mask(figure: Callable[[Decisions], Tensor]) -> Formula:
     return lambda part: figure(part.mask)
 
 
-def _of_roc(figure: Callable[[curves.Curve], Tensor]) -> Formula:
-    """Of the average curve of the pictures; NaN without a picture that has one."""
-
-    def formula(part: Part) -> Tensor | float:
-        return math.nan if part.rates is None else figure(curves.vertical_average(part.rates))
-
-    return formula
-
-
 def _of_pictures(figure: Callable[[Pictures], float]) -> Formula:
     """Of the single pictures, which are not known of draws."""
     return lambda part: None if part.pictures is None else figure(part.pictures)
@@ -145,21 +136,6 @@ SCORES = (
     ),
     AUC_MEAN,
     Measure(
-        "auc_images_skipped",
-        "skipped",
-        "Pictures without road or without background, which have no AUC.",
-        _of_pictures(lambda pictures: int(pictures.auc.isnan().sum())),
-        better=None,
-        digits=0,
-        over_groups="whole",
-    ),
-    Measure(
-        "auc_vertical",
-        "AUC,\nvertical",
-        "Area under the mean of the single pictures' ROC curves, at equal false positive rates.",
-        _of_roc(curves.area),
-    ),
-    Measure(
         "ap",
         "AP",
         "Best precision at recall 0, 0.1, … 1 or above, averaged (KITTI).",
@@ -176,13 +152,6 @@ SCORES = (
         better="lower",
         interval=True,
         shown=("screen", "scores"),
-    ),
-    Measure(
-        "eer_vertical",
-        "EER,\nvertical",
-        "Error rate of the mean of the single pictures' ROC curves.",
-        _of_roc(curves.equal_error_rate),
-        better="lower",
     ),
     Measure(
         "brier",
@@ -227,30 +196,16 @@ DECISIONS = (
     ),
     F,
     Measure(
-        "precision",
-        "precision",
-        "Share of true road in what is decided to be road.",
-        _of_chosen(metrics.precision),
-        shown=("further",),
-    ),
-    Measure(
-        "recall",
-        "recall",
-        "Share of the true road that is found.",
-        _of_chosen(metrics.recall),
-        shown=("further",),
-    ),
-    Measure(
         "precision_mask",
         "precision\nof mask",
-        "Precision of that mask.",
+        "Fraction of true road in what the detector's own mask calls road.",
         _of_mask(metrics.precision),
         shown=("parts",),
     ),
     Measure(
         "recall_mask",
         "recall\nof mask",
-        "Recall of that mask.",
+        "Fraction of the true road that the detector's own mask finds.",
         _of_mask(metrics.recall),
         shown=("parts",),
     ),
@@ -270,60 +225,29 @@ def _border(place: int, share: float) -> Measure:
 BORDERS = tuple(_border(*pair) for pair in enumerate(boundary.TOLERANCES))
 
 
-def _at_max_f(key: str, name: str, meaning: str, **more: Any) -> Measure:
-    """A figure at KITTI's working point; more: further fields of the measure."""
-    formula: Formula = lambda part: part.working_point[key]  # noqa: E731
-    return Measure(f"working_point/{key}", name, meaning, formula, over_groups="nothing", **more)
-
-
-WORKING_POINT = (
-    _at_max_f("level", "level", "Level of likelihood where F is highest (KITTI).", better=None),
-    _at_max_f("precision", "PRE", "Precision where F is highest (KITTI).", shown=("further",)),
-    _at_max_f("recall", "REC", "Recall there.", shown=("further",)),
-    _at_max_f("fpr", "FPR", "False positive rate there.", better="lower", shown=("further",)),
-    _at_max_f("fnr", "FNR", "False negative rate there.", better="lower", shown=("further",)),
-    _at_max_f("accuracy", "accuracy", "Share of pixels that are right there."),
-    _at_max_f("quality", "quality", "Overlap of decided and true road there."),
-)
-
-# --- the layout: under each reading of void, of potentials and of labels that may abstain -----
-
-VOID = ", void counted as vertical"
-LABELLED = ", where the labeller does not abstain"
+# --- the layout: of potentials, and of labels that may abstain ----------------------------
 
 
 def _layout(
     key: str, name: str, meaning: str, figure: Callable[[Tensor], Tensor], **more: Any
 ) -> Measure:
     """A figure of the confusion that the key names; more: further fields of the measure."""
-    of_labels, void_is_vertical = key.startswith("labelled"), "void_as_vertical" in key
 
     def formula(part: Part) -> Tensor | None:
-        confusion = part.labels if of_labels else part.layout
-        if confusion is None:
-            return None
-        return figure(metrics.void_as_vertical(confusion) if void_is_vertical else confusion)
+        confusion = part.labels if key.startswith("labelled") else part.layout
+        return None if confusion is None else figure(confusion)
 
     return Measure(f"layout/{key}", name, meaning, formula, **more)
 
 
-def _recalls(under: str, words: str, **more: Any) -> list[Measure]:
-    """The recall of each class."""
-    return [
-        _layout(
-            f"{under}{name}",
-            name,
-            f"Share of {name} that is found{words}.",
-            lambda confusion, place=place: metrics.class_recalls(confusion)[..., place],
-            **more,
-        )
-        for place, name in enumerate(NAMES)
-    ]
-
-
-def _mean_recall(under: str, name: str, words: str, **more: Any) -> Measure:
-    meaning = f"Mean of the three{words}."
-    return _layout(f"{under}mean", name, meaning, metrics.mean_class_recall, **more)
+def _recall(place: int, name: str) -> Measure:
+    return _layout(
+        name,
+        name,
+        f"Share of {name} that is found.",
+        lambda confusion: metrics.class_recalls(confusion)[..., place],
+        shown=("layout",),
+    )
 
 
 def _confusion(truth: int, decided: int) -> Measure:
@@ -338,8 +262,15 @@ def _confusion(truth: int, decided: int) -> Measure:
 
 
 LAYOUT = (
-    *_recalls("", "", shown=("layout",)),
-    _mean_recall("", "mean", "", interval=True, shown=("layout", "pairs")),
+    *(_recall(*pair) for pair in enumerate(NAMES)),
+    _layout(
+        "mean",
+        "mean",
+        "Mean of the three.",
+        metrics.mean_class_recall,
+        interval=True,
+        shown=("layout", "pairs"),
+    ),
     _layout(
         "accuracy",
         "accuracy",
@@ -348,12 +279,20 @@ LAYOUT = (
         shown=("layout",),
     ),
     *(_confusion(truth, decided) for truth in range(CLASSES) for decided in range(CLASSES)),
-    *_recalls("void_as_vertical/", VOID),
-    _mean_recall("void_as_vertical/", "mean, void\nvertical", VOID, shown=("layout",)),
-    *_recalls("labelled/", LABELLED),
-    _mean_recall("labelled/", "mean,\nlabelled", LABELLED, shown=("layout",)),
-    *_recalls("labelled/void_as_vertical/", LABELLED + VOID),
-    _mean_recall("labelled/void_as_vertical/", "mean,\nlabelled, void\nvertical", LABELLED + VOID),
+    _layout(
+        "void_as_vertical/mean",
+        "mean, void\nvertical",
+        "Mean of the three, void counted as vertical.",
+        lambda confusion: metrics.mean_class_recall(metrics.void_as_vertical(confusion)),
+        shown=("layout",),
+    ),
+    _layout(
+        "labelled/mean",
+        "mean,\nlabelled",
+        "Mean of the three, where the labeller does not abstain.",
+        metrics.mean_class_recall,
+        shown=("layout",),
+    ),
     _layout(
         "labelled_share",
         "labelled\nshare",
@@ -368,7 +307,6 @@ MEASURES: tuple[Measure, ...] = (
     *SCORES,
     *DECISIONS,
     *BORDERS,
-    *WORKING_POINT,
     *TRUST,
     *LAYOUT,
 )

@@ -29,7 +29,6 @@ from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import load_network
-from roadtorch.run.memo import key_of, paths_in
 
 BASELINES = ("prior:rows", "prior:triangle")  # in every run; prior:mean joins where it can
 
@@ -56,8 +55,7 @@ class Contender:
 
     prepare: makes it ready for a set's pictures; it travels to processes. settings:
     all of them but the threshold, as JSON can hold them. threshold: its default one; chosen:
-    the one that an earlier run chose. is_baseline: whether it never looks at the picture. masks:
-    those of prior:mean.
+    the one that an earlier run chose. is_baseline: whether it never looks at the picture.
     """
 
     name: str
@@ -66,12 +64,6 @@ class Contender:
     threshold: float = 0.5
     is_baseline: bool = False
     chosen: float | None = None
-    masks: Mapping[str, Tensor] = field(default_factory=dict, repr=False)
-
-    def digest(self) -> str:
-        """Of the bytes of all files that its settings name, and of its masks."""
-        masks = [(group, mask.numpy().tobytes()) for group, mask in self.masks.items()]
-        return key_of(masks, *paths_in(self.settings))
 
 
 def contenders(
@@ -95,8 +87,7 @@ def contenders(
     entries += [maps_from(name, folder) for name, folder in folders.items()]
     if masks := mean_masks(dataset, mean_from):
         prepare = partial(_mean_look, masks)
-        mean = Contender(MEAN, prepare, {}, MEAN_THRESHOLD, is_baseline=True, masks=masks)
-        entries.append(mean)
+        entries.append(Contender(MEAN, prepare, {}, MEAN_THRESHOLD, is_baseline=True))
     if threshold_from is None:
         return entries
     earlier = earlier_thresholds(threshold_from, entries)

@@ -131,22 +131,6 @@ def coarsen(counts: RoadCounts, levels: int = 256) -> RoadCounts:
     return RoadCounts(road, other)
 
 
-def decisions(counts: RoadCounts) -> Decisions:
-    """The outcome of "level ≥ k is road" for every k: tensors (...,levels)."""
-    true_positive, false_positive = _reaching(counts.road), _reaching(counts.other)
-    return Decisions(
-        true_positive,
-        false_positive,
-        true_positive[..., :1] - true_positive,
-        false_positive[..., :1] - false_positive,
-    )
-
-
-def _reaching(part: Tensor) -> Tensor:
-    """How many pixels have each level or a higher one."""
-    return part.flip(-1).cumsum(-1).flip(-1)
-
-
 def decisions_at(counts: RoadCounts, threshold: float) -> Decisions:
     """The outcome of "likelihood ≥ threshold is road", at the resolution of the levels."""
     level = threshold_level(threshold, counts.levels)
@@ -191,17 +175,6 @@ def false_positive_rate(outcome: Decisions) -> Tensor:
     return _ratio(outcome.false_positive, outcome.false_positive + outcome.true_negative)
 
 
-def false_negative_rate(outcome: Decisions) -> Tensor:
-    """FN / (TP + FN), float64; NaN where there is no road."""
-    return _ratio(outcome.false_negative, outcome.true_positive + outcome.false_negative)
-
-
-def accuracy(outcome: Decisions) -> Tensor:
-    """(TP + TN) / all, float64; NaN where nothing is counted."""
-    right = outcome.true_positive + outcome.true_negative
-    return _ratio(right, right + outcome.false_positive + outcome.false_negative)
-
-
 def _ratio(part: Tensor, whole: Tensor) -> Tensor:
     return part.to(torch.float64) / whole.to(torch.float64)
 
@@ -218,7 +191,9 @@ def auc(counts: RoadCounts) -> Tensor:
 
 def kitti_precision_recall(counts: RoadCounts) -> tuple[Tensor, Tensor]:
     """KITTI's precision and recall for every level, float64 (...,levels) each."""
-    hit, false = (_reaching(part).to(torch.float64) for part in (counts.road, counts.other))
+    hit, false = (  # how many pixels have each level or a higher one
+        part.flip(-1).cumsum(-1).flip(-1).to(torch.float64) for part in (counts.road, counts.other)
+    )
     return hit / (hit + false + TINY), hit / hit[..., :1]
 
 
@@ -239,28 +214,6 @@ def best_threshold(curve: Tensor) -> tuple[Tensor, Tensor]:
     value = curve.gather(-1, best[..., None])[..., 0]
     threshold = best.to(torch.float64) / (curve.shape[-1] - 1)
     return value, threshold.where(~value.isnan(), torch.nan)
-
-
-def working_point(counts: RoadCounts) -> dict[str, Tensor]:
-    """KITTI's figures at the lowest threshold that reaches MaxF, float64 (...) by name.
-
-    level, precision, recall, fpr, fnr, accuracy, quality (the kit's word for IoU); NaN where
-    there is no road. The kit has 256 levels: `coarsen` finer counts to compare with it.
-    """
-    curve = f_curve(counts)
-    level = curve.argmax(-1)  # the first one of several
-    chosen = Decisions(*(part.gather(-1, level[..., None])[..., 0] for part in decisions(counts)))
-    figures = {
-        "level": level.to(torch.float64),
-        "precision": precision(chosen),
-        "recall": recall(chosen),
-        "fpr": false_positive_rate(chosen),
-        "fnr": false_negative_rate(chosen),
-        "accuracy": accuracy(chosen),
-        "quality": iou(chosen),
-    }
-    has_road = counts.road.sum(-1) > 0
-    return {name: value.where(has_road, torch.nan) for name, value in figures.items()}
 
 
 def average_precision(counts: RoadCounts) -> Tensor:

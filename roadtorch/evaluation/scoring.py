@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Collection, Generator, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 
 from torch import Tensor
@@ -113,18 +113,11 @@ class Scoring:
 
 
 def score(
-    dataset: Dataset,
-    contenders: Sequence[Contender],
-    jobs: int | None = 1,
-    done: Collection[str] = (),
+    dataset: Dataset, contenders: Sequence[Contender], jobs: int | None = 1
 ) -> Generator[Scored]:
-    """A result for every item that is not done, in the set's order, whatever ``jobs`` is.
-
-    done: names of items. jobs: processes, None for what pays.
-    """
-    items = [item for item in dataset.items if item.name not in done]
+    """Yield a result for every item, in the set's order; jobs: processes, None for what pays."""
     task = Scoring(Looks(dataset, contenders))
-    return workers_for(jobs, len(items)).map(task, items, _died)
+    return workers_for(jobs, len(dataset.items)).map(task, dataset.items, _died)
 
 
 def _died(item: LabelledItem) -> Scored:

@@ -6,7 +6,7 @@ stay (2 kB), for distributions, intervals and comparisons.
 
 import math
 from collections.abc import Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from operator import add
 
@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.data.dataset import LabelledItem
-from roadtorch.evaluation import curves, metrics
+from roadtorch.evaluation import metrics
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
 
 WHOLE = "all"  # the one group of a set that knows no groups
@@ -54,6 +54,7 @@ class Pictures:
     outcomes: Tensor  # int64 (n,4), the fields of Decisions
     boundary: Tensor  # int64 (n,tolerances,4)
     layout: Tensor | None  # int64 (n,4,4)
+    labels: Tensor | None  # int64 (n,4,4)
     auc: Tensor  # float64 (n,), NaN without road or background
     max_f: Tensor  # float64 (n,), NaN without road
     seconds: Tensor  # float64 (n,)
@@ -71,15 +72,13 @@ class Pictures:
 
 @dataclass
 class Tally:
-    """One detector's counts so far: sums by kind and group, and columns with a row a picture.
+    """One detector's counts so far: pixels by likelihood and group, and columns by picture.
 
-    Kinds of sums: ``road`` (2,levels), ``labels`` as a score has them, and ``curve``, the single
-    pictures' ROC. Rows are written into a few large tensors that double when they are full:
-    thousands of small ones between the large temporary ones of counting would keep their memory
-    in use.
+    Rows are written into a few large tensors that double when they are full: thousands of small
+    ones between the large temporary ones of counting would keep their memory in use.
     """
 
-    sums: dict[str, dict[str, Tensor]] = field(default_factory=dict)
+    road: dict[str, RoadCounts] = field(default_factory=dict)
     pictures: list[tuple[str, str]] = field(default_factory=list)  # name and group of each row
     columns: dict[str, Tensor] = field(default_factory=dict, repr=False)
 
@@ -87,45 +86,26 @@ class Tally:
         """Count one more picture."""
         group = item.group or WHOLE
         area, best = float(metrics.auc(score.road)), float(metrics.max_f(score.road)[0])
-        summed = {
-            "road": torch.stack([score.road.road, score.road.other]),
-            "labels": score.labels,
-            "curve": None if math.isnan(area) else curves.vertical_sample(score.road),
-        }
-        for kind, part in summed.items():
-            if part is not None:
-                sums = self.sums.setdefault(kind, {})
-                sums[group] = sums[group] + part if group in sums else part
+        self.road[group] = self.road[group] + score.road if group in self.road else score.road
         coarse = metrics.coarsen(score.road, COARSE)
-        known = {
+        values = {
             "road": torch.stack([coarse.road, coarse.other]).to(torch.int32),
             "mask": torch.stack(score.mask),
             "boundary": score.boundary,
             "numbers": torch.tensor([area, best, score.seconds, score.trust], dtype=torch.float64),
         }
-        if score.layout is not None:
-            known["layout"] = score.layout
+        confusions = {"layout": score.layout, "labels": score.labels}
+        values |= {key: counts for key, counts in confusions.items() if counts is not None}
         row = len(self.pictures)
-        for key in known.keys() - self.columns.keys():
-            self.columns[key] = known[key].new_zeros((FIRST_ROWS, *known[key].shape))
+        for key in values.keys() - self.columns.keys():
+            self.columns[key] = values[key].new_zeros((FIRST_ROWS, *values[key].shape))
         for key, column in self.columns.items():  # those as well that this picture has not
             while len(column) <= row:
                 column = torch.cat([column, torch.zeros_like(column)])
-            if key in known:
-                column[row] = known[key]
+            if key in values:
+                column[row] = values[key]
             self.columns[key] = column
         self.pictures.append((item.name, group))
-
-    @property
-    def road(self) -> dict[str, RoadCounts]:
-        """Pixels by likelihood level, by group."""
-        return {group: RoadCounts(*counts) for group, counts in self.sums.get("road", {}).items()}
-
-    def total(self, kind: str, groups: Iterable[str]) -> Tensor | None:
-        """The sum of one kind over some groups; None where none of them has any."""
-        of_kind = self.sums.get(kind, {})
-        sums = [of_kind[group] for group in groups if group in of_kind]
-        return sum(sums[1:], start=sums[0]) if sums else None
 
     def kept(self, groups: Iterable[str] | None = None) -> Pictures:
         """What is kept of some groups' pictures, group by group, or of all in their order."""
@@ -148,15 +128,9 @@ class Tally:
             columns["mask"],
             columns["boundary"],
             columns.get("layout"),
+            columns.get("labels"),
             *columns["numbers"].unbind(1),
         )
-
-    def sort(self, names: Sequence[str]) -> None:
-        """Bring the pictures into the order of ``names``."""
-        place = {name: index for index, name in enumerate(names)}
-        order = sorted(range(len(self.pictures)), key=lambda i: place[self.pictures[i][0]])
-        self.pictures = [self.pictures[index] for index in order]
-        self.columns = {key: column[order] for key, column in self.columns.items()}
 
 
 # --- what measures are taken of ---------------------------------------------------------
@@ -169,8 +143,7 @@ class Part:
     chosen: the outcome at the threshold of each group; None where there is none.
     image_auc: the mean of the single pictures' AUC, float64 (…).
     What follows in the list is not known of draws: labels, a confusion as ``layout``, of
-    labels that may abstain; rates, the single pictures' mean TPR at equal FPRs; threshold,
-    where there is one for all; the single pictures.
+    labels that may abstain; threshold, where there is one for all; the single pictures.
     """
 
     road: RoadCounts
@@ -180,7 +153,6 @@ class Part:
     chosen: Decisions | None
     image_auc: Tensor
     labels: Tensor | None = None
-    rates: Tensor | None = None
     threshold: float | None = None
     pictures: Pictures | None = None
 
@@ -189,45 +161,32 @@ class Part:
         """KITTI's MaxF and its threshold, see ``metrics.max_f``."""
         return metrics.max_f(self.road)
 
-    @cached_property
-    def working_point(self) -> Mapping[str, Tensor]:
-        """KITTI's figures where F is highest, see ``metrics.working_point``."""
-        return metrics.working_point(self.road)
-
 
 def of_groups(tally: Tally, thresholds: Mapping[str, float]) -> Part:
-    """The groups that have thresholds, their counts added up."""
+    """Add up the counts of the groups that have thresholds."""
     counts = {group: tally.road[group] for group in thresholds}
-    part = _together(tally.kept(thresholds), counts, thresholds)
-    return replace(
-        part, labels=tally.total("labels", thresholds), rates=mean_rates(tally, thresholds)
-    )
+    return _add_up(tally.kept(thresholds), counts, thresholds)
 
 
 def of_pictures(pictures: Pictures, thresholds: Mapping[str, float]) -> Part:
-    """Pictures of any groups, their counts added up, on 8-bit maps.
-
-    thresholds: those of their groups. Labels that may abstain are not known.
-    """
+    """Add up the counts of pictures of any groups, on 8-bit maps; thresholds: of their groups."""
     counts = {
         group: RoadCounts(pictures.road.road[own].sum(0), pictures.road.other[own].sum(0))
         for group in dict.fromkeys(pictures.groups)
         for own in [pictures.of_group(group)]
     }
-    known = ~pictures.auc.isnan()
-    rates = curves.vertical_sample(
-        RoadCounts(pictures.road.road[known], pictures.road.other[known])
-    )
-    part = _together(pictures, counts, thresholds)
-    return replace(part, rates=rates.mean(0) if known.any() else None)
+    return _add_up(pictures, counts, thresholds)
 
 
-def _together(
+def _add_up(
     pictures: Pictures, counts: Mapping[str, RoadCounts], thresholds: Mapping[str, float]
 ) -> Part:
-    """Pictures added up; counts: of their likelihoods, by group."""
+    """Add pictures up; counts: of their likelihoods, by group."""
     areas = [area for area in pictures.auc.tolist() if not math.isnan(area)]
-    layout = pictures.layout
+    layout, labels = (
+        rows.sum(0) if rows is not None and rows.any() else None
+        for rows in (pictures.layout, pictures.labels)
+    )
     outcomes = [
         metrics.decisions_at(counts[group], thresholds[group])
         for group in counts
@@ -237,15 +196,9 @@ def _together(
         reduce(add, counts.values()),
         Decisions(*pictures.outcomes.sum(0)),
         pictures.boundary.sum(0),
-        layout.sum(0) if layout is not None and layout.any() else None,
+        layout,
         reduce(add, outcomes) if outcomes else None,
         torch.tensor(sum(areas) / len(areas) if areas else math.nan, dtype=torch.float64),
+        labels,
         pictures=pictures,
     )
-
-
-def mean_rates(tally: Tally, groups: Iterable[str]) -> Tensor | None:
-    """The single pictures' mean TPR at equal FPRs; None where none has any."""
-    groups = list(groups)
-    summed, known = tally.total("curve", groups), ~tally.kept(groups).auc.isnan()
-    return None if summed is None else summed / int(known.sum())

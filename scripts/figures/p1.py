@@ -11,7 +11,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from roadtorch.base.progress import Progress, watched
+from roadtorch.base.progress import Progress
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth, every_kth
 from roadtorch.data.kitti import birds_eye
@@ -83,7 +83,7 @@ def table1(data: Path, out: Path) -> None:
 def table2(data: Path, out: Path) -> None:
     """MaxF and AP in bird's-eye view by category: evaluate kitti-road --bev."""
     evaluation = evaluate(
-        birds_eye(open_dataset("kitti-road", data / "kitti_road")), BENCHMARK, watch=watched
+        birds_eye(open_dataset("kitti-road", data / "kitti_road")), BENCHMARK, quiet=False
     )
     for failure in evaluation.failures:
         print(f"left out: {failure.image}: {failure.reason}")

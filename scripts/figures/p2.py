@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.atomic import atomic
-from roadtorch.base.progress import watched
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, LabelledItem, every_kth
 from roadtorch.detectors.detector import Detection
@@ -55,7 +54,7 @@ def scored(
         replace(changed(named_detector(name, settings)), name=title)
         for title, (name, settings) in detectors.items()
     ]
-    run = evaluated(dataset, entries, measures=(), watch=watched)
+    run = evaluated(dataset, entries, measures=(), quiet=False)
     for failure in run.failures:
         raise RuntimeError(f"{failure.image}: {failure.reason}")
     return run.tallies

@@ -17,15 +17,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
-from roadtorch.base.progress import watched
 from roadtorch.data.dataset import every_kth
 from roadtorch.detectors.catalogue import list_detectors
-from roadtorch.evaluation.curves import vertical_average
+from roadtorch.evaluation.curves import vertical_average, vertical_sample
 from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.measures import AUC_MEAN
 from roadtorch.evaluation.report.svg import COLOURS, DASHES, GRID, INK, WIDTH, Series
 from roadtorch.evaluation.result import Evaluation
-from roadtorch.evaluation.tally import mean_rates
 from roadtorch.imaging.color import REPRESENTATIONS
 from roadtorch.oneclass import CLASSIFIERS
 from scripts.figures.chart import chart, open_sets, tell
@@ -66,7 +64,7 @@ def scored(data: Path, patterns: Sequence[str]) -> Evaluation:
     """The AUC of detectors on some pictures of CamVid."""
     (camvid,) = open_sets(data, "camvid")
     few = every_kth(camvid, PICTURES)
-    return evaluate(few, patterns, measures=(AUC_MEAN,), watch=watched)
+    return evaluate(few, patterns, measures=(AUC_MEAN,), quiet=False)
 
 
 def cells(evaluation: Evaluation) -> Mapping[Key, str]:
@@ -86,10 +84,9 @@ def mean_lines(evaluation: Evaluation) -> Mapping[Key, np.ndarray]:
     """P3's average ROC curve, mean over drives: FPR and TPR (2,points) of each cell."""
     lines = {}
     for key, name in cells(evaluation).items():
-        groups = evaluation.detectors[name].counting
-        rates = [mean_rates(evaluation.tallies[name], [group]) for group in groups]
-        known = torch.stack([rate for rate in rates if rate is not None])
-        line = vertical_average(known.mean(0))
+        tally, groups = evaluation.tallies[name], evaluation.detectors[name].counting
+        rates = [vertical_sample(tally.kept([group]).road).nanmean(0) for group in groups]
+        line = vertical_average(torch.stack(rates).nanmean(0))
         lines[key] = torch.stack([line.x, line.y]).numpy()
     return lines
 

@@ -1,14 +1,12 @@
 """Where a long run is, told to a terminal and to a pipe."""
 
 import io
-import os
-import signal
 import sys
 
 import pytest
 
 from roadtorch.base import progress
-from roadtorch.base.progress import Progress, watched
+from roadtorch.base.progress import Progress
 
 
 class Terminal(io.StringIO):
@@ -49,13 +47,3 @@ def test_a_short_run_says_nothing_to_a_pipe_and_draws_its_bar_on_a_terminal(monk
     monkeypatch.setattr(sys, "stderr", terminal := Terminal())
     list(Progress([1, 2], unit="image"))
     assert "100%|" in terminal.getvalue()
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_picture_in_hand_is_finished_before_a_signal_ends_the_pass(number):
-    results = watched(iter("abc"), 0, 3)
-
-    assert (next(results), next(results)) == ("a", "b")
-    os.kill(os.getpid(), number)  # while b is in hand
-    with pytest.raises(KeyboardInterrupt):
-        next(results)

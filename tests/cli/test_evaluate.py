@@ -2,9 +2,6 @@
 
 import csv
 import json
-import os
-import re
-import signal
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -16,7 +13,6 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import read_image
 from roadtorch.cli.evaluate import evaluate
 from roadtorch.evaluation import scoring, uncertainty
-from roadtorch.evaluation.evaluate import FILE
 from roadtorch.evaluation.report import files
 from tests.command import Call, invoked
 from tests.oracle import DECISION, GROUPS, ORACLE, SCENES, know_oracle, write_set
@@ -82,7 +78,6 @@ def test_table_and_metrics_with_the_baselines_beside(whole):
     assert best["ci95"]["maxf"] == pytest.approx([1, 1])
     assert best["layout"]["mean"] == 1
     assert best["settings"] == DECISION | {"doubt": 0.0}
-    assert not (out / FILE).exists()
 
 
 def test_rows_for_every_image_and_detector(whole):
@@ -155,38 +150,6 @@ def test_a_broken_picture_is_listed_and_the_rest_is_scored(tmp_path):
     found = metrics(out)
     assert found["images"] == 5
     assert [failure["image"] for failure in found["failed"]] == ["0001TP_0"]
-
-
-@pytest.mark.usefixtures("_no_page")
-def test_an_interrupted_run_goes_on(camvid, whole, tmp_path, monkeypatch):
-    arguments = ("camvid", camvid, "--detector", ORACLE, "--montage", 0, "--out", tmp_path)
-    looked: list[str] = []
-    scored = scoring.Scoring.__call__
-
-    def interrupted(self, item):
-        looked.append(item.name)
-        if len(looked) == 4:
-            os.kill(os.getpid(), signal.SIGTERM)
-        return scored(self, item)
-
-    monkeypatch.setattr(scoring.Scoring, "__call__", interrupted)
-    assert run(*arguments).exit_code != 0
-    assert (tmp_path / FILE).is_file()
-    assert not (tmp_path / "metrics.json").exists()
-    looked[:] = ["none"] * 4
-    result = run(*arguments)
-
-    assert "going on after 4 of 6 pictures" in result.stderr
-    assert len(looked) == 4 + 2
-    assert not (tmp_path / FILE).exists()
-    assert figures_without_times(tmp_path) == figures_without_times(whole[1])
-
-
-def figures_without_times(out: Path) -> tuple[list[dict], str]:
-    with (out / "images.csv").open() as file:
-        rows = [{**row, "ms": ""} for row in csv.DictReader(file)]
-    detectors = json.dumps(metrics(out)["detectors"])
-    return rows, re.sub(r'"ms_per_image": [\d.]+', "", detectors)
 
 
 def test_a_folder_that_cannot_be_written_is_refused_before_the_run(camvid, tmp_path, monkeypatch):

@@ -106,8 +106,8 @@ def test_no_border_at_all_is_nan_and_one_alone_is_0():
     only_decided = boundary.count_boundary(half(5), all_valid, all_valid)
 
     assert all(math.isnan(f) for f in boundary.boundary_f(neither).tolist())
-    assert boundary.boundary_f(only_true).tolist() == [0] * 4
-    assert boundary.boundary_f(only_decided).tolist() == [0] * 4
+    assert boundary.boundary_f(only_true).tolist() == [0] * 2
+    assert boundary.boundary_f(only_decided).tolist() == [0] * 2
 
 
 # --- properties -----------------------------------------------------------------------------------
@@ -118,6 +118,6 @@ def test_a_mask_equal_to_the_truth_has_f_1_and_counts_add_up():
 
     one, two = (boundary.count_boundary(mask, road, valid) for mask in (road, half(9)))
 
-    assert boundary.boundary_f(one).tolist() == [1] * 4
-    assert boundary.boundary_f(one + two).tolist() == [0.5] * 4
-    assert boundary.boundary_f(torch.stack([one, two])).tolist() == [[1] * 4, [0] * 4]
+    assert boundary.boundary_f(one).tolist() == [1] * 2
+    assert boundary.boundary_f(one + two).tolist() == [0.5] * 2
+    assert boundary.boundary_f(torch.stack([one, two])).tolist() == [[1] * 2, [0] * 2]

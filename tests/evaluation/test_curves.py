@@ -74,27 +74,6 @@ def test_vertical_average_of_the_worked_example():
     assert float(curves.equal_error_rate(curve)) == pytest.approx(0.247664, abs=6e-7)
 
 
-def test_threshold_average_of_the_worked_example():
-    curve = curves.threshold_average(stack(count(*FIRST, levels=21), count(*SECOND, levels=21)))
-
-    at = {threshold: 21 - round(20 * threshold) for threshold in (0.9, 0.8, 0.7, 0.6, 0.5, 0.4)}
-    found = [points(curve)[index] for index in [*at.values(), 21 - 6]]
-    assert found == [
-        pytest.approx(pair, abs=6e-7)
-        for pair in [
-            (0, 0.125),
-            (0, 0.25),
-            (0.125, 0.375),
-            (0.208333, 0.625),
-            (0.291667, 0.75),
-            (0.291667, 1),
-            (0.5, 1),
-        ]
-    ]
-    assert float(curves.area(curve)) == pytest.approx(0.846354, abs=6e-7)
-    assert float(curves.equal_error_rate(curve)) == pytest.approx(0.275, abs=1e-12)
-
-
 # --- brute force and scikit-learn -----------------------------------------------------------------
 
 
@@ -132,14 +111,6 @@ def test_vertical_sample_equals_reading_the_curve_at_each_rate(steps):
         for i in range(steps + 1)
     ]
     assert found.tolist() == pytest.approx([slow.height(curve, x) for x in wanted], abs=1e-12)
-
-
-def test_threshold_average_equals_averaging_at_every_score():
-    maps = [random_map(seed) for seed in range(4)]
-
-    curve = curves.threshold_average(stack(*[count(*one, levels=13) for one in maps]))
-
-    assert points(curve) == [pytest.approx(p, abs=1e-12) for p in slow.threshold_average(maps)]
 
 
 @pytest.mark.parametrize("bins", [1, 7, 20])
@@ -206,16 +177,12 @@ def test_a_likelihood_on_an_edge_belongs_to_the_lower_bin():
 
 
 @pytest.mark.parametrize("road", [[0, 0], [1, 1]])
-def test_curves_of_one_class_are_nan_and_are_skipped_in_the_average(road):
-    lacking, whole = count([0.2, 0.6], road, 11), count([0.2, 0.6], [0, 1], 11)
-
-    average = curves.threshold_average(stack(lacking, whole))
+def test_curves_of_one_class_are_nan(road):
+    lacking = count([0.2, 0.6], road, 11)
 
     assert bool(curves.vertical_sample(lacking, 5).isnan().all())
     assert bool(curves.equal_error_rate(curves.operating_points(lacking)).isnan())
     assert bool(curves.area(curves.roc(lacking)).isnan())
-    assert points(average) == points(curves.operating_points(whole))
-    assert bool(curves.area(curves.threshold_average(stack(lacking))).isnan())
 
 
 def test_calibration_of_nothing_is_nan():

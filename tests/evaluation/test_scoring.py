@@ -26,14 +26,6 @@ def test_results_keep_the_order_of_the_set_and_every_kth_spreads(dataset):
     assert names == [dataset.items[i].name for i in (0, 2, 4)]
 
 
-def test_items_that_are_done_are_not_done_again(dataset):
-    done = {item.name for item in dataset.items[1:]}
-
-    results = list(score(dataset, ROWS, done=done))
-
-    assert [result.item for result in results] == [dataset.items[0]]
-
-
 def test_a_broken_image_counts_for_no_detector(dataset, tmp_path: Path, scenes):
     write_camvid(tmp_path, "train", scenes)
     (tmp_path / "train" / "0006R0_1.png").write_bytes(b"not a picture")

@@ -47,7 +47,6 @@ def test_a_perfect_map_scores_one_and_an_inverted_one_does_not(dataset, scenes):
             ideal = {"higher": 1, "lower": 0}.get(one.better or "")
             assert ideal is None or one.of(perfect.headline) == pytest.approx(ideal, abs=1e-9)
     assert perfect.pooled["maxf"] == pytest.approx(1, abs=1e-9)
-    assert perfect.groups["0001TP"]["working_point/fpr"] == 0
     assert inverted.headline["brier"] == 1
     assert inverted.headline["eer"] == 1
     assert inverted.headline["auc_pooled"] == 0
@@ -85,7 +84,7 @@ def test_void_is_never_counted(dataset, scenes):
     assert summarised(wrong_in_void).headline["iou"] == 1
 
 
-def test_an_image_without_road_is_skipped_and_counted_in_the_mean_auc():
+def test_an_image_without_road_is_skipped_in_the_mean_auc():
     total = Tally()
     total.add(item("a"), score({5: 3}, {2: 3}, seconds=0.1))
     total.add(item("b"), score({}, {2: 3}, seconds=0.3))
@@ -93,8 +92,6 @@ def test_an_image_without_road_is_skipped_and_counted_in_the_mean_auc():
     figures = summarised(total)
 
     assert figures.headline["auc_mean"] == 1
-    assert figures.headline["auc_vertical"] == 1
-    assert figures.headline["auc_images_skipped"] == 1
     assert figures.headline["ms_per_image"] == pytest.approx(200)
 
 
@@ -174,7 +171,6 @@ def test_layout_recalls_by_group_over_all_and_labelled_pixels(dataset, scenes):
     group = figures.groups["0001TP"]
     assert [group[f"layout/{name}"] for name in NAMES] == [1, 1, 0]
     assert figures.headline["layout/mean"] == pytest.approx(2 / 3)
-    assert math.isnan(group["layout/labelled/horizontal"])
     assert group["layout/labelled/mean"] == 1
     assert 0.2 < group["layout/labelled_share"] < 0.8
     own = [scene for name, scene in scenes.items() if name.startswith("0001TP")]

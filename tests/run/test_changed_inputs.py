@@ -1,14 +1,10 @@
 """Every file that a result depends on, with other bytes between two starts of every command.
 
-(``--mean-from`` is in tests/evaluation/test_progress.py: it wants a set of one group.)
 What the second start leaves is what a run in a new folder leaves, or it is refused with the name
 of what changed. Size and date of the file stay as far as they can: nothing but its bytes tell.
 """
 
-import json
 import os
-import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -19,7 +15,6 @@ import pytest
 import torch
 
 from roadtorch.annotate.session import opened_session
-from roadtorch.base import progress
 from roadtorch.base.image import write_colours, write_mask
 from roadtorch.camera.camera import Camera, Ego
 from roadtorch.detectors.catalogue import load_detector
@@ -174,63 +169,6 @@ def test_other_settings_from_a_file_are_refused(
 def kept_apart(files: dict[str, bytes]) -> dict[str, bytes]:
     """Without the archive, whose members have dates."""
     return {name: data for name, data in files.items() if not name.endswith(".zip")}
-
-
-# --- figures -----------------------------------------------------------------------------
-
-
-SCORE = "camvid @camvid --split train"
-
-
-@pytest.mark.parametrize(
-    ("line", "name"),
-    [
-        (f"evaluate {SCORE} {GREY}", "camvid/train/0001TP_0.png"),
-        (f"evaluate {SCORE} {GREY}", "camvid/trainannot/0001TP_0.png"),
-        (f"evaluate {SCORE} {GREY} {EGO}", "ego.png"),
-        (f"evaluate {SCORE} {WEIGHTS}", "weights.safetensors"),
-        (f"evaluate {SCORE} --detector fusion --camera @camera.toml", "camera.toml"),
-        (f"evaluate {SCORE} --maps m=@maps", "maps/0001TP_0.png"),
-        (f"tune {SCORE} {GREY}", "camvid/train/0001TP_0.png"),
-        (f"tune {SCORE} {GREY}", "camvid/trainannot/0001TP_0.png"),
-        (f"tune {SCORE} {WEIGHTS}", "weights.safetensors"),
-    ],
-)
-def test_figures_are_those_of_a_new_folder(
-    call: Call,
-    root: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    line: str,
-    name: str,
-) -> None:
-    def first(results: Iterator[Any], done: int, total: int) -> Iterator[Any]:
-        yield next(results)
-        raise KeyboardInterrupt
-
-    words = [*words_of(root, line), "--jobs", "1", "--out"]
-    with monkeypatch.context() as cut:
-        cut.setattr(progress, "watched", first)
-        assert call(*words, tmp_path / "out").exit_code != 0
-    assert (tmp_path / "out/progress.npz").is_file()
-    change(root, name)
-
-    again = call(*words, tmp_path / "out")
-
-    assert again.exit_code == 0, again.stderr
-    assert "going on" not in again.stderr
-    assert call(*words, tmp_path / "new").exit_code == 0
-    assert figures_in(tmp_path / "out") == figures_in(tmp_path / "new")
-
-
-def figures_in(out: Path) -> Any:
-    """What an evaluation or a choice of thresholds wrote, without its command and its times."""
-    if (out / "metrics.json").is_file():
-        detectors = json.loads((out / "metrics.json").read_text())["detectors"]
-        return re.sub(r'"ms_per_image": [^,]+', "", json.dumps(detectors))
-    lines = {path.name: path.read_text().splitlines() for path in out.glob("*.toml")}
-    assert lines
-    return {name: [line for line in lines[name] if "roadtorch" not in line] for name in lines}
 
 
 # --- training, and what the page shows ---------------------------------------------------

@@ -80,7 +80,6 @@ def test_the_scores_are_those_of_the_document(page):
             name: f"{part['maxf']:.3f}" for name, part in parts.items()
         }
         assert column(page, "groups", "IoU", place)["labeller"] == f"{parts['labeller']['iou']:.3f}"
-        assert "PRE" in page.tables["groups"][place][0]
     assert len(page.tables["groups"]) == len(GROUPS) + 1  # and all pooled
     low, high = detectors["cpf:v2"].interval
     assert column(page, "scores", "95 %")["cpf:v2"] == f"{low:.3f}–{high:.3f}"
