@@ -29,7 +29,8 @@ def call() -> Call:
 
 def invoked(command: Command, *arguments: object) -> Result:
     """One command called by itself: what it raises, the test sees."""
-    result = CliRunner().invoke(command, [str(argument) for argument in arguments])
+    words = [str(argument) for argument in arguments]
+    result = CliRunner().invoke(command, words, obj=[command.name, *words])
     if result.exception and not isinstance(result.exception, SystemExit):
         raise result.exception
     return result

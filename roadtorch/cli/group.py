@@ -114,7 +114,8 @@ class CommandGroup(click.Group):
 
     def main(self, args: Sequence[str] | None = None, *_: Any, **extra: Any) -> NoReturn:
         """Run with the given arguments or those of the process, and exit with its code."""
-        extra |= {"prog_name": "roadtorch", "standalone_mode": False}
+        args = sys.argv[1:] if args is None else list(args)
+        extra |= {"prog_name": "roadtorch", "standalone_mode": False, "obj": args}
         try:
             with terminated_in_words(), interruption_first():
                 _settle_process()

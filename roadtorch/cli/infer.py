@@ -17,6 +17,7 @@ from roadtorch.cli.options import (
     FrameSelection,
     Sectioned,
     as_toml,
+    command_line,
     with_compute,
     with_detector,
     with_frames,
@@ -183,4 +184,5 @@ def infer(
                 write_coco(out)
 
     given = {**asdict(compute), **of_frames, "save": kinds, "depth": bits}
-    context.exit(RunRecord(out, detector, todo.row_names, given).around(run))
+    command = command_line(context)
+    context.exit(RunRecord(out, detector, todo.row_names, given, command).around(run))

@@ -391,15 +391,5 @@ with_labelled = _gathered(
 
 
 def command_line(context: click.Context) -> str:
-    """The command that gives this run: arguments, then the options that are not default."""
-    words, options = ["roadtorch", context.info_name or ""], []
-    for parameter in context.command.params:
-        value = context.params.get(parameter.name or "")
-        if isinstance(parameter, click.Argument):
-            words.append(str(value))
-        elif value is True:
-            options.append(parameter.opts[0])
-        elif value not in (None, (), False, parameter.default):
-            values = value if isinstance(value, tuple) else (value,)
-            options += [word for part in values for word in (parameter.opts[0], str(part))]
-    return shlex.join([*words, *options])
+    """Return the command as it was typed, quoted for a shell."""
+    return shlex.join(["roadtorch", *context.obj])

@@ -2,8 +2,6 @@
 
 import hashlib
 import platform
-import shlex
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -29,13 +27,14 @@ class RunRecord:
     """What is known when a run begins.
 
     files: the pictures of this run, as index.csv names them. options: what else is to be kept of
-    how it was started.
+    how it was started. command: as it was typed.
     """
 
     folder: Path
     detector: Detector
     files: Sequence[str]
     options: Mapping[str, object]
+    command: str
 
     def around(self, run: Callable[[], int]) -> int:
         """Do the run, which gives the exit code; write run.json, however it ends."""
@@ -68,7 +67,7 @@ class RunRecord:
                 "python": platform.python_version(),
                 "platform": platform.platform(),
             },
-            "command": shlex.join(["roadtorch", *sys.argv[1:]]),
+            "command": self.command,
             "detector": self.detector.name,
             "settings": settings,
             "corrected_pictures": corrected_pictures(settings),

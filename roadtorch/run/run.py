@@ -101,9 +101,9 @@ class Run:
             self._refuse_removed(todo[: len(tried)], suffixes)
             self._remove_leftovers(items)  # of workers that died
         stop.interrupt()
-        failed = sum(item.row_name in rows and rows[item.row_name].failed for item in items)
+        failed = sum(rows[item.row_name].failed for item in todo[: len(tried)])
         if not self.options.quiet or failed:
-            made_now = max(len(tried) - failed, 0)
+            made_now = len(tried) - failed
             others = {"skipped (done before)": len(items) - len(todo), FAILED: failed}
             others["not tried (--fail-fast)"] = len(todo) - len(tried)
             self._summarise(f"{made_now} done" + (f" ({again} anew)" if again else ""), others)

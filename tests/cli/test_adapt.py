@@ -32,7 +32,9 @@ def test_halves_teach_apart_their_mean_comes_out_and_it_is_judged(
 
     assert done.exit_code == 0, done.stderr
     assert done.stdout.split(":")[0] in ("adopt", "do not adopt", "cannot tell")
-    assert done.stdout.strip().splitlines()[-1] in (out / "adaptation.html").read_text("utf-8")
+    page = (out / "adaptation.html").read_text("utf-8")
+    assert done.stdout.strip().splitlines()[-1] in page
+    assert f"roadtorch adapt {street} --out {out} --set {QUICK[0]}" in page
     assert "pictures have no times" in done.stderr
     files = [out / name / "weights.safetensors" for name in ("", "first", "second")]
     mean, first, second = (next(iter(load_network(file).state_dict().values())) for file in files)

@@ -84,8 +84,9 @@ def test_run_json_says_how_the_results_were_made(run: Call, footage: Path, out: 
 def test_fail_fast_ends_at_the_first_failure_and_goes_on_later(
     run: Call, footage: Path, out: Path, jobs: int
 ) -> None:
-    (footage / "aa.png").write_bytes(b"no picture")
-    for letter in "defghi":
+    for name in ("aa.png", "z.png"):
+        (footage / name).write_bytes(b"no picture")
+    for letter in "defgh":
         save_picture(footage / f"{letter}.png")
 
     stopped = run("--jobs", jobs, "--fail-fast")
@@ -96,3 +97,6 @@ def test_fail_fast_ends_at_the_first_failure_and_goes_on_later(
     assert stopped.stderr.endswith(told)
     assert run("--jobs", jobs).exit_code == 1
     assert len(rows_of(out)) == 10
+    again = run("--jobs", jobs, "--fail-fast")  # the other failure is of the run before
+    told = "roadtorch: 0 done, 8 skipped (done before), 1 failed, 1 not tried (--fail-fast)"
+    assert again.stderr.splitlines()[-1] == f"{told}; results in {out}"

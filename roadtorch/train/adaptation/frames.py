@@ -4,6 +4,7 @@ Frames close to one another show the same places (``adapt.teacher``): what is to
 stretches.
 """
 
+import glob
 import json
 import math
 from collections.abc import Iterator, Sequence
@@ -60,7 +61,7 @@ class KeptFrames(NamedTuple):
 
     def glob(self, half: str = "*") -> str:
         """The quoted glob that stands for a half; all frames have one name in any of them."""
-        return f"{self.folder}/{half}_*.jpg"
+        return f"{glob.escape(str(self.folder))}/{half}_*.jpg"
 
 
 def keep_frames(inputs: Sequence[str], folder: Path, most: int, quiet: bool = False) -> KeptFrames:
