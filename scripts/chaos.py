@@ -1,0 +1,500 @@
+"""Break commands on purpose, start them again, and compare with a run that nobody disturbed.
+
+    python scripts/chaos.py kill infer evaluate train adapt --times 20 --jobs 2
+    python scripts/chaos.py fault annotate --times 1000      # every call that can fail, once
+    python scripts/chaos.py change                           # all commands
+
+    kill     KILL, TERM or INT at a random moment, up to three times in a row
+    hangup   HUP in the same way
+    pause    STOP in the same way, and CONT a while later
+    worker   the kernel kills a worker (of commands with --jobs)
+    meet     two runs of one command at the same moment: both end well, or one is refused
+    read     a reader opens every result while it is written: it is whole
+    change   images are cut short, grow or vanish while they are read, and come back
+    clock    TERM, and the clock is set back by a day before the second run
+    locks    the folder has no locks
+    fault    the n-th open, write, fsync, rename or close below --out fails, as SQLite is tested (a
+             full disk, which stays full; EIO; EINTR; a short write; KILL right behind the call)
+    ros      the node of docs/ros.md: talkers that come and go for minutes, then nodes that do
+
+No run may end in a traceback, hang, or have an exit status that docs/reliability.md does not name,
+and what the correction page acknowledged is in its logs. Once the trouble is over the same command
+has to end in 0 with the files of the undisturbed run, byte for byte but for times, and no others.
+Runs are forked behind the imports, so that trouble meets the work. What is wrong is a line, and the
+exit status is then 1. ``clock``, ``locks`` and ``fault`` need Linux and a C compiler (chaos.c).
+"""
+
+import argparse
+import ctypes
+import errno
+import importlib
+import json
+import mmap
+import os
+import pkgutil
+import random
+import re
+import shutil
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from multiprocessing import get_context
+from multiprocessing.context import ForkProcess
+from pathlib import Path
+from typing import NamedTuple
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
+
+import httpx
+import torch
+from PIL import Image
+
+import roadtorch
+from roadtorch.base.image import write_labels, write_mask
+from roadtorch.cli import main
+from roadtorch.testing.scenes import render_scene, write_picture
+from roadtorch.train import loop
+from scripts.freeze import settled
+from tests.videos import write_video
+
+OUT = "out"  # of the folder in which a command runs
+PATIENCE = 180.0  # seconds within which every run has to end
+SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+
+# --- processes ----------------------------------------------------------------------------
+
+CALLS = ("open", "write", "fsync", "rename", "close", "lock")  # in the order of chaos.c
+ERRORS = {"ENOSPC": errno.ENOSPC, "EIO": errno.EIO, "EINTR": errno.EINTR, "KILL": -1, "SHORT": -2}
+FAULT_ENDS = {0, 1, 2, -signal.SIGKILL}
+IMPOSSIBLE = {("rename", "EINTR"), ("close", "ENOSPC")}
+COUNTS = mmap.mmap(-1, 8 * len(CALLS))  # of each call in the last armed run, which shares it
+
+
+class Fault(NamedTuple):
+    """The n-th call of a kind fails with an error, and the clock is off by so many seconds."""
+
+    call: str = "open"
+    number: int = 0
+    error: int = 0
+    shift: int = 0
+
+    def arm(self) -> None:
+        """Make this process meet the fault."""
+        COUNTS[:] = bytes(len(COUNTS))
+        counts = (ctypes.c_long * len(CALLS)).from_buffer(COUNTS)
+        long, below = ctypes.c_long, str(Path(OUT).resolve()).encode()
+        arm = ctypes.CDLL(None).chaos_arm
+        arm(below, CALLS.index(self.call), long(self.number), self.error, long(self.shift), counts)
+
+
+@dataclass
+class Case:
+    """A command in a folder of its own, and how many seconds it takes undisturbed."""
+
+    command: Callable[[], object]
+    folder: Path
+    chance: random.Random
+    seconds: float = 0.0
+    log: str = "stderr"
+
+    def start(self, fault: Fault | None = None) -> ForkProcess:
+        """Start the command, which meets a fault, in a copy of this process.
+
+        TERM and INT wait until the copy is where a process of its own would be: within fork Python
+        would report an interruption and forget it.
+        """
+        self.folder.mkdir(exist_ok=True)
+        child = get_context("fork").Process(target=self.run_and_exit, args=(fault,))
+        signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS[1:])
+        child.start()
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS[1:])
+        return child
+
+    def run_and_exit(self, fault: Fault | None) -> None:
+        """Run the command and end this process as Python would, with standard error in a file."""
+        status = 70
+        try:
+            os.chdir(self.folder)
+            null = os.open(os.devnull, os.O_RDWR)
+            errors = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+            for stream, target in enumerate((null, null, errors)):
+                os.dup2(target, stream)
+            if fault:
+                fault.arm()
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS[1:])
+            self.command()
+            status = 0
+        except SystemExit as end:
+            status = end.code if isinstance(end.code, int) else 0
+        except KeyboardInterrupt:
+            status = 130
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            os._exit(status)
+
+    def moment(self) -> float:
+        """Draw a moment of the run, in seconds."""
+        return self.chance.uniform(0, self.seconds)
+
+    def finish(self, child: ForkProcess, allowed: set[int]) -> Iterator[str]:
+        """Wait for a run; yield what is wrong with its end."""
+        child.join(PATIENCE)
+        status = child.exitcode
+        if status is None:
+            child.kill()
+            child.join()
+        lines = (self.folder / self.log).read_text(errors="replace").strip().splitlines()
+        message = " / ".join(lines[-8:])
+        if status not in allowed or "Traceback" in message or "report it" in message:
+            yield f"ended with {status}: {message}"
+
+
+# --- results ------------------------------------------------------------------------------
+
+
+def lost_strokes(folder: Path) -> Iterator[str]:
+    """Yield the strokes that were acknowledged and are in no whole line of a log."""
+    notes = folder / "acknowledged"
+    logs = [path.read_bytes() for path in (folder / OUT).rglob("*.jsonl")]
+    kept = {json.loads(line).get("id") for log in logs for line in log.split(b"\n")[:-1]}
+    acknowledged = set(notes.read_text().split()) if notes.exists() else set[str]()
+    yield from (f"{stroke} is lost" for stroke in acknowledged - kept)
+
+
+def differences(quiet: Path, out: Path) -> Iterator[str]:
+    """Yield what sets the files of a folder apart from those of an undisturbed run."""
+    wanted, present = (
+        {str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir()}
+        for folder in (quiet, out)
+    )
+    yield from (f"{name} is missing" for name in sorted(wanted - present))
+    yield from (f"{name} is stray" for name in sorted(present - wanted))
+    for name in sorted(wanted & present):
+        if content_of(quiet / name) != content_of(out / name):
+            yield f"{name} has other content"
+
+
+def content_of(path: Path) -> str | bytes:
+    """Read a file without times; a checkpoint by its values, as what shares memory is chance."""
+    if path.suffix != ".pt":
+        return settled(path)
+    values = torch.load(path, weights_only=True)
+    return re.sub(r'"seconds": [^,}]*', "", json.dumps(values, default=torch.Tensor.tolist))
+
+
+# --- commands -----------------------------------------------------------------------------
+
+TRAINING = """
+kind = "pictures"
+network = { height = 32, width = 40, narrow = 8, wide = 8 }
+teacher = { detector = "labeller", working = { pixels = 4800 } }
+recordings = { separator = "_", least = 2 }
+rounds = { count = 2 }
+descent = { batch = 2, method = "adam", learning_rate = 0.01, ema = 0.7 }
+stopping = { rule = "epochs", epochs = 2 }
+"""
+MAPS = "--save likelihood,mask,overlay,cues,npy,polygons"
+COMMANDS = {
+    "infer": f"infer ../work/images {{detector}} {{jobs}} {MAPS} --out out",
+    "video": f"infer ../work/drive.mp4 {{detector}} {{jobs}} {MAPS},overlay-frames,bag --out out",
+    "evaluate": "evaluate folder ../work {detector} {jobs} --detector prior:uniform --out out",
+    "grid": "grid ../work/images {detector} {jobs} --height 1.5 --pitch 2 --fov 90 --out out",
+    "label": "label ../work/images {jobs} --out out",
+    "train": "train --config ../work/training.toml --images ../work/images_flat --threads 1 "
+    "--corrections ../work/corrections --resume --out out",
+    "adapt": "adapt ../work/images --set network.height=32 --set network.width=64 --set "
+    "teacher.detector=labeller --set teacher.views=one --set stopping.epochs=1 --set "
+    "samples_per_epoch=4 --set descent.batch=2 --threads 1 --out out",
+    "import": "annotate ../work/images_flat --import png --from ../work --out out",
+    "corrections": "annotate ../work/images_flat --export coco --to out --out ../work/corrections",
+    "export": "export fusion --out out/net.onnx",
+    "annotate": "annotate ../work/images_flat --detector prior:rows --out out",
+}
+"""By name the command line."""
+
+
+def annotate() -> None:
+    """Serve the correction page and draw on it; end once every stroke is acknowledged."""
+    done = threading.Event()
+    threading.Thread(target=draw, args=(done,), daemon=True).start()
+    try:
+        main(COMMANDS["annotate"].split())
+    except SystemExit:
+        if not done.is_set():
+            raise
+    shutil.rmtree(Path(OUT, ".machine"))  # how far the server came with its own work is chance
+    Path(OUT, ".session.json").unlink()
+
+
+def draw(done: threading.Event) -> None:
+    """Draw on four images at the same time, and end this process."""
+    with ThreadPoolExecutor(4) as people:
+        list(people.map(draw_strokes, range(4)))
+    done.set()
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+def draw_strokes(person: int) -> None:
+    """Send a person's strokes to the page; note what it acknowledged, and exit where it refused."""
+    for number in range(5):
+        stroke = {"kind": "brush", "id": f"s{person}-{number}", "saying": "road", "radius": 3}
+        stroke["points"], status = [[10 + number, 20], [15, 30]], 0
+        while not status:
+            with suppress(OSError, httpx.TransportError):  # it has not started yet
+                address = json.loads(Path(OUT, ".session.json").read_text())
+                url = f"http://127.0.0.1:{address['port']}/api/event"
+                image = {"name": f"street_{person:06}.png", "user": "ann"}
+                headers = {"x-token": address["token"]}
+                status = httpx.post(url, params=image, headers=headers, json=stroke).status_code
+        if status != 200:
+            os._exit(1)
+        with Path("acknowledged").open("a") as notes:
+            print(stroke["id"], file=notes)
+
+
+def prepare(work: Path, count: int) -> None:
+    """Write labelled streets, a video, corrections and the config of a small training."""
+    for name in ("masks/below", "labels"):
+        (work / name).mkdir(parents=True)
+    for seed in range(count):
+        scene, name = render_scene(seed, 60, 80), f"street_{seed:06}.png"
+        nested = f"below/{name}" if seed % 3 == 0 else name
+        write_picture(work / "images_flat" / name, scene)
+        write_picture(work / "images" / nested, scene)
+        write_mask(work / "masks" / nested, scene.road)
+        write_labels(work / "labels" / name, torch.where(scene.road, 1, 2).to(torch.uint8))
+    (work / "training.toml").write_text(TRAINING)
+    write_video(work / "drive.mp4")
+    words = ["annotate", f"{work}/images_flat", "--out", f"{work}/corrections", "--import", "png"]
+    main([*words, "--from", str(work)])
+
+
+# --- trouble ------------------------------------------------------------------------------
+
+
+def interrupt(case: Case, numbers: tuple[int, ...]) -> Iterator[str]:
+    """Send one of the signals at a random moment, up to three times in a row."""
+    for _ in range(case.chance.randint(1, 3)):
+        child, number = case.start(), case.chance.choice(numbers)
+        child.join(case.moment())
+        if child.is_alive() and child.pid:
+            os.kill(child.pid, number)
+            time.sleep(0.5 * (number == signal.SIGSTOP))
+            os.kill(child.pid, signal.SIGCONT)
+        yield from case.finish(child, {0, -number, 128 + number})
+
+
+def kill_worker(case: Case) -> Iterator[str]:
+    """Kill the worker that started last, as the kernel does where memory is short."""
+    child = case.start()
+    child.join(case.moment())
+    with suppress(FileNotFoundError, IndexError, ProcessLookupError):
+        workers = Path(f"/proc/{child.pid}/task/{child.pid}/children").read_text().split()
+        os.kill(int(workers[-1]), signal.SIGKILL)
+    yield from case.finish(child, {0, 1})
+
+
+def meet(case: Case) -> Iterator[str]:
+    """Start two runs at the same moment, or nearly."""
+    other, one = replace(case, log="other"), case.start()
+    one.join(case.chance.choice((0, case.moment())))
+    two = other.start()
+    yield from case.finish(one, {0, 1, 2})
+    yield from other.finish(two, {0, 1, 2})
+    if 0 not in (one.exitcode, two.exitcode):
+        yield "neither run ended well"
+
+
+def read(case: Case) -> Iterator[str]:
+    """Open every result as it appears."""
+    child, broken = case.start(), set[str]()
+    while child.is_alive():
+        for path in (case.folder / OUT).rglob("[!.]*"):
+            try:
+                if path.suffix in (".png", ".jpg"):
+                    Image.open(path).load()
+                elif path.suffix == ".json":
+                    json.loads(path.read_bytes())
+            except FileNotFoundError:
+                pass  # a part of a checkpoint, or of progress: removed meanwhile
+            except Exception as problem:
+                broken.add(f"{path.name} was not whole: {problem}")
+    yield from broken
+    yield from case.finish(child, {0})
+
+
+def change(case: Case) -> Iterator[str]:
+    """Replace images while they are read, by nothing or by others, and restore them."""
+    images = (case.folder.parent / "work").rglob("image*/**/*.png")
+    original = {path: path.read_bytes() for path in sorted(images)}
+    child, due = case.start(), time.monotonic() + case.chance.uniform(0, case.seconds)
+    while time.monotonic() < due:
+        path, data = case.chance.choice([*original.items()])
+        path.write_bytes(case.chance.choice((data[: len(data) // 2], b"", data + bytes(999), data)))
+        if not path.stat().st_size:
+            path.unlink()
+        time.sleep(0.001)
+    for path, data in original.items():
+        path.write_bytes(data)
+    yield from case.finish(child, {0, 1, 2})
+
+
+def fail(case: Case, fault: Fault, allowed: set[int]) -> Iterator[str]:
+    """Let calls fail."""
+    yield from case.finish(case.start(fault), allowed)
+
+
+def faults(times: int) -> list[Fault]:
+    """Return faults of all calls of the last armed run, at most so many, evenly spread."""
+    everything = [
+        Fault(call, number, error)
+        for call, count in zip(CALLS[:-1], memoryview(COUNTS).cast("l"), strict=False)
+        for number in range(1, count + 1)
+        for name, error in ERRORS.items()
+        if (call, name) not in IMPOSSIBLE and (name != "SHORT" or call == "write")
+    ]
+    count = min(times, len(everything))
+    return [everything[index * len(everything) // count] for index in range(count)]
+
+
+AGAIN = {"clock": Fault(shift=-86_400), "locks": Fault("lock", 1, errno.ENOLCK)}
+"""What the second run meets."""
+
+TROUBLE: Mapping[str, Callable[[Case], Iterator[str]]] = {
+    "kill": partial(interrupt, numbers=SIGNALS),
+    "hangup": partial(interrupt, numbers=(signal.SIGHUP,)),
+    "pause": partial(interrupt, numbers=(signal.SIGSTOP,)),
+    "clock": partial(interrupt, numbers=(signal.SIGTERM,)),
+    "worker": kill_worker,
+    "meet": meet,
+    "read": read,
+    "change": change,
+    "locks": partial(fail, fault=AGAIN["locks"], allowed={0}),
+}
+NOT_TRIED = {
+    *(("clock", name) for name in ("annotate", "import")),  # whose results hold the time
+    ("change", "annotate"),  # what is drawn depends on the list of images
+    ("meet", "annotate"),  # it is the page's server that holds the lock
+    *(("worker", name) for name in COMMANDS if "{" not in COMMANDS[name]),
+}
+
+
+def disturb(name: str, options: argparse.Namespace, folder: Path) -> list[str]:
+    """Try a class of trouble on a command; print how often, and list what is wrong."""
+    kind = options.trouble
+    jobs = f"--jobs {2 if kind == 'worker' else options.jobs}"
+    words = COMMANDS[name].format(jobs=jobs, detector=f"--detector {options.detector}").split()
+    command = annotate if name == "annotate" else partial(main, words)
+    case = Case(command, folder / "case", random.Random(options.seed))
+    child = replace(case, command=partial(prepare, folder / "work", options.count)).start()
+    child.join()  # in a copy of this process, as torch's threads survive no fork
+    start = time.monotonic()
+    wrong = list(case.finish(case.start(Fault() if kind == "fault" else None), {0}))
+    case.seconds = time.monotonic() - start
+    quiet = case.folder.rename(folder / "quiet")
+    attempts = [TROUBLE[kind]] * options.times if kind in TROUBLE else []
+    attempts += [partial(fail, fault=fault, allowed=FAULT_ENDS) for fault in faults(options.times)]
+    for attempt in attempts:
+        found = [*attempt(case), *lost_strokes(case.folder)]
+        again = list(case.finish(case.start(AGAIN.get(kind)), {0}))
+        if kind == "change" and again and "ended with 2:" in again[0]:
+            shutil.rmtree(case.folder)  # what began with other bytes is refused, and begun anew
+            again = list(case.finish(case.start(), {0}))
+        found += [f"started again it {end}" for end in again]
+        found += differences(quiet / OUT, case.folder / OUT)
+        cause = attempt.keywords if isinstance(attempt, partial) else ""
+        wrong += [f"{kind} {name} {cause}: {each}" for each in found]
+        shutil.rmtree(case.folder)
+    print(f"{kind} {name}: tried {len(attempts)}, wrong {len(wrong)}", flush=True)
+    return wrong
+
+
+# --- the node -----------------------------------------------------------------------------
+
+
+def ros(options: argparse.Namespace, folder: Path) -> list[str]:
+    """Let talkers come and go before one node, twelve seconds each, then nodes before talkers."""
+    os.environ |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": "77"}
+    case = Case(partial(main, ["ros"]), folder, random.Random(options.seed))
+    script, wrong, ages = Path(__file__).parents[1] / "tests/ros/talker.py", [], []
+    talker = [sys.executable, script, "12", "--rate", "30", "--size", "640x480"]
+    for talkers in (options.times, *[1] * (options.times // 3)):
+        (folder / case.log).write_text("")
+        node = case.start()
+        while node.is_alive() and "looks at" not in (folder / case.log).read_text():
+            time.sleep(0.1)
+        for _ in range(talkers):
+            output = subprocess.check_output([*talker, "--encodings", "rgb8"], timeout=PATIENCE)
+            report = json.loads(output.splitlines()[-1])
+            ages += report.get("rgb8", [])
+            wrong += [] if report.get("rgb8") else ["a talker was not answered"]
+        memory = re.findall(r"VmRSS:.*|VmHWM:.*", Path(f"/proc/{node.pid}/status").read_text())
+        print(f"{talkers} talkers: {report.get('diagnostics')}; memory {memory}", flush=True)
+        number = case.chance.choice(SIGNALS)
+        os.kill(node.pid or 0, number)
+        wrong += case.finish(node, {-number, 128 + number})
+    late = statistics.quantiles(ages, n=100)
+    print(f"{len(ages)} answers; age {late[49]:.1f} ms, 99th percentile {late[98]:.1f} ms")
+    return wrong
+
+
+# --- the command line ---------------------------------------------------------------------
+
+
+def load(kind: str) -> None:
+    """Import what the runs need, and stop the clock of events, as each is done twice."""
+    torch.set_num_threads(1)
+    for module in pkgutil.walk_packages(roadtorch.__path__, "roadtorch."):
+        if not module.name.endswith("__main__"):
+            with suppress(ImportError):  # of an extra that is not installed
+                importlib.import_module(module.name)
+    loop.SAVE_EVERY = 0.0  # save as often as that can be done
+    if kind not in ("clock", "ros"):
+        time.time = lambda: 1e9
+
+
+def run_preloaded() -> int:
+    """Run this script again behind the library that replaces calls."""
+    with tempfile.TemporaryDirectory() as folder:
+        library, source = f"{folder}/chaos.so", str(Path(__file__).with_suffix(".c"))
+        subprocess.run(["cc", "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], check=True)
+        words = [sys.executable, *sys.argv]
+        return subprocess.call(words, env={**os.environ, "LD_PRELOAD": library})
+
+
+def run() -> int | str:
+    """Try a class of trouble on commands; return what is wrong."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("trouble", choices=[*TROUBLE, "fault", "ros"])
+    parser.add_argument("commands", nargs="*", choices=[*COMMANDS, []], default=[])
+    parser.add_argument("--times", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--count", type=int, default=4, help="images")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--detector", default="prior:rows")
+    options = parser.parse_args()
+    if options.trouble in ("fault", "clock", "locks") and "LD_PRELOAD" not in os.environ:
+        return run_preloaded()
+    load(options.trouble)
+    wrong = list[str]()
+    for name in ["ros"] if options.trouble == "ros" else options.commands or COMMANDS:
+        if (options.trouble, name) not in NOT_TRIED:
+            with tempfile.TemporaryDirectory() as temporary:
+                folder = Path(temporary)
+                wrong += ros(options, folder) if name == "ros" else disturb(name, options, folder)
+    return "\n".join(wrong)
+
+
+if __name__ == "__main__":
+    sys.exit(run() or 0)
