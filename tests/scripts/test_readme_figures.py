@@ -25,7 +25,7 @@ def test_every_number_of_a_page_about_today_is_bound() -> None:
     assert list(readme_figures.loose()) == []
 
 
-PAGES = ("README", *(f"docs/{name}" for name in ("adapting", "bags", "camera", "export", "faq")))
+PAGES = ("README", *(f"docs/{name}" for name in ("adapting", "camera", "export", "faq")))
 PAGES += tuple(f"docs/{name}" for name in ("footage", "grid", "how/index", "limits", "results"))
 
 
