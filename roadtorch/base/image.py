@@ -14,12 +14,10 @@ from PIL import Image, ImageDraw, ImageFont, UnidentifiedImageError
 from torch import Tensor
 
 from roadtorch.base.atomic import atomic
-from roadtorch.base.bounded import read_regular, reason, regular_size
+from roadtorch.base.bounded import read_regular, reason
 from roadtorch.base.decoding import (
-    LARGE,
     MEGAPIXELS_VARIABLE,
     TooLargeError,
-    check_bytes,
     decode,
     pillow_pixels,
 )
@@ -81,9 +79,6 @@ def read_image(path: str | os.PathLike[str]) -> Tensor:
         return decode_image(url_bytes(path), without_password(path))
     path = Path(path)
     try:
-        if (size := regular_size(path)) > LARGE:
-            with path.open("rb") as file, undecodable(path):
-                check_bytes(file, size)
         data = read_regular(path)
     except FileNotFoundError:
         raise InputError(path, "does not exist", "check the name") from None
@@ -119,7 +114,7 @@ def undecodable(origin: object) -> Iterator[None]:
         if lacks_memory(problem):
             raise fault(origin, problem) from None
         what = f"cannot be decoded: {reason(problem)}"
-        raise InputError(origin, what, "replace the file") from None
+        raise InputError(origin, what, "replace it, or convert it to PNG") from None
 
 
 def from_pixels(pixels: np.ndarray) -> Tensor:

@@ -8,7 +8,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import tifffile
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -20,6 +19,7 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import (
     ORANGE,
     as_image,
+    decode_image,
     png_bytes,
     read_image,
     tint_mask,
@@ -31,6 +31,7 @@ from roadtorch.base.image import (
     write_npy,
     write_overlay,
 )
+from tests.base.test_decoding import tiff
 
 # Every channel differs, and no turn or flip leaves it as it is.
 PIXELS = (np.arange(5 * 7 * 3).reshape(5, 7, 3) * 2).astype(np.uint8)
@@ -133,11 +134,9 @@ def test_exif_orientation_is_applied(tmp_path: Path, orientation: int) -> None:
         assert (image - as_tensor(TURNS[orientation](blocks))).abs().max() <= within, suffix
         with Image.open(path) as picture:
             assert (as_image(picture) - image).abs().max() <= within, suffix
-    tags = [(274, 3, 1, orientation, True)]
-    deep = tmp_path / "deep.tif"
-    tifffile.imwrite(deep, PIXELS.astype(np.uint16), photometric="rgb", extratags=tags)
+    deep = decode_image(tiff(PIXELS.astype(np.uint16), t274=orientation), "deep.tif")
     expected = as_tensor(TURNS[orientation](PIXELS), 65535)
-    np.testing.assert_allclose(read_image(deep), expected, rtol=1.3e-6, atol=1e-5)
+    np.testing.assert_allclose(deep, expected, rtol=1.3e-6, atol=1e-5)
 
 
 # --- what programs have -------------------------------------------------------------------
