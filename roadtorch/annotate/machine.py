@@ -1,6 +1,6 @@
 """What the machine says about one picture before anybody corrects it, and after."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -32,9 +32,6 @@ from roadtorch.road.fusion import log_odds
 
 BARELY = 0.05
 """Log odds of what the threshold says road and the mask leaves out, so that it stays out."""
-
-COPIED = 2.0
-"""Log odds of a mask taken over from another picture: a stroke still moves it. Ours."""
 
 
 class AnnotationSettings(Settings):
@@ -91,14 +88,6 @@ def look_at_picture(image: Tensor, detector: Detector, settings: AnnotationSetti
     mean = segment_mean(odds[None], labels, segments.pixels)[0]
     graph = segment_graph(segments, settings.propagation)
     return PictureView(size, odds, labels, mean, graph, layout, detection.trust)
-
-
-def seen_as(view: PictureView, road: np.ndarray) -> PictureView:
-    """The view with a mask bool (H,W) in place of the machine's road."""
-    odds = torch.where(torch.from_numpy(at_size(road, view.shape)), COPIED, -COPIED)
-    index, count = view.labels.reshape(-1), len(view.segment_odds)
-    sums = torch.zeros(count).index_add_(0, index, odds.reshape(-1))
-    return replace(view, odds=odds, segment_odds=sums / index.bincount(minlength=count))
 
 
 def mended_odds(view: PictureView, said: Tensor, settings: PropagationSettings) -> Tensor:

@@ -21,7 +21,6 @@ from roadtorch.annotate.machine import (
     mended_layout,
     mended_odds,
     said_of_segments,
-    seen_as,
     shown_road,
 )
 from roadtorch.annotate.next_pictures import PictureOrder
@@ -36,7 +35,6 @@ from roadtorch.data.events import (
     ENDING,
     AnyEvent,
     Confirm,
-    Copy,
     EventLog,
     Import,
     LogHead,
@@ -46,7 +44,6 @@ from roadtorch.data.events import (
     Undo,
     click_count,
     log_path,
-    mask_of,
     read_log,
     read_logs,
     reviewers,
@@ -303,10 +300,10 @@ class Session:
         view = self.view(name)
         work = self._work(name, user, view)
         check_reviewer(user, event, work.events)
-        work.add(self._completed(event, name, work, view))
+        work.add(self._completed(event, work, view))
         return self._shown(name, work, view)
 
-    def _completed(self, event: AnyEvent, name: str, work: EventLog, view: PictureView) -> AnyEvent:
+    def _completed(self, event: AnyEvent, work: EventLog, view: PictureView) -> AnyEvent:
         """The event with its time and with the pixels that it is about."""
         changes: dict[str, Any] = {"time": round(time.time(), 3)}
         if isinstance(event, SuperpixelStroke):
@@ -316,29 +313,11 @@ class Session:
                 raise InputError(work.path.name, message, "load the page again")
             chosen = np.isin(view.labels.numpy(), event.segments)
             changes["runs"] = runs_of(at_size(chosen, view.size))
-        if isinstance(event, Copy):
-            picture, road = self._road_before(name, work)
-            changes |= {"picture": picture, "runs": runs_of(road)}
         if isinstance(event, Confirm):
             changes["runs"] = runs_of(shown_road(self._odds(work, view), work.labels, view.size))
         return event.model_copy(update=changes)
 
-    def _road_before(self, own: str, work: EventLog) -> tuple[str, np.ndarray]:
-        """The last picture before this one that the person called right, and its road (H,W)."""
-        user, done, names = work.head.user, self._work_by_picture(), self.pictures.names()
-        for name in reversed(names[: names.index(own)] if own in names else ()):
-            shown, _ = done.get(name, {}).get(user, ({}, None))
-            if shown.get("confirmed"):
-                log = read_log(log_path(self.out, name, user))
-                if log is not None and log.size == work.size:
-                    return name, log.labels == LABELS.index("road")
-        message = "has no picture of its size before it that you called right"
-        raise InputError(own, message, "call the frame before it right first")
-
     def _odds(self, work: EventLog, view: PictureView) -> Any:
-        copied = [event for event in work.standing if isinstance(event, Copy)]
-        if copied:
-            view = seen_as(view, mask_of(copied[-1].runs, view.size))
         settings = self.views.settings
         said = said_of_segments(work.labels, view, settings)
         return mended_odds(view, said, settings.propagation)

@@ -102,17 +102,6 @@ class Import(Event):
     labels: dict[Label, Runs]
 
 
-class Copy(Event):
-    """ "Same as last frame": the road of an earlier picture is shown here; nothing is said by it.
-
-    picture: whose it is. runs: its pixels. They become the person's own when the person confirms.
-    """
-
-    kind: Literal["copied"]
-    picture: str = Field(default="", max_length=4096)
-    runs: Runs = ()
-
-
 class Review(Event):
     """A second person calls a confirmation right; it says nothing of the labels."""
 
@@ -138,7 +127,7 @@ class Redo(Event):
 
 
 Stroke = SuperpixelStroke | PolygonStroke | BrushStroke
-LastingEvent = Stroke | Confirm | Import | Copy | Review
+LastingEvent = Stroke | Confirm | Import | Review
 AnyEvent = LastingEvent | Undo | Redo
 
 _ADAPTER: pydantic.TypeAdapter[AnyEvent] = pydantic.TypeAdapter(
@@ -249,8 +238,6 @@ def apply_event(labels: np.ndarray, event: LastingEvent) -> None:
         case Import():
             for name, runs in event.labels.items():
                 labels[mask_of(runs, size)] = LABELS.index(name)
-        case Copy():
-            mask_of(event.runs, size)  # it has to fit, and says nothing
         case SuperpixelStroke() | PolygonStroke() | BrushStroke():
             mask = stroke_mask(event, size)
             labels[mask] = after_saying(labels[mask], event.saying)

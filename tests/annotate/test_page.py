@@ -236,22 +236,6 @@ def test_the_hint_goes_for_good_and_the_colour_stays(visit: Open, server: Server
 
 
 @pytest.mark.slow
-def test_same_as_last_frame(visit: Open, server: Server) -> None:
-    page = visit(server)
-    press(page, "c")
-    tells(page, "notice", "before it that you called right")
-    press(page, "Enter")
-    shown(page, "street_1.png")
-    press(page, "c")
-    at_version(page, 1)
-    assert [one.name for one in server.corrections()] == ["street_0.png"]
-    press(page, "Enter")
-    shown(page, "street_2.png")
-    first, second = server.corrections()
-    assert (first.road == second.road).all()
-
-
-@pytest.mark.slow
 def test_the_last_that_is_right_says_what_learns_from_them(visit: Open, server: Server) -> None:
     page = visit(server)
     names = ("street_0.png", "street_1.png", "street_2.png")

@@ -2,10 +2,8 @@
 
 import shutil
 import threading
-from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,12 +17,10 @@ from roadtorch.data.corrections import read_corrections
 from roadtorch.data.events import (
     BrushStroke,
     Confirm,
-    Copy,
     Redo,
     Review,
     SuperpixelStroke,
     Undo,
-    read_log,
     read_logs,
 )
 from roadtorch.detectors.catalogue import load_detector
@@ -269,54 +265,6 @@ def test_a_port_that_is_taken_is_told_or_passed_over() -> None:
         other.close()
     finally:
         taken.close()
-
-
-# --- same as last frame -----------------------------------------------------------------
-
-
-def shown(state: Mapping[str, Any]) -> np.ndarray:
-    return np.frombuffer(state["layers"], np.uint8).reshape(48, 64) >> 3 & 1
-
-
-def test_a_copied_mask_is_shown_and_is_nobodys_word_until_it_is_confirmed(
-    session: Session,
-) -> None:
-    session.add(NAME, "ann", superpixel("a", "not_road", *range(30)))
-    last = shown(session.add(NAME, "ann", Confirm(kind="right", id="b")))
-
-    copied = session.add("street_1.png", "ann", Copy(kind="copied", id="c"))
-
-    assert (shown(copied) == last).all()
-    assert [each.name for each in read_corrections(session.out)] == [NAME]  # nothing is said yet
-    stroked = session.add("street_1.png", "ann", superpixel("d", "road", 0))
-    first = session.view("street_1.png").labels.numpy() == 0
-    assert shown(stroked)[first].all()
-    assert (read_corrections(session.out)[1].road != 255).sum() == first.sum()
-    confirmed = session.add("street_1.png", "ann", Confirm(kind="right", id="e"))
-    assert (read_corrections(session.out)[1].road == shown(confirmed)).all()
-    assert (shown(reopened(session).state("street_1.png", "ann")) == shown(confirmed)).all()
-
-
-def test_a_copy_is_undone_and_looks_back_past_what_is_not_confirmed(session: Session) -> None:
-    before = session.state("street_2.png", "ann")["layers"]
-    session.add(NAME, "ann", Confirm(kind="right", id="a"))
-    session.add("street_1.png", "ann", superpixel("b", "road", 0))
-
-    session.add("street_2.png", "ann", Copy(kind="copied", id="c"))
-
-    log = read_log(session.out / "street_2.png.ann.strokes.jsonl")
-    assert log is not None
-    assert [event.picture for event in log.events if isinstance(event, Copy)] == [NAME]
-    undone = session.add("street_2.png", "ann", Undo(kind="undo", id="d", of="c"))
-    assert undone["layers"] == before
-
-
-def test_there_is_nothing_to_copy_before_the_first_and_nothing_of_others(session: Session) -> None:
-    session.add(NAME, "bob", Confirm(kind="right", id="a"))
-    for name in (NAME, "street_1.png"):
-        with pytest.raises(InputError, match="before it that you called right"):
-            session.add(name, "ann", Copy(kind="copied", id="b"))
-        assert session.state(name, "ann")["version"] == 0
 
 
 # --- review -----------------------------------------------------------------------------

@@ -246,11 +246,6 @@ async function right() {
   if (next && next !== current.name) open(next);
 }
 
-// The road of the last picture before this one that was called right; one's own after Enter.
-function copy() {
-  if (current && !reviewing) send({ kind: "copied" });
-}
-
 // A verdict on the work of another; on: then the next one comes.
 async function judge(act, on = false) {
   if (!act || current.whose === user) return;
@@ -342,7 +337,6 @@ const KEYS = [
   ["Enter", "right as it is, and on to the next; closes a polygon", right],
   ["n", "next picture, the least certain that waits", () => next(1)],
   ["k", "picture before it in the list", () => next(-1)],
-  ["c", "same as last frame: the road of the picture before that you called right", copy],
   ["r", "review what others called right, and end it", review],
   ["x", "in review: reopen, it is not right", () => reviewing && judge(verdict(state, user, false), true)],
   ["z", "undo (Ctrl+Z as well)", undo],
@@ -374,7 +368,6 @@ function build() {
   button("acts", "undo", "z", undo).dataset.act = "undo";
   button("acts", "redo", "y", redo).dataset.act = "redo";
   button("acts", "next", "n", () => next(1));
-  button("acts", "same as last frame", "c", copy);
   const toggle = button("acts", "review", "r", review);
   toggle.id = "review-button";
   toggle.setAttribute("role", "switch");
