@@ -6,11 +6,9 @@ from pathlib import Path
 
 import torch
 
-from roadtorch.annotate.session import GLANCE, RUN, confirmation, hasty_runs
 from roadtorch.annotate.views import VIEWS, read_view, view_path
 from roadtorch.data.correction_labels import ROAD_SAID
 from roadtorch.data.corrections import Correction, read_corrections
-from roadtorch.data.events import read_logs
 from roadtorch.evaluation.metrics import count_mask, f_measure
 from roadtorch.evaluation.report.table import aligned
 from roadtorch.imaging.resize import resized
@@ -24,8 +22,7 @@ def corrections_report(out: Path, pictures: Path | None = None) -> str:
     figures = [machine_f(each, out) if each.confirmed else None for each in corrections]
     rows = [["picture", "who", "clicks", "seconds", "said", "agree", "machine's F"]]
     for correction, figure in zip(corrections, figures, strict=True):
-        reviewers = f"/{','.join(correction.reviewers)}" if correction.reviewers else ""
-        people = ",".join(correction.users) + reviewers
+        people = ",".join(correction.users)
         clicks, seconds = str(correction.clicks), f"{correction.seconds:.0f}"
         spoken = f"{100 * float((correction.labels > 0).mean()):.1f} %"
         share = correction.agreement
@@ -34,13 +31,7 @@ def corrections_report(out: Path, pictures: Path | None = None) -> str:
         verdict = verdict if correction.confirmed else "not confirmed"
         rows.append([correction.name, people, clicks, seconds, spoken, agree, verdict])
     totals = _totals(corrections, [figure for figure in figures if figure is not None])
-    confirmations = ((log.head.user, confirmation(log)) for log in read_logs(out))
-    cautions = [
-        f"caution: {user} called {max(runs)} pictures in a row right in less than {GLANCE:g} s each"
-        for user, runs in hasty_runs(confirmations).items()
-        if max(runs) >= RUN
-    ]
-    return "\n".join([aligned(rows), "", *totals, *cautions])
+    return "\n".join([aligned(rows), "", *totals])
 
 
 def machine_f(correction: Correction, out: Path) -> float | None:

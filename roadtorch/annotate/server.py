@@ -215,12 +215,12 @@ class Page:
 
     def pictures(self, request: Request) -> Response:
         """The list; 204 for who has this very list already."""
-        listing, hasty = self._session.listing(), self._session.hasty()
+        listing = self._session.listing()
         learn = LEARN.format(pictures=self._session.pictures.root, out=self._session.out)
-        stamp = hashlib.sha256(json.dumps([listing, hasty]).encode()).hexdigest()[:16]
+        stamp = hashlib.sha256(json.dumps(listing).encode()).hexdigest()[:16]
         if request.query_params.get("stamp") == stamp:
             return Response(status_code=204)
-        return JSONResponse({"stamp": stamp, "pictures": listing, "hasty": hasty, "learn": learn})
+        return JSONResponse({"stamp": stamp, "pictures": listing, "learn": learn})
 
     async def jpeg(self, encode: Callable[[Path, int], bytes], request: Request) -> Response:
         """A picture as JPEG; ``encode`` makes it of the file, which was changed at a time."""

@@ -5,8 +5,6 @@ import os
 import re
 import threading
 import time
-from collections import defaultdict
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -38,15 +36,11 @@ from roadtorch.data.events import (
     EventLog,
     Import,
     LogHead,
-    Redo,
-    Review,
     SuperpixelStroke,
-    Undo,
     click_count,
     log_path,
     read_log,
     read_logs,
-    reviewers,
     runs_of,
     taken_back,
 )
@@ -58,16 +52,6 @@ HELD = 2**26  # bytes of labels in memory, and one picture's in any case
 FRESH = 2.0  # seconds for which a listing holds
 
 USER = re.compile(r"[A-Za-z0-9_-]{1,32}")
-
-GLANCE = 1.0
-"""Seconds at work on a picture below which nobody has looked at it."""
-
-RUN = 10
-"""Confirmations in a row below ``GLANCE`` from which the person is told. Forbidden is nothing."""
-
-Confirmation = tuple[float, float]
-"""When a picture was called right that still is, seconds since 1970, and the seconds at it."""
-
 
 # --- what there is to correct -----------------------------------------------------------
 
@@ -141,56 +125,7 @@ def open_work(
     return log
 
 
-# --- what is to be looked at again ------------------------------------------------------
-
-# Ours. A review is written to the log that it is about, with the name of who did it: ``Review``
-# says that a confirmation is right, ``Undo`` reopens the picture.
-
-
-def confirmation(log: EventLog) -> Confirmation | None:
-    """The last one of a log that holds, with all the work before it; None without any."""
-    verdicts = [event for event in log.standing if isinstance(event, Confirm)]
-    if not verdicts:
-        return None
-    last = verdicts[-1].time
-    return last, sum(event.seconds for event in log.events if event.time <= last)
-
-
-def hasty_runs(confirmations: Iterable[tuple[str, Confirmation | None]]) -> dict[str, list[int]]:
-    """At each confirmation of a person, how many up to it in a row took less than a glance.
-
-    confirmations: with the name of the person, in any order; so is the result, sorted.
-    """
-    by_user: dict[str, list[Confirmation]] = defaultdict(list)
-    for user, verdict in confirmations:
-        if verdict is not None:
-            by_user[user].append(verdict)
-    runs = {user: [0] for user in sorted(by_user)}
-    for user, counts in runs.items():
-        for _, seconds in sorted(by_user[user]):
-            counts.append(counts[-1] + 1 if seconds < GLANCE else 0)
-    return runs
-
-
-def check_reviewer(user: str, event: AnyEvent, events: Sequence[AnyEvent]) -> None:
-    """Whether a second person may do this to a user's log.
-
-    Raises InputError for one's own work, and for anything but calling a confirmation right,
-    taking it back, and doing either again.
-    """
-    if not isinstance(event, Review | Undo | Redo) or event.by is None:
-        return
-    if event.by == user:
-        raise InputError(user, "is who confirmed", "have a second person review it")
-    verdicts = Confirm if isinstance(event, Review) else (Confirm, Review)
-    if not any(each.id == event.of and isinstance(each, verdicts) for each in events):
-        raise InputError(event.of, f"is no verdict of {user}", "review what was called right")
-
-
 # --- the session ------------------------------------------------------------------------
-
-Summary = tuple[dict[str, Any], Confirmation | None]
-"""What the list shows of a person's work on a picture, and when it was called right."""
 
 
 @dataclass
@@ -210,7 +145,9 @@ class Session:
     )
     _held: list[EventLog] = field(default_factory=list, repr=False)
     _lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
-    _summaries: dict[Path, tuple[int, Summary | None]] = field(default_factory=dict, repr=False)
+    _summaries: dict[Path, tuple[int, dict[str, Any] | None]] = field(
+        default_factory=dict, repr=False
+    )
 
     # --- what there is ------------------------------------------------------------------
 
@@ -223,24 +160,18 @@ class Session:
                 "name": name,
                 "trust": self._trust(name),
                 "turn": turns.get(name),
-                "users": {user: shown for user, (shown, _) in work.get(name, {}).items()},
+                "users": work.get(name, {}),
             }
             for name in names
         ]
-
-    def hasty(self) -> dict[str, int]:
-        """Who called so many pictures in a row right, up to now, that nobody looks so fast."""
-        work = self._work_by_picture().values()
-        verdicts = ((user, verdict) for users in work for user, (_, verdict) in users.items())
-        return {user: runs[-1] for user, runs in hasty_runs(verdicts).items() if runs[-1] >= RUN}
 
     def _trust(self, name: str) -> float | None:
         trust = self.trusts.get(name)
         return None if trust is None or np.isnan(trust) else round(trust, 3)
 
-    def _work_by_picture(self) -> dict[str, dict[str, Summary]]:
+    def _work_by_picture(self) -> dict[str, dict[str, dict[str, Any]]]:
         """What each person did on each picture; a log is read again when its length changed."""
-        work: dict[str, dict[str, Summary]] = {}
+        work: dict[str, dict[str, dict[str, Any]]] = {}
         for path in sorted(self.out.rglob(f"*{ENDING}")):
             stem = path.relative_to(self.out).as_posix().removesuffix(ENDING)
             name, _, user = stem.rpartition(".")
@@ -249,13 +180,11 @@ class Session:
                 log = read_log(path)
                 summary = None
                 if log and log.events:
-                    shown = {
+                    summary = {
                         "events": len(log.standing),
                         "confirmed": log.confirmed,
                         "version": len(log.events),
-                        "reviewed": list(reviewers(log.standing)),
                     }
-                    summary = shown, confirmation(log)
                 self._summaries[path] = length, summary
             if summary:
                 work.setdefault(name, {})[user] = summary
@@ -299,7 +228,6 @@ class Session:
         """Take an event, have it on disk, infer the rest anew, and tell the state."""
         view = self.view(name)
         work = self._work(name, user, view)
-        check_reviewer(user, event, work.events)
         work.add(self._completed(event, work, view))
         return self._shown(name, work, view)
 
@@ -335,7 +263,6 @@ class Session:
             "events": [[each.id, each.kind, getattr(each, "saying", "")] for each in work.standing],
             "redo": taken_back(work.events),
             "confirmed": work.confirmed,
-            "reviewed": list(reviewers(work.standing)),
             "seconds": round(sum(event.seconds for event in work.events), 1),
             "clicks": click_count(work.events),
             "agreement": self._agreement(name),

@@ -27,7 +27,7 @@ from roadtorch.data.correction_labels import (
     road_layer,
 )
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth
-from roadtorch.data.events import ENDING, EventLog, click_count, read_log, read_logs, reviewers
+from roadtorch.data.events import ENDING, EventLog, click_count, read_log, read_logs
 from roadtorch.layout.classes import UNLABELLED
 
 TURNED = (5, 6, 7, 8)  # EXIF orientations that swap width and height
@@ -41,8 +41,8 @@ class Correction:
     numbers of ``LABELS``. confirmed: somebody said that it is right as it is, so that every
     pixel's road is known. users: sorted. seconds: at work on it, of all of them. clicks: strokes of
     all of them, those taken back among them. agreement: share of the pixels that two or more
-    spoke of on which all of them agree about the road; None where there are none. reviewers: who
-    called the work of another right. logs: where it was said.
+    spoke of on which all of them agree about the road; None where there are none. logs:
+    where it was said.
     """
 
     picture: Path
@@ -53,7 +53,6 @@ class Correction:
     seconds: float
     clicks: int
     agreement: float | None = None
-    reviewers: tuple[str, ...] = ()
     logs: tuple[Path, ...] = ()
 
     @property
@@ -111,7 +110,6 @@ def corrected(picture: Path, name: str, logs: Sequence[EventLog]) -> Correction:
         sum(event.seconds for event in events),
         click_count(events),
         agreement_share(labels),
-        tuple(sorted({person for log in logs for person in reviewers(log.standing)})),
         tuple(log.path for log in logs),
     )
 

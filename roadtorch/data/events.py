@@ -102,32 +102,22 @@ class Import(Event):
     labels: dict[Label, Runs]
 
 
-class Review(Event):
-    """A second person calls a confirmation right; it says nothing of the labels."""
-
-    kind: Literal["reviewed"]
-    of: Name
-    by: Name
-
-
 class Undo(Event):
-    """Takes an event back. by: the second person who did it; None for the log's own."""
+    """Take an event back."""
 
     kind: Literal["undo"]
     of: Name
-    by: Name | None = None
 
 
 class Redo(Event):
-    """Does an event again that was taken back; ``by`` as there."""
+    """Do an event again that was taken back."""
 
     kind: Literal["redo"]
     of: Name
-    by: Name | None = None
 
 
 Stroke = SuperpixelStroke | PolygonStroke | BrushStroke
-LastingEvent = Stroke | Confirm | Import | Review
+LastingEvent = Stroke | Confirm | Import
 AnyEvent = LastingEvent | Undo | Redo
 
 _ADAPTER: pydantic.TypeAdapter[AnyEvent] = pydantic.TypeAdapter(
@@ -215,14 +205,6 @@ def taken_back(events: Iterable[AnyEvent]) -> list[str]:
 def click_count(events: Iterable[Event]) -> int:
     """How many strokes were made, those that were taken back included, each counted once."""
     return len({event.id for event in events if isinstance(event, Stroke)})
-
-
-def reviewers(events: Iterable[LastingEvent]) -> tuple[str, ...]:
-    """Who called the work right since it was changed last, of the events that hold; sorted."""
-    people: set[str] = set()
-    for event in events:
-        people = {*people, event.by} if isinstance(event, Review) else set()
-    return tuple(sorted(people))
 
 
 def apply_event(labels: np.ndarray, event: LastingEvent) -> None:

@@ -247,20 +247,6 @@ def test_the_last_that_is_right_says_what_learns_from_them(visit: Open, server: 
     tells(page, "notice", "All done: 3 of 3 right. To learn from them: roadtorch train --config")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("server", [12], indirect=True)
-def test_faster_than_anybody_looks_is_told(visit: Open, server: Server) -> None:
-    page = visit(server)
-    for count in range(1, 11):
-        before = page.evaluate("document.body.dataset.picture")
-        page.evaluate("dispatchEvent(new KeyboardEvent('keydown', { key: 'Enter' }))")
-        page.wait_for_function("b => document.body.dataset.picture !== b", arg=before)
-        tells(page, "progress", f"{count} of 12 right")
-    text = page.locator("#progress").inner_text()
-    hasty = [one.seconds < 1 for one in server.corrections()]
-    assert ("caution: 10 in a row" in text) == all(hasty)
-
-
 # --- several windows and people ---------------------------------------------------------
 
 
@@ -286,29 +272,6 @@ def test_two_people_see_how_far_they_agree(visit: Open, server: Server) -> None:
     assert server.corrections()[0].users == ("ann", "bob")
     bob.wait_for_function(
         "() => document.querySelector('.row small').textContent.includes('ann 1, bob 1')"
-    )
-
-
-@pytest.mark.slow
-def test_a_second_person_reviews(visit: Open, server: Server) -> None:
-    ann = visit(server, "ann")
-    for picture in ("street_1.png", "street_2.png"):
-        ann.keyboard.press("Enter")
-        shown(ann, picture)
-    bob = visit(server, "bob")
-    press(bob, "r")
-    shown(bob, "street_0.png")
-    tells(bob, "facts", "work of ann")
-    click(bob, 0.5, 0.9)  # a reviewer draws nothing
-    press(bob, "Enter")
-    shown(bob, "street_1.png")
-    press(bob, "x")
-    tells(ann, "progress", "1 of 3 right")
-    (one,) = server.corrections()  # of the other nothing but the confirmation was said
-    assert (one.name, one.users, one.reviewers) == ("street_0.png", ("ann",), ("bob",))
-    press(bob, "r")
-    bob.wait_for_function(
-        "() => !document.getElementById('facts').textContent.includes('work of ann')"
     )
 
 

@@ -18,7 +18,6 @@ from roadtorch.data.events import (
     BrushStroke,
     Confirm,
     Redo,
-    Review,
     SuperpixelStroke,
     Undo,
     read_logs,
@@ -83,8 +82,8 @@ def test_two_users_have_work_of_their_own_and_agree_in_part(session: Session) ->
     assert session.add(NAME, "bob", superpixel("c", "not_road", 1))["agreement"] < 1
     users = session.listing()[0]["users"]
     assert users == {
-        "ann": {"events": 1, "confirmed": False, "version": 1, "reviewed": []},
-        "bob": {"events": 2, "confirmed": False, "version": 2, "reviewed": []},
+        "ann": {"events": 1, "confirmed": False, "version": 1},
+        "bob": {"events": 2, "confirmed": False, "version": 2},
     }
 
 
@@ -265,72 +264,3 @@ def test_a_port_that_is_taken_is_told_or_passed_over() -> None:
         other.close()
     finally:
         taken.close()
-
-
-# --- review -----------------------------------------------------------------------------
-
-
-def test_a_second_person_calls_it_right_by_name_and_the_labels_stay(session: Session) -> None:
-    session.add(NAME, "ann", Confirm(kind="right", id="a"))
-    (before,) = read_corrections(session.out)
-
-    state = session.add(NAME, "ann", Review(kind="reviewed", id="b", of="a", by="bob"))
-
-    assert state["reviewed"] == ["bob"]
-    (after,) = read_corrections(session.out)
-    assert (after.labels == before.labels).all()
-    assert (after.users, after.reviewers, after.agreement) == (("ann",), ("bob",), None)
-    assert "ann/bob" in corrections_report(session.out)
-    changed = session.add(NAME, "ann", superpixel("c", "road", 0))
-    assert changed["reviewed"] == []  # of what was there then
-
-
-def test_a_reopened_picture_counts_its_strokes_alone_and_waits_again(session: Session) -> None:
-    session.add(NAME, "ann", superpixel("a", "road", 0))
-    (strokes,) = read_corrections(session.out)
-    session.add(NAME, "ann", Confirm(kind="right", id="b"))
-
-    state = session.add(NAME, "ann", Undo(kind="undo", id="c", of="b", by="bob"))
-
-    assert not state["confirmed"]
-    assert not session.listing()[0]["users"]["ann"]["confirmed"]
-    (left,) = read_corrections(session.out)
-    assert not left.confirmed
-    assert (left.labels == strokes.labels).all()
-
-
-def test_a_reviewer_judges_confirmations_of_others_and_nothing_else(session: Session) -> None:
-    session.add(NAME, "ann", superpixel("a", "road", 0))
-    session.add(NAME, "ann", Confirm(kind="right", id="b"))
-
-    with pytest.raises(InputError, match="have a second person"):
-        session.add(NAME, "ann", Review(kind="reviewed", id="c", of="b", by="ann"))
-    for event in (
-        Review(kind="reviewed", id="c", of="a", by="bob"),
-        Undo(kind="undo", id="c", of="a", by="bob"),
-        Redo(kind="redo", id="c", of="no", by="bob"),
-    ):
-        with pytest.raises(InputError, match="is no verdict of ann"):
-            session.add(NAME, "ann", event)
-    assert session.state(NAME, "ann")["version"] == 2
-
-
-# --- faster than anybody looks ----------------------------------------------------------
-
-
-def test_confirmations_in_a_row_under_a_second_are_told_and_none_is_refused(
-    session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for module in ("session", "report"):
-        monkeypatch.setattr(f"roadtorch.annotate.{module}.RUN", 2)
-    shutil.copy(session.pictures.root / NAME, session.pictures.root / "street_3.png")
-    session.pictures._listed -= 10
-
-    for number, (seconds, hasty) in enumerate([(7, {}), (0.4, {}), (0.9, {"ann": 2}), (7, {})]):
-        confirm = Confirm(kind="right", id=f"a{number}", seconds=seconds)
-        session.add(f"street_{number}.png", "ann", confirm)
-        assert session.hasty() == hasty  # after the last they look again
-        assert ("caution" in corrections_report(session.out)) == (number > 1)
-
-    assert "caution: ann called 2 pictures in a row right" in corrections_report(session.out)
-    assert all(correction.confirmed for correction in read_corrections(session.out))

@@ -5,7 +5,6 @@ import { button, listKeys, marked, onKeys } from "/static/controls.js";
 import { Hand } from "/static/hand.js";
 import { Outbox, Refusal, ask } from "/static/link.js";
 import { PictureList } from "/static/list.js";
-import { caution, toReview, verdict, waits, withdrawn } from "/static/review.js";
 
 const by = (id) => document.getElementById(id);
 const SAYINGS = ["road", "not_road", "void", "sky", "vertical", "horizontal"];
@@ -15,7 +14,7 @@ const POLL = 1500; // milliseconds
 
 const stage = new Stage(by("stage"));
 const list = new PictureList(by("list"), by("spacer"), open);
-const hand = new Hand(stage, send, () => current !== null && !reviewing);
+const hand = new Hand(stage, send, () => current !== null);
 const outbox = new Outbox(acted);
 const loaded = new Map(); // pictures by name: promises, the last few
 
@@ -28,7 +27,6 @@ let state = null; // what the server told about it
 let seconds = 0; // at work since the last act
 let touched = performance.now();
 let wanted = null; // the picture that was asked for last
-let reviewing = false; // whether the work of others is shown, to be called right or reopened
 
 // --- pictures ---------------------------------------------------------------------------
 
@@ -51,16 +49,15 @@ async function superpixels(name) {
 
 async function open(name) {
   wanted = name;
-  const whose = (reviewing && toReview(pictures.find((one) => one.name === name), user)) || user;
   document.body.classList.remove("listing");
   by("waiting").hidden = false;
   try {
     const [[image, labels], found] = await Promise.all([
-      picture(name), ask("state", { name, user: whose }).then((answer) => answer.json()),
+      picture(name), ask("state", { name, user }).then((answer) => answer.json()),
     ]);
     if (wanted !== name) return;
     const { size, shape } = found;
-    current = { name, whose, bitmap: image, superpixels: labels, size, shape };
+    current = { name, bitmap: image, superpixels: labels, size, shape };
     seconds = 0;
     notice("");
     location.hash = encodeURIComponent(name);
@@ -89,7 +86,7 @@ function sorted() {
 
 // Whether a picture asks nothing more of this person.
 function done(one) {
-  return reviewing ? !waits(one, user) : one.users[user]?.confirmed;
+  return one.users[user]?.confirmed;
 }
 
 function following(step = 1) {
@@ -118,9 +115,7 @@ function tell(found) {
   by("name").textContent = found.name;
   document.title = `${found.name} · roadtorch`;
   const facts = [
-    current.whose === user ? "" : `work of ${current.whose}`,
     found.confirmed ? "right ✓" : "",
-    found.reviewed.length ? `reviewed by ${found.reviewed.join(", ")}` : "",
     found.trust === null ? "" : `trust ${found.trust.toFixed(2)}`,
     `${found.clicks} ${found.clicks === 1 ? "click" : "clicks"}`, `${Math.round(found.seconds)} s`,
     found.agreement === null ? "" : `agreement ${(100 * found.agreement).toFixed(1)} %`,
@@ -166,14 +161,14 @@ async function refresh() {
     const found = await answer.json();
     stamp = found.stamp;
     learn = found.learn;
-    await listed(found.pictures, found.hasty[user]);
+    await listed(found.pictures);
   } catch (problem) {
     failed(problem);
   }
 }
 
 // A new list: the order stays until the next picture is opened, so that no row jumps away.
-async function listed(found, hasty) {
+async function listed(found) {
   const order = new Map(pictures.map((one, index) => [one.name, index]));
   const place = (one) => order.get(one.name) ?? Infinity;
   const first = !pictures.length;
@@ -181,22 +176,20 @@ async function listed(found, hasty) {
   if (first) sorted();
   else list.show(pictures, current?.name ?? null);
   const right = pictures.filter((one) => one.users[user]?.confirmed).length;
-  const waiting = pictures.filter((one) => waits(one, user)).length;
   const known = pictures.filter((one) => one.trust !== null).length;
   const looked = known < pictures.length ? `, ${known} looked at` : "";
-  by("progress").textContent = reviewing ? `review: ${waiting} pictures of others wait`
-    : `${right} of ${pictures.length} right${looked}${caution(hasty)}`;
+  by("progress").textContent = `${right} of ${pictures.length} right${looked}`;
   if (!pictures.length) notice("The folder holds no pictures.");
   const own = pictures.find((one) => one.name === current?.name);
   if (current && !own) notice(`${current.name} is no longer in the folder; your strokes are kept.`);
-  const version = own?.users[current.whose]?.version ?? 0;
+  const version = own?.users[user]?.version ?? 0;
   if (own && state && !outbox.waiting.length && version > state.version) await again();
 }
 
 // Another window of this person did something: show it.
 async function again() {
-  const { name, whose } = current;
-  const found = await (await ask("state", { name, user: whose })).json();
+  const { name } = current;
+  const found = await (await ask("state", { name, user })).json();
   if (current.name === name) tell(found);
 }
 
@@ -214,7 +207,7 @@ function send(act) {
   work();
   const entry = { ...act, seconds: Math.min(Math.round(seconds * 10) / 10, 600) };
   seconds = 0;
-  const sent = outbox.add(current.name, current.whose, entry).catch(failed);
+  const sent = outbox.add(current.name, user, entry).catch(failed);
   stage.pending = outbox.waiting.filter((e) => e.name === current.name).map((e) => e.act);
   stage.draw();
   return sent;
@@ -225,46 +218,23 @@ function undo() {
     stage.polygon.pop();
     return stage.draw();
   }
-  if (reviewing) return judge(withdrawn(state, user));
   const last = state?.events.at(-1);
   if (last) send({ kind: "undo", of: last[0] });
 }
 
 function redo() {
-  const last = !reviewing && state?.redo.at(-1);
+  const last = state?.redo.at(-1);
   if (last) send({ kind: "redo", of: last });
 }
 
 async function right() {
   if (stage.polygon.length) return hand.closePolygon();
   if (!current) return;
-  if (reviewing) return judge(verdict(state, user, true), true);
   const next = following();
   const last = pictures.every((one) => done(one) || one.name === current.name);
   await send({ kind: "right" });
   if (last) return notice(`All done: ${pictures.length} of ${pictures.length} right. To learn from them: ${learn}`);
   if (next && next !== current.name) open(next);
-}
-
-// A verdict on the work of another; on: then the next one comes.
-async function judge(act, on = false) {
-  if (!act || current.whose === user) return;
-  const next = following();
-  await send(act);
-  if (on && next !== current.name) open(next);
-}
-
-// Show what others called right, or one's own work again.
-async function review() {
-  const others = pictures.filter((one) => toReview(one, user));
-  reviewing = !reviewing && others.length > 0;
-  by("review-button").setAttribute("aria-checked", reviewing);
-  stamp = "";
-  await refresh();
-  sorted();
-  const shown = reviewing ? others.find((one) => waits(one, user)) ?? others[0] : current;
-  if (shown) await open(shown.name);
-  if (!others.length) notice("Nobody else has called a picture right yet.");
 }
 
 // --- sight ------------------------------------------------------------------------------
@@ -337,8 +307,6 @@ const KEYS = [
   ["Enter", "right as it is, and on to the next; closes a polygon", right],
   ["n", "next picture, the least certain that waits", () => next(1)],
   ["k", "picture before it in the list", () => next(-1)],
-  ["r", "review what others called right, and end it", review],
-  ["x", "in review: reopen, it is not right", () => reviewing && judge(verdict(state, user, false), true)],
   ["z", "undo (Ctrl+Z as well)", undo],
   ["y", "redo (Ctrl+Y as well)", redo],
   [" ", "click at the cross", () => hand.click()],
@@ -368,9 +336,6 @@ function build() {
   button("acts", "undo", "z", undo).dataset.act = "undo";
   button("acts", "redo", "y", redo).dataset.act = "redo";
   button("acts", "next", "n", () => next(1));
-  const toggle = button("acts", "review", "r", review);
-  toggle.id = "review-button";
-  toggle.setAttribute("role", "switch");
   button("sight", "−", "-", () => stage.zoomBy(0.8)).title = "zoom out";
   button("sight", "+", "+", () => stage.zoomBy(1.25)).title = "zoom in";
   button("sight", "whole", "0", () => stage.fit());
@@ -407,8 +372,6 @@ function listen() {
 async function beginAs(name) {
   if (!name) return askName();
   user = localStorage.roadtorchUser = name;
-  reviewing = false;
-  by("review-button").setAttribute("aria-checked", false);
   by("who-button").textContent = name;
   stamp = "";
   current = wanted = null;

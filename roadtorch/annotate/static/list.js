@@ -82,8 +82,6 @@ function said(picture) {
   const work = Object.entries(picture.users);
   const trust = picture.trust === null ? "not looked at" : `trust ${picture.trust.toFixed(2)}`;
   if (!work.length) return trust;
-  const people = work.map(([user, one]) => (
-    `${one.confirmed ? "✓ " : ""}${user} ${one.events}${one.reviewed.map((who) => ` ✓ ${who}`).join("")}`
-  ));
+  const people = work.map(([user, one]) => `${one.confirmed ? "✓ " : ""}${user} ${one.events}`);
   return `${trust} · ${people.join(", ")}`;
 }
